@@ -1,6 +1,7 @@
-"""Write a picture of what `sal-height view BAG --web` shows in Debian's Chromium: tools/view_picture.py BAG FILE.png.
+"""Write a picture of what `sal-height view --web` shows in Debian's Chromium.
 
-It needs the Debian packages chromium and chromium-driver, and the extra `view`.
+tools/view_picture.py BAG FILE.png shows a bag, tools/view_picture.py --live FILE.png a graph that runs meanwhile. It
+needs the Debian packages chromium and chromium-driver, and the extra `view`.
 """
 
 from __future__ import annotations
@@ -31,6 +32,13 @@ DEADLINE_S = 120.0
 LOOK_S = 1.0
 COLOURS = 500
 """A page with more colours than that shows data: the empty viewer has some 150."""
+
+LIVE_S = 20.0
+"""Time that a live graph is looked at after its first data are seen: its page never stands still."""
+
+DOMAIN = "86"
+GRAPH = ("live", "--preset", "sal_spotlight", "--rate", "0.02", "--domain", DOMAIN)
+"""A graph that one processor keeps up with, while the other draws."""
 
 OPTIONS = (
     *("--headless=new", "--no-sandbox", "--hide-scrollbars", f"--window-size={SIZE[0]},{SIZE[1]}"),
@@ -64,6 +72,20 @@ def served(words: list[str]) -> Iterator[str]:
         finally:
             view.send_signal(signal.SIGINT)
             view.communicate(timeout=DEADLINE_S)
+
+
+@contextlib.contextmanager
+def live_graph() -> Iterator[None]:
+    """A live graph while the context lasts."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "sal_height", *GRAPH, "--out", f"{folder}/live"]
+        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        with subprocess.Popen(command, **quiet) as graph:  # noqa: S603 (our own program)
+            try:
+                yield
+            finally:
+                graph.send_signal(signal.SIGINT)
+                graph.wait(DEADLINE_S)
 
 
 @contextlib.contextmanager
@@ -103,11 +125,14 @@ def browser() -> Iterator[Any]:
         yield lambda method, path, body=None: ask(method, f"/session/{session}{path}", body)
 
 
-def picture_of(address: str) -> Image.Image:
-    """What a browser shows of the viewer's page once it does not change any more, or after DEADLINE_S."""
+def picture_of(address: str, longest_s: float = DEADLINE_S) -> Image.Image:
+    """What a browser shows of the viewer's page once it does not change any more, or `longest_s` after its first data.
+
+    Without any data, it is what the page shows after DEADLINE_S.
+    """
     with browser() as ask:
         ask("POST", "/url", {"url": f"{address}&renderer=webgl&hide_welcome_screen"})
-        deadline, before = time.monotonic() + DEADLINE_S, np.empty(0)
+        deadline, before, has_data = time.monotonic() + DEADLINE_S, np.empty(0), False
         while True:
             time.sleep(LOOK_S)
             try:
@@ -118,7 +143,9 @@ def picture_of(address: str) -> Image.Image:
                 continue
             now = np.asarray(image)
             still = before.shape == now.shape and np.abs(now.astype(int) - before).mean() < 0.05
-            if (still and colours(image) > COLOURS) or time.monotonic() > deadline:
+            if not has_data and colours(image) > COLOURS:
+                has_data, deadline = True, min(deadline, time.monotonic() + longest_s)
+            if (still and has_data) or time.monotonic() > deadline:
                 return image
             before = now
 
@@ -133,8 +160,12 @@ def main() -> int:
     *words, file = sys.argv[1:]
     if lacking := missing():
         sys.exit(f"Not installed, but needed: {lacking}.")
-    with served(words) as address:
-        image = picture_of(address)
+    if words == ["--live"]:
+        with live_graph(), served(["--domain", DOMAIN]) as address:
+            image = picture_of(address, LIVE_S)
+    else:
+        with served(words) as address:
+            image = picture_of(address)
     image.quantize(256, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(Path(file), optimize=True)
     sys.stdout.write(f"{file}: {colours(image)} colours\n")
     return 0

@@ -65,7 +65,8 @@ def live(
     bag. They are played at the sensor's pace, again and again with stamps that
     go on, until Ctrl-C. When dwells come faster than they are processed, the
     oldest are left out whole and counted. The output folder holds the bag of
-    the heights, and report.json.
+    the heights, report.json, and latency.png, which shows the latency of every
+    node over time.
 
     With CONFIG, the nodes that it lists are started for a sensor of your own,
     in the ROS domain of the environment; docs/live.md describes the file.
@@ -107,7 +108,10 @@ def live(
     how = Live(rate or 1.0, end_s, budget or 0.0, supervise)
     with showing(lambda watched: live_table(watched, time.monotonic())) as show:
         seen = live(feed, folder / "run", node_parameters(param), how, graph.execution(not one_process), show)
-    print(f"see {folder}/run/report.json and {folder}/run/bag")
+    from sal_height.runs.latency_picture import LATENCIES, draw_run  # brings Matplotlib, which nodes need not carry
+
+    drawn = f"{folder}/run/{LATENCIES}, " if seen.heights and draw_run(folder / "run") else ""
+    print(f"see {drawn}{folder}/run/report.json and {folder}/run/bag")
     if not seen.heights:
         complain(["No height came out; the table says where dwells were left out."])
         return FAILED

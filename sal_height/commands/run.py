@@ -63,10 +63,10 @@ def run(
 ) -> int:
     """Simulate a flight, process it with the graph of nodes, and compare the heights with the truth.
 
-    The output folder holds the recorded bag, report.json, height.png, scene3d.png,
-    profile.png and relief_map.tif. At the end stand the errors of each estimator: bias, s68
-    (half the width between 16 % and 84 % of the errors), the Cramer-Rao bound and
-    the share of errors within 1 sigma.
+    The output folder holds the recorded bag, report.json, height.png, errors.png,
+    ground.png, scene3d.png, profile.png and relief_map.tif. At the end stand the
+    errors of each estimator: bias, s68 (half the width between 16 % and 84 % of the
+    errors), the Cramer-Rao bound and the share of errors within 1 sigma.
 
     Args:
         scene: Terrain: street, woods, jacksboro_fault, or a DEM as .tif or .npz file. Default: the preset's.
@@ -106,11 +106,9 @@ def run(
     if sentence := achieved(result.accuracy.statistics):
         print(sentence)
     interrupted = " (interrupted)" if outcome.interrupted else ""
-    first, *others = [
-        str(folder / name)
-        for name in ("scene3d.png", "height.png", "ground.png", "profile.png", RELIEF_MAP, "report.json", "bag")
-        if (folder / name).exists()
-    ]
+    pictures = ("scene3d.png", "height.png", "errors.png", "ground.png", "profile.png")
+    left = (folder / name for name in (*pictures, RELIEF_MAP, "report.json", "bag"))
+    first, *others = [str(path) for path in left if path.exists()]
     print(f"{outcome.dwells} dwells{interrupted}; look first at {first}, then at {', '.join(others)}")
     if outcome.interrupted:
         return INTERRUPTED

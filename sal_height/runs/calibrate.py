@@ -14,10 +14,10 @@ from sal_height.calibration import Calibration, load_calibration
 from sal_height.errors import UserError
 from sal_height.io import new_folder, or_null, writing
 from sal_height.nodes.psf_calibration import MOST_DWELLS
+from sal_height.runs.calibration_picture import beam_width, draw_calibration
 from sal_height.runs.catalogue import CALIBRATOR, NodeParameters, check_parameters
 from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
 from sal_height.runs.entry import contents
-from sal_height.runs.picture import beam_width, draw_calibration
 from sal_height.runs.replay_parameters import recorded_parameters
 from sal_height.runs.reporting import PARAMETERS, conclude, merged, reporting
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-mpl.use("Agg")
+from sal_height.runs.picture import look_of, page
 
 PANELS = {
     "with_height": "share of pixels with a height",
@@ -24,6 +23,9 @@ EXPECTED = {"within_1_sigma": 0.683}
 """Where a line is drawn for comparison."""
 
 
+LINES = ("-", "--", "-.", ":")
+
+
 def draw_settings(rows: Sequence[Mapping[str, Any]], varied: Sequence[str], file: Path) -> None:
     """Draw the summary of a campaign over the first parameter that is varied.
 
@@ -34,19 +36,27 @@ def draw_settings(rows: Sequence[Mapping[str, Any]], varied: Sequence[str], file
     """
     done = [row for row in rows if not row["failure"]]
     values = list(dict.fromkeys(row[varied[0]] for row in done))
-    figure = Figure(figsize=(11, 8), layout="constrained")
-    axes = figure.subplots(2, 2, sharex=True)
-    for panel, (column, title) in zip(axes.flat, PANELS.items(), strict=True):
-        for label, points in _lines(done, varied, column).items():
-            places = [values.index(value) for value in points]
-            panel.plot(places, list(points.values()), marker="o", label=label)
-        _finish(panel, title, values, EXPECTED.get(column))
-    for panel in axes[1]:
-        panel.set_xlabel(varied[0])
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    if handles:
-        figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize="small")
-    figure.savefig(file, dpi=110)
+    with page(file, 5.2) as figure:
+        axes = figure.subplots(2, 2, sharex=True)
+        for panel, (column, title) in zip(axes.flat, PANELS.items(), strict=True):
+            drawn: Counter[str] = Counter()
+            for label, points in _lines(done, varied, column).items():
+                estimator = label.partition(" ")[0]
+                places = [values.index(value) for value in points]
+                panel.plot(places, list(points.values()), label=label, **_style(estimator, drawn[estimator]))
+                drawn[estimator] += 1
+            _finish(panel, title, values, EXPECTED.get(column))
+        for panel in axes[1]:
+            panel.set_xlabel(varied[0])
+        handles, labels = axes[0, 0].get_legend_handles_labels()
+        if handles:
+            figure.legend(handles, labels, loc="outside lower center", ncols=3)
+
+
+def _style(estimator: str, number: int) -> dict[str, Any]:
+    """Colour and marker of the estimator; line, and then filling, of the bag and setting of that number."""
+    look, fill = look_of(estimator), ("full", "none")[number // len(LINES) % 2]
+    return {"color": look.colour, "marker": look.marker, "ls": LINES[number % len(LINES)], "fillstyle": fill}
 
 
 def _lines(rows: Sequence[Mapping[str, Any]], varied: Sequence[str], column: str) -> dict[str, dict[Any, float]]:
@@ -66,6 +76,6 @@ def _finish(panel: Axes, title: str, values: Sequence[Any], expected: float | No
     """Name the axes of a panel."""
     panel.set_title(title)
     panel.set_xticks(range(len(values)), [str(value) for value in values])
-    panel.grid(alpha=0.3)
+    panel.grid()
     if expected is not None:
         panel.axhline(expected, color="black", linestyle=":")

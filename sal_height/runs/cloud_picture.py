@@ -5,22 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.colors import LogNorm, Normalize
-from matplotlib.figure import Figure
+from matplotlib.colors import Normalize
 from scipy.spatial import cKDTree
 
 from sal_height.numeric import F64
 from sal_height.runs.comparison import PublishedErrors
+from sal_height.runs.picture import HEIGHTS, SIGMAS, WIDTH, colour_bar, log_norm, page, title_of
 from sal_height.runs.surface_report import Judged
 from sal_height.simulation import Preset
 
-mpl.use("Agg")
-
 AZIMUTH, TILT = np.radians(35.0), np.radians(38.0)
 """Direction from which the cloud is seen: clockwise from the sensor's side, and above the horizon, rad."""
-WIDTH = 9.3
+VIEW_WIDTH = 0.48 * WIDTH
 """Of each of the two views, inches."""
 
 
@@ -36,24 +33,24 @@ def draw_cloud(estimator: str, surfaces: PublishedErrors, preset: Preset, path: 
     across, up, depth = projected(surfaces.place, side)
     order = np.argsort(-depth)  # the farthest first, so that nearer points hide them
     ratio = np.ptp(up) / np.ptp(across)
-    figure = Figure(figsize=(2 * WIDTH + 0.4, 1.6 + WIDTH * ratio), layout="constrained")
     # Points so large that those of a closed surface touch: their distance on the page.
     apart, _ = cKDTree(surfaces.place[:, :2]).query(surfaces.place[:, :2], k=5)
-    size = (72 * WIDTH / (1.1 * np.ptp(across)) * float(np.median(apart[:, -1]))) ** 2
-    low, high = np.percentile(surfaces.place[:, 2], [0.5, 99.5])
+    size = (72 * VIEW_WIDTH / (1.1 * np.ptp(across)) * float(np.median(apart[:, -1]))) ** 2
+    height = surfaces.place[:, 2]
     scales = (
-        (surfaces.place[:, 2], Normalize(low, high), "turbo", "height above the reference sphere (m)"),
-        (surfaces.sigma, LogNorm(*np.percentile(surfaces.sigma, [1, 99])), "viridis", "sigma of height (m)"),
+        (height, Normalize(*np.percentile(height, [0.5, 99.5])), HEIGHTS, "height above the reference sphere (m)"),
+        (surfaces.sigma, log_norm(surfaces.sigma), SIGMAS, "sigma of height (m)"),
     )
-    for axis, (values, norm, colours, label) in zip(figure.subplots(1, 2), scales, strict=True):
-        drawn = axis.scatter(across[order], up[order], c=values[order], cmap=colours, norm=norm, s=size, linewidths=0)
-        axis.set(aspect="equal", facecolor="0.12", xticks=[], yticks=[])
-        figure.colorbar(drawn, ax=axis, label=label, orientation="horizontal", aspect=50)
-    figure.suptitle(
-        f"{preset.name}, {estimator}: all {len(order)} surfaces of all pixels, seen from the side of the sensor, "
-        f"{np.degrees(TILT):.0f}° above the horizon"
-    )
-    figure.savefig(path, dpi=100)
+    with page(path, 0.9 + VIEW_WIDTH * ratio) as figure:
+        for axis, (values, norm, colours, label) in zip(figure.subplots(1, 2), scales, strict=True):
+            shown = values[order]
+            drawn = axis.scatter(across[order], up[order], c=shown, cmap=colours, norm=norm, s=size, linewidths=0)
+            axis.set(aspect="equal", facecolor="0.75", xticks=[], yticks=[])
+            colour_bar(drawn, axis, label, values, orientation="horizontal", aspect=40, pad=0.02)
+        figure.suptitle(
+            f"{preset.name}, {title_of(estimator)}: all {len(order)} surfaces of all pixels, seen from the side of the "
+            f"sensor, {np.degrees(TILT):.0f}° above the horizon"
+        )
 
 
 def projected(place: F64, side: float) -> tuple[F64, F64, F64]:

@@ -6,20 +6,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.colors import ListedColormap, Normalize
-from matplotlib.figure import Figure
 
 from sal_height.bag.compare import Comparison
 from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import HEIGHT_TYPE
 from sal_height.numeric import F64
-
-mpl.use("Agg")
-
-ONE_SIDED = "magenta"
-"""Colour of pixels that have a height on one side only."""
+from sal_height.runs.picture import ERRORS, FAULT, HEIGHTS, colour_bar, page
 
 
 def worst_height_image(compared: Mapping[str, Comparison], golden: BagReader) -> tuple[str, int] | None:
@@ -46,26 +40,25 @@ def draw_difference(golden: BagReader, made: BagReader, topic: str, dwell: int, 
     Pixels that have a height on one side only are marked in the difference.
     """
     sides = [_heights(bag, topic, dwell) for bag in (golden, made)]
-    titles = ["golden", "made"]
-    figure = Figure(figsize=(13.5, 4.6), layout="constrained")
     same_shape = sides[0].shape == sides[1].shape
-    axes = figure.subplots(1, 3 if same_shape else 2)
     known = np.concatenate([side[np.isfinite(side)] for side in sides])
     limits = Normalize(*np.percentile(known, [0.5, 99.5])) if known.size else Normalize(0, 1)
-    for axis, side, title in zip(axes, sides, titles, strict=False):
-        shown = axis.imshow(side, "turbo", limits, aspect="auto", interpolation="nearest")
-        axis.set(title=title, xlabel="column (along-track)", ylabel="row (range)")
-    figure.colorbar(shown, ax=axes[:2], label="height of the first surface (m)")
-    if same_shape:
-        difference = sides[1] - sides[0]
-        lone = np.where(np.isfinite(sides[0]) != np.isfinite(sides[1]), 1.0, np.nan)
-        greatest = float(np.nanmax(np.abs(difference), initial=0.0)) or 1.0
-        axes[2].imshow(lone, ListedColormap([ONE_SIDED]), vmin=0, vmax=1, aspect="auto", interpolation="nearest")
-        shown = axes[2].imshow(difference, "RdBu_r", vmin=-greatest, vmax=greatest, aspect="auto")
-        axes[2].set(title=f"made - golden; {ONE_SIDED}: a height on one side only", xlabel="column (along-track)")
-        figure.colorbar(shown, ax=axes[2], label="difference (m)")
-    figure.suptitle(f"{topic}, dwell {dwell}")
-    figure.savefig(path, dpi=110)
+    how: dict[str, Any] = {"aspect": "auto", "interpolation": "nearest"}
+    with page(path, 2.8) as figure:
+        axes = figure.subplots(1, 3 if same_shape else 2)
+        for axis, side, title in zip(axes, sides, ("golden", "made"), strict=False):
+            shown = axis.imshow(side, HEIGHTS, limits, **how)
+            axis.set(title=title, xlabel="column (along-track)", ylabel="row (range)")
+        colour_bar(shown, axes[:2], "height of the first surface (m)", known)
+        if same_shape:
+            difference = sides[1] - sides[0]
+            lone = np.where(np.isfinite(sides[0]) != np.isfinite(sides[1]), 1.0, np.nan)
+            greatest = float(np.nanmax(np.abs(difference), initial=0.0)) or 1.0
+            axes[2].imshow(lone, ListedColormap([FAULT]), vmin=0, vmax=1, **how)
+            shown = axes[2].imshow(difference, ERRORS, vmin=-greatest, vmax=greatest, **how)
+            axes[2].set(title=f"made - golden\n{FAULT}: a height on one side only", xlabel="column (along-track)")
+            colour_bar(shown, axes[2], "difference (m)", difference)
+        figure.suptitle(f"{topic}, dwell {dwell}")
 
 
 def _heights(bag: BagReader, topic: str, dwell: int) -> F64:

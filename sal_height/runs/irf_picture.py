@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from sal_height.numeric import F64
 from sal_height.response import OVERSAMPLING, REACH, Chip, CutResponse, ImpulseResponse
-
-mpl.use("Agg")
+from sal_height.runs.picture import colour_bar, page
 
 PIXELS_SHOWN = 300
 """Greatest number of interpolated rows or columns in the picture of a target; more would not be visible."""
@@ -41,28 +39,30 @@ class Target:
 
 def draw_responses(targets: Sequence[Target], title: str, path: Path) -> None:
     """Write a PNG with a row for each target: its interpolated surroundings and both cuts through its peak."""
-    figure = Figure(figsize=(15, 0.5 + 4.2 * len(targets)), layout="constrained")
-    for (surroundings, down, across), target in zip(
-        figure.subplots(len(targets), 3, squeeze=False), targets, strict=True
-    ):
-        chip, response = target.chip, target.response
-        rows = _around(response.row, response.row_cut, chip.finite[0])
-        cols = _around(response.col, response.col_cut, chip.finite[1])
-        peak = chip.power(response.row, response.col)[0, 0]
-        shown = surroundings.imshow(
-            decibels(chip.power(_thinned(rows), _thinned(cols)) / peak),
-            extent=(cols[0], cols[-1], rows[-1], rows[0]),
-            vmin=-40,
-            vmax=0,
-            cmap="magma",
-            aspect="auto",
-        )
-        surroundings.set(title=target.title, xlabel=f"column ({target.axes[1]})", ylabel=f"row ({target.axes[0]})")
-        figure.colorbar(shown, ax=surroundings, label="power (dB below the peak)")
-        _draw_cut(down, rows - response.row, chip.power(rows, response.col) / peak, response.row_cut, target.axes[0])
-        _draw_cut(across, cols - response.col, chip.power(response.row, cols) / peak, response.col_cut, target.axes[1])
-    figure.suptitle(title)
-    figure.savefig(path, dpi=100)
+    with page(path, 0.6 + 2.0 * len(targets)) as figure:
+        for panels, target in zip(figure.subplots(len(targets), 3, squeeze=False), targets, strict=True):
+            _draw_target(panels, target)
+        figure.legend(*panels[1].get_legend_handles_labels(), loc="outside lower right", ncols=2, frameon=False)
+        figure.suptitle(title)
+
+
+def _draw_target(panels: Sequence[Axes], target: Target) -> None:
+    """Draw the surroundings of a target, and the cuts down and across."""
+    surroundings, down, across = panels
+    chip, response = target.chip, target.response
+    rows = _around(response.row, response.row_cut, chip.finite[0])
+    cols = _around(response.col, response.col_cut, chip.finite[1])
+    peak = chip.power(response.row, response.col)[0, 0]
+    level = decibels(chip.power(_thinned(rows), _thinned(cols)) / peak)
+    shown = surroundings.imshow(
+        level, extent=(cols[0], cols[-1], rows[-1], rows[0]), vmin=-40, vmax=0, cmap="magma", aspect="auto"
+    )
+    surroundings.set(
+        title=textwrap.fill(target.title, 42), xlabel=f"column ({target.axes[1]})", ylabel=f"row ({target.axes[0]})"
+    )
+    colour_bar(shown, surroundings, "power (dB of the peak)", level)
+    _draw_cut(down, rows - response.row, chip.power(rows, response.col) / peak, response.row_cut, target.axes[0])
+    _draw_cut(across, cols - response.col, chip.power(response.row, cols) / peak, response.col_cut, target.axes[1])
 
 
 def _around(position: float, cut: CutResponse, finite: tuple[int, int]) -> F64:
@@ -81,19 +81,16 @@ def _thinned(positions: F64) -> F64:
 def _draw_cut(axis: Axes, offset: F64, power: F64, cut: CutResponse, kind: str) -> None:
     """Draw one cut with its width at -3 dB and its highest sidelobe."""
     axis.plot(offset, decibels(power.ravel()), lw=1)
-    axis.plot(
-        [-cut.width / 2, cut.width / 2], [HALF_POWER_DB] * 2, "|-", color="tab:red", ms=10, label="width at -3 dB"
-    )
+    axis.plot([-cut.width / 2, cut.width / 2], [HALF_POWER_DB] * 2, "|-", color="#d55e00", ms=6, label="width at -3 dB")
     if np.isfinite(cut.pslr_db):
-        axis.axhline(cut.pslr_db, color="tab:green", ls="--", lw=1, label="highest sidelobe")
+        axis.axhline(cut.pslr_db, color="#009e73", ls="--", lw=1, label="highest sidelobe")
     axis.set(
-        title=f"{kind}: {cut.width:.3f} px, PSLR {cut.pslr_db:.1f} dB, ISLR {cut.islr_db:.1f} dB".replace("nan", "-"),
+        title=f"{kind}: {cut.width:.3f} px\nPSLR {cut.pslr_db:.1f} dB, ISLR {cut.islr_db:.1f} dB".replace("nan", "-"),
         xlabel=f"offset in {kind} (pixels)",
-        ylabel="power (dB below the peak)",
+        ylabel="power (dB of the peak)",
         ylim=(-50, 3),
     )
-    axis.grid(alpha=0.3)
-    axis.legend(loc="lower right")
+    axis.grid()
 
 
 def decibels(power: F64) -> F64:

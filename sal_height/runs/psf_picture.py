@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-from sal_height.numeric import C128, F64, frequencies
+from sal_height.numeric import F64, frequencies
 from sal_height.response import (
     FINENESS,
+    AxisResponse,
     AxisSpectrum,
     Pointing,
     PointSpread,
@@ -21,9 +22,7 @@ from sal_height.response import (
     PsfReport,
     estimate_transfer_function,
 )
-
-mpl.use("Agg")
-
+from sal_height.runs.picture import page
 
 CHIPS_SHOWN = 4
 """Number of targets whose chips are drawn, as in the paper."""
@@ -34,12 +33,26 @@ PHASE_KNOWN = 3.0
 FAINTEST_DB = -50
 """Lowest level of chips and point-spread functions in the picture, dB of the peak."""
 
-TEXT_WIDTH = 190
+TEXT_WIDTH = 135
 """Characters in a line of the text below the panels."""
+
+COLUMNS = 4
+"""Panels side by side."""
+
+TARGETS, SPECKLE, ONE_TARGET = "#0072b2", "#d55e00", "0.6"
+"""Colours of what is measured on all targets, on speckle and on a single target."""
+
+DIRECTIONS = {"R": "range", "A": "azimuth"}
+"""Of which axis the responses R and A are."""
+
+Panel = Callable[[Axes], None]
+"""Draws on a panel."""
 
 
 def draw_psf(report: PsfReport, title: str, reasons: Sequence[str], path: Path) -> None:
     """Write a PNG: chips, responses of targets and of speckle, point-spread function, pointing, and text.
+
+    What is not determined has no panel, but its reason in the text.
 
     Args:
         report: what was measured.
@@ -47,28 +60,45 @@ def draw_psf(report: PsfReport, title: str, reasons: Sequence[str], path: Path) 
         reasons: a sentence for each quantity that is not determined.
         path: path of the picture.
     """
-    figure = Figure(figsize=(17, 16), layout="constrained")
-    grid = figure.add_gridspec(4, CHIPS_SHOWN, height_ratios=(1, 1, 1, 0.45))
-    panels = [[figure.add_subplot(grid[row, col]) for col in range(CHIPS_SHOWN)] for row in range(3)]
-    for index, axes in enumerate(panels[0]):
-        _draw_chip(axes, report.targets[index] if index < len(report.targets) else None, index)
-    _draw_responses(panels[1], report)
-    range_speckle, azimuth_speckle, spread_axes, pointing_axes = panels[2]
-    _draw_speckle(range_speckle, "R", report)
-    _draw_speckle(azimuth_speckle, "A", report)
-    _draw_spread(spread_axes, report.spread)
-    _draw_pointing(pointing_axes, report.pointing)
-    _write_text(figure.add_subplot(grid[3, :]), report, reasons)
-    figure.suptitle(title)
-    figure.savefig(path, dpi=80)
+    panels, text = list(_panels(report)), _text(report, reasons)
+    rows = math.ceil(len(panels) / COLUMNS)
+    words = 0.2 + 0.12 * len(text.splitlines())
+    with page(path, 0.4 + 1.8 * rows + words) as figure:
+        grid = figure.add_gridspec(rows + 1, COLUMNS, height_ratios=(*[1.8] * rows, words))
+        for index, draw in enumerate(panels):
+            draw(figure.add_subplot(grid[divmod(index, COLUMNS)]))
+        below = figure.add_subplot(grid[rows, :])
+        below.axis("off")
+        below.text(0.0, 1.0, text, va="top", ha="left", transform=below.transAxes, in_layout=False)
+        figure.suptitle(title)
 
 
-def _draw_chip(axes: Axes, target: PointTarget | None, index: int) -> None:
+def _panels(report: PsfReport) -> Iterator[Panel]:
+    """What is drawn, panel by panel."""
+    shown = report.targets[:CHIPS_SHOWN]
+    for index, target in enumerate(shown):
+        yield partial(_draw_chip, target=target, index=index)
+    if report.transfer:
+        singles = [estimate_transfer_function([target]) for target in shown] if len(report.targets) > 1 else []
+        for letter, axis, own in (
+            ("R", report.transfer.range, [one.range for one in singles]),
+            ("A", report.transfer.azimuth, [one.azimuth for one in singles]),
+        ):
+            yield partial(_draw_modulus, letter=letter, axis=axis, singles=own)
+            yield partial(_draw_phase, letter=letter, axis=axis, singles=own)
+    if report.spectra:
+        of_targets = (report.transfer.range, report.transfer.azimuth) if report.transfer else (None, None)
+        spectra = report.spectra.range, report.spectra.azimuth
+        for letter, spectrum, transfer, count in zip("RA", spectra, of_targets, report.chip, strict=True):
+            yield partial(_draw_speckle, letter=letter, spectrum=spectrum, transfer=transfer, count=count)
+    if report.spread:
+        yield partial(_draw_spread, spread=report.spread)
+    if any(len(one.cols) for one in report.pointing):
+        yield partial(_draw_pointing, pointing=report.pointing)
+
+
+def _draw_chip(axes: Axes, target: PointTarget, index: int) -> None:
     """Draw the power around a target (figure 3)."""
-    axes.set_title(f"target {index + 1}")
-    if target is None:
-        _leave_blank(axes, "no target" if index == 0 else "no more targets")
-        return
     chip = np.fft.fftshift(target.chip)
     rows, cols = chip.shape
     axes.imshow(
@@ -80,84 +110,67 @@ def _draw_chip(axes: Axes, target: PointTarget | None, index: int) -> None:
         aspect="auto",
     )
     axes.set(
-        title=f"target {index + 1}: {10 * np.log10(target.over_clutter):.1f} dB over clutter (dB of the peak)",
-        xlabel="azimuth from the peak (pixels)",
-        ylabel="range from the peak (pixels)",
+        title=f"target {index + 1}, {10 * np.log10(target.over_clutter):.1f} dB over clutter\n"
+        f"(white: peak, black: {FAINTEST_DB} dB)",
+        xlabel="azimuth (pixels)",
+        ylabel="range (pixels)",
     )
-    axes.title.set_fontsize("medium")
 
 
-def _draw_responses(panels: Sequence[Axes], report: PsfReport) -> None:
-    """Draw modulus and phase of R (figures 6 to 10) and of A (figures 11 to 15), of each target and of all together."""
-    transfer = report.transfer
-    names = ("|R| of targets", "arg R of targets", "|A| of targets", "arg A of targets")
-    for axes, name in zip(panels, names, strict=True):
-        axes.set_title(name)
-        if transfer is None:
-            _leave_blank(axes, "not determined")
-    if transfer is None:
-        return
-    own = [estimate_transfer_function([target]) for target in report.targets[:CHIPS_SHOWN]]
-    for one in own if len(report.targets) > 1 else []:
-        _draw_response(panels[:2], one.range.response, one.range.sigma, None)
-        _draw_response(panels[2:], one.azimuth.response, one.azimuth.sigma, None)
-    _draw_response(panels[:2], transfer.range.response, transfer.range.sigma, "range")
-    _draw_response(panels[2:], transfer.azimuth.response, transfer.azimuth.sigma, "azimuth")
+def _draw_modulus(axes: Axes, letter: str, axis: AxisResponse, singles: Sequence[AxisResponse]) -> None:
+    """Draw the modulus of R or A with its error (figures 6 to 15), and those of single targets."""
+    for one in singles:
+        axes.plot(frequencies(len(one.response)), np.abs(one.response), lw=0.6, color=ONE_TARGET)
+    frequency, amplitude, error = frequencies(len(axis.response)), np.abs(axis.response), axis.sigma / np.sqrt(2)
+    axes.plot(frequency, amplitude, color=TARGETS)
+    axes.fill_between(frequency, np.maximum(0, amplitude - error), amplitude + error, alpha=0.3, color=TARGETS, lw=0)
+    axes.set(title=f"|{letter}| of targets", ylim=(0, None))
+    _finish_response(axes, letter)
 
 
-def _draw_response(panels: Sequence[Axes], response: C128, sigma: F64, axis: str | None) -> None:
-    """Draw a response: with its errors, or as a thin line if it is that of a single target (`axis` is None)."""
-    modulus, phase = panels
-    frequency, amplitude = frequencies(len(response)), np.abs(response)
-    angle = np.where(amplitude > PHASE_KNOWN * sigma, np.angle(response), np.nan)
-    if axis is None:
-        modulus.plot(frequency, amplitude, lw=0.6, color="0.6")
-        phase.plot(frequency, angle, ".", ms=2, color="0.6")
-        return
-    error = sigma / np.sqrt(2)
+def _draw_phase(axes: Axes, letter: str, axis: AxisResponse, singles: Sequence[AxisResponse]) -> None:
+    """Draw the phase of R or A with its error where it is known, and those of single targets."""
+    for one in singles:
+        axes.plot(frequencies(len(one.response)), _phase(one), ".", ms=1.5, color=ONE_TARGET)
     with np.errstate(divide="ignore", invalid="ignore"):
-        turn = error / amplitude
-    modulus.plot(frequency, amplitude, color="tab:blue")
-    modulus.fill_between(frequency, np.maximum(0, amplitude - error), amplitude + error, alpha=0.3, color="tab:blue")
-    phase.errorbar(frequency, angle, turn, fmt=".", ms=4, lw=0.8, color="tab:blue")
-    modulus.set(xlabel=f"{axis} frequency (cycles per pixel)", ylim=(0, None))
-    phase.set(xlabel=f"{axis} frequency (cycles per pixel)", ylabel="rad", ylim=(-np.pi, np.pi))
-    for axes in panels:
-        axes.grid(alpha=0.3)
-        axes.set_xlim(-0.5, 0.5)
+        error = axis.sigma / np.sqrt(2) / np.abs(axis.response)
+    frequency = frequencies(len(axis.response))
+    axes.errorbar(frequency, _phase(axis), error, fmt=".", ms=2.5, elinewidth=0.6, color=TARGETS)
+    axes.set(title=f"arg {letter} of targets", ylabel="rad", ylim=(-np.pi, np.pi))
+    _finish_response(axes, letter)
 
 
-def _draw_speckle(axes: Axes, name: str, report: PsfReport) -> None:
+def _phase(axis: AxisResponse) -> F64:
+    """Phase of a response, rad; NaN where it is not known."""
+    known = np.abs(axis.response) > PHASE_KNOWN * axis.sigma
+    return np.where(known, np.angle(axis.response), np.nan)
+
+
+def _draw_speckle(axes: Axes, letter: str, spectrum: AxisSpectrum, transfer: AxisResponse | None, count: int) -> None:
     """Draw the modulus from speckle (figure 24) with its errors, and that from targets, both with an rms of 1."""
-    axes.set_title(f"|{name}| of speckle, and of targets")
-    if report.spectra is None:
-        _leave_blank(axes, "not determined")
-        return
-    along_range = name == "R"
-    spectrum: AxisSpectrum = report.spectra.range if along_range else report.spectra.azimuth
-    count = report.chip[0 if along_range else 1]
     power, sigma = spectrum.unfolded(count)
     low, middle, high = (np.sqrt(np.maximum(0, power + step * sigma)) for step in (-1, 0, 1))
-    axes.plot(frequencies(count), middle, color="tab:orange", label="speckle")
-    axes.fill_between(frequencies(count), low, high, alpha=0.3, color="tab:orange")
-    if report.transfer:
-        response = report.transfer.range.response if along_range else report.transfer.azimuth.response
-        scale = np.sqrt(np.mean(np.abs(response) ** 2))
-        axes.plot(frequencies(count), np.abs(response) / scale, color="tab:blue", lw=0.8, label="targets")
-    axes.set(xlabel=f"{'range' if along_range else 'azimuth'} frequency (cycles per pixel)", ylim=(0, None))
-    axes.legend(fontsize="small")
-    axes.grid(alpha=0.3)
+    axes.plot(frequencies(count), middle, color=SPECKLE, ls="--", label="speckle")
+    axes.fill_between(frequencies(count), low, high, alpha=0.3, color=SPECKLE, lw=0)
+    if transfer:
+        scale = np.sqrt(np.mean(np.abs(transfer.response) ** 2))
+        axes.plot(frequencies(count), np.abs(transfer.response) / scale, color=TARGETS, lw=0.8, label="targets")
+    axes.set(title=f"|{letter}| of speckle, and of targets" if transfer else f"|{letter}| of speckle", ylim=(0, None))
+    axes.legend()
+    _finish_response(axes, letter)
 
 
-def _draw_spread(axes: Axes, spread: PointSpread | None) -> None:
+def _finish_response(axes: Axes, letter: str) -> None:
+    axes.set(xlabel=f"{DIRECTIONS[letter]} frequency (1/pixel)", xlim=(-0.5, 0.5))
+    axes.grid()
+
+
+def _draw_spread(axes: Axes, spread: PointSpread) -> None:
     """Draw the point-spread function (figure 26) and mark its anomalous sidelobes."""
-    axes.set_title("point-spread function (dB of the peak)")
-    if spread is None:
-        _leave_blank(axes, "not determined")
-        return
+    axes.set_title(f"point-spread function\n(brightest: peak, black: {FAINTEST_DB} dB)")
     rows, cols = (size / FINENESS for size in spread.pixels.shape)
     half = 0.5 / FINENESS
-    shown = axes.imshow(
+    axes.imshow(
         _decibels(np.abs(spread.pixels)),
         extent=(-cols / 2 - half, cols / 2 - half, rows / 2 - half, -rows / 2 - half),
         vmin=FAINTEST_DB,
@@ -166,27 +179,21 @@ def _draw_spread(axes: Axes, spread: PointSpread | None) -> None:
         aspect="auto",
     )
     for one in spread.range.sidelobes:
-        axes.plot(0, one.position, "o", mfc="none", mec="cyan", ms=12)
+        axes.plot(0, one.position, "o", mfc="none", mec="cyan", ms=6)
     for one in spread.azimuth.sidelobes:
-        axes.plot(one.position, 0, "o", mfc="none", mec="cyan", ms=12)
+        axes.plot(one.position, 0, "o", mfc="none", mec="cyan", ms=6)
     axes.set(xlabel="azimuth (pixels)", ylabel="range (pixels)")
-    axes.figure.colorbar(shown, ax=axes)
 
 
 def _draw_pointing(axes: Axes, pointing: Sequence[Pointing]) -> None:
-    axes.set_title("pointing of the antenna")
-    if not any(len(one.cols) for one in pointing):
-        _leave_blank(axes, "not determined")
-        return
     for one in pointing:
-        axes.errorbar(one.cols, one.displacement, one.sigma, fmt=".", ms=4, lw=0.8)
-    axes.set(xlabel="azimuth (pixels)", ylabel="Doppler centroid (cycles per pixel)")
-    axes.grid(alpha=0.3)
+        axes.errorbar(one.cols, one.displacement, one.sigma, fmt=".", ms=2.5, elinewidth=0.6)
+    axes.set(title="pointing of the antenna", xlabel="azimuth (pixels)", ylabel="Doppler centroid (1/pixel)")
+    axes.grid()
 
 
-def _write_text(axes: Axes, report: PsfReport, reasons: Sequence[str]) -> None:
-    """Write the result of the test of superposition, and the reasons for what is not determined."""
-    axes.axis("off")
+def _text(report: PsfReport, reasons: Sequence[str]) -> str:
+    """The result of the test of superposition, and the reasons for what is not determined."""
     lines = [f"Not determined: {reason}" for reason in reasons]
     if report.linearity:
         found = report.linearity
@@ -195,13 +202,7 @@ def _write_text(axes: Axes, report: PsfReport, reasons: Sequence[str]) -> None:
             f"Superposition of targets and speckle: p = {found.p_value:.3g}, chi-square {found.chi_square:.1f} of "
             f"{found.freedom}, in chips of {report.linearity_rows} rows.",
         )
-    text = "\n".join(textwrap.fill(line, TEXT_WIDTH, subsequent_indent="    ") for line in lines)
-    axes.text(0.01, 0.98, text, va="top", ha="left", transform=axes.transAxes, fontsize=10)
-
-
-def _leave_blank(axes: Axes, why: str) -> None:
-    axes.text(0.5, 0.5, why, ha="center", va="center", transform=axes.transAxes, color="0.4")
-    axes.set(xticks=[], yticks=[])
+    return "\n".join(textwrap.fill(line, TEXT_WIDTH, subsequent_indent="    ") for line in lines)
 
 
 def _decibels(amplitude: F64) -> F64:

@@ -179,7 +179,7 @@ def replay(
 
 def _measure_images(folder: Path) -> list[dict[str, Any]]:
     """Draw each image recorded in `folder`/bag and measure its brightest target."""
-    from sal_height.runs.picture import draw_image  # noqa: PLC0415 (brings Matplotlib)
+    from sal_height.runs.image_picture import draw_image  # noqa: PLC0415 (brings Matplotlib)
 
     measured = []
     for _, message, image, grid, _ in recorded_slc(folder / "bag"):

@@ -13,7 +13,7 @@ import yaml
 
 from sal_height.io import new_folder, write_text, writing
 from sal_height.nodes.stage import MAP_ORIGIN
-from sal_height.runs.accuracy import Accuracy, read_accuracy
+from sal_height.runs.accuracy import Accuracy, read_accuracy, read_images
 from sal_height.runs.catalogue import (
     TRACKER,
     NodeParameters,
@@ -123,6 +123,7 @@ def processing_of(flight: SimulatedFlight, estimators: list[str]) -> dict[str, d
 def _draw(flown: Flown, preset: Preset, folder: Path) -> None:
     """Write the pictures of a flight beside its bag."""
     from sal_height.runs.cloud_picture import cloud_of, draw_cloud  # noqa: PLC0415 (brings Matplotlib)
+    from sal_height.runs.error_picture import draw_errors  # noqa: PLC0415
     from sal_height.runs.ground_picture import draw_ground  # noqa: PLC0415
     from sal_height.runs.height_picture import draw_heights  # noqa: PLC0415
     from sal_height.runs.profile import draw_profile  # noqa: PLC0415
@@ -132,9 +133,13 @@ def _draw(flown: Flown, preset: Preset, folder: Path) -> None:
         with writing(folder / "ground.png"):
             draw_ground(*accuracy.grounds[source], folder / "ground.png")
     if accuracy.heights:
+        images = read_images(folder / "bag")
+        shown = source if source in images else next(iter(accuracy.heights))
         with writing(folder / "height.png"):
-            draw_heights(accuracy.heights, preset, folder / "height.png")
+            draw_heights(accuracy.heights, images[shown], preset, folder / "height.png")
+        with writing(folder / "errors.png"):
+            draw_errors(accuracy.heights, folder / "errors.png")
         with writing(folder / "scene3d.png"):
             draw_cloud(*cloud_of(accuracy.heights), preset, folder / "scene3d.png")
         with writing(folder / "profile.png"):
-            draw_profile(folder / "bag", source, flown.flight.scene, folder / "profile.png")
+            draw_profile(images, source, flown.flight, folder / "profile.png")

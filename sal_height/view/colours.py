@@ -99,7 +99,7 @@ def coloured(values: npt.NDArray[np.floating], span: tuple[float, float], name: 
     Args:
         values: of any shape.
         span: values that the first and the last colour stand for.
-        name: of a colour map of Matplotlib, such as "turbo".
+        name: of a colour map of Matplotlib, such as "viridis".
     """
     low, high = span
     there = np.isfinite(values)

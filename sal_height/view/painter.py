@@ -200,7 +200,7 @@ class Painter:
         clouds = [self._cloud(name, one, radius) for name, one in zip(names, field.surfaces, strict=False)]
         clouds += [_no_cloud(name) for name in names[len(clouds) :]]  # or the viewer would keep those of another dwell
         drawings: list[Drawing] = [
-            Picture(f"{path}/height", coloured(field.first.height, self._spans.heights.ends, "turbo")),
+            Picture(f"{path}/height", coloured(field.first.height, self._spans.heights.ends, "viridis")),
             Picture(f"{path}/sigma", coloured(field.first.sigma, self._spans.sigmas.ends, "viridis")),
             Classes(f"{path}/validity", field.validity),
             *clouds,
@@ -217,7 +217,7 @@ class Painter:
             self._low = np.minimum(self._low, places.min(axis=0))
             self._high = np.maximum(self._high, places.max(axis=0))
         height, sigma = surface.height[there], surface.sigma[there]
-        colours = coloured(height, self._spans.heights.ends, "turbo")
+        colours = coloured(height, self._spans.heights.ends, "viridis")
         return Cloud(path, places, colours, height.astype(np.float32), sigma.astype(np.float32), radius)
 
     def _paint_power(self, topic: str, image: messages.ComplexImage | ReceivedImage, heard_ns: int) -> Iterator[Sheet]:

@@ -17,8 +17,8 @@ from sal_height.commands import main
 from sal_height.errors import UserError
 from sal_height.runs.accuracy import read_accuracy
 from sal_height.runs.calibrate import CALIBRATION, calibrate
+from sal_height.runs.calibration_picture import beam_width
 from sal_height.runs.catalogue import HEIGHTS
-from sal_height.runs.picture import beam_width
 from sal_height.runs.replay import replay
 from sal_height.runs.simulate import fly
 from sal_height.simulation.flight import flight_of

@@ -82,8 +82,8 @@ def check_point(entry: dict[str, Any], place: tuple[float, float], azimuth_axis:
 def check_picture(path: Path, rows: int) -> None:
     """The picture has as many rows, and something to see in each panel."""
     picture = imread(path)[..., :3]
-    assert picture.shape[0] == pytest.approx(420 * rows + 50, abs=5)
-    for row in np.array_split(picture[50:], rows):
+    assert picture.shape[0] == pytest.approx(220 * (2.0 * rows + 0.6), abs=2)
+    for row in np.array_split(picture[50:-50], rows):
         for panel in np.array_split(row, 3, axis=1):
             assert panel.std() > 0.05
 

@@ -2,12 +2,33 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import matplotlib as mpl
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from matplotlib.colors import Normalize
+from PIL import Image
+from rclpy.serialization import serialize_message
 
+from sal_height.bag.writer import BagWriter
+from sal_height.elevation import ESTIMATORS
+from sal_height.geometry.grid import Grid
+from sal_height.nodes.account import LATENCY_P50, LATENCY_P95
+from sal_height.nodes.stage import FRAMES_QOS
+from sal_height.relief import GroundEstimate, HeightField, Surface
+from sal_height.runs.calibration_picture import beyond_error
+from sal_height.runs.campaign_picture import _style
 from sal_height.runs.cloud_picture import projected
 from sal_height.runs.comparison import Comparison, PublishedErrors
-from sal_height.runs.height_picture import ground_picture, height_limits
+from sal_height.runs.error_picture import _normal, counted
+from sal_height.runs.ground_picture import kind_shares
+from sal_height.runs.height_picture import ground_picture, height_limits, percent_text
+from sal_height.runs.image_picture import corners, draw_image, ground_steps
+from sal_height.runs.latency_picture import draw_run, told_latencies
+from sal_height.runs.picture import STYLE, beyond, look_of, page, shaded
+from sal_height.runs.profile import telling_column
 from sal_height.runs.surface_report import GroundCoverage, Judged
 
 
@@ -82,3 +103,179 @@ def test_the_cloud_is_seen_from_the_sensor(side: float) -> None:
     assert up[1] < 0
     assert up[2] > 0
     np.testing.assert_allclose(across**2 + up**2 + depth**2, 1)
+
+
+def errors_of(nearest: list[float], sigma: list[float]) -> PublishedErrors:
+    count = len(nearest)
+    place = np.zeros((count, 3))
+    ghost = ~np.isfinite(nearest)
+    order = np.ones(count, dtype=np.int64)
+    off, validity = np.array(nearest), np.zeros(count, np.uint8)
+    return PublishedErrors(place, validity, np.array(sigma), off, off, ghost, order)
+
+
+def test_every_published_surface_is_counted_in_the_histogram() -> None:
+    """Within 1 sigma, 2 sigmas, between, beyond 5, beyond the histogram on both sides, and where nothing is lit."""
+    nearest = [0.05, -0.15, 0.3, -0.6, 90.0, -90.0, np.nan, np.nan, np.nan, np.nan]
+    found = counted(errors_of(nearest, [0.1] * 10))
+    assert found.total == 10
+    assert found.unlit == 4
+    assert (found.bins[0], found.bins[-1], found.bins.sum()) == (1, 1, 6)
+    assert found.within == pytest.approx((0.1, 0.2))
+    assert found.beyond == pytest.approx(0.3)
+
+
+def test_errors_that_keep_their_sigmas_are_drawn_as_the_normal_distribution() -> None:
+    """The shares of N(0, 1) within 1 and 2 are 0.6827 and 0.9545; 100 000 draws have a standard error of 0.0015."""
+    sigma = np.random.default_rng(1).uniform(0.01, 1.0, 100_000)
+    found = counted(errors_of((sigma * np.random.default_rng(2).normal(size=sigma.size)).tolist(), sigma.tolist()))
+    assert found.within == pytest.approx((0.6827, 0.9545), abs=0.006)
+    assert found.bins / found.total == pytest.approx(_normal(), abs=0.005)
+    assert _normal().sum() == pytest.approx(1.0, abs=1e-12)
+
+
+def field_of(heights: np.ndarray) -> HeightField:
+    """A height image with surfaces of these heights, shape (surfaces, rows, cols)."""
+    rows, cols = heights.shape[1:]
+    grid = Grid(np.zeros(3), np.array([0.0, -1.0, 0.0]), np.array([1.0, 0.0, 0.0]), 1.0, 1.0, rows, cols)
+    ones, places = np.ones((rows, cols)), np.zeros((rows, cols, 3))
+    surfaces = tuple(Surface.at(places, one, ones, ones) for one in heights)
+    return HeightField(grid, np.zeros((rows, cols), np.uint8), surfaces)
+
+
+def test_the_profile_goes_through_the_column_of_the_greatest_relief() -> None:
+    heights = np.zeros((2, 40, 4))
+    heights[1] = np.nan
+    heights[0, 20:, 1] = 2.0  # a step
+    heights[0, 5, 2] = 50.0  # a single height that is wrong
+    heights[1, 20:, 3] = 3.0  # layover: second surfaces above the first
+    heights[0, 2:, 0] = np.nan  # hardly any height
+    heights[0, 0, 0] = 90.0
+    higher = heights.copy()
+    higher[1, 20:, 3] = 4.0
+    assert telling_column({7: field_of(heights)}) == (7, 3)
+    assert telling_column({7: field_of(heights), 9: field_of(higher)}) == (9, 3)
+    assert telling_column({7: field_of(heights[:1])}) == (7, 1)
+    assert telling_column({7: field_of(np.full((1, 3, 3), np.nan))}) is None
+    assert telling_column({}) is None
+
+
+@pytest.mark.parametrize(
+    ("values", "ends"),
+    [([0.0, 1.0], "neither"), ([-0.1, 1.0], "min"), ([0.0, 1.1, np.nan], "max"), ([-1.0, 2.0], "both")],
+)
+def test_a_scale_has_triangles_where_values_go_beyond_it(values: list[float], ends: str) -> None:
+    assert beyond(np.array(values), (0, 1)) == ends
+
+
+def test_a_picture_is_as_wide_as_two_columns_and_one_of_greys_is_stored_as_greys(tmp_path: Path) -> None:
+    for colour, mode in (("0.3", "L"), ("red", "RGB")):
+        with page(tmp_path / "a.png", 1.0) as figure:
+            figure.text(0.5, 0.5, "A", color=colour)
+        with Image.open(tmp_path / "a.png") as picture:
+            assert (picture.size, picture.mode) == ((1585, 220), mode)
+            assert np.ptp(np.asarray(picture.convert("L"))) > 100
+
+
+def test_no_letter_is_smaller_than_six_points() -> None:
+    sizes = {name: value for name, value in STYLE.items() if name.endswith(("font.size", "labelsize", "titlesize"))}
+    assert len(sizes) >= 5
+    assert min(*sizes.values(), STYLE["legend.fontsize"], STYLE["legend.title_fontsize"]) >= 6
+
+
+def test_light_comes_from_the_north_west_and_leaves_level_ground_as_it_is() -> None:
+    """A slope of 45 degrees that faces the light is sqrt(2) as bright as level ground, one that turns away is dark."""
+    norm = Normalize(-10, 10)
+    north, east = np.mgrid[:5, :5] / np.sqrt(2)
+    level, facing, away = (shaded(one, (1.0, 1.0), norm) for one in (np.zeros((5, 5)), east - north, north - east))
+    plain = np.array(mpl.colormaps["viridis"](0.5))
+    np.testing.assert_allclose(level, np.broadcast_to(plain, (5, 5, 4)), atol=1e-12)
+    bright = np.sqrt(2) - 1
+    np.testing.assert_allclose(facing[2, 2, :3], plain[:3] * (1 - bright) + bright, atol=1e-12)
+    np.testing.assert_allclose(away[2, 2, :3], plain[:3] / 2, atol=1e-12)
+    assert shaded(np.array([[0.0, np.nan], [0.0, 0.0]]), (1.0, 1.0), norm)[..., 3].tolist() == [[1, 0], [1, 1]]
+
+
+def test_all_estimators_are_told_apart_by_colour_and_by_line() -> None:
+    looks = [look_of(name) for name in (*ESTIMATORS, "tracked")]
+    assert len({one.colour for one in looks}) == len({str(one.line) for one in looks}) == len(looks)
+
+
+@pytest.mark.parametrize(("share", "text"), [(0.001, "<1"), (0.42, "42"), (0.997, ">99"), (1.0, "100")])
+def test_only_all_is_100_percent(share: float, text: str) -> None:
+    assert percent_text(share) == text
+
+
+def test_pixels_of_a_slant_plane_are_drawn_where_they_are_on_level_ground() -> None:
+    """A step of 1 m in range, under 30 degrees from nadir, is one of 2 m on the ground."""
+    slant = np.array([0.0, -0.5, -np.sqrt(0.75)])
+    grid = Grid(np.array([10.0, 21.0, 4.0]), slant, np.array([1.0, 0.0, 0.0]), 1.0, 0.5, 5, 3)
+    down, across = ground_steps(grid)
+    np.testing.assert_allclose(down, [0, -2])
+    np.testing.assert_allclose(across, [0.5, 0])
+    np.testing.assert_allclose(corners(grid).min(axis=0), [9.75, 15.0])
+    np.testing.assert_allclose(corners(grid).max(axis=0), [11.25, 25.0])
+
+
+def test_an_image_is_north_up(tmp_path: Path) -> None:
+    """The flight goes to the north-west, and the brightest pixels, far away and behind, are in the south-west."""
+    turned = np.sqrt(0.5)
+    grid = Grid(np.zeros(3), np.array([-turned, -turned, 0]), np.array([-turned, turned, 0]), 1.0, 1.0, 40, 40)
+    image = np.full((40, 40), 0.01, np.complex64)
+    image[30:, :10] = 1.0
+    draw_image(image, grid, "a", tmp_path / "a.png")
+    with Image.open(tmp_path / "a.png") as picture:
+        assert picture.mode == "L"
+        pixels = np.asarray(picture)[70:570, 110:610]  # within the axes
+    row, col = np.argwhere(pixels == 255).mean(axis=0) / pixels.shape
+    assert row == pytest.approx((28.3 + 21.2) / 56.6, abs=0.05)
+    assert col == pytest.approx((56.6 - 28.3) / 56.6, abs=0.05)
+
+
+def test_flat_responses_of_receivers_are_no_finding() -> None:
+    shapes = np.ones((3, 64), dtype=np.complex128)
+    shapes[1:] += 0.05 * np.exp(2j * np.pi * np.arange(64) / 16)
+    assert beyond_error(shapes, np.array([0.03, 0.03, np.nan])).tolist() == [False, True, False]
+    assert beyond_error(shapes, np.full(3, 0.06)).tolist() == [False, False, False]
+
+
+def test_shares_of_cells_are_of_those_chosen() -> None:
+    kind = np.array([[0, 0, 1, 3], [2, 2, 2, 2]], np.uint8)
+    shape = kind.shape
+    estimate = GroundEstimate(0, 0, 1, np.zeros(shape), np.ones(shape), kind, np.ones(shape, np.uint32))
+    assert kind_shares(estimate, np.array([[True] * 4, [False] * 4])).tolist() == [0.5, 0.25, 0, 0.25]
+    assert kind_shares(estimate, np.zeros(shape, bool)).tolist() == [0, 0, 0, 0]
+
+
+def test_latencies_of_a_bag_are_those_that_nodes_told_over_time(tmp_path: Path) -> None:
+    """Two nodes, of which one tells no latency before the second time; a third tells none at all."""
+    with BagWriter(tmp_path / "run" / "bag") as bag:
+        bag.add_topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", [FRAMES_QOS])
+        for step, told in enumerate(
+            ({"ml_height": (4.0, 9.0), "sink": None}, {"ml_height": (5.0, 8.0), "map": (1.0, 2.0)})
+        ):
+            states = []
+            for name, numbers in told.items():
+                values = zip((LATENCY_P50, LATENCY_P95), numbers or (), strict=False)
+                states.append(DiagnosticStatus(name=name, values=[KeyValue(key=k, value=str(v)) for k, v in values]))
+            stamp = 10**9 + step * 500_000_000
+            bag.write("/diagnostics", serialize_message(DiagnosticArray(status=states)), stamp, stamp)
+    found = told_latencies(tmp_path / "run" / "bag")
+    assert found.keys() == {"ml_height", "map"}
+    np.testing.assert_allclose(found["ml_height"], [[0.0, 0.5], [4.0, 5.0], [9.0, 8.0]])
+    np.testing.assert_allclose(found["map"], [[0.5], [1.0], [2.0]])
+    (tmp_path / "run" / "report.json").write_text('{"latency_budget_s": 0.3}')
+    assert draw_run(tmp_path / "run")
+    with Image.open(tmp_path / "run" / "latency.png") as picture:
+        assert picture.size[0] == 1585
+        pixels = np.asarray(picture.convert("RGB")).reshape(-1, 3)
+    assert (pixels == (213, 94, 0)).all(axis=1).sum() > 50  # ml_height in the colour of its estimator
+
+
+def test_bags_of_a_campaign_differ_in_line_or_filling_and_estimators_in_colour() -> None:
+    styles = {name: [_style(name, number) for number in range(8)] for name in ("ml", "monopulse")}
+    for of_one in styles.values():
+        assert len({(one["ls"], one["fillstyle"]) for one in of_one}) == 8
+        assert len({(one["color"], one["marker"]) for one in of_one}) == 1
+    assert styles["ml"][0]["color"] != styles["monopulse"][0]["color"]
+    assert styles["ml"][0]["marker"] != styles["monopulse"][0]["marker"]

@@ -169,7 +169,7 @@ def test_what_is_left_in_the_folder(tapes: Path) -> None:
         np.testing.assert_allclose(stored["psf"][::4, 128], np.fft.fftshift(np.fft.ifft(np.fft.ifftshift(stored["R"]))))
         assert stored["A_without_clutter"].shape == stored["A_sigma"].shape == (64,)
         assert list(entry["undetermined"]) == ["metres"]
-        assert imread(tapes / f"psf_{number}.png").shape[:2] == (1280, 1360)
+        assert imread(tapes / f"psf_{number}.png").shape[1] == 1585
 
 
 SHOWN = {
@@ -182,17 +182,21 @@ SHOWN = {
 
 @pytest.mark.parametrize("name", SHOWN)
 def test_panels_of_what_is_determined_are_drawn(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of 12, and words for the rest. Two targets leave two panels of chips empty."""
+    """Of 12 at most, none of them empty, and words for the rest."""
     saved: list[Figure] = []
-    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: saved.append(figure))
+    save = Figure.savefig
+
+    def remember(figure: Figure, *words: Any, **how: Any) -> None:
+        saved.append(figure)
+        save(figure, *words, **how)
+
+    monkeypatch.setattr(Figure, "savefig", remember)
     make, drawn = SHOWN[name]
     report = report_on([make()])
     draw_psf(report, "title", ["A reason."], tmp_path / "psf.png")
     panels = [axes for axes in saved[0].axes if axes.get_title()]
-    assert len(panels) == 12
-    full = [axes.has_data() for axes in panels]
-    assert sum(full) == drawn
-    assert all(filled or axes.texts for filled, axes in zip(full, panels, strict=True))
+    assert len(panels) == drawn
+    assert all(axes.has_data() for axes in panels)
     (words,) = (axes for axes in saved[0].axes if not axes.axison)
     assert "Not determined: A reason." in words.texts[0].get_text()
     assert ("p = " in words.texts[0].get_text()) == (report.linearity is not None)

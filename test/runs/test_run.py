@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import array
 import dataclasses
 import json
 import signal
@@ -22,14 +23,16 @@ from sal_height import messages
 from sal_height.bag.compare import CHANGED, WITHIN, compare_bags
 from sal_height.bag.reader import BagReader
 from sal_height.bag.tolerance import Tolerance, Tolerances
-from sal_height.elevation import scatterer_count
+from sal_height.elevation import Validity, scatterer_count
 from sal_height.errors import UserError
 from sal_height.relief.map import ReliefMap
+from sal_height.runs.accuracy import read_images
 from sal_height.runs.catalogue import recorded_topics
-from sal_height.runs.profile import draw_profile
+from sal_height.runs.power_picture import powers_db
+from sal_height.runs.profile import _profile, draw_profile
 from sal_height.runs.simulate import fly, run
+from sal_height.simulation.flight import flight_of
 from sal_height.simulation.preset import Preset, load_preset
-from sal_height.simulation.scenes import load_scene
 
 SEED = 3
 
@@ -101,24 +104,55 @@ def test_tracked_heights_have_less_noise_than_those_they_were_tracked_from(repor
     assert tracked["s68_m"] < 0.8 * ml["s68_m"]
 
 
-@pytest.mark.parametrize("name", ["height.png", "scene3d.png"])
+@pytest.mark.parametrize("name", ["height.png", "scene3d.png", "errors.png", "ground.png", "profile.png"])
 def test_the_picture_is_a_picture(recorded: Path, name: str) -> None:
     with Image.open(recorded / name) as picture:
         pixels = np.asarray(picture.convert("L"))
-    assert min(pixels.shape) > 500
+    assert pixels.shape[1] == 1585
+    assert pixels.shape[0] > 500
     assert np.ptp(pixels) > 200
 
 
-def test_the_profile_shows_tracked_heights_with_their_band(recorded: Path, tmp_path: Path) -> None:
+def test_the_profile_shows_tracked_heights_with_their_band(recorded: Path, two_dwells: Preset, tmp_path: Path) -> None:
     with Image.open(recorded / "profile.png") as picture:
         pixels = np.asarray(picture.convert("RGB")).astype(int)
     band = (np.abs(pixels - [188, 210, 225]).max(axis=2) < 12).mean()  # light blue
     assert 0.005 < band < 0.7
-    scene = load_scene("street")
-    assert draw_profile(recorded / "bag", "monopulse", scene, tmp_path / "other.png")
+    flight, images = flight_of(two_dwells, SEED), read_images(recorded / "bag")
+    assert draw_profile(images, "monopulse", flight, tmp_path / "other.png")
     assert (tmp_path / "other.png").is_file()
-    assert not draw_profile(recorded / "bag", "nothing", scene, tmp_path / "none.png")
+    assert not draw_profile(images, "nothing", flight, tmp_path / "none.png")
     assert not (tmp_path / "none.png").exists()
+
+
+def test_the_profile_compares_each_surface_with_the_truth_of_its_own_pixel(recorded: Path, two_dwells: Preset) -> None:
+    """Its errors are those of the report; the street is level there, so that they are the heights themselves."""
+    images = read_images(recorded / "bag")["ml"]
+    flight = flight_of(two_dwells, SEED)
+    field, middle = messages.field_from_message(images[1]), images[1].grid.cols // 2
+    found = _profile(images[1], middle, flight)
+    strongest = found.number == 0
+    assert len(found.height) == sum(np.count_nonzero(np.isfinite(one.height[:, middle])) for one in field.surfaces) > 5
+    np.testing.assert_allclose(found.height[strongest], field.first.height[found.row[strongest], middle], rtol=1e-12)
+    np.testing.assert_allclose(found.sigma[strongest], field.first.sigma[found.row[strongest], middle], rtol=1e-12)
+    known = np.isfinite(found.error)
+    assert known.sum() > 5
+    level = flight.scene.heights(*found.place[known].T)
+    np.testing.assert_allclose(found.error[known], found.height[known] - level, atol=1e-6)
+
+
+def test_the_power_of_an_image_is_the_sum_of_that_of_its_surfaces(recorded: Path) -> None:
+    image = read_images(recorded / "bag")["ml"][0]
+    field, level = messages.field_from_message(image), powers_db(image)
+    first = field.first.cnr_db
+    several = scatterer_count(field.validity) > 1
+    np.testing.assert_allclose(level[~several], first[~several], atol=1e-6)
+    image.surfaces = [image.surfaces[0], image.surfaces[0]]
+    there = field.validity == Validity.OK
+    image.validity = array.array(
+        "B", np.where(there, Validity.TWO_SCATTERERS, field.validity).astype(np.uint8).tobytes()
+    )
+    np.testing.assert_allclose(powers_db(image)[there], first[there] + 10 * np.log10(2), atol=1e-5)
 
 
 def test_rosbags_reads_the_heights_by_the_schema_in_the_bag(recorded: Path) -> None:

@@ -111,9 +111,9 @@ def test_pictures_have_the_colours_of_the_points_and_none_where_there_is_no_heig
 
 
 def test_colours_grow_with_height_and_are_those_of_the_span() -> None:
-    table = coloured(np.linspace(0.0, 1.0, 256), (0.0, 1.0), "turbo")
+    table = coloured(np.linspace(0.0, 1.0, 256), (0.0, 1.0), "viridis")
     assert len(np.unique(table, axis=0)) > 200
-    beyond = coloured(np.array([-5.0, 5.0, np.nan, np.inf]), (0.0, 1.0), "turbo")
+    beyond = coloured(np.array([-5.0, 5.0, np.nan, np.inf]), (0.0, 1.0), "viridis")
     assert np.array_equal(beyond, [table[0], table[-1], EMPTY, EMPTY])
     assert set(VALIDITY_COLOURS) == set(Validity)
     assert len(set(VALIDITY_COLOURS.values())) == len(Validity)

@@ -1,0 +1,81 @@
+"""Write a picture of `sal-height top` beside a small live graph: tools/top_picture.py FILE.svg.
+
+The sensor is that of the preset `small`, twenty times slower than it is, so that any machine keeps up with it.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from rich.console import Console
+
+from sal_height.nodes.account import LATENCY_P50
+from sal_height.runs.account_book import AccountBook
+from sal_height.runs.live_table import node_table
+from sal_height.runs.watch import watch
+
+DOMAIN = "87"
+RATE = "0.05"
+LINE = 84
+"""Characters in a line of the table."""
+
+SETTLED_S = 12.0
+"""Time after which rates, which are those of the last ten seconds, tell of a graph that runs and no longer starts."""
+
+DEADLINE_S = 180.0
+
+FROM_ELSEWHERE = re.compile(r"<!--.*?-->\s*|@font-face\s*{[^}]*}\s*", re.DOTALL)
+"""What Rich has viewers fetch from other hosts: a font, in whose place they have another one."""
+
+
+def watched() -> AccountBook:
+    """What the nodes of a live graph told once all that have a latency told it for SETTLED_S."""
+    with tempfile.TemporaryDirectory() as folder:
+        words = ["live", "--preset", "small", "--rate", RATE, "--domain", DOMAIN, "--out", f"{folder}/live"]
+        with subprocess.Popen(  # noqa: S603 (our own program)
+            [sys.executable, "-m", "sal_height", *words], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        ) as program:
+            try:
+                return watch(int(DOMAIN), DEADLINE_S, _until_settled())
+            finally:
+                program.terminate()
+                program.wait(DEADLINE_S)
+
+
+def _until_settled() -> Callable[[AccountBook], None]:
+    """A function that interrupts the watching once heights have come for SETTLED_S."""
+    since: list[float] = []
+
+    def look(book: AccountBook) -> None:
+        if any(LATENCY_P50 in one.account.numbers and "height" in name for name, one in book.entries.items()):
+            since.append(time.monotonic())
+        if since and since[-1] - since[0] > SETTLED_S:
+            raise KeyboardInterrupt
+
+    return look
+
+
+def main() -> int:
+    """Write the picture."""
+    (file,) = sys.argv[1:]
+    book = watched()
+    if not book.entries:
+        sys.exit("No node has told of itself; the graph did not come up.")
+    console = Console(record=True, width=LINE, file=io.StringIO(), force_terminal=True)
+    console.print(node_table(book, time.monotonic(), "nodes"))
+    # The identity is that of the styles in the file, which else would be another every time.
+    drawn = console.export_svg(title="sal-height top", unique_id="top")
+    Path(file).write_text(FROM_ELSEWHERE.sub("", drawn), encoding="utf-8")
+    sys.stdout.write(f"{file}: {len(book.entries)} nodes\n")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -38,6 +38,7 @@ GROUPS = {
     "relief-map": "relief_map:throughput",
     "ground": "ground:throughput",
     "exports": "exporting:exports",
+    "imports": "importing:imports",
     "relief-tracking": "relief_tracking:throughput",
     "bag-files": "recording:over_mcap",
     "bag-info": "recording:info_of_a_large_bag",

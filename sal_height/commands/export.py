@@ -1,4 +1,4 @@
-"""`sal-height export`: write the heights of a bag in formats that other programs read."""
+"""`sal-height export`: write the heights or complex images of a bag in formats that other programs read."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ EXAMPLES = """
   sal-height export out/xband_relief/bag --cog map.tif --netcdf heights.nc
   sal-height export out/sal_stripmap/bag --film street.gif
   sal-height export flight --zarr heights.zarr --origin 48.1,11.3,560
+  sal-height export out/images_too/bag --sicd images --origin 48.1,11.3,560
 """
 
 app = command("export", PROCESSING, EXAMPLES)
@@ -33,12 +34,13 @@ def export(
     netcdf: File = None,
     zarr: Annotated[Path | None, Parameter(metavar="DIR")] = None,
     film: File = None,
+    sicd: Annotated[Path | None, Parameter(metavar="DIR")] = None,
     topic: Annotated[str, Parameter(metavar="NAME", show_default=False)] = "",
     origin: Place = None,
     crs: Annotated[str, Parameter(metavar="NAME")] = "utm",
     cell_size: Annotated[float, Parameter(metavar="M", validator=Number(gte=0), show_default=False)] = 0.0,
 ) -> int:
-    """Write the heights of a bag as a point cloud, a map or arrays.
+    """Write the heights of a bag as a point cloud, a map or arrays, or its complex images as SICD.
 
     Coordinates are easting, northing and height above the ellipsoid where the origin
     of the map is known, by topic map_origin, the recorded parameters or --origin; else
@@ -51,20 +53,35 @@ def export(
         netcdf: Arrays of all dwells as netCDF 4, by the CF conventions.
         zarr: The same arrays as Zarr, in a new folder.
         film: Height and sigma dwell by dwell, .gif or .mp4.
+        sicd: Complex images, recorded with --record slc: a SICD file for each dwell and channel, in a new folder.
         topic: Of the heights. Default: /ml/height, or the first that the bag has.
         origin: Place of the map's origin on the earth: latitude and longitude in degrees, height above the WGS-84
             ellipsoid in m. Default: as the bag says.
         crs: Coordinate reference system: utm, a code such as EPSG:25832, or local.
         cell_size: Side of a cell of the map, m. Default: as the pixels are.
     """
-    if not (las or cog or netcdf or zarr or film):
-        raise UserError("Say what to write: --las FILE, --cog FILE, --netcdf FILE, --zarr DIR or --film FILE.")
+    if not (las or cog or netcdf or zarr or film or sicd):
+        raise UserError(
+            "Say what to write: --las FILE, --cog FILE, --netcdf FILE, --zarr DIR, --film FILE or --sicd DIR."
+        )
 
     from sal_height.configuration import validated
-    from sal_height.exports import RecordedHeights, write_film, write_las, write_map, write_netcdf, write_zarr
+    from sal_height.exports import (
+        RecordedHeights,
+        write_film,
+        write_las,
+        write_map,
+        write_netcdf,
+        write_sicd,
+        write_zarr,
+    )
     from sal_height.simulation import OriginSettings
 
     place = validated(OriginSettings, origin, "--origin").place if origin else None
+    if sicd:
+        print(f"{write_sicd(bag, sicd, place)} images as SICD; see {sicd}")
+    if not (las or cog or netcdf or zarr or film):
+        return DONE
     heights = RecordedHeights.of_bag(bag, topic, place, crs)
     system = heights.projection.name if heights.projection else "coordinates of the map frame"
     if las:

@@ -14,6 +14,7 @@ KINDS = Group("What is imported", sort_key=3)
 EXAMPLES = """
   sal-height import arrays radar.yaml flight.npz --track track.csv
   sal-height import cphd spotlight.cphd
+  sal-height import crsd spotlight.crsd
   sal-height import gotcha data_3dsar_pass1_az00*_HH.mat
 """
 
@@ -29,18 +30,32 @@ CPHD_EXAMPLES = """
   sal-height replay out/spotlight
 """
 
+CRSD_EXAMPLES = """
+  sal-height import crsd spotlight.crsd --out out/spotlight
+  sal-height import crsd polarimetric.crsd --channel VV
+  sal-height replay out/spotlight
+"""
+
 GOTCHA_EXAMPLES = """
   sal-height import gotcha pass1/HH/data_3dsar_pass1_az00*_HH.mat \\
     --out out/gotcha
   sal-height replay out/gotcha
 """
 
+SLC_EXAMPLES = """
+  sal-height import slc beams.yaml images/dwell_*.nitf --out out/images
+  sal-height import slc radar.yaml channels.npz
+  sal-height replay out/images --from slc
+"""
+
 app = command("import", BAGS, EXAMPLES)
 app.help = "Make a bag, which sal-height replay processes, of what other programs and sensors have recorded."
 arrays_app = command("arrays", KINDS, ARRAYS_EXAMPLES)
 cphd_app = command("cphd", KINDS, CPHD_EXAMPLES)
+crsd_app = command("crsd", KINDS, CRSD_EXAMPLES)
 gotcha_app = command("gotcha", KINDS, GOTCHA_EXAMPLES)
-for kind in (arrays_app, cphd_app, gotcha_app):
+slc_app = command("slc", KINDS, SLC_EXAMPLES)
+for kind in (arrays_app, cphd_app, crsd_app, gotcha_app, slc_app):
     app.command(kind)
 
 
@@ -85,9 +100,9 @@ def cphd(
 ) -> int:
     """Convert a channel of compensated phase history data to a bag, which sal-height replay focuses.
 
-    Read are files of CPHD 1.0 and 1.1 in the domain FX, of one platform, whatever their
-    sign, number format and frequencies from pulse to pulse. The map's origin is the
-    image area reference point.
+    Read are files of CPHD 1.0 and 1.1 of one platform, over frequency (FX) or time of
+    arrival (TOA), whatever their sign, number format and frequencies from pulse to
+    pulse. The map's origin is the image area reference point.
 
     Args:
         file: The file.
@@ -98,6 +113,34 @@ def cphd(
 
     folder = output_folder(out, file.stem)
     pulses = import_cphd(file, folder, channel)
+    print(f"{pulses} pulses in {folder}; focus them with: sal-height replay {folder}")
+    return DONE
+
+
+@crsd_app.default
+def crsd(
+    file: Annotated[Path, Parameter(name="FILE")],
+    /,
+    *,
+    channel: Annotated[str, Parameter(metavar="ID", show_default=False)] = "",
+    out: OutputFolder = None,
+) -> int:
+    """Convert compensated radar signal data to a bag, which sal-height replay focuses.
+
+    Read are files of CRSD 1.0 with pulses and their echoes (CRSDsar), of one platform that
+    transmits a linear FM. Echoes are compressed in range. The map's origin is the image
+    area reference point. Channels that are beams of one antenna are read together.
+
+    Args:
+        file: The file.
+        channel: Identifier of the channel. Default: all channels that are beams of one antenna, else the reference
+            channel.
+        out: Folder of the new bag, new or empty. Default: out/FILE, or the next free of out/FILE_2, ….
+    """
+    from sal_height.imports import import_crsd
+
+    folder = output_folder(out, file.stem)
+    pulses = import_crsd(file, folder, channel)
     print(f"{pulses} pulses in {folder}; focus them with: sal-height replay {folder}")
     return DONE
 
@@ -117,4 +160,31 @@ def gotcha(
     folder = output_folder(out, "gotcha")
     pulses = import_gotcha(list(files), folder)
     print(f"{pulses} pulses in {folder}; focus them with: sal-height replay {folder}")
+    return DONE
+
+
+@slc_app.default
+def slc(
+    sensor: Annotated[Path, Parameter(name="SENSOR")],
+    files: Annotated[tuple[Path, ...], Parameter(name="FILE", required=True)] = (),
+    /,
+    *,
+    out: OutputFolder = None,
+) -> int:
+    """Make a bag of focused single-look images of several channels; sal-height replay --from slc makes heights of it.
+
+    Files are given dwell by dwell, and channel by channel in a dwell: SICD, which
+    state grid and aperture themselves; or arrays, one channel or all of a dwell in
+    each, of which SENSOR states these. docs/import.md describes SENSOR key by key.
+
+    Args:
+        sensor: YAML file of the sensor.
+        files: SICD (.nitf), .npy, .npz, .mat, HDF5 (NISAR), or complex GeoTIFF.
+        out: Folder of the new bag, new or empty. Default: out/SENSOR, or the next free of out/SENSOR_2, ….
+    """
+    from sal_height.imports import import_slc
+
+    folder = output_folder(out, sensor.stem)
+    dwells = import_slc(sensor, list(files), folder)
+    print(f"{dwells} dwells in {folder}; make heights of them with: sal-height replay {folder} --from slc")
     return DONE

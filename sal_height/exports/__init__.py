@@ -1,7 +1,7 @@
-"""What others read: the heights of a bag as point clouds, maps and labelled arrays.
+"""What others read: the heights of a bag as point clouds, maps and labelled arrays, and its complex images.
 
 Read `heights` first (the height images of a bag, and their place on the earth), then `las` (points), `dataset` (arrays
-with names and units, as netCDF and Zarr), `cog` (a map) and `film` (dwell by dwell).
+with names and units, as netCDF and Zarr), `cog` (a map), `film` (dwell by dwell) and `sicd` (complex images).
 """
 
 from sal_height.exports.cog import write_map
@@ -9,6 +9,7 @@ from sal_height.exports.dataset import open_heights, write_netcdf, write_zarr
 from sal_height.exports.film import write_film
 from sal_height.exports.heights import DwellHeights, RecordedHeights
 from sal_height.exports.las import write_las
+from sal_height.exports.sicd import write_sicd
 
 __all__ = [
     "DwellHeights",
@@ -18,5 +19,6 @@ __all__ = [
     "write_las",
     "write_map",
     "write_netcdf",
+    "write_sicd",
     "write_zarr",
 ]

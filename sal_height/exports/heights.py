@@ -86,7 +86,7 @@ class RecordedHeights:
         if topic and topic not in held:
             raise UserError(f"Bag {bag} has no heights on topic {topic!r}; there are {', '.join(held)}.")
         chosen = topic or (PREFERRED if PREFERRED in held else held[0])
-        place = None if crs == LOCAL else origin or _origin_in(reader)
+        place = None if crs == LOCAL else origin or origin_in(reader)
         return cls(reader, chosen, None if place is None else Projection.of(crs, place))
 
     @cached_property
@@ -130,7 +130,7 @@ class RecordedHeights:
         return {"bag": self.reader.path.name, "topic": self.topic, "crs": system}
 
 
-def _origin_in(reader: BagReader) -> Origin | None:
+def origin_in(reader: BagReader) -> Origin | None:
     """Where a bag says that the origin of its map is: on topic map_origin, or in the parameters of a mapper."""
     if found := origin_of(reader):
         return found

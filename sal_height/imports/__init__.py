@@ -2,16 +2,20 @@
 
 Read `collection` first (a sensor, its track and its phase histories, and how they are written), then `description` (the
 sensor in YAML), `arrays` (files of arrays), `track` and `recorded_track` (positions from CSV, SBET and bags),
-`receiver` (a beam that follows a point, of which files state no antenna), `cphd` (compensated phase history data) and
-`gotcha` (AFRL Gotcha).
+`receiver` (a beam that follows a point, of which files state no antenna), `gotcha` (AFRL Gotcha), `followed_point` (a
+dwell of such a beam), `common_frequencies` (samples at frequencies that all pulses have), `sarkit_files` (what the next
+two share), `cphd` (compensated phase history data), `crsd` (compensated radar signal data) and `crsd_beams` (its
+channels as beams of an antenna); and for focused images `sicd` (a file) and `slc` (those of all channels).
 """
 
 from sal_height.imports.arrays import import_arrays
 from sal_height.imports.collection import Collection, level_states, write_collection
 from sal_height.imports.cphd import import_cphd
+from sal_height.imports.crsd import import_crsd
 from sal_height.imports.description import Description, read_description
-from sal_height.imports.gotcha import import_gotcha
+from sal_height.imports.gotcha import import_gotcha, read_gotcha
 from sal_height.imports.recorded_track import read_recorded_track
+from sal_height.imports.slc import import_slc
 from sal_height.imports.track import Track, read_track
 
 __all__ = [
@@ -20,9 +24,12 @@ __all__ = [
     "Track",
     "import_arrays",
     "import_cphd",
+    "import_crsd",
     "import_gotcha",
+    "import_slc",
     "level_states",
     "read_description",
+    "read_gotcha",
     "read_recorded_track",
     "read_track",
     "write_collection",

@@ -14,6 +14,7 @@ from rclpy.qos import QoSProfile
 from scipy.spatial.transform import Rotation
 
 from sal_height import messages
+from sal_height.bag.bulk import frames_of, odometry_of
 from sal_height.bag.codec import serialized
 from sal_height.bag.topics import FIX_TYPE, FRAME_TYPE, ODOMETRY_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter
@@ -109,14 +110,14 @@ def write_collection(collection: Collection, out: Path | str) -> None:
         ODOMETRY: (ODOMETRY_TYPE, ODOMETRY_QOS),
         FRAMES: (FRAME_TYPE, FRAMES_QOS),
     }
-    recorded: list[tuple[str, Any, int]] = [(SENSOR_INFO, messages.sensor_to_message(sensor, start), begin_ns)]
+    recorded = [(SENSOR_INFO, serialized(messages.sensor_to_message(sensor, start)), begin_ns)]
     if collection.origin:
         topics[f"/{MAP_ORIGIN}"] = FIX_TYPE, LATCHED_QOS
         origin = messages.origin_to_message(collection.origin, start, messages.MAP_FRAME)
-        recorded.append((f"/{MAP_ORIGIN}", origin, begin_ns))
+        recorded.append((f"/{MAP_ORIGIN}", serialized(origin), begin_ns))
     recorded += [
-        (ODOMETRY, messages.state_to_message(state, messages.to_stamp(state.stamp_ns)), state.stamp_ns)
-        for state in collection.states
+        (ODOMETRY, cdr, state.stamp_ns)
+        for cdr, state in zip(odometry_of(collection.states), collection.states, strict=True)
     ]
     recorded.sort(key=lambda entry: entry[2])
     waiting = iter(recorded)
@@ -129,12 +130,12 @@ def write_collection(collection: Collection, out: Path | str) -> None:
             end_ns = history.stamp_of_last_pulse_ns + 1
             after_ns = next((s.stamp_ns for s in collection.states if s.stamp_ns >= end_ns), end_ns)
             while entry and entry[2] <= after_ns:
-                bag.write(entry[0], serialized(entry[1]), entry[2], entry[2])
+                bag.write(entry[0], entry[1], entry[2], entry[2])
                 entry = next(waiting, None)
-            for frame in messages.history_to_messages(history, sensor, dwell, messages.to_stamp(history.stamp_ns)):
-                bag.write(FRAMES, serialized(frame), after_ns, after_ns)
+            for cdr in frames_of(history, sensor, dwell):
+                bag.write(FRAMES, cdr, after_ns, after_ns)
         while entry:
-            bag.write(entry[0], serialized(entry[1]), entry[2], entry[2])
+            bag.write(entry[0], entry[1], entry[2], entry[2])
             entry = next(waiting, None)
 
 

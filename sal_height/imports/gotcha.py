@@ -44,8 +44,7 @@ PULSE_STEP = (0.5, 1.5)
 def import_gotcha(files: list[Path], out: Path) -> int:
     """Write sensor info, odometry and phase history of files, in the order of flight, as one dwell of a bag.
 
-    Pulse times follow from the recorded antenna positions at constant SPEED; base_link is level and looks at the
-    scene's centre, which is the map's origin. The bag has the parameters that focus the scene.
+    The bag has the parameters that focus the scene.
 
     Args:
         files: of one pass and polarisation, in any order.
@@ -55,8 +54,25 @@ def import_gotcha(files: list[Path], out: Path) -> int:
         The number of pulses.
 
     Raises:
-        UserError: a file is not Gotcha phase history, the files differ in frequency or polarisation, overlap or have a
-            gap between them, or the bag cannot be written.
+        UserError: as of `read_gotcha`, or the bag cannot be written.
+    """
+    collection = read_gotcha(files)
+    write_collection(collection, out)
+    return collection.sensor.pulse_count
+
+
+def read_gotcha(files: list[Path]) -> Collection:
+    """Read sensor, track and phase history of files, in the order of flight, as one dwell.
+
+    Pulse times follow from the recorded antenna positions at constant SPEED; base_link is level and looks at the
+    scene's centre, which is the map's origin. The parameters are those that focus the scene.
+
+    Args:
+        files: of one pass and polarisation, in any order.
+
+    Raises:
+        UserError: a file is not Gotcha phase history, or the files differ in frequency or polarisation, overlap or have
+            a gap between them.
     """
     polarisation = _common_polarisation(files)
     parts = {path: _load(path) for path in files}
@@ -78,8 +94,7 @@ def import_gotcha(files: list[Path], out: Path) -> int:
     history = PhaseHistory(0, times, reference, samples)
     states = states_towards(times_ns, antenna, velocity, np.zeros(3), sensor.look_side)
     image = focusing(sensor, antenna, float(np.linalg.norm(antenna[len(antenna) // 2])), SCENE, WIDEST_SPACING)
-    write_collection(Collection(sensor, [history], states, parameters=image), out)
-    return len(times)
+    return Collection(sensor, [history], states, parameters=image)
 
 
 def _common_polarisation(files: list[Path]) -> str:

@@ -38,6 +38,8 @@ PATHS = [
     *(["bag", name] for name in BAG),
     ["import", "arrays"],
     ["import", "cphd"],
+    ["import", "crsd"],
+    ["import", "slc"],
     ["import", "gotcha"],
 ]
 

@@ -13,7 +13,7 @@ from scipy.io import savemat
 from sal_height import messages
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
-from sal_height.imports.gotcha import import_gotcha
+from sal_height.imports.gotcha import SPEED, import_gotcha, read_gotcha
 from sal_height.imports.receiver import focusing
 
 PULSES, FREQUENCIES = 5, 16
@@ -116,6 +116,20 @@ def test_files_in_any_order_are_put_into_that_of_flight(tmp_path: Path, turn: in
     states = import_pass(tmp_path, [0.0, turn * 359.95, turn * 0.05], turn * 0.01)
     azimuth = [np.degrees(np.arctan2(s.pose.pose.position.y, s.pose.pose.position.x)) for s in states]
     np.testing.assert_allclose(azimuth, turn * (-0.05 + 0.01 * np.arange(3 * PULSES)), atol=1e-6)
+
+
+def test_what_is_read_is_the_pass_in_one_piece(tmp_path: Path) -> None:
+    """Samples in the order of flight, at the times at which SPEED brings the antenna to their places."""
+    samples = np.arange(2 * FREQUENCIES * PULSES).reshape(2, FREQUENCIES, PULSES) * (1 + 1j)
+    second, first = (write_mat(tmp_path / f"{n}.mat", 0.05 * n, fp=samples[n]) for n in (1, 0))
+    collection = read_gotcha([second, first])
+    collection.check()
+    (history,) = collection.histories
+    np.testing.assert_array_equal(history.samples[0], np.concatenate([samples[0].T, samples[1].T]))
+    places = np.array([state.position for state in collection.states])
+    chord = 2 * 7000 * np.sin(np.radians(0.01) / 2)
+    np.testing.assert_allclose(np.linalg.norm(np.diff(places, axis=0), axis=1), chord, rtol=1e-6)
+    np.testing.assert_allclose(history.pulse_times, np.arange(2 * PULSES) * chord / SPEED, atol=1e-9)
 
 
 @pytest.mark.parametrize("degrees", [[0.0, 0.06], [0.0, 0.04], [0.0, 0.0], [0.0, 0.02], [0.05, 0.0, 0.15]], ids=str)

@@ -7,6 +7,7 @@ packages := .venv/.packages
 messages := .venv/.messages
 loops := .venv/.loops
 viewer := .venv/.viewer
+jupyter := .venv/.jupyter
 pip := .venv/bin/python -m pip --disable-pip-version-check --quiet
 headers := $(CURDIR)/.venv/headers/usr/include
 
@@ -18,14 +19,16 @@ unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH PYTHONHOME PYTHO
 # Bytecode is kept: without it every program, and tests start many, reads all sources anew for half a second.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo demo-lidar demo-strip demo-radar test tests two-minutes lint bench soak wheels colcon clean
+.PHONY: help setup demo demo-lidar demo-strip demo-radar notebooks test tests two-minutes lint bench soak docs wheels colcon clean
 
 help:
 	@echo 'make setup   make the virtual environment .venv: ROS 2, Python packages, our messages (minutes the first time)'
 	@echo 'make demo    set up, then simulate and process three presets into out/; one: demo-lidar, demo-strip, demo-radar'
+	@echo 'make notebooks  set up, install Jupyter, then run examples/notebooks into out/notebooks/*.ipynb and .html'
 	@echo 'make test    set up, then check style and types and run the tests'
 	@echo 'make lint    set up, then check style and types'
 	@echo 'make soak    set up, then run a graph for MINUTES=30 with a fault every 20 seconds, and judge what it promises'
+	@echo 'make docs    set up, then write the reference anew and build the documentation site into out/site'
 	@echo 'make bench   set up, then measure speed, memory and accuracy against their targets; writes bench.json'
 	@echo 'make wheels  set up, then make wheels of both packages, as they would be published, into out/wheels'
 	@echo 'make colcon  set up, then build and test both packages with colcon'
@@ -47,7 +50,7 @@ $(packages): $(venv) constraints.txt setup.py pyproject.toml msg_defs/pyproject.
 	@requires=$$(.venv/bin/python -c 'import tomllib; \
 		print(*tomllib.load(open("msg_defs/pyproject.toml", "rb"))["build-system"]["requires"])') && \
 		PIP_BUILD_CONSTRAINT=constraints.txt $(pip) install --use-pep517 setuptools $$requires
-	@$(pip) install --no-build-isolation -e '.[batch,dem,formats,ros,test,dev]'
+	@$(pip) install --no-build-isolation -e '.[batch,dem,docs,formats,ros,test,dev]'
 	@touch $@
 
 # The compiler finds Python.h there if python3-dev is not installed.
@@ -70,17 +73,26 @@ $(viewer): $(messages)
 	@$(pip) install rerun-sdk
 	@touch $@
 
+# What only make notebooks needs: 90 MB.
+$(jupyter): $(packages)
+	@$(pip) install jupytext nbconvert ipykernel
+	@touch $@
+
 # Results of an earlier demo stay: a run takes the next free folder.
 demo: demo-lidar demo-strip demo-radar
 
 demo-lidar: setup
 	.venv/bin/sal-height run --preset sal_spotlight
 
+# Long enough for the cars at both ends of the street.
 demo-strip: setup
-	.venv/bin/sal-height run --preset sal_stripmap
+	.venv/bin/sal-height run --preset sal_stripmap --dwells 20
 
 demo-radar: setup
 	.venv/bin/sal-height run --preset xband_relief
+
+notebooks: setup $(jupyter)
+	OPENBLAS_NUM_THREADS=1 .venv/bin/python tools/make_notebooks.py out/notebooks
 
 # Two files at a time: while one waits for its nodes, the other computes. Threads of matrix products would only wait for
 # each other.
@@ -104,6 +116,11 @@ lint: setup
 
 bench: setup
 	.venv/bin/python -m benchmarks
+
+# The variable silences a notice of the theme on mkdocs 2.
+docs: setup
+	.venv/bin/python -m tools.reference
+	NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict
 
 MINUTES ?= 30
 

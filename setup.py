@@ -56,7 +56,9 @@ setup(
     extras_require={
         "batch": ["distributed", "pyarrow"],
         "dem": ["rasterio"],
+        "docs": ["mermaidx", "mkdocs", "mkdocs-material"],
         "formats": ["h5netcdf", "h5py", "laspy[lazrs]", "rasterio", "sarkit", "xarray", "zarr"],
+        "notebooks": ["ipykernel", "jupytext", "nbconvert"],
         "ros": ["ros-jazzy-common-interfaces", "ros-jazzy-rclpy[fastrtps]"],
         "view": ["rerun-sdk"],
         "test": ["cyclonedds; platform_machine == 'x86_64'", "h5py", "pytest", "pytest-xdist", "rio-cogeo"],

@@ -27,7 +27,7 @@ from sal_height.simulation.preset import (
 
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
-DOCUMENTS = [README, ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCUMENTS = [README, ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 NODES = {
     **HEIGHT_NODES,
     "sar_compression": SarCompression,
@@ -43,9 +43,10 @@ ALL_DOCUMENTS = pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: 
 def commands_in(document: Path) -> list[list[str]]:
     """Words of the sal-height commands in code blocks and between backquotes, of those that leave no word open."""
     text = document.read_text(encoding="utf-8").replace("\\\n", " ")
-    blocks = re.findall(r"^```\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    fenced = re.findall(r"^ *```(\w*)\n(.*?)^ *```", text, re.MULTILINE | re.DOTALL)
+    blocks = [content for language, content in fenced if not language]
     spans = re.findall(r"`(sal-height [^` ]+ [^`]+)`", re.sub(r"^```.*?^```", "", text, flags=re.MULTILINE | re.DOTALL))
-    lines = [line for block in blocks for line in block.splitlines()] + spans
+    lines = [line.strip() for block in blocks for line in block.splitlines()] + spans
     words = [line.split("#")[0].split() for line in lines if line.startswith("sal-height ")]
     return [line[1:] for line in words if not re.search(r"\b[A-Z]{3,}\b|…|\*", " ".join(line))]
 

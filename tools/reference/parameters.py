@@ -1,34 +1,18 @@
-"""Writes docs/parameters.md, the tables of all node parameters, from the settings models of the nodes.
-
-Run it after a change to a parameter: .venv/bin/python tools/parameter_tables.py
-"""
+"""The page of the parameters: tables from the settings models of the nodes."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 
 from sal_height.elevation import HeightSettings
 from sal_height.nodes.dwell_stage import DwellParameters
-from sal_height.nodes.ground_mapper import GroundMapper
-from sal_height.nodes.height import HEIGHT_NODES
-from sal_height.nodes.navigation import NavigationNode
-from sal_height.nodes.paced_player import PacedPlayer
-from sal_height.nodes.player import Player
-from sal_height.nodes.psf_calibration import PsfCalibration
-from sal_height.nodes.recorder import Recorder
-from sal_height.nodes.relief_mapper import ReliefMapper
-from sal_height.nodes.relief_tracker import ReliefTracker
-from sal_height.nodes.sar_compression import SarCompression
-from sal_height.nodes.simulator import Simulator
 from sal_height.nodes.stage import StageParameters
+from sal_height.runs.catalogue import NODES
 from sal_height.settings import Setting, Settings, settings_of
-
-DOCUMENT = Path(__file__).parents[1] / "docs" / "parameters.md"
 
 HEAD = """# Parameters of the nodes
 
-`tools/parameter_tables.py` makes this file from the settings models in the code; a test fails if it is out of date.
+`tools/reference` makes this page from the settings models in the code; a test fails if it is out of date.
 Set a parameter of a run or replay by `--param NODE.NAME=VALUE`, of a node by `--ros-args -p NAME:=VALUE`, and in a
 preset under `processing`. `.venv/bin/NODE --help` prints the same. A parameter that is "set at the start" cannot be
 changed while the node runs.
@@ -41,30 +25,16 @@ SHARED: Mapping[str, type[Settings]] = {
 }
 """Parameters that several nodes have, by the title of their table; a model may be derived from an earlier one."""
 
-NODES: Mapping[str, type[Settings]] = {
-    "simulator": Simulator.parameters,
-    "player": Player.parameters,
-    "paced_player": PacedPlayer.parameters,
-    "navigation": NavigationNode.parameters,
-    "sar_compression": SarCompression.parameters,
-    **{name: node.parameters for name, node in HEIGHT_NODES.items()},
-    "relief_tracker": ReliefTracker.parameters,
-    "relief_mapper": ReliefMapper.parameters,
-    "ground_mapper": GroundMapper.parameters,
-    "psf_calibration": PsfCalibration.parameters,
-    "recorder": Recorder.parameters,
-}
-"""Parameters by the name of the node, in the order of the data."""
-
 
 def document() -> str:
     """The text of docs/parameters.md."""
     sections = [HEAD]
     for title, model in SHARED.items():
         sections.append(_section(title, _own(model)))
-    for node, model in NODES.items():
+    for name, node in NODES.items():
+        model = node.parameters
         tables = ", ".join(f"“{title}”" for title, shared in SHARED.items() if issubclass(model, shared))
-        sections.append(_section(f"`{node}`", _own(model), f"Also: {tables}." if tables else ""))
+        sections.append(_section(f"`{name}`", _own(model), f"Also: {tables}." if tables else ""))
     return "\n".join(sections)
 
 
@@ -95,7 +65,3 @@ def _shown(value: object) -> str:
     if isinstance(value, bool):
         return f"`{str(value).lower()}`"
     return f"`{value}`" if value not in ("", ()) else ""
-
-
-if __name__ == "__main__":
-    DOCUMENT.write_text(document(), encoding="utf-8")

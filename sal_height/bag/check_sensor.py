@@ -55,8 +55,13 @@ class SensorCheck:
 
     def findings(self) -> Iterator[Finding]:
         """What is wrong, once all messages have been looked at."""
-        topics = self._reader.topics
-        absent = [name for name in self.topics.names if name not in topics or not topics[name].count]
+        absent = [name for name in self.topics.names if not self._count(name)]
+        if self.topics.frames in absent and self._count(self.topics.images):
+            absent = [name for name in absent if name == self.topics.sensor_info]
+            yield warning(
+                f"Bag {self._reader.path} has images on {self.topics.images} and no messages on {self.topics.frames}.",
+                "Replay it with --from slc; record the frames, too, if it should be focused again.",
+            )
         for name in absent:
             yield error(f"Bag {self._reader.path} has no messages on {name}.", RECORD_ALL)
         for (topic, reason), count in self._faulty.items():
@@ -67,6 +72,10 @@ class SensorCheck:
         yield from self._check_dwells()
         if self.topics.odometry not in absent:
             yield from self._check_odometry()
+
+    def _count(self, topic: str) -> int:
+        """Messages on a topic of the bag."""
+        return self._reader.topics[topic].count if topic in self._reader.topics else 0
 
     def _read_descriptions(self) -> None:
         name = self.topics.sensor_info

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from sal_height.bag.topics import FRAME_TYPE, SENSOR_TYPE, Topic
 
-FRAMES, SENSOR_INFO, ODOMETRY = "phase_history", "sensor_info", "platform/odometry"
+FRAMES, SENSOR_INFO, ODOMETRY, IMAGES = "phase_history", "sensor_info", "platform/odometry", "slc"
 """Topics of a sensor, without its namespace."""
 
 
@@ -37,8 +37,13 @@ class SensorTopics:
         return self.namespace + ODOMETRY
 
     @property
+    def images(self) -> str:
+        """Topic of its focused images, which a replay may begin with."""
+        return self.namespace + IMAGES
+
+    @property
     def names(self) -> list[str]:
-        """All three topics."""
+        """The topics that the whole chain needs."""
         return [self.sensor_info, self.odometry, self.frames]
 
 

@@ -13,13 +13,16 @@ import pytest
 from bags_at_hand import REFERENCE, changed, reference, write_like_reference
 from helpers import assert_one_sentence
 from mcap.writer import Writer
+from sal_height_msgs.msg import ComplexImage
 
 from sal_height.bag.check import check_bag
+from sal_height.bag.codec import serialized
 from sal_height.bag.definitions import Definition, installed_definition
 from sal_height.bag.files import ACCOUNT
 from sal_height.bag.findings import Finding
 from sal_height.bag.index import read_index
 from sal_height.bag.reader import BagMessage
+from sal_height.bag.topics import IMAGE_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.commands import main
 from sal_height.errors import UserError
@@ -194,6 +197,16 @@ def test_frames_that_nothing_describes_are_found(tmp_path: Path) -> None:
     assert [one.severity for one in found] == ["error", "error"]
     assert "no messages on /sensor_info" in found[0].sentence
     assert "2 of 2 dwells cannot be used" in found[1].sentence
+
+
+def test_a_bag_of_images_needs_neither_frames_nor_odometry(tmp_path: Path) -> None:
+    """Such as sal-height import slc makes."""
+    (info,) = (m for m in reference() if m.topic == INFO)
+    image = info._replace(topic="/slc", type_name=IMAGE_TYPE, cdr=serialized(ComplexImage()))
+    bag = write_like_reference(tmp_path / "bag", [info, image])
+    the_finding(bag, "warning", "images on /slc and no messages on /phase_history", "--from slc")
+    nameless = write_like_reference(tmp_path / "nameless", [image])
+    the_finding(nameless, "error", "no messages on phase_history and sensor_info", "Record it")
 
 
 def test_a_bag_without_any_sensor_is_found(tmp_path: Path) -> None:

@@ -6,8 +6,8 @@ the scene centre point S has the phase Sgn 2 pi (Krow x + Kcol y), and an image 
 Every pixel is therefore multiplied by exp(-j 4 pi (R(p) - R(S)) / wavelength). Then T has the phase
 -4 pi (R(T) - R(S)) / wavelength. Near S this is Sgn 2 pi (KCtr_row x + KCtr_col y), with Sgn = -1, and KCtr the
 component of 2 / wavelength times the line of sight to S along rows or columns. The response of a point is centred on
-frequency 0 everywhere in the image, so that DeltaKCOAPoly is 0 and left out. Each range R is that from the middle of
-the aperture of the pixel p, or of T.
+frequency 0 everywhere in the image, so that DeltaKCOAPoly is 0 and left out. The ranges are those of
+`geometry.ranges_of_phase`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from sal_height import __version__, messages
 from sal_height.bag.namespace import open_bag
 from sal_height.errors import UserError
 from sal_height.exports.heights import origin_in
-from sal_height.geometry import ApertureState, Grid, Origin, aperture_at, look_direction
+from sal_height.geometry import ApertureState, Grid, Origin, aperture_at, look_direction, ranges_of_phase
 from sal_height.io import bag_name, new_folder, writing_whole
 from sal_height.numeric import C64, F64, broadening, window
 from sal_height.runs.recorded_images import recorded_slc
@@ -127,8 +127,8 @@ class PlacedImage:
         samples = messages.complex_view(message.samples, grid.shape)
         if np.cross(grid.row_direction, grid.col_direction)[2] < 0:
             grid, samples = reversed_columns(grid), samples[:, ::-1]
-        ranges, centre = ranges_of(grid.pixels(), aperture), _middle(grid)
-        away = ranges - ranges[centre]
+        ranges = ranges_of_phase(grid, aperture)
+        away = ranges - ranges[_middle(grid)[0], -1 if aperture.sliding else _middle(grid)[1]]
         turned = samples * np.exp(SIGN * 4j * np.pi / sensor.wavelength * away)
         return cls(message, np.nan_to_num(turned.astype(np.complex64)), grid, aperture, sensor, origin)
 
@@ -191,11 +191,6 @@ class PlacedImage:
 def reversed_columns(grid: Grid) -> Grid:
     """The grid of an image whose last column is made the first."""
     return replace(grid, origin=grid.points(0, grid.cols - 1), col_direction=-grid.col_direction)
-
-
-def ranges_of(points: F64, aperture: ApertureState) -> F64:
-    """Distances (m) of points (..., 3) from the middle of the aperture from which the image shows each."""
-    return np.linalg.norm(points - aperture_at(points, aperture).position, axis=-1)
 
 
 def _middle(grid: Grid) -> tuple[int, int]:

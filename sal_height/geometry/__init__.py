@@ -20,7 +20,7 @@ from sal_height.geometry.frames import (
     squint_on_cone,
 )
 from sal_height.geometry.geodesy import Origin
-from sal_height.geometry.grid import Grid, pixels_at, without_range_phase
+from sal_height.geometry.grid import Grid, pixels_at, ranges_of_phase, without_range_phase
 from sal_height.geometry.locate import locate_at_elevation, locate_at_height
 from sal_height.geometry.motion import Motion
 from sal_height.geometry.mounting import AT_BASE_LINK, Mounting
@@ -60,6 +60,7 @@ __all__ = [
     "look_direction",
     "pixels_at",
     "quaternion_of",
+    "ranges_of_phase",
     "rotation_matrix",
     "sphere_coordinates",
     "sphere_point",

@@ -73,8 +73,26 @@ def pixels_at(across: F64, along: F64, aperture: ApertureState, grid: Grid) -> t
     return row, col_at_first_row - skew * row
 
 
+def ranges_of_phase(grid: Grid, aperture: ApertureState) -> F64:
+    """Distances R (m) of the pixels of an image for whose phase, 4 pi R / wavelength, a response turns among them.
+
+    They are those from the middle of the aperture. A sliding aperture moves on with the columns, and sees every column
+    from abeam: along a row the phase of a response stays, even where wind drifts the antenna away from the pixels. So
+    the distances are those of the middle column, whose aperture is where `aperture` is.
+
+    Args:
+        grid: positions of the pixels.
+        aperture: state of the platform with which the image was made.
+
+    Returns:
+        Shape (rows, cols), or (rows, 1) if the aperture slides.
+    """
+    pixels = grid.points(np.arange(grid.rows), (grid.cols - 1) / 2)[:, None] if aperture.sliding else grid.pixels()
+    return np.asarray(np.linalg.norm(pixels - aperture.position, axis=-1))
+
+
 def without_range_phase(image: Complex, grid: Grid, aperture: ApertureState, wavelength: float) -> Complex:
-    """Multiply an image by exp(-j 4 pi R / wavelength), R being each pixel's distance from the middle of its aperture.
+    """Multiply an image by exp(-j 4 pi R / wavelength), R being the distances of `ranges_of_phase`.
 
     A point's image has the phase 4 pi (R of the pixel - R of the point) / wavelength, which changes from pixel to
     pixel, faster with distance from the middle of the image. Without it the point's response is centred on spatial
@@ -89,10 +107,4 @@ def without_range_phase(image: Complex, grid: Grid, aperture: ApertureState, wav
     Returns:
         complex128 image, shape (rows, cols).
     """
-    middle = aperture.position
-    if aperture.sliding:
-        cols = np.arange(grid.cols) - (grid.cols - 1) / 2
-        slide = cols * grid.col_spacing * (grid.col_direction @ aperture.direction)
-        middle = middle + slide[:, None] * aperture.direction
-    distance = np.linalg.norm(grid.pixels() - middle, axis=-1)
-    return image * np.exp(-4j * np.pi / wavelength * distance)
+    return image * np.exp(-4j * np.pi / wavelength * ranges_of_phase(grid, aperture))

@@ -32,7 +32,7 @@ from sal_height.bag.topics import FIX_TYPE, IMAGE_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.configuration import Float, Int, StrictKeys, read_yaml, validated
 from sal_height.errors import UserError
-from sal_height.geometry import ApertureState, Grid, Origin, aperture_at
+from sal_height.geometry import ApertureState, Grid, Origin, ranges_of_phase
 from sal_height.imaging import Slc
 from sal_height.imports.description import Description, Positive
 from sal_height.imports.sicd import SicdImage, read_sicd
@@ -229,9 +229,8 @@ class Images:
         place = described.images[number]
         grid, aperture = place.grid(*samples.shape[1:]), place.aperture(sliding=described.mode == "stripmap")
         if described.phase == "absolute":
-            pixels = grid.pixels()
-            ranges = np.linalg.norm(pixels - aperture_at(pixels, aperture).position, axis=-1)
-            samples = samples * np.exp(4j * np.pi / described.wavelength * ranges).astype(np.complex64)
+            turn = np.exp(4j * np.pi / described.wavelength * ranges_of_phase(grid, aperture))
+            samples = samples * turn.astype(np.complex64)
         powers = np.array(self.noise_power[number * channels : (number + 1) * channels])
         unknown = np.full(channels, np.nan)
         return Slc(samples, grid, aperture, powers, unknown, described.azimuth_window, described.range_window)

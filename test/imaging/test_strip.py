@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry.frames import look_direction
-from sal_height.geometry.grid import Grid
+from sal_height.geometry.grid import Grid, without_range_phase
 from sal_height.geometry.trajectory import PlatformState, Trajectory
 from sal_height.imaging.focus import ImageSettings, Slc, StripFocuser
 from sal_height.imaging.formers.backprojection import backproject
@@ -180,6 +180,27 @@ def test_fast_former_makes_the_same_strip(gust: float, block: int, cols: int) ->
     expected = flown.at_once(grid, settings)
     error = np.mean(np.abs(image - expected) ** 2) / np.mean(np.abs(expected) ** 2)
     assert 10 * np.log10(error) < (-50 if gust else -80)  # in gusts, pulses are interpolated
+
+
+@pytest.mark.parametrize("wind", [0.0, 8.0, 16.0])
+def test_a_response_without_the_phase_of_range_does_not_turn_from_pixel_to_pixel(wind: float) -> None:
+    """Wind drifts the antenna away from what it looks at, by up to 1.4 m while it passes the image."""
+    sensor, pulses = strip_sensor(), 1800
+    states = odometry(pulses / PRF, wind=wind)
+    antenna = Trajectory(states).positions(0, np.arange(pulses) / PRF)
+    point = antenna[pulses // 2] + REACH * look_direction(elevation_at(0.0), 0.0, 1)
+    rotation, reference = np.broadcast_to(np.eye(3), (pulses, 3, 3)), np.full(pulses, REACH)
+    surface = bare_scatterers(point[None], np.ones(1), deterministic=True)
+    samples = simulate_block(sensor, surface, np.ones(1, np.complex64), antenna, rotation, reference)
+    slcs = Flown(sensor, samples, states).images(900, ImageSettings(former="backprojection"))
+    powers = [float(np.nanmax(np.abs(slc.images[0]))) for slc in slcs]
+    slc = slcs[int(np.argmax(powers))]
+    image = without_range_phase(slc.images[0], slc.grid, slc.aperture, sensor.wavelength)
+    row, col = np.unravel_index(np.nanargmax(np.abs(image)), image.shape)
+    response = image[row - 3 : row + 4, col - 6 : col + 7]
+    along, across = response[:, 1:] * response[:, :-1].conj(), response[1:] * response[:-1].conj()
+    assert abs(col - slc.grid.cols / 2) > 50, "far from the middle, where any distance would do"
+    assert np.angle([along.sum(), across.sum()]) == pytest.approx([0, 0], abs=0.1)
 
 
 def test_wide_beam_leaves_no_column_of_a_strip_empty() -> None:

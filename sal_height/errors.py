@@ -1,12 +1,21 @@
 """The one exception whose text is written for the user."""
 
+LONGEST, LONGEST_END = 1000, 300
+"""Characters that a sentence may have, and those that are left of the end of a longer one."""
+
 
 class UserError(ValueError):
     """Something from outside (file, parameter, message) cannot be used.
 
     The text is one sentence: what is wrong, where, and what is allowed. The command line prints it and exits with
-    status 2; nodes count it and carry on.
+    status 2; nodes count it and carry on. A sentence may quote what came from outside, of any length: of a long one the
+    middle is left out, for nodes publish it with their diagnostics again and again.
     """
+
+    def __init__(self, sentence: str = "") -> None:
+        if len(sentence) > LONGEST:
+            sentence = f"{sentence[: LONGEST - LONGEST_END - 3]} … {sentence[-LONGEST_END:]}"
+        super().__init__(sentence)
 
 
 class Rejected(UserError):  # noqa: N818 (not an error of the program)

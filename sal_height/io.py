@@ -78,24 +78,36 @@ def write_text(path: Path, text: str) -> None:
 
 
 @contextmanager
+def unfinished(path: Path) -> Iterator[Path]:
+    """Where to write a file, which gets its name when the block ends; what was there stays until then.
+
+    The suffix is that of `path`, by which libraries choose a format.
+
+    Raises:
+        UserError: it cannot be written.
+    """
+    beside = path.with_name(f".{path.stem}.part{path.suffix}")
+    with writing(path):
+        try:
+            yield beside
+            beside.replace(path)
+        except BaseException:
+            with suppress(OSError):
+                beside.unlink()
+            raise
+
+
+@contextmanager
 def writing_whole(path: Path) -> Iterator[BinaryIO]:
     """A file to write to, which appears under its name when the block ends; what was there stays until then.
 
     Raises:
         UserError: it cannot be written.
     """
-    unfinished = path.with_name(f".{path.name}.part")
-    with writing(path):
-        try:
-            with unfinished.open("w+b") as file:
-                yield file
-                file.flush()
-                os.fsync(file.fileno())
-            unfinished.replace(path)
-        except BaseException:
-            with suppress(OSError):
-                unfinished.unlink()
-            raise
+    with unfinished(path) as beside, beside.open("w+b") as file:
+        yield file
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def write_whole(path: Path, content: bytes | memoryview) -> None:

@@ -13,7 +13,7 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "sal_height"
 LAYERS = (
     ("errors",),
-    ("numeric", "io", "settings", "configuration", "tables", "array_files"),
+    ("numeric", "extras", "io", "settings", "configuration", "tables", "array_files"),
     ("geometry", "response"),
     ("beams",),
     ("sensor",),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +13,9 @@ import sal_height
 from sal_height.elevation import Validity
 from sal_height.errors import UserError
 from sal_height.exports.heights import DwellHeights, RecordedHeights
+from sal_height.extras import import_extra
 from sal_height.geometry import Origin, Projection
-from sal_height.io import check_new_folder, writing
+from sal_height.io import check_new_folder, unfinished, writing
 
 CONVENTIONS = "CF-1.11"
 
@@ -58,15 +58,8 @@ def write_netcdf(heights: RecordedHeights, path: Path) -> int:
         UserError: a package is not installed, grids differ in size, or the file cannot be written.
     """
     dataset = _joined(heights, "netcdf")
-    unfinished = path.with_name(f".{path.name}.part")
-    with writing(path):
-        try:
-            dataset.to_netcdf(unfinished, engine="h5netcdf", encoding=_compressed(dataset), unlimited_dims=["dwell"])
-            unfinished.replace(path)
-        except BaseException:
-            with suppress(OSError):
-                unfinished.unlink()
-            raise
+    with unfinished(path) as beside:
+        dataset.to_netcdf(beside, engine="h5netcdf", encoding=_compressed(dataset), unlimited_dims=["dwell"])
     return int(dataset.sizes["dwell"])
 
 
@@ -78,20 +71,20 @@ def write_zarr(heights: RecordedHeights, path: Path) -> int:
     """
     _xarray(heights)
     check_new_folder(path)
-    unfinished, count = path.with_name(f".{path.name}.part"), 0
+    beside, count = path.with_name(f".{path.name}.part"), 0
     with writing(path):
         try:
             for batch in _batches(heights, "zarr"):
                 if count:
-                    batch.to_zarr(unfinished, append_dim="dwell", consolidated=False)
+                    batch.to_zarr(beside, append_dim="dwell", consolidated=False)
                 else:
-                    batch.to_zarr(unfinished, mode="w", consolidated=False)
+                    batch.to_zarr(beside, mode="w", consolidated=False)
                 count += batch.sizes["dwell"]
             if path.is_dir():
                 path.rmdir()
-            unfinished.replace(path)
+            beside.replace(path)
         finally:
-            shutil.rmtree(unfinished, ignore_errors=True)
+            shutil.rmtree(beside, ignore_errors=True)
     return count
 
 
@@ -217,13 +210,6 @@ def _xarray(heights: RecordedHeights) -> Any:
     Raises:
         UserError: it or what it needs for files is not installed.
     """
-    try:
-        import h5netcdf  # noqa: F401, PLC0415 (extras)
-        import xarray  # noqa: PLC0415
-        import zarr  # noqa: F401, PLC0415
-    except ImportError as error:
-        raise UserError(
-            f"Arrays of bag {heights.reader.path} need {error.name}; install it with: pip install "
-            "'sal_height[formats]'."
-        ) from error
+    doing = f"Making arrays of bag {heights.reader.path}"
+    _, _, xarray = (import_extra(name, doing) for name in ("h5netcdf", "zarr", "xarray"))
     return xarray

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -11,7 +10,7 @@ import numpy as np
 
 from sal_height.errors import UserError
 from sal_height.exports.heights import DwellHeights, RecordedHeights
-from sal_height.io import writing
+from sal_height.io import unfinished
 from sal_height.numeric import F32
 
 MOST_FRAMES = 500
@@ -63,15 +62,8 @@ def write_film(heights: RecordedHeights, path: Path) -> int:
     seen = [frame for frame in shown if np.isfinite(frame.height).any()]
     if not seen:
         raise UserError(f"Topic {heights.topic} of bag {heights.reader.path} has no valid height.")
-    unfinished = path.with_name(f".{path.stem}.part{suffix}")
-    with writing(path):
-        try:
-            _draw(heights, seen, writers[SUFFIXES[suffix]](fps=FRAMES_PER_SECOND), unfinished)
-            unfinished.replace(path)
-        except BaseException:
-            with suppress(OSError):
-                unfinished.unlink()
-            raise
+    with unfinished(path) as beside:
+        _draw(heights, seen, writers[SUFFIXES[suffix]](fps=FRAMES_PER_SECOND), beside)
     return len(seen)
 
 

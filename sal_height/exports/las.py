@@ -13,6 +13,7 @@ import numpy as np
 from sal_height.elevation import Validity
 from sal_height.errors import UserError
 from sal_height.exports.heights import DwellHeights, RecordedHeights, probability_of_order
+from sal_height.extras import import_extra
 from sal_height.geometry import Projection
 from sal_height.io import writing_whole
 from sal_height.numeric import Bool
@@ -62,7 +63,7 @@ def write_las(heights: RecordedHeights, path: Path) -> int:
         UserError: the package laspy is not installed, the suffix is another one, there is no height, or the file cannot
             be written.
     """
-    laspy, suffix = _laspy(path), path.suffix.lower()
+    laspy, suffix = import_extra("laspy", f"Writing {path}"), path.suffix.lower()
     if suffix not in {".las", ".laz"}:
         raise UserError(f"File {path} has the suffix {path.suffix!r}; a point cloud is written as .las or .laz.")
     header, count = _header(laspy, heights.projection), 0
@@ -126,16 +127,3 @@ def _describe(points: Any, dwell: DwellHeights, there: Bool) -> None:
         points[name] = np.stack([getattr(surface, name) for surface in surfaces])[there]
     points["order_probability"] = np.broadcast_to(probability_of_order(dwell.field), there.shape)[there]
     points["dwell"], points["validity"] = np.full(len(points), dwell.dwell), validity
-
-
-def _laspy(path: Path) -> Any:
-    """Return the package, which is an extra.
-
-    Raises:
-        UserError: it is not installed.
-    """
-    try:
-        import laspy  # noqa: PLC0415 (an extra)
-    except ImportError as error:
-        raise UserError(f"Writing {path} needs laspy; install it with: pip install 'sal_height[formats]'.") from error
-    return laspy

@@ -28,6 +28,7 @@ from sal_height import __version__, messages
 from sal_height.bag.namespace import open_bag
 from sal_height.errors import UserError
 from sal_height.exports.heights import origin_in
+from sal_height.extras import import_extra
 from sal_height.geometry import ApertureState, Grid, Origin, aperture_at, look_direction, ranges_of_phase
 from sal_height.io import bag_name, new_folder, writing_whole
 from sal_height.numeric import C64, F64, broadening, window
@@ -73,7 +74,7 @@ def write_sicd(bag: Path, folder: Path, origin: Origin | None = None) -> int:
         UserError: the package sarkit is not installed, the bag has no images or does not say where the origin of its
             map is, two images have one dwell and channel, or a file cannot be written.
     """
-    sicd = _sarkit(folder)
+    sicd = import_extra("sarkit.sicd", f"Writing {folder}")
     place = origin or origin_in(open_bag(bag, None, ["slc"]))
     if place is None:
         raise UserError(
@@ -435,18 +436,3 @@ def _corners(sicd: Any, tree: Any, image: PlacedImage) -> F64:
             "antenna sees no ground; SICD needs images of the ground."
         )
     return wgs84.cartesian_to_geodetic(ground)[:, :2]
-
-
-def _sarkit(folder: Path) -> Any:
-    """Return the part of the package for SICD, which is an extra.
-
-    Raises:
-        UserError: it is not installed.
-    """
-    try:
-        from sarkit import sicd  # noqa: PLC0415 (an extra)
-    except ImportError as error:
-        raise UserError(
-            f"Writing {folder} needs sarkit; install it with: pip install 'sal_height[formats]'."
-        ) from error
-    return sicd

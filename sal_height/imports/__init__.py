@@ -2,10 +2,10 @@
 
 Read `collection` first (a sensor, its track and its phase histories, and how they are written), then `description` (the
 sensor in YAML), `arrays` (files of arrays), `track` and `recorded_track` (positions from CSV, SBET and bags),
-`receiver` (a beam that follows a point, of which files state no antenna), `gotcha` (AFRL Gotcha), `followed_point` (a
-dwell of such a beam), `common_frequencies` (samples at frequencies that all pulses have), `sarkit_files` (what the next
-two share), `cphd` (compensated phase history data), `crsd` (compensated radar signal data) and `crsd_beams` (its
-channels as beams of an antenna); and for focused images `sicd` (a file) and `slc` (those of all channels).
+`followed_point` (a dwell of a beam that follows a point, of files that state no antenna), `gotcha` (AFRL Gotcha),
+`common_frequencies` (samples at frequencies that all pulses have), `sarkit_files` (what the next two share), `cphd`
+(compensated phase history data), `crsd` (compensated radar signal data) and `crsd_beams` (its channels as beams of an
+antenna); and for focused images `sicd` (a file) and `slc` (those of all channels).
 """
 
 from sal_height.imports.arrays import import_arrays

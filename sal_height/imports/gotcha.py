@@ -13,7 +13,7 @@ from scipy.io import loadmat
 
 from sal_height.errors import UserError
 from sal_height.imports.collection import Collection, write_collection
-from sal_height.imports.receiver import boresight_to, focusing, side_of, states_towards
+from sal_height.imports.followed_point import boresight_to, focusing, side_of, states_towards
 from sal_height.numeric import F64
 from sal_height.sensor import PhaseHistory, Sensor
 

@@ -6,13 +6,13 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sal_height.errors import UserError
+from sal_height.extras import import_extra
 from sal_height.geometry import Origin
 from sal_height.numeric import C64, Bool
 
@@ -28,10 +28,7 @@ def opened(path: Path, kind: str) -> Iterator[Any]:
     Raises:
         UserError: the package sarkit, which is an extra, is not installed, or the file is damaged.
     """
-    try:
-        reader = import_module(f"sarkit.{kind}").Reader
-    except ImportError as error:
-        raise UserError(f"Reading {path} needs sarkit; install it with: pip install 'sal_height[formats]'.") from error
+    reader = import_extra(f"sarkit.{kind}", f"Reading {path}").Reader
     try:
         with path.open("rb") as file, reader(file) as opened_file:
             yield opened_file
@@ -109,7 +106,12 @@ def time_ns(path: Path, tree: Any, *names: str) -> int:
         begin = datetime.fromisoformat(text)
     except ValueError as error:
         raise UserError(f"File {path} has {text!r} for {names[-1]}, which is no time.") from error
-    since = (begin if begin.tzinfo else begin.replace(tzinfo=UTC)) - datetime(1970, 1, 1, tzinfo=UTC)
+    return since_1970_ns(begin)
+
+
+def since_1970_ns(time: datetime) -> int:
+    """Nanoseconds from 1970 to a time, which is UTC if it names no zone."""
+    since = (time if time.tzinfo else time.replace(tzinfo=UTC)) - datetime(1970, 1, 1, tzinfo=UTC)
     return (since.days * 86400 + since.seconds) * 1_000_000_000 + since.microseconds * 1000
 
 

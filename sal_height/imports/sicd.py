@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from sal_height.array_files import complex_images
 from sal_height.errors import UserError
+from sal_height.extras import import_extra
 from sal_height.geometry import ApertureState, Grid, Origin, aperture_at
+from sal_height.imports.sarkit_files import since_1970_ns
 from sal_height.numeric import C64, F64
 
 WINDOWS: Mapping[str, str] = {"UNIFORM": "rectangular", "TAYLOR": "taylor", "HAMMING": "hamming"}
@@ -158,7 +159,7 @@ def read_sicd(path: Path) -> SicdImage:
         UserError: the package sarkit is not installed, the file cannot be read, lacks metadata, is of two platforms, or
             its pixels do not lie in a plane from which they would have the range and Doppler that it states.
     """
-    complex_sicd = _sarkit(path)
+    complex_sicd = import_extra("sarkit.sicd", f"Reading {path}")
     try:
         with path.open("rb") as file, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # metadata that are not needed here may be wrong
@@ -265,7 +266,7 @@ def _image(metadata: Metadata) -> SicdImage:
         windows=_windows(metadata),
         has_gaps=needed("ImageData/PixelType") == "RE32F_IM32F",
         noise_power=_noise_power(metadata),
-        stamp_ns=_since_1970_ns(needed("Timeline/CollectStart")),
+        stamp_ns=since_1970_ns(needed("Timeline/CollectStart")),
     )
 
 
@@ -325,11 +326,6 @@ def _noise_power(metadata: Metadata) -> float | None:
     return float(10 ** (metadata.stated("Radiometric/NoiseLevel/NoisePoly")[0, 0] / 10))
 
 
-def _since_1970_ns(time: datetime) -> int:
-    since = (time if time.tzinfo else time.replace(tzinfo=UTC)) - datetime(1970, 1, 1, tzinfo=UTC)
-    return (since.days * 86400 + since.seconds) * 1_000_000_000 + since.microseconds * 1000
-
-
 def _reversed(grid: Grid) -> Grid:
     """The grid with its columns in reverse order."""
     last = grid.points(0, grid.cols - 1)
@@ -386,16 +382,3 @@ def _forward(image: SicdImage) -> F64:
 
 def _unit(vector: F64) -> F64:
     return vector / np.linalg.norm(vector)
-
-
-def _sarkit(path: Path) -> Any:
-    """Return the part of the package for SICD, which is an extra.
-
-    Raises:
-        UserError: it is not installed.
-    """
-    try:
-        from sarkit import sicd  # noqa: PLC0415 (an extra)
-    except ImportError as error:
-        raise UserError(f"Reading {path} needs sarkit; install it with: pip install 'sal_height[formats]'.") from error
-    return sicd

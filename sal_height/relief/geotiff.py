@@ -6,11 +6,11 @@ import struct
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from sal_height.errors import UserError
+from sal_height.extras import import_extra
 from sal_height.geometry import WGS_84, Projection
 from sal_height.io import write_whole
 from sal_height.relief.map import Relief
@@ -48,7 +48,7 @@ def check_geotiff(path: Path) -> None:
     Raises:
         UserError: rasterio is not installed, the folder does not exist, or `path` is a folder.
     """
-    _rasterio(path)
+    import_extra("rasterio", f"Writing {path}", "dem")
     if path.is_dir():
         raise UserError(f"File {path} cannot be written: it is a folder.")
     if not path.parent.is_dir():
@@ -73,7 +73,7 @@ def write_geotiff(
     Raises:
         UserError: rasterio is not installed, or the file cannot be written.
     """
-    rasterio = _rasterio(path)
+    rasterio = import_extra("rasterio", f"Writing {path}", "dem")
     from rasterio.shutil import copy  # noqa: PLC0415 (an extra)
 
     bands = BANDS if relief.kind is None else BANDS | KIND
@@ -161,16 +161,3 @@ def _state_ellipsoidal_heights(written: bytearray) -> None:
     old = struct.pack("<4H", VERTICAL_KEY, 0, 1, MEAN_SEA_LEVEL)
     at = written.index(old)
     written[at : at + len(old)] = struct.pack("<4H", VERTICAL_KEY, 0, 1, int(WGS_84.removeprefix("EPSG:")))
-
-
-def _rasterio(path: Path) -> Any:
-    """Return the package, which is an extra.
-
-    Raises:
-        UserError: it is not installed.
-    """
-    try:
-        import rasterio.io  # noqa: PLC0415 (an extra)
-    except ImportError as error:
-        raise UserError(f"Writing {path} needs rasterio; install it with: pip install 'sal_height[dem]'.") from error
-    return rasterio

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from sal_height.errors import UserError
+from sal_height.extras import import_extra
 from sal_height.geometry import EARTH_RADIUS
 from sal_height.simulation.elevation_grid import ElevationGrid
 from sal_height.simulation.scene import Scene
@@ -65,10 +66,7 @@ def _read_npz(path: Path) -> Scene:
 
 def _read_geotiff(path: Path) -> Scene:
     """Terrain of the first band of a GeoTIFF, north up, in angles or in a projection."""
-    try:
-        import rasterio  # noqa: PLC0415 (an extra)
-    except ImportError as error:
-        raise UserError(f"Reading {path} needs rasterio; install it with: pip install 'sal_height[dem]'.") from error
+    rasterio = import_extra("rasterio", f"Reading {path}", "dem")
     from pyproj import CRS  # noqa: PLC0415 (0.1 s)
 
     try:

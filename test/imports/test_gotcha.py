@@ -13,8 +13,8 @@ from scipy.io import savemat
 from sal_height import messages
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
+from sal_height.imports.followed_point import focusing
 from sal_height.imports.gotcha import SPEED, import_gotcha, read_gotcha
-from sal_height.imports.receiver import focusing
 
 PULSES, FREQUENCIES = 5, 16
 STEP = 1.5e6

@@ -403,7 +403,7 @@ def test_parameters_that_cannot_be_used_are_refused(graph: Graph, parameters: di
 def test_without_rasterio_a_file_is_refused_at_the_start(
     graph: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(sys.modules, "rasterio.io", None)
+    monkeypatch.setitem(sys.modules, "rasterio", None)
     with pytest.raises(UserError) as refused:
         start(graph, file=str(tmp_path / "map.tif"))
     assert "needs rasterio; install it with: pip install 'sal_height[dem]'." in str(refused.value)

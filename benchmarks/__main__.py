@@ -50,6 +50,7 @@ GROUPS = {
     "start-up": "start_up:first_height",
     "late-node": "late_node:late_node",
     "restarted-node": "late_node:restarted_node",
+    "killed-stage": "killed_stage:killed_stage",
     "real-time": "real_time:sustained",
     "endurance": "real_time:endurance",
     "figures": "figures:all_figures",

@@ -29,6 +29,14 @@ LEAST = 4_000_000
 DWELLS = 2
 """Dwells that the shared memory holds: one is written while another is read."""
 
+PIECES, LEAST_PIECE = 2000, 8000
+"""A message travels in pieces: of so many to the shared memory of a process, but of so many bytes at least.
+
+A piece needs one free block. Where enough is free but scattered, Fast DDS gives up the piece and frees nothing: once
+messages for a process that was killed have filled the memory, no piece larger than the largest gap is ever sent again.
+The reserve, which nothing fills, is a 32nd of the memory: no gap can be too small as long as pieces are far smaller.
+"""
+
 SHARE = 1 / 16
 """Of what is free in the shared memory of the machine, the part that one process may take: others want theirs."""
 
@@ -40,7 +48,7 @@ TEMPLATE = """<?xml version="1.0" encoding="UTF-8"?>
         <transport_id>shared_memory</transport_id>
         <type>SHM</type>
         <segment_size>{segment}</segment_size>
-        <maxMessageSize>{message}</maxMessageSize>
+        <maxMessageSize>{piece}</maxMessageSize>
         <port_queue_capacity>8192</port_queue_capacity>
         <healthy_check_timeout_ms>5000</healthy_check_timeout_ms>
       </transport_descriptor>
@@ -98,8 +106,8 @@ announcements nowhere else, but answers whoever addresses it."""
 
 
 PACKETS = "\n        <maxMessageSize>{}</maxMessageSize>"
-"""Has messages travel in packets of that size, by shared memory too. What a network that takes 64 kB apart loses a part
-of is lost as a whole."""
+"""Has messages travel in packets of that size, by shared memory too. What a network that takes larger ones apart loses
+a part of is lost as a whole."""
 
 
 def segment_bytes(dwell_bytes: int, free_bytes: int) -> int | None:
@@ -127,7 +135,7 @@ def settings_for(dwell_bytes: int, *, local: bool = False, packet_bytes: int = 0
     Args:
         dwell_bytes: of the samples of a dwell; 0: not known.
         local: whether other machines can reach nothing of the process.
-        packet_bytes: size of the packets in which messages travel; 0: up to 64 kB, which the network takes apart.
+        packet_bytes: size of the packets in which messages travel; 0: that of the pieces by shared memory.
 
     Raises:
         UserError: too little shared memory is free.
@@ -140,7 +148,7 @@ def settings_for(dwell_bytes: int, *, local: bool = False, packet_bytes: int = 0
             "come late or get lost between processes. Containers get more by --shm-size."
         )
     network = (LOOPBACK if local else "") + (PACKETS.format(packet_bytes) if packet_bytes else "")
-    return TEMPLATE.format(segment=segment, message=segment // 4, network=network)
+    return TEMPLATE.format(segment=segment, piece=max(LEAST_PIECE, segment // PIECES), network=network)
 
 
 def provide_shared_memory(dwell_bytes: int = 0) -> None:

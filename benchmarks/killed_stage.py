@@ -1,0 +1,100 @@
+"""Whether a graph works on after one of its nodes was killed, at a rate at which its shared memory fills meanwhile."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rclpy.node import Node
+
+from benchmarks.row import Row, load, sized
+from sal_height.nodes.graph import Graph
+from sal_height.runs.conductor import Execution
+from sal_height.runs.live import Live, live
+from sal_height.runs.sensor_bag import Feed, record_sensor
+from sal_height.simulation import load_preset
+
+if TYPE_CHECKING:
+    from sal_height.runs.live import Watched
+
+RATE = 0.36
+"""Seconds of the sensor in a second."""
+
+KILLED = "sar_compression"
+KILLS = sized(3, 1)
+FIRST_S, EVERY_S = 10.0, 14.0
+
+PASSES_S = 2.0
+"""How long another program is in the domain before it kills the compression and ends without leaving: the new process
+takes its ports."""
+
+BACK_S, SEEN_S = 7.0, 5.0
+"""From a kill until heights are counted, and how long they are. The last start comes 2 s after the end."""
+
+
+class _Kills:
+    """Kills the compression again and again, and counts heights."""
+
+    def __init__(self) -> None:
+        self.killed_s: list[float] = []
+        self.heights: list[tuple[float, int]] = []
+        self._killer: subprocess.Popen[bytes] | None = None
+
+    def show(self, watched: Watched) -> None:
+        """Count heights, and kill if it is time."""
+        now, number = watched.elapsed_s, len(self.killed_s)
+        self.heights.append((now, len(watched.latencies_s["ml/height"])))
+        due_s = FIRST_S + EVERY_S * number
+        if self._killer is None and number < KILLS and now >= due_s:
+            words = [sys.executable, "-m", __name__, str(watched.book.entries[KILLED].account.count("pid"))]
+            self._killer = subprocess.Popen(words)  # noqa: S603 (our own module)
+        elif self._killer and self._killer.poll() is not None:
+            self._killer = None
+            self.killed_s.append(now)
+
+    def counted(self) -> Iterator[float]:
+        """Heights in a second, some time after each kill."""
+        for killed_s in self.killed_s:
+            inside = [seen for seen in self.heights if BACK_S <= seen[0] - killed_s <= BACK_S + SEEN_S]
+            (first_s, first), (last_s, last) = inside[0], inside[-1]
+            yield (last - first) / (last_s - first_s)
+
+
+def killed_stage() -> Iterator[Row]:
+    """The kill after which fewest heights come counts."""
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        bag = record_sensor(load_preset("sal_spotlight"), 1, folder / "sensor")
+        kills = _Kills()
+        how = Live(RATE, FIRST_S + EVERY_S * KILLS + BACK_S, supervised=True)
+        watched = live(Feed.of_bag(bag), folder / "live", {}, how, Execution(processes=True), kills.show)
+    heights_hz = list(kills.counted())
+    yield Row(
+        "heights after the compression was killed and started again",
+        100 * min(heights_hz) / watched.offered_hz,
+        "% of dwells",
+        ">= 95",
+        f"sal_spotlight at {RATE:g} of its pace, {watched.offered_hz:.1f} dwells/s; the fewest, from {BACK_S:g} to "
+        f"{BACK_S + SEEN_S:g} s after each of {KILLS} kills: "
+        + ", ".join(f"{hz:.1f}" for hz in heights_hz)
+        + f"; {load()}",
+    )
+
+
+def _pass_and_kill(process: int) -> None:
+    """Be a node of the domain for a short time, kill a process, and end without leaving the domain."""
+    graph = Graph()
+    graph.add(Node("passer", context=graph.context))
+    graph.spin_for(PASSES_S)
+    os.kill(process, signal.SIGKILL)
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    _pass_and_kill(int(sys.argv[1]))

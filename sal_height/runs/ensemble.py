@@ -20,7 +20,7 @@ from sal_height.errors import UserError
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.program import run_node
 from sal_height.runs.catalogue import NODES
-from sal_height.runs.processes import ONE_THREAD, Forked, can_fork, end_with_parent
+from sal_height.runs.processes import ONE_THREAD, Forked, can_fork, end_with_parent, name_process
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ def _process_of(member: Member, forks: bool) -> subprocess.Popen[bytes] | Forked
     try:
         if forks:
             return Forked(lambda: _run(kind, parent, arguments), member.name)
-        command = [sys.executable, "-m", __name__, kind, str(parent), *arguments]
+        command = [sys.executable, "-m", __name__, member.name, kind, str(parent), *arguments]
         return subprocess.Popen(command, process_group=0, env=ONE_THREAD | os.environ)  # noqa: S603 (our nodes)
     except OSError as error:
         raise UserError(f"Node {member.name} cannot be started in a process of its own: {error.strerror}.") from error
@@ -172,8 +172,9 @@ def _run(kind: str, parent: int, arguments: list[str]) -> int:
 
 
 def main() -> int:
-    """Run the node argv[1] until process argv[2], which started this one, ends."""
-    return _run(sys.argv[1], int(sys.argv[2]), sys.argv[3:])
+    """Run a node of the kind argv[2] as argv[1], until process argv[3], which started this one, ends."""
+    name_process(sys.argv[1])
+    return _run(sys.argv[2], int(sys.argv[3]), sys.argv[4:])
 
 
 if __name__ == "__main__":

@@ -48,6 +48,11 @@ def can_fork() -> bool:
     return not any(name.startswith("dds") for name in names)
 
 
+def name_process(name: str) -> None:
+    """Have lists of processes show this one by a name, of which they keep 15 bytes."""
+    ctypes.CDLL(None).prctl(PR_SET_NAME, name.encode()[:15])
+
+
 def end_with_parent(parent: int, number: signal.Signals) -> bool:
     """Have this process get a signal when its parent ends, even if that is killed.
 
@@ -175,7 +180,7 @@ def _run_alone(run: Callable[[], int], name: str) -> None:
             if signal.getsignal(number) != signal.SIG_IGN:
                 signal.signal(number, signal.SIG_DFL)
         sys.stdout, sys.stderr = sys.__stdout__, sys.__stderr__  # a display of the original may have put itself before
-        ctypes.CDLL(None).prctl(PR_SET_NAME, name.encode()[:15])
+        name_process(name)
         status = run()
     except SystemExit as ended:
         status = ended.code if isinstance(ended.code, int) else 1

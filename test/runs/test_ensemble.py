@@ -125,7 +125,7 @@ def test_nodes_in_processes_give_the_same_heights_as_nodes_in_one(interrupted: E
 def test_a_node_whose_parent_has_ended_does_not_begin() -> None:
     nobody = subprocess.Popen([sys.executable, "-c", ""])
     nobody.wait(60)
-    words = [sys.executable, "-m", "sal_height.runs.ensemble", "monopulse", str(nobody.pid)]
+    words = [sys.executable, "-m", "sal_height.runs.ensemble", "monopulse", "monopulse", str(nobody.pid)]
     assert subprocess.run(words, timeout=60, check=False).returncode == 1  # noqa: S603
 
 

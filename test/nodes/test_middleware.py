@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -10,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from sal_height.commands import main
-from sal_height.nodes.middleware import ENOUGH, LEAST, PROFILES, segment_bytes
+from sal_height.nodes.middleware import ENOUGH, LEAST, PROFILES, segment_bytes, settings_for
 
 PROGRAM = """
 import os
@@ -60,6 +61,14 @@ def test_packets_are_small_if_the_network_loses_many(capsys: pytest.CaptureFixtu
         assert main(["transport", *options]) == 0
         sizes.append(capsys.readouterr().out.count("<maxMessageSize>1400</maxMessageSize>"))
     assert sizes == [0, 1]
+
+
+@pytest.mark.parametrize(("dwell_mb", "fewest"), [(0, 60), (100, 60)])
+def test_pieces_of_messages_are_far_smaller_than_what_no_message_fills(dwell_mb: float, fewest: int) -> None:
+    """Of each 1024 bytes 32 are in reserve; with 6 of the largest pieces in it, senders fell silent for good."""
+    sizes = dict(re.findall(r"<(segment_size|maxMessageSize)>(\d+)<", settings_for(int(dwell_mb * 1e6))))
+    reserve = int(sizes["segment_size"]) / 32
+    assert reserve / int(sizes["maxMessageSize"]) > fewest
 
 
 def test_settings_of_the_user_are_kept() -> None:

@@ -36,7 +36,17 @@ from sal_height.elevation import (
 )
 from sal_height.errors import Rejected
 from sal_height.geometry import Grid, Trajectory, aperture_at
-from sal_height.imaging import ImageSettings, Slc, StripFocuser, cell_response, focus_dwell, image_beams
+from sal_height.imaging import (
+    ImageSettings,
+    Slc,
+    StripFocuser,
+    cell_response,
+    correct_dwell,
+    correct_track,
+    focus_dwell,
+    image_beams,
+    with_known_errors,
+)
 from sal_height.numeric import C64, Bool, Index
 from sal_height.relief import HeightField, height_field, joined_rows, level_turn
 from sal_height.sensor import Channels, PhaseHistory, Sensor, count_saturated, range_compressed, with_powers
@@ -76,8 +86,8 @@ class Compressor:
 
         Raises:
             Rejected: pulses or frequencies do not sample the scene, or the block comes out of order.
-            UserError: an image that cannot be made, a track that does not cover the pulses, or the calibration of
-                another sensor.
+            UserError: an image that cannot be made, a track that does not cover the pulses, air that is not known, or
+                the calibration of another sensor.
         """
         # Clipped samples are counted while they are still those of the receivers.
         counted = count_saturated(history, sensor)
@@ -87,6 +97,9 @@ class Compressor:
         if calibration:
             calibration.check(sensor)
             spectrum = calibration.equalised(spectrum)
+        # Errors that are known: clocks, delays, and air.
+        track = correct_track(track, settings)
+        spectrum, sensor = correct_dwell(spectrum, track, sensor, settings)
         # Azimuth compression, with one and the same filter for all channels.
         if sensor.mode == "spotlight":
             slc: Slc | None = focus_dwell(spectrum, track, sensor, settings)
@@ -95,6 +108,9 @@ class Compressor:
             if strip_of != self._strip_of:
                 self._strip, self._strip_of = StripFocuser(), strip_of
             slc = self._strip.focus_block(spectrum, track, sensor, settings)
+        # What the corrections leave is an error that all pixels share.
+        if slc:
+            slc = replace(slc, aperture=with_known_errors(slc.aperture, sensor, settings))
         # The calibration has raised the noise of channels that were weak.
         if slc and calibration:
             slc = replace(slc, noise_power=calibration.noise_gains(settings.range_window) * slc.noise_power)

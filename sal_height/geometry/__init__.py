@@ -4,11 +4,12 @@ Read `frames` first (body and map axes, the state of the sensor in mid-aperture,
 (heights above the sphere), `grid` (pixels of an image), `locate` (range and Doppler to a place on the ground),
 `mounting` (where the sensor is on the platform), `quaternion` (its attitude), `trajectory` (odometry to positions of
 the antenna at each pulse), `motion` (what gaps in it leave open), `geodesy` (the origin of a map on the ellipsoid),
-`projection` (a map in UTM or the like), `conventions` (axes of aviation) and `navigation` (positions, velocities and
-attitudes that come apart).
+`projection` (a map in UTM or the like), `conventions` (axes of aviation), `navigation` (positions, velocities and
+attitudes that come apart) and `air` (what the atmosphere does to range and direction).
 Angles are in rad, lengths in m, times in s.
 """
 
+from sal_height.geometry.air import AirPath, path_through_air, refractivities, standard_air
 from sal_height.geometry.conventions import BODY_AXES, MAP_AXES, ROS_AXES, Axes
 from sal_height.geometry.earth import EARTH_RADIUS, above_place, height_of, sphere_coordinates, sphere_point
 from sal_height.geometry.frames import (
@@ -38,6 +39,7 @@ __all__ = [
     "ROS_AXES",
     "UTM",
     "WGS_84",
+    "AirPath",
     "ApertureState",
     "Axes",
     "Grid",
@@ -58,12 +60,15 @@ __all__ = [
     "locate_at_elevation",
     "locate_at_height",
     "look_direction",
+    "path_through_air",
     "pixels_at",
     "quaternion_of",
     "ranges_of_phase",
+    "refractivities",
     "rotation_matrix",
     "sphere_coordinates",
     "sphere_point",
     "squint_on_cone",
+    "standard_air",
     "without_range_phase",
 ]

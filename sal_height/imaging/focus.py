@@ -16,6 +16,7 @@ from sal_height.imaging.checks import (
     describe_strip_centroid,
     describe_unverified_squint,
 )
+from sal_height.imaging.corrections import CorrectionSettings
 from sal_height.imaging.formers.choice import FORMERS, choose_former
 from sal_height.imaging.pixels import (
     azimuth_resolution,
@@ -31,8 +32,8 @@ from sal_height.sensor import PhaseHistory, Sensor, aperture_length, processed_a
 from sal_height.settings import setting
 
 
-class ImageSettings(AutofocusSettings):
-    """What image is wanted of a dwell or a strip."""
+class ImageSettings(AutofocusSettings, CorrectionSettings):
+    """What image is wanted of a dwell or a strip, and what is known to be wrong with it."""
 
     former: str = setting(
         "auto",

@@ -169,14 +169,15 @@ class SarCompression(DwellStage):
             UserError: the sensor's frame is nowhere on a platform.
         """
         frame = dwell[0]
-        states = self._odometry.around(frame.stamp_ns, frame.end_ns)
+        delay_ns = self.current_parameters().odometry_delay_ns
+        states = self._odometry.around(frame.stamp_ns + delay_ns, frame.end_ns + delay_ns)
         gap = longest_gap_s(states)
         limit = self.current_parameters().max_odometry_gap_s
         if gap <= limit:
             if gap > self.current_parameters().odometry_interval_s:
                 self.tally.note("odometry.bridged")
             return Supplies(states, self._calibration_for(sensor), self._mounting_of(sensor))
-        self._awaited_ns = min(self._awaited_ns, frame.end_ns)
+        self._awaited_ns = min(self._awaited_ns, frame.end_ns + delay_ns)
         found = f"there are {gap:g} s between two" if states else self._odometry_held(frame.stamp_ns)
         raise Rejected(
             "odometry gap",

@@ -23,8 +23,10 @@ from sal_height.relief.position_error import (
     height_variance,
     is_covariance,
     level_turn,
+    position_jacobian,
     unfolded,
     variance_at_place,
+    vertical,
 )
 from sal_height.relief.prior import PriorEstimate
 from sal_height.relief.projected import ProjectedAxes
@@ -75,11 +77,13 @@ __all__ = [
     "layers_of",
     "level_turn",
     "merged",
+    "position_jacobian",
     "smoothed",
     "smoothed_field",
     "steady_sigmas",
     "track",
     "unfolded",
     "variance_at_place",
+    "vertical",
     "write_geotiff",
 ]

@@ -331,7 +331,8 @@ class _Making:
         Raises:
             UserError: odometry has a gap, or the calibration cannot be read.
         """
-        states = self._odometry.around(frames[0].stamp_ns, frames[0].end_ns)
+        delay_ns = self._compression.odometry_delay_ns
+        states = self._odometry.around(frames[0].stamp_ns + delay_ns, frames[0].end_ns + delay_ns)
         limit = self._compression.max_odometry_gap_s
         if longest_gap_s(states) > limit:
             raise Rejected(

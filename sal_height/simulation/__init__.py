@@ -18,7 +18,7 @@ from sal_height.simulation.preset import (
     preset_names,
 )
 from sal_height.simulation.scene import Scene, VisibleSurface
-from sal_height.simulation.stripmap import simulate_block
+from sal_height.simulation.stripmap import mean_square_gain, simulate_block
 from sal_height.simulation.truth import Truth, truth_image
 
 __all__ = [
@@ -34,6 +34,7 @@ __all__ = [
     "VisibleSurface",
     "flight_of",
     "load_preset",
+    "mean_square_gain",
     "parse_preset",
     "preset_names",
     "simulate_block",

@@ -1,7 +1,8 @@
 """Closed forms and Monte Carlo trials that estimators, figures and tests are held to.
 
-Read `discriminator_noise` first (laws of the pair's discriminant), then `sum_difference` (the relief paper's radar)
-and `array_trials` (fast draws of pixels for Monte Carlo). Nothing that processes data imports from here.
+Read `discriminator_noise` first (laws of the pair's discriminant), then `sum_difference` (the relief paper's radar),
+`array_trials` (fast draws of pixels for Monte Carlo) and `link_budget` (power and CNR). Nothing that processes data
+imports from here.
 """
 
 from sal_height.theory.array_trials import TARGETS, TargetPixels, with_streams
@@ -17,19 +18,24 @@ from sal_height.theory.discriminator_noise import (
     steady_mean,
     straight_power,
 )
+from sal_height.theory.link_budget import Link, diffuse_backscatter, effective_area, noise_density
 from sal_height.theory.sum_difference import crossover_slope, hybrid_gain, synthesise
 
 __all__ = [
     "NORMAL_SHARES",
     "TARGETS",
+    "Link",
     "SteadyLaw",
     "SteadyMlLaw",
     "TargetPixels",
     "cnr_detector_of",
     "crossover_slope",
+    "diffuse_backscatter",
+    "effective_area",
     "gaussian_law",
     "gaussian_mean",
     "hybrid_gain",
+    "noise_density",
     "s68_of",
     "steady_looks_mean",
     "steady_mean",

@@ -1,0 +1,136 @@
+"""What air does to range and direction: the delay of the echo, and the bending of its way.
+
+The air is the International Standard Atmosphere (ISO 2533) with the water vapour of the reference atmosphere of ITU-R
+P.835, in plane layers. Light has the refractivity of dry air by Ciddor (Applied Optics 35, 1996), radio waves that of
+ITU-R P.453. Weather moves the delay by a few percent, near the ground and for radio waves by more, for vapour.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sal_height.errors import UserError
+from sal_height.numeric import F64
+
+HIGHEST_M = 32_000.0
+"""Above sea level, up to where the atmosphere is described; the air above has 1 % of the refractivity left."""
+
+LOWEST_M = -1000.0
+
+LIGHT_M = 0.3e-6, 15e-6
+"""Wavelengths of light that the formula is used for; it was measured up to 1.7 µm, and changes little beyond."""
+
+RADIO_M = 1e-3
+"""Least wavelength of radio waves; between light and them, air absorbs and its refractivity swings."""
+
+LAYERS = 2000
+"""Of the way, for sums: the delay is within a micrometre."""
+
+_LAPSES = ((0.0, 288.15, -6.5e-3), (11_000.0, 216.65, 0.0), (20_000.0, 216.65, 1e-3))
+"""Base height (m), temperature (K) and change of it with height (K/m) of the layers of the standard atmosphere."""
+
+_SEA_LEVEL_PA, _GRAVITY, _GAS_CONSTANT = 101_325.0, 9.80665, 287.053
+_VAPOUR_KG_M3, _VAPOUR_SCALE_M, _VAPOUR_CONSTANT = 7.5e-3, 2000.0, 461.52
+
+
+@dataclass(frozen=True)
+class AirPath:
+    """The way from a sensor to the ground through air, against the straight way through vacuum.
+
+    Attributes:
+        delay: by which the slant range, measured as time, is too long, m.
+        bend: by which the echo comes from farther off nadir than the target is, rad.
+    """
+
+    delay: float
+    bend: float
+
+
+def standard_air(height: F64) -> tuple[F64, F64, F64]:
+    """Temperature (K), pressure and partial pressure of water vapour (Pa) at heights above sea level (m)."""
+    temperature, pressure = np.empty_like(height), np.empty_like(height)
+    base_pressure = _SEA_LEVEL_PA
+    for number, (base, at_base, lapse) in enumerate(_LAPSES):
+        above = height - base
+        inside = above >= 0 if number else np.ones_like(height, np.bool_)
+        temperature[inside] = at_base + lapse * above[inside]
+        pressure[inside] = base_pressure * _pressure_ratio(above[inside], at_base, lapse)
+        if number + 1 < len(_LAPSES):
+            thickness = np.array(_LAPSES[number + 1][0] - base)
+            base_pressure *= float(_pressure_ratio(thickness, at_base, lapse))
+    density = _VAPOUR_KG_M3 * np.exp(-height / _VAPOUR_SCALE_M)
+    return temperature, pressure, density * _VAPOUR_CONSTANT * temperature
+
+
+def _pressure_ratio(above: F64, temperature: float, lapse: float) -> F64:
+    """Pressure at some height above the base of a layer over that at its base, by hydrostatic equilibrium."""
+    exponent = _GRAVITY / _GAS_CONSTANT
+    if lapse:
+        return np.asarray((1 + lapse * above / temperature) ** (-exponent / lapse))
+    return np.asarray(np.exp(-exponent * above / temperature))
+
+
+def refractivities(height: F64, wavelength: float) -> tuple[F64, F64]:
+    """Refractive index of the phase and of the group, each less 1, at heights above sea level (m).
+
+    Args:
+        height: m.
+        wavelength: m.
+
+    Raises:
+        UserError: the wavelength is of neither light nor radio waves.
+    """
+    temperature, pressure, vapour = standard_air(height)
+    if wavelength >= RADIO_M:
+        dry, wet = (pressure - vapour) / 100, vapour / 100  # hPa
+        radio = 1e-6 * (77.6 * dry / temperature + 72.0 * wet / temperature + 3.75e5 * wet / temperature**2)
+        return radio, radio
+    if not LIGHT_M[0] <= wavelength <= LIGHT_M[1]:
+        raise UserError(
+            f"The refraction of air is not known for a wavelength of {wavelength:.3g} m; allowed are "
+            f"{LIGHT_M[0]:g} to {LIGHT_M[1]:g} m, and {RADIO_M:g} m or more."
+        )
+    density = pressure / _SEA_LEVEL_PA * (_LAPSES[0][1] / temperature)
+    wavenumber2 = (1e-6 / wavelength) ** 2  # 1/µm^2
+    terms = ((238.0185, 5_792_105e-8), (57.362, 167_917e-8))
+    phase = sum(strength / (pole - wavenumber2) for pole, strength in terms)
+    group = sum(strength * (pole + wavenumber2) / (pole - wavenumber2) ** 2 for pole, strength in terms)
+    return density * phase, density * group
+
+
+def path_through_air(wavelength: float, sensor_height: float, ground_height: float, off_nadir: float) -> AirPath:
+    """Delay and bend of the way from a sensor to the ground.
+
+    By Snell's law n sin(angle) is the same in all layers; the way to the target is found by Newton's method.
+
+    Args:
+        wavelength: m.
+        sensor_height: above sea level, m.
+        ground_height: above sea level, m, below the sensor.
+        off_nadir: of the straight line from sensor to target, rad, from 0 to less than pi / 2.
+
+    Raises:
+        UserError: a height is outside of the atmosphere, the sensor is not above the ground, or the wavelength is of
+            neither light nor radio waves.
+    """
+    if not LOWEST_M <= ground_height < sensor_height <= HIGHEST_M:
+        raise UserError(
+            f"The air between a sensor at {sensor_height:g} m and ground at {ground_height:g} m is not known; allowed "
+            f"are heights from {LOWEST_M:g} to {HIGHEST_M:g} m above sea level, with the sensor above the ground."
+        )
+    step = (sensor_height - ground_height) / LAYERS
+    heights = ground_height + step * (np.arange(LAYERS, dtype=np.float64) + 0.5)
+    phase, group = refractivities(np.asarray(heights, dtype=np.float64), wavelength)
+    there, _ = refractivities(np.array([sensor_height]), wavelength)
+    ratio = (1 + there[0]) / (1 + phase)
+    goal = (sensor_height - ground_height) * np.tan(off_nadir)
+    sine = np.sin(off_nadir)
+    for _ in range(8):
+        steep = 1 / np.sqrt(1 - (ratio * sine) ** 2)
+        sine -= (step * np.sum(ratio * sine * steep) - goal) / (step * np.sum(ratio * steep**3))
+    steep = 1 / np.sqrt(1 - (ratio * sine) ** 2)
+    straight = (sensor_height - ground_height) / np.cos(off_nadir)
+    delay = step * np.sum(group * steep) + (step * np.sum(steep) - straight)
+    return AirPath(float(delay), float(np.arcsin(sine) - off_nadir))

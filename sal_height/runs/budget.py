@@ -1,0 +1,343 @@
+"""What a sensor needs and gives, from its preset alone: power, resolution, swath, pulses, data and accuracy."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.constants import speed_of_light
+
+from sal_height.elevation import stochastic_crb
+from sal_height.errors import UserError
+from sal_height.geometry import ApertureState, locate_at_height, path_through_air
+from sal_height.imaging import image_beams
+from sal_height.io import new_folder, write_text
+from sal_height.numeric import F64
+from sal_height.relief import position_jacobian, vertical
+from sal_height.runs.budget_picture import draw_budget
+from sal_height.sensor import Sensor, aperture_length, lit_angle
+from sal_height.simulation import Preset, mean_square_gain
+from sal_height.tables import aligned
+from sal_height.theory import Link, diffuse_backscatter, effective_area, noise_density
+
+BUDGET, PICTURE = "budget.json", "budget.png"
+"""Files in the output folder."""
+
+ALBEDO, BACKSCATTER_DB = 0.3, -10.0
+"""What is assumed of the ground: in light a diffuse surface, for radio waves a radar cross-section per area."""
+
+RADIO_M = 1e-3
+"""Wavelength from which on a sensor is a radar."""
+
+DEFOCUSING_RAD = np.pi / 4
+"""Phase at the ends of the aperture that widens a response noticeably."""
+
+PAIRED_ECHO_DB = -20.0
+"""Of the echoes that a vibration puts beside each target."""
+
+PLACES = 201
+"""Over the swath, of the picture."""
+
+
+@dataclass(frozen=True)
+class Assumptions:
+    """What a preset does not say; None: the default, or what follows from the preset.
+
+    Attributes:
+        power: mean power that is transmitted, W; None: the one for the CNR of the preset.
+        backscatter: radar cross-section per area of ground, a ratio.
+        loss: of power in transmitter, air and receiver together, 1 or more.
+        noise_figure: of the receivers, 1 or more.
+    """
+
+    power: float | None = None
+    backscatter: float | None = None
+    loss: float = 1.0
+    noise_figure: float = 1.0
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A number of the budget.
+
+    Attributes:
+        group: heading.
+        key: in the JSON file, with its unit.
+        title: what it is, in words.
+        value: in `unit`.
+        unit: as printed.
+    """
+
+    group: str
+    key: str
+    title: str
+    value: float
+    unit: str
+
+
+class Budget:
+    """A preset's sensor over level ground, abeam, in the middle of its beams.
+
+    Attributes:
+        preset: as given.
+        sensor: of the preset.
+        assumed: with nothing left open but the power.
+        link: from transmitter to receiver.
+        cnr: carrier-to-noise ratio of a look of a detector that looks straight at the ground.
+        power: mean power that is transmitted, W.
+    """
+
+    def __init__(self, preset: Preset, assumed: Assumptions) -> None:
+        """Take the sensor apart.
+
+        Raises:
+            UserError: beams that leave the quarter between nadir and horizon.
+        """
+        self.preset, self.sensor = preset, preset.make_sensor()
+        if assumed.backscatter is None:
+            light = diffuse_backscatter(ALBEDO, preset.flight.look_angle_rad)
+            radio = 10 ** (BACKSCATTER_DB / 10)
+            assumed = replace(assumed, backscatter=light if self.sensor.wavelength < RADIO_M else radio)
+        self.assumed, self.link = assumed, _link(preset, self.sensor, assumed)
+        if assumed.power is None:
+            self.cnr = float(10 ** (preset.cnr_db / 10))
+            self.power = self.cnr / self.link.cnr_per_watt
+        else:
+            self.power = assumed.power
+            self.cnr = self.power * self.link.cnr_per_watt
+
+    def height_deviation(self, cnr: F64 | float, elevation: F64 | float | None = None) -> F64:
+        """Least standard deviation (m) of a height by noise, of a pixel with the looks of the preset.
+
+        Args:
+            cnr: of a look.
+            elevation: of the target, rad; None: the middle of the beams.
+        """
+        beams = image_beams(self.sensor, "taylor")
+        middle = float(np.mean(beams.span))
+        above = np.array([0.0, 0.0, self.preset.flight.slant_range_m * np.cos(middle)])
+        velocity = np.array([self.preset.flight.speed_mps, 0.0, 0.0])
+        aperture = ApertureState(above, velocity, np.eye(3), 1.0, np.zeros((6, 6)))
+        point = locate_at_height(0.0, self.preset.flight.slant_range_m, 0.0, aperture, self.sensor.look_side)
+        climb = abs(float(vertical(point) @ position_jacobian(point, aperture)[:, 0]))
+        looks = int(np.prod(self.preset.looks))
+        return climb * stochastic_crb(beams, middle if elevation is None else elevation, 0.0, cnr, looks)
+
+    def over_the_swath(self) -> tuple[F64, F64]:
+        """Elevation from the middle of the beams (rad), and `height_deviation` there."""
+        first, last = self.sensor.beams.span
+        middle = (first + last) / 2
+        elevation = np.linspace(first, last, PLACES)
+        return elevation - middle, self.height_deviation(self.cnr, elevation)
+
+    def entries(self) -> list[Entry]:
+        """All numbers, in the order in which they are printed."""
+        return [
+            *self._place(),
+            *self._resolution(),
+            *self._pulses(),
+            *self._data(),
+            *self._accuracy(),
+            *self._sensitivities(),
+            *self._air(),
+        ]
+
+    @property
+    def _lit_across(self) -> float:
+        """Width that the beams light up across the line of sight, m."""
+        return _elevation_width(self.sensor) * self.preset.flight.slant_range_m
+
+    def _place(self) -> Iterator[Entry]:
+        flight, sensor = self.preset.flight, self.sensor
+        look = flight.look_angle_rad
+        ground = self._lit_across / np.cos(look)
+        window = _range_window(sensor) / np.sin(look)
+        beside = sensor.azimuth_beamwidth * flight.slant_range_m
+        group = "place"
+        yield Entry(group, "slant_range_m", "slant range", flight.slant_range_m, "m")
+        yield Entry(group, "height_m", "height over the ground", flight.slant_range_m * np.cos(look), "m")
+        yield Entry(group, "swath_m", "swath of all beams, on the ground", ground, "m")
+        yield Entry(group, "window_m", "range window, on the ground", window, "m")
+        yield Entry(group, "beam_across_m", "width of a beam across the line of sight", self._beam_across, "m")
+        yield Entry(group, "beam_along_m", "width of a beam along the flight", beside, "m")
+
+    @property
+    def _beam_across(self) -> float:
+        return self.sensor.beamwidth * self.preset.flight.slant_range_m
+
+    def _resolution(self) -> Iterator[Entry]:
+        cell = _slant_cell(self.sensor)
+        ground = cell / np.sin(self.preset.flight.look_angle_rad)
+        yield Entry("resolution", "range_cell_m", "slant range", cell, "m")
+        yield Entry("resolution", "ground_cell_m", "range on the ground", ground, "m")
+        yield Entry("resolution", "along_cell_m", "along the flight", _along_cell(self.preset, self.sensor), "m")
+        time = _aperture_time(self.preset, self.sensor)
+        yield Entry("resolution", "aperture_ms", "time of an aperture", 1e3 * time, "ms")
+
+    def _pulses(self) -> Iterator[Entry]:
+        sensor, flight, group = self.sensor, self.preset.flight, "pulses"
+        rate = sensor.pulse_repetition_frequency
+        least = 4 * lit_angle(sensor.beams) * flight.speed_mps / sensor.wavelength
+        swath = self._lit_across * np.tan(flight.look_angle_rad)
+        yield Entry(group, "prf_hz", "pulse repetition frequency", rate, "Hz")
+        yield Entry(group, "least_prf_hz", "least: Doppler that main lobes light up", least, "Hz")
+        yield Entry(group, "greatest_prf_hz", "greatest: echoes of the swath apart", speed_of_light / 2 / swath, "Hz")
+        on_the_way = 2 * flight.slant_range_m * rate / speed_of_light
+        yield Entry(group, "pulses_on_the_way", "pulses on the way at once", on_the_way, "")
+        fastest = sensor.wavelength * rate / 4
+        yield Entry(group, "radial_velocity_mps", "radial velocity without ambiguity, up to", fastest, "m/s")
+
+    def _data(self) -> Iterator[Entry]:
+        sensor, preset = self.sensor, self.preset
+        while_received = sensor.dwell_bytes * sensor.pulse_repetition_frequency / sensor.pulse_count
+        per_second = preset.flight.speed_mps / preset.dwell_spacing_m
+        yield Entry("data", "dwell_mb", "of a dwell", sensor.dwell_bytes / 1e6, "MB")
+        yield Entry("data", "dwells_per_s", "dwells", per_second, "1/s")
+        yield Entry("data", "mean_mb_per_s", "in the mean", sensor.dwell_bytes * per_second / 1e6, "MB/s")
+        yield Entry("data", "burst_mb_per_s", "while pulses come", while_received / 1e6, "MB/s")
+
+    def _accuracy(self) -> Iterator[Entry]:
+        assert self.assumed.backscatter is not None  # noqa: S101 (by __init__)
+        group = "power and accuracy"
+        decibels = {
+            "backscatter_db": ("backscatter of the ground (sigma0)", self.assumed.backscatter),
+            "loss_db": ("losses", self.assumed.loss),
+            "noise_figure_db": ("noise figure", self.assumed.noise_figure),
+            "cnr_db": ("CNR of a look, straight ahead", self.cnr),
+        }
+        for key, (title, ratio) in decibels.items():
+            yield Entry(group, key, title, 10 * np.log10(ratio), "dB")
+        yield Entry(group, "power_w", "mean power transmitted", self.power, "W")
+        deviation = float(self.height_deviation(self.cnr))
+        yield Entry(group, "height_sigma_m", "sigma of a height by noise, at least", deviation, "m")
+
+    def _sensitivities(self) -> Iterator[Entry]:
+        flight, sensor, group = self.preset.flight, self.sensor, "errors that nobody tells the processor"
+        time, wavelength = _aperture_time(self.preset, sensor), sensor.wavelength
+        arm = flight.slant_range_m * np.sin(flight.look_angle_rad)
+        shift = flight.slant_range_m / flight.speed_mps
+        acceleration = DEFOCUSING_RAD * wavelength / (2 * np.pi) / (time / 2) ** 2
+        vibration = 2 * 10 ** (PAIRED_ECHO_DB / 20) * wavelength / (4 * np.pi)
+        yield Entry(group, "roll_m_per_urad", "roll: height, for a microradian", 1e-6 * arm, "m")
+        yield Entry(
+            group, "range_m_per_m", "range: height, for a metre too far", -np.cos(flight.look_angle_rad).item(), "m"
+        )
+        yield Entry(group, "velocity_m_per_mm_per_s", "velocity along the sight: place, for a mm/s", 1e-3 * shift, "m")
+        yield Entry(group, "clock_m_per_ms", "clock of the odometry: place, for a ms", 1e-3 * flight.speed_mps, "m")
+        yield Entry(
+            group, "acceleration_mps2", "acceleration along the sight that defocuses (pi/4)", acceleration, "m/s²"
+        )
+        yield Entry(group, "vibration_um", "vibration with echoes of -20 dB, amplitude", 1e6 * vibration, "µm")
+
+    def _air(self) -> Iterator[Entry]:
+        """What the standard atmosphere does; nothing where it is not known."""
+        flight, group = self.preset.flight, "standard atmosphere, if nobody corrects it"
+        look, ground = flight.look_angle_rad, self.preset.origin.height_m if self.preset.origin else 0.0
+        above = flight.slant_range_m * np.cos(look)
+        try:
+            path = path_through_air(self.sensor.wavelength, ground + above, ground, look)
+        except UserError:
+            return
+        by_range, by_bend = -np.cos(look) * path.delay, flight.slant_range_m * np.sin(look) * path.bend
+        yield Entry(group, "air_range_m", "slant range, too long by", path.delay, "m")
+        yield Entry(group, "air_bend_urad", "elevation, too far from nadir by", 1e6 * path.bend, "µrad")
+        yield Entry(group, "air_height_by_range_m", "height, by range", by_range, "m")
+        yield Entry(group, "air_height_by_bend_m", "height, by elevation", by_bend, "m")
+
+
+def _elevation_width(sensor: Sensor) -> float:
+    """Angle that the beams of all detectors cover along the detector axis, rad."""
+    first, last = sensor.elevation_boresights[0], sensor.elevation_boresights[-1]
+    return last - first + sensor.beamwidth
+
+
+def _slant_cell(sensor: Sensor) -> float:
+    return float(speed_of_light / (2 * sensor.bandwidth))
+
+
+def _range_window(sensor: Sensor) -> float:
+    """Slant ranges that a record holds, m."""
+    if sensor.waveform == "spectrum":
+        return sensor.range_window
+    if sensor.waveform == "deramped":
+        return float(speed_of_light / 2 * sensor.sampling_rate / abs(sensor.chirp_rate))
+    return float(speed_of_light / 2 * (sensor.sample_count / sensor.sampling_rate - sensor.pulse_duration))
+
+
+def _aperture_time(preset: Preset, sensor: Sensor) -> float:
+    """Time of a synthetic aperture, s."""
+    if sensor.mode == "stripmap":
+        return aperture_length(sensor, preset.flight.slant_range_m) / preset.flight.speed_mps
+    return sensor.pulse_count / sensor.pulse_repetition_frequency
+
+
+def _along_cell(preset: Preset, sensor: Sensor) -> float:
+    """Resolution along the flight, m."""
+    length = _aperture_time(preset, sensor) * preset.flight.speed_mps
+    return sensor.wavelength * preset.flight.slant_range_m / (2 * length)
+
+
+def _link(preset: Preset, sensor: Sensor, assumed: Assumptions) -> Link:
+    """The link of a transmitter that lights up the beams of all detectors evenly, and nothing else."""
+    assert assumed.backscatter is not None  # noqa: S101 (by the caller)
+    flight = preset.flight
+    gain = mean_square_gain(sensor.beams) if sensor.mode == "stripmap" else 1.0
+    ground_cell = _slant_cell(sensor) / np.sin(flight.look_angle_rad)
+    return Link(
+        slant_range=flight.slant_range_m,
+        lit_angle=_elevation_width(sensor) * sensor.azimuth_beamwidth,
+        cell_area=float(ground_cell * _along_cell(preset, sensor)),
+        backscatter=assumed.backscatter,
+        effective_area=effective_area(sensor.beams.patterns[0], sensor.elevation_diameter, sensor.azimuth_diameter),
+        coherent_time=_aperture_time(preset, sensor) * gain,
+        noise=noise_density(sensor.wavelength, assumed.noise_figure),
+        loss=assumed.loss,
+    )
+
+
+def budget(preset: Preset, assumed: Assumptions, out: Path) -> Sequence[Entry]:
+    """Write budget.json and budget.png into the folder `out`, new or empty; returns the numbers.
+
+    Raises:
+        UserError: the sensor is impossible, or a file cannot be written.
+    """
+    found = Budget(preset, assumed)
+    new_folder(out)
+    entries = found.entries()
+    content = {"preset": preset.name, **{entry.key: entry.value for entry in entries}}
+    write_text(out / BUDGET, json.dumps(content, indent=2) + "\n")
+    elevation, deviation = found.over_the_swath()
+    powers = found.power * np.geomspace(1e-2, 1e2, PLACES)
+    draw_budget(
+        preset.name,
+        (powers, found.height_deviation(powers * found.link.cnr_per_watt)),
+        (elevation / found.sensor.beamwidth, deviation),
+        (found.power, float(found.height_deviation(found.cnr))),
+        out / PICTURE,
+    )
+    return entries
+
+
+def _number(value: float) -> str:
+    """A number with four digits that count, and without an exponent."""
+    return np.format_float_positional(value, precision=4, unique=False, fractional=False, trim="-").rstrip(".")
+
+
+def budget_table(entries: Sequence[Entry]) -> str:
+    """The numbers as lines of text, under their headings."""
+    lines: list[str] = []
+    groups: Mapping[str, Any] = dict.fromkeys(entry.group for entry in entries)
+    rows = {
+        group: [
+            (f"  {entry.title}", _number(entry.value), entry.unit.ljust(4)) for entry in entries if entry.group == group
+        ]
+        for group in groups
+    }
+    table = iter(aligned([row for group in groups for row in rows[group]]).splitlines())
+    for group in groups:
+        lines += [group, *(next(table).rstrip() for _ in rows[group])]
+    return "\n".join(lines)

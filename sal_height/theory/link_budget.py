@@ -1,0 +1,93 @@
+"""Link budget: the mean power that a sensor must transmit for a carrier-to-noise ratio, and what a power gives.
+
+It holds for radar and for coherent lidar alike: both receive the echo of a resolution cell in one mode of the antenna,
+sum it coherently over the aperture, and compare its energy with the energy of the noise in one mode (Skolnik,
+Introduction to Radar Systems, 3rd ed., chapter 1, written with mean power and coherent time).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.constants import Boltzmann, Planck, speed_of_light
+
+from sal_height.beams import Pattern
+
+REFERENCE_TEMPERATURE = 290.0
+"""Of the noise that a perfect receiver adds to, K."""
+
+FARTHEST_BEAMWIDTHS, STEP_BEAMWIDTHS = 40.0, 0.1
+"""Part of a pattern over which its power is summed, to each side, and the steps: of that of a circular aperture 0.4 %
+lie outside."""
+
+
+@dataclass(frozen=True)
+class Link:
+    """A transmitter that lights a solid angle evenly, a resolution cell in it, and a receiver.
+
+    Attributes:
+        slant_range: m.
+        lit_angle: solid angle that the transmitter lights up, sr.
+        cell_area: of a resolution cell, on the ground, m^2.
+        backscatter: radar cross-section per area of ground, sigma0.
+        effective_area: of the receive antenna for a target straight ahead, m^2.
+        coherent_time: that a cell is lit up and received in an aperture, s.
+        noise: `noise_density` of the receiver, W/Hz.
+        loss: of power in transmitter, air and receiver together, 1 or more.
+    """
+
+    slant_range: float
+    lit_angle: float
+    cell_area: float
+    backscatter: float
+    effective_area: float
+    coherent_time: float
+    noise: float
+    loss: float = 1.0
+
+    @property
+    def cnr_per_watt(self) -> float:
+        """Carrier-to-noise ratio of an unweighted pixel, for each watt of mean power.
+
+        A watt has the density 1 / (lit_angle R^2) at the cell, which returns sigma0 area / (4 pi R^2) of it.
+        """
+        density = 1 / (self.lit_angle * self.slant_range**2)
+        returned = density * self.backscatter * self.cell_area / (4 * np.pi * self.slant_range**2)
+        return float(returned * self.effective_area * self.coherent_time / (self.noise * self.loss))
+
+
+def noise_density(wavelength: float, noise_figure: float = 1.0) -> float:
+    """Noise power in a hertz of a receiver, W/Hz: F h f / (1 - exp(-h f / k T)).
+
+    A perfect receiver of one mode (F = 1) has k T at radio frequencies, where T is 290 K, and h f in light: its shot
+    noise (Caves, Physical Review D 26, 1982).
+
+    Args:
+        wavelength: of the carrier, m.
+        noise_figure: F, by which the receiver is worse; of a lidar, one over the efficiency of detection.
+    """
+    photon = Planck * speed_of_light / wavelength
+    return float(noise_figure * photon / -np.expm1(-photon / (Boltzmann * REFERENCE_TEMPERATURE)))
+
+
+def diffuse_backscatter(albedo: float, incidence: float) -> float:
+    """Radar cross-section per area of a Lambertian surface: 4 rho cos^2 of the angle of incidence (rad)."""
+    return float(4 * albedo * np.cos(incidence) ** 2)
+
+
+def effective_area(pattern: Pattern, elevation_diameter: float, azimuth_diameter: float) -> float:
+    """Effective area (m^2) of an antenna, from its pattern: wavelength^2 over the solid angle of the beam.
+
+    Within 1 %: sidelobes more than FARTHEST_BEAMWIDTHS off are left out.
+
+    Args:
+        pattern: of the antenna, in beamwidths; its power straight ahead is what counts as 1.
+        elevation_diameter: along the first axis of the pattern, m.
+        azimuth_diameter: along the second, m.
+    """
+    nodes = np.arange(-FARTHEST_BEAMWIDTHS, FARTHEST_BEAMWIDTHS, STEP_BEAMWIDTHS) + STEP_BEAMWIDTHS / 2
+    known = nodes[(nodes >= pattern.domain[0]) & (nodes <= pattern.domain[1])]
+    power = np.nan_to_num(np.abs(pattern.amplitude(known[:, None], nodes)) ** 2)
+    solid_angle = power.sum() * STEP_BEAMWIDTHS**2 / np.abs(pattern.amplitude(np.zeros(()), np.zeros(()))) ** 2
+    return float(elevation_diameter * azimuth_diameter / solid_angle)

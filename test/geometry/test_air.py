@@ -1,0 +1,76 @@
+"""Delay and bend of the way through air, against closed forms and tables."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sal_height.errors import UserError
+from sal_height.geometry import path_through_air, refractivities, standard_air
+
+
+@pytest.mark.parametrize(
+    ("height", "temperature", "pressure"),
+    [(0.0, 288.15, 101_325.0), (5000.0, 255.65, 54_020.0), (11_000.0, 216.65, 22_632.0), (20_000.0, 216.65, 5475.0)],
+)
+def test_the_standard_atmosphere_is_that_of_its_tables(height: float, temperature: float, pressure: float) -> None:
+    found = standard_air(np.array([height]))
+    assert found[0][0] == pytest.approx(temperature)
+    assert found[1][0] == pytest.approx(pressure, rel=1e-3)
+
+
+def test_light_is_refracted_as_in_tables_and_its_group_is_slower() -> None:
+    """At 15 degrees and 101 325 Pa n - 1 is 2.7650e-4 at 0.633 µm and 2.7327e-4 at 1.55 µm (Ciddor)."""
+    sea_level = np.array([0.0])
+    assert refractivities(sea_level, 0.633e-6)[0][0] == pytest.approx(2.7653e-4, rel=2e-4)
+    phase, group = refractivities(sea_level, 1.55e-6)
+    assert phase[0] == pytest.approx(2.7327e-4, rel=3e-4)
+    step = 1e-10  # group: n - wavelength dn / dwavelength
+    near, far = (refractivities(sea_level, 1.55e-6 + sign * step)[0][0] for sign in (-1, 1))
+    assert group[0] == pytest.approx(phase[0] - 1.55e-6 * (far - near) / (2 * step), rel=1e-6)
+
+
+def test_radio_waves_see_vapour() -> None:
+    """At sea level the reference has 7.5 g/m^3: N = 77.6 p / T - 5.6 e / T + 3.75e5 e / T^2."""
+    vapour = 7.5 * 288.15 / 216.7
+    expected = 77.6 * 1013.25 / 288.15 - 5.6 * vapour / 288.15 + 3.75e5 * vapour / 288.15**2
+    assert refractivities(np.array([0.0]), 0.03)[0][0] * 1e6 == pytest.approx(expected, rel=1e-3)
+
+
+def test_straight_down_the_delay_is_the_integral_and_nothing_bends() -> None:
+    path = path_through_air(1.55e-6, 3000.0, 0.0, 0.0)
+    heights = np.linspace(0, 3000, 300_001)
+    group = refractivities(heights, 1.55e-6)[1]
+    assert path.delay == pytest.approx(np.trapezoid(group, heights), abs=2e-6)
+    assert path.bend == 0
+
+
+def test_a_way_at_an_angle_is_longer_and_comes_from_farther_off() -> None:
+    """To first order the delay is that of the vertical over cos, and the bend tan (mean of n - n at the sensor)."""
+    height, off_nadir = 3535.5, np.pi / 4
+    path, vertical = (path_through_air(1.55e-6, height, 0.0, angle) for angle in (off_nadir, 0.0))
+    assert path.delay == pytest.approx(vertical.delay / np.cos(off_nadir), rel=1e-3)
+    phase = refractivities(np.linspace(0, height, 10_001), 1.55e-6)[0]
+    assert path.bend == pytest.approx(np.tan(off_nadir) * (phase.mean() - phase[-1]), rel=2e-3)
+
+
+def test_what_air_does_to_heights_of_the_presets() -> None:
+    """By range -0.82 m for the lidar at 5 km and -2.3 m for X-band at 35 km, both at 45 degrees.
+
+    The refractivity of radio waves is about 319e-6 exp(-h / 7.35 km): 92e-6 in the mean of 24.7 km, 11e-6 at the top.
+    """
+    lidar = path_through_air(1.55e-6, 5000.0 * np.cos(np.pi / 4), 0.0, np.pi / 4)
+    radar = path_through_air(0.03, 35e3 * np.cos(np.pi / 4), 0.0, np.pi / 4)
+    assert -np.cos(np.pi / 4) * lidar.delay == pytest.approx(-0.82, abs=0.01)
+    assert -np.cos(np.pi / 4) * radar.delay == pytest.approx(-2.3, abs=0.05)
+    assert 5000.0 * np.sin(np.pi / 4) * lidar.bend == pytest.approx(0.1374, abs=0.002)
+    assert 35e3 * np.sin(np.pi / 4) * radar.bend == pytest.approx(24.7e3 * (92 - 11) * 1e-6, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("wavelength", "sensor", "ground", "wrong"),
+    [(1e-4, 1000.0, 0.0, "wavelength of 0.0001 m"), (0.03, 1e5, 0.0, "100000 m"), (0.03, 10.0, 20.0, "ground at 20 m")],
+)
+def test_air_that_is_not_known_is_refused(wavelength: float, sensor: float, ground: float, wrong: str) -> None:
+    with pytest.raises(UserError, match=wrong):
+        path_through_air(wavelength, sensor, ground, 0.5)

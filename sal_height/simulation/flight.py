@@ -24,6 +24,7 @@ from sal_height.sensor import (
 )
 from sal_height.simulation.gust import GustMotion, gust_motion
 from sal_height.simulation.impairments import MOST_SWING_BEAMWIDTHS, pointing_rotation, through_receivers
+from sal_height.simulation.odometry_errors import PoseErrors
 from sal_height.simulation.preset import Preset
 from sal_height.simulation.receivers import blanked, received
 from sal_height.simulation.scene import SAMPLES_PER_CELL, PointScatterer, Scene, VisibleSurface, joined, visible_surface
@@ -32,7 +33,7 @@ from sal_height.simulation.spotlight import cell_power, draw_amplitudes, simulat
 from sal_height.simulation.stripmap import mean_square_gain, simulate_block
 
 TURN_BEAMWIDTHS = 0.5  # ground beyond what the pulses of a stripmap block light up, in case the body turns a little
-GROUND, GUST = 0, 1  # keys of the random streams that do not belong to a dwell
+GROUND, GUST, ODOMETRY = 0, 1, 2  # keys of the random streams that do not belong to a dwell
 
 
 @dataclass(frozen=True)
@@ -82,6 +83,11 @@ class SimulatedFlight:
         return gust_motion(self.preset.flight.gust_mps, self.preset.flight.speed_mps, rng)
 
     @cached_property
+    def _errors(self) -> PoseErrors:
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(ODOMETRY,)))
+        return self.preset.impairments.odometry.drawn(rng)
+
+    @cached_property
     def spectrum(self) -> Sensor:
         """The sensor after range compression: whose range window and resolution the images have."""
         return spectrum_sensor(self.sensor)
@@ -108,20 +114,34 @@ class SimulatedFlight:
         return self.dwell_start_ns(dwell) + round(float(self.pulse_times[-1]) * 1e9)
 
     def platform_states(self, dwell: int) -> list[PlatformState]:
-        """Odometry samples that a dwell adds, at the preset's rate, up to two past its end; stamps after the start."""
+        """Odometry samples that a dwell adds, at the preset's rate, up to two past its end; stamps after the start.
+
+        If they are stamped too late or too early, those of the dwell's own times are among them.
+        """
         period_ns = round(1e9 / self.preset.flight.odometry_rate_hz)
-        before, last = (self._dwell_end_ns(number) // period_ns + 2 for number in (dwell - 1, dwell))
-        return [self._state(number * period_ns) for number in range(before + 1 if dwell else -2, last + 1)]
+        early_ns, late_ns = self._odometry_off_ns
+        before, last = ((self._dwell_end_ns(number) + late_ns) // period_ns + 2 for number in (dwell - 1, dwell))
+        first = before + 1 if dwell else early_ns // period_ns - 2
+        return [self._state(number * period_ns) for number in range(first, last + 1)]
 
     def track(self, dwell: int) -> Trajectory:
         """Odometry of a dwell: from the last sample before its first pulse to the first after its last."""
         period_ns = round(1e9 / self.preset.flight.odometry_rate_hz)
-        numbers = range(self.dwell_start_ns(dwell) // period_ns, -(-self._dwell_end_ns(dwell) // period_ns) + 1)
+        early_ns, late_ns = self._odometry_off_ns
+        start_ns, end_ns = self.dwell_start_ns(dwell) + early_ns, self._dwell_end_ns(dwell) + late_ns
+        numbers = range(start_ns // period_ns, -(-end_ns // period_ns) + 1)
         return Trajectory([self._state(number * period_ns) for number in numbers])
 
+    @property
+    def _odometry_off_ns(self) -> tuple[int, int]:
+        """By how much odometry that tells of a time may be stamped before it (not positive) and after it, ns."""
+        delay_ns = self.preset.impairments.odometry.delay_ns
+        return min(0, delay_ns), max(0, delay_ns)
+
     def _state(self, stamp_ns: int) -> PlatformState:
-        """Odometry of base_link, to which the sensor is fixed by its mounting."""
-        seconds, mounting = stamp_ns * 1e-9, self.sensor.mounting
+        """Odometry of base_link, to which the sensor is fixed by its mounting, with its errors."""
+        errors = self.preset.impairments.odometry
+        seconds, mounting = (stamp_ns - errors.delay_ns) * 1e-9, errors.built(self.sensor.mounting)
         attitude = self._gust.rotation(seconds)
         position, velocity = self.position(seconds), self.velocity(seconds)
         if not mounting.is_identity:
@@ -130,7 +150,8 @@ class SimulatedFlight:
             before, arm, after = turned.apply(mounting.lever_arm)
             position, velocity = position - arm, velocity - (after - before) / (2 * step)
             attitude *= mounting.axes.inv()
-        return PlatformState(stamp_ns, position, attitude.as_quat(), velocity, np.zeros((6, 6)))
+        true = PlatformState(stamp_ns, position, attitude.as_quat(), velocity, np.zeros((6, 6)))
+        return self._errors.added_to(true, seconds)
 
     def aperture(self, dwell: int) -> ApertureState:
         """State in the middle of a dwell; in stripmap of the aperture that slides with the ground abeam of it."""

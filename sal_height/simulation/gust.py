@@ -15,6 +15,7 @@ from scipy.constants import g
 from scipy.spatial.transform import Rotation
 
 from sal_height.numeric import F64
+from sal_height.simulation.harmonics import Harmonics
 
 SCALE_LENGTH = 533.4  # m: 1750 ft, scale of the turbulence in all axes above 2000 ft
 RESPONSE_TIME = 0.5  # s, lag with which the aircraft takes on the velocity of the air
@@ -40,32 +41,14 @@ def response(omega: F64) -> F64:
 
 
 @dataclass(frozen=True, eq=False)
-class GustMotion:
-    """Motion about the track, on top of level flight eastwards.
+class GustMotion(Harmonics):
+    """Motion about the track, on top of level flight eastwards: along, left and up.
 
     Attributes:
         speed: of the flight, m/s.
-        omega: angular frequencies of the harmonics, rad/s, shape (harmonics,).
-        amplitude: of the velocity along, left and up, m/s, shape (harmonics, 3).
-        phase: rad, shape (harmonics, 3).
     """
 
     speed: float
-    omega: F64
-    amplitude: F64
-    phase: F64
-
-    def displacement(self, seconds: npt.ArrayLike) -> F64:
-        """East, north and up (m) at times in s, shape (..., 3)."""
-        return self._sum(seconds, -1, -np.pi / 2)
-
-    def velocity(self, seconds: npt.ArrayLike) -> F64:
-        """Derivative of `displacement`, m/s."""
-        return self._sum(seconds, 0, 0.0)
-
-    def acceleration(self, seconds: npt.ArrayLike) -> F64:
-        """Derivative of `velocity`, m/s^2."""
-        return self._sum(seconds, 1, np.pi / 2)
 
     def rotation(self, seconds: npt.ArrayLike) -> Rotation:
         """Attitude of the mount's axes: level and eastwards, except for the share of turns that the mount lets through.
@@ -75,14 +58,6 @@ class GustMotion:
         velocity, sideways = self.velocity(seconds), self.acceleration(seconds)[..., 1]
         yaw, pitch, roll = velocity[..., 1] / self.speed, -velocity[..., 2] / self.speed, -sideways / g
         return Rotation.from_euler("ZYX", MOUNT_RESIDUAL * np.stack([yaw, pitch, roll], axis=-1))
-
-    def _sum(self, seconds: npt.ArrayLike, power: int, lead: float) -> F64:
-        """Sum of harmonics whose amplitudes are multiplied by a power of omega, `lead` rad ahead of the velocity's."""
-        if not np.any(self.amplitude):  # calm air: the sum takes a millisecond for the pulses of a dwell
-            return np.zeros((*np.shape(seconds), 3))
-        turn = np.asarray(seconds, dtype=np.float64)[..., None] * self.omega
-        wave = np.cos(turn[..., None] + self.phase + lead)
-        return np.einsum("...ha,ha->...a", wave, self.amplitude * self.omega[:, None] ** float(power))
 
 
 def gust_motion(gust: float, speed: float, rng: np.random.Generator) -> GustMotion:

@@ -26,6 +26,7 @@ from sal_height.configuration import Float, Int, StrictKeys
 from sal_height.geometry import look_direction
 from sal_height.numeric import C128, F64, Complex, taylor
 from sal_height.sensor import Sensor, echo_sensor, spectrum_sensor
+from sal_height.simulation.odometry_errors import EXACT, OdometryErrors
 from sal_height.simulation.settings import Angle, Decibels
 
 MOST_SWING_BEAMWIDTHS = 0.5
@@ -138,6 +139,7 @@ class Impairments(StrictKeys):
         quartic_phase_rad: phase at the edge of the aperture, growing with the fourth power (PSF paper, section 3): in
             spotlight over the pulses of the dwell, in stripmap over a scatterer's angle to the beams along the flight,
             whose half a beamwidth is the edge.
+        odometry: errors of the odometry, and of where the sensor is said to be.
     """
 
     range_sawtooth: RangeSawtooth | None = None
@@ -149,6 +151,7 @@ class Impairments(StrictKeys):
     pupil_aberrations_waves: PupilAberrations = PupilAberrations()
     antenna_swing: AntennaSwing = AntennaSwing(amplitude_rad=0.0, period_s=1.0)
     quartic_phase_rad: Annotated[Float, Ge(-100), Le(100)] = 0.0
+    odometry: OdometryErrors = EXACT
 
     def receiver_response(self, sensor: Sensor) -> C128:
         """Factor of each receiver on the echoes at the frequencies of `echo_sensor(sensor)`.

@@ -1,0 +1,137 @@
+"""How the odometry of a simulated platform errs, and how the sensor is mounted other than it is described.
+
+Errors of velocity and attitude are Gauss-Markov processes of first order, as the residuals of an inertial navigation
+that satellites aid are commonly modelled (Farrell, Aided Navigation, chapter 4); position follows velocity.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import numpy as np
+import numpy.typing as npt
+from annotated_types import Ge, Gt, Le
+from scipy.spatial.transform import Rotation
+
+from sal_height.configuration import Float, StrictKeys
+from sal_height.geometry import Mounting, PlatformState
+from sal_height.numeric import F64
+from sal_height.simulation.harmonics import Harmonics
+from sal_height.simulation.settings import Angle
+
+HARMONICS = 150
+SPAN = 100.0
+"""The slowest harmonic turns by a radian in so many correlation times, the fastest in that part of one."""
+
+Arm = Annotated[Float, Ge(-10), Le(10)]
+
+
+@dataclass(frozen=True)
+class OdometryErrors(StrictKeys):
+    """How odometry and mounting err; by default in nothing.
+
+    Attributes:
+        position_m: rms of an error of each coordinate that stays the same in a flight.
+        velocity_mps: rms of the error of each component of velocity.
+        attitude_rad: rms of the error about each axis of map.
+        correlation_s: correlation time of errors of velocity and attitude.
+        delay_s: by which odometry is stamped too late.
+        undescribed_lever_arm_m: from where the antenna is described to be to where it is, in axes of base_link.
+        undescribed_boresight_rad: turn of the sensor from how it is described, about its own x, y and z.
+    """
+
+    position_m: Annotated[Float, Ge(0), Le(1000)] = 0.0
+    velocity_mps: Annotated[Float, Ge(0), Le(10)] = 0.0
+    attitude_rad: Annotated[Float, Ge(0), Le(0.1)] = 0.0
+    correlation_s: Annotated[Float, Gt(0), Le(1e6)] = 100.0
+    delay_s: Annotated[Float, Ge(-1), Le(1)] = 0.0
+    undescribed_lever_arm_m: tuple[Arm, Arm, Arm] = (0.0, 0.0, 0.0)
+    undescribed_boresight_rad: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
+
+    @property
+    def delay_ns(self) -> int:
+        """The delay in whole nanoseconds."""
+        return round(1e9 * self.delay_s)
+
+    def built(self, mounting: Mounting) -> Mounting:
+        """Where the sensor really is, from where it is described to be."""
+        if not (any(self.undescribed_lever_arm_m) or any(self.undescribed_boresight_rad)):
+            return mounting
+        arm = np.add(mounting.lever_arm, self.undescribed_lever_arm_m)
+        x, y, z, w = (mounting.axes * Rotation.from_rotvec(self.undescribed_boresight_rad)).as_quat().tolist()
+        return replace(mounting, lever_arm=tuple(arm.tolist()), rotation=(x, y, z, w))
+
+    def drawn(self, rng: np.random.Generator) -> PoseErrors:
+        """The errors of a flight."""
+        place = self.position_m * rng.standard_normal(3)
+        motion, turns = (_gauss_markov(rms, self.correlation_s, rng) for rms in (self.velocity_mps, self.attitude_rad))
+        return PoseErrors(self, place, motion, turns)
+
+
+EXACT = OdometryErrors()
+
+
+@dataclass(frozen=True, eq=False)
+class PoseErrors:
+    """The errors of the odometry of one flight, over time in s after the start of the first dwell.
+
+    Attributes:
+        of: what they were drawn from.
+        place: error of position when the flight starts, m, shape (3,).
+        motion: errors of velocity.
+        turns: errors of attitude, as the velocity of these harmonics, rad about the axes of map.
+    """
+
+    of: OdometryErrors
+    place: F64
+    motion: Harmonics
+    turns: Harmonics
+
+    def added_to(self, true: PlatformState, seconds: float) -> PlatformState:
+        """The state that odometry tells instead of the true one at a time, with its covariance."""
+        if not (self.of.position_m or self.of.velocity_mps or self.of.attitude_rad):
+            return true
+        attitude = self.rotation(seconds) * Rotation.from_quat(true.orientation)
+        return replace(
+            true,
+            position=true.position + self.position(seconds),
+            orientation=attitude.as_quat(),
+            velocity=true.velocity + self.velocity(seconds),
+            covariance=self.covariance(seconds),
+        )
+
+    def position(self, seconds: npt.ArrayLike) -> F64:
+        """Error of position, m, shape (..., 3)."""
+        return self.place + self.motion.displacement(seconds) - self.motion.displacement(0.0)
+
+    def velocity(self, seconds: npt.ArrayLike) -> F64:
+        """Error of velocity, m/s, shape (..., 3)."""
+        return self.motion.velocity(seconds)
+
+    def rotation(self, seconds: npt.ArrayLike) -> Rotation:
+        """Error of attitude."""
+        return Rotation.from_rotvec(self.turns.velocity(seconds))
+
+    def covariance(self, seconds: float) -> F64:
+        """Covariance of position and rotation at a time, which a well-tuned navigation states, shape (6, 6).
+
+        A Gauss-Markov velocity that is known to err by s moves the position by the variance
+        2 s^2 T^2 (t / T - 1 + exp(-t / T)) in the time t.
+        """
+        errors = self.of
+        x = abs(seconds) / errors.correlation_s
+        moved = 2 * (errors.velocity_mps * errors.correlation_s) ** 2 * (x + np.expm1(-x))
+        return np.diag([errors.position_m**2 + moved] * 3 + [errors.attitude_rad**2] * 3)
+
+
+def _gauss_markov(rms: float, correlation_s: float, rng: np.random.Generator) -> Harmonics:
+    """Three processes whose autocorrelation is rms^2 exp(-|t| / T): spectrum 2 T / pi / (1 + (omega T)^2)."""
+    edges = np.geomspace(1 / (SPAN * correlation_s), SPAN / correlation_s, HARMONICS + 1)
+    power = np.diff(np.arctan(edges * correlation_s))
+    amplitude = rms * np.sqrt(2 * power / power.sum())
+    return Harmonics(
+        omega=np.sqrt(edges[1:] * edges[:-1]),
+        amplitude=np.repeat(amplitude[:, None], 3, axis=1),
+        phase=rng.uniform(0, 2 * np.pi, (HARMONICS, 3)),
+    )

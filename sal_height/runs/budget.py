@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.constants import speed_of_light
@@ -45,11 +45,11 @@ PLACES = 201
 
 @dataclass(frozen=True)
 class Assumptions:
-    """What a preset does not say; None: the default, or what follows from the preset.
+    """What a preset does not say.
 
     Attributes:
         power: mean power that is transmitted, W; None: the one for the CNR of the preset.
-        backscatter: radar cross-section per area of ground, a ratio.
+        backscatter: radar cross-section per area of ground, a ratio; None: the usual one (ALBEDO, BACKSCATTER_DB).
         loss: of power in transmitter, air and receiver together, 1 or more.
         noise_figure: of the receivers, 1 or more.
     """
@@ -85,7 +85,8 @@ class Budget:
     Attributes:
         preset: as given.
         sensor: of the preset.
-        assumed: with nothing left open but the power.
+        assumed: what the preset does not say.
+        backscatter: radar cross-section per area of ground, as assumed or the usual one.
         link: from transmitter to receiver.
         cnr: carrier-to-noise ratio of a look of a detector that looks straight at the ground.
         power: mean power that is transmitted, W.
@@ -97,12 +98,10 @@ class Budget:
         Raises:
             UserError: beams that leave the quarter between nadir and horizon.
         """
-        self.preset, self.sensor = preset, preset.make_sensor()
-        if assumed.backscatter is None:
-            light = diffuse_backscatter(ALBEDO, preset.flight.look_angle_rad)
-            radio = 10 ** (BACKSCATTER_DB / 10)
-            assumed = replace(assumed, backscatter=light if self.sensor.wavelength < RADIO_M else radio)
-        self.assumed, self.link = assumed, _link(preset, self.sensor, assumed)
+        self.preset, self.sensor, self.assumed = preset, preset.make_sensor(), assumed
+        usual = _usual_backscatter(self.sensor.wavelength, preset.flight.look_angle_rad)
+        self.backscatter = usual if assumed.backscatter is None else assumed.backscatter
+        self.link = _link(preset, self.sensor, self.backscatter, assumed)
         if assumed.power is None:
             self.cnr = float(10 ** (preset.cnr_db / 10))
             self.power = self.cnr / self.link.cnr_per_watt
@@ -201,10 +200,9 @@ class Budget:
         yield Entry("data", "burst_mb_per_s", "while pulses come", while_received / 1e6, "MB/s")
 
     def _accuracy(self) -> Iterator[Entry]:
-        assert self.assumed.backscatter is not None  # noqa: S101 (by __init__)
         group = "power and accuracy"
         decibels = {
-            "backscatter_db": ("backscatter of the ground (sigma0)", self.assumed.backscatter),
+            "backscatter_db": ("backscatter of the ground (sigma0)", self.backscatter),
             "loss_db": ("losses", self.assumed.loss),
             "noise_figure_db": ("noise figure", self.assumed.noise_figure),
             "cnr_db": ("CNR of a look, straight ahead", self.cnr),
@@ -281,9 +279,13 @@ def _along_cell(preset: Preset, sensor: Sensor) -> float:
     return sensor.wavelength * preset.flight.slant_range_m / (2 * length)
 
 
-def _link(preset: Preset, sensor: Sensor, assumed: Assumptions) -> Link:
+def _usual_backscatter(wavelength: float, incidence: float) -> float:
+    """Radar cross-section per area that is assumed of the ground, by wavelength (m) and angle of incidence (rad)."""
+    return diffuse_backscatter(ALBEDO, incidence) if wavelength < RADIO_M else 10 ** (BACKSCATTER_DB / 10)
+
+
+def _link(preset: Preset, sensor: Sensor, backscatter: float, assumed: Assumptions) -> Link:
     """The link of a transmitter that lights up the beams of all detectors evenly, and nothing else."""
-    assert assumed.backscatter is not None  # noqa: S101 (by the caller)
     flight = preset.flight
     gain = mean_square_gain(sensor.beams) if sensor.mode == "stripmap" else 1.0
     ground_cell = _slant_cell(sensor) / np.sin(flight.look_angle_rad)
@@ -291,7 +293,7 @@ def _link(preset: Preset, sensor: Sensor, assumed: Assumptions) -> Link:
         slant_range=flight.slant_range_m,
         lit_angle=_elevation_width(sensor) * sensor.azimuth_beamwidth,
         cell_area=float(ground_cell * _along_cell(preset, sensor)),
-        backscatter=assumed.backscatter,
+        backscatter=backscatter,
         effective_area=effective_area(sensor.beams.patterns[0], sensor.elevation_diameter, sensor.azimuth_diameter),
         coherent_time=_aperture_time(preset, sensor) * gain,
         noise=noise_density(sensor.wavelength, assumed.noise_figure),
@@ -329,15 +331,8 @@ def _number(value: float) -> str:
 
 def budget_table(entries: Sequence[Entry]) -> str:
     """The numbers as lines of text, under their headings."""
+    rows = aligned([(f"  {one.title}", _number(one.value), one.unit.ljust(4)) for one in entries]).splitlines()
     lines: list[str] = []
-    groups: Mapping[str, Any] = dict.fromkeys(entry.group for entry in entries)
-    rows = {
-        group: [
-            (f"  {entry.title}", _number(entry.value), entry.unit.ljust(4)) for entry in entries if entry.group == group
-        ]
-        for group in groups
-    }
-    table = iter(aligned([row for group in groups for row in rows[group]]).splitlines())
-    for group in groups:
-        lines += [group, *(next(table).rstrip() for _ in rows[group])]
+    for group, members in groupby(zip(entries, rows, strict=True), key=lambda pair: pair[0].group):
+        lines += [group, *(row.rstrip() for _, row in members)]
     return "\n".join(lines)

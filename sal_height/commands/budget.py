@@ -59,8 +59,8 @@ def budget(
     from sal_height.runs.budget import budget as draw_up
     from sal_height.simulation import load_preset
 
-    described = load_preset(preset)
     folder = output_folder(out, "budget")
+    described = load_preset(preset)
     assumed = Assumptions(
         power=power,
         backscatter=None if backscatter_db is None else 10 ** (backscatter_db / 10),

@@ -9,7 +9,7 @@ attitudes that come apart) and `air` (what the atmosphere does to range and dire
 Angles are in rad, lengths in m, times in s.
 """
 
-from sal_height.geometry.air import AirPath, path_through_air, refractivities, standard_air
+from sal_height.geometry.air import RADIO_M, AirPath, path_through_air, refractivities, standard_air
 from sal_height.geometry.conventions import BODY_AXES, MAP_AXES, ROS_AXES, Axes
 from sal_height.geometry.earth import EARTH_RADIUS, above_place, height_of, sphere_coordinates, sphere_point
 from sal_height.geometry.frames import (
@@ -35,6 +35,7 @@ __all__ = [
     "BODY_AXES",
     "EARTH_RADIUS",
     "MAP_AXES",
+    "RADIO_M",
     "REORDERED_NS",
     "ROS_AXES",
     "UTM",

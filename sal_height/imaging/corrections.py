@@ -65,7 +65,15 @@ class CorrectionSettings(Settings):
     @property
     def leaves_errors(self) -> bool:
         """Whether any sigma is not 0."""
-        return any(value for name, value in self if "_sigma_" in name)
+        return any(
+            (
+                self.range_sigma_m,
+                self.elevation_sigma_rad,
+                self.odometry_delay_sigma_s,
+                self.lever_arm_sigma_m,
+                self.boresight_sigma_rad,
+            )
+        )
 
 
 def correct_track(track: Trajectory, settings: CorrectionSettings) -> Trajectory:

@@ -296,7 +296,7 @@ class SarCompression(DwellStage):
         except Rejected as error:
             self.ignore("odometry", error)
             return
-        if state.stamp_ns <= self._last_pulse_ns:
+        if state.stamp_ns <= self._last_pulse_ns + self.current_parameters().odometry_delay_ns:
             self.note_progress()  # what dwells still wait for is on its way
         arrival = self._odometry.add(state)
         if arrival is Arrival.SET_ASIDE:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import groupby
 from pathlib import Path
 
@@ -13,13 +14,13 @@ from scipy.constants import speed_of_light
 
 from sal_height.elevation import stochastic_crb
 from sal_height.errors import UserError
-from sal_height.geometry import ApertureState, locate_at_height, path_through_air
-from sal_height.imaging import image_beams
+from sal_height.geometry import RADIO_M, ApertureState, locate_at_height, path_through_air
+from sal_height.imaging import azimuth_resolution, image_beams
 from sal_height.io import new_folder, write_text
 from sal_height.numeric import F64
 from sal_height.relief import position_jacobian, vertical
 from sal_height.runs.budget_picture import draw_budget
-from sal_height.sensor import Sensor, aperture_length, lit_angle
+from sal_height.sensor import Sensor, aperture_length, lit_doppler, spectrum_sensor
 from sal_height.simulation import Preset, mean_square_gain
 from sal_height.tables import aligned
 from sal_height.theory import Link, diffuse_backscatter, effective_area, noise_density
@@ -29,9 +30,6 @@ BUDGET, PICTURE = "budget.json", "budget.png"
 
 ALBEDO, BACKSCATTER_DB = 0.3, -10.0
 """What is assumed of the ground: in light a diffuse surface, for radio waves a radar cross-section per area."""
-
-RADIO_M = 1e-3
-"""Wavelength from which on a sensor is a radar."""
 
 DEFOCUSING_RAD = np.pi / 4
 """Phase at the ends of the aperture that widens a response noticeably."""
@@ -101,7 +99,7 @@ class Budget:
         self.preset, self.sensor, self.assumed = preset, preset.make_sensor(), assumed
         usual = _usual_backscatter(self.sensor.wavelength, preset.flight.look_angle_rad)
         self.backscatter = usual if assumed.backscatter is None else assumed.backscatter
-        self.link = _link(preset, self.sensor, self.backscatter, assumed)
+        self.link = self._link()
         if assumed.power is None:
             self.cnr = float(10 ** (preset.cnr_db / 10))
             self.power = self.cnr / self.link.cnr_per_watt
@@ -118,9 +116,7 @@ class Budget:
         """
         beams = image_beams(self.sensor, "taylor")
         middle = float(np.mean(beams.span))
-        above = np.array([0.0, 0.0, self.preset.flight.slant_range_m * np.cos(middle)])
-        velocity = np.array([self.preset.flight.speed_mps, 0.0, 0.0])
-        aperture = ApertureState(above, velocity, np.eye(3), 1.0, np.zeros((6, 6)))
+        aperture = self._aperture
         point = locate_at_height(0.0, self.preset.flight.slant_range_m, 0.0, aperture, self.sensor.look_side)
         climb = abs(float(vertical(point) @ position_jacobian(point, aperture)[:, 0]))
         looks = int(np.prod(self.preset.looks))
@@ -145,6 +141,43 @@ class Budget:
             *self._air(),
         ]
 
+    @cached_property
+    def _aperture(self) -> ApertureState:
+        """State of the antenna, over level ground at height 0."""
+        flight = self.preset.flight
+        above = np.array([0.0, 0.0, flight.slant_range_m * np.cos(flight.look_angle_rad)])
+        length = self._aperture_time * flight.speed_mps
+        return ApertureState(above, np.array([flight.speed_mps, 0.0, 0.0]), np.eye(3), length, np.zeros((6, 6)))
+
+    @property
+    def _aperture_time(self) -> float:
+        """Time of a synthetic aperture, s."""
+        if self.sensor.mode == "stripmap":
+            return aperture_length(self.sensor, self.preset.flight.slant_range_m) / self.preset.flight.speed_mps
+        return self.sensor.pulse_count / self.sensor.pulse_repetition_frequency
+
+    @cached_property
+    def _cells(self) -> tuple[float, float, float]:
+        """Resolution in slant range, in range on the ground, and along the flight, m."""
+        slant = spectrum_sensor(self.sensor).range_resolution
+        along = azimuth_resolution(self.sensor, self._aperture, self.preset.flight.slant_range_m)
+        return slant, float(slant / np.sin(self.preset.flight.look_angle_rad)), along
+
+    def _link(self) -> Link:
+        """The link of a transmitter that lights up the beams of all detectors evenly, and nothing else."""
+        sensor, (_, ground_cell, along_cell) = self.sensor, self._cells
+        gain = mean_square_gain(sensor.beams) if sensor.mode == "stripmap" else 1.0
+        return Link(
+            slant_range=self.preset.flight.slant_range_m,
+            lit_angle=_elevation_width(sensor) * sensor.azimuth_beamwidth,
+            cell_area=ground_cell * along_cell,
+            backscatter=self.backscatter,
+            effective_area=effective_area(sensor.beams.patterns[0], sensor.elevation_diameter, sensor.azimuth_diameter),
+            coherent_time=self._aperture_time * gain,
+            noise=noise_density(sensor.wavelength, self.assumed.noise_figure),
+            loss=self.assumed.loss,
+        )
+
     @property
     def _lit_across(self) -> float:
         """Width that the beams light up across the line of sight, m."""
@@ -154,33 +187,28 @@ class Budget:
         flight, sensor = self.preset.flight, self.sensor
         look = flight.look_angle_rad
         ground = self._lit_across / np.cos(look)
-        window = _range_window(sensor) / np.sin(look)
+        window = spectrum_sensor(sensor).range_window / np.sin(look)
         beside = sensor.azimuth_beamwidth * flight.slant_range_m
         group = "place"
         yield Entry(group, "slant_range_m", "slant range", flight.slant_range_m, "m")
         yield Entry(group, "height_m", "height over the ground", flight.slant_range_m * np.cos(look), "m")
         yield Entry(group, "swath_m", "swath of all beams, on the ground", ground, "m")
         yield Entry(group, "window_m", "range window, on the ground", window, "m")
-        yield Entry(group, "beam_across_m", "width of a beam across the line of sight", self._beam_across, "m")
+        across = sensor.beamwidth * flight.slant_range_m
+        yield Entry(group, "beam_across_m", "width of a beam across the line of sight", across, "m")
         yield Entry(group, "beam_along_m", "width of a beam along the flight", beside, "m")
 
-    @property
-    def _beam_across(self) -> float:
-        return self.sensor.beamwidth * self.preset.flight.slant_range_m
-
     def _resolution(self) -> Iterator[Entry]:
-        cell = _slant_cell(self.sensor)
-        ground = cell / np.sin(self.preset.flight.look_angle_rad)
-        yield Entry("resolution", "range_cell_m", "slant range", cell, "m")
+        slant, ground, along = self._cells
+        yield Entry("resolution", "range_cell_m", "slant range", slant, "m")
         yield Entry("resolution", "ground_cell_m", "range on the ground", ground, "m")
-        yield Entry("resolution", "along_cell_m", "along the flight", _along_cell(self.preset, self.sensor), "m")
-        time = _aperture_time(self.preset, self.sensor)
-        yield Entry("resolution", "aperture_ms", "time of an aperture", 1e3 * time, "ms")
+        yield Entry("resolution", "along_cell_m", "along the flight", along, "m")
+        yield Entry("resolution", "aperture_ms", "time of an aperture", 1e3 * self._aperture_time, "ms")
 
     def _pulses(self) -> Iterator[Entry]:
         sensor, flight, group = self.sensor, self.preset.flight, "pulses"
         rate = sensor.pulse_repetition_frequency
-        least = 4 * lit_angle(sensor.beams) * flight.speed_mps / sensor.wavelength
+        least = lit_doppler(sensor, flight.speed_mps)
         swath = self._lit_across * np.tan(flight.look_angle_rad)
         yield Entry(group, "prf_hz", "pulse repetition frequency", rate, "Hz")
         yield Entry(group, "least_prf_hz", "least: Doppler that main lobes light up", least, "Hz")
@@ -215,7 +243,7 @@ class Budget:
 
     def _sensitivities(self) -> Iterator[Entry]:
         flight, sensor, group = self.preset.flight, self.sensor, "errors that nobody tells the processor"
-        time, wavelength = _aperture_time(self.preset, sensor), sensor.wavelength
+        time, wavelength = self._aperture_time, sensor.wavelength
         arm = flight.slant_range_m * np.sin(flight.look_angle_rad)
         shift = flight.slant_range_m / flight.speed_mps
         acceleration = DEFOCUSING_RAD * wavelength / (2 * np.pi) / (time / 2) ** 2
@@ -253,52 +281,9 @@ def _elevation_width(sensor: Sensor) -> float:
     return last - first + sensor.beamwidth
 
 
-def _slant_cell(sensor: Sensor) -> float:
-    return float(speed_of_light / (2 * sensor.bandwidth))
-
-
-def _range_window(sensor: Sensor) -> float:
-    """Slant ranges that a record holds, m."""
-    if sensor.waveform == "spectrum":
-        return sensor.range_window
-    if sensor.waveform == "deramped":
-        return float(speed_of_light / 2 * sensor.sampling_rate / abs(sensor.chirp_rate))
-    return float(speed_of_light / 2 * (sensor.sample_count / sensor.sampling_rate - sensor.pulse_duration))
-
-
-def _aperture_time(preset: Preset, sensor: Sensor) -> float:
-    """Time of a synthetic aperture, s."""
-    if sensor.mode == "stripmap":
-        return aperture_length(sensor, preset.flight.slant_range_m) / preset.flight.speed_mps
-    return sensor.pulse_count / sensor.pulse_repetition_frequency
-
-
-def _along_cell(preset: Preset, sensor: Sensor) -> float:
-    """Resolution along the flight, m."""
-    length = _aperture_time(preset, sensor) * preset.flight.speed_mps
-    return sensor.wavelength * preset.flight.slant_range_m / (2 * length)
-
-
 def _usual_backscatter(wavelength: float, incidence: float) -> float:
     """Radar cross-section per area that is assumed of the ground, by wavelength (m) and angle of incidence (rad)."""
     return diffuse_backscatter(ALBEDO, incidence) if wavelength < RADIO_M else 10 ** (BACKSCATTER_DB / 10)
-
-
-def _link(preset: Preset, sensor: Sensor, backscatter: float, assumed: Assumptions) -> Link:
-    """The link of a transmitter that lights up the beams of all detectors evenly, and nothing else."""
-    flight = preset.flight
-    gain = mean_square_gain(sensor.beams) if sensor.mode == "stripmap" else 1.0
-    ground_cell = _slant_cell(sensor) / np.sin(flight.look_angle_rad)
-    return Link(
-        slant_range=flight.slant_range_m,
-        lit_angle=_elevation_width(sensor) * sensor.azimuth_beamwidth,
-        cell_area=float(ground_cell * _along_cell(preset, sensor)),
-        backscatter=backscatter,
-        effective_area=effective_area(sensor.beams.patterns[0], sensor.elevation_diameter, sensor.azimuth_diameter),
-        coherent_time=_aperture_time(preset, sensor) * gain,
-        noise=noise_density(sensor.wavelength, assumed.noise_figure),
-        loss=assumed.loss,
-    )
 
 
 def budget(preset: Preset, assumed: Assumptions, out: Path) -> Sequence[Entry]:

@@ -9,7 +9,7 @@ from sal_height.sensor.channels import Channels, sum_difference_channels, whiten
 from sal_height.sensor.phase_history import NUFFT_TOLERANCE, PhaseHistory
 from sal_height.sensor.receivers import MAX_SHARE, clipped, count_saturated
 from sal_height.sensor.sensor import MAX_DETECTORS, MODES, Sensor
-from sal_height.sensor.stripmap import aperture_length, lit_angle, look_ahead_angle, processed_angle
+from sal_height.sensor.stripmap import aperture_length, lit_angle, lit_doppler, look_ahead_angle, processed_angle
 from sal_height.sensor.waveform import echo_sensor, from_spectrum, range_compressed, spectrum_sensor
 
 __all__ = [
@@ -26,6 +26,7 @@ __all__ = [
     "echo_sensor",
     "from_spectrum",
     "lit_angle",
+    "lit_doppler",
     "look_ahead_angle",
     "processed_angle",
     "range_compressed",

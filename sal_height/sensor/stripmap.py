@@ -17,6 +17,11 @@ def lit_angle(beams: Beams) -> float:
     return max(pattern.main_lobe for pattern in beams.patterns) * beams.track_beamwidth + look_ahead_angle(beams)
 
 
+def lit_doppler(sensor: Sensor, speed: float) -> float:
+    """Return the band of Doppler frequencies (Hz) that main lobes light up at a speed (m/s); pulses must sample it."""
+    return 4 * lit_angle(sensor.beams) * speed / sensor.wavelength
+
+
 def look_ahead_angle(beams: Beams) -> float:
     """Return the angle by which the beams at the ends of a turned detector axis look ahead and back, rad.
 

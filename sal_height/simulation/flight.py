@@ -20,6 +20,7 @@ from sal_height.sensor import (
     echo_sensor,
     from_spectrum,
     lit_angle,
+    lit_doppler,
     spectrum_sensor,
 )
 from sal_height.simulation.gust import GustMotion, gust_motion
@@ -306,9 +307,8 @@ def _check_beams(preset: Preset, sensor: Sensor) -> None:
         UserError: the pulse repetition frequency is too low, or the swing too great.
     """
     track_beamwidth, swing = sensor.beams.track_beamwidth, preset.impairments.antenna_swing.amplitude_rad
-    speeds_per_length = 4 * lit_angle(sensor.beams) / track_beamwidth
-    length = sensor.wavelength / track_beamwidth
-    doppler_band = speeds_per_length * preset.flight.speed_mps / length
+    length, doppler_band = sensor.wavelength / track_beamwidth, lit_doppler(sensor, preset.flight.speed_mps)
+    speeds_per_length = doppler_band * length / preset.flight.speed_mps
     if sensor.pulse_repetition_frequency < doppler_band * (1 - 1e-6):
         raise UserError(
             f"Preset {preset.name}: sensor.pulse_repetition_frequency_hz is {sensor.pulse_repetition_frequency:g}; the "

@@ -80,7 +80,7 @@ def test_the_range_window_of_a_pulse_is_what_its_record_holds_beside_it(waveform
         sampling_rate_hz=rate_hz,
         sample_count=1024,
     )
-    window_s = 1024 / rate_hz - pulse_s if waveform == "chirp" else rate_hz * pulse_s / sensor.bandwidth_hz
+    window_s = 1025 / rate_hz - pulse_s if waveform == "chirp" else rate_hz * pulse_s / sensor.bandwidth_hz
     found = numbers(replace(preset, sensor=sensor))["window_m"]
     assert found == pytest.approx(speed_of_light / 2 * window_s * 2**0.5)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import subprocess
@@ -11,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 from rclpy.node import Node
 
 from benchmarks.row import Row, load, sized
@@ -59,11 +61,12 @@ class _Kills:
             self.killed_s.append(now)
 
     def counted(self) -> Iterator[float]:
-        """Heights in a second, some time after each kill."""
+        """Heights in a second, some time after each kill; NaN if the run ended before that was seen."""
         for killed_s in self.killed_s:
             inside = [seen for seen in self.heights if BACK_S <= seen[0] - killed_s <= BACK_S + SEEN_S]
-            (first_s, first), (last_s, last) = inside[0], inside[-1]
-            yield (last - first) / (last_s - first_s)
+            (first_s, first), (last_s, last) = (inside[0], inside[-1]) if inside else ((0.0, 0), (0.0, 0))
+            yield (last - first) / (last_s - first_s) if last_s > first_s else math.nan
+        yield from [math.nan] * (KILLS - len(self.killed_s))
 
 
 def killed_stage() -> Iterator[Row]:
@@ -77,7 +80,7 @@ def killed_stage() -> Iterator[Row]:
     heights_hz = list(kills.counted())
     yield Row(
         "heights after the compression was killed and started again",
-        100 * min(heights_hz) / watched.offered_hz,
+        float(100 * np.min(heights_hz) / watched.offered_hz),
         "% of dwells",
         ">= 95",
         f"sal_spotlight at {RATE:g} of its pace, {watched.offered_hz:.1f} dwells/s; the fewest, from {BACK_S:g} to "

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from rclpy.node import Node
 
+from benchmarks.live_runs import highest_rate, watch
 from benchmarks.row import Row, load, sized
 from sal_height.nodes.graph import Graph
 from sal_height.runs.conductor import Execution
@@ -25,8 +26,11 @@ from sal_height.simulation import load_preset
 if TYPE_CHECKING:
     from sal_height.runs.live import Watched
 
-RATE = 0.36
-"""Seconds of the sensor in a second."""
+RATE = sized(None, 0.1)
+"""Seconds of the sensor in a second; None for `SHARE` of the highest that is sustained."""
+
+SHARE, FIRST_GUESS, SEARCH_S = 0.8, 0.3, 20.0
+"""Of the highest rate that is sustained, the one played at; the rate that is tried first, and for how long one is."""
 
 KILLED = "sar_compression"
 KILLS = sized(3, 1)
@@ -74,8 +78,9 @@ def killed_stage() -> Iterator[Row]:
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         bag = record_sensor(load_preset("sal_spotlight"), 1, folder / "sensor")
+        rate = RATE or SHARE * highest_rate(lambda tried: watch(bag, tried, SEARCH_S), FIRST_GUESS)[0]
         kills = _Kills()
-        how = Live(RATE, FIRST_S + EVERY_S * KILLS + BACK_S, supervised=True)
+        how = Live(rate, FIRST_S + EVERY_S * KILLS + BACK_S, supervised=True)
         watched = live(Feed.of_bag(bag), folder / "live", {}, how, Execution(processes=True), kills.show)
     heights_hz = list(kills.counted())
     yield Row(
@@ -83,7 +88,7 @@ def killed_stage() -> Iterator[Row]:
         float(100 * np.min(heights_hz) / watched.offered_hz),
         "% of dwells",
         ">= 95",
-        f"sal_spotlight at {RATE:g} of its pace, {watched.offered_hz:.1f} dwells/s; the fewest, from {BACK_S:g} to "
+        f"sal_spotlight at {rate:.2g} of its pace, {watched.offered_hz:.1f} dwells/s; the fewest, from {BACK_S:g} to "
         f"{BACK_S + SEEN_S:g} s after each of {KILLS} kills: "
         + ", ".join(f"{hz:.1f}" for hz in heights_hz)
         + f"; {load()}",

@@ -36,7 +36,7 @@ def transport(
         dwell_mb: Size of the samples of a dwell, in megabytes.
         packet_bytes: Size of the packets in which messages travel. On a network
             that loses packets, as radio links do, take 1400, also for nodes:
-            what is lost is then sent again packet by packet. By default 32 kB
+            what is lost is then sent again packet by packet. By default 8 kB
             travel together, up to 64 kB of large dwells, and are lost together.
     """
     from sal_height.nodes.middleware import settings_for

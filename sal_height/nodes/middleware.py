@@ -29,7 +29,7 @@ LEAST = 4_000_000
 DWELLS = 2
 """Dwells that the shared memory holds: one is written while another is read."""
 
-PIECES, LEAST_PIECE = 500, 32000
+PIECES, LEAST_PIECE = 2000, 8000
 """A message travels in pieces: of so many to the shared memory of a process, but of so many bytes at least.
 
 A piece needs one free block. Where enough is free but scattered, Fast DDS gives up the piece and frees nothing: once

@@ -148,9 +148,11 @@ def main() -> None:
     qualities = PUBLISHED | {"/phase_history": Qos(*FRAMES, Policy.Userdata(options.states.encode()))}
     writers = {topic: client.writer(topic, types_of[topic], qos) for topic, qos in qualities.items()}
 
-    def write(topic: str) -> None:
+    def write(topic: str, dwell: int | None = None) -> None:
         ours_now = ours[types_of[topic]]
         for message in (message for name, message in recorded if name == topic):
+            if dwell not in {None, getattr(message, "dwell", None)}:
+                continue
             writers[topic].write(ours_now(**{name: getattr(message, name) for name in ours_now.__annotations__}))
 
     def is_ready() -> bool:
@@ -161,9 +163,13 @@ def main() -> None:
     write("/sensor_info")
     client.wait(is_ready, "the nodes to be ready")
     write("/platform/odometry")
-    write("/phase_history")
-    dwells = {message.dwell for topic, message in recorded if topic == "/phase_history"}
-    client.wait(lambda: dwells == {image.dwell for image in client.inbox["/ml/height"]}, "heights")
+    dwells = sorted({message.dwell for topic, message in recorded if topic == "/phase_history"})
+    for number, dwell in enumerate(dwells, 1):
+        # Cyclone takes what is under way when the first heartbeat of a publisher comes for older than its reader: the
+        # next message waits until that has come, with one that the node says so in.
+        write("/phase_history", dwell)
+        client.wait(lambda until=dwell: until in {image.dwell for image in client.inbox["/ml/height"]}, "heights")
+        client.wait(lambda count=number: client.says("ml_height", "published./ml/height") >= count, "an account")
     for image in client.inbox["/ml/height"]:
         (options.out / f"{image.dwell}.cdr").write_bytes(image.serialize(use_version_2=False))
 

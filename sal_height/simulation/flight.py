@@ -24,8 +24,10 @@ from sal_height.sensor import (
     spectrum_sensor,
 )
 from sal_height.simulation.gust import GustMotion, gust_motion
+from sal_height.simulation.harmonics import Harmonics
 from sal_height.simulation.impairments import MOST_SWING_BEAMWIDTHS, pointing_rotation, through_receivers
 from sal_height.simulation.odometry_errors import PoseErrors
+from sal_height.simulation.phase_errors import laser_phase
 from sal_height.simulation.preset import Preset
 from sal_height.simulation.receivers import blanked, received
 from sal_height.simulation.scene import SAMPLES_PER_CELL, PointScatterer, Scene, VisibleSurface, joined, visible_surface
@@ -34,7 +36,8 @@ from sal_height.simulation.spotlight import cell_power, draw_amplitudes, simulat
 from sal_height.simulation.stripmap import mean_square_gain, simulate_block
 
 TURN_BEAMWIDTHS = 0.5  # ground beyond what the pulses of a stripmap block light up, in case the body turns a little
-GROUND, GUST, ODOMETRY = 0, 1, 2  # keys of the random streams that do not belong to a dwell
+GROUND, GUST, ODOMETRY, VIBRATION, AIR, JITTER = range(6)  # keys of random streams that do not belong to a dwell
+LASER = 6  # key of the stream of a dwell's laser phase
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,42 @@ class SimulatedFlight:
     def _errors(self) -> PoseErrors:
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(ODOMETRY,)))
         return self.preset.impairments.odometry.drawn(rng)
+
+    @cached_property
+    def _vibration(self) -> Harmonics:
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(VIBRATION,)))
+        return self.preset.impairments.vibration.drawn(rng)
+
+    @cached_property
+    def _jitter(self) -> Harmonics:
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(JITTER,)))
+        return self.preset.impairments.pointing_jitter.drawn(rng)
+
+    def pointing(self, seconds: F64) -> tuple[F64, F64]:
+        """Angles (rad) by which the beams point ahead and farther off nadir at times (s) after the start."""
+        jitter = self._jitter.velocity(seconds)
+        return self.preset.impairments.antenna_swing.pointing(seconds) + jitter[..., 0], jitter[..., 1]
+
+    @cached_property
+    def _air(self) -> Harmonics | None:
+        """Phases by turbulence; None: there is none."""
+        if not (turbulence := self.preset.impairments.turbulence):
+            return None
+        flight = self.preset.flight
+        height = flight.slant_range_m * math.cos(flight.look_angle_rad)
+        structure = turbulence.structure(self.sensor.wavelength, flight.slant_range_m, height)
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(AIR,)))
+        return turbulence.drawn(structure, flight.speed_mps, rng)
+
+    def pulse_phase(self, dwell: int) -> F64:
+        """Phase (rad) of the echoes of each pulse of a dwell by vibration, laser and air, shape (pulses,)."""
+        times = self.dwell_start_ns(dwell) * 1e-9 + self.pulse_times
+        farther = self._vibration.displacement(times)[:, 0]
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(LASER, dwell)))
+        linewidth = self.preset.impairments.laser_linewidth_hz
+        walk = laser_phase(linewidth, self.pulse_times, self.preset.flight.slant_range_m, rng)
+        air = self._air.displacement(times)[:, 0] if self._air else 0.0
+        return np.asarray(walk + air - 4 * np.pi / self.sensor.wavelength * farther)
 
     @cached_property
     def spectrum(self) -> Sensor:
@@ -189,7 +228,7 @@ class SimulatedFlight:
     @property
     def _swept_angle(self) -> float:
         """Angle along the flight, to each side, that main lobes light up in any position of their swing, rad."""
-        return lit_angle(self.built.beams) + self.preset.impairments.antenna_swing.amplitude_rad
+        return lit_angle(self.built.beams) + self.preset.impairments.greatest_swing
 
     def _tiles(self, dwell: int) -> range:
         """The tiles of ground that a stripmap block lights up; tile n is what lies abeam of block n without gusts."""
@@ -245,21 +284,23 @@ class SimulatedFlight:
         start_ns = self.dwell_start_ns(dwell)
         reference = np.full(self.sensor.pulse_count, self.preset.flight.slant_range_m)
         times, since = start_ns * 1e-9 + self.pulse_times, self.pulse_times - self._middle_of_dwell
-        pointing = impairments.antenna_swing.pointing(times)
+        ahead, off_nadir = self.pointing(times)
         sensor, surface, antenna = echo_sensor(self.built), self.surface(dwell), self.position(times)
         if self.sensor.mode == "stripmap":
             amplitudes = np.concatenate([self._ground(tile)[1] for tile in self._tiles(dwell)])
-            rotation = self._gust.rotation(times).as_matrix() @ pointing_rotation(pointing, self.sensor)
+            rotation = self._gust.rotation(times).as_matrix() @ pointing_rotation(ahead, off_nadir, self.sensor)
             quartic = impairments.quartic_phase_rad
             echoes = simulate_block(sensor, surface, amplitudes, antenna, rotation, reference, since, quartic)
         else:
             power = cell_power(self._cnr, self.spectrum, self.sensor.pulse_count)
             amplitudes = draw_amplitudes(surface, power, rng)
-            echoes = simulate_dwell(sensor, surface, amplitudes, antenna, reference, since, pointing)
+            echoes = simulate_dwell(sensor, surface, amplitudes, antenna, reference, since, ahead, off_nadir)
             if impairments.quartic_phase_rad:
                 echoes *= np.exp(1j * impairments.dwell_phase(len(times)))[:, None]
+        if impairments.turns_pulses:
+            echoes *= np.exp(1j * self.pulse_phase(dwell))[:, None]
         clean = through_receivers(echoes, self.sensor, impairments)
-        samples = received(from_spectrum(clean, self.sensor), self.sensor, rng)
+        samples = received(from_spectrum(clean, self.sensor), self.sensor, rng, impairments.adc_bits)
         samples = blanked(samples, self.sensor, self.preset.flight.slant_range_m)
         return PhaseHistory(start_ns, self.pulse_times, reference, samples)
 
@@ -306,7 +347,7 @@ def _check_beams(preset: Preset, sensor: Sensor) -> None:
     Raises:
         UserError: the pulse repetition frequency is too low, or the swing too great.
     """
-    track_beamwidth, swing = sensor.beams.track_beamwidth, preset.impairments.antenna_swing.amplitude_rad
+    track_beamwidth, swing = sensor.beams.track_beamwidth, preset.impairments.greatest_swing
     length, doppler_band = sensor.wavelength / track_beamwidth, lit_doppler(sensor, preset.flight.speed_mps)
     speeds_per_length = doppler_band * length / preset.flight.speed_mps
     if sensor.pulse_repetition_frequency < doppler_band * (1 - 1e-6):
@@ -318,6 +359,6 @@ def _check_beams(preset: Preset, sensor: Sensor) -> None:
     most = MOST_SWING_BEAMWIDTHS * track_beamwidth
     if swing > most:
         raise UserError(
-            f"Preset {preset.name}: impairments.antenna_swing.amplitude_rad is {swing:g}; it must be {most:g}, "
-            f"{MOST_SWING_BEAMWIDTHS:g} beamwidths, or less."
+            f"Preset {preset.name}: the beams swing by {swing:g} rad, impairments.antenna_swing.amplitude_rad and four "
+            f"times pointing_jitter.rms_rad; that must be {most:g}, {MOST_SWING_BEAMWIDTHS:g} beamwidths, or less."
         )

@@ -26,8 +26,11 @@ from sal_height.configuration import Float, Int, StrictKeys
 from sal_height.geometry import look_direction
 from sal_height.numeric import C128, F64, Complex, taylor
 from sal_height.sensor import Sensor, echo_sensor, spectrum_sensor
+from sal_height.simulation.harmonics import Harmonics
 from sal_height.simulation.odometry_errors import EXACT, OdometryErrors
+from sal_height.simulation.phase_errors import AT_REST, Vibration
 from sal_height.simulation.settings import Angle, Decibels
+from sal_height.simulation.turbulence import Turbulence
 
 MOST_SWING_BEAMWIDTHS = 0.5
 """Greatest swing of the antenna: the beams' middle stays within the band that a dwell may have (`imaging.checks`)."""
@@ -99,6 +102,32 @@ class AntennaSwing(StrictKeys):
         return self.amplitude_rad * np.sin(turn)
 
 
+JITTER_LINES = 100
+
+
+@dataclass(frozen=True)
+class PointingJitter(StrictKeys):
+    """Random angles by which the beams point ahead and farther off nadir; the odometry does not contain them.
+
+    Attributes:
+        rms_rad: of each of the two.
+        highest_hz: below which their spectrum is flat, and above which they have nothing.
+    """
+
+    rms_rad: Annotated[Float, Ge(0), Le(1)]
+    highest_hz: Annotated[Float, Gt(0), Le(1e6)]
+
+    def drawn(self, rng: np.random.Generator) -> Harmonics:
+        """The angles of a flight (rad), ahead and off nadir, as the velocity of harmonics."""
+        omega = 2 * np.pi * self.highest_hz * (np.arange(JITTER_LINES) + rng.uniform(size=JITTER_LINES)) / JITTER_LINES
+        amplitude = np.full((JITTER_LINES, 2), self.rms_rad * np.sqrt(2 / JITTER_LINES))
+        return Harmonics(omega, amplitude, rng.uniform(0, 2 * np.pi, (JITTER_LINES, 2)))
+
+
+STEADY = PointingJitter(rms_rad=0.0, highest_hz=1.0)
+"""Beams that keep their direction."""
+
+
 @dataclass(frozen=True)
 class PupilAberrations(StrictKeys):
     """Zernike terms of the phase of the pupil, each in waves rms (`beams.ZERNIKE`)."""
@@ -136,10 +165,16 @@ class Impairments(StrictKeys):
         pupil_aberrations_waves: of the pupil that all detectors share, rms, by the names of `beams.ZERNIKE`; patterns
             "jinc" only.
         antenna_swing: of all beams.
+        pointing_jitter: of all beams.
         quartic_phase_rad: phase at the edge of the aperture, growing with the fourth power (PSF paper, section 3): in
             spotlight over the pulses of the dwell, in stripmap over a scatterer's angle to the beams along the flight,
             whose half a beamwidth is the edge.
         odometry: errors of the odometry, and of where the sensor is said to be.
+        vibration: of the antenna along the line of sight; the odometry does not contain it.
+        laser_linewidth_hz: full width at half maximum of the line of the laser.
+        turbulence: of the air; None: it is at rest.
+        adc_bits: of the converters of real and imaginary parts, over the full scale that the sensor must have; 0: as
+            fine as floating-point numbers.
     """
 
     range_sawtooth: RangeSawtooth | None = None
@@ -150,8 +185,13 @@ class Impairments(StrictKeys):
     beam_width_factor: Annotated[Float, Ge(0.5), Le(2)] = 1.0
     pupil_aberrations_waves: PupilAberrations = PupilAberrations()
     antenna_swing: AntennaSwing = AntennaSwing(amplitude_rad=0.0, period_s=1.0)
+    pointing_jitter: PointingJitter = STEADY
     quartic_phase_rad: Annotated[Float, Ge(-100), Le(100)] = 0.0
     odometry: OdometryErrors = EXACT
+    vibration: Vibration = AT_REST
+    laser_linewidth_hz: Annotated[Float, Ge(0), Le(1e9)] = 0.0
+    turbulence: Turbulence | None = None
+    adc_bits: Annotated[Int, Ge(0), Le(24)] = 0
 
     def receiver_response(self, sensor: Sensor) -> C128:
         """Factor of each receiver on the echoes at the frequencies of `echo_sensor(sensor)`.
@@ -181,6 +221,16 @@ class Impairments(StrictKeys):
         wide = sensor.widened(self.beam_width_factor)
         values = {field.name: getattr(wide, field.name) for field in fields(Sensor)}
         return BuiltSensor(**values, pupil=self.pupil_aberrations_waves.coefficients)
+
+    @property
+    def greatest_swing(self) -> float:
+        """Angle ahead beyond which the beams hardly ever point, rad."""
+        return self.antenna_swing.amplitude_rad + 4 * self.pointing_jitter.rms_rad
+
+    @property
+    def turns_pulses(self) -> bool:
+        """Whether vibration, laser or air turn the phase of pulses."""
+        return bool(self.laser_linewidth_hz or self.turbulence) or not self.vibration.is_none
 
     def dwell_phase(self, pulses: int) -> F64:
         """Quartic phase (rad) of the pulses of a spotlight dwell, shape (pulses,)."""
@@ -231,11 +281,13 @@ def through_receivers(clean: Complex, sensor: Sensor, impairments: Impairments) 
     return clean + np.tensordot(np.linalg.inv(matrix), change, axes=1)
 
 
-def pointing_rotation(pointing: F64, sensor: Sensor) -> F64:
-    """Matrices, in body axes, that turn the middle of the beams ahead by angles `pointing` (rad), (..., 3, 3).
+def pointing_rotation(ahead: F64, off_nadir: F64, sensor: Sensor) -> F64:
+    """Matrices, in body axes, that turn the middle of the beams ahead and farther off nadir, shape (..., 3, 3).
 
-    A direction at the squint y in the plane of the line of sight and the flight has, seen from the turned antenna, the
-    squint y - pointing.
+    Angles are in rad. A direction at the squint y in the plane of the line of sight and the flight has, seen from the
+    turned antenna, the squint y - ahead.
     """
     boresight = look_direction(float(np.mean(sensor.beams.span)), 0.0, sensor.look_side)
-    return Rotation.from_rotvec(pointing[..., None] * np.cross(boresight, [1.0, 0.0, 0.0])).as_matrix()
+    forward = np.array([1.0, 0.0, 0.0])
+    turned = Rotation.from_rotvec(ahead[..., None] * np.cross(boresight, forward))
+    return (Rotation.from_rotvec(-sensor.look_side * off_nadir[..., None] * forward) * turned).as_matrix()

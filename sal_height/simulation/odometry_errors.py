@@ -99,6 +99,7 @@ class PoseErrors:
             orientation=attitude.as_quat(),
             velocity=true.velocity + self.velocity(seconds),
             covariance=self.covariance(seconds),
+            velocity_covariance=self.of.velocity_mps**2 * np.eye(3),
         )
 
     def position(self, seconds: npt.ArrayLike) -> F64:

@@ -336,6 +336,11 @@ def _impairment_misfits(preset: Preset) -> Iterator[str]:
             f"impairments.nyquist_spur_over_noise is {impairments.nyquist_spur_over_noise:g}; with a sensor.waveform "
             "other than 'spectrum', or an odd sensor.sample_count, it must be 0"
         )
+    if impairments.adc_bits and sensor.full_scale_over_noise_db is None:
+        yield (
+            f"impairments.adc_bits is {impairments.adc_bits}; converters need sensor.full_scale_over_noise_db, or "
+            "adc_bits must be 0"
+        )
 
 
 def _spacing_misfits(preset: Preset) -> Iterator[str]:

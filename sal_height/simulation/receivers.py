@@ -9,18 +9,32 @@ from sal_height.numeric import C64
 from sal_height.sensor import Sensor, clipped
 
 
-def received(samples: C64, sensor: Sensor, rng: np.random.Generator) -> C64:
-    """The channels' samples: where the receivers are, noise is added and what exceeds the full scale is clipped.
+def received(samples: C64, sensor: Sensor, rng: np.random.Generator, adc_bits: int = 0) -> C64:
+    """The channels' samples: where the receivers are, noise is added, what exceeds the full scale clipped, and rounded.
 
     Args:
         samples: noise-free, of every detector, shape (detectors, pulses, samples); not changed.
         sensor: noise, channel matrix and full scale.
         rng: of the noise.
+        adc_bits: of the converters; 0: nothing is rounded.
     """
     noise = receiver_noise(sensor, samples.shape[1], rng)
     if sensor.matrix_in_antenna:
-        return clipped(form_channels(samples, sensor) + noise, sensor.full_scale)
-    return form_channels(clipped(samples + noise, sensor.full_scale), sensor)
+        return _converted(form_channels(samples, sensor) + noise, sensor.full_scale, adc_bits)
+    return form_channels(_converted(samples + noise, sensor.full_scale, adc_bits), sensor)
+
+
+def _converted(samples: C64, full_scale: float, bits: int) -> C64:
+    """Samples clipped at full scale and rounded to 2^bits levels of real and imaginary part, the outermost at it.
+
+    Rounding adds noise of the power step^2 / 6 to a sample.
+    """
+    samples = clipped(samples, full_scale)
+    if not bits:
+        return samples
+    step = np.float32(2 * full_scale / (2**bits - 1))
+    levels = np.floor(samples.view(np.float32) / step) + np.float32(0.5)
+    return np.clip(levels * step, -full_scale, full_scale).astype(np.float32).view(np.complex64)
 
 
 def blanked(samples: C64, sensor: Sensor, reference_range: float) -> C64:

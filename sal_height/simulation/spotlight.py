@@ -44,12 +44,13 @@ def simulate_dwell(
     antenna: F64,
     reference_range: F64,
     seconds: npt.ArrayLike = 0.0,
-    pointing: npt.ArrayLike = 0.0,
+    ahead: npt.ArrayLike = 0.0,
+    off_nadir: npt.ArrayLike = 0.0,
 ) -> C64:
     """Noise-free phase history of every detector.
 
-    The beam is held on the scene, so that a scatterer keeps its weight in each detector's beam as long as `pointing`
-    stays the same. The samples are within 1e-4 of their rms of the sum over scatterers (`echoes`).
+    The beam is held on the scene, so that a scatterer keeps its weight in each detector's beam as long as `ahead` and
+    `off_nadir` stay the same. The samples are within 1e-4 of their rms of the sum over scatterers (`echoes`).
 
     Args:
         sensor: wavelength, frequencies and beams.
@@ -58,14 +59,20 @@ def simulate_dwell(
         antenna: position at each pulse, m, shape (pulses, 3).
         reference_range: m, shape (pulses,).
         seconds: times of the pulses after that of the surface's positions; broadcasts with (pulses,).
-        pointing: angle by which the beams point ahead in each pulse, rad; broadcasts with (pulses,).
+        ahead: angle by which the beams point ahead in each pulse, rad; broadcasts with (pulses,).
+        off_nadir: angle by which they point farther off nadir, rad; broadcasts with (pulses,).
 
     Returns:
         Complex64 samples, shape (detectors, pulses, frequencies).
     """
-    seconds, pointing = (np.broadcast_to(values, len(antenna)) for values in (seconds, pointing))
+    seconds, *angles = (np.broadcast_to(values, len(antenna)) for values in (seconds, ahead, off_nadir))
+    pointing = np.stack(angles, axis=-1)
     samples = np.zeros((sensor.detector_count, len(antenna), sensor.sample_count), dtype=np.complex64)
-    turned = (pointing - pointing[0])[:, None] / sensor.beams.track_beamwidth
+    turned = (pointing - pointing[0]) / (sensor.beams.track_beamwidth, sensor.beams.beamwidth)
+
+    def beams_in(pulses: Index | list[int] | slice) -> tuple[tuple[float, float], ...]:
+        """Angles of the beams in some pulses, as a key."""
+        return tuple(map(tuple, pointing[pulses].tolist()))
 
     def add(chosen: Index | slice) -> None:
         """Add the echoes of scatterers that are all at rest, or all move: those are placed anew in every pulse."""
@@ -74,8 +81,9 @@ def simulate_dwell(
         strengths, at_rest = amplitudes[chosen].astype(np.complex64), not np.any(velocity)
 
         @lru_cache(maxsize=1)
-        def at(angles: tuple[float, ...]) -> F32 | C64:
-            return response_of(sensor.beams, np.tile(offset, (len(angles), 1)), squint - np.array(angles)[:, None])
+        def at(angles: tuple[tuple[float, float], ...]) -> F32 | C64:
+            ahead, off_nadir = np.array(angles).T[..., None]
+            return response_of(sensor.beams, offset - off_nadir, squint - ahead)
 
         probes, count = outermost(positions), len(antenna)
 
@@ -83,13 +91,13 @@ def simulate_dwell(
             return smooth_group(sensor, probes, antenna, turned[pulses], pulses)
 
         groups = pulse_groups(count, smooth) if at_rest else []
-        at((float(pointing[0]),))  # once, not in every thread
+        at(beams_in(slice(1)))  # once, not in every thread
 
         def fill(group: PulseGroup) -> None:
             there = positions if at_rest else positions + seconds[group.pulses.start] * velocity
             reference = reference_range[group.pulses]
             samples[:, group.pulses] += sum_of_echoes(
-                sensor, there, strengths, lambda pulses: at(tuple(pointing[pulses].tolist())), group, reference
+                sensor, there, strengths, lambda pulses: at(beams_in(pulses)), group, reference
             )
 
         for_each_group(fill, groups or [single_pulse(probes, antenna, pulse) for pulse in range(count)], offset.size)

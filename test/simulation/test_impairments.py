@@ -30,6 +30,7 @@ from sal_height.simulation.impairments import (
     UNIMPAIRED,
     AntennaSwing,
     Impairments,
+    PointingJitter,
     PupilAberrations,
     RangeSawtooth,
     RangeTaper,
@@ -337,6 +338,42 @@ def test_swinging_beams_pass_a_point_of_a_strip_earlier_and_later(look_side: str
     ratio = swinging.phase_history(1).samples / still.phase_history(1).samples
     np.testing.assert_allclose(ratio, np.broadcast_to(expected[:, None], ratio.shape), rtol=1e-3)
     assert np.ptp(expected) > 0.05
+
+
+JITTER = PointingJitter(rms_rad=0.05 * BEAMWIDTH, highest_hz=500.0)
+
+
+def test_jitter_has_its_rms_in_both_axes_and_nothing_above_its_highest_frequency() -> None:
+    """Within 3 %: over 400 flights of 100 lines each, at 5 times; the spectrum beyond is that of a window."""
+    seconds = np.arange(0.0, 0.05, 1e-4)
+    angles = np.array([JITTER.drawn(np.random.default_rng(s)).velocity(seconds) for s in range(400)])
+    np.testing.assert_allclose(np.sqrt(np.mean(angles[:, ::100] ** 2, axis=(0, 1))), JITTER.rms_rad, rtol=0.03)
+    spectrum = np.mean(np.abs(np.fft.rfft(angles * np.blackman(len(seconds))[:, None], axis=1)) ** 2, axis=(0, 2))
+    frequency = np.fft.rfftfreq(len(seconds), 1e-4)
+    assert spectrum[frequency > 600].max() < 1e-4 * spectrum[frequency < 400].mean()
+
+
+@pytest.mark.parametrize("preset", ["small", "sal_stripmap"])
+@pytest.mark.parametrize("look_side", ["left", "right"])
+def test_beams_that_jitter_weigh_a_point_by_their_pattern_in_both_axes(preset: str, look_side: str) -> None:
+    """Each detector by its own: farther off nadir, those that look there see it sooner."""
+    size = {} if preset == "small" else {"pulse_count": 128, "sample_count": 16}
+    jittering, still = (
+        point_flight(
+            Impairments(pointing_jitter=jitter), preset, pattern="gaussian", look_side=look_side, detectors=2, **size
+        )
+        for jitter in (JITTER, PointingJitter(0.0, 1.0))
+    )
+    times = jittering.dwell_start_ns(1) * 1e-9 + jittering.pulse_times
+    ahead, off_nadir = (angle / BEAMWIDTH for angle in jittering.pointing(times))
+    along = -jittering.position(times)[:, 0] / REACH / BEAMWIDTH if preset == "sal_stripmap" else 0.0 * times
+    middle = np.mean(jittering.sensor.elevation_boresights)
+    across = -(np.array(jittering.sensor.elevation_boresights)[:, None] - middle) / BEAMWIDTH
+    pattern = pattern_named("gaussian")
+    expected = pattern.amplitude(across - off_nadir, along - ahead) / pattern.amplitude(across, along)
+    ratio = jittering.phase_history(1).samples / still.phase_history(1).samples
+    np.testing.assert_allclose(ratio, np.broadcast_to(expected[..., None], ratio.shape), rtol=2e-3)
+    assert np.ptp(expected[1] / expected[0]) > 0.01
 
 
 def doppler_centroid(pointing: float, reach: tuple[float, float], rate: float) -> float:

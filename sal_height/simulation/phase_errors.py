@@ -1,0 +1,115 @@
+"""Phase of the echoes of a pulse that neither odometry nor sensor description tells of: vibration, and the laser's own.
+
+Both turn all samples of a pulse alike in all detectors. A vibration moves the antenna along the line of sight by far
+less than a range cell, and by the same for all that the beams light. The phase of a laser of finite linewidth walks at
+random, and an echo is mixed with what the laser sends when it comes back; within a pulse it is taken to stay the same.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Gt, Le
+from pydantic_core import PydanticCustomError
+from scipy import constants
+
+from sal_height.configuration import Float, StrictKeys
+from sal_height.numeric import F64
+from sal_height.simulation.harmonics import Harmonics
+
+HARMONICS_OF_BAND = 200
+
+Frequency = Annotated[Float, Gt(0), Le(1e6)]
+
+
+@dataclass(frozen=True)
+class VibrationLine(StrictKeys):
+    """A sinusoidal vibration along the line of sight, as of a rotor or a propeller, of random phase.
+
+    Attributes:
+        amplitude_m: of the displacement.
+        frequency_hz: Hz.
+    """
+
+    amplitude_m: Annotated[Float, Ge(0), Le(1)]
+    frequency_hz: Frequency
+
+
+@dataclass(frozen=True)
+class VibrationBand(StrictKeys):
+    """A vibration along the line of sight whose acceleration has one spectral density over a band.
+
+    Attributes:
+        density_g2_per_hz: of the acceleration, in squares of standard gravity per Hz, as vibration tests state it.
+        lowest_hz: of the band.
+        highest_hz: of the band.
+    """
+
+    density_g2_per_hz: Annotated[Float, Ge(0), Le(100)]
+    lowest_hz: Frequency
+    highest_hz: Frequency
+
+    def __post_init__(self) -> None:
+        if not self.lowest_hz < self.highest_hz:
+            raise PydanticCustomError("band", "its lowest_hz must be below its highest_hz")
+
+    @property
+    def lines(self) -> list[VibrationLine]:
+        """Lines of the same power, evenly spaced in the logarithm of frequency."""
+        edges = np.geomspace(self.lowest_hz, self.highest_hz, HARMONICS_OF_BAND + 1)
+        frequency = np.sqrt(edges[1:] * edges[:-1])
+        acceleration = constants.g * np.sqrt(2 * self.density_g2_per_hz * np.diff(edges))
+        amplitude = acceleration / (2 * np.pi * frequency) ** 2
+        return [VibrationLine(*pair) for pair in zip(amplitude.tolist(), frequency.tolist(), strict=True)]
+
+
+@dataclass(frozen=True)
+class Vibration(StrictKeys):
+    """How the antenna vibrates; by default not at all.
+
+    Attributes:
+        lines: sinusoidal vibrations.
+        bands: random ones.
+    """
+
+    lines: tuple[VibrationLine, ...] = ()
+    bands: tuple[VibrationBand, ...] = ()
+
+    @property
+    def is_none(self) -> bool:
+        """Whether nothing vibrates."""
+        return not (self.lines or self.bands)
+
+    def drawn(self, rng: np.random.Generator) -> Harmonics:
+        """The vibration of a flight; its displacement (m, away from the scene) has one component."""
+        lines = [*self.lines, *(line for band in self.bands for line in band.lines)]
+        omega = 2 * np.pi * np.array([line.frequency_hz for line in lines])
+        speed = omega * np.array([line.amplitude_m for line in lines])
+        return Harmonics(omega, speed[:, None], rng.uniform(0, 2 * np.pi, (len(lines), 1)))
+
+
+AT_REST = Vibration()
+"""An antenna that does not vibrate."""
+
+
+def laser_phase(linewidth_hz: float, seconds: F64, slant_range_m: float, rng: np.random.Generator) -> F64:
+    """Phase (rad) of echoes of a laser mixed with the laser itself, shape (pulses,).
+
+    The phase of a Lorentzian line is a Wiener process, whose variance grows by 2 pi linewidth in a second. Over the
+    time t between two pulses the phase of the echoes changes with a variance of 4 pi linewidth min(t, 2 R / c).
+
+    Args:
+        linewidth_hz: full width at half maximum.
+        seconds: times at which the pulses return, increasing, shape (pulses,).
+        slant_range_m: of the scene, R.
+        rng: of the walk.
+    """
+    if not linewidth_hz:
+        return np.zeros(len(seconds))
+    sent = seconds - 2 * slant_range_m / constants.speed_of_light
+    times, place = np.unique(np.concatenate([seconds, sent]), return_inverse=True)
+    steps = rng.standard_normal(len(times) - 1) * np.sqrt(2 * np.pi * linewidth_hz * np.diff(times))
+    walk = np.concatenate([[0.0], np.cumsum(steps)])[place]
+    return walk[len(seconds) :] - walk[: len(seconds)]

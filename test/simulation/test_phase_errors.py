@@ -1,0 +1,92 @@
+"""Vibration and laser: phases of the variance that theory gives them, and what they do to an image."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+from helpers import assert_one_sentence
+from scipy.constants import g, speed_of_light
+from scipy.special import jv
+
+from sal_height.errors import UserError
+from sal_height.simulation import SimulatedFlight, flight_of, load_preset, parse_preset
+from sal_height.simulation.impairments import Impairments
+from sal_height.simulation.phase_errors import Vibration, VibrationBand, VibrationLine, laser_phase
+from sal_height.simulation.preset import SHIPPED
+
+TRUE = replace(load_preset("small"), cnr_db=60.0)
+
+
+def flight_with(impairments: Impairments) -> SimulatedFlight:
+    return flight_of(replace(TRUE, impairments=impairments), seed=3)
+
+
+@pytest.mark.parametrize("linewidth_hz", [100.0, 1e5])
+def test_phase_of_a_laser_walks_until_the_echo_is_back(linewidth_hz: float) -> None:
+    """4 pi linewidth min(t, 2 R / c), each to 4 standard errors of 4000 walks, 9 %."""
+    seconds, rng = 1e-5 * np.arange(13), np.random.default_rng(1)
+    walks = np.array([laser_phase(linewidth_hz, seconds, 5000.0, rng) for _ in range(4000)])
+    for lag in (1, 3, 4, 12):  # the echo is back after 3.34 pulses
+        variance = np.mean((walks[:, lag] - walks[:, 0]) ** 2)
+        expected = 4 * np.pi * linewidth_hz * min(seconds[lag], 2 * 5000.0 / speed_of_light)
+        assert variance == pytest.approx(expected, rel=0.09)
+
+
+def test_phases_of_dwells_are_drawn_alone_and_again_the_same() -> None:
+    first, second = flight_with(Impairments(laser_linewidth_hz=1e4)), flight_with(Impairments(laser_linewidth_hz=1e4))
+    np.testing.assert_array_equal(first.pulse_phase(1), second.pulse_phase(1))
+    assert abs(np.corrcoef(first.pulse_phase(0), first.pulse_phase(1))[0, 1]) < 0.5
+    assert np.all(laser_phase(0.0, first.pulse_times, 5000.0, np.random.default_rng(0)) == 0)
+
+
+def test_an_antenna_farther_away_has_a_phase_of_4_pi_over_the_wavelength() -> None:
+    """Over a second, the phase of a line has the amplitude 4 pi a / wavelength and its frequency."""
+    flight = flight_with(Impairments(vibration=Vibration(lines=(VibrationLine(2e-6, 40.0),))))
+    preset = replace(flight.preset, sensor=replace(flight.preset.sensor, pulse_count=64))
+    slow = replace(flight, sensor=replace(flight.sensor, pulse_repetition_frequency=1000.0), preset=preset)
+    phase = np.concatenate([slow.pulse_phase(dwell) for dwell in range(3)])
+    times = np.concatenate([slow.dwell_start_ns(dwell) * 1e-9 + slow.pulse_times for dwell in range(3)])
+    waves = np.stack([np.cos(2 * np.pi * 40 * times), np.sin(2 * np.pi * 40 * times)], axis=1)
+    found, left, *_ = np.linalg.lstsq(waves, phase)
+    assert np.hypot(*found) == pytest.approx(4 * np.pi * 2e-6 / flight.sensor.wavelength, rel=1e-6)
+    assert left.item() < 1e-9
+
+
+def test_acceleration_of_a_band_is_what_its_density_says() -> None:
+    """Mean square over 20 000 times: g^2 times density times width, within 5 %."""
+    band = VibrationBand(density_g2_per_hz=0.01, lowest_hz=20.0, highest_hz=2000.0)
+    motion = Vibration(bands=(band,)).drawn(np.random.default_rng(2))
+    seconds = np.random.default_rng(3).uniform(0, 100, 20_000)
+    acceleration = motion.acceleration(seconds)[:, 0]
+    assert np.mean(acceleration**2) == pytest.approx(g**2 * 0.01 * 1980, rel=0.05)
+
+
+def test_a_vibration_makes_paired_echoes_of_bessel_functions() -> None:
+    """Echoes of a phase of amplitude m have the amplitudes J_n(m), at n frequencies of the vibration to each side."""
+    pulses = TRUE.sensor.pulse_count
+    frequency, depth = 6 * TRUE.sensor.pulse_repetition_frequency_hz / pulses, 0.8
+    line = VibrationLine(depth * TRUE.sensor.wavelength_m / (4 * np.pi), frequency)
+    shaken = flight_with(Impairments(vibration=Vibration(lines=(line,))))
+    still, moved = flight_with(Impairments()).phase_history(0), shaken.phase_history(0)
+    products = np.sum(moved.samples * still.samples.conj(), axis=(0, 2))
+    powers = np.sum(np.abs(still.samples) ** 2, axis=(0, 2))
+    spectrum = np.abs(np.fft.fft(products / powers)) / pulses
+    np.testing.assert_allclose(spectrum[[0, 6, -6, 12, -12]], np.abs(jv([0, 1, 1, 2, 2], depth)), atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "parts"),
+    [
+        ("laser_linewidth_hz", -1, ("laser_linewidth_hz",)),
+        ("vibration", {"lines": [{"amplitude_m": 1e-6}]}, ("frequency_hz",)),
+        ("vibration", {"bands": [{"density_g2_per_hz": 1, "lowest_hz": 9, "highest_hz": 3}]}, ("lowest_hz", "below")),
+    ],
+)
+def test_settings_that_are_none_are_said_in_one_sentence(key: str, value: object, parts: tuple[str, ...]) -> None:
+    content = yaml.safe_load((SHIPPED / "small.yaml").read_text())
+    with pytest.raises(UserError) as caught:
+        parse_preset(content | {"impairments": {key: value}}, "small")
+    assert_one_sentence(str(caught.value), *parts)

@@ -31,6 +31,7 @@ GROUPS = {
     "accuracy-calibration": "calibration_accuracy:left_of_errors",
     "layover": "layover:throughput",
     "honest": "honest:coverage",
+    "platform": "imperfect_platform:coverage",
     "psf-targets": "psf:target_route",
     "psf-both": "psf:both_routes",
     "accuracy-superposition": "superposition:false_alarms",

@@ -28,12 +28,12 @@ def odometry_of(states: Sequence[PlatformState]) -> Iterator[bytes]:
     """
     first = serialized(messages.state_to_message(states[0], messages.to_stamp(states[0].stamp_ns)))
     frames = first[STAMP_BYTES.stop : -8 * ODOMETRY_NUMBERS]
-    unknown = np.zeros(3 + 36)
+    turning = np.zeros(3)
     for state in states:
         stamp = struct.pack("<iI", *divmod(state.stamp_ns, 1_000_000_000))
         velocity = state.velocity @ rotation_matrix(state.orientation)  # in the axes of the body
-        parts = state.position, state.orientation, state.covariance.ravel(), velocity, unknown
-        numbers = np.concatenate(parts, dtype="<f8").tobytes()
+        parts = state.position, state.orientation, state.covariance.ravel(), velocity, turning
+        numbers = np.concatenate([*parts, messages.twist_covariance(state).ravel()], dtype="<f8").tobytes()
         yield b"".join([first[: STAMP_BYTES.start], stamp, frames, numbers])
 
 

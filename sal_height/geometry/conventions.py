@@ -62,13 +62,14 @@ class Axes:
         """A state of the platform in these axes, in those of ROS."""
         if self.are_of_ros:
             return state
-        both = np.kron(np.eye(2), MAP_AXES[self.map])
+        both, body = np.kron(np.eye(2), MAP_AXES[self.map]), BODY_AXES[self.body]
         return replace(
             state,
             position=self.vector(state.position),
             orientation=self.attitude(state.orientation),
             velocity=self.vector(state.velocity),
             covariance=both @ state.covariance @ both.T,
+            velocity_covariance=body @ state.velocity_covariance @ body.T,
         )
 
     def mounting(self, mounting: Mounting) -> Mounting:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import bisect
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -28,6 +28,7 @@ class PlatformState:
         orientation: quaternion x, y, z, w that turns body into map axes, shape (4,).
         velocity: in map axes, m/s, shape (3,).
         covariance: of the pose, as in nav_msgs/Odometry, shape (6, 6).
+        velocity_covariance: of the velocity, in body axes, (m/s)^2, shape (3, 3); zeros: not stated.
     """
 
     stamp_ns: int
@@ -35,6 +36,7 @@ class PlatformState:
     orientation: F64
     velocity: F64
     covariance: F64
+    velocity_covariance: F64 = field(default_factory=lambda: np.zeros((3, 3)))
 
 
 class Trajectory:
@@ -118,6 +120,16 @@ class Trajectory:
         position = np.asarray(self._position(t))
         return position if self.mounting.is_identity else position + self._turning(t).apply(self.mounting.lever_arm)
 
+    def velocity_covariance(self, stamp_ns: int, pulse_times: F64) -> F64:
+        """Covariance ((m/s)^2, map axes, shape (3, 3)) that the sample nearest to the middle of the pulses states.
+
+        Raises:
+            UserError: a time lies outside the track.
+        """
+        nearest = self.states[self._nearest(self._middle(self._offsets(stamp_ns, pulse_times)))]
+        attitude = rotation_matrix(nearest.orientation)
+        return attitude @ nearest.velocity_covariance @ attitude.T
+
     def aperture(self, stamp_ns: int, pulse_times: F64) -> ApertureState:
         """Return the state in the middle of the pulses at `stamp_ns` + `pulse_times` (s, increasing).
 
@@ -127,14 +139,14 @@ class Trajectory:
             UserError: a time lies outside the track, or the platform stands still.
         """
         t = self._offsets(stamp_ns, pulse_times)
-        middle = float(np.clip((t[0] + t[-1]) / 2, self._seconds[0], self._seconds[-1]))
+        middle = self._middle(t)
         position, velocity = self._antenna(middle)
         speed = float(np.linalg.norm(velocity))
         if not speed > 0:
             raise UserError("The odometry's velocity is 0 in the aperture; a synthetic aperture needs motion.")
-        first, share = self._around(middle)
+        first, _ = self._around(middle)
         since_s, until_s = middle - self._seconds[first], self._seconds[first + 1] - middle
-        nearest = self.states[first + (share > 0.5)]
+        nearest = self.states[self._nearest(middle)]
         return ApertureState(
             position=position,
             velocity=velocity,
@@ -144,6 +156,15 @@ class Trajectory:
                 nearest.covariance + self.motion.covariance(since_s, until_s), nearest.orientation, self.mounting
             ),
         )
+
+    def _middle(self, t: F64) -> float:
+        """The middle of times in s after the epoch."""
+        return float(np.clip((t[0] + t[-1]) / 2, self._seconds[0], self._seconds[-1]))
+
+    def _nearest(self, t: float) -> int:
+        """Index of the state nearest to a time in s after the epoch."""
+        first, share = self._around(t)
+        return first + (share > 0.5)
 
     def _offsets(self, stamp_ns: int, seconds_after: F64) -> F64:
         """Times in s after the epoch; refused if one lies outside the track."""

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import BeforeValidator
 
 from sal_height.elevation import AxisResponse, CellResponse
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import ApertureState, Grid, Trajectory
 from sal_height.imaging.autofocus.gradient import AutofocusSettings, Focus, apply_phase, autofocus, patch_centres
+from sal_height.imaging.autofocus.placement import NavigationPrior, place_image, placed_by_navigation
 from sal_height.imaging.checks import (
     check_doppler_centroid,
     check_dwell,
@@ -21,6 +24,7 @@ from sal_height.imaging.formers.choice import FORMERS, choose_former
 from sal_height.imaging.pixels import (
     azimuth_resolution,
     ground_plane_grid,
+    line_of_sight,
     slant_plane_grid,
     slant_plane_size,
     slc_noise_power,
@@ -30,6 +34,11 @@ from sal_height.imaging.weighting import Processing
 from sal_height.numeric import C64, F64, WINDOWS, broadening
 from sal_height.sensor import PhaseHistory, Sensor, aperture_length, processed_angle
 from sal_height.settings import setting
+
+
+def _from_older_bag(value: Any) -> Any:
+    """What bags of before there was "auto" say of autofocus."""
+    return ("always" if value else "never") if isinstance(value, bool) else value
 
 
 class ImageSettings(AutofocusSettings, CorrectionSettings):
@@ -55,9 +64,18 @@ class ImageSettings(AutofocusSettings, CorrectionSettings):
     ground_spacing_m: float = setting(1.0, "pixel spacing in the ground plane", unit="m", minimum=1e-6, maximum=1e6)
     range_window: str = setting("taylor", "weighting over the bandwidth", choices=tuple(sorted(WINDOWS)))
     azimuth_window: str = setting("taylor", "weighting over the aperture", choices=tuple(sorted(WINDOWS)))
-    autofocus: bool = setting(
-        default=False,
-        description="whether to estimate and remove the phase error that all channels share (spotlight only)",
+    autofocus: Annotated[str, BeforeValidator(_from_older_bag)] = setting(
+        "auto",
+        "whether to estimate and remove the phase error that all channels share, and to look for the beams by their "
+        "Doppler centroid (spotlight only); auto: if the odometry's covariances of velocity and attitude leave the "
+        "beams uncertain by more than autofocus_from_beamwidths",
+        choices=("auto", "always", "never"),
+    )
+    autofocus_from_beamwidths: float = setting(
+        0.02,
+        "standard deviation of the place of the beams along the flight, in beamwidths, from which auto is always",
+        minimum=1e-6,
+        maximum=1.0,
     )
 
     def describes_pixels_of(self, other: ImageSettings) -> bool:
@@ -135,17 +153,41 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
     aperture = track.aperture(history.stamp_ns, history.pulse_times)
     reference = float(history.reference_range[len(antenna) // 2])
     check_dwell(history, antenna, sensor, aperture)
+    # What navigation knows of the Doppler of the beams' middle, and whether that is enough.
+    sight = line_of_sight(sensor, aperture)
+    prior = NavigationPrior.of(aperture, track.velocity_covariance(history.stamp_ns, history.pulse_times), sight)
+    placement, focus = placed_by_navigation(prior), None
+    uncertain = prior.spread > settings.autofocus_from_beamwidths * sensor.beams.track_beamwidth * prior.flight_speed
+    if settings.autofocus == "always" or (settings.autofocus == "auto" and uncertain):
+        # Phase error, and where the beams are, from the data; as much of it as navigation leaves open.
+        grid = _dwell_grid(settings, sensor, aperture, reference, processing)
+        focus = autofocus(history, antenna, sensor, patch_centres(sensor, aperture, grid), settings)
+        if uncertain and not focus.trusted:
+            raise Rejected("autofocus", _describe_distrust(focus, prior))
+        if focus.trusted:
+            focus, placement = place_image(focus, history.pulse_times, sensor.wavelength, prior)
+            history = apply_phase(history, focus.phase)
+    seconds = history.pulse_times - (history.pulse_times[0] + history.pulse_times[-1]) / 2
+    antenna = placement.moved(antenna, seconds, sight)
+    aperture = placement.seen_from(aperture, sight, reference)
+    # The image, where the beams are.
     grid = _dwell_grid(settings, sensor, aperture, reference, processing)
     former = choose_former(settings.former, antenna, sensor, processing, grid)
-    focus = None
-    if settings.autofocus:
-        focus = autofocus(history, antenna, sensor, patch_centres(sensor, aperture, grid), settings)
-        history = apply_phase(history, focus.phase) if focus.trusted else history
     check_doppler_centroid(history, antenna, sensor, aperture, grid)
     images = former(history, antenna, sensor, processing, grid)
     noise_power = slc_noise_power(sensor, processing, len(antenna))
     windows, doubt = (settings.azimuth_window, settings.range_window), describe_unverified_squint(sensor, aperture)
     return Slc(images, grid, aperture, noise_power, history.shares.max(axis=1), *windows, focus, doubt)
+
+
+def _describe_distrust(focus: Focus, prior: NavigationPrior) -> str:
+    why = (
+        f"estimates the phase to {focus.standard_error:.2g} rad" if np.isfinite(focus.standard_error) else "finds none"
+    )
+    return (
+        f"Odometry states the velocity along the line of sight to {prior.speed:.2g} m/s and the pointing along the "
+        f"flight to {prior.pointing:.2g} rad, so that the dwell needs autofocus, which {why} or loses sharpness."
+    )
 
 
 def _dwell_grid(
@@ -195,10 +237,10 @@ class StripFocuser:
             Rejected: pulses or frequencies do not sample the scene, or the block is older than the last one.
             UserError: an image that cannot be made in stripmap.
         """
-        if settings.image_plane != "slant" or settings.autofocus:
+        if settings.image_plane != "slant" or settings.autofocus == "always":
             raise UserError(
-                f"Parameters image_plane {settings.image_plane} and autofocus {str(settings.autofocus).lower()} were "
-                "set; stripmap allows only slant and false."
+                f"Parameters image_plane {settings.image_plane} and autofocus {settings.autofocus} were set; stripmap "
+                "allows only slant, and auto or never."
             )
         processing = Processing(settings.range_window, settings.azimuth_window, processed_angle(sensor))
         # The strip that the block continues, and a track from the first pulse that it holds.

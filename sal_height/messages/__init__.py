@@ -27,6 +27,7 @@ from sal_height.messages.frames import (
     state_from_message,
     state_of_pose,
     state_to_message,
+    twist_covariance,
 )
 from sal_height.messages.heights import (
     POINT_FIELDS,
@@ -130,5 +131,6 @@ __all__ = [
     "to_floats",
     "to_ns",
     "to_stamp",
+    "twist_covariance",
     "with_stage",
 ]

@@ -29,7 +29,7 @@ from sal_height.messages.basics import (
     xyz,
 )
 from sal_height.messages.received import Pose, ReceivedFrame
-from sal_height.numeric import C64, F32
+from sal_height.numeric import C64, F32, F64
 from sal_height.sensor import PhaseHistory, Sensor
 
 LONGEST_DWELL = 3600.0
@@ -53,7 +53,15 @@ def state_to_message(state: PlatformState, stamp: Time, frames: Frames = USUAL) 
     message.pose.covariance = state.covariance.ravel()
     body_velocity = state.velocity @ rotation_matrix(state.orientation)
     message.twist.twist.linear = Vector3(**xyz(body_velocity))
+    message.twist.covariance = twist_covariance(state).ravel()
     return message
+
+
+def twist_covariance(state: PlatformState) -> F64:
+    """Covariance of the twist of a platform state, shape (6, 6); that of its rotation is not known."""
+    covariance = np.zeros((6, 6))
+    covariance[:3, :3] = state.velocity_covariance
+    return covariance
 
 
 def state_from_message(message: Odometry) -> PlatformState:
@@ -95,6 +103,7 @@ def state_of_pose(pose: Pose, frames: Frames = USUAL) -> PlatformState:
         orientation=np.array(orientation),
         velocity=rotation_matrix(orientation) @ pose.velocity,
         covariance=pose.covariance.reshape(6, 6),
+        velocity_covariance=pose.velocity_covariance,
     )
     return frames.axes.state(state)
 

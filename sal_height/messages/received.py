@@ -211,6 +211,7 @@ class Pose(NamedTuple):
         orientation: of the child in the frame, a quaternion x, y, z, w.
         velocity: of the child in its own axes.
         covariance: of the pose, 36 numbers.
+        velocity_covariance: of the velocity, in axes of the child, shape (3, 3).
     """
 
     stamp_ns: int
@@ -220,6 +221,7 @@ class Pose(NamedTuple):
     orientation: tuple[float, ...]
     velocity: tuple[float, ...]
     covariance: F64
+    velocity_covariance: F64
 
     @classmethod
     def of(cls, message: Odometry) -> Self:
@@ -233,6 +235,7 @@ class Pose(NamedTuple):
             (turn.x, turn.y, turn.z, turn.w),
             (velocity.x, velocity.y, velocity.z),
             np.array(message.pose.covariance),
+            np.array(message.twist.covariance).reshape(6, 6)[:3, :3],
         )
 
 
@@ -247,11 +250,15 @@ def received_pose(cdr: bytes) -> Pose:
         child_frame_id, at = _text(cdr, at)
         at = _aligned(at)
         numbers = ODOMETRY.unpack_from(cdr, at)
-        covariance = np.frombuffer(cdr[at + 8 * 7 : at + 8 * (7 + 36)])
+        after_pose, after_twist = at + 8 * (7 + 36), at + 8 * (7 + 36 + 6)
+        covariance = np.frombuffer(cdr[at + 8 * 7 : after_pose])
+        of_twist = np.frombuffer(cdr[after_twist : after_twist + 8 * 36]).reshape(6, 6)
     except (struct.error, ValueError):
         return Pose.of(deserialize_message(cdr, Odometry))
     stamp_ns = seconds * 1_000_000_000 + nanoseconds
-    return Pose(stamp_ns, frame_id, child_frame_id, numbers[:3], numbers[3:7], numbers[7:10], covariance)
+    return Pose(
+        stamp_ns, frame_id, child_frame_id, numbers[:3], numbers[3:7], numbers[7:10], covariance, of_twist[:3, :3]
+    )
 
 
 def received_height(cdr: bytes) -> messages.HeightImage:

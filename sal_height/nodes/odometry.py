@@ -43,7 +43,7 @@ class OdometryHistory:
         self._held_ns = round(held_s * 1e9)
         self._stamps = array("q")
         self._numbers = array("d")  # as plain numbers: objects would take ten times as much memory
-        self._covariances: list[F64] = []  # equal ones are one
+        self._covariances: list[tuple[F64, F64]] = []  # of pose and velocity; equal ones are one
         self._apart: PlatformState | None = None
 
     def __len__(self) -> int:
@@ -103,17 +103,17 @@ class OdometryHistory:
 
     def _at(self, place: int) -> PlatformState:
         numbers = np.array(self._numbers[NUMBERS * place : NUMBERS * (place + 1)])
-        return PlatformState(self._stamps[place], numbers[:3], numbers[3:7], numbers[7:], self._covariances[place])
+        return PlatformState(self._stamps[place], numbers[:3], numbers[3:7], numbers[7:], *self._covariances[place])
 
     def _put(self, place: int, state: PlatformState) -> None:
         """Insert a sample before the one at `place`."""
-        covariance = state.covariance
-        if place and np.array_equal(covariance, self._covariances[place - 1]):
-            covariance = self._covariances[place - 1]
+        covariances = state.covariance, state.velocity_covariance
+        if place and all(map(np.array_equal, covariances, self._covariances[place - 1])):
+            covariances = self._covariances[place - 1]
         self._stamps.insert(place, state.stamp_ns)
         numbers = array("d", (*state.position, *state.orientation, *state.velocity))
         self._numbers[NUMBERS * place : NUMBERS * place] = numbers
-        self._covariances.insert(place, covariance)
+        self._covariances.insert(place, covariances)
 
     def _drop(self, first: int, end: int) -> None:
         del self._stamps[first:end], self._covariances[first:end], self._numbers[NUMBERS * first : NUMBERS * end]

@@ -134,9 +134,7 @@ def processing_of(
         for one in timeline.changes
         if one.parameter.node in chain.stages and one.parameter.name not in given.get(one.parameter.node, {})
     ]
-    changes = [one for one in wanted if not _is_read_only(one.parameter)]
-    for one in changes:
-        check_parameters({one.parameter.node: {one.parameter.name: one.value}})
+    changes = [_checked(one) for one in wanted if not _is_read_only(one.parameter)]
     calibrations = timeline.calibrations if _applies_calibrations(chain, values) else []
     if not calibrations and given.get(APPLIED.node, {}).get(APPLIED.name) == HEARD:
         calibrations = timeline.come  # which nobody applied in flight
@@ -158,6 +156,16 @@ def processing_of(
         not held or next(iter(held)) in dwells,
         played,
     )
+
+
+def _checked(change: Change) -> Change:
+    """The change with the value as it is today.
+
+    Raises:
+        UserError: it is not allowed.
+    """
+    node, name = change.parameter.node, change.parameter.name
+    return change._replace(value=check_parameters({node: {name: change.value}})[node][name])
 
 
 def recorded_parameters(reader: BagReader) -> dict[str, dict[str, Any]]:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from helpers import assert_one_sentence, direct_history
 from phase_errors import ATMOSPHERE, power_law_phase, residual_phase, white_phase
+from scipy.spatial.transform import Rotation
 
 from sal_height.errors import UserError
 from sal_height.geometry.frames import angles_of
@@ -20,6 +21,7 @@ from sal_height.imaging.formers.choice import FEW_PIXELS, FORMERS
 from sal_height.imaging.pixels import slc_noise_power
 from sal_height.imaging.weighting import Processing
 from sal_height.numeric.windows import broadening, window
+from sal_height.runs.catalogue import check_parameters
 from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
@@ -44,9 +46,16 @@ def track_of(flight: SimulatedFlight) -> Trajectory:
     return Trajectory(flight.platform_states(0))
 
 
-def focused(name: str, history: PhaseHistory | None = None, **settings: object) -> Slc:
+def focused(name: str, history: PhaseHistory | None = None, track: Trajectory | None = None, **settings: object) -> Slc:
     flight = flight_of(name)
-    return focus_dwell(history or dwell_of(name), track_of(flight), flight.spectrum, ImageSettings(**settings))
+    track = track or track_of(flight)
+    return focus_dwell(history or dwell_of(name), track, flight.spectrum, ImageSettings(**settings))
+
+
+def looking_as(slc: Slc) -> Trajectory:
+    """The track of `small` with the attitude under which autofocus has found the beams."""
+    attitude = Rotation.from_matrix(slc.aperture.rotation).as_quat()
+    return Trajectory([replace(state, orientation=attitude) for state in track_of(flight_of("small")).states])
 
 
 def power(values: np.ndarray) -> float:
@@ -158,7 +167,7 @@ def test_autofocus_takes_off_what_an_atmosphere_has_put_on(former: str, plane: s
     clean, off, on = (
         focused(name, dwell_of(name), **settings),
         focused(name, blurred, **settings),
-        focused(name, blurred, **settings, autofocus=True),
+        focused(name, blurred, **settings, autofocus="always"),
     )
     assert on.focus
     assert on.focus.trusted
@@ -178,13 +187,13 @@ def test_autofocus_takes_off_what_an_atmosphere_has_put_on(former: str, plane: s
 
 def test_phase_that_was_taken_off_is_what_autofocus_says_of_the_slant_plane_grid() -> None:
     flight, history = flight_of("small"), dwell_of("small")
-    slc = focused("small", autofocus=True, rows=46, cols=12)
+    slc = focused("small", autofocus="always", rows=46, cols=12)
     antenna = flight.position(flight.pulse_times)
     patches = patch_centres(flight.spectrum, slc.aperture, slc.grid)
     expected = autofocus(history, antenna, flight.spectrum, patches, AutofocusSettings())
     np.testing.assert_allclose(slc.autofocus_phase, expected.phase, atol=1e-3)
-    again = focused("small", apply_phase(history, slc.autofocus_phase), rows=46, cols=12)
-    np.testing.assert_array_equal(slc.images, again.images)
+    again = focused("small", apply_phase(history, slc.autofocus_phase), looking_as(slc), rows=46, cols=12)
+    np.testing.assert_allclose(slc.images, again.images, atol=1e-5 * np.abs(slc.images).max())
 
 
 def test_autofocus_of_noise_is_not_trusted_and_leaves_the_image() -> None:
@@ -192,7 +201,9 @@ def test_autofocus_of_noise_is_not_trusted_and_leaves_the_image() -> None:
     rng = np.random.default_rng(92)
     noise = (rng.standard_normal((2, *history.samples.shape)) / np.sqrt(2)).astype(np.float32)
     empty = replace(history, samples=(noise[0] + 1j * noise[1]).astype(np.complex64))
-    on, off = (focused("small", empty, autofocus=wanted, rows=20, cols=8) for wanted in (True, False))
+    on, off = (
+        focused("small", empty, autofocus="always" if wanted else "never", rows=20, cols=8) for wanted in (True, False)
+    )
     assert on.focus
     assert not on.focus.trusted
     assert on.autofocus_phase.size == 0
@@ -206,11 +217,11 @@ def test_only_a_trusted_phase_is_taken_off(applied: bool) -> None:
     error = white_phase(48, 1.0, np.random.default_rng(96))
     bad = apply_phase(dwell_of("small"), -error)
     size = {"rows": 20, "cols": 8}
-    slc = focused("small", bad, autofocus=True, autofocus_max_error_rad=3.0 if applied else 0.01, **size)
+    slc = focused("small", bad, autofocus="always", autofocus_max_error_rad=3.0 if applied else 0.01, **size)
     assert slc.focus
     assert slc.focus.trusted == applied
-    expected = apply_phase(bad, slc.focus.phase) if applied else bad
-    np.testing.assert_array_equal(slc.images, focused("small", expected, **size).images)
+    expected = focused("small", apply_phase(bad, slc.focus.phase) if applied else bad, looking_as(slc), **size)
+    np.testing.assert_allclose(slc.images, expected.images, atol=1e-5 * np.abs(slc.images).max())
     np.testing.assert_array_equal(slc.autofocus_phase, slc.focus.phase if applied else np.zeros(0))
 
 
@@ -229,8 +240,21 @@ def test_detectors_that_see_the_same_in_proportion_are_imaged_in_proportion(
         history,
         track_of(flight),
         flight.spectrum,
-        ImageSettings(former=former, autofocus=wanted, rows=30, cols=12, image_plane=plane, ground_spacing_m=0.05),
+        ImageSettings(
+            former=former,
+            autofocus="always" if wanted else "never",
+            rows=30,
+            cols=12,
+            image_plane=plane,
+            ground_spacing_m=0.05,
+        ),
     )
     assert bool(slc.autofocus_phase.size) == wanted
     expected = weights[:, None, None] * (slc.images[-1] / weights[-1])
     np.testing.assert_allclose(slc.images, expected, rtol=0, atol=1e-6 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize(("recorded", "today"), [(True, "always"), (False, "never"), ("auto", "auto")])
+def test_bags_of_before_autofocus_chose_by_itself_are_understood(recorded: object, today: str) -> None:
+    assert ImageSettings(autofocus=recorded).autofocus == today
+    assert check_parameters({"sar_compression": {"autofocus": recorded}}) == {"sar_compression": {"autofocus": today}}

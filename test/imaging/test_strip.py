@@ -421,7 +421,7 @@ def test_flight_across_the_body_is_refused(heading: float, allowed: bool) -> Non
 
 @pytest.mark.parametrize(
     ("change", "part"),
-    [({"image_plane": "ground"}, "ground"), ({"autofocus": True}, "true"), ({"former": "specan"}, "specan")],
+    [({"image_plane": "ground"}, "ground"), ({"autofocus": "always"}, "always"), ({"former": "specan"}, "specan")],
 )
 def test_what_stripmap_does_not_allow_is_said_in_one_sentence(change: dict[str, object], part: str) -> None:
     settings = ImageSettings(cols=10, rows=8).changed(**change)

@@ -22,21 +22,23 @@ from dataclasses import dataclass, replace
 
 import finufft
 import numpy as np
+import scipy.fft
 from scipy.constants import speed_of_light
 
 from sal_height.errors import UserError
 from sal_height.geometry import ApertureState, Grid
-from sal_height.imaging.autofocus.phase_error import detrended, without_shift
+from sal_height.imaging.autofocus.phase_error import detrended, is_smooth, without_shift
 from sal_height.imaging.autofocus.phase_linking import (
     azimuth_waves,
     coherence_of,
+    find_trend,
     fit_profile,
     link_phases,
     signal_modes,
     speckle_classes,
 )
 from sal_height.imaging.pixels import azimuth_resolution
-from sal_height.numeric import C128, F64
+from sal_height.numeric import C64, C128, F64, Complex
 from sal_height.sensor import NUFFT_TOLERANCE, PhaseHistory, Sensor
 from sal_height.settings import Settings, setting
 
@@ -88,12 +90,21 @@ class Focus:
         method: "speckle", "targets", or "none" where there is nothing to focus on.
         standard_error: rms over the pulses that the estimate's own statistics predict, rad; infinite if "none".
         trusted: whether the phase should be applied: known well enough, and the image does not lose by it.
+        trend: phase from pulse to pulse by which, besides, the echoes are off the middle of the beam, rad.
+        trend_error: its standard error, rad; infinite where bright targets are focused, or nothing is.
     """
 
     phase: F64
     method: str
     standard_error: float
     trusted: bool = False
+    trend: float = 0.0
+    trend_error: float = np.inf
+
+    @property
+    def is_smooth(self) -> bool:
+        """Whether the course of the phase is known, and not only modulo 2 pi."""
+        return is_smooth(self.phase)
 
 
 def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64, settings: AutofocusSettings) -> Focus:
@@ -125,17 +136,17 @@ def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64,
             f"{settings.autofocus_max_pulses} pulses of speckle (autofocus_max_pulses); raise that, set autofocus to "
             "false, or send shorter dwells."
         )
-    responses = pulse_responses(history, antenna, sensor, np.ones(sensor.sample_count), patches.reshape(-1, 3))
     half = patch_half_width(sensor)
     focus = Focus(np.zeros(sensor.pulse_count), "none", np.inf)
     if on_speckle:
-        middle = len(patches) // 2, patches.shape[1] // 2
-        lit = responses.reshape(len(responses), *patches.shape[:2], -1)[:, :, middle[1]]
+        middle = patches[len(patches) // 2, patches.shape[1] // 2]
+        cells = cell_responses(history, antenna, sensor, middle)
         whitening = np.linalg.inv(np.linalg.cholesky(sensor.sample_count * sensor.noise_covariance))
-        white = np.einsum("mn,npt->mpt", whitening, lit)
-        waves, profile = azimuth_waves(sensor, antenna, patches[middle])
-        focus = focus_speckle(white, waves, profile)
+        responses: Complex = np.tensordot(whitening.astype(np.complex64), cells, axes=1)
+        focus = focus_speckle(responses, *azimuth_waves(sensor, antenna, middle))
     if focus.standard_error > settings.autofocus_max_error_rad:
+        points = patches.reshape(-1, 3)
+        responses = pulse_responses(history, antenna, sensor, np.ones(sensor.sample_count), points)
         focus = focus_targets(responses, half, 10 ** (settings.autofocus_target_db / 10))
     phase = without_shift(focus.phase)
     sharper = _sharpness(_turned(responses, phase), half) / _sharpness(responses, half)
@@ -147,6 +158,27 @@ def apply_phase(history: PhaseHistory, phase: F64) -> PhaseHistory:
     """The history with exp(-j phase) on all samples of every pulse; phase in rad, shape (pulses,)."""
     turn = np.exp(-1j * phase).astype(np.complex64)
     return replace(history, samples=history.samples * turn[:, None])
+
+
+def cell_responses(history: PhaseHistory, antenna: F64, sensor: Sensor, centre: F64) -> C64:
+    """What each pulse contributes to the range cells before and behind a point: `pulse_responses` by an FFT.
+
+    Cells are as far from each other in all pulses as for what stays in its range cell; a phase that is the same in all
+    pulses is left out. Shape (detectors, cells, pulses), in the order of range, all cells of the range window.
+
+    Args:
+        history: of all detectors in a dwell.
+        antenna: position at each pulse, m, shape (pulses, 3).
+        sensor: wavelength and frequencies.
+        centre: the point, m, shape (3,).
+    """
+    delay = np.linalg.norm(centre - antenna, axis=-1) - history.reference_range
+    frequency = sensor.centre_wavenumber + sensor.wavenumber_step * (
+        np.arange(sensor.sample_count) - sensor.sample_count // 2
+    )
+    turned = history.samples * np.exp(1j * frequency * delay[:, None]).astype(np.complex64)
+    profiles = scipy.fft.fftshift(scipy.fft.ifft(turned, norm="forward", overwrite_x=True), axes=-1)
+    return np.ascontiguousarray(profiles.swapaxes(1, 2))
 
 
 def pulse_responses(history: PhaseHistory, antenna: F64, sensor: Sensor, weights: F64, points: F64) -> C128:
@@ -175,7 +207,7 @@ def pulse_responses(history: PhaseHistory, antenna: F64, sensor: Sensor, weights
     return responses
 
 
-def phase_gradient(responses: C128) -> F64:
+def phase_gradient(responses: Complex) -> F64:
     """Phase error by the maximum-likelihood kernel of neighbouring pulses, integrated from 0, rad, shape (pulses,).
 
     The responses of detectors and range cells have the shape (..., pulses).
@@ -185,7 +217,7 @@ def phase_gradient(responses: C128) -> F64:
     return np.concatenate([[0.0], np.cumsum(np.angle(products))])
 
 
-def focus_speckle(white: C128, waves: C128, profile: F64) -> Focus:
+def focus_speckle(white: Complex, waves: C128, profile: F64) -> Focus:
     """Phase error from all that the beam lights: gradient of neighbours, then all pairs of pulses, twice.
 
     Args:
@@ -202,10 +234,12 @@ def focus_speckle(white: C128, waves: C128, profile: F64) -> Focus:
     # A fitted profile takes some noise for echo: the phases gain by it, but the error that it predicts is too small.
     fitted = fit_profile(classes, waves, profile, phase)
     phase, _ = link_phases(classes, coherence_of(waves, fitted), phase)
-    return Focus(phase, "speckle", error)
+    phase = without_shift(phase)
+    trend, trend_error = find_trend(_turned(modes, phase), snr, coherence_of(waves, profile))
+    return Focus(phase, "speckle", error, trend=trend, trend_error=trend_error)
 
 
-def focus_targets(responses: C128, half_width: int, brightness: float) -> Focus:
+def focus_targets(responses: Complex, half_width: int, brightness: float) -> Focus:
     """Phase error from bright targets: phase-gradient autofocus on the pictures around points.
 
     In rounds, each from wide to narrow windows, until one finds nothing new: a blur that is wider than the pictures
@@ -228,7 +262,7 @@ def focus_targets(responses: C128, half_width: int, brightness: float) -> Focus:
     return Focus(phase, "targets", float(np.hypot(error, change)))
 
 
-def _round(responses: C128, half_width: int, brightness: float) -> tuple[F64, float]:
+def _round(responses: Complex, half_width: int, brightness: float) -> tuple[F64, float]:
     """Phase error and its standard error, rad; that is infinite where there is no target.
 
     Each iteration looks at the present picture of every point, an FFT over its pulses, within `half_width` cells,
@@ -290,17 +324,17 @@ def _rms(values: F64) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _turned(responses: C128, phase: F64) -> C128:
-    return responses * np.exp(-1j * phase)
+def _turned(responses: Complex, phase: F64) -> Complex:
+    return responses * np.exp(-1j * phase).astype(responses.dtype)
 
 
-def _picture(responses: C128, half_width: int) -> F64:
+def _picture(responses: Complex, half_width: int) -> F64:
     """Power of the azimuth cells around points, summed over the detectors, shape (points, 2 half_width + 1)."""
-    power = np.sum(np.abs(np.fft.fft(responses)) ** 2, axis=0)
+    power = np.sum(np.abs(scipy.fft.fft(responses)) ** 2, axis=0)
     return np.roll(power, half_width, axis=-1)[:, : 2 * half_width + 1]
 
 
-def _sharpness(responses: C128, half_width: int) -> float:
+def _sharpness(responses: Complex, half_width: int) -> float:
     """Sum of squared powers over the square of their sum; 1 for nothing at all."""
     picture = _picture(responses, half_width)
     if not np.any(picture):
@@ -308,7 +342,7 @@ def _sharpness(responses: C128, half_width: int) -> float:
     return float(np.sum(picture**2) / np.sum(picture) ** 2)
 
 
-def _centred_targets(responses: C128, half_width: int, brightness: float) -> C128:
+def _centred_targets(responses: Complex, half_width: int, brightness: float) -> Complex:
     """Responses of the points whose picture holds a bright target, which a linear phase moves to the middle."""
     picture = _picture(responses, half_width)
     bright = picture.max(axis=-1) > brightness * np.median(picture)
@@ -317,14 +351,14 @@ def _centred_targets(responses: C128, half_width: int, brightness: float) -> C12
     return responses[:, bright] * np.exp(-2j * np.pi / pulses * cell[:, None] * np.arange(pulses))
 
 
-def _windowed(responses: C128, width: float) -> C128:
+def _windowed(responses: Complex, width: float) -> Complex:
     """Responses of what lies within `width` azimuth cells around the middle."""
     pulses = responses.shape[-1]
     near = np.abs(np.fft.fftfreq(pulses, 1 / pulses)) <= width / 2
     return np.fft.ifft(np.fft.fft(responses) * near)
 
 
-def _against_others(targets: C128) -> tuple[F64, float]:
+def _against_others(targets: Complex) -> tuple[F64, float]:
     """Phase of each pulse against what the others say of the targets, and its standard error (rms), rad.
 
     The others' say is the response in the narrowest window less the pulse's own share in it. The products with it

@@ -27,6 +27,21 @@ def without_shift(phase: F64) -> F64:
     steps by more than SMOOTH_STEP (rms), its course is known only modulo 2 pi, and so is no trend of it: there only the
     mean is removed, and the image stays where the middle of the beams puts it.
     """
+    if is_smooth(phase):
+        return detrended(np.unwrap(phase - _mean_step(phase) * np.arange(len(phase))))
     course = np.unwrap(phase)
-    smooth = np.sqrt(np.mean(np.diff(course) ** 2)) <= SMOOTH_STEP
-    return detrended(course) if smooth else course - course.mean()
+    return course - course.mean()
+
+
+def is_smooth(phase: F64) -> bool:
+    """Whether steps from pulse to pulse differ so little that the course of a phase, and not only its value, is known.
+
+    A trend, whatever its size, is none of the difference.
+    """
+    steps = np.angle(np.exp(1j * (np.diff(phase) - _mean_step(phase))))
+    return bool(np.sqrt(np.mean(steps**2)) <= SMOOTH_STEP)
+
+
+def _mean_step(phase: F64) -> float:
+    """Mean step from pulse to pulse, in the middle of those modulo 2 pi."""
+    return float(np.angle(np.sum(np.exp(1j * np.diff(phase)))))

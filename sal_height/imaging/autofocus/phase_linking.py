@@ -19,9 +19,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
-from sal_height.numeric import C128, F64
+from sal_height.numeric import C128, F64, Bool, Complex
 from sal_height.sensor import Sensor
 
 WEAKEST_MODE = 0.1  # least share of the strongest mode's signal-to-noise ratio in a range cell
@@ -31,6 +30,8 @@ CLASS_RATIO = 2.0  # of the greatest to the least signal-to-noise ratio of respo
 DARKEST = 1e-3  # least power of the first profile over its greatest, so that it may grow where the beam has a null
 ITERATIONS = 50  # maximum number of steps of Fisher scoring
 CONVERGED = 1e-4  # rms change of the phases (rad) below which Fisher scoring has converged
+BLOCKS = 12  # of neighbouring range cells, whose differences tell how uneven ground moves the Doppler centroid
+FINELY = 16  # trends on which the likelihood is looked at, over the number of pulses
 LONGEST_STEP = 1.0  # greatest change of a phase in one step, rad: far from the maximum the likelihood is no parabola
 
 
@@ -75,34 +76,42 @@ def azimuth_waves(sensor: Sensor, antenna: F64, centre: F64) -> tuple[C128, F64]
     return np.exp(-1j * sensor.centre_wavenumber * farther), power / power.sum()
 
 
-def signal_modes(white: C128) -> tuple[C128, F64]:
+def signal_modes(white: Complex) -> tuple[Complex, F64]:
     """Combinations of the channels that hold more than noise.
 
-    A common phase leaves the covariance between the channels of a range cell as it is. Its eigenvectors whose values
-    exceed those of noise alone (Marchenko & Pastur: (1 + sqrt(channels / samples))^2), and WEAKEST_MODE, are the
-    channels' beams towards what lies there; the rest is left out.
+    A common phase leaves the covariance between the channels of LIKE_ROWS range cells as it is. Its eigenvectors whose
+    values exceed those of noise alone (Marchenko & Pastur: (1 + sqrt(channels / samples))^2), and WEAKEST_MODE, are the
+    channels' beams towards what lies there; the rest is left out, and so are the last cells if they are fewer.
 
     Args:
-        white: responses with noise of power 1 that is independent in all channels, shape (channels, points, pulses).
+        white: responses with noise of power 1 that is independent in all channels, shape (channels, cells, pulses).
 
     Returns:
         The combinations, noise of power 1, shape (modes, pulses), and the signal-to-noise ratio of each, (modes,).
     """
-    channels, _, pulses = white.shape
-    between = uniform_filter1d(np.einsum("mpt,npt->pmn", white, white.conj()) / pulses, LIKE_ROWS, axis=0)
-    values, vectors = np.linalg.eigh(between)
-    combined = np.einsum("pmk,mpt->pkt", vectors.conj(), white)
+    channels, cells, pulses = white.shape
+    like, samples = min(LIKE_ROWS, cells), min(LIKE_ROWS, cells) * pulses
+    alike = np.ascontiguousarray(white[:, : cells // like * like].reshape(channels, -1, samples).swapaxes(0, 1))
+    values, vectors = np.linalg.eigh(alike @ alike.conj().swapaxes(1, 2) / samples)
     snr = values - 1
-    noise_edge = (1 + np.sqrt(channels / (LIKE_ROWS * pulses))) ** 2
+    noise_edge = (1 + np.sqrt(channels / samples)) ** 2
     seen = (values > NOISE_MARGIN * noise_edge) & (snr >= WEAKEST_MODE * snr[:, -1:])
-    return combined[seen], snr[seen]
+    combined = (vectors.conj().swapaxes(1, 2) @ alike)[seen]
+    return combined.reshape(-1, pulses), np.repeat(snr[seen], like)
 
 
-def speckle_classes(modes: C128, snr: F64) -> list[Speckle]:
+def speckle_classes(modes: Complex, snr: F64) -> list[Speckle]:
     """The modes in classes of signal-to-noise ratio."""
+    return [
+        Speckle(modes[members].T @ modes[members].conj(), float(snr[members].mean()), int(members.sum()))
+        for members in _class_members(snr)
+    ]
+
+
+def _class_members(snr: F64) -> list[Bool]:
+    """Which responses belong to each class."""
     steps = np.floor(np.log(snr) / np.log(CLASS_RATIO))
-    members = [steps == step for step in np.unique(steps)]
-    return [Speckle(modes[c].T @ modes[c].conj(), float(snr[c].mean()), int(c.sum())) for c in members]
+    return [steps == step for step in np.unique(steps)]
 
 
 def link_phases(classes: list[Speckle], coherence: C128, start: F64) -> tuple[F64, float]:
@@ -137,6 +146,37 @@ def link_phases(classes: list[Speckle], coherence: C128, start: F64) -> tuple[F6
         if np.sqrt(np.mean(step**2)) < CONVERGED:
             break
     return phase, float(np.sqrt(np.mean(np.diag(variance))))
+
+
+def find_trend(modes: Complex, snr: F64, coherence: C128) -> tuple[float, float]:
+    """Phase from pulse to pulse by which the echoes are off the middle of the beam, and its standard error, rad.
+
+    The likelihood of `link_phases` of the phases s t: a sum over the lags d between pulses of exp(-j s d) times what
+    the responses say of them. Ground of uneven brightness moves its maximum more than speckle does, so the error is
+    that which BLOCKS of neighbouring range cells show by what each of them would move it (Huber's sandwich).
+
+    Args:
+        modes: responses without any other phase error, shape (responses, pulses), in the order of their range cells.
+        snr: of each response, shape (responses,).
+        coherence: of the echo of even ground (`coherence_of` the beam's profile).
+    """
+    pulses = modes.shape[-1]
+    block = np.arange(len(modes)) * BLOCKS // len(modes)
+    products = np.zeros((BLOCKS, pulses, pulses), np.complex128)  # R^-1(t, s) total(s, t) of each block
+    for members in _class_members(snr):
+        inverse = np.linalg.inv(snr[members].mean() * coherence + np.eye(pulses))
+        for number in np.unique(block[members]):
+            some = modes[members & (block == number)]
+            products[number] += inverse * (some.conj().T @ some)
+    lag = np.arange(pulses) - np.arange(pulses)[:, None]
+    waves = np.zeros(FINELY * pulses, np.complex128)
+    np.add.at(waves, lag, products.sum(axis=0))
+    trend = float(2 * np.pi * np.fft.fftfreq(len(waves))[np.argmin(np.fft.fft(waves).real)])
+    for _ in range(2):  # Newton: the grid is within a hundredth of the beam
+        turned = products * np.exp(-1j * trend * lag)
+        scores, information = np.sum(1j * lag * turned, axis=(1, 2)).real, -float(np.sum(lag**2 * turned).real)
+        trend += float(scores.sum()) / information
+    return trend, float(np.sqrt(np.sum(scores**2)) / information)
 
 
 def fit_profile(classes: list[Speckle], waves: C128, profile: F64, phase: F64) -> F64:

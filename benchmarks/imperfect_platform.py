@@ -1,0 +1,189 @@
+"""Whether heights keep what their sigma promises if the platform vibrates, and laser and odometry err.
+
+Odometry errs as it states. Every dwell is flown, compressed and turned into heights as the graph does it, with nothing
+set but what a preset sets. A dwell is published or refused; every surface of every published pixel is compared with the
+nearest true surface.
+
+    python -m benchmarks platform                             the cases as rows with targets, into bench.json
+    python -m benchmarks.imperfect_platform                   the cases as lines of a table, for people
+    python -m benchmarks.imperfect_platform 'velocity*' --autofocus never
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from functools import partial
+from typing import Annotated
+
+import numpy as np
+from cyclopts import App, Parameter
+
+from benchmarks.honest import Summary
+from benchmarks.row import Row, sized
+from benchmarks.spread import in_processes
+from sal_height.elevation import ESTIMATORS
+from sal_height.errors import Rejected, UserError
+from sal_height.imaging import ImageSettings, azimuth_resolution, image_beams
+from sal_height.pipeline import Compressor, heights
+from sal_height.runs.comparison import Comparison, compare, joined_comparisons
+from sal_height.simulation import flight_of, load_preset
+from sal_height.simulation.impairments import Impairments
+from sal_height.simulation.lit_surfaces import CONNECTED, lit_surfaces
+from sal_height.simulation.odometry_errors import OdometryErrors
+from sal_height.simulation.phase_errors import Vibration, VibrationBand, VibrationLine
+
+PRESET = "sal_spotlight"
+FLIGHTS, DWELLS = sized((24, 4), (1, 1))
+"""Errors of odometry are drawn once in a flight; its dwells are spread over the scene."""
+
+POINTING = 2e-6
+"""Standard deviation of the attitude about each axis, rad: 7 mm of height by roll, which all pixels of a flight share.
+What a navigation has, and more, is a case of its own, whose shares are those of a few dozen errors."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A platform that is not perfect."""
+
+    name: str
+    impairments: Impairments
+    cnr_db: float = 20.0
+
+
+def _case(name: str, velocity_mps: float = 0.005, attitude_rad: float = POINTING, **others: object) -> Case:
+    odometry = OdometryErrors(velocity_mps=velocity_mps, attitude_rad=attitude_rad)
+    return Case(name, Impairments(odometry=odometry, **others))  # type: ignore[arg-type]
+
+
+def _cases() -> Iterator[Case]:
+    yield Case("perfect", Impairments())
+    for millimetres in (0.2, 0.5, 1, 2, 5, 10, 15):
+        yield _case(f"velocity {millimetres:g} mm/s", 1e-3 * millimetres)
+    for attitude in (2e-5, 1e-4):
+        yield _case(f"velocity 5 mm/s, attitude {attitude:g} rad", attitude_rad=attitude)
+    lines = [(30e-6, 10), (10e-6, 50), (3e-6, 200), (1e-6, 500), (10e-6, 500), (1e-6, 2000), (30e-6, 2000)]
+    for amplitude, frequency in lines:
+        vibration = Vibration(lines=(VibrationLine(amplitude, frequency),))
+        yield _case(f"vibration {1e6 * amplitude:g} um at {frequency:g} Hz", vibration=vibration)
+    yield _case("vibration .01 g^2/Hz, 10 to 2000 Hz", vibration=Vibration(bands=(VibrationBand(0.01, 10.0, 2000.0),)))
+    for linewidth in (100.0, 1e3, 1e4, 1e5):
+        yield _case(f"linewidth {linewidth / 1e3:g} kHz", laser_linewidth_hz=linewidth)
+    helicopter = Vibration(lines=(VibrationLine(30e-6, 20.0), VibrationLine(3e-6, 200.0)))
+    for cnr_db in (20.0, 10.0, 3.0):
+        case = _case(f"all together, {cnr_db:g} dB", 0.01, vibration=helicopter, laser_linewidth_hz=1e4)
+        yield replace(case, cnr_db=cnr_db)
+
+
+CASES = tuple(_cases())
+
+
+@dataclass(frozen=True)
+class Flown:
+    """What became of the dwells of a case.
+
+    Attributes:
+        dwells: flown.
+        refused: by reason.
+        comparison: of those that were published; None: there are none.
+    """
+
+    dwells: int
+    refused: Counter[str]
+    comparison: Comparison | None
+
+    @property
+    def summary(self) -> Summary | None:
+        """Shares over all published surfaces."""
+        return Summary.of(self.comparison) if self.comparison else None
+
+    def as_line(self) -> str:
+        """Dwells, refused ones, and the summary."""
+        shares = self.summary.as_line() if self.summary else "nothing published"
+        why = ", ".join(f"{reason} {count}" for reason, count in self.refused.items())
+        bias = 1e3 * float(np.median(self.comparison.errors.nearest)) if self.comparison else np.nan
+        return f"{self.dwells:4d} {sum(self.refused.values()):4d} {shares} {bias:7.1f}  {why}"
+
+
+HEADING = "dwells refused pixels valid publ. c1 c2 o5 own-o5 missed ghosts order (%) median error (mm), why refused"
+
+
+def flown(seed: int, case: Case, settings: ImageSettings) -> Flown:
+    """Fly a case with a seed, and compare all heights."""
+    whole = load_preset(PRESET)
+    preset = replace(whole, impairments=case.impairments, cnr_db=case.cnr_db)
+    flight, refused, found = flight_of(preset, seed), Counter[str](), []
+    sensor, compressor = flight.sensor, Compressor()
+    estimator = ESTIMATORS["ml"]
+    chosen = estimator.settings(range_looks=preset.looks[0], azimuth_looks=preset.looks[1])
+    for dwell in np.linspace(0, preset.dwells - 1, DWELLS + 2).round().astype(int)[1:-1].tolist():
+        try:
+            slc = compressor.add(flight.phase_history(dwell), flight.track(dwell), sensor, settings)
+        except (Rejected, UserError) as reason:
+            refused[getattr(reason, "reason", str(reason))] += 1
+            continue
+        assert slc is not None  # noqa: S101 (a spotlight dwell has an image)
+        field = heights(slc, sensor, estimator, chosen)
+        cell = sensor.range_resolution, azimuth_resolution(sensor, slc.aperture, preset.flight.slant_range_m)
+        beams, seen = image_beams(sensor, settings.azimuth_window), field.first.positions
+        truth = lit_surfaces(flight.surface(dwell), slc.aperture, field.grid, cell, beams, CONNECTED, seen)
+        found.append(compare(field, truth, sensor.beamwidth))
+    return Flown(DWELLS, refused, joined_comparisons(found) if found else None)
+
+
+def all_flown(case: Case, settings: ImageSettings) -> Flown:
+    """All flights of a case."""
+    parts = list(in_processes(partial(flown, case=case, settings=settings), range(FLIGHTS)))
+    found = [part.comparison for part in parts if part.comparison]
+    refused = sum((part.refused for part in parts), Counter[str]())
+    return Flown(sum(part.dwells for part in parts), refused, joined_comparisons(found) if found else None)
+
+
+def image_settings(autofocus: str = "auto") -> ImageSettings:
+    """Those of the preset."""
+    size = load_preset(PRESET).image
+    assert size is not None  # noqa: S101 (the preset has one)
+    return ImageSettings(rows=size.rows, cols=size.cols, autofocus=autofocus)
+
+
+def coverage() -> Iterator[Row]:
+    """Rows of the group: of every case how far c1 is off, and o5, of what is published; how much is refused is told."""
+    for case in CASES:
+        result = all_flown(case, image_settings())
+        summary, text = result.summary, f"{HEADING}\n    {result.as_line()}"
+        off = abs(100 * summary.within_1 - 68.27) if summary else 0.0
+        yield Row(f"{case.name}: c1 off 68.27 %", off, "points", "<= 5", text)
+        yield Row(f"{case.name}: o5", 100 * summary.beyond_5 if summary else 0.0, "%", "<= 1", text)
+
+
+app = App(
+    name="python -m benchmarks.imperfect_platform", help_format="plaintext", default_parameter=Parameter(negative=())
+)
+
+
+@app.default
+def table(
+    names: Annotated[tuple[str, ...], Parameter(name="CASE", show_default=False)] = (),
+    /,
+    *,
+    autofocus: str = "auto",
+) -> int:
+    """Print a line for each case.
+
+    Args:
+        names: patterns of names of cases; `*` stands for any text. Default: all.
+        autofocus: the setting of that name.
+    """
+    sys.stdout.write(HEADING + "\n")
+    for case in CASES:
+        if not names or any(fnmatchcase(case.name, name) for name in names):
+            sys.stdout.write(f"{case.name:40s} {all_flown(case, image_settings(autofocus)).as_line()}\n")
+            sys.stdout.flush()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(app())

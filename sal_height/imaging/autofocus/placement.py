@@ -1,0 +1,203 @@
+"""Where the image of a dwell lies along the flight: what navigation knows, and what the Doppler centroid adds.
+
+The middle of the beams returns the Doppler frequency 2 (v u + V e) / wavelength off that of navigation: v u is the
+error of the velocity along the line of sight u, V the speed, and e the angle by which the beams look farther ahead
+than the attitude says. Both move the lit ground alike in the image, by R / V times the sum. An error of the velocity
+moves the image itself, one of the attitude does not. Data tell only the sum, modulo wavelength PRF / 2; navigation
+states how large each part is, with the standard deviations a and V b, and so divides it (Gauss-Markov estimate)
+
+    v u = (sum) a^2 / (a^2 + V^2 b^2 + n^2),    V e = (sum) V^2 b^2 / (a^2 + V^2 b^2 + n^2)
+
+where n is the error of the centroid. The image is placed by the first, and the beams are looked for where the second
+puts them. What is left of the first is an error along the flight, which all pixels of the dwell share.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sal_height.errors import Rejected
+from sal_height.geometry import ApertureState
+from sal_height.imaging.autofocus.gradient import Focus
+from sal_height.numeric import F64
+
+FAR_OFF = 5.0
+"""Standard deviations by which a Doppler centroid may differ from that of navigation."""
+
+WRAPS = np.arange(-8, 9)
+"""Multiples of the ambiguity of velocity that are weighed against each other."""
+
+LOWEST_HZ, HIGHEST_HZ, FREQUENCIES = 10.0, 2000.0, 200
+"""Of vibrations: below, navigation follows; rotors, propellers and engines make those between."""
+
+
+@dataclass(frozen=True)
+class NavigationPrior:
+    """How well navigation knows the Doppler frequency of the beams' middle, as standard deviations.
+
+    Attributes:
+        speed: of the antenna along the line of sight, m/s.
+        pointing: of the angle along the flight under which the beams look, rad.
+        flight_speed: m/s.
+    """
+
+    speed: float
+    pointing: float
+    flight_speed: float
+
+    @classmethod
+    def of(cls, aperture: ApertureState, velocity_covariance: F64, sight: F64) -> Self:
+        """From the covariances that odometry states; what is not stated, or no covariance, counts as exact.
+
+        Args:
+            aperture: state of the platform with the covariance of its pose.
+            velocity_covariance: (m/s)^2, map axes, shape (3, 3).
+            sight: unit vector in the middle of the beams, map axes.
+        """
+        turn = np.cross(sight, aperture.direction)
+        speed = _deviation_along(sight, velocity_covariance)
+        pointing = _deviation_along(turn, aperture.covariance[3:, 3:])
+        return cls(speed, pointing, float(np.linalg.norm(aperture.velocity)))
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation of the sum of both as a velocity along the line of sight, m/s."""
+        return float(np.hypot(self.speed, self.flight_speed * self.pointing))
+
+    def beside(self, vibration: float) -> NavigationPrior:
+        """With a vibration of this standard deviation (m/s) that odometry does not contain."""
+        return replace(self, speed=float(np.hypot(self.speed, vibration)))
+
+    def allows(self, found: float, error: float) -> bool:
+        """Whether a centroid (m/s) of this standard error may be; any may be if nothing is stated."""
+        return not self.spread or abs(found) <= FAR_OFF * float(np.hypot(self.spread, error))
+
+
+def _deviation_along(direction: F64, covariance: F64) -> float:
+    """Standard deviation along a unit vector; 0 if the matrix is no covariance."""
+    if not np.all(np.isfinite(covariance)):
+        return 0.0
+    return float(np.sqrt(np.maximum(0.0, direction @ covariance @ direction)))
+
+
+@dataclass(frozen=True)
+class Placement:
+    """How an image lies other than navigation says.
+
+    Attributes:
+        speed: of the antenna along the line of sight beyond that of the odometry, m/s.
+        pointing: angle by which the beams look farther ahead than the attitude says, rad.
+        speed_error: standard deviation of what is left of `speed`, m/s.
+    """
+
+    speed: float
+    pointing: float
+    speed_error: float
+
+    def moved(self, antenna: F64, seconds: F64, sight: F64) -> F64:
+        """Positions of the antenna (m), shape (pulses, 3), at times in s from the middle of the dwell."""
+        return antenna + (self.speed * seconds)[:, None] * sight
+
+    def seen_from(self, aperture: ApertureState, sight: F64, slant_range: float) -> ApertureState:
+        """The aperture as it flew and looked, with what is left of the error along the flight in its covariance."""
+        turn = np.cross(sight, aperture.direction)
+        covariance = np.array(aperture.covariance, dtype=np.float64)
+        along = self.speed_error * slant_range / np.linalg.norm(aperture.velocity)
+        covariance[:3, :3] += along**2 * np.outer(aperture.direction, aperture.direction)
+        return replace(
+            aperture,
+            velocity=aperture.velocity + self.speed * sight,
+            rotation=Rotation.from_rotvec(self.pointing * turn).as_matrix() @ aperture.rotation,
+            covariance=covariance,
+        )
+
+
+def placed_by_navigation(prior: NavigationPrior) -> Placement:
+    """Where navigation alone puts an image."""
+    return Placement(0.0, 0.0, prior.speed)
+
+
+def placed_by_centroid(found: float, error: float, prior: NavigationPrior, ambiguity: float) -> Placement:
+    """Where the Doppler centroid and navigation together put an image.
+
+    Args:
+        found: centroid beyond that of navigation, as a velocity along the line of sight, m/s.
+        error: its standard error, m/s.
+        prior: what navigation knows. If it states nothing, all is taken for an error of the attitude: the image stays.
+        ambiguity: wavelength PRF / 2, m/s. Other multiples of it are weighed by the prior.
+    """
+    if not prior.spread:
+        return Placement(0.0, found / prior.flight_speed, 0.0)
+    variance = prior.spread**2 + error**2
+    of_speed, of_pointing = prior.speed**2 / variance, (prior.flight_speed * prior.pointing) ** 2 / variance
+    exponent = -((found + WRAPS * ambiguity) ** 2) / (2 * variance)
+    weights = np.exp(exponent - exponent.max())
+    wrapped = np.sum(weights * (WRAPS * ambiguity) ** 2) / weights.sum()
+    # A wrap more moves image and beams together, and so the image off the beams' middle by what is not its part.
+    left = prior.speed**2 * (1 - of_speed) + (1 - of_speed) ** 2 * wrapped
+    return Placement(of_speed * found, of_pointing * found / prior.flight_speed, float(np.sqrt(left)))
+
+
+def vibration_speed(phase: F64, seconds: F64, wavelength: float) -> float:
+    """Standard deviation (m/s) of the mean velocity by a vibration, from the rest of its phase over a dwell.
+
+    A vibration of unknown frequency is taken to have the same power of velocity in every octave from LOWEST_HZ to
+    HIGHEST_HZ. How much of it is a curvature of the phase, of the second or third order, and how much the trend that
+    cannot be told from an error of navigation, follows from the length of the dwell; the curvature tells its power.
+
+    Args:
+        phase: without mean and linear trend, rad, shape (pulses,).
+        seconds: times of the pulses, s.
+        wavelength: m.
+    """
+    shapes = np.polynomial.legendre.legvander(np.linspace(-1, 1, len(phase)), 3)
+    orthogonal = np.linalg.qr(shapes)[0]
+    middle = seconds - seconds.mean()
+    omega = 2 * np.pi * np.geomspace(LOWEST_HZ, HIGHEST_HZ, FREQUENCIES)
+    waves = np.exp(1j * omega[:, None] * middle) / omega[:, None]  # displacement of a velocity of amplitude 1
+    power = np.mean(np.abs(waves @ orthogonal) ** 2, axis=0)
+    curvature = (orthogonal[:, 2:].T @ phase) ** 2 / power[2:]
+    trend = np.sqrt(power[1] * curvature.mean())  # as the coefficient of the linear shape
+    rise = orthogonal[-1, 1] - orthogonal[0, 1]
+    return float(trend * rise / (middle[-1] - middle[0]) * wavelength / (4 * np.pi))
+
+
+def place_image(focus: Focus, pulse_times: F64, wavelength: float, prior: NavigationPrior) -> tuple[Focus, Placement]:
+    """The phase to remove from a dwell, and where its image then lies.
+
+    Where the phase steps at random from pulse to pulse, its trend is that of nothing: it is removed as well, so that
+    the image is in the middle of the beams, whose angle alone says where that is.
+
+    Args:
+        focus: what autofocus has found, to be trusted.
+        pulse_times: s, shape (pulses,).
+        wavelength: m.
+        prior: what navigation knows.
+
+    Raises:
+        Rejected: the Doppler centroid contradicts navigation.
+    """
+    if not np.isfinite(focus.trend_error):
+        return focus, placed_by_navigation(prior)
+    pulses = len(pulse_times)
+    interval = float(pulse_times[-1] - pulse_times[0]) / (pulses - 1)
+    of_a_radian = wavelength / (4 * np.pi * interval)
+    found, error = of_a_radian * focus.trend, of_a_radian * focus.trend_error
+    if not focus.is_smooth:
+        centred = focus.phase + focus.trend * (np.arange(pulses) - (pulses - 1) / 2)
+        left = float(np.hypot(prior.flight_speed * prior.pointing, error))
+        return replace(focus, phase=centred, trend=0.0), Placement(0.0, 0.0, left)
+    if prior.spread:
+        prior = prior.beside(vibration_speed(focus.phase, pulse_times, wavelength))
+    if not prior.allows(found, error):
+        raise Rejected(
+            "Doppler centroid contradicts navigation",
+            f"The beams' middle is at a Doppler that is {found:.3g} m/s of velocity along the line of sight off that "
+            f"of the odometry, which states {prior.spread:.2g} m/s for velocity and pointing together; attitude, "
+            "boresights or the stated covariances must be wrong.",
+        )
+    return focus, placed_by_centroid(found, error, prior, 2 * np.pi * of_a_radian)

@@ -1,0 +1,191 @@
+"""Where a dwell lies along the flight: what data and navigation say of it, each for what it is worth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import assert_one_sentence
+from scipy.spatial.transform import Rotation
+
+from sal_height.elevation import ESTIMATORS, MlSettings, Validity
+from sal_height.errors import Rejected
+from sal_height.geometry import PlatformState, Trajectory
+from sal_height.imaging import ImageSettings, Slc
+from sal_height.imaging.autofocus.placement import (
+    NavigationPrior,
+    placed_by_centroid,
+    placed_by_navigation,
+    vibration_speed,
+)
+from sal_height.imaging.pixels import line_of_sight
+from sal_height.pipeline import Compressor, heights
+from sal_height.sensor.phase_history import PhaseHistory
+from sal_height.simulation import SimulatedFlight, flight_of, load_preset
+from sal_height.simulation.harmonics import Harmonics
+
+SPEED, RANGE, AMBIGUITY = 50.0, 5000.0, 0.031
+
+
+@pytest.fixture(scope="module")
+def flight() -> SimulatedFlight:
+    return flight_of(load_preset("sal_spotlight"), seed=5)
+
+
+@pytest.fixture(scope="module")
+def history(flight: SimulatedFlight) -> PhaseHistory:
+    return flight.phase_history(7)
+
+
+def track_of(
+    flight: SimulatedFlight, speed: float, pointing: float, stated: tuple[float, float] = (0.0, 0.0)
+) -> Trajectory:
+    """Odometry whose velocity lacks `speed` (m/s) along the line of sight and whose attitude lacks `pointing` (rad).
+
+    It states standard deviations of velocity and attitude.
+    """
+    aperture, middle = flight.aperture(7), flight.dwell_start_ns(7) + round(5e8 * flight.pulse_times[-1])
+    sight = line_of_sight(flight.sensor, aperture)
+    states = [
+        replace(
+            state,
+            position=state.position - speed * (state.stamp_ns - middle) * 1e-9 * sight,
+            velocity=state.velocity - speed * sight,
+            covariance=np.diag([0.0] * 3 + [stated[1] ** 2] * 3),
+            velocity_covariance=stated[0] ** 2 * np.eye(3),
+        )
+        for state in flight.track(7).states
+    ]
+    return Trajectory([_turned(state, -pointing * np.cross(sight, aperture.direction)) for state in states])
+
+
+def _turned(state: PlatformState, rotation: np.ndarray) -> PlatformState:
+    return replace(
+        state, orientation=(Rotation.from_rotvec(rotation) * Rotation.from_quat(state.orientation)).as_quat()
+    )
+
+
+def compressed(flight: SimulatedFlight, history: PhaseHistory, track: Trajectory, **settings: object) -> Slc:
+    slc = Compressor().add(history, track, flight.sensor, ImageSettings(rows=184, cols=12, **settings))
+    assert slc is not None
+    return slc
+
+
+def test_sum_is_divided_as_navigation_states_its_parts() -> None:
+    """Equal parts: half each; the error that is left is that of the difference."""
+    equal = NavigationPrior(0.003, 0.003 / SPEED, SPEED)
+    placed = placed_by_centroid(0.004, 1e-5, equal, AMBIGUITY)
+    assert placed.speed == pytest.approx(0.002, rel=1e-4)
+    assert SPEED * placed.pointing == pytest.approx(0.002, rel=1e-4)
+    assert placed.speed_error == pytest.approx(0.003 / np.sqrt(2), rel=1e-3)
+    exact_pointing = placed_by_centroid(0.004, 1e-5, NavigationPrior(0.003, 0.0, SPEED), AMBIGUITY)
+    assert (exact_pointing.speed, exact_pointing.pointing) == (pytest.approx(0.004, rel=1e-4), 0.0)
+    assert exact_pointing.speed_error == pytest.approx(1e-5, rel=1e-3)
+    unstated = placed_by_centroid(0.004, 1e-5, NavigationPrior(0.0, 0.0, SPEED), AMBIGUITY)
+    assert (unstated.speed, SPEED * unstated.pointing, unstated.speed_error) == (0.0, pytest.approx(0.004), 0.0)
+
+
+def test_parts_are_those_of_drawn_errors() -> None:
+    """40 000 draws, some of them wrapped: errors of the estimate have the standard deviation it states, within 3 %."""
+    rng = np.random.default_rng(1)
+    for speed, pointing in ((0.003, 2e-5), (0.01, 1e-4), (0.012, 3e-4)):
+        prior = NavigationPrior(speed, pointing, SPEED)
+        drawn = np.stack([speed * rng.standard_normal(40_000), SPEED * pointing * rng.standard_normal(40_000)])
+        found = drawn.sum(axis=0) + 1e-4 * rng.standard_normal(40_000)
+        wraps = np.round(found / AMBIGUITY) * AMBIGUITY
+        placed = [placed_by_centroid(one, 1e-4, prior, AMBIGUITY) for one in (found - wraps).tolist()]
+        # An image whose velocity lacks a whole ambiguity is the same image.
+        error = np.array([one.speed for one in placed]) + wraps - drawn[0]
+        error = np.where(np.abs(error) > AMBIGUITY / 2, error - np.round(error / AMBIGUITY) * AMBIGUITY, error)
+        stated = np.array([one.speed_error for one in placed])
+        assert np.sqrt(np.mean(error**2)) <= 1.03 * np.sqrt(np.mean(stated**2))
+
+
+def test_covariance_that_is_none_counts_as_not_stated(flight: SimulatedFlight) -> None:
+    aperture = flight.aperture(7)
+    sight = line_of_sight(flight.sensor, aperture)
+    for absurd in (-np.eye(3), np.full((3, 3), np.nan), np.full((3, 3), np.inf)):
+        assert NavigationPrior.of(aperture, absurd, sight).speed == 0
+    stated = NavigationPrior.of(replace(aperture, covariance=4e-8 * np.eye(6)), 9e-6 * np.eye(3), sight)
+    assert (stated.speed, stated.pointing) == (pytest.approx(0.003), pytest.approx(2e-4))
+
+
+@pytest.mark.parametrize(("speed", "pointing"), [(0.002, 0.0), (-0.012, 0.0), (0.0, 5e-5), (0.006, -1e-4)])
+def test_centroid_tells_velocity_and_pointing_together(
+    flight: SimulatedFlight, history: PhaseHistory, speed: float, pointing: float
+) -> None:
+    """To .15 mm/s, a hundredth of the beam; the image lies within 3 standard deviations of where it is."""
+    stated = max(abs(speed), 1e-6), max(abs(pointing), 1e-9)
+    truth = compressed(flight, history, flight.track(7))
+    slc = compressed(flight, history, track_of(flight, speed, pointing, stated))
+    sight = line_of_sight(flight.sensor, truth.aperture)
+    found = sight @ (slc.aperture.velocity - truth.aperture.velocity) + speed - speed
+    ahead = (line_of_sight(flight.sensor, slc.aperture) - sight) @ truth.aperture.direction
+    assert found + SPEED * ahead == pytest.approx(0.0, abs=1.5e-4)
+    if not (speed and pointing):
+        assert found == pytest.approx(0.0, abs=1.5e-4)
+        assert slc.aperture.covariance[0, 0] < 0.02**2
+    assert abs(found) <= 3 * np.sqrt(slc.aperture.covariance[0, 0]) * SPEED / RANGE + 1e-5
+
+
+def test_velocity_that_is_stated_as_uncertain_no_longer_spoils_heights(
+    flight: SimulatedFlight, history: PhaseHistory
+) -> None:
+    """3 mm/s: without autofocus fewer than half of the heights are within sigma; with it as many as with the truth."""
+    good = share_within_sigma(flight, compressed(flight, history, flight.track(7)))
+    wrong = track_of(flight, 0.003, 0.0, (0.003, 0.0))
+    assert share_within_sigma(flight, compressed(flight, history, wrong, autofocus="never")) < 0.5
+    assert share_within_sigma(flight, compressed(flight, history, wrong)) > good - 0.04
+
+
+def share_within_sigma(flight: SimulatedFlight, slc: Slc) -> float:
+    """Of the heights of a dwell of the street beside its kerb, against their median in each row of pixels."""
+    field = heights(slc, flight.sensor, ESTIMATORS["ml"], MlSettings(range_looks=2, azimuth_looks=2))
+    level = np.abs(field.first.height) / field.first.sigma
+    return float(np.mean(level[field.validity == Validity.OK] < 1))
+
+
+def test_navigation_that_is_contradicted_is_refused(flight: SimulatedFlight, history: PhaseHistory) -> None:
+    with pytest.raises(Rejected) as caught:
+        compressed(flight, history, track_of(flight, 0.004, 0.0, (2e-4, 0.0)))
+    assert caught.value.reason == "Doppler centroid contradicts navigation"
+    assert_one_sentence(str(caught.value), "m/s", "stated")
+
+
+def test_a_dwell_that_needs_autofocus_and_has_nothing_to_focus_on_is_refused(
+    flight: SimulatedFlight, history: PhaseHistory
+) -> None:
+    rng = np.random.default_rng(6)
+    noise = rng.standard_normal((2, *history.samples.shape)) * np.sqrt(flight.sensor.noise_power[0] / 2)
+    empty = replace(history, samples=(noise[0] + 1j * noise[1]).astype(np.complex64))
+    with pytest.raises(Rejected) as caught:
+        compressed(flight, empty, track_of(flight, 0.0, 0.0, (0.005, 0.0)))
+    assert caught.value.reason == "autofocus"
+    assert_one_sentence(str(caught.value), "0.005 m/s")
+
+
+def test_without_autofocus_what_navigation_leaves_open_is_in_the_covariance(
+    flight: SimulatedFlight, history: PhaseHistory
+) -> None:
+    slc = compressed(flight, history, track_of(flight, 0.0, 0.0, (0.002, 0.0)), autofocus="never")
+    along = 0.002 * RANGE / SPEED
+    np.testing.assert_allclose(slc.aperture.covariance[:3, :3], np.diag([along**2, 0, 0]), atol=1e-6)
+    assert placed_by_navigation(NavigationPrior(0.002, 1e-3, SPEED)).speed_error == 0.002
+
+
+@pytest.mark.parametrize(("lowest_hz", "highest_hz"), [(10.0, 2000.0), (40.0, 600.0)])
+def test_mean_velocity_of_a_vibration_is_told_from_the_rest_of_its_phase(lowest_hz: float, highest_hz: float) -> None:
+    """Lines of one velocity and of all octaves: velocities over what is told for them have a median of about 1."""
+    rng, seconds, ratios = np.random.default_rng(9), 2.5e-5 * np.arange(64), []
+    for _ in range(400):
+        omega = 2 * np.pi * np.array([np.exp(rng.uniform(*np.log([lowest_hz, highest_hz])))])
+        motion = Harmonics(omega, np.array([[0.003]]), rng.uniform(0, 2 * np.pi, (1, 1)))
+        phase = 4 * np.pi / 1.55e-6 * motion.displacement(seconds)[:, 0]
+        time = np.linspace(-1, 1, 64)
+        trend = (time @ phase) / (time @ time)
+        rest = phase - phase.mean() - trend * time
+        speed = trend * 2 / (seconds[-1] - seconds[0]) * 1.55e-6 / (4 * np.pi)
+        ratios.append(abs(speed) / vibration_speed(rest, seconds, 1.55e-6))
+    assert 0.1 < np.median(ratios) < 1.5
+    assert np.mean(np.array(ratios) > 10) < 0.25

@@ -11,8 +11,9 @@ from collections.abc import Hashable
 from typing import Any, ClassVar
 
 import numpy as np
-from sal_height_msgs.msg import HeightImage
+from sal_height_msgs.msg import HeightImage, Provenance
 from sensor_msgs.msg import Image
+from std_msgs.msg import Header
 
 from sal_height import messages
 from sal_height.elevation import ESTIMATORS
@@ -76,7 +77,11 @@ class ReliefTracker(Stage):
         return self._rehearsed and super().is_ready
 
     def _rehearse(self) -> int:
-        track(*made_up_heights(np.random.default_rng(0)), PriorEstimate(), self.current_parameters())
+        parameters = self.current_parameters()
+        made_up = made_up_height_image(np.random.default_rng(0), parameters.map_frame)
+        image, tracked, _ = Tracker().track(made_up, parameters, self.get_name())
+        messages.height_picture(image)
+        messages.height_points(tracked, messages.frame_near(tracked.grid.origin, image.header, PREFIX))
         self._rehearsed = True
         return 0
 
@@ -102,6 +107,13 @@ class ReliefTracker(Stage):
         )
         self._height.publish(image)  # whose provenance, with the prior, is that of no other dwell
         return 1
+
+
+def made_up_height_image(rng: np.random.Generator, map_frame: str) -> HeightImage:
+    """The heights of level ground, as they come from an estimator."""
+    field, aperture = made_up_heights(rng)
+    source = HeightImage(header=Header(frame_id=map_frame))
+    return messages.height_to_message(field, aperture, (1, 1), "ml", source, Provenance())
 
 
 class Tracker:

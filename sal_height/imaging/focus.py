@@ -11,7 +11,14 @@ from pydantic import BeforeValidator
 from sal_height.elevation import AxisResponse, CellResponse
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import ApertureState, Grid, Trajectory
-from sal_height.imaging.autofocus.gradient import AutofocusSettings, Focus, apply_phase, autofocus, patch_centres
+from sal_height.imaging.autofocus.gradient import (
+    AutofocusSettings,
+    Focus,
+    apply_phase,
+    autofocus,
+    is_for_speckle,
+    patch_centres,
+)
 from sal_height.imaging.autofocus.placement import NavigationPrior, place_image, placed_by_navigation
 from sal_height.imaging.checks import (
     check_doppler_centroid,
@@ -68,7 +75,7 @@ class ImageSettings(AutofocusSettings, CorrectionSettings):
         "auto",
         "whether to estimate and remove the phase error that all channels share, and to look for the beams by their "
         "Doppler centroid (spotlight only); auto: if the odometry's covariances of velocity and attitude leave the "
-        "beams uncertain by more than autofocus_from_beamwidths",
+        "beams uncertain by more than autofocus_from_beamwidths, and speckle can tell where they are",
         choices=("auto", "always", "never"),
     )
     autofocus_from_beamwidths: float = setting(
@@ -157,7 +164,8 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
     sight = line_of_sight(sensor, aperture)
     prior = NavigationPrior.of(aperture, track.velocity_covariance(history.stamp_ns, history.pulse_times), sight)
     placement, focus = placed_by_navigation(prior), None
-    uncertain = prior.spread > settings.autofocus_from_beamwidths * sensor.beams.track_beamwidth * prior.flight_speed
+    allowed = settings.autofocus_from_beamwidths * sensor.beams.track_beamwidth * prior.flight_speed
+    uncertain = prior.spread > allowed and is_for_speckle(sensor, antenna)
     if settings.autofocus == "always" or (settings.autofocus == "auto" and uncertain):
         # Phase error, and where the beams are, from the data; as much of it as navigation leaves open.
         grid = _dwell_grid(settings, sensor, aperture, reference, processing)
@@ -282,6 +290,11 @@ class StripFocuser:
         length = aperture_length(sensor, reference)
         noise_power = slc_noise_power(sensor, processing, round(length * len(antenna) / aperture.length))
         shares = strip.history.shares.max(axis=1)
+        # What navigation does not know of the velocity is an error along the flight.
+        sight = line_of_sight(sensor, abeam)
+        velocity_covariance = mounted.velocity_covariance(strip.history.stamp_ns, around)
+        prior = NavigationPrior.of(abeam, velocity_covariance, sight)
+        abeam = placed_by_navigation(prior).seen_from(abeam, sight, reference)
         abeam = replace(abeam, length=length, sliding=True)
         doubt, self._doubt = describe_unverified_squint(sensor, aperture) or self._doubt, ""
         windows = settings.azimuth_window, settings.range_window

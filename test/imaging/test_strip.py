@@ -486,3 +486,15 @@ def test_a_first_block_without_an_image_says_why(pulses: int, cols: int, said: s
     assert_one_sentence(focuser.shortfall, said, f"{(pulses - 1) * SPEED / PRF:.4g} m", "later block")
     flown.feed(focuser, pulses, 900, settings)
     assert focuser.shortfall == ""
+
+
+def test_what_navigation_does_not_know_of_the_velocity_is_an_error_along_the_flight() -> None:
+    """Range over speed times the standard deviation along the line of sight."""
+    flown = noisy(600)
+    stated = [replace(state, velocity_covariance=np.diag([0.0, 4e-6, 0.0])) for state in flown.states]
+    plain, uncertain = (
+        replace(flown, states=states).images(600, ImageSettings(cols=10, rows=8))[0].aperture.covariance
+        for states in (flown.states, stated)
+    )
+    along = 2e-3 * np.sin(elevation_at(0.0)) * REACH / SPEED
+    np.testing.assert_allclose(uncertain - plain, np.diag([along**2, 0, 0, 0, 0, 0]), atol=1e-3 * along**2)

@@ -129,7 +129,7 @@ def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64,
             f"Autofocus would hold {count} responses of pulses at points of the image; at most {MOST_RESPONSES} are "
             "allowed, so set autofocus to false or form a smaller image."
         )
-    on_speckle = _stays_in_range_cell(sensor, antenna) and min(sensor.noise_power) > 0
+    on_speckle = is_for_speckle(sensor, antenna)
     if on_speckle and sensor.pulse_count > settings.autofocus_max_pulses:
         raise UserError(
             f"The dwell has {sensor.pulse_count} pulses, autofocus links the phases of at most "
@@ -152,6 +152,17 @@ def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64,
     sharper = _sharpness(_turned(responses, phase), half) / _sharpness(responses, half)
     known = focus.standard_error <= settings.autofocus_max_error_rad
     return replace(focus, phase=phase, trusted=known and sharper >= 1 - settings.autofocus_max_blur)
+
+
+def is_for_speckle(sensor: Sensor, antenna: F64) -> bool:
+    """Whether a dwell is focused on speckle: its noise is known, and all that the beam lights stays in its range cell.
+
+    Args:
+        sensor: wavelength, bandwidth, beams and noise power.
+        antenna: position at each pulse, m, shape (pulses, 3).
+    """
+    half_beam = 2 * np.linalg.norm(antenna[-1] - antenna[0]) * sensor.beams.track_beamwidth / sensor.wavelength
+    return bool(half_beam <= patch_half_width(sensor)) and min(sensor.noise_power) > 0
 
 
 def apply_phase(history: PhaseHistory, phase: F64) -> PhaseHistory:
@@ -312,12 +323,6 @@ def patch_centres(sensor: Sensor, aperture: ApertureState, grid: Grid) -> F64:
 def _spread(pixels: int, count: int) -> F64:
     """Middles of `count` equal parts of a row of pixels, as fractional indices."""
     return (np.arange(count) + 0.5) * pixels / count - 0.5
-
-
-def _stays_in_range_cell(sensor: Sensor, antenna: F64) -> bool:
-    """Whether all that the beam lights stays in its range cell during the dwell."""
-    half_beam = 2 * np.linalg.norm(antenna[-1] - antenna[0]) * sensor.beams.track_beamwidth / sensor.wavelength
-    return bool(half_beam <= patch_half_width(sensor))
 
 
 def _rms(values: F64) -> float:

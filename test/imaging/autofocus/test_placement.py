@@ -13,6 +13,7 @@ from sal_height.elevation import ESTIMATORS, MlSettings, Validity
 from sal_height.errors import Rejected
 from sal_height.geometry import PlatformState, Trajectory
 from sal_height.imaging import ImageSettings, Slc
+from sal_height.imaging.autofocus.gradient import is_for_speckle
 from sal_height.imaging.autofocus.placement import (
     NavigationPrior,
     placed_by_centroid,
@@ -189,3 +190,12 @@ def test_mean_velocity_of_a_vibration_is_told_from_the_rest_of_its_phase(lowest_
         ratios.append(abs(speed) / vibration_speed(rest, seconds, 1.55e-6))
     assert 0.1 < np.median(ratios) < 1.5
     assert np.mean(np.array(ratios) > 10) < 0.25
+
+
+def test_beams_that_speckle_cannot_tell_the_place_of_need_no_autofocus() -> None:
+    """Those of a radar whose echoes migrate by range cells, and those of a sensor whose noise is not known."""
+    flight = flight_of(load_preset("xband_relief"), seed=1)
+    sensor, antenna = flight.spectrum, flight.position(flight.pulse_times)
+    assert is_for_speckle(sensor, antenna)
+    assert not is_for_speckle(replace(sensor, bandwidth=100 * sensor.bandwidth, config_hash=""), antenna)
+    assert not is_for_speckle(replace(sensor, noise_power=(0.0,) * sensor.detector_count, config_hash=""), antenna)

@@ -181,10 +181,12 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
     # The image, where the beams are.
     grid = _dwell_grid(settings, sensor, aperture, reference, processing)
     former = choose_former(settings.former, antenna, sensor, processing, grid)
-    check_doppler_centroid(history, antenna, sensor, aperture, grid)
+    off_middle = check_doppler_centroid(history, antenna, sensor, aperture, grid)
     images = former(history, antenna, sensor, processing, grid)
     noise_power = slc_noise_power(sensor, processing, len(antenna))
     windows, doubt = (settings.azimuth_window, settings.range_window), describe_unverified_squint(sensor, aperture)
+    if is_for_speckle(sensor, antenna):
+        doubt = doubt or off_middle
     return Slc(images, grid, aperture, noise_power, history.shares.max(axis=1), *windows, focus, doubt)
 
 

@@ -199,3 +199,15 @@ def test_beams_that_speckle_cannot_tell_the_place_of_need_no_autofocus() -> None
     assert is_for_speckle(sensor, antenna)
     assert not is_for_speckle(replace(sensor, bandwidth=100 * sensor.bandwidth, config_hash=""), antenna)
     assert not is_for_speckle(replace(sensor, noise_power=(0.0,) * sensor.detector_count, config_hash=""), antenna)
+
+
+@pytest.mark.parametrize(("speed", "doubted"), [(0.0, False), (0.0005, False), (0.0015, True), (-0.003, True)])
+def test_a_velocity_that_is_wrong_and_stated_as_exact_is_doubted(
+    flight: SimulatedFlight, history: PhaseHistory, speed: float, doubted: bool
+) -> None:
+    """From a tenth of a beam on, which is 0.8 mm/s."""
+    slc = compressed(flight, history, track_of(flight, speed, 0.0))
+    assert bool(slc.doubt) == doubted
+    if doubted:
+        assert_one_sentence(slc.doubt, "of a beamwidth", "twist", "autofocus")
+        assert not compressed(flight, history, track_of(flight, speed, 0.0), autofocus="always").doubt

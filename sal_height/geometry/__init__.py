@@ -9,7 +9,14 @@ attitudes that come apart) and `air` (what the atmosphere does to range and dire
 Angles are in rad, lengths in m, times in s.
 """
 
-from sal_height.geometry.air import RADIO_M, AirPath, path_through_air, refractivities, standard_air
+from sal_height.geometry.air import (
+    RADIO_M,
+    STANDARD_ATMOSPHERE,
+    AirPath,
+    Atmosphere,
+    path_through_air,
+    refractivities,
+)
 from sal_height.geometry.conventions import BODY_AXES, MAP_AXES, ROS_AXES, Axes
 from sal_height.geometry.earth import EARTH_RADIUS, above_place, height_of, sphere_coordinates, sphere_point
 from sal_height.geometry.frames import (
@@ -38,10 +45,12 @@ __all__ = [
     "RADIO_M",
     "REORDERED_NS",
     "ROS_AXES",
+    "STANDARD_ATMOSPHERE",
     "UTM",
     "WGS_84",
     "AirPath",
     "ApertureState",
+    "Atmosphere",
     "Axes",
     "Grid",
     "Motion",
@@ -70,6 +79,5 @@ __all__ = [
     "sphere_coordinates",
     "sphere_point",
     "squint_on_cone",
-    "standard_air",
     "without_range_phase",
 ]

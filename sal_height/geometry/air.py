@@ -1,13 +1,15 @@
 """What air does to range and direction: the delay of the echo, and the bending of its way.
 
 The air is the International Standard Atmosphere (ISO 2533) with the water vapour of the reference atmosphere of ITU-R
-P.835, in plane layers. Light has the refractivity of dry air by Ciddor (Applied Optics 35, 1996), radio waves that of
-ITU-R P.453. Weather moves the delay by a few percent, near the ground and for radio waves by more, for vapour.
+P.835, in plane layers; or one that is as much warmer at all heights, and has as much more pressure and vapour, as
+somebody has measured somewhere. Light has the refractivity of dry air by Ciddor (Applied Optics 35, 1996), radio waves
+that of ITU-R P.453. Weather moves the delay by a few percent, near the ground and for radio waves by more, for vapour.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -48,20 +50,55 @@ class AirPath:
     bend: float
 
 
-def standard_air(height: F64) -> tuple[F64, F64, F64]:
-    """Temperature (K), pressure and partial pressure of water vapour (Pa) at heights above sea level (m)."""
-    temperature, pressure = np.empty_like(height), np.empty_like(height)
-    base_pressure = _SEA_LEVEL_PA
-    for number, (base, at_base, lapse) in enumerate(_LAPSES):
-        above = height - base
-        inside = above >= 0 if number else np.ones_like(height, np.bool_)
-        temperature[inside] = at_base + lapse * above[inside]
-        pressure[inside] = base_pressure * _pressure_ratio(above[inside], at_base, lapse)
-        if number + 1 < len(_LAPSES):
-            thickness = np.array(_LAPSES[number + 1][0] - base)
-            base_pressure *= float(_pressure_ratio(thickness, at_base, lapse))
-    density = _VAPOUR_KG_M3 * np.exp(-height / _VAPOUR_SCALE_M)
-    return temperature, pressure, density * _VAPOUR_CONSTANT * temperature
+@dataclass(frozen=True)
+class Atmosphere:
+    """Air in hydrostatic equilibrium; by default the standard atmosphere.
+
+    Attributes:
+        warmer: by which it is warmer than the standard atmosphere at all heights, K.
+        sea_level_pressure: Pa.
+        vapour: density of water vapour at sea level, kg/m^3; it falls by 1/e in 2 km.
+    """
+
+    warmer: float = 0.0
+    sea_level_pressure: float = _SEA_LEVEL_PA
+    vapour: float = _VAPOUR_KG_M3
+
+    @classmethod
+    def measured(cls, height: float, temperature: float, pressure: float, humidity: float) -> Self:
+        """The air as it was measured at one height.
+
+        Args:
+            height: above sea level, m.
+            temperature: K.
+            pressure: Pa.
+            humidity: relative, from 0 to 1, over water.
+        """
+        there = np.array([height])
+        warmer = temperature - float(STANDARD_ATMOSPHERE.at(there)[0][0])
+        unscaled = float(cls(warmer, 1.0, 0.0).at(there)[1][0])
+        celsius = temperature - 273.15
+        saturation = 611.21 * np.exp(17.502 * celsius / (240.97 + celsius))  # ITU-R P.453
+        density = humidity * saturation / (_VAPOUR_CONSTANT * temperature)
+        return cls(warmer, pressure / unscaled, float(density * np.exp(height / _VAPOUR_SCALE_M)))
+
+    def at(self, height: F64) -> tuple[F64, F64, F64]:
+        """Temperature (K), pressure and partial pressure of water vapour (Pa) at heights above sea level (m)."""
+        temperature, pressure = np.empty_like(height), np.empty_like(height)
+        base_pressure = self.sea_level_pressure
+        for number, (base, standard, lapse) in enumerate(_LAPSES):
+            above, at_base = height - base, standard + self.warmer
+            inside = above >= 0 if number else np.ones_like(height, np.bool_)
+            temperature[inside] = at_base + lapse * above[inside]
+            pressure[inside] = base_pressure * _pressure_ratio(above[inside], at_base, lapse)
+            if number + 1 < len(_LAPSES):
+                thickness = np.array(_LAPSES[number + 1][0] - base)
+                base_pressure *= float(_pressure_ratio(thickness, at_base, lapse))
+        density = self.vapour * np.exp(-height / _VAPOUR_SCALE_M)
+        return temperature, pressure, density * _VAPOUR_CONSTANT * temperature
+
+
+STANDARD_ATMOSPHERE = Atmosphere()
 
 
 def _pressure_ratio(above: F64, temperature: float, lapse: float) -> F64:
@@ -72,17 +109,18 @@ def _pressure_ratio(above: F64, temperature: float, lapse: float) -> F64:
     return np.asarray(np.exp(-exponent * above / temperature))
 
 
-def refractivities(height: F64, wavelength: float) -> tuple[F64, F64]:
+def refractivities(height: F64, wavelength: float, air: Atmosphere = STANDARD_ATMOSPHERE) -> tuple[F64, F64]:
     """Refractive index of the phase and of the group, each less 1, at heights above sea level (m).
 
     Args:
         height: m.
         wavelength: m.
+        air: that it is of.
 
     Raises:
         UserError: the wavelength is of neither light nor radio waves.
     """
-    temperature, pressure, vapour = standard_air(height)
+    temperature, pressure, vapour = air.at(height)
     if wavelength >= RADIO_M:
         dry, wet = (pressure - vapour) / 100, vapour / 100  # hPa
         radio = 1e-6 * (77.6 * dry / temperature + 72.0 * wet / temperature + 3.75e5 * wet / temperature**2)
@@ -100,7 +138,13 @@ def refractivities(height: F64, wavelength: float) -> tuple[F64, F64]:
     return density * phase, density * group
 
 
-def path_through_air(wavelength: float, sensor_height: float, ground_height: float, off_nadir: float) -> AirPath:
+def path_through_air(
+    wavelength: float,
+    sensor_height: float,
+    ground_height: float,
+    off_nadir: float,
+    air: Atmosphere = STANDARD_ATMOSPHERE,
+) -> AirPath:
     """Delay and bend of the way from a sensor to the ground.
 
     By Snell's law n sin(angle) is the same in all layers; the way to the target is found by Newton's method.
@@ -110,6 +154,7 @@ def path_through_air(wavelength: float, sensor_height: float, ground_height: flo
         sensor_height: above sea level, m.
         ground_height: above sea level, m, below the sensor.
         off_nadir: of the straight line from sensor to target, rad, from 0 to less than pi / 2.
+        air: between them.
 
     Raises:
         UserError: a height is outside of the atmosphere, the sensor is not above the ground, or the wavelength is of
@@ -122,8 +167,8 @@ def path_through_air(wavelength: float, sensor_height: float, ground_height: flo
         )
     step = (sensor_height - ground_height) / LAYERS
     heights = ground_height + step * (np.arange(LAYERS, dtype=np.float64) + 0.5)
-    phase, group = refractivities(np.asarray(heights, dtype=np.float64), wavelength)
-    there, _ = refractivities(np.array([sensor_height]), wavelength)
+    phase, group = refractivities(np.asarray(heights, dtype=np.float64), wavelength, air)
+    there, _ = refractivities(np.array([sensor_height]), wavelength, air)
     ratio = (1 + there[0]) / (1 + phase)
     goal = (sensor_height - ground_height) * np.tan(off_nadir)
     sine = np.sin(off_nadir)

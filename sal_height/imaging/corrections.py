@@ -13,7 +13,16 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sal_height.geometry import AirPath, ApertureState, Mounting, Trajectory, height_of, path_through_air
+from sal_height.geometry import (
+    STANDARD_ATMOSPHERE,
+    AirPath,
+    ApertureState,
+    Atmosphere,
+    Mounting,
+    Trajectory,
+    height_of,
+    path_through_air,
+)
 from sal_height.imaging.pixels import aim_point, line_of_sight
 from sal_height.sensor import PhaseHistory, Sensor
 from sal_height.settings import Settings, setting
@@ -35,8 +44,19 @@ class CorrectionSettings(Settings):
     )
     air: str = setting(
         "none",
-        "air that delays and bends the way of echoes, besides the two offsets; standard: the standard atmosphere",
-        choices=("none", "standard"),
+        "air that delays and bends the way of echoes, besides the two offsets; standard: the standard atmosphere; "
+        "measured: as the parameters air_... say",
+        choices=("none", "standard", "measured"),
+    )
+    air_temperature_k: float = setting(
+        288.15, "temperature that was measured in the air", unit="K", minimum=180.0, maximum=340.0
+    )
+    air_pressure_pa: float = setting(
+        101_325.0, "pressure that was measured there", unit="Pa", minimum=500.0, maximum=120_000.0
+    )
+    air_humidity: float = setting(0.6, "relative humidity over water that was measured there", minimum=0.0, maximum=1.0)
+    air_height_m: float = setting(
+        0.0, "height above sea level at which all three were measured", unit="m", minimum=-1000.0, maximum=32_000.0
     )
     map_height_m: float = setting(
         0.0, "height of the map's origin above sea level, for the air", unit="m", minimum=-1000.0, maximum=10_000.0
@@ -56,6 +76,15 @@ class CorrectionSettings(Settings):
     boresight_sigma_rad: float = setting(
         0.0, "standard deviation of the rotation of the mounting about each axis", unit="rad", minimum=0.0, maximum=0.1
     )
+
+    @property
+    def atmosphere(self) -> Atmosphere | None:
+        """The air; None: there is none."""
+        if self.air == "measured":
+            return Atmosphere.measured(
+                self.air_height_m, self.air_temperature_k, self.air_pressure_pa, self.air_humidity
+            )
+        return STANDARD_ATMOSPHERE if self.air == "standard" else None
 
     @property
     def odometry_delay_ns(self) -> int:
@@ -101,7 +130,7 @@ def correct_dwell(
     Raises:
         UserError: the air is not known for this wavelength or height.
     """
-    air = _air(history, track, sensor, settings) if settings.air == "standard" else NO_AIR
+    air = _air(history, track, sensor, settings)
     if delay := settings.range_offset_m + air.delay:
         history = replace(history, reference_range=history.reference_range - delay)
     if bend := settings.elevation_offset_rad + air.bend:
@@ -126,13 +155,15 @@ def with_known_errors(aperture: ApertureState, sensor: Sensor, settings: Correct
 
 
 def _air(history: PhaseHistory, track: Trajectory, sensor: Sensor, settings: CorrectionSettings) -> AirPath:
-    """What the standard atmosphere does to echoes from the middle of all beams at the reference range."""
+    """What the air does to echoes from the middle of all beams at the reference range."""
+    if (atmosphere := settings.atmosphere) is None:
+        return NO_AIR
     aperture = track.mounted(sensor.mounting).aperture(history.stamp_ns, history.pulse_times)
     reference = float(history.reference_range[len(history.reference_range) // 2])
     aim = aim_point(sensor, aperture, reference)
     above, ground = (settings.map_height_m + float(height_of(point)) for point in (aperture.position, aim))
     off_nadir = math.acos(min(1.0, (above - ground) / reference))
-    return path_through_air(sensor.wavelength, above, ground, off_nadir)
+    return path_through_air(sensor.wavelength, above, ground, off_nadir, atmosphere)
 
 
 def _turned(mounting: Mounting, angle: float) -> Mounting:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sal_height.errors import UserError
-from sal_height.geometry import path_through_air, refractivities, standard_air
+from sal_height.geometry import STANDARD_ATMOSPHERE, Atmosphere, path_through_air, refractivities
 
 
 @pytest.mark.parametrize(
@@ -14,7 +14,7 @@ from sal_height.geometry import path_through_air, refractivities, standard_air
     [(0.0, 288.15, 101_325.0), (5000.0, 255.65, 54_020.0), (11_000.0, 216.65, 22_632.0), (20_000.0, 216.65, 5475.0)],
 )
 def test_the_standard_atmosphere_is_that_of_its_tables(height: float, temperature: float, pressure: float) -> None:
-    found = standard_air(np.array([height]))
+    found = STANDARD_ATMOSPHERE.at(np.array([height]))
     assert found[0][0] == pytest.approx(temperature)
     assert found[1][0] == pytest.approx(pressure, rel=1e-3)
 
@@ -74,3 +74,36 @@ def test_what_air_does_to_heights_of_the_presets() -> None:
 def test_air_that_is_not_known_is_refused(wavelength: float, sensor: float, ground: float, wrong: str) -> None:
     with pytest.raises(UserError, match=wrong):
         path_through_air(wavelength, sensor, ground, 0.5)
+
+
+@pytest.mark.parametrize("height", [0.0, 500.0, 12_000.0])
+def test_air_is_as_it_was_measured_and_in_equilibrium_elsewhere(height: float) -> None:
+    """Pressure falls by the weight of the air: dp / dh = -g p / (R T)."""
+    air = Atmosphere.measured(height, 250.0, 60_000.0, 0.4)
+    temperature, pressure, vapour = air.at(np.array([height]))
+    assert temperature[0] == pytest.approx(250.0)
+    assert pressure[0] == pytest.approx(60_000.0, rel=1e-9)
+    celsius = 250.0 - 273.15
+    assert vapour[0] == pytest.approx(0.4 * 611.21 * np.exp(17.502 * celsius / (240.97 + celsius)), rel=1e-9)
+    for at in (1000.0, 15_000.0):
+        warm, below, _ = air.at(np.array([at - 0.5, at, at + 0.5]))
+        assert below[2] - below[0] == pytest.approx(-9.80665 * below[1] / (287.053 * warm[1]), rel=1e-6)
+
+
+def test_what_the_standard_atmosphere_has_makes_the_standard_atmosphere() -> None:
+    temperature, pressure, vapour = (values[0] for values in STANDARD_ATMOSPHERE.at(np.array([1500.0])))
+    celsius = temperature - 273.15
+    humidity = vapour / (611.21 * np.exp(17.502 * celsius / (240.97 + celsius)))
+    found = Atmosphere.measured(1500.0, temperature, pressure, humidity)
+    standard, measured = (path_through_air(0.03, 3000.0, 0.0, 0.7, air) for air in (STANDARD_ATMOSPHERE, found))
+    assert measured.delay == pytest.approx(standard.delay, rel=1e-9)
+    assert measured.bend == pytest.approx(standard.bend, rel=1e-9)
+
+
+def test_light_is_late_in_proportion_to_the_density_of_the_air() -> None:
+    """Straight down from 3 km, with a tenth more pressure: a tenth later; 10 K warmer: 3.5 % less at the ground."""
+    dense = Atmosphere(sea_level_pressure=1.1 * 101_325.0)
+    standard, late = (path_through_air(1.55e-6, 3000.0, 0.0, 0.0, air).delay for air in (STANDARD_ATMOSPHERE, dense))
+    assert late == pytest.approx(1.1 * standard, rel=1e-9)
+    warm = refractivities(np.array([0.0]), 1.55e-6, Atmosphere(warmer=10.0))[0][0]
+    assert warm == pytest.approx(refractivities(np.array([0.0]), 1.55e-6)[0][0] * 288.15 / 298.15, rel=1e-9)

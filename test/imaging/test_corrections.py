@@ -141,3 +141,14 @@ def test_air_that_is_not_known_is_refused() -> None:
     sensor = replace(flight.sensor, wavelength=1e-4)
     with pytest.raises(UserError, match=r"refraction of air is not known"):
         compressed(history, sensor=sensor, air="standard")
+
+
+def test_air_that_was_measured_moves_heights_as_its_density_says() -> None:
+    """Of the pressure and temperature of the standard atmosphere at 1 km: its heights; of less pressure: less."""
+    standard = sigma_with(air="standard")[1]
+    at_1_km = {"air": "measured", "air_height_m": 1000.0, "air_temperature_k": 281.65, "air_humidity": 0.5}
+    same, thin = (sigma_with(**at_1_km, air_pressure_pa=pressure)[1] for pressure in (89_875.0, 80_000.0))
+    plain = sigma_with()[1]
+    moved, less = (middle_of(plain.first.height - field.first.height, plain) for field in (same, thin))
+    assert moved == pytest.approx(middle_of(plain.first.height - standard.first.height, plain), abs=1e-3)
+    assert less == pytest.approx(80_000 / 89_875 * moved, abs=5e-3)

@@ -86,7 +86,7 @@ def _cases() -> Iterator[Case]:
     for cnr_db in (20.0, 10.0, 3.0):
         name = f"all together, {cnr_db:g} dB"
         yield _case(name, 0.01, cnr_db=cnr_db, vibration=helicopter, laser_linewidth_hz=1e4)
-    yield Case("sal_realistic", load_preset("sal_realistic"), MANY * FLIGHTS)
+    yield from (Case(name, load_preset(name), MANY * FLIGHTS) for name in ("sal_realistic", "xband_realistic"))
 
 
 CASES = tuple(_cases())

@@ -208,7 +208,8 @@ def _check_velocity(states: list[PlatformState], seconds: F64) -> None:
     speed and three standard deviations of the positions.
     """
     positions, velocities = np.array([s.position for s in states]), np.array([s.velocity for s in states])
-    sigma = np.sqrt(np.trace(np.array([s.covariance[:3, :3] for s in states]), axis1=1, axis2=2))
+    variance = np.trace(np.array([s.covariance[:3, :3] for s in states]), axis1=1, axis2=2)
+    sigma = np.sqrt(np.maximum(variance, 0.0))
     steps = np.diff(seconds)
     made = np.diff(positions, axis=0) / steps[:, None]
     stated = (velocities[1:] + velocities[:-1]) / 2

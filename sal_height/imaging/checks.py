@@ -114,6 +114,23 @@ def describe_unverified_squint(sensor: Sensor, aperture: ApertureState) -> str:
     )
 
 
+def describe_covariances(aperture: ApertureState, velocity_covariance: F64) -> str:
+    """A sentence on covariances of the odometry that are none; empty where they are, or are zeros.
+
+    Args:
+        aperture: state of the platform with the covariance of its pose.
+        velocity_covariance: (m/s)^2, shape (3, 3).
+    """
+    for name, matrix in (("pose", aperture.covariance), ("twist", velocity_covariance)):
+        finite = bool(np.all(np.isfinite(matrix)))
+        if not finite or np.linalg.eigvalsh(matrix).min() < -ROUNDING * np.abs(matrix).max():
+            return (
+                f"The covariance of the odometry's {name} {'is negative' if finite else 'is not finite'}; what it is "
+                "of counts as exact, so state it, or zeros."
+            )
+    return ""
+
+
 def check_pulses(sensor: Sensor, antenna: F64, aperture: ApertureState) -> None:
     """Make sure that the pulses are close enough for the beams, and reach far enough to resolve more than they do.
 

@@ -23,6 +23,7 @@ from sal_height.imaging.autofocus.placement import NavigationPrior, place_image,
 from sal_height.imaging.checks import (
     check_doppler_centroid,
     check_dwell,
+    describe_covariances,
     describe_strip_centroid,
     describe_unverified_squint,
 )
@@ -162,7 +163,9 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
     check_dwell(history, antenna, sensor, aperture)
     # What navigation knows of the Doppler of the beams' middle, and whether that is enough.
     sight = line_of_sight(sensor, aperture)
-    prior = NavigationPrior.of(aperture, track.velocity_covariance(history.stamp_ns, history.pulse_times), sight)
+    velocity_covariance = track.velocity_covariance(history.stamp_ns, history.pulse_times)
+    prior = NavigationPrior.of(aperture, velocity_covariance, sight)
+    bad_covariance = describe_covariances(aperture, velocity_covariance)
     placement, focus = placed_by_navigation(prior), None
     allowed = settings.autofocus_from_beamwidths * sensor.beams.track_beamwidth * prior.flight_speed
     uncertain = prior.spread > allowed and is_for_speckle(sensor, antenna)
@@ -187,6 +190,7 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
     windows, doubt = (settings.azimuth_window, settings.range_window), describe_unverified_squint(sensor, aperture)
     if is_for_speckle(sensor, antenna):
         doubt = doubt or off_middle
+    doubt = doubt or bad_covariance
     return Slc(images, grid, aperture, noise_power, history.shares.max(axis=1), *windows, focus, doubt)
 
 

@@ -28,7 +28,16 @@ from sal_height.simulation.scene import PointScatterer
 from sal_height.simulation.scenes import load_scene
 
 SMALL = Path(__file__).parents[2] / "sal_height" / "presets" / "small.yaml"
-SHIPPED = ("sal_realistic", "sal_spotlight", "sal_stripmap", "small", "woods", "xband_realistic", "xband_relief", "xband_sumdiff")
+SHIPPED = (
+    "sal_realistic",
+    "sal_spotlight",
+    "sal_stripmap",
+    "small",
+    "woods",
+    "xband_realistic",
+    "xband_relief",
+    "xband_sumdiff",
+)
 
 
 def content_with(key: str, value: Any) -> dict[str, Any]:

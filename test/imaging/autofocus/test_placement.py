@@ -211,3 +211,24 @@ def test_a_velocity_that_is_wrong_and_stated_as_exact_is_doubted(
     if doubted:
         assert_one_sentence(slc.doubt, "of a beamwidth", "twist", "autofocus")
         assert not compressed(flight, history, track_of(flight, speed, 0.0), autofocus="always").doubt
+
+
+@pytest.mark.parametrize(
+    ("changes", "part"),
+    [
+        ({"velocity_covariance": -1e-4 * np.eye(3)}, "twist is negative"),
+        ({"velocity_covariance": np.full((3, 3), np.nan)}, "twist is not finite"),
+        ({"covariance": np.diag([-1.0, 0, 0, 0, 0, 0])}, "pose is negative"),
+        ({"velocity_covariance": 1e6 * np.eye(3)}, ""),
+        ({"covariance": 1e6 * np.eye(6)}, ""),
+    ],
+)
+def test_covariances_that_are_absurd_are_said_and_end_nothing(
+    flight: SimulatedFlight, history: PhaseHistory, changes: dict[str, np.ndarray], part: str
+) -> None:
+    """What is no covariance counts as exact; who knows nothing of velocity or pose may say so."""
+    track = Trajectory([replace(state, **changes) for state in flight.track(7).states])
+    slc = compressed(flight, history, track)
+    assert part in slc.doubt
+    assert bool(part) == bool(slc.doubt)
+    assert np.linalg.norm(slc.aperture.velocity - flight.aperture(7).velocity) < 1.5e-4 or not part

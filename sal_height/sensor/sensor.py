@@ -24,6 +24,9 @@ MODES = ("spotlight", "stripmap")
 WAVEFORMS = ("spectrum", "chirp", "deramped")
 """Kinds of fast-time samples: frequencies, the echo of a linear FM pulse, or that echo mixed with a replica."""
 
+LONGEST_TEXT = 256
+"""Characters of a name or an identity, which go with every product and into diagnostics."""
+
 
 @dataclass(frozen=True)
 class Sensor:
@@ -77,6 +80,10 @@ class Sensor:
     config_hash: str = ""  # identity; empty: the first 16 hexadecimal digits of the SHA-256 of the rest
 
     def __post_init__(self) -> None:
+        for name in ("name", "calibration_id", "config_hash"):
+            self._require(
+                len(getattr(self, name)) <= LONGEST_TEXT, name, f"it must have {LONGEST_TEXT} characters or fewer"
+            )
         self._require(self.look_side in (-1, 1), "look_side", "allowed are +1 (right) and -1 (left)")
         for name, allowed in (("mode", MODES), ("waveform", WAVEFORMS)):
             self._require(getattr(self, name) in allowed, name, f"allowed are {', '.join(allowed)}")

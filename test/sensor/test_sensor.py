@@ -64,6 +64,8 @@ def test_domain_reaches_half_a_pitch_and_the_guard_beyond_the_boresights() -> No
 @pytest.mark.parametrize(
     ("key", "value", "allowed"),
     [
+        ("name", 257 * "x", "256 characters or fewer"),
+        ("config_hash", 257 * "x", "256 characters or fewer"),
         ("look_side", 0, "+1 (right) and -1 (left)"),
         ("wavelength", 0.0, "greater than 0"),
         ("wavelength", float("nan"), "finite"),

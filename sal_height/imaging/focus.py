@@ -27,7 +27,7 @@ from sal_height.imaging.checks import (
     describe_strip_centroid,
     describe_unverified_squint,
 )
-from sal_height.imaging.corrections import CorrectionSettings
+from sal_height.imaging.corrections import CorrectionSettings, with_known_errors
 from sal_height.imaging.formers.choice import FORMERS, choose_former
 from sal_height.imaging.pixels import (
     azimuth_resolution,
@@ -164,7 +164,7 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
     # What navigation knows of the Doppler of the beams' middle, and whether that is enough.
     sight = line_of_sight(sensor, aperture)
     velocity_covariance = track.velocity_covariance(history.stamp_ns, history.pulse_times)
-    prior = NavigationPrior.of(aperture, velocity_covariance, sight)
+    prior = NavigationPrior.of(with_known_errors(aperture, sensor, settings), velocity_covariance, sight)
     bad_covariance = describe_covariances(aperture, velocity_covariance)
     placement, focus = placed_by_navigation(prior), None
     allowed = settings.autofocus_from_beamwidths * sensor.beams.track_beamwidth * prior.flight_speed

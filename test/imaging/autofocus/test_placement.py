@@ -232,3 +232,13 @@ def test_covariances_that_are_absurd_are_said_and_end_nothing(
     assert part in slc.doubt
     assert bool(part) == bool(slc.doubt)
     assert np.linalg.norm(slc.aperture.velocity - flight.aperture(7).velocity) < 1.5e-4 or not part
+
+
+def test_a_boresight_that_is_known_to_err_is_looked_for(flight: SimulatedFlight, history: PhaseHistory) -> None:
+    """What odometry states as exact, and the mounting not: the beams are found, and the image stays."""
+    track = track_of(flight, 0.0, 5e-5)
+    assert compressed(flight, history, track).doubt
+    slc = compressed(flight, history, track, boresight_sigma_rad=5e-5)
+    ahead = line_of_sight(flight.sensor, slc.aperture) @ flight.aperture(7).direction
+    assert ahead == pytest.approx(0.0, abs=3e-6)
+    assert not slc.doubt

@@ -19,7 +19,7 @@ from sal_height.imaging.autofocus.gradient import (
     is_for_speckle,
     patch_centres,
 )
-from sal_height.imaging.autofocus.placement import NavigationPrior, place_image, placed_by_navigation
+from sal_height.imaging.autofocus.placement import NavigationPrior, Placement, place_image, placed_by_navigation
 from sal_height.imaging.checks import (
     check_doppler_centroid,
     check_dwell,
@@ -152,7 +152,7 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
         settings: what image is wanted.
 
     Raises:
-        Rejected: pulses or frequencies do not sample the scene.
+        Rejected: pulses or frequencies do not sample the scene, or it is not known where the beams are.
         UserError: an image that cannot be made.
     """
     processing = Processing(settings.range_window, settings.azimuth_window)
@@ -161,23 +161,14 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
     aperture = track.aperture(history.stamp_ns, history.pulse_times)
     reference = float(history.reference_range[len(antenna) // 2])
     check_dwell(history, antenna, sensor, aperture)
-    # What navigation knows of the Doppler of the beams' middle, and whether that is enough.
-    sight = line_of_sight(sensor, aperture)
+    # Phase error, and where the beams are along the flight: from navigation and, where that is not enough, the data.
+    sight, grid = line_of_sight(sensor, aperture), _dwell_grid(settings, sensor, aperture, reference, processing)
     velocity_covariance = track.velocity_covariance(history.stamp_ns, history.pulse_times)
-    prior = NavigationPrior.of(with_known_errors(aperture, sensor, settings), velocity_covariance, sight)
     bad_covariance = describe_covariances(aperture, velocity_covariance)
-    placement, focus = placed_by_navigation(prior), None
-    allowed = settings.autofocus_from_beamwidths * sensor.beams.track_beamwidth * prior.flight_speed
-    uncertain = prior.spread > allowed and is_for_speckle(sensor, antenna)
-    if settings.autofocus == "always" or (settings.autofocus == "auto" and uncertain):
-        # Phase error, and where the beams are, from the data; as much of it as navigation leaves open.
-        grid = _dwell_grid(settings, sensor, aperture, reference, processing)
-        focus = autofocus(history, antenna, sensor, patch_centres(sensor, aperture, grid), settings)
-        if uncertain and not focus.trusted:
-            raise Rejected("autofocus", _describe_distrust(focus, prior))
-        if focus.trusted:
-            focus, placement = place_image(focus, history.pulse_times, sensor.wavelength, prior)
-            history = apply_phase(history, focus.phase)
+    prior = NavigationPrior.of(with_known_errors(aperture, sensor, settings), velocity_covariance, sight)
+    focus, placement = _find_beams(history, antenna, sensor, patch_centres(sensor, aperture, grid), prior, settings)
+    if focus and focus.trusted:
+        history = apply_phase(history, focus.phase)
     seconds = history.pulse_times - (history.pulse_times[0] + history.pulse_times[-1]) / 2
     antenna = placement.moved(antenna, seconds, sight)
     aperture = placement.seen_from(aperture, sight, reference)
@@ -187,11 +178,32 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
     off_middle = check_doppler_centroid(history, antenna, sensor, aperture, grid)
     images = former(history, antenna, sensor, processing, grid)
     noise_power = slc_noise_power(sensor, processing, len(antenna))
-    windows, doubt = (settings.azimuth_window, settings.range_window), describe_unverified_squint(sensor, aperture)
+    doubt = describe_unverified_squint(sensor, aperture)
     if is_for_speckle(sensor, antenna):
         doubt = doubt or off_middle
     doubt = doubt or bad_covariance
+    windows = settings.azimuth_window, settings.range_window
     return Slc(images, grid, aperture, noise_power, history.shares.max(axis=1), *windows, focus, doubt)
+
+
+def _find_beams(
+    history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64, prior: NavigationPrior, settings: ImageSettings
+) -> tuple[Focus | None, Placement]:
+    """The phase error of a dwell, None if it is not looked for, and where the image lies.
+
+    Raises:
+        Rejected: navigation does not know well enough where the beams are, and the data do not tell.
+    """
+    allowed = settings.autofocus_from_beamwidths * sensor.beams.track_beamwidth * prior.flight_speed
+    uncertain = prior.spread > allowed and is_for_speckle(sensor, antenna)
+    if settings.autofocus == "never" or (settings.autofocus == "auto" and not uncertain):
+        return None, placed_by_navigation(prior)
+    focus = autofocus(history, antenna, sensor, patches, settings)
+    if uncertain and not focus.finds_beams:
+        raise Rejected("autofocus", _describe_distrust(focus, prior))
+    if not focus.trusted:
+        return focus, placed_by_navigation(prior)
+    return place_image(focus, history.pulse_times, sensor.wavelength, prior)
 
 
 def _describe_distrust(focus: Focus, prior: NavigationPrior) -> str:

@@ -102,6 +102,11 @@ class Focus:
     trend_error: float = np.inf
 
     @property
+    def finds_beams(self) -> bool:
+        """Whether the middle of the beams is known along the flight."""
+        return self.trusted and bool(np.isfinite(self.trend_error))
+
+    @property
     def is_smooth(self) -> bool:
         """Whether the course of the phase is known, and not only modulo 2 pi."""
         return is_smooth(self.phase)
@@ -127,14 +132,14 @@ def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64,
     if (count := sensor.detector_count * patches[..., 0].size * sensor.pulse_count) > MOST_RESPONSES:
         raise UserError(
             f"Autofocus would hold {count} responses of pulses at points of the image; at most {MOST_RESPONSES} are "
-            "allowed, so set autofocus to false or form a smaller image."
+            "allowed, so set autofocus to never or form a smaller image."
         )
     on_speckle = is_for_speckle(sensor, antenna)
     if on_speckle and sensor.pulse_count > settings.autofocus_max_pulses:
         raise UserError(
             f"The dwell has {sensor.pulse_count} pulses, autofocus links the phases of at most "
             f"{settings.autofocus_max_pulses} pulses of speckle (autofocus_max_pulses); raise that, set autofocus to "
-            "false, or send shorter dwells."
+            "never, or send shorter dwells."
         )
     half = patch_half_width(sensor)
     focus = Focus(np.zeros(sensor.pulse_count), "none", np.inf)

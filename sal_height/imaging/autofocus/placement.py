@@ -181,7 +181,7 @@ def place_image(focus: Focus, pulse_times: F64, wavelength: float, prior: Naviga
     Raises:
         Rejected: the Doppler centroid contradicts navigation.
     """
-    if not np.isfinite(focus.trend_error):
+    if not focus.finds_beams:
         return focus, placed_by_navigation(prior)
     pulses = len(pulse_times)
     interval = float(pulse_times[-1] - pulse_times[0]) / (pulses - 1)

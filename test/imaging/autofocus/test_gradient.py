@@ -373,7 +373,7 @@ def test_dwells_too_large_for_memory_are_refused_before_anything_is_held(pulses:
     history = PhaseHistory(0, np.arange(pulses) * 1e-5, np.full(pulses, 5e3), np.zeros((3, 1, 1), np.complex64))
     with pytest.raises(UserError) as refusal:
         autofocus(history, antenna, sensor, np.zeros((points, 1, 3)), AutofocusSettings())
-    assert_one_sentence(str(refusal.value), said, "autofocus to false")
+    assert_one_sentence(str(refusal.value), said, "autofocus to never")
 
 
 def test_stripmap_is_refused() -> None:

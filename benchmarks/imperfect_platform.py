@@ -156,7 +156,7 @@ def image_settings(preset: Preset, autofocus: str) -> ImageSettings:
 
 def coverage() -> Iterator[Row]:
     """Rows of the group: of every case how far c1 is off, and o5, of what is published; and the time of autofocus."""
-    for case in CASES:
+    for case in sized(CASES, CASES[:2] + CASES[-2:]):
         result = all_flown(case)
         summary, text = result.summary, f"{HEADING}\n    {result.as_line()}"
         off = abs(100 * summary.within_1 - 68.27) if summary else 0.0

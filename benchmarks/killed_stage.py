@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import signal
 import subprocess
@@ -12,7 +11,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
 from rclpy.node import Node
 
 from benchmarks.live_runs import highest_rate, watch
@@ -65,12 +63,12 @@ class _Kills:
             self.killed_s.append(now)
 
     def counted(self) -> Iterator[float]:
-        """Heights in a second, some time after each kill; NaN if the run ended before that was seen."""
+        """Heights in a second, some time after each kill; 0 if the run ended before that was seen."""
         for killed_s in self.killed_s:
             inside = [seen for seen in self.heights if BACK_S <= seen[0] - killed_s <= BACK_S + SEEN_S]
             (first_s, first), (last_s, last) = (inside[0], inside[-1]) if inside else ((0.0, 0), (0.0, 0))
-            yield (last - first) / (last_s - first_s) if last_s > first_s else math.nan
-        yield from [math.nan] * (KILLS - len(self.killed_s))
+            yield (last - first) / (last_s - first_s) if last_s > first_s else 0.0
+        yield from [0.0] * (KILLS - len(self.killed_s))
 
 
 def killed_stage() -> Iterator[Row]:
@@ -85,7 +83,7 @@ def killed_stage() -> Iterator[Row]:
     heights_hz = list(kills.counted())
     yield Row(
         "heights after the compression was killed and started again",
-        float(100 * np.min(heights_hz) / watched.offered_hz),
+        100 * min(heights_hz) / watched.offered_hz,
         "% of dwells",
         ">= 95",
         f"sal_spotlight at {rate:.2g} of its pace, {watched.offered_hz:.1f} dwells/s; the fewest, from {BACK_S:g} to "

@@ -474,11 +474,14 @@ def test_odometry_of_no_platform_is_ignored(chain: Chain, reference: Any, field:
     next_dwell_is_exact(chain, reference)
 
 
+GAP_SETTINGS = {"rows": 46, "cols": 12, "odometry_interval_s": 1e-3, "autofocus": "never"}
+
+
 def test_heights_of_a_dwell_in_a_gap_of_the_odometry_state_what_the_gap_leaves_open(
     graph: Any, flight: Any, reference: Any
 ) -> None:
     """The platform flies straight on, so that heights stay; sigma grows by roll and height, which the pose tells."""
-    chain = Chain(graph, flight, missing_after_s=30.0, image={"rows": 46, "cols": 12, "odometry_interval_s": 1e-3})
+    chain = Chain(graph, flight, missing_after_s=30.0, image=GAP_SETTINGS)
     odometry = chain.odometry(0)
     ends = [odometry[0], odometry[-1]]
     chain.publish(chain.sensor_info(), *ends, *chain.frames(0))

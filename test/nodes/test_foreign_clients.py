@@ -26,7 +26,8 @@ pytestmark = pytest.mark.skipif(
 )
 
 ROOT = Path(__file__).parents[2]
-FRAMES = 16
+FRAMES = 8
+"""Of the first dwell, without whose heights the client sends no other."""
 
 
 class Nodes:

@@ -27,12 +27,12 @@ from benchmarks.row import Row, load, medians, sized
 from benchmarks.spread import in_processes
 from sal_height.elevation import ESTIMATORS
 from sal_height.errors import Rejected
-from sal_height.imaging import ImageSettings, azimuth_resolution, image_beams
+from sal_height.imaging import ImageSettings, image_beams
 from sal_height.pipeline import Compressor, heights
 from sal_height.runs.comparison import Comparison, compare, joined_comparisons
+from sal_height.runs.surface_report import true_surfaces
 from sal_height.simulation import Preset, flight_of, load_preset
 from sal_height.simulation.impairments import Impairments
-from sal_height.simulation.lit_surfaces import CONNECTED, lit_surfaces
 from sal_height.simulation.odometry_errors import OdometryErrors
 from sal_height.simulation.phase_errors import Vibration, VibrationBand, VibrationLine
 
@@ -134,9 +134,8 @@ def flown(seed: int, case: Case, autofocus: str) -> Flown:
         return Flown(1, Counter([refusal.reason]), None)
     assert slc is not None  # noqa: S101 (a spotlight dwell has an image)
     field = heights(slc, sensor, estimator, chosen)
-    cell = sensor.range_resolution, azimuth_resolution(sensor, slc.aperture, preset.flight.slant_range_m)
-    beams, seen = image_beams(sensor, settings.azimuth_window), field.first.positions
-    truth = lit_surfaces(flight.surface(dwell), slc.aperture, field.grid, cell, beams, CONNECTED, seen)
+    beams = image_beams(sensor, settings.azimuth_window)
+    truth = true_surfaces(field, slc.aperture, beams, flight, flight.surface(dwell))
     return Flown(1, Counter(), compare(field, truth, sensor.beamwidth))
 
 

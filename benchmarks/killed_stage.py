@@ -30,6 +30,9 @@ RATE = sized(None, 0.1)
 SHARE, FIRST_GUESS, SEARCH_S = 0.8, 0.3, 20.0
 """Of the highest rate that is sustained, the one played at; the rate that is tried first, and for how long one is."""
 
+LEAST_RATE = 0.02
+"""Taken for the highest where none that was tried is sustained."""
+
 KILLED = "sar_compression"
 KILLS = sized(3, 1)
 FIRST_S, EVERY_S = sized((10.0, 14.0), (3.0, 7.0))
@@ -76,7 +79,7 @@ def killed_stage() -> Iterator[Row]:
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         bag = record_sensor(load_preset("sal_spotlight"), 1, folder / "sensor")
-        rate = RATE or SHARE * highest_rate(lambda tried: watch(bag, tried, SEARCH_S), FIRST_GUESS)[0]
+        rate = RATE or SHARE * (highest_rate(lambda tried: watch(bag, tried, SEARCH_S), FIRST_GUESS)[0] or LEAST_RATE)
         kills = _Kills()
         how = Live(rate, FIRST_S + EVERY_S * KILLS + BACK_S, supervised=True)
         watched = live(Feed.of_bag(bag), folder / "live", {}, how, Execution(processes=True), kills.show)

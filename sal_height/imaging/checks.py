@@ -30,8 +30,8 @@ of the height allows maps whose origin lies above the flight.
 """
 
 OFF_MIDDLE = 0.1
-"""Greatest distance of the Doppler centroid from the middle of the beams without doubt, beamwidths: over the scenes of
-all presets, uneven ground moves it by 0.045 at most."""
+"""Greatest distance of the Doppler centroid from the middle of the beams without doubt, beamwidths: the uneven ground
+of presets moves it by less than half as much."""
 
 WIDEST_CRAB = 0.07
 """Greatest squint without doubt, rad: gusts of 2 m/s rms turn a flight at 50 m/s by 0.02 rad rms, at most 0.068."""

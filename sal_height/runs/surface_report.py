@@ -13,7 +13,9 @@ import numpy as np
 from sal_height_msgs.msg import HeightImage
 
 from sal_height import messages
+from sal_height.beams import Beams
 from sal_height.elevation import USABLE, Validity
+from sal_height.geometry import ApertureState
 from sal_height.imaging import azimuth_resolution, image_beams
 from sal_height.io import or_null
 from sal_height.numeric import F64, Bool, Index
@@ -28,7 +30,7 @@ from sal_height.runs.comparison import (
 )
 from sal_height.simulation import SimulatedFlight, VisibleSurface
 from sal_height.simulation.lit_ground import GroundCells, ground_cells
-from sal_height.simulation.lit_surfaces import CONNECTED, lit_surfaces
+from sal_height.simulation.lit_surfaces import CONNECTED, LitSurfaces, lit_surfaces
 
 TOLERANCE_BEAMWIDTHS = 0.11
 """Error, across the line of sight, up to which a height is called right: 6 cm of height in sal_spotlight."""
@@ -90,6 +92,24 @@ def height_beamwidth(flight: SimulatedFlight) -> float:
     return float(flight.sensor.beamwidth * track.slant_range_m * np.sin(track.look_angle_rad))
 
 
+def true_surfaces(
+    field: HeightField, aperture: ApertureState, beams: Beams, flight: SimulatedFlight, surface: VisibleSurface
+) -> LitSurfaces:
+    """The lit surfaces of the pixels of a height image.
+
+    Args:
+        field: the heights.
+        aperture: as whose image they are published.
+        beams: as images have them.
+        flight: that was simulated.
+        surface: what was lit in the dwell.
+    """
+    sensor = flight.sensor
+    connected = max(CONNECTED, 1.5 * flight.scene.layer_spacing / height_beamwidth(flight))
+    cell = sensor.range_resolution, azimuth_resolution(sensor, aperture, flight.preset.flight.slant_range_m)
+    return lit_surfaces(surface, aperture, field.grid, cell, beams, connected, field.first.positions)
+
+
 def judged(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Mapping[int, VisibleSurface]) -> Judged:
     """Compare all height images of one estimator with what their dwells saw.
 
@@ -100,7 +120,6 @@ def judged(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Map
     """
     sensor, track = flight.sensor, flight.preset.flight
     across = height_beamwidth(flight)
-    connected = max(CONNECTED, 1.5 * flight.scene.layer_spacing / across)
     spacing = images[0].grid
     size = float(max(spacing.row_spacing / np.sin(track.look_angle_rad), spacing.col_spacing)) * CELL_PIXELS
     tolerance = float(TOLERANCE_BEAMWIDTHS * across)
@@ -108,9 +127,8 @@ def judged(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Map
     for image in images:
         field, aperture = messages.field_from_message(image), messages.aperture_from_message(image.aperture)
         beams = image_beams(sensor, messages.recorded_window(image.provenance, "azimuth"))
-        cell = sensor.range_resolution, azimuth_resolution(sensor, aperture, track.slant_range_m)
         surface = surfaces[image.dwell]
-        truth = lit_surfaces(surface, aperture, field.grid, cell, beams, connected, field.first.positions)
+        truth = true_surfaces(field, aperture, beams, flight, surface)
         comparisons.append(compare(field, truth, sensor.beamwidth))
         cells = ground_cells(flight.scene, surface, aperture, field.grid, beams, sensor.look_side, size)
         silent = np.isin(field.validity, (Validity.NO_SIGNAL, Validity.LOW_CNR))[*cells.pixel.T]

@@ -37,7 +37,12 @@ def test_a_state_in_axes_of_aviation_is_the_same_in_those_of_ros() -> None:
     ros = Rotation.from_euler("ZYX", [90 - yaw, -pitch, roll], degrees=True)
     variances = np.arange(1.0, 7.0)
     given = PlatformState(
-        5, np.array([10.0, 20.0, -30.0]), aviation.as_quat(), np.array([1.0, 2.0, -3.0]), np.diag(variances)
+        5,
+        np.array([10.0, 20.0, -30.0]),
+        aviation.as_quat(),
+        np.array([1.0, 2.0, -3.0]),
+        np.diag(variances),
+        np.array([[4.0, 1.0, 2.0], [1.0, 5.0, 3.0], [2.0, 3.0, 6.0]]),
     )
     state = Axes("ned", "frd").state(given)
     assert state.stamp_ns == 5
@@ -45,6 +50,8 @@ def test_a_state_in_axes_of_aviation_is_the_same_in_those_of_ros() -> None:
     np.testing.assert_array_equal(state.velocity, [2.0, 1.0, 3.0])
     np.testing.assert_allclose(rotation_matrix(state.orientation), ros.as_matrix(), rtol=0, atol=1e-15)
     np.testing.assert_array_equal(np.diag(state.covariance), variances[[1, 0, 2, 4, 3, 5]])
+    forward_left_up = [[4.0, -1.0, -2.0], [-1.0, 5.0, 3.0], [-2.0, 3.0, 6.0]]
+    np.testing.assert_array_equal(state.velocity_covariance, forward_left_up)
     assert Axes().state(given) is given
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers import assert_one_sentence
@@ -146,3 +148,14 @@ def test_a_later_track_takes_the_place_of_the_end_of_an_earlier_one() -> None:
     assert milliseconds(joined) == list(range(9))
     assert joined.states[4] is later.states[0]
     assert later.followed_by(earlier).states == earlier.states
+
+
+def test_covariance_of_the_velocity_is_that_of_the_nearest_sample_in_axes_of_map() -> None:
+    """States a quarter turn to the left: forward is north."""
+    north = Rotation.from_euler("z", 90, degrees=True).as_quat()
+    states = [
+        replace(state(offset), orientation=north, velocity_covariance=np.diag([factor, 2.0 * factor, 3.0 * factor]))
+        for offset, factor in ((0, 1.0), (7_000_001, 10.0), (10_000_000, 100.0))
+    ]
+    found = Trajectory(states).velocity_covariance(EPOCH_NS, np.array([0.004, 0.009]))
+    np.testing.assert_allclose(found, np.diag([20.0, 10.0, 30.0]), atol=1e-12)

@@ -28,7 +28,12 @@ def test_messages_of_a_bag_are_those_of_the_serializer(tmp_path: Path) -> None:
     attitudes = Rotation.random(8, random_state=2).as_quat()
     states = [
         PlatformState(
-            5_000_000_001 + 50_000_000 * k, *rng.normal(size=(1, 3)), attitudes[k], *rng.normal(size=(1, 3)), c
+            5_000_000_001 + 50_000_000 * k,
+            *rng.normal(size=(1, 3)),
+            attitudes[k],
+            *rng.normal(size=(1, 3)),
+            c,
+            rng.normal(size=(3, 3)),
         )
         for k, c in enumerate(rng.normal(size=(8, 6, 6)))
     ]

@@ -227,12 +227,14 @@ def test_a_platform_state_survives_its_odometry() -> None:
         attitude / np.linalg.norm(attitude),
         np.array([50.0, 1.0, -0.5]),
         np.arange(36.0).reshape(6, 6),
+        np.arange(9.0).reshape(3, 3),
     )
     back = messages.state_from_message(through_the_wire(messages.state_to_message(state, STAMP)))
     assert back.stamp_ns == state.stamp_ns
     assert np.array_equal(back.position, state.position)
     assert np.allclose(back.velocity, state.velocity, atol=1e-12)
     assert np.array_equal(back.covariance, state.covariance)
+    assert np.array_equal(back.velocity_covariance, state.velocity_covariance)
 
 
 def test_odometry_twist_is_in_body_axes() -> None:

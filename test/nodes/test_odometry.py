@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -38,6 +39,18 @@ def test_states_reach_from_before_the_start_to_after_the_end() -> None:
     assert around(history, 0.15, 0.45) == []
     assert around(history, -0.1, 0.2) == []
     assert around(OdometryHistory(1.0), 0.0, 0.1) == []
+
+
+def test_covariances_are_held_of_each_sample() -> None:
+    """Equal ones once: in 100 s of odometry they would take more memory than all else."""
+    history = OdometryHistory(10.0)
+    given = [replace(state(k), velocity_covariance=(k // 2 + 1) * np.eye(3)) for k in range(4)]
+    for one in given:
+        history.add(one)
+    held = history.around(given[0].stamp_ns, given[3].stamp_ns)
+    assert [one.velocity_covariance[0, 0] for one in held] == [1.0, 1.0, 2.0, 2.0]
+    assert held[0].velocity_covariance is held[1].velocity_covariance
+    assert held[0].velocity_covariance is not held[2].velocity_covariance
 
 
 def test_a_sample_that_was_overtaken_takes_its_place() -> None:

@@ -13,6 +13,7 @@ from scipy.special import jv
 
 from sal_height.errors import UserError
 from sal_height.simulation import SimulatedFlight, flight_of, load_preset, parse_preset
+from sal_height.simulation.flight import VIBRATION
 from sal_height.simulation.impairments import Impairments
 from sal_height.simulation.phase_errors import Vibration, VibrationBand, VibrationLine, laser_phase
 from sal_height.simulation.preset import SHIPPED
@@ -43,7 +44,7 @@ def test_phases_of_dwells_are_drawn_alone_and_again_the_same() -> None:
 
 
 def test_an_antenna_farther_away_has_a_phase_of_4_pi_over_the_wavelength() -> None:
-    """Over a second, the phase of a line has the amplitude 4 pi a / wavelength and its frequency."""
+    """Over three dwells of 64 ms, the phase of a line has its amplitude and frequency, and lags where it is farther."""
     flight = flight_with(Impairments(vibration=Vibration(lines=(VibrationLine(2e-6, 40.0),))))
     preset = replace(flight.preset, sensor=replace(flight.preset.sensor, pulse_count=64))
     slow = replace(flight, sensor=replace(flight.sensor, pulse_repetition_frequency=1000.0), preset=preset)
@@ -53,6 +54,10 @@ def test_an_antenna_farther_away_has_a_phase_of_4_pi_over_the_wavelength() -> No
     found, left, *_ = np.linalg.lstsq(waves, phase)
     assert np.hypot(*found) == pytest.approx(4 * np.pi * 2e-6 / flight.sensor.wavelength, rel=1e-6)
     assert left.item() < 1e-9
+    farther = flight.preset.impairments.vibration.drawn(
+        np.random.default_rng(np.random.SeedSequence(flight.seed, spawn_key=(VIBRATION,)))
+    ).displacement(times)[:, 0]
+    np.testing.assert_allclose(phase, -4 * np.pi / flight.sensor.wavelength * farther, atol=1e-6)
 
 
 def test_acceleration_of_a_band_is_what_its_density_says() -> None:

@@ -1,4 +1,4 @@
-"""Turbulent air: the structure function of a uniform layer in closed form, and phases that have it."""
+"""Turbulent air: the usual model, the structure function of a way through it, and phases that have it."""
 
 from __future__ import annotations
 

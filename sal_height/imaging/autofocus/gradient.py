@@ -73,6 +73,12 @@ class AutofocusSettings(Settings):
         minimum=0.0,
         maximum=100.0,
     )
+    autofocus_uneven_beamwidths: float = setting(
+        0.02,
+        "standard deviation, in beamwidths, by which uneven ground moves the Doppler centroid in all range cells alike",
+        minimum=0.0,
+        maximum=1.0,
+    )
     autofocus_max_pulses: int = setting(
         1024,
         "greatest number of pulses of speckle that autofocus links; memory grows with its square, time with its cube",
@@ -149,6 +155,10 @@ def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64,
         whitening = np.linalg.inv(np.linalg.cholesky(sensor.sample_count * sensor.noise_covariance))
         responses: Complex = np.tensordot(whitening.astype(np.complex64), cells, axes=1)
         focus = focus_speckle(responses, *azimuth_waves(sensor, antenna, middle))
+        step = float(np.linalg.norm(antenna[-1] - antenna[0])) / (len(antenna) - 1)
+        of_a_beam = 4 * np.pi / sensor.wavelength * step * sensor.beams.track_beamwidth
+        uneven = settings.autofocus_uneven_beamwidths * of_a_beam
+        focus = replace(focus, trend_error=float(np.hypot(focus.trend_error, uneven)))
     if focus.standard_error > settings.autofocus_max_error_rad:
         points = patches.reshape(-1, 3)
         responses = pulse_responses(history, antenna, sensor, np.ones(sensor.sample_count), points)

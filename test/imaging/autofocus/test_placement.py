@@ -13,7 +13,7 @@ from sal_height.elevation import ESTIMATORS, MlSettings, Validity
 from sal_height.errors import Rejected
 from sal_height.geometry import PlatformState, Trajectory
 from sal_height.imaging import ImageSettings, Slc
-from sal_height.imaging.autofocus.gradient import is_for_speckle
+from sal_height.imaging.autofocus.gradient import AutofocusSettings, autofocus, is_for_speckle, patch_centres
 from sal_height.imaging.autofocus.placement import (
     NavigationPrior,
     placed_by_centroid,
@@ -88,7 +88,10 @@ def test_sum_is_divided_as_navigation_states_its_parts() -> None:
 
 
 def test_parts_are_those_of_drawn_errors() -> None:
-    """40 000 draws, some of them wrapped: errors of the estimate have the standard deviation it states, within 3 %."""
+    """40 000 draws, up to a third of them wrapped: errors of place have the standard deviation that is stated, to 3 %.
+
+    The lit ground is where the velocity, and as many ambiguities as were wrapped, have it.
+    """
     rng = np.random.default_rng(1)
     for speed, pointing in ((0.003, 2e-5), (0.01, 1e-4), (0.012, 3e-4)):
         prior = NavigationPrior(speed, pointing, SPEED)
@@ -96,11 +99,9 @@ def test_parts_are_those_of_drawn_errors() -> None:
         found = drawn.sum(axis=0) + 1e-4 * rng.standard_normal(40_000)
         wraps = np.round(found / AMBIGUITY) * AMBIGUITY
         placed = [placed_by_centroid(one, 1e-4, prior, AMBIGUITY) for one in (found - wraps).tolist()]
-        # An image whose velocity lacks a whole ambiguity is the same image.
         error = np.array([one.speed for one in placed]) + wraps - drawn[0]
-        error = np.where(np.abs(error) > AMBIGUITY / 2, error - np.round(error / AMBIGUITY) * AMBIGUITY, error)
         stated = np.array([one.speed_error for one in placed])
-        assert np.sqrt(np.mean(error**2)) <= 1.03 * np.sqrt(np.mean(stated**2))
+        assert np.sqrt(np.mean(error**2)) == pytest.approx(np.sqrt(np.mean(stated**2)), rel=0.03)
 
 
 def test_covariance_that_is_none_counts_as_not_stated(flight: SimulatedFlight) -> None:
@@ -121,12 +122,13 @@ def test_centroid_tells_velocity_and_pointing_together(
     truth = compressed(flight, history, flight.track(7))
     slc = compressed(flight, history, track_of(flight, speed, pointing, stated))
     sight = line_of_sight(flight.sensor, truth.aperture)
-    found = sight @ (slc.aperture.velocity - truth.aperture.velocity) + speed - speed
+    found = sight @ (slc.aperture.velocity - truth.aperture.velocity)
     ahead = (line_of_sight(flight.sensor, slc.aperture) - sight) @ truth.aperture.direction
     assert found + SPEED * ahead == pytest.approx(0.0, abs=1.5e-4)
     if not (speed and pointing):
         assert found == pytest.approx(0.0, abs=1.5e-4)
-        assert slc.aperture.covariance[0, 0] < 0.02**2
+        assert slc.aperture.covariance[0, 0] < 0.03**2
+        assert not speed or slc.aperture.covariance[0, 0] > 0.01**2
     assert abs(found) <= 3 * np.sqrt(slc.aperture.covariance[0, 0]) * SPEED / RANGE + 1e-5
 
 
@@ -242,3 +244,21 @@ def test_a_boresight_that_is_known_to_err_is_looked_for(flight: SimulatedFlight,
     ahead = line_of_sight(flight.sensor, slc.aperture) @ flight.aperture(7).direction
     assert ahead == pytest.approx(0.0, abs=3e-6)
     assert not slc.doubt
+
+
+@pytest.mark.parametrize(("name", "dwells"), [("sal_spotlight", 16), ("xband_relief", 16), ("woods", 6)])
+def test_scenes_of_presets_move_the_centroid_as_far_as_is_stated(name: str, dwells: int) -> None:
+    """By their uneven ground: rms over what is stated, of so many dwells; and none of them is doubted."""
+    flown = flight_of(load_preset(name), seed=2)
+    image, ratios = flown.preset.image, []
+    for number in range(dwells):
+        track, pulses = flown.track(number), flown.phase_history(number)
+        exact = Compressor().add(pulses, track, flown.sensor, ImageSettings(rows=image.rows, cols=image.cols))
+        assert exact is not None
+        assert not exact.doubt
+        aperture, antenna = flown.aperture(number), track.positions(pulses.stamp_ns, pulses.pulse_times)
+        patches = patch_centres(flown.spectrum, aperture, exact.grid)
+        found = autofocus(pulses, antenna, flown.spectrum, patches, AutofocusSettings())
+        assert found.finds_beams
+        ratios.append(found.trend / found.trend_error)
+    assert 0.3 < np.sqrt(np.mean(np.square(ratios))) < 1.4

@@ -107,6 +107,7 @@ class Slc:
         range_window: over the bandwidth.
         focus: what autofocus found; None: it was not asked for.
         doubt: a sentence on what of the odometry the data cannot confirm; empty: nothing.
+        placement: where the image lies other than odometry says.
     """
 
     images: C64
@@ -118,6 +119,7 @@ class Slc:
     range_window: str = "rectangular"
     focus: Focus | None = None
     doubt: str = ""
+    placement: Placement = Placement(0.0, 0.0, 0.0)
 
     @property
     def autofocus_phase(self) -> F64:
@@ -183,7 +185,7 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
         doubt = doubt or off_middle
     doubt = doubt or bad_covariance
     windows = settings.azimuth_window, settings.range_window
-    return Slc(images, grid, aperture, noise_power, history.shares.max(axis=1), *windows, focus, doubt)
+    return Slc(images, grid, aperture, noise_power, history.shares.max(axis=1), *windows, focus, doubt, placement)
 
 
 def _find_beams(

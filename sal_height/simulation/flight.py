@@ -1,4 +1,4 @@
-"""A simulated flight: level and eastwards past the middle of the scene, one dwell after the other."""
+"""A simulated flight: level past the middle of the scene, one dwell after the other, in one pass or to and fro."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from sal_height.errors import UserError
 from sal_height.geometry import ApertureState, Origin, PlatformState, Trajectory, look_direction, sphere_point
@@ -54,7 +55,7 @@ class SimulatedFlight:
         preset: sensor, flight and CNR.
         sensor: of the preset, as it is described; the preset's impairments come on top.
         scene: the ground.
-        dwells: number of dwells; they are centred on the scene.
+        dwells: number of dwells; those of a pass are centred on the scene.
         seed: of all random numbers.
     """
 
@@ -69,17 +70,50 @@ class SimulatedFlight:
         flight = self.preset.flight
         aim = sphere_point(0.0, 0.0, self.scene.reference_height)
         abeam = aim - flight.slant_range_m * look_direction(flight.look_angle_rad, 0.0, self.sensor.look_side)
-        way = (self.dwells - 1) * self.preset.dwell_spacing_m
-        start = -way / 2 - flight.speed_mps * self._middle_of_dwell
         seconds = np.asarray(seconds, dtype=np.float64)
-        along = start + flight.speed_mps * seconds
+        begin = self._pass_of(seconds) * flight.passes.interval_s
+        along = flight.speed_mps * (seconds - begin) - self._pass_length / 2
         straight = abeam + along[..., None] * np.array([1.0, 0.0, 0.0])
-        middle_of_flight = way / flight.speed_mps / 2 + self._middle_of_dwell
-        return straight + self._gust.displacement(seconds) - self._gust.displacement(middle_of_flight)
+        middle_of_pass = begin + self._pass_length / flight.speed_mps / 2
+        eastwards = straight + self._gust.displacement(seconds) - self._gust.displacement(middle_of_pass)
+        return eastwards * self._heading(seconds)
 
     def velocity(self, seconds: npt.ArrayLike) -> F64:
         """Antenna velocity (m/s, map) at times (s) after the start of the first dwell, shape (..., 3)."""
-        return np.array([self.preset.flight.speed_mps, 0.0, 0.0]) + self._gust.velocity(seconds)
+        eastwards = np.array([self.preset.flight.speed_mps, 0.0, 0.0]) + self._gust.velocity(seconds)
+        return eastwards * self._heading(seconds)
+
+    def attitude(self, seconds: npt.ArrayLike) -> Rotation:
+        """Rotation from the axes of the antenna's mount to those of map at times (s) after the start."""
+        backwards = np.asarray(self._heading(seconds)[..., 0] < 0)
+        about = Rotation.from_rotvec(np.pi * backwards[..., None] * np.array([0.0, 0.0, 1.0]))
+        return about * self._gust.rotation(seconds) if backwards.any() else self._gust.rotation(seconds)
+
+    @property
+    def _dwells_per_pass(self) -> int:
+        """Dwells of each pass, of the last one perhaps fewer."""
+        return -(-self.dwells // self.preset.flight.passes.count)
+
+    @property
+    def _pass_length(self) -> float:
+        """Way from the first pulse of a pass to the last one, m."""
+        spacings = (self._dwells_per_pass - 1) * self.preset.dwell_spacing_m
+        return spacings + 2 * self.preset.flight.speed_mps * self._middle_of_dwell
+
+    def _pass_of(self, seconds: npt.ArrayLike) -> F64:
+        """Number of the pass whose middle is nearest to times (s), from 0."""
+        passes = self.preset.flight.passes
+        middle = self._pass_length / self.preset.flight.speed_mps / 2
+        nearest = np.round((np.asarray(seconds, dtype=np.float64) - middle) / passes.interval_s)
+        return np.asarray(np.clip(nearest, 0, passes.count - 1))
+
+    def _heading(self, seconds: npt.ArrayLike) -> F64:
+        """Signs of the axes of map, (..., 3), that turn a pass eastwards to its heading about the middle of the scene.
+
+        The passes are flown alternately eastwards and westwards.
+        """
+        sign = 1.0 - 2.0 * (self._pass_of(seconds) % 2)
+        return np.stack([sign, sign, np.ones_like(sign)], axis=-1)
 
     @cached_property
     def _gust(self) -> GustMotion:
@@ -148,7 +182,9 @@ class SimulatedFlight:
 
     def dwell_start_ns(self, dwell: int) -> int:
         """Start of a dwell after the start of the first, ns."""
-        return round(dwell * self.preset.dwell_spacing_m / self.preset.flight.speed_mps * 1e9)
+        number, in_pass = divmod(dwell, self._dwells_per_pass)
+        seconds = in_pass * self.preset.dwell_spacing_m / self.preset.flight.speed_mps
+        return round((number * self.preset.flight.passes.interval_s + seconds) * 1e9)
 
     def _dwell_end_ns(self, dwell: int) -> int:
         return self.dwell_start_ns(dwell) + round(float(self.pulse_times[-1]) * 1e9)
@@ -161,7 +197,8 @@ class SimulatedFlight:
         period_ns = round(1e9 / self.preset.flight.odometry_rate_hz)
         early_ns, late_ns = self._odometry_off_ns
         before, last = ((self._dwell_end_ns(number) + late_ns) // period_ns + 2 for number in (dwell - 1, dwell))
-        first = before + 1 if dwell else early_ns // period_ns - 2
+        begins = dwell % self._dwells_per_pass == 0
+        first = (self.dwell_start_ns(dwell) + early_ns) // period_ns - 2 if begins else before + 1
         return [self._state(number * period_ns) for number in range(first, last + 1)]
 
     def track(self, dwell: int) -> Trajectory:
@@ -182,11 +219,11 @@ class SimulatedFlight:
         """Odometry of base_link, to which the sensor is fixed by its mounting, with its errors."""
         errors = self.preset.impairments.odometry
         seconds, mounting = (stamp_ns - errors.delay_ns) * 1e-9, errors.built(self.sensor.mounting)
-        attitude = self._gust.rotation(seconds)
+        attitude = self.attitude(seconds)
         position, velocity = self.position(seconds), self.velocity(seconds)
         if not mounting.is_identity:
             step = 1e-3  # s, of the central difference that gives the arm's velocity: gusts last seconds
-            turned = self._gust.rotation(seconds + step * np.array([-1, 0, 1])) * mounting.axes.inv()
+            turned = self.attitude(seconds + step * np.array([-1, 0, 1])) * mounting.axes.inv()
             before, arm, after = turned.apply(mounting.lever_arm)
             position, velocity = position - arm, velocity - (after - before) / (2 * step)
             attitude *= mounting.axes.inv()
@@ -202,7 +239,7 @@ class SimulatedFlight:
         return ApertureState(
             position=self.position(middle),
             velocity=velocity,
-            rotation=self._gust.rotation(middle).as_matrix(),
+            rotation=self.attitude(middle).as_matrix(),
             length=aperture_length(self.sensor, self.preset.flight.slant_range_m) if sliding else spotlight,
             covariance=np.zeros((6, 6)),
             sliding=sliding,
@@ -288,7 +325,7 @@ class SimulatedFlight:
         sensor, surface, antenna = echo_sensor(self.built), self.surface(dwell), self.position(times)
         if self.sensor.mode == "stripmap":
             amplitudes = np.concatenate([self._ground(tile)[1] for tile in self._tiles(dwell)])
-            rotation = self._gust.rotation(times).as_matrix() @ pointing_rotation(ahead, off_nadir, self.sensor)
+            rotation = self.attitude(times).as_matrix() @ pointing_rotation(ahead, off_nadir, self.sensor)
             quartic = impairments.quartic_phase_rad
             echoes = simulate_block(sensor, surface, amplitudes, antenna, rotation, reference, since, quartic)
         else:

@@ -103,8 +103,21 @@ class SensorSettings(StrictKeys):
 
 
 @dataclass(frozen=True)
+class Passes(StrictKeys):
+    """Passes to and fro over the same ground: every second one is flown westwards and sees it from the other side.
+
+    Attributes:
+        count: of the passes, among which the dwells are divided evenly.
+        interval_s: from the begin of a pass to that of the next one.
+    """
+
+    count: Annotated[Int, Ge(1), Le(10_000)] = 1
+    interval_s: Annotated[Float, Gt(0), Le(1e5)] = 120.0
+
+
+@dataclass(frozen=True)
 class Flight(StrictKeys):
-    """A level track eastwards, straight but for gusts; in stripmap dwells follow each other without a gap."""
+    """Level tracks, straight but for gusts; in stripmap dwells follow each other without a gap."""
 
     slant_range_m: Annotated[Float, Ge(1), Le(1e7)]
     look_angle_rad: Annotated[Float, Gt(0), Lt(np.pi / 2)]
@@ -112,6 +125,7 @@ class Flight(StrictKeys):
     odometry_rate_hz: Annotated[Float, Gt(0), Le(10000)]
     dwell_spacing_m: Annotated[Float, Ge(1e-6), Le(1e6)] | None = None
     gust_mps: Annotated[Float, Ge(0), Le(20)] = 0.0
+    passes: Passes = Passes()
 
 
 @dataclass(frozen=True)
@@ -276,6 +290,7 @@ def parse_preset(content: Any, source: str) -> Preset:
         *_blanking_misfits(preset),
         *_impairment_misfits(preset),
         *_spacing_misfits(preset),
+        *_pass_misfits(preset),
     ):
         raise UserError(f"Preset {source}: {contradiction}.")
     return preset
@@ -359,4 +374,25 @@ def _spacing_misfits(preset: Preset) -> Iterator[str]:
         yield (
             f"flight.dwell_spacing_m is {spacing:.6g}, {spacing / flight.speed_mps:.3g} s of flight; a dwell takes "
             f"{duration:.3g} s, so it must be {duration * flight.speed_mps:.6g} or more"
+        )
+
+
+PAUSE_S = 1.0
+"""Least time between the end of a pass and the begin of the next one."""
+
+
+def _pass_misfits(preset: Preset) -> Iterator[str]:
+    """Of passes that do not follow each other, or are no spotlight."""
+    passes, sensor = preset.flight.passes, preset.sensor
+    if passes.count == 1:
+        return
+    if sensor.mode == "stripmap":
+        yield f"flight.passes.count is {passes.count}; in stripmap it must be 1"
+    if passes.count > preset.dwells:
+        yield f"flight.passes.count is {passes.count}; it must be at most dwells, {preset.dwells}"
+    least = -(-preset.dwells // passes.count) * preset.dwell_spacing_m / preset.flight.speed_mps + PAUSE_S
+    if passes.interval_s < least:
+        yield (
+            f"flight.passes.interval_s is {passes.interval_s:g}; a pass takes {least - PAUSE_S:.3g} s, so it must be "
+            f"{least:.3g} or more"
         )

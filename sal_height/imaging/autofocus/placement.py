@@ -85,6 +85,21 @@ def _deviation_along(direction: F64, covariance: F64) -> float:
 
 
 @dataclass(frozen=True)
+class Centroid:
+    """What the Doppler frequency of the beams' middle tells, as a velocity along the line of sight.
+
+    Attributes:
+        speed: beyond that of navigation, v u + V e, m/s.
+        error: its standard error, m/s.
+        vibration: standard deviation of the part of v u that odometry does not contain, m/s.
+    """
+
+    speed: float
+    error: float
+    vibration: float = 0.0
+
+
+@dataclass(frozen=True)
 class Placement:
     """How an image lies other than navigation says.
 
@@ -92,11 +107,16 @@ class Placement:
         speed: of the antenna along the line of sight beyond that of the odometry, m/s.
         pointing: angle by which the beams look farther ahead than the attitude says, rad.
         speed_error: standard deviation of what is left of `speed`, m/s.
+        centroid: from which these follow; None: it was not measured.
+        by_beams: whether the image is in the middle of the beams, wherever its Doppler frequency is: what is left is an
+            error of the attitude, not of the velocity.
     """
 
     speed: float
     pointing: float
     speed_error: float
+    centroid: Centroid | None = None
+    by_beams: bool = False
 
     def moved(self, antenna: F64, seconds: F64, sight: F64) -> F64:
         """Positions of the antenna (m), shape (pulses, 3), at times in s from the middle of the dwell."""
@@ -121,17 +141,18 @@ def placed_by_navigation(prior: NavigationPrior) -> Placement:
     return Placement(0.0, 0.0, prior.speed)
 
 
-def placed_by_centroid(found: float, error: float, prior: NavigationPrior, ambiguity: float) -> Placement:
+def placed_by_centroid(centroid: Centroid, navigation: NavigationPrior, ambiguity: float) -> Placement:
     """Where the Doppler centroid and navigation together put an image.
 
     Args:
-        found: centroid beyond that of navigation, as a velocity along the line of sight, m/s.
-        error: its standard error, m/s.
-        prior: what navigation knows. If it states nothing, all is taken for an error of the attitude: the image stays.
+        centroid: that was found.
+        navigation: what is known beforehand. If it states nothing, all is taken for an error of the attitude: the image stays.
         ambiguity: wavelength PRF / 2, m/s. Other multiples of it are weighed by the prior.
     """
+    found, error, prior = centroid.speed, centroid.error, navigation
     if not prior.spread:
-        return Placement(0.0, found / prior.flight_speed, 0.0)
+        return Placement(0.0, found / prior.flight_speed, 0.0, centroid)
+    prior = prior.beside(centroid.vibration)
     variance = prior.spread**2 + error**2
     of_speed, of_pointing = prior.speed**2 / variance, (prior.flight_speed * prior.pointing) ** 2 / variance
     exponent = -((found + WRAPS * ambiguity) ** 2) / (2 * variance)
@@ -139,7 +160,7 @@ def placed_by_centroid(found: float, error: float, prior: NavigationPrior, ambig
     wrapped = np.sum(weights * (WRAPS * ambiguity) ** 2) / weights.sum()
     # A wrap more moves image and beams together, and so the image off the beams' middle by what is not its part.
     left = prior.speed**2 * (1 - of_speed) + (1 - of_speed) ** 2 * wrapped
-    return Placement(of_speed * found, of_pointing * found / prior.flight_speed, float(np.sqrt(left)))
+    return Placement(of_speed * found, of_pointing * found / prior.flight_speed, float(np.sqrt(left)), centroid)
 
 
 def vibration_speed(phase: F64, seconds: F64, wavelength: float) -> float:
@@ -190,14 +211,13 @@ def place_image(focus: Focus, pulse_times: F64, wavelength: float, prior: Naviga
     if not focus.is_smooth:
         centred = focus.phase + focus.trend * (np.arange(pulses) - (pulses - 1) / 2)
         left = float(np.hypot(prior.flight_speed * prior.pointing, error))
-        return replace(focus, phase=centred, trend=0.0), Placement(0.0, 0.0, left)
-    if prior.spread:
-        prior = prior.beside(vibration_speed(focus.phase, pulse_times, wavelength))
-    if not prior.allows(found, error):
+        return replace(focus, phase=centred, trend=0.0), Placement(0.0, 0.0, left, by_beams=True)
+    vibration = vibration_speed(focus.phase, pulse_times, wavelength) if prior.spread else 0.0
+    if not prior.beside(vibration).allows(found, error):
         raise Rejected(
             "Doppler centroid contradicts navigation",
             f"The beams' middle is at a Doppler that is {found:.3g} m/s of velocity along the line of sight off that "
-            f"of the odometry, which states {prior.spread:.2g} m/s for velocity and pointing together; attitude, "
+            f"of the odometry, which states {prior.beside(vibration).spread:.2g} m/s for velocity and pointing together; attitude, "
             "boresights or the stated covariances must be wrong.",
         )
-    return focus, placed_by_centroid(found, error, prior, 2 * np.pi * of_a_radian)
+    return focus, placed_by_centroid(Centroid(found, error, vibration), prior, 2 * np.pi * of_a_radian)

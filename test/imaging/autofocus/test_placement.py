@@ -15,6 +15,7 @@ from sal_height.geometry import PlatformState, Trajectory
 from sal_height.imaging import ImageSettings, Slc
 from sal_height.imaging.autofocus.gradient import AutofocusSettings, autofocus, is_for_speckle, patch_centres
 from sal_height.imaging.autofocus.placement import (
+    Centroid,
     NavigationPrior,
     placed_by_centroid,
     placed_by_navigation,
@@ -76,14 +77,14 @@ def compressed(flight: SimulatedFlight, history: PhaseHistory, track: Trajectory
 def test_sum_is_divided_as_navigation_states_its_parts() -> None:
     """Equal parts: half each; the error that is left is that of the difference."""
     equal = NavigationPrior(0.003, 0.003 / SPEED, SPEED)
-    placed = placed_by_centroid(0.004, 1e-5, equal, AMBIGUITY)
+    placed = placed_by_centroid(Centroid(0.004, 1e-5), equal, AMBIGUITY)
     assert placed.speed == pytest.approx(0.002, rel=1e-4)
     assert SPEED * placed.pointing == pytest.approx(0.002, rel=1e-4)
     assert placed.speed_error == pytest.approx(0.003 / np.sqrt(2), rel=1e-3)
-    exact_pointing = placed_by_centroid(0.004, 1e-5, NavigationPrior(0.003, 0.0, SPEED), AMBIGUITY)
+    exact_pointing = placed_by_centroid(Centroid(0.004, 1e-5), NavigationPrior(0.003, 0.0, SPEED), AMBIGUITY)
     assert (exact_pointing.speed, exact_pointing.pointing) == (pytest.approx(0.004, rel=1e-4), 0.0)
     assert exact_pointing.speed_error == pytest.approx(1e-5, rel=1e-3)
-    unstated = placed_by_centroid(0.004, 1e-5, NavigationPrior(0.0, 0.0, SPEED), AMBIGUITY)
+    unstated = placed_by_centroid(Centroid(0.004, 1e-5), NavigationPrior(0.0, 0.0, SPEED), AMBIGUITY)
     assert (unstated.speed, SPEED * unstated.pointing, unstated.speed_error) == (0.0, pytest.approx(0.004), 0.0)
 
 
@@ -98,7 +99,7 @@ def test_parts_are_those_of_drawn_errors() -> None:
         drawn = np.stack([speed * rng.standard_normal(40_000), SPEED * pointing * rng.standard_normal(40_000)])
         found = drawn.sum(axis=0) + 1e-4 * rng.standard_normal(40_000)
         wraps = np.round(found / AMBIGUITY) * AMBIGUITY
-        placed = [placed_by_centroid(one, 1e-4, prior, AMBIGUITY) for one in (found - wraps).tolist()]
+        placed = [placed_by_centroid(Centroid(one, 1e-4), prior, AMBIGUITY) for one in (found - wraps).tolist()]
         error = np.array([one.speed for one in placed]) + wraps - drawn[0]
         stated = np.array([one.speed_error for one in placed])
         assert np.sqrt(np.mean(error**2)) == pytest.approx(np.sqrt(np.mean(stated**2)), rel=0.03)

@@ -29,7 +29,8 @@ from sal_height.runs.accuracy import read_accuracy, read_images
 from sal_height.runs.catalogue import NodeParameters, consumers
 from sal_height.runs.entry import Part, chain_of, sensors_of
 from sal_height.runs.judge import verdict_of
-from sal_height.runs.offline import InForce, Losses, Work, process, track
+from sal_height.runs.offline import process, track
+from sal_height.runs.recorded_dwells import InForce, Losses, Work
 from sal_height.runs.replay import recorded_flight
 from sal_height.runs.replay_parameters import processing_of
 from sal_height.runs.reporting import PARAMETERS

@@ -3,129 +3,39 @@
 from __future__ import annotations
 
 import shutil
-from collections import Counter
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from rclpy.serialization import serialize_message
 
 from sal_height import messages
 from sal_height.bag.namespace import NamespacedReader
-from sal_height.bag.reader import ALWAYS, BagMessage, BagReader, LogTimes
+from sal_height.bag.reader import ALWAYS, BagReader, LogTimes
 from sal_height.bag.topics import HEIGHT_TYPE
 from sal_height.bag.writer import BagWriter
-from sal_height.calibration import Calibration, load_calibration
 from sal_height.elevation import ESTIMATORS
-from sal_height.errors import Rejected, UserError
+from sal_height.errors import UserError
 from sal_height.nodes.cues import Cue, DwellKey
-from sal_height.nodes.dwell import Dwell, DwellAssembler, Key
-from sal_height.nodes.dwell_stage import with_blanks
-from sal_height.nodes.height import applied_calibration, height_image
-from sal_height.nodes.odometry import OdometryHistory
-from sal_height.nodes.player import CALIBRATION_TOPIC
-from sal_height.nodes.playlist import FRAMES, ODOMETRY
+from sal_height.nodes.height import height_image
 from sal_height.nodes.relief_tracker import PREFIX, Tracker
-from sal_height.nodes.sar_compression import HEARD, Supplies, compress_dwell, longest_gap_s
-from sal_height.pipeline import Compressor, heights
-from sal_height.runs.catalogue import TRACKER, NodeParameters, parameters_of
-from sal_height.runs.entry import sensors_of
-from sal_height.sensor import Sensor
-
-COMPRESSION = "sar_compression"
-
-GAP = "odometry gap"
+from sal_height.pipeline import heights
+from sal_height.runs.catalogue import TRACKER, NodeParameters
+from sal_height.runs.recorded_dwells import (
+    COMPRESSION,
+    FRAME_TOPIC,
+    GAP,
+    ODOMETRY_TOPIC,
+    Compressed,
+    InForce,
+    Losses,
+    RecordedDwells,
+    Work,
+)
 
 MARGIN_NS = 2_000_000_000
 """Odometry of a dwell is looked for so long before its first frame and after its last one; then in the whole bag."""
 
-FRAME_TOPIC, ODOMETRY_TOPIC, CALIBRATIONS = f"/{FRAMES}", f"/{ODOMETRY}", f"/{CALIBRATION_TOPIC}"
-
 MAKERS = {estimator.node: estimator for estimator in ESTIMATORS.values()}
-
-
-@dataclass(frozen=True)
-class Work:
-    """Dwells of a bag, and how they are processed.
-
-    Attributes:
-        bag: folder of the bag, or its file.
-        namespace: of its topics; empty: none.
-        makers: height nodes whose heights are made.
-        parameters: of all nodes at the first of the dwells, by node and name.
-        cues: what happens before dwells after it.
-        calibrations: identities of those that have come before the first dwell, the last one last.
-        dwells: which ones.
-        times: when their frames were recorded.
-    """
-
-    bag: Path
-    namespace: str
-    makers: tuple[str, ...]
-    parameters: NodeParameters
-    cues: tuple[Cue, ...]
-    calibrations: tuple[str, ...]
-    dwells: frozenset[DwellKey]
-    times: LogTimes
-
-
-@dataclass
-class Losses:
-    """What was left out.
-
-    Attributes:
-        dropped: number of dwells, or of frames that cannot be used, that a node left out, by node and reason.
-        sentences: on the first of each kind, and of what was not used besides dwells and frames.
-    """
-
-    dropped: Counter[str] = field(default_factory=Counter)
-    sentences: dict[str, str] = field(default_factory=dict)
-
-    def drop(self, node: str, error: UserError) -> None:
-        """Count a dwell, or a frame, that a node leaves out."""
-        kind = f"{node}: {error.reason if isinstance(error, Rejected) else 'cannot be processed'}"
-        self.dropped[kind] += 1
-        self.warn(kind, error)
-
-    def warn(self, kind: str, error: UserError) -> None:
-        """Keep the sentence if it is the first of its kind."""
-        self.sentences.setdefault(kind, str(error))
-
-    def add(self, other: Losses) -> None:
-        """Take in what was left out elsewhere, later on."""
-        self.dropped.update(other.dropped)
-        self.sentences = {**other.sentences, **self.sentences}
-
-
-class InForce:
-    """The parameters of nodes, which cues change from dwell to dwell."""
-
-    def __init__(self, parameters: NodeParameters, cues: Iterable[Cue]) -> None:
-        """Begin with these; `cues` are those of all dwells to come."""
-        self._values = {node: dict(of_node) for node, of_node in parameters.items()}
-        self._cues = {cue.dwell: cue for cue in cues}
-        self._made: dict[str, Any] = {}
-
-    def go_on_to(self, dwell: DwellKey) -> tuple[str, ...]:
-        """Change what changes before a dwell, and return the calibrations that come before it."""
-        cue = self._cues.pop(dwell, None)
-        if cue is None:
-            return ()
-        for node, values in cue.parameters.items():
-            self._values.setdefault(node, {}).update(values)
-            self._made.pop(node, None)
-        return cue.calibrations
-
-    def values(self) -> dict[str, dict[str, Any]]:
-        """The values that are in force, by node and name."""
-        return {node: dict(of_node) for node, of_node in self._values.items()}
-
-    def of(self, node: str) -> Any:
-        """The parameters of a node."""
-        if node not in self._made:
-            self._made[node] = parameters_of(node, self._values.get(node, {}))
-        return self._made[node]
 
 
 def process(work: Work, folder: Path) -> Losses:
@@ -195,184 +105,38 @@ def _process(work: Work, times: LogTimes, folder: Path) -> Losses:
     return making.losses
 
 
-class _Making:
-    """The dwells of a work, which are gathered and processed in their order."""
+class _Making(RecordedDwells):
+    """The dwells of a work, of which heights are made."""
 
     def __init__(self, work: Work, reader: BagReader, bag: BagWriter) -> None:
-        """Read what holds for all dwells; their heights are written to `bag`.
-
-        Raises:
-            UserError: it cannot be processed without a graph.
-        """
-        self.losses = Losses()
-        self._work, self._bag = work, bag
-        self._in_force = InForce(work.parameters, work.cues)
-        if self._compression.mounting_from_tf:
-            raise UserError(
-                f"Bag {work.bag} was processed with mounting_from_tf, which needs a graph; use `sal-height replay`."
-            )
-        self._sensors, refused = sensors_of(reader)
-        for error in refused:
-            self.losses.warn("sensor info", error)
-        self._calibrations = self._calibrations_of(reader)
-        self._heard: dict[str, Calibration] = {}
-        self._listen(work.calibrations)
-        self._odometry = OdometryHistory(self._compression.odometry_held_s)
-        self._assembler = DwellAssembler[messages.ReceivedFrame]()
-        self._last_frame_ns: dict[Key, int] = {}
-        self._compressor = Compressor()
+        """Have the heights written to `bag`; raises as its base."""
+        super().__init__(work, reader)
+        self._bag = bag
         for node in work.makers:
             bag.add_topic(_topic(node), HEIGHT_TYPE)
 
-    @property
-    def _compression(self) -> Any:
-        """Parameters of the compression."""
-        return self._in_force.of(COMPRESSION)
-
-    def take(self, recorded: BagMessage) -> None:
-        """Take in a frame or a sample of odometry, and process the dwells that have all they need then."""
-        try:
-            if recorded.topic == ODOMETRY_TOPIC:
-                pose = messages.received_pose(recorded.cdr)
-                self._odometry.add(messages.state_of_pose(pose, self._compression.frames))
-            else:
-                self._gather(messages.received_frame(recorded.cdr), recorded.log_time_ns)
-        except UserError as error:
-            self.losses.drop(COMPRESSION, error)
-        except RuntimeError as error:
-            self.losses.drop(COMPRESSION, Rejected("broken", f"A message cannot be decoded: {error}."))
-        unfinished = self._assembler.held()
-        surplus = len(unfinished) - self._compression.max_unfinished_dwells
-        for place, dwell in enumerate(unfinished):
-            if place >= surplus and not (dwell.is_whole and self._is_covered(dwell)):
-                return
-            self._process(dwell)
-
-    def end(self) -> None:
-        """Process the dwells that are left, as far as they can be."""
-        for dwell in self._assembler.held():
-            self._process(dwell)
-
-    def _gather(self, frame: messages.ReceivedFrame, log_time_ns: int) -> None:
-        """Add a frame to its dwell.
-
-        Raises:
-            Rejected: it cannot be used.
-        """
-        if DwellKey(frame.dwell, frame.stamp_ns) not in self._work.dwells:
-            return
-        sensor = self._sensors.get(frame.config_hash)
-        if sensor is None:
-            raise Rejected("no sensor info", f"No sensor info has the config_hash {frame.config_hash!r} of a frame.")
-        messages.check_frame(frame, sensor)
-        key = Key(frame.config_hash, frame.dwell, frame.stamp_ns)
-        self._assembler.add(key, sensor, frame.channel, frame, 0.0)
-        self._last_frame_ns[key] = log_time_ns
-
-    def _is_covered(self, dwell: Dwell[messages.ReceivedFrame]) -> bool:
-        """Whether there is odometry after the last pulse of a dwell."""
-        span = self._odometry.span_ns
-        return span is not None and span[1] >= dwell.messages[0].end_ns
-
-    def _process(self, dwell: Dwell[messages.ReceivedFrame]) -> None:
-        """Make the heights of a dwell, or count it as left out."""
-        self._assembler.take(dwell)
-        self._listen(self._in_force.go_on_to(DwellKey(dwell.key.number, dwell.key.stamp_ns)))
-        time_ns = self._last_frame_ns.pop(dwell.key)
-        try:
-            frames = self._frames_of(dwell)
-            found = compress_dwell(
-                frames, dwell.sensor, self._supplies(frames, dwell.sensor), self._compressor, self._compression
-            )
-        except UserError as error:
-            self.losses.drop(COMPRESSION, error)
-            return
-        if found is None:
-            return
-        images = [messages.received_image(cdr) for cdr in found[1]]
-        for node in self._work.makers:
+    def made(self, compressed: Compressed) -> None:
+        """Make the heights, and write them."""
+        for node in self.work.makers:
             try:
-                cdr = self._heights(node, images, dwell.sensor)
+                cdr = self._heights(node, compressed)
             except UserError as error:
                 self.losses.drop(node, error)
                 continue
-            self._bag.write(_topic(node), cdr, time_ns, time_ns)
+            self._bag.write(_topic(node), cdr, compressed.time_ns, compressed.time_ns)
 
-    def _heights(self, node: str, images: Sequence[messages.ReceivedImage], sensor: Sensor) -> bytes:
+    def _heights(self, node: str, compressed: Compressed) -> bytes:
         """The message with the heights that a node makes of the images of a dwell, serialized.
 
         Raises:
             UserError: there are none.
         """
+        images, sensor = compressed.messages, compressed.sensor
         for image in images:
             messages.check_slc(image, sensor)
-        parameters, slc = self._in_force.of(node), messages.slc_from_messages(images)
-        applied = applied_calibration(images[0], sensor)
-        calibration = self._calibrations[applied] if applied else None
-        estimated = heights(slc, sensor, MAKERS[node], parameters, calibration)
+        parameters, slc = self.in_force.of(node), messages.slc_from_messages(images)
+        estimated = heights(slc, sensor, MAKERS[node], parameters, compressed.calibration)
         return messages.serialized_height(height_image(estimated, slc, images, sensor, MAKERS[node], parameters))
-
-    def _frames_of(self, dwell: Dwell[messages.ReceivedFrame]) -> list[messages.ReceivedFrame]:
-        """The frames of all channels, blank ones for those that are absent if that is allowed.
-
-        Raises:
-            Rejected: it is not.
-        """
-        parameters = self._compression
-        if dwell.is_whole:
-            return dwell.messages
-        if parameters.missing_channels != "proceed" or len(dwell.items) < parameters.min_channels:
-            raise Rejected("incomplete dwell", f"Dwell {dwell.key.number}: channels {dwell.absent} are not in the bag.")
-        return with_blanks(dwell)
-
-    def _supplies(self, frames: Sequence[messages.ReceivedFrame], sensor: Sensor) -> Supplies:
-        """Odometry and calibration of a dwell.
-
-        Raises:
-            UserError: odometry has a gap, or the calibration cannot be read.
-        """
-        delay_ns = self._compression.odometry_delay_ns
-        states = self._odometry.around(frames[0].stamp_ns + delay_ns, frames[0].end_ns + delay_ns)
-        limit = self._compression.max_odometry_gap_s
-        if longest_gap_s(states) > limit:
-            raise Rejected(
-                GAP,
-                f"Dwell {frames[0].dwell}: {ODOMETRY} in the bag does not reach from its first pulse to its last with "
-                f"a sample every {limit:g} s (max_odometry_gap_s).",
-            )
-        return Supplies(states, self._calibration_for(sensor), sensor.mounting)
-
-    def _calibration_for(self, sensor: Sensor) -> Calibration | None:
-        """The calibration to apply.
-
-        Raises:
-            UserError: its file cannot be read.
-        """
-        source = self._compression.calibration
-        if source in {"", HEARD}:
-            return self._heard.get(sensor.config_hash) if source else None
-        if source not in self._calibrations:
-            loaded = load_calibration(Path(source))
-            self._calibrations |= {source: loaded, loaded.id: loaded}
-        return self._calibrations[source]
-
-    def _calibrations_of(self, reader: BagReader) -> dict[str, Calibration]:
-        """The calibrations of a bag that can be used, by their identity."""
-        calibrations = {}
-        for recorded in reader.messages([CALIBRATIONS]):
-            try:
-                one = messages.calibration_from_message(reader.decode(recorded.type_name, recorded.cdr))
-            except UserError as error:
-                self.losses.warn("calibration", error)
-            else:
-                calibrations[one.id] = one
-        return calibrations
-
-    def _listen(self, calibrations: Iterable[str]) -> None:
-        """Have these calibrations come; nodes do not use those that cannot be used either."""
-        for one in filter(self._calibrations.__contains__, calibrations):
-            calibration = self._calibrations[one]
-            self._heard[calibration.config_hash] = calibration
 
 
 def _topic(node: str) -> str:

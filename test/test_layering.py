@@ -19,7 +19,7 @@ LAYERS = (
     ("sensor",),
     ("elevation",),
     ("imaging", "relief", "simulation"),
-    ("calibration",),
+    ("calibration", "adjustment"),
     ("theory",),
     ("pipeline",),
     ("rehearsal",),

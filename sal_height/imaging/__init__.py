@@ -6,6 +6,7 @@ Read `focus` first (`focus_dwell`, `StripFocuser`: the whole of it), then `pixel
 join) and `beams` (patterns in strip images).
 """
 
+from sal_height.imaging.autofocus.placement import Centroid, Placement
 from sal_height.imaging.beams import image_beams
 from sal_height.imaging.corrections import CorrectionSettings, correct_dwell, correct_track, with_known_errors
 from sal_height.imaging.focus import ImageSettings, Slc, StripFocuser, cell_response, focus_dwell
@@ -16,9 +17,11 @@ from sal_height.imaging.weighting import Processing
 
 __all__ = [
     "FORMERS",
+    "Centroid",
     "CorrectionSettings",
     "FormImages",
     "ImageSettings",
+    "Placement",
     "Processing",
     "Slc",
     "StripFocuser",

@@ -19,7 +19,13 @@ from sal_height.imaging.autofocus.gradient import (
     is_for_speckle,
     patch_centres,
 )
-from sal_height.imaging.autofocus.placement import NavigationPrior, Placement, place_image, placed_by_navigation
+from sal_height.imaging.autofocus.placement import (
+    AS_NAVIGATED,
+    NavigationPrior,
+    Placement,
+    place_image,
+    placed_by_navigation,
+)
 from sal_height.imaging.checks import (
     check_doppler_centroid,
     check_dwell,
@@ -119,7 +125,7 @@ class Slc:
     range_window: str = "rectangular"
     focus: Focus | None = None
     doubt: str = ""
-    placement: Placement = Placement(0.0, 0.0, 0.0)
+    placement: Placement = AS_NAVIGATED
 
     @property
     def autofocus_phase(self) -> F64:

@@ -131,7 +131,7 @@ class _Making(RecordedDwells):
         Raises:
             UserError: there are none.
         """
-        images, sensor = compressed.messages, compressed.sensor
+        images, sensor = compressed.images, compressed.sensor
         for image in images:
             messages.check_slc(image, sensor)
         parameters, slc = self.in_force.of(node), messages.slc_from_messages(images)

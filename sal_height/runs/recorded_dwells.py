@@ -122,7 +122,8 @@ class Compressed:
 
     Attributes:
         slc: the images.
-        messages: those of all channels.
+        images: their messages, of all channels.
+        frames: that they were made from.
         sensor: that took them.
         supplies: odometry and calibration.
         calibration: that was applied; None: none.
@@ -130,7 +131,8 @@ class Compressed:
     """
 
     slc: Slc
-    messages: Sequence[messages.ReceivedImage]
+    images: Sequence[messages.ReceivedImage]
+    frames: Sequence[messages.ReceivedFrame]
     sensor: Sensor
     supplies: Supplies
     calibration: Calibration | None
@@ -236,7 +238,7 @@ class RecordedDwells:
         images = [messages.received_image(cdr) for cdr in serialized]
         applied = applied_calibration(images[0], dwell.sensor)
         calibration = self._calibrations[applied] if applied else None
-        self.made(Compressed(slc, images, dwell.sensor, supplies, calibration, time_ns))
+        self.made(Compressed(slc, images, frames, dwell.sensor, supplies, calibration, time_ns))
 
     def _frames_of(self, dwell: Dwell[messages.ReceivedFrame]) -> list[messages.ReceivedFrame]:
         """The frames of all channels, blank ones for those that are absent if that is allowed.

@@ -136,6 +136,10 @@ class Placement:
         )
 
 
+AS_NAVIGATED = Placement(0.0, 0.0, 0.0)
+"""An image where an exact navigation puts it."""
+
+
 def placed_by_navigation(prior: NavigationPrior) -> Placement:
     """Where navigation alone puts an image."""
     return Placement(0.0, 0.0, prior.speed)
@@ -146,7 +150,8 @@ def placed_by_centroid(centroid: Centroid, navigation: NavigationPrior, ambiguit
 
     Args:
         centroid: that was found.
-        navigation: what is known beforehand. If it states nothing, all is taken for an error of the attitude: the image stays.
+        navigation: what is known beforehand. If it states nothing, all is taken for an error of the attitude, and the
+            image stays.
         ambiguity: wavelength PRF / 2, m/s. Other multiples of it are weighed by the prior.
     """
     found, error, prior = centroid.speed, centroid.error, navigation
@@ -213,11 +218,12 @@ def place_image(focus: Focus, pulse_times: F64, wavelength: float, prior: Naviga
         left = float(np.hypot(prior.flight_speed * prior.pointing, error))
         return replace(focus, phase=centred, trend=0.0), Placement(0.0, 0.0, left, by_beams=True)
     vibration = vibration_speed(focus.phase, pulse_times, wavelength) if prior.spread else 0.0
-    if not prior.beside(vibration).allows(found, error):
+    known = prior.beside(vibration)
+    if not known.allows(found, error):
         raise Rejected(
             "Doppler centroid contradicts navigation",
             f"The beams' middle is at a Doppler that is {found:.3g} m/s of velocity along the line of sight off that "
-            f"of the odometry, which states {prior.beside(vibration).spread:.2g} m/s for velocity and pointing together; attitude, "
+            f"of the odometry, which states {known.spread:.2g} m/s for velocity and pointing together; attitude, "
             "boresights or the stated covariances must be wrong.",
         )
     return focus, placed_by_centroid(Centroid(found, error, vibration), prior, 2 * np.pi * of_a_radian)

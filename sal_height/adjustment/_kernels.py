@@ -1,0 +1,81 @@
+"""Compiled loops of the comparison of images; `matching` says what they compute."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sal_height.numeric import F64, I64, compiled_with_nan, squared
+
+REFINEMENTS = 4
+"""Rounds of the robust mean."""
+
+INLIER = 3.0
+"""Standard deviations beyond which a difference is none of the same surface."""
+
+
+@compiled_with_nan
+def _gather(place: F64, sigma: F64, shift: I64, height: F64, cell_sigma: F64, farthest: float, met: F64) -> int:
+    """Fill `met` with the difference in height, its variance and the number of each point that meets the surface."""
+    count = 0
+    for point in range(len(place)):
+        east = int(np.floor(place[point, 0] - shift[0] + 0.5))
+        north = int(np.floor(place[point, 1] - shift[1] + 0.5))
+        if 0 <= east < height.shape[0] and 0 <= north < height.shape[1]:
+            difference = place[point, 2] - height[east, north]
+            if abs(difference) <= farthest:
+                met[0, count] = difference
+                met[1, count] = squared(sigma[point]) + squared(cell_sigma[east, north])
+                met[2, count] = point
+                count += 1
+    return count
+
+
+@compiled_with_nan
+def _robust_mean(differences: F64, variances: F64) -> tuple[float, float]:
+    """Mean of the differences about their median that are of the same surface, and the sum of their weights."""
+    found, total = float(np.median(differences)), 0.0
+    for _ in range(REFINEMENTS):
+        total, weighed = 0.0, 0.0
+        for number in range(len(differences)):
+            if squared(differences[number] - found) < INLIER * INLIER * variances[number]:
+                total += 1 / variances[number]
+                weighed += differences[number] / variances[number]
+        if total > 0:
+            found = weighed / total
+    return found, total
+
+
+@compiled_with_nan
+def compare_shifts(
+    place: F64, sigma: F64, log_density: F64, cells: I64, height: F64, cell_sigma: F64, numbers: F64, result: F64
+) -> None:
+    """Compare points with a surface for some horizontal shifts.
+
+    Args:
+        place: of the points, in cells of the surface east and north, and their height, m, shape (points, 3).
+        sigma: of the heights, m, shape (points,).
+        log_density: of the heights, shape (points,).
+        cells: shifts in cells, shape (shifts, 2).
+        height: of the surface, m, NaN where it is not known, shape (east, north).
+        cell_sigma: its sigma, m, same shape.
+        numbers: greatest difference in height that is looked at, m, share of outliers over their range, 1/m, and the
+            share of the others.
+        result: filled with the logarithm of the likelihood, the shift in height, the sum of the weights of the points
+            that fit, 1/m^2, and the number of those that meet the surface, shape (shifts, 4).
+    """
+    farthest, outlier, inlier = numbers[0], np.log(numbers[1]), numbers[2]
+    met = np.empty((3, len(place)))
+    for shift in range(len(cells)):
+        count = _gather(place, sigma, cells[shift], height, cell_sigma, farthest, met)
+        result[shift, 0], result[shift, 1], result[shift, 2], result[shift, 3] = -np.inf, np.nan, 0.0, count
+        if count == 0:
+            continue
+        differences, variances = met[0, :count], met[1, :count]
+        found, total = _robust_mean(differences, variances)
+        score = 0.0
+        for number in range(count):
+            fits = np.log(inlier / np.sqrt(2 * np.pi * variances[number]))
+            fits -= squared(differences[number] - found) / (2 * variances[number])
+            score += max(fits, outlier) - log_density[int(met[2, number])]
+        if total > 0:
+            result[shift, 0], result[shift, 1], result[shift, 2] = score, found, total

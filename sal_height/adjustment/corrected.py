@@ -1,0 +1,129 @@
+"""The trajectory as the adjustment has found it, with what is left of the errors in its covariance.
+
+What was found of the mounting is part of it: with the mounting as described, the corrected trajectory puts the antenna
+where it was, and its beams where they looked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+from scipy.spatial.transform import Rotation
+
+from sal_height.adjustment.adjust import Adjustment
+from sal_height.adjustment.drift import STATE
+from sal_height.adjustment.equations import Form
+from sal_height.adjustment.observed import BORESIGHT, COMMON, DELAY, LEVER_ARM
+from sal_height.adjustment.settings import AdjustmentSettings
+from sal_height.geometry import Mounting, PlatformState
+from sal_height.numeric import F64
+
+KNOWN_CORRELATIONS = 0.01
+"""Correlation times from a knot up to which its covariance holds."""
+
+PLACE, TURN, MOTION = slice(0, 3), slice(3, 6), slice(6, 9)
+"""Errors of the pose of base_link, and of its velocity, among the numbers of `_errors`."""
+
+
+def corrected_mounting(mounting: Mounting, adjustment: Adjustment) -> Mounting:
+    """The mounting without the errors that were found."""
+    common, _ = adjustment.common
+    arm = np.array(mounting.lever_arm) - common[LEVER_ARM]
+    x, y, z, w = (mounting.axes * Rotation.from_rotvec(-common[BORESIGHT])).as_quat().tolist()
+    return replace(mounting, lever_arm=tuple(arm.tolist()), rotation=(x, y, z, w))
+
+
+def corrected_states(
+    states: Sequence[PlatformState],
+    seconds: Sequence[float],
+    adjustment: Adjustment,
+    mounting: Mounting,
+    settings: AdjustmentSettings,
+) -> list[PlatformState]:
+    """Odometry without the errors that were found.
+
+    Args:
+        states: samples, in the order of time.
+        seconds: their times, s, as those of the dwells.
+        adjustment: of these dwells.
+        mounting: of the sensor, as described.
+        settings: of the adjustment; the jitter of single dwells becomes part of the covariance.
+    """
+    drift, unknowns = adjustment.layout.drift, adjustment.solution.unknowns
+    times, knots = np.asarray(seconds), adjustment.knots
+    motion, turns = _interpolated(drift.seconds, knots, times)
+    common = unknowns[adjustment.layout.common]
+    found = []
+    covariances = _covariances(states, times, adjustment, mounting)
+    for state, place, velocity, turn, covariance in zip(states, *motion, turns, covariances, strict=True):
+        own = np.concatenate([place, velocity, turn, common])
+        errors = _errors(state, mounting) @ own
+        attitude = Rotation.from_quat(state.orientation)
+        new = Rotation.from_rotvec(-errors[TURN]) * attitude
+        arm = np.array(mounting.lever_arm)
+        antenna = state.position + attitude.apply(arm) - errors[PLACE] - np.cross(errors[TURN], attitude.apply(arm))
+        pose, spread = state.covariance, state.velocity_covariance
+        if covariance is not None:
+            pose = covariance[:6, :6] + settings.jitter_rad**2 * np.diag([0, 0, 0, 1, 1, 1])
+            spread = new.as_matrix().T @ covariance[MOTION, MOTION] @ new.as_matrix()
+        found.append(
+            replace(
+                state,
+                position=antenna - new.apply(arm),
+                orientation=new.as_quat(),
+                velocity=state.velocity - errors[MOTION],
+                covariance=pose,
+                velocity_covariance=spread,
+            )
+        )
+    return found
+
+
+def _interpolated(knots: F64, errors: F64, times: F64) -> tuple[tuple[F64, F64], F64]:
+    """Errors of position and velocity, and of attitude, between the knots; beyond them they stay as they are."""
+    turns = np.stack([np.interp(times, knots, errors[:, axis]) for axis in range(6, STATE)], axis=-1)
+    inside = np.clip(times, knots[0], knots[-1])
+    if len(knots) > 1:
+        spline = CubicHermiteSpline(knots, errors[:, :3], errors[:, 3:6])
+        place, velocity = spline(inside), spline(inside, 1)
+    else:
+        place, velocity = (np.broadcast_to(errors[0, part], (len(times), 3)) for part in (slice(0, 3), slice(3, 6)))
+    return (np.asarray(place + (times - inside)[:, None] * velocity), np.asarray(velocity)), turns
+
+
+def _errors(state: PlatformState, mounting: Mounting) -> F64:
+    """Errors of position, attitude and velocity of base_link by those of a knot and of what all dwells share.
+
+    Those of the mounting count as if they were the platform's: with the arm a and the turn b of the sensor, in map,
+    p + A l - V d - b x a, e + b and v.
+    """
+    body = Rotation.from_quat(state.orientation)
+    sensor, arm = (body * mounting.axes).as_matrix(), body.apply(mounting.lever_arm)
+    matrix = np.zeros((9, STATE + COMMON))
+    shared = matrix[:, STATE:]
+    matrix[PLACE, :3], matrix[TURN, 6:9], matrix[MOTION, 3:6] = np.eye(3), np.eye(3), np.eye(3)
+    shared[PLACE, LEVER_ARM], shared[PLACE, DELAY] = body.as_matrix(), -state.velocity
+    shared[TURN, BORESIGHT] = sensor
+    shared[PLACE, BORESIGHT] = -np.cross(sensor.T, arm).T
+    return matrix
+
+
+def _covariances(
+    states: Sequence[PlatformState], times: F64, adjustment: Adjustment, mounting: Mounting
+) -> list[F64 | None]:
+    """Covariance of the numbers of `_errors` of each state near a knot; None: there is none near."""
+    drift = adjustment.layout.drift
+    near = [drift.knot_of(time) for time in times.tolist()]
+    covered = [abs(since) <= KNOWN_CORRELATIONS * drift.correlation for _, since in near]
+    first = {knot: number for number, (knot, _) in reversed(list(enumerate(near))) if covered[number]}
+    if not first:
+        return [None] * len(near)
+    forms = []
+    for knot, number in first.items():
+        columns = np.concatenate([STATE * knot + np.arange(STATE), adjustment.layout.common])
+        forms.append(Form(columns, _errors(states[number], mounting), np.zeros(9)))
+    of_knot = dict(zip(first, adjustment.solution.covariance(forms), strict=True))
+    return [of_knot[knot] if there else None for (knot, _), there in zip(near, covered, strict=True)]

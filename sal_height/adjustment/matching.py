@@ -1,0 +1,248 @@
+"""How far two height images of the same ground lie apart: by their heights alone, wherever the ground is not level.
+
+One image is shifted over the other. For every horizontal shift the shift in height is the robust mean of the
+differences, and each point that meets the other image adds to the logarithm of the likelihood what its height says more
+than that it is one of this image's heights,
+
+    log max((1 - o) N(difference; 0, s^2), o / range) - log p(height),
+
+where o is the share of outliers (another surface, shadow, something that moved) and p the density of all heights of the
+image. On level ground that is 0 for every shift: such ground tells of the shift in height only. The result is the mean
+and the covariance of the likelihood over all shifts of the window, less what the window alone says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt, gaussian_filter1d
+from scipy.special import logsumexp
+
+from sal_height.adjustment._kernels import compare_shifts
+from sal_height.elevation import USABLE
+from sal_height.geometry import sphere_coordinates
+from sal_height.numeric import F64, Index
+from sal_height.relief import HeightField
+
+OUTLIERS = 0.2
+"""Share of points that need not fit: of cars seen from both sides, the half is hidden from one of them."""
+
+RANGE_M = 10.0
+"""Heights among which an outlier may be, m."""
+
+ROUGHNESS_M = 0.02
+"""Standard deviation of heights of the same ground seen at another time, and of its sampling, m."""
+
+TEMPER = 0.25
+"""By which the likelihood is lowered, as errors of neighbours are not independent: looks share speckle, and both images
+the same edges."""
+
+COARSE = 4
+"""Cells of a surface in a step of the coarse search."""
+
+LIKELY = 10.0
+"""Logarithm of the likelihood below the greatest, up to which a shift is searched finely."""
+
+LEAST_POINTS = 20
+"""Points that two images must share."""
+
+
+REFERENCE = -1
+"""Stands for a dwell where the ground is known beforehand."""
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """The surfaces of one or more dwells as points.
+
+    Attributes:
+        place: east, north and height, m, shape (points, 3).
+        sigma: standard deviation of the height without what all points share, m, shape (points,).
+        cnr_db: carrier-to-noise ratio, shape (points,).
+        dwell: number of the dwell that each is of, shape (points,).
+        spacing: between points on the ground, m.
+    """
+
+    place: F64
+    sigma: F64
+    cnr_db: F64
+    dwell: Index
+    spacing: float
+
+    @classmethod
+    def of(cls, field: HeightField) -> Points:
+        """The strongest scatterers of all pixels of a dwell with a height; the number of the dwell is 0."""
+        first = field.first
+        usable = np.isfinite(first.height) & np.isin(field.validity, list(USABLE))
+        place = np.stack(sphere_coordinates(first.positions[usable]), axis=-1)
+        sigma = np.sqrt(first.own_covariance[usable][:, 2, 2])
+        spacing = float(max(field.grid.row_spacing, field.grid.col_spacing))
+        return cls(place, sigma, first.cnr_db[usable], np.zeros(len(place), np.int64), spacing)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Points]) -> Points:
+        """The points of all parts."""
+        names = ("place", "sigma", "cnr_db", "dwell")
+        place, sigma, cnr_db, dwell = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
+        return cls(place, sigma, cnr_db, dwell, max(part.spacing for part in parts))
+
+    def numbered(self, dwell: int) -> Points:
+        """The points of a dwell with its number."""
+        return replace(self, dwell=np.full(len(self.place), dwell))
+
+    def moved(self, shifts: F64) -> Points:
+        """The points, each less the shift (m) of its dwell; shifts of shape (dwells, 3)."""
+        return replace(self, place=self.place - shifts[self.dwell])
+
+    def thinned(self, most: int) -> Points:
+        """Not more than so many of the points, evenly spread over their order."""
+        chosen = slice(None, None, max(1, -(-len(self.place) // most)))
+        names = ("place", "sigma", "cnr_db", "dwell")
+        return replace(self, **{name: getattr(self, name)[chosen] for name in names})
+
+    @cached_property
+    def middle(self) -> F64:
+        """Of the points, m, shape (3,)."""
+        return np.asarray(np.median(self.place, axis=0))
+
+    @cached_property
+    def log_density(self) -> F64:
+        """Logarithm of the density of heights (1/m) at each point, shape (points,)."""
+        height, step = self.place[:, 2], ROUGHNESS_M / 2
+        edges = np.arange(height.min() - 10 * ROUGHNESS_M, height.max() + 10 * ROUGHNESS_M, step)
+        counts, _ = np.histogram(height, edges)
+        width = float(np.median(np.hypot(self.sigma, ROUGHNESS_M)))
+        density = gaussian_filter1d(counts / len(height) / step, width / step)
+        return np.log(np.interp(height, edges[:-1] + step / 2, density) + OUTLIERS / RANGE_M)
+
+    @cached_property
+    def surface(self) -> Surface:
+        """The heights on a grid."""
+        return Surface.of(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Heights on a grid on the ground; NaN where there are none.
+
+    Attributes:
+        origin: east and north of the middle of cell (0, 0), m, shape (2,).
+        step: cells, m.
+        height: m, shape (east, north).
+        sigma: m, same shape.
+        dwell: that saw it, same shape.
+    """
+
+    origin: F64
+    step: float
+    height: F64
+    sigma: F64
+    dwell: Index
+
+    @classmethod
+    def of(cls, points: Points) -> Surface:
+        """The nearest point of each cell, if that is no farther than a spacing."""
+        step = points.spacing / 2
+        low = points.place[:, :2].min(axis=0) - points.spacing
+        size = np.ceil((points.place[:, :2].max(axis=0) + points.spacing - low) / step).astype(int) + 1
+        cell = np.rint((points.place[:, :2] - low) / step).astype(int)
+        number = np.full(size, -1)
+        number[cell[:, 0], cell[:, 1]] = np.arange(len(cell))
+        far, nearest = distance_transform_edt(number < 0, return_indices=True)
+        number = np.where(far * step <= points.spacing, number[nearest[0], nearest[1]], -1)
+        there = number >= 0
+        height = np.where(there, points.place[number, 2], np.nan)
+        return cls(low, step, height, np.where(there, points.sigma[number], np.nan), points.dwell[number])
+
+
+@dataclass(frozen=True, eq=False)
+class Match:
+    """How much farther east, north and up one image lies than another.
+
+    Attributes:
+        shift: m, shape (3,).
+        information: inverse of its covariance, 1/m^2, shape (3, 3); may be singular.
+        points: number of points that met the other image.
+        dwells: shares of the dwells of the one image among them, and of those of the other.
+    """
+
+    shift: F64
+    information: F64
+    points: int
+    dwells: tuple[dict[int, float], dict[int, float]]
+
+
+def match(points: Points, surface: Surface, reach: F64) -> Match | None:
+    """How far points lie from a surface.
+
+    Args:
+        points: of one image.
+        surface: of the other.
+        reach: greatest shift east, north and up that is looked for, m, shape (3,).
+
+    Returns:
+        None: too few points meet the surface.
+    """
+    wide = np.maximum(np.ceil(reach[:2] / surface.step), COARSE).astype(int)
+    # All shifts in coarse steps, and all around those that are likely.
+    cells = _lattice(wide, COARSE)
+    found = _compared(points, surface, cells, reach[2])
+    if not np.isfinite(found[:, 0]).any():
+        return None
+    likely = cells[found[:, 0] > found[:, 0].max() - LIKELY]
+    around = (likely[:, None] + _lattice(np.full(2, COARSE // 2), 1)).reshape(-1, 2)
+    cells = np.unique(around[np.all(np.abs(around) <= wide, axis=1)], axis=0)
+    found = _compared(points, surface, cells, reach[2])
+    if not np.isfinite(found[:, 0]).any():
+        return None
+    # Mean and covariance of the likelihood, less what the window says by itself.
+    score, up, total, _ = found.T
+    weight = np.exp(score - logsumexp(score))
+    shifts = np.column_stack([cells * surface.step, np.nan_to_num(up)])
+    mean = weight @ shifts
+    off = shifts - mean
+    covariance = (weight[:, None] * off).T @ off
+    covariance += np.diag([surface.step**2 / 12, surface.step**2 / 12, weight @ (1 / np.maximum(TEMPER * total, 1e-9))])
+    window = np.diag([*(3 / ((wide + 0.5) * surface.step) ** 2), 0.0])
+    values, vectors = np.linalg.eigh(np.linalg.inv(covariance) - window)
+    information = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    pairs = _met(points, surface, mean)
+    return Match(mean, information, len(pairs[0]), (_shares(pairs[0]), _shares(pairs[1])))
+
+
+def _lattice(half: Index, step: int) -> Index:
+    """Shifts in cells, up to `half` of them to each side, in steps, shape (shifts, 2)."""
+    east, north = (np.arange(-(cells // step) * step, cells + 1, step) for cells in half.tolist())
+    return np.stack(np.meshgrid(east, north, indexing="ij"), axis=-1).reshape(-1, 2)
+
+
+def _compared(points: Points, surface: Surface, cells: Index, reach: float) -> F64:
+    """Results of `_kernels.compare_shifts`, the likelihood tempered, and none where too few points meet."""
+    place = np.column_stack([(points.place[:, :2] - surface.origin) / surface.step, points.place[:, 2]])
+    numbers = np.array([reach + RANGE_M / 2, OUTLIERS / RANGE_M, 1 - OUTLIERS])
+    sigma = np.hypot(points.sigma, ROUGHNESS_M)
+    result = np.empty((len(cells), 4))
+    compare_shifts(
+        place, sigma, points.log_density, cells.astype(np.int64), surface.height, surface.sigma, numbers, result
+    )
+    refused = (result[:, 3] < LEAST_POINTS) | ~(np.abs(result[:, 1]) <= reach)
+    result[:, 0] = np.where(refused, -np.inf, TEMPER * result[:, 0])
+    return result
+
+
+def _met(points: Points, surface: Surface, shift: F64) -> tuple[Index, Index]:
+    """Dwells of the points that meet a surface once they are shifted, and of the cells that they meet."""
+    cell = np.rint((points.place[:, :2] - shift[:2] - surface.origin) / surface.step).astype(int)
+    inside = np.all((cell >= 0) & (cell < surface.height.shape), axis=-1)
+    east, north = cell[inside].T
+    there = np.isfinite(surface.height[east, north])
+    return points.dwell[inside][there], surface.dwell[east, north][there]
+
+
+def _shares(dwells: Index) -> dict[int, float]:
+    """Share of each dwell among some."""
+    numbers, counts = np.unique(dwells, return_counts=True)
+    return dict(zip(numbers.tolist(), (counts / counts.sum()).tolist(), strict=True))

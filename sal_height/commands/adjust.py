@@ -1,0 +1,110 @@
+"""`sal-height adjust`: errors of navigation and mounting, from passes that overlap."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter, Token
+
+from sal_height.commands._options import (
+    DONE,
+    PROCESSING,
+    Bag,
+    NodeParameters,
+    OutputFolder,
+    Settings,
+    command,
+    complain,
+    node_parameters,
+    output_folder,
+    settings_values,
+)
+from sal_height.errors import UserError
+from sal_height.io import bag_name
+
+EXAMPLES = """
+  sal-height run --preset sal_passes
+  sal-height adjust out/sal_passes/bag --out out/adjusted
+  sal-height replay out/adjusted/bag
+  sal-height adjust BAG --target 3.95,3,1.02 --target -3.5,3,1.02
+  sal-height adjust BAG --terrain ground.tif --terrain-sigma 0.1
+"""
+
+app = command("adjust", PROCESSING, EXAMPLES)
+
+
+def _places(_type: type, tokens: Sequence[Token]) -> tuple[tuple[float, float, float], ...]:
+    places = []
+    for token in tokens:
+        try:
+            east, north, height = map(float, token.value.split(","))
+        except ValueError:
+            raise UserError(
+                f"Option --target is {token.value!r}; it must be EAST,NORTH,HEIGHT in m, for example 12.5,-3,1.2."
+            ) from None
+        places.append((east, north, height))
+    return tuple(places)
+
+
+@app.default
+def adjust(
+    bag: Bag,
+    /,
+    *,
+    estimator: Annotated[str, Parameter(metavar="NAME")] = "ml",
+    target: Annotated[
+        tuple[tuple[float, float, float], ...],
+        Parameter(
+            metavar="EAST,NORTH,HEIGHT",
+            n_tokens=1,
+            accepts_keys=False,
+            allow_leading_hyphen=True,
+            converter=_places,
+            consume_multiple=False,
+            show_default=False,
+            negative=(),
+        ),
+    ] = (),
+    terrain: Annotated[Path | None, Parameter(metavar="FILE")] = None,
+    terrain_sigma: Annotated[float, Parameter(metavar="M")] = 0.1,
+    set_: Settings = (),
+    param: NodeParameters = (),
+    out: OutputFolder = None,
+) -> int:
+    """Find errors of navigation and mounting, so that heights of overlapping dwells agree.
+
+    The heights of all dwells are made again and compared where they show the same
+    ground: best in passes flown to and fro, which see it from both sides. From
+    that, the Doppler centroids and what odometry and mounting are stated to be,
+    are estimated
+      navigation   errors of position, velocity and attitude over time
+      mounting     boresight, lever arm and delay, and the pitch of the beams
+    with their covariance. What stays open is said: without known ground all
+    dwells together lie where odometry puts them.
+
+    The output folder holds a bag with the corrected odometry, to be replayed;
+    report.json and adjustment.png. Errors of the mounting that were found are part
+    of that odometry; the report has the mounting as it should be described.
+
+    Args:
+        estimator: Whose heights are compared.
+        target: A point target at a known place in map; may be repeated.
+        terrain: Elevation model of known ground, as .tif or .npz, around the origin of map.
+        terrain_sigma: Standard deviation of its heights.
+        out: Output folder, new or empty. Default: out/adjust_BAG, or the next free of out/adjust_BAG_2, ….
+    """
+    from sal_height.adjustment import References, Target, Terrain
+    from sal_height.runs.adjust import adjust_bag
+    from sal_height.runs.adjustment_report import adjustment_table
+    from sal_height.simulation.dem import read_elevation_model
+
+    ground = Terrain(read_elevation_model(terrain).heights, terrain_sigma) if terrain else None
+    references = References(tuple(Target(*place) for place in target), ground)
+    folder = output_folder(out, f"adjust_{bag_name(bag)}")
+    adjusted = adjust_bag(bag, folder, estimator, node_parameters(param), settings_values(set_), references)
+    print(adjustment_table(adjusted.summary))
+    complain(adjusted.warnings)
+    print(f"see {folder}/adjustment.png; heights with the corrected odometry: sal-height replay {adjusted.bag}")
+    return DONE

@@ -1,0 +1,134 @@
+"""What an adjustment found, in numbers and sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from sal_height.adjustment import (
+    BORESIGHT,
+    DELAY,
+    LEVER_ARM,
+    PITCH,
+    Adjustment,
+    AdjustmentSettings,
+    ObservedDwell,
+    References,
+    corrected_mounting,
+)
+from sal_height.adjustment.equations import mean_form
+from sal_height.geometry import Mounting
+from sal_height.numeric import F64
+from sal_height.tables import aligned
+
+DETERMINED = 0.9
+"""Share of what was known beforehand below which the standard deviation must be for a parameter to be determined."""
+
+NAMES = (
+    *(f"boresight {axis} (rad)" for axis in "xyz"),
+    *(f"lever arm {axis} (m)" for axis in "xyz"),
+    "odometry delay (s)",
+    "pitch of beams",
+)
+"""Parameters that all dwells share, in their order."""
+
+
+def summary_of(
+    adjustment: Adjustment,
+    dwells: Sequence[ObservedDwell],
+    mounting: Mounting,
+    settings: AdjustmentSettings,
+    references: References,
+) -> tuple[dict[str, Any], list[str]]:
+    """What the report says, and sentences on what is not determined."""
+    common, covariance = adjustment.common
+    sigmas = np.sqrt(covariance.diagonal())
+    prior = _prior(settings)
+    shifts, spread = adjustment.shifts
+    forms = adjustment.displacements
+    middle = mean_form(dict.fromkeys(range(len(forms)), 1 / len(forms)), forms)
+    between = adjustment.solution.covariance([form.minus([(1.0, middle)]) for form in forms])
+    (of_all,) = adjustment.solution.covariance([middle])
+    met = {number for one in adjustment.comparisons for side in one.dwells for number in side if number >= 0}
+    absolute = sum(one.is_absolute for one in adjustment.comparisons)
+    better = corrected_mounting(mounting, adjustment)
+    summary = {
+        "parameters": {
+            name: {"error": float(common[number]), "sigma": float(sigmas[number]), "known_to": float(prior[number])}
+            for number, name in enumerate(NAMES)
+            if prior[number] > 0
+        },
+        "mounting": {"lever_arm_m": list(better.lever_arm), "rotation": list(better.rotation)},
+        "comparisons": len(adjustment.comparisons) - absolute,
+        "comparisons_with_known_ground": absolute,
+        "dwells_without_comparison": len(dwells) - len(met),
+        "shifts_rms_m": np.sqrt(np.mean(shifts**2, axis=0)).tolist(),
+        "sigma_between_dwells_m": np.sqrt(np.mean([one.diagonal() for one in between], axis=0)).tolist(),
+        "sigma_of_all_dwells_m": np.sqrt(of_all.diagonal()).tolist(),
+        "shifts_m": shifts.tolist(),
+        "shift_sigmas_m": np.sqrt([one.diagonal() for one in spread]).tolist(),
+    }
+    return summary, _sentences(summary, references, adjustment)
+
+
+def _prior(settings: AdjustmentSettings) -> F64:
+    """Standard deviations of the shared parameters as they were known beforehand."""
+    sigmas = np.zeros(len(NAMES))
+    sigmas[BORESIGHT], sigmas[LEVER_ARM] = settings.boresight_sigma_rad, settings.lever_arm_sigma_m
+    sigmas[DELAY], sigmas[PITCH] = settings.odometry_delay_sigma_s, settings.pitch_sigma
+    return sigmas
+
+
+def _sentences(summary: dict[str, Any], references: References, adjustment: Adjustment) -> list[str]:
+    sentences = []
+    if references.targets and not any(one.is_target for one in adjustment.comparisons):
+        sentences.append(
+            f"None of the {len(references.targets)} targets was seen where it should be, brighter than all around it; "
+            "the result is without them."
+        )
+    if references.terrain and not any(one.is_absolute and not one.is_target for one in adjustment.comparisons):
+        sentences.append(
+            "The elevation model has no heights where the dwells lie, or agrees with none; the result is without it."
+        )
+    if not summary["comparisons"]:
+        sentences.append(
+            "No two dwells were found to show the same ground: nothing could be compared, and the result rests on the "
+            "Doppler centroids alone. Fly passes that overlap, or give targets or an elevation model."
+        )
+    elif lonely := summary["dwells_without_comparison"]:
+        sentences.append(
+            f"{lonely} dwells overlap with no other, and lie where odometry and their neighbours put them."
+        )
+    loose = [name for name, one in summary["parameters"].items() if one["sigma"] > DETERMINED * one["known_to"]]
+    if loose:
+        sentences.append(f"These dwells do not determine: {', '.join(loose)}; what was known beforehand stays.")
+    if not summary["comparisons_with_known_ground"]:
+        east, north, up = summary["sigma_of_all_dwells_m"]
+        sentences.append(
+            f"Without known ground all dwells together may lie off by {east:.2g} m east, {north:.2g} m north and "
+            f"{up:.2g} m up (1 sigma)."
+        )
+    return sentences
+
+
+def adjustment_table(summary: dict[str, Any]) -> str:
+    """The parameters that all dwells share, and how far their surfaces lay off, as a table."""
+    heading = ["shared by all dwells", "known to", "found", "+-"]
+    rows = [
+        [name, f"{one['known_to']:.3g}", f"{one['error']:+.3g}", f"{one['sigma']:.2g}"]
+        for name, one in summary["parameters"].items()
+    ]
+    lines = [aligned([heading, *rows]), ""]
+    heading = ["surfaces of dwells", "east m", "north m", "up m"]
+    kinds = {
+        "lay off, rms": "shifts_rms_m",
+        "sigma between dwells": "sigma_between_dwells_m",
+        "sigma of all together": "sigma_of_all_dwells_m",
+    }
+    rows = [[kind, *(f"{value:.3g}" for value in summary[name])] for kind, name in kinds.items()]
+    lines += [aligned([heading, *rows]), ""]
+    known = summary["comparisons_with_known_ground"]
+    lines.append(f"{summary['comparisons']} comparisons of dwells with others, {known} with known ground")
+    return "\n".join(lines)

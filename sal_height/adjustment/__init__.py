@@ -1,11 +1,11 @@
 """Dwells adjusted to each other: errors of navigation and mounting, from height images that overlap.
 
-Read `adjust` first (the way through), then `observed` (how errors move what a dwell shows), `matching` (how far two
+Read `adjustment` first (the way through), then `observed` (how errors move what a dwell shows), `matching` (how far two
 images of the same ground lie apart), `drift` (how errors of navigation develop), `equations` (least squares),
 `reference` (known ground) and `corrected` (the trajectory that results).
 """
 
-from sal_height.adjustment.adjust import Adjustment, adjust
+from sal_height.adjustment.adjustment import Adjustment, adjust
 from sal_height.adjustment.corrected import corrected_mounting, corrected_states
 from sal_height.adjustment.drift import Stated
 from sal_height.adjustment.matching import Points

@@ -15,16 +15,23 @@ INLIER = 3.0
 
 @compiled_with_nan
 def _gather(place: F64, sigma: F64, shift: I64, height: F64, cell_sigma: F64, farthest: float, met: F64) -> int:
-    """Fill `met` with the difference in height, its variance and the number of each point that meets the surface."""
+    """Fill `met` with the difference in height, its variance and the number of each point that meets the surface.
+
+    A point meets it if the four cells around it have heights.
+    """
     count = 0
     for point in range(len(place)):
-        east = int(np.floor(place[point, 0] - shift[0] + 0.5))
-        north = int(np.floor(place[point, 1] - shift[1] + 0.5))
-        if 0 <= east < height.shape[0] and 0 <= north < height.shape[1]:
-            difference = place[point, 2] - height[east, north]
+        east, north = place[point, 0] - shift[0], place[point, 1] - shift[1]
+        first, second = int(np.floor(east)), int(np.floor(north))
+        if 0 <= first < height.shape[0] - 1 and 0 <= second < height.shape[1] - 1:
+            east -= first
+            north -= second
+            west_side = (1 - north) * height[first, second] + north * height[first, second + 1]
+            east_side = (1 - north) * height[first + 1, second] + north * height[first + 1, second + 1]
+            difference = place[point, 2] - (1 - east) * west_side - east * east_side
             if abs(difference) <= farthest:
                 met[0, count] = difference
-                met[1, count] = squared(sigma[point]) + squared(cell_sigma[east, north])
+                met[1, count] = squared(sigma[point]) + squared(cell_sigma[first, second])
                 met[2, count] = point
                 count += 1
     return count
@@ -47,7 +54,7 @@ def _robust_mean(differences: F64, variances: F64) -> tuple[float, float]:
 
 @compiled_with_nan
 def compare_shifts(
-    place: F64, sigma: F64, log_density: F64, cells: I64, height: F64, cell_sigma: F64, numbers: F64, result: F64
+    place: F64, sigma: F64, log_density: F64, cells: I64, height: F64, cell_sigma: F64, numbers: F64, said: F64, up: F64
 ) -> None:
     """Compare points with a surface for some horizontal shifts.
 
@@ -58,24 +65,25 @@ def compare_shifts(
         cells: shifts in cells, shape (shifts, 2).
         height: of the surface, m, NaN where it is not known, shape (east, north).
         cell_sigma: its sigma, m, same shape.
-        numbers: greatest difference in height that is looked at, m, share of outliers over their range, 1/m, and the
-            share of the others.
-        result: filled with the logarithm of the likelihood, the shift in height, the sum of the weights of the points
-            that fit, 1/m^2, and the number of those that meet the surface, shape (shifts, 4).
+        numbers: greatest difference in height at which points meet, m, and the share of outliers.
+        said: filled with what each point says, NaN where it does not meet the surface, shape (shifts, points).
+        up: filled with the shift in height, NaN without points, and the sum of the weights of the points that fit,
+            1/m^2, shape (shifts, 2).
     """
-    farthest, outlier, inlier = numbers[0], np.log(numbers[1]), numbers[2]
+    farthest, outliers = numbers[0], numbers[1]
     met = np.empty((3, len(place)))
     for shift in range(len(cells)):
         count = _gather(place, sigma, cells[shift], height, cell_sigma, farthest, met)
-        result[shift, 0], result[shift, 1], result[shift, 2], result[shift, 3] = -np.inf, np.nan, 0.0, count
+        up[shift, 0], up[shift, 1] = np.nan, 0.0
+        for point in range(len(place)):
+            said[shift, point] = np.nan
         if count == 0:
             continue
         differences, variances = met[0, :count], met[1, :count]
         found, total = _robust_mean(differences, variances)
-        score = 0.0
+        up[shift, 0], up[shift, 1] = found, total
         for number in range(count):
-            fits = np.log(inlier / np.sqrt(2 * np.pi * variances[number]))
-            fits -= squared(differences[number] - found) / (2 * variances[number])
-            score += max(fits, outlier) - log_density[int(met[2, number])]
-        if total > 0:
-            result[shift, 0], result[shift, 1], result[shift, 2] = score, found, total
+            point = int(met[2, number])
+            off = squared(differences[number] - found) / (2 * variances[number])
+            density = np.exp(-off - log_density[point]) / np.sqrt(2 * np.pi * variances[number])
+            said[shift, point] = np.log((1 - outliers) * density + outliers)

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
 
-from sal_height.adjustment.adjust import Adjustment
+from sal_height.adjustment.adjustment import Adjustment
 from sal_height.adjustment.drift import STATE
 from sal_height.adjustment.equations import Form
 from sal_height.adjustment.observed import BORESIGHT, COMMON, DELAY, LEVER_ARM

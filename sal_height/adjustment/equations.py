@@ -53,37 +53,53 @@ def mean_form(shares: Mapping[int, float], forms: Sequence[Form]) -> Form:
 
 @dataclass(frozen=True, eq=False)
 class Equation:
-    """values x[columns] = right, but for an error with the inverse covariance `information`."""
+    """values x[columns] = right, but for an error whose inverse covariance is `information`, positive definite."""
 
     columns: Index
     values: F64
     right: F64
     information: F64
 
-    def mismatch(self, unknowns: F64) -> float:
-        """Square of the error over what is expected."""
-        error = self.values @ unknowns[self.columns] - self.right
-        return float(error @ self.information @ error)
+
+class System:
+    """Equations whose errors are made independent and of variance 1, ready to be solved with changing weights."""
+
+    def __init__(self, equations: Sequence[Equation], count: int) -> None:
+        """Take equations between `count` unknowns."""
+        whitened = [np.linalg.cholesky(one.information).T for one in equations]
+        values = [root @ one.values for root, one in zip(whitened, equations, strict=True)]
+        sizes = np.array([len(one.right) for one in equations])
+        lengths = np.repeat([len(one.columns) for one in equations], sizes)
+        columns = np.concatenate([np.tile(one.columns, len(one.right)) for one in equations])
+        entries = np.concatenate([block.ravel() for block in values])
+        rows = np.repeat(np.arange(sizes.sum()), lengths)
+        self.matrix = csr_array((entries, (rows, columns)), (int(sizes.sum()), count))
+        self.right = np.concatenate([root @ one.right for root, one in zip(whitened, equations, strict=True)])
+        self._sizes = sizes
+
+    def solved(self, weights: F64) -> Solution:
+        """The unknowns that fit best, with a weight of each equation."""
+        each = np.repeat(weights, self._sizes)
+        return Solution(self.matrix, each, self.right)
+
+    def mismatches(self, unknowns: F64) -> F64:
+        """Square of the error of each equation over what is expected."""
+        errors = (self.matrix @ unknowns - self.right) ** 2
+        return np.add.reduceat(errors, np.append(0, np.cumsum(self._sizes)[:-1]))
 
 
 class Solution:
     """Unknowns that fit all equations best, and their covariance."""
 
-    def __init__(self, equations: Sequence[Equation], weights: F64, count: int) -> None:
-        """Solve for `count` unknowns, with a weight of each equation."""
-        entries, right, scale = [], np.zeros(count), np.zeros(count)
-        for equation, weight in zip(equations, weights.tolist(), strict=True):
-            weighed = weight * equation.values.T @ equation.information
-            entries.append((equation.columns, weighed @ equation.values))
-            np.add.at(right, equation.columns, weighed @ equation.right)
-        rows = np.concatenate([np.repeat(columns, len(columns)) for columns, _ in entries])
-        cols = np.concatenate([np.tile(columns, len(columns)) for columns, _ in entries])
-        normal = csc_array((np.concatenate([block.ravel() for _, block in entries]), (rows, cols)), (count, count))
+    def __init__(self, matrix: csr_array, weights: F64, right: F64) -> None:
+        """Solve equations of variance 1 with a weight of each row."""
+        weighed = csr_array(matrix.multiply(weights[:, None]))
+        normal = csc_array(matrix.T @ weighed)
         # Unknowns of very different units: each in units in which its own equation has the factor 1.
         scale = 1 / np.sqrt(normal.diagonal())
         scaled = csc_array(normal.multiply(scale[:, None]).multiply(scale[None, :]))
         self._scale, self._solver = scale, splu(scaled, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
-        self.unknowns = scale * self._solver.solve(scale * right)
+        self.unknowns = scale * self._solver.solve(scale * (weighed.T @ right))
 
     def covariance(self, forms: Sequence[Form]) -> list[F64]:
         """Covariance of the numbers of each form."""

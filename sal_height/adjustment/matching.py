@@ -1,14 +1,15 @@
 """How far two height images of the same ground lie apart: by their heights alone, wherever the ground is not level.
 
 One image is shifted over the other. For every horizontal shift the shift in height is the robust mean of the
-differences, and each point that meets the other image adds to the logarithm of the likelihood what its height says more
-than that it is one of this image's heights,
+differences, and each point that meets the other image says how much more likely its height h is there than anywhere,
 
-    log max((1 - o) N(difference; 0, s^2), o / range) - log p(height),
+    s = log((1 - o) N(h - h'; 0, sigma^2) / p(h) + o),
 
-where o is the share of outliers (another surface, shadow, something that moved) and p the density of all heights of the
-image. On level ground that is 0 for every shift: such ground tells of the shift in height only. The result is the mean
-and the covariance of the likelihood over all shifts of the window, less what the window alone says.
+where h' is the height that it meets, o the share of outliers (another surface, shadow, something that moved), and p the
+density of all heights of the image. What a shift says is the sum of this over its points, each less its mean over all
+shifts: that a point meets the image at all says nothing. On level ground that is 0, which tells the shift in height
+only, and so it is along the contours of a slope. The result is the mean and the covariance of the likelihood over all
+shifts of the window, less what the window alone says.
 """
 
 from __future__ import annotations
@@ -18,20 +19,25 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.interpolate import LinearNDInterpolator
 from scipy.ndimage import distance_transform_edt, gaussian_filter1d
+from scipy.spatial import cKDTree
 from scipy.special import logsumexp
 
 from sal_height.adjustment._kernels import compare_shifts
 from sal_height.elevation import USABLE
 from sal_height.geometry import sphere_coordinates
-from sal_height.numeric import F64, Index
+from sal_height.numeric import F64, Bool, Index
 from sal_height.relief import HeightField
 
 OUTLIERS = 0.2
 """Share of points that need not fit: of cars seen from both sides, the half is hidden from one of them."""
 
-RANGE_M = 10.0
-"""Heights among which an outlier may be, m."""
+RANGE_M = 5.0
+"""Difference of heights, beyond the shift that is looked for, up to which points meet, m."""
+
+LEAST_DENSITY = 1e-3
+"""Density of heights that is not undercut, 1/m."""
 
 ROUGHNESS_M = 0.02
 """Standard deviation of heights of the same ground seen at another time, and of its sampling, m."""
@@ -40,11 +46,20 @@ TEMPER = 0.25
 """By which the likelihood is lowered, as errors of neighbours are not independent: looks share speckle, and both images
 the same edges."""
 
+REACH_SPACINGS, NEIGHBOURS = 1.6, 2
+"""Distance up to which points hang together, in their spacings, and how many others must."""
+
+EDGE_SPACINGS = 0.25
+"""Standard deviation by which edges of one image are not where they are in another, in spacings of the points."""
+
 COARSE = 4
 """Cells of a surface in a step of the coarse search."""
 
 LIKELY = 10.0
 """Logarithm of the likelihood below the greatest, up to which a shift is searched finely."""
+
+LEAST_INFORMATION = 1e-6
+"""Of nothing, 1/m^2: a standard deviation of 1 km."""
 
 LEAST_POINTS = 20
 """Points that two images must share."""
@@ -82,6 +97,19 @@ class Points:
         spacing = float(max(field.grid.row_spacing, field.grid.col_spacing))
         return cls(place, sigma, first.cnr_db[usable], np.zeros(len(place), np.int64), spacing)
 
+    @cached_property
+    def connected(self) -> Points:
+        """The points that hang together with NEIGHBOURS others: what stands alone is a ghost or moves."""
+        reach = REACH_SPACINGS * self.spacing
+        climb = self.spacing + 4 * float(np.median(self.sigma))
+        scaled = self.place * [1.0, 1.0, reach / climb]
+        near = cKDTree(scaled).query_ball_point(scaled, reach, return_length=True)
+        return self._chosen(near > NEIGHBOURS)
+
+    def _chosen(self, which: Bool | slice) -> Points:
+        names = ("place", "sigma", "cnr_db", "dwell")
+        return replace(self, **{name: getattr(self, name)[which] for name in names})
+
     @classmethod
     def joined(cls, parts: Sequence[Points]) -> Points:
         """The points of all parts."""
@@ -99,9 +127,7 @@ class Points:
 
     def thinned(self, most: int) -> Points:
         """Not more than so many of the points, evenly spread over their order."""
-        chosen = slice(None, None, max(1, -(-len(self.place) // most)))
-        names = ("place", "sigma", "cnr_db", "dwell")
-        return replace(self, **{name: getattr(self, name)[chosen] for name in names})
+        return self._chosen(slice(None, None, max(1, -(-len(self.place) // most))))
 
     @cached_property
     def middle(self) -> F64:
@@ -116,7 +142,7 @@ class Points:
         counts, _ = np.histogram(height, edges)
         width = float(np.median(np.hypot(self.sigma, ROUGHNESS_M)))
         density = gaussian_filter1d(counts / len(height) / step, width / step)
-        return np.log(np.interp(height, edges[:-1] + step / 2, density) + OUTLIERS / RANGE_M)
+        return np.log(np.interp(height, edges[:-1] + step / 2, density) + LEAST_DENSITY)
 
     @cached_property
     def surface(self) -> Surface:
@@ -144,18 +170,25 @@ class Surface:
 
     @classmethod
     def of(cls, points: Points) -> Surface:
-        """The nearest point of each cell, if that is no farther than a spacing."""
+        """Heights between the points, where the nearest is no farther than a spacing.
+
+        Where the height between points is not that of the nearest, as at an edge, it is known no better than that.
+        """
         step = points.spacing / 2
         low = points.place[:, :2].min(axis=0) - points.spacing
         size = np.ceil((points.place[:, :2].max(axis=0) + points.spacing - low) / step).astype(int) + 1
-        cell = np.rint((points.place[:, :2] - low) / step).astype(int)
+        at = (points.place[:, :2] - low) / step
+        cell = np.rint(at).astype(int)
         number = np.full(size, -1)
         number[cell[:, 0], cell[:, 1]] = np.arange(len(cell))
         far, nearest = distance_transform_edt(number < 0, return_indices=True)
         number = np.where(far * step <= points.spacing, number[nearest[0], nearest[1]], -1)
+        height, sigma = np.full(size, np.nan), np.full(size, np.nan)
         there = number >= 0
-        height = np.where(there, points.place[number, 2], np.nan)
-        return cls(low, step, height, np.where(there, points.sigma[number], np.nan), points.dwell[number])
+        height[there] = LinearNDInterpolator(at, points.place[:, 2])(np.argwhere(there))
+        step_there = height[there] - points.place[number[there], 2]
+        sigma[there] = np.hypot(points.sigma[number[there]], step_there)
+        return cls(low, step, height, sigma, points.dwell[number])
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +197,7 @@ class Match:
 
     Attributes:
         shift: m, shape (3,).
-        information: inverse of its covariance, 1/m^2, shape (3, 3); may be singular.
+        information: inverse of its covariance, 1/m^2, shape (3, 3).
         points: number of points that met the other image.
         dwells: shares of the dwells of the one image among them, and of those of the other.
     """
@@ -189,26 +222,30 @@ def match(points: Points, surface: Surface, reach: F64) -> Match | None:
     wide = np.maximum(np.ceil(reach[:2] / surface.step), COARSE).astype(int)
     # All shifts in coarse steps, and all around those that are likely.
     cells = _lattice(wide, COARSE)
-    found = _compared(points, surface, cells, reach[2])
-    if not np.isfinite(found[:, 0]).any():
+    said, up = _compared(points, surface, cells, reach[2])
+    usual = _means(said)
+    score = _scores(said, usual, up, reach[2])
+    if not np.isfinite(score).any():
         return None
-    likely = cells[found[:, 0] > found[:, 0].max() - LIKELY]
+    likely = cells[score > score.max() - LIKELY]
     around = (likely[:, None] + _lattice(np.full(2, COARSE // 2), 1)).reshape(-1, 2)
     cells = np.unique(around[np.all(np.abs(around) <= wide, axis=1)], axis=0)
-    found = _compared(points, surface, cells, reach[2])
-    if not np.isfinite(found[:, 0]).any():
+    said, up = _compared(points, surface, cells, reach[2])
+    score = _scores(said, usual, up, reach[2])
+    if not np.isfinite(score).any():
         return None
     # Mean and covariance of the likelihood, less what the window says by itself.
-    score, up, total, _ = found.T
     weight = np.exp(score - logsumexp(score))
-    shifts = np.column_stack([cells * surface.step, np.nan_to_num(up)])
+    shifts = np.column_stack([cells * surface.step, np.nan_to_num(up[:, 0])])
     mean = weight @ shifts
     off = shifts - mean
     covariance = (weight[:, None] * off).T @ off
-    covariance += np.diag([surface.step**2 / 12, surface.step**2 / 12, weight @ (1 / np.maximum(TEMPER * total, 1e-9))])
+    of_height = weight @ (1 / np.maximum(TEMPER * up[:, 1], 1e-9))
+    of_place = surface.step**2 / 12 + (EDGE_SPACINGS * points.spacing) ** 2
+    covariance += np.diag([of_place, of_place, of_height])
     window = np.diag([*(3 / ((wide + 0.5) * surface.step) ** 2), 0.0])
     values, vectors = np.linalg.eigh(np.linalg.inv(covariance) - window)
-    information = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    information = (vectors * np.maximum(values, LEAST_INFORMATION)) @ vectors.T
     pairs = _met(points, surface, mean)
     return Match(mean, information, len(pairs[0]), (_shares(pairs[0]), _shares(pairs[1])))
 
@@ -219,23 +256,32 @@ def _lattice(half: Index, step: int) -> Index:
     return np.stack(np.meshgrid(east, north, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
-def _compared(points: Points, surface: Surface, cells: Index, reach: float) -> F64:
-    """Results of `_kernels.compare_shifts`, the likelihood tempered, and none where too few points meet."""
+def _compared(points: Points, surface: Surface, cells: Index, reach: float) -> tuple[F64, F64]:
+    """What each point says of each shift, and shifts in height with their weights (`_kernels.compare_shifts`)."""
     place = np.column_stack([(points.place[:, :2] - surface.origin) / surface.step, points.place[:, 2]])
-    numbers = np.array([reach + RANGE_M / 2, OUTLIERS / RANGE_M, 1 - OUTLIERS])
-    sigma = np.hypot(points.sigma, ROUGHNESS_M)
-    result = np.empty((len(cells), 4))
-    compare_shifts(
-        place, sigma, points.log_density, cells.astype(np.int64), surface.height, surface.sigma, numbers, result
-    )
-    refused = (result[:, 3] < LEAST_POINTS) | ~(np.abs(result[:, 1]) <= reach)
-    result[:, 0] = np.where(refused, -np.inf, TEMPER * result[:, 0])
-    return result
+    sigma, numbers = np.hypot(points.sigma, ROUGHNESS_M), np.array([reach + RANGE_M, OUTLIERS])
+    said, up = np.empty((len(cells), len(place))), np.empty((len(cells), 2))
+    shifts = cells.astype(np.int64)
+    compare_shifts(place, sigma, points.log_density, shifts, surface.height, surface.sigma, numbers, said, up)
+    return said, up
+
+
+def _means(said: F64) -> F64:
+    """What each point says on the average over all shifts at which it meets the surface; 0: at none."""
+    met = np.isfinite(said)
+    return np.asarray(np.sum(said, axis=0, where=met) / np.maximum(1, met.sum(axis=0)))
+
+
+def _scores(said: F64, usual: F64, up: F64, reach: float) -> F64:
+    """Logarithm of the likelihood of each shift, tempered; none where too few points meet, or too high or low."""
+    met = np.isfinite(said)
+    refused = (met.sum(axis=1) < LEAST_POINTS) | ~(np.abs(up[:, 0]) <= reach)
+    return np.where(refused, -np.inf, TEMPER * np.sum(said - usual, axis=1, where=met))
 
 
 def _met(points: Points, surface: Surface, shift: F64) -> tuple[Index, Index]:
     """Dwells of the points that meet a surface once they are shifted, and of the cells that they meet."""
-    cell = np.rint((points.place[:, :2] - shift[:2] - surface.origin) / surface.step).astype(int)
+    cell = np.floor((points.place[:, :2] - shift[:2] - surface.origin) / surface.step + 0.5).astype(int)
     inside = np.all((cell >= 0) & (cell < surface.height.shape), axis=-1)
     east, north = cell[inside].T
     there = np.isfinite(surface.height[east, north])

@@ -14,7 +14,7 @@ with t = u x f.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -167,21 +167,50 @@ def centroid(number: int, dwell: ObservedDwell, layout: Layout, settings: Adjust
     return Equation(columns, values, np.array([found.speed]), np.array([[1 / variance]]))
 
 
+def vibration_of(dwells: Sequence[ObservedDwell], joined: Iterable[range]) -> float:
+    """Standard deviation of the velocity along the line of sight by vibration that odometry does not contain, m/s.
+
+    That is the spread of the Doppler centroids of dwells that follow each other, whose navigation errs alike; they are
+    angles on the circle of the ambiguity (Mardia and Jupp, Directional Statistics, section 2.3). At least what the
+    curvature of their phases told.
+
+    Args:
+        dwells: all of them.
+        joined: numbers of those that follow each other.
+    """
+    told = [dwell.placement.centroid.vibration for dwell in dwells if dwell.placement.centroid]
+    if not told:
+        return 0.0
+    weight = resultant = 0.0
+    for members in joined:
+        found = [one.speed / dwells[n].ambiguity for n in members if (one := dwells[n].placement.centroid)]
+        if (count := len(found)) > 1:
+            mean = abs(np.mean(np.exp(2j * np.pi * np.array(found))))
+            resultant += count * float(mean) ** 2 - 1  # (count - 1) times the square of the true one, on the average
+            weight += count - 1
+    length = np.clip(resultant / weight, 0.01, 1.0) if weight else 1.0
+    spread = float(np.sqrt(-np.log(length))) * dwells[0].ambiguity / (2 * np.pi)
+    return max(spread, float(np.sqrt(np.mean(np.square(told)))))
+
+
 def own_priors(
-    dwells: Sequence[ObservedDwell], layout: Layout, settings: AdjustmentSettings, solution: Solution | None
+    dwells: Sequence[ObservedDwell],
+    layout: Layout,
+    settings: AdjustmentSettings,
+    vibration: float,
+    solution: Solution | None = None,
 ) -> list[Equation]:
     """What is known beforehand of each dwell's own errors: of vibration and of the jitter of its beams.
 
-    All dwells vibrate alike. A velocity that is beyond the half of the ambiguity acts as if it were one ambiguity less.
+    A velocity that is beyond the half of the ambiguity acts as if it were one ambiguity less.
 
     Args:
         dwells: all of them.
         layout: of the unknowns.
         settings: of the jitter.
+        vibration: standard deviation of the velocity by vibration, m/s.
         solution: in which such dwells are looked for; None: there are none.
     """
-    told = [dwell.placement.centroid.vibration for dwell in dwells if dwell.placement.centroid]
-    vibration = float(np.sqrt(np.mean(np.square(told)))) if told else 0.0
     equations = []
     for number, dwell in enumerate(dwells):
         along, middle = max(dwell.lever * vibration, EXACT_M), 0.0

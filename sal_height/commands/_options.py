@@ -348,6 +348,8 @@ def _value(text: str) -> Any:
     """What a text says as YAML; the text itself, where it says nothing, is refused by whoever wants no text."""
     import yaml
 
+    if re.fullmatch(r"[-+]?\d+[eE][-+]?\d+", text):  # 3e-5 is no number in YAML 1.1
+        return float(text)
     try:
         return yaml.safe_load(text)
     except (yaml.YAMLError, ValueError):

@@ -33,5 +33,6 @@ def draw_adjustment(adjustment: Adjustment, path: Path) -> None:
         below.set(
             title=f"Differences {name} between dwells that overlap", xlabel="m", ylabel="share below", xscale="log"
         )
-        below.legend(loc="lower right")
+        if len(after):
+            below.legend(loc="lower right")
     figure.savefig(path, dpi=110)

@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sal_height.adjustment.drift import STATE, Drift
-from sal_height.adjustment.equations import Equation, Form, Solution, mean_form
-from sal_height.adjustment.matching import REFERENCE, Points, Surface, match
+from sal_height.adjustment.equations import Equation, Form, Solution, System, mean_form
+from sal_height.adjustment.matching import REFERENCE, Points, match
 from sal_height.adjustment.observed import (
     COMMON,
     Layout,
@@ -26,15 +26,16 @@ from sal_height.adjustment.observed import (
     displacement,
     own_priors,
     seen,
+    vibration_of,
 )
 from sal_height.adjustment.reference import UNKNOWN_GROUND, References
 from sal_height.adjustment.settings import AdjustmentSettings
 from sal_height.geometry import Mounting
-from sal_height.numeric import F64
+from sal_height.numeric import F64, in_threads
 
 FREEDOM = 4.0
 
-ROUNDS = 10
+ROUNDS = 6
 """Solutions after which the weights hardly change."""
 
 REACH_SIGMAS = 4.0
@@ -43,8 +44,8 @@ REACH_SIGMAS = 4.0
 SURPLUS_M = 0.2
 """By which it is looked for farther than that."""
 
-STRIP_POINTS = 800
-"""Points of joined dwells that are compared."""
+MOST_POINTS = {False: 300, True: 800}
+"""Points of joined dwells, and of single ones, that are compared: the first search is far and rough."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +55,7 @@ class Strip:
     Attributes:
         dwells: their numbers.
         seconds: their middle in time, s.
-        points: of all of them.
-        surface: the same as a surface.
+        points: of all of them that hang together.
         low: least east and north, m, shape (2,).
         high: greatest east and north, m, shape (2,).
     """
@@ -63,7 +63,6 @@ class Strip:
     dwells: range
     seconds: float
     points: Points
-    surface: Surface
     low: F64
     high: F64
 
@@ -75,10 +74,10 @@ class Strip:
     @classmethod
     def of(cls, dwells: range, observed: Sequence[ObservedDwell], shifts: F64) -> Strip:
         """Dwells by their numbers, each less its shift (m), shape (all dwells, 3)."""
-        points = Points.joined([observed[number].points for number in dwells]).moved(shifts)
+        points = Points.joined([observed[number].points.connected for number in dwells]).moved(shifts)
         middle = float(np.mean([observed[number].seconds for number in dwells]))
         east_north = points.place[:, :2]
-        return cls(dwells, middle, points, points.surface, east_north.min(axis=0), east_north.max(axis=0))
+        return cls(dwells, middle, points, east_north.min(axis=0), east_north.max(axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,26 +170,28 @@ def adjust(
     known = [*layout.drift.priors([dwell.stated for dwell in dwells]), common_prior(dwells, layout, settings)]
     centroids = (centroid(number, dwell, layout, settings) for number, dwell in enumerate(dwells))
     known += [told for told in centroids if told is not None]
-    solution, weights = solve([*known, *own_priors(dwells, layout, settings, None)], [], layout)
+    vibration = vibration_of(dwells, _joined(dwells, settings))
+    solution, weights = solve([*known, *own_priors(dwells, layout, settings, vibration)], [], layout)
     # Comparisons: first of joined dwells, then, where these have put them, of single ones.
     comparisons: list[Comparison] = []
     for single in (False, True):
         comparisons = list(_compared(dwells, forms, layout, solution, settings, references, single=single))
         if single:
             comparisons += _sighted(dwells, forms, solution, settings, references)
-        own = own_priors(dwells, layout, settings, solution)
+        own = own_priors(dwells, layout, settings, vibration, solution)
         solution, weights = solve([*known, *own], [one.equation for one in comparisons], layout)
     return Adjustment(layout, solution, forms, comparisons, weights)
 
 
 def solve(known: Sequence[Equation], compared: Sequence[Equation], layout: Layout) -> tuple[Solution, F64]:
     """The unknowns that fit all equations best, and the weights of those in `compared`, which may be wrong."""
-    weights = np.ones(len(compared))
-    for _ in range(ROUNDS if compared else 1):
-        solution = Solution([*known, *compared], np.concatenate([np.ones(len(known)), weights]), layout.count)
-        mismatch = np.array([equation.mismatch(solution.unknowns) for equation in compared])
-        weights = (FREEDOM + 3) / (FREEDOM + mismatch)
-    return solution, weights
+    system, weights = System([*known, *compared], layout.count), np.ones(len(known) + len(compared))
+    solution = system.solved(weights)
+    for _ in range(ROUNDS if compared else 0):
+        mismatch = system.mismatches(solution.unknowns)[len(known) :]
+        weights[len(known) :] = (FREEDOM + 3) / (FREEDOM + mismatch)
+        solution = system.solved(weights)
+    return solution, weights[len(known) :]
 
 
 def _compared(
@@ -208,24 +209,24 @@ def _compared(
     edges = [seen(dwell, form, layout) for dwell, form in zip(dwells, forms, strict=True)]
     strips = [Strip.of(members, dwells, shifts) for members in _joined(dwells, settings)]
     for own, strip in enumerate(strips):
+        others, middle = _partners(strip, strips[:own], settings), forms[strip.middle]
+        relative = [middle.minus([(1.0, forms[other.middle])]) for other in others]
+        reaches = _reaches(known, [middle, *relative], settings)
+        surfaces = [other.points.surface for other in others]
+        if references.terrain and (ground := references.terrain.around(strip.points, reaches[0])):
+            surfaces, reaches = [ground, *surfaces], [reaches[0], *reaches]
         parts = [range(number, number + 1) for number in strip.dwells] if single else [strip.dwells]
-        for part in parts:
-            chosen = Strip.of(part, dwells, shifts) if single else strip
-            points, middle = chosen.points.thinned(STRIP_POINTS), forms[chosen.middle]
-            others = _partners(chosen, strips[:own], settings)
-            relative = [middle.minus([(1.0, forms[other.middle])]) for other in others]
-            reaches = _reaches(known, [middle, *relative], settings)
-            surfaces = [other.surface for other in others]
-            if references.terrain and (ground := references.terrain.around(points, reaches[0])):
-                surfaces, reaches = [ground, *surfaces], [reaches[0], *reaches]
-            # The noise of the dwell itself is in all its comparisons: half of the variance of each.
-            share = 2 / (len(surfaces) + 1)
-            for surface, reach in zip(surfaces, reaches[1:], strict=True):
-                found = match(points, surface, reach)
-                if found is not None and found.information.any():
-                    moved, between = (_between(found.dwells, of) for of in (forms, edges))
-                    told = between.equals(moved.at(known.unknowns) + found.shift, share * found.information)
-                    yield Comparison(found.dwells, told, moved)
+        chosen = [Strip.of(part, dwells, shifts).points.thinned(MOST_POINTS[single]) for part in parts]
+        pairs = [(points, *other) for points in chosen for other in zip(surfaces, reaches[1:], strict=True)]
+        matches = in_threads(match, *zip(*pairs, strict=True)) if pairs else []
+        for first in range(0, len(matches), max(1, len(surfaces))):
+            found = [one for one in matches[first : first + len(surfaces)] if one is not None]
+            for one in found:
+                moved, between = (_between(one.dwells, of) for of in (forms, edges))
+                # The noise of the dwell itself is in all its comparisons: half of the variance of each.
+                information = 2 / (len(found) + 1) * one.information
+                right = moved.at(known.unknowns) + one.shift
+                yield Comparison(one.dwells, between.equals(right, information), moved)
 
 
 def _between(dwells: tuple[Mapping[int, float], Mapping[int, float]], forms: Sequence[Form]) -> Form:

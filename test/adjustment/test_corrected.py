@@ -1,0 +1,117 @@
+"""The corrected trajectory puts antenna and beams where they were, whatever the errors that were found."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sal_height.adjustment import AdjustmentSettings, corrected_mounting, corrected_states
+from sal_height.adjustment.drift import STATE, Drift
+from sal_height.adjustment.observed import BORESIGHT, COMMON, DELAY, LEVER_ARM, Layout
+from sal_height.geometry import Mounting, PlatformState, Trajectory
+
+MOUNTING = Mounting("sensor", (1.2, -0.7, -0.5), tuple(Rotation.from_rotvec([0.1, 0.02, -0.3]).as_quat().tolist()))
+KNOTS = np.array([0.0, 10.0])
+SETTINGS = AdjustmentSettings(jitter_rad=2e-6)
+TIMES = np.arange(-0.1, 0.1, 0.005)
+
+
+def true_states() -> list[PlatformState]:
+    """A platform that flies at 50 m/s and turns slowly."""
+    turns = Rotation.from_rotvec(np.array([0.0, 0.02, 0.5]) + TIMES[:, None] * np.array([0.01, -0.02, 0.03]))
+    return [
+        PlatformState(
+            stamp_ns=round(1e9 * (time + 1)),
+            position=np.array([50.0 * time, 20.0, 3500.0]),
+            orientation=turn.as_quat(),
+            velocity=np.array([50.0, 0.0, 0.0]),
+            covariance=np.eye(6),
+        )
+        for time, turn in zip(TIMES.tolist(), turns, strict=True)
+    ]
+
+
+def adjustment_with(knots: np.ndarray, common: np.ndarray) -> Any:
+    """An adjustment that has found these errors, and knows them exactly but for 1 in every unknown."""
+    layout = Layout(Drift(KNOTS, 100.0), 1)
+    unknowns = np.concatenate([knots.ravel(), common, np.zeros(2)])
+
+    def covariance(forms: list[Any]) -> list[np.ndarray]:
+        return [form.values @ form.values.T for form in forms]
+
+    solution = SimpleNamespace(unknowns=unknowns, covariance=covariance)
+    return SimpleNamespace(layout=layout, solution=solution, knots=knots, common=(common, np.eye(COMMON)))
+
+
+def sensor_of(states: list[PlatformState], mounting: Mounting) -> tuple[np.ndarray, np.ndarray]:
+    """Positions of the antenna, m, and rotations of the sensor."""
+    attitude = Rotation.from_quat([state.orientation for state in states])
+    positions = np.array([state.position for state in states]) + attitude.apply(mounting.lever_arm)
+    return positions, (attitude * mounting.axes).as_matrix()
+
+
+def test_errors_that_were_found_are_taken_out() -> None:
+    """To second order in the errors: of 1e-4 rad and 10 cm 10 um and 1e-8 rad are left."""
+    truth = true_states()
+    knots, common = np.zeros((2, STATE)), np.zeros(COMMON)
+    knots[0] = [0.3, -0.2, 0.1, 0.01, -0.02, 0.005, 1e-4, -5e-5, 2e-4]
+    knots[1] = knots[0]
+    knots[1, :3] += 10.0 * knots[0, 3:6]
+    common[BORESIGHT], common[LEVER_ARM], common[DELAY] = [1e-4, 2e-4, -1e-4], [0.05, -0.02, 0.03], 1e-3
+    # The true mounting is without the errors of the described one.
+    adjustment = adjustment_with(knots, common)
+    true_mounting = corrected_mounting(MOUNTING, adjustment)
+    stated = []
+    for state, time in zip(truth, TIMES.tolist(), strict=True):
+        turned = Rotation.from_rotvec(knots[0, 6:9]) * Rotation.from_quat(state.orientation)
+        moved = state.position + knots[0, :3] + time * knots[0, 3:6] - common[DELAY] * state.velocity
+        stated.append(
+            replace(state, position=moved, orientation=turned.as_quat(), velocity=state.velocity + knots[0, 3:6])
+        )
+
+    found = corrected_states(stated, TIMES.tolist(), adjustment, MOUNTING, SETTINGS)
+
+    positions, rotations = sensor_of(found, MOUNTING)
+    true_positions, true_rotations = sensor_of(truth, true_mounting)
+    np.testing.assert_allclose(positions, true_positions, atol=5e-5)
+    np.testing.assert_allclose(rotations, true_rotations, atol=2e-7)
+    np.testing.assert_allclose([s.velocity for s in found], [s.velocity for s in truth], atol=1e-9)
+    Trajectory(found).mounted(MOUNTING)
+
+
+def test_mounting_is_told_without_the_errors() -> None:
+    common = np.zeros(COMMON)
+    common[BORESIGHT], common[LEVER_ARM] = [0.0, 0.0, 0.01], [0.1, 0.0, 0.0]
+    better = corrected_mounting(MOUNTING, adjustment_with(np.zeros((2, STATE)), common))
+    np.testing.assert_allclose(better.lever_arm, [1.1, -0.7, -0.5])
+    turn = (MOUNTING.axes.inv() * better.axes).as_rotvec()
+    np.testing.assert_allclose(turn, [0.0, 0.0, -0.01], atol=1e-12)
+
+
+def test_covariance_is_that_of_pose_and_mounting_together_near_dwells_and_the_stated_one_elsewhere() -> None:
+    adjustment = adjustment_with(np.zeros((2, STATE)), np.zeros(COMMON))
+    states = true_states()
+    near, far = corrected_states([states[0], states[1]], [0.0, 5.0], adjustment, MOUNTING, SETTINGS)
+    np.testing.assert_array_equal(far.covariance, states[1].covariance)
+    # Each of position, lever arm and delay adds 1, 1 and V^2; the boresight its turn of the arm.
+    speed, arm = states[0].velocity, np.array(MOUNTING.lever_arm)
+    expected = 2 * np.eye(3) + np.outer(speed, speed)
+    turned = Rotation.from_quat(states[0].orientation).apply(arm)
+    expected += turned @ turned * np.eye(3) - np.outer(turned, turned)
+    np.testing.assert_allclose(near.covariance[:3, :3], expected, atol=1e-9)
+    np.testing.assert_allclose(near.covariance[3:, 3:], (2 + 4e-12) * np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(near.velocity_covariance, np.eye(3), atol=1e-12)
+
+
+def test_beyond_the_knots_velocity_stays() -> None:
+    knots = np.zeros((2, STATE))
+    knots[:, 0], knots[:, 3] = [1.0, 1.2], 0.02
+    states = true_states()[:2]
+    before, after = corrected_states(states, [-1.0, 12.0], adjustment_with(knots, np.zeros(COMMON)), MOUNTING, SETTINGS)
+    assert before.position[0] - states[0].position[0] == pytest.approx(-0.98)
+    assert after.position[0] - states[1].position[0] == pytest.approx(-1.24)

@@ -1,0 +1,233 @@
+"""What errors of navigation and mounting do to a dwell: as foretold, against images made with these errors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sal_height.adjustment.drift import STATE, Drift, Stated
+from sal_height.adjustment.equations import Form
+from sal_height.adjustment.matching import Points
+from sal_height.adjustment.observed import (
+    BORESIGHT,
+    COMMON,
+    DELAY,
+    LEVER_ARM,
+    OWN,
+    PITCH,
+    Layout,
+    ObservedDwell,
+    centroid,
+    displacement,
+)
+from sal_height.adjustment.settings import DEFAULT_ADJUSTMENT
+from sal_height.elevation import ESTIMATORS
+from sal_height.geometry import Mounting, PlatformState, Trajectory, sphere_coordinates
+from sal_height.imaging import ImageSettings, Slc
+from sal_height.numeric import F64
+from sal_height.pipeline import Compressor, heights
+from sal_height.relief import HeightField
+from sal_height.sensor import Sensor
+from sal_height.simulation import SimulatedFlight, flight_of, load_preset
+from sal_height.simulation.preset import MountingSettings, Passes, TargetSettings
+
+DWELL = {"east": 0, "west": 1}
+COLUMNS = {"position": slice(0, 3), "velocity": slice(3, 6), "attitude": slice(6, 9)}
+
+
+@dataclass(frozen=True)
+class Error:
+    """What is stated beyond what is true."""
+
+    unknowns: tuple[tuple[int, float], ...]
+    states: Callable[[list[PlatformState]], list[PlatformState]]
+    sensor: Callable[[Sensor], Sensor] = lambda sensor: sensor
+
+
+@cache
+def flown() -> SimulatedFlight:
+    """Two dwells, one eastwards and one westwards, of a sensor with an arm, in an exact flight past a bright target."""
+    target = TargetSettings(east_m=0.05, north_m=0.3, height_m=0.1, power_db=45.0)
+    preset = replace(load_preset("sal_spotlight"), targets=(target,))
+    mounting = MountingSettings(lever_arm_m=(1.0, -0.5, -0.8), boresight_rad=(0.02, 0.0, 0.1))
+    flight = replace(preset.flight, passes=Passes(2, 60.0))
+    return flight_of(replace(preset, dwells=2, flight=flight, sensor=replace(preset.sensor, mounting=mounting)), 4)
+
+
+def imaged(dwell: int, error: Error | None, **settings: object) -> tuple[Slc, HeightField, Sensor]:
+    flight, ml = flown(), ESTIMATORS["ml"]
+    states, sensor = flight.track(dwell).states, flight.sensor
+    if error:
+        states, sensor = error.states(states), error.sensor(sensor)
+    image = ImageSettings(rows=184, cols=12, **{"autofocus": "never", **settings})
+    slc = Compressor().add(flight.phase_history(dwell), Trajectory(states), sensor, image)
+    assert slc
+    return slc, heights(slc, sensor, ml, ml.settings(range_looks=2, azimuth_looks=2)), sensor
+
+
+def observed(dwell: int, slc: Slc, field: HeightField) -> ObservedDwell:
+    sensor, stated = flown().sensor, Stated(60.0 * dwell, np.zeros((6, 6)), np.zeros((3, 3)))
+    ambiguity = sensor.wavelength * sensor.pulse_repetition_frequency / 2
+    middle = sensor.beams.axis_middle
+    return ObservedDwell(Points.of(field), slc.aperture, slc.placement, stated, middle, sensor.look_side, ambiguity)
+
+
+def turned(states: list[PlatformState], turn: F64) -> list[PlatformState]:
+    by = Rotation.from_rotvec(turn)
+    return [replace(s, orientation=(by * Rotation.from_quat(s.orientation)).as_quat()) for s in states]
+
+
+def mounted(sensor: Sensor, arm: F64, turn: F64) -> Sensor:
+    mounting = sensor.mounting
+    x, y, z, w = (mounting.axes * Rotation.from_rotvec(turn)).as_quat().tolist()
+    lever_arm = tuple((np.array(mounting.lever_arm) + arm).tolist())
+    return replace(sensor, mounting=Mounting("sensor", lever_arm, (x, y, z, w)), config_hash=sensor.config_hash)
+
+
+def squeezed(sensor: Sensor, share: float) -> Sensor:
+    boresights = np.array(sensor.elevation_boresights)
+    wider = boresights.mean() + (1 + share) * (boresights - boresights.mean())
+    return replace(sensor, elevation_boresights=tuple(wider.tolist()))
+
+
+def drifted(states: list[PlatformState], velocity: F64) -> list[PlatformState]:
+    """As navigation has it whose velocity is off, and whose position is right in the middle."""
+    middle = (states[0].stamp_ns + states[-1].stamp_ns) / 2
+    return [
+        replace(s, velocity=s.velocity + velocity, position=s.position + (s.stamp_ns - middle) * 1e-9 * velocity)
+        for s in states
+    ]
+
+
+def axis(number: int, size: float) -> F64:
+    return size * np.eye(3)[number]
+
+
+S = STATE
+LAYOUT = Layout(Drift(np.array([0.0, 60.0]), 100.0), 2)
+ERRORS = {
+    **{
+        f"position {name}": Error(
+            ((n, 0.3),), lambda states, n=n: [replace(s, position=s.position + axis(n, 0.3)) for s in states]
+        )
+        for n, name in enumerate("xyz")
+    },
+    **{
+        f"velocity {name}": Error(((3 + n, 0.002),), lambda states, n=n: drifted(states, axis(n, 0.002)))
+        for n, name in enumerate("xyz")
+    },
+    **{
+        f"attitude {name}": Error(((6 + n, 5e-5),), lambda states, n=n: turned(states, axis(n, 5e-5)))
+        for n, name in enumerate("xyz")
+    },
+    **{
+        f"boresight {name}": Error(
+            ((S + n, 5e-5),), lambda states: states, lambda sensor, n=n: mounted(sensor, np.zeros(3), axis(n, 5e-5))
+        )
+        for n, name in enumerate("xyz")
+    },
+    **{
+        f"lever arm {name}": Error(
+            ((S + 3 + n, 0.2),), lambda states: states, lambda sensor, n=n: mounted(sensor, axis(n, 0.2), np.zeros(3))
+        )
+        for n, name in enumerate("xyz")
+    },
+    "delay": Error(
+        ((S + DELAY, 0.004),), lambda states: [replace(s, position=s.position - 0.004 * s.velocity) for s in states]
+    ),
+}
+
+
+def foretold(form: Form, unknowns: tuple[tuple[int, float], ...]) -> F64:
+    values = np.zeros(S + COMMON + OWN)
+    for number, size in unknowns:
+        values[number] = size
+    return form.values @ values + form.constant
+
+
+MOVING = [name for name in ERRORS if not name.startswith(("velocity", "attitude", "boresight")) or name.endswith("x")]
+
+
+@pytest.mark.parametrize("heading", DWELL)
+@pytest.mark.parametrize("name", [name for name in MOVING if name != "velocity x"])
+def test_surfaces_move_as_foretold(name: str, heading: str) -> None:
+    """Within 4 mm, a twentieth of a pixel, and 3 %."""
+    dwell, error = DWELL[heading], ERRORS[name]
+    slc, exact, sensor = imaged(dwell, None)
+    _, wrong, _ = imaged(dwell, error)
+    form = displacement(dwell, observed(dwell, slc, exact), LAYOUT, sensor.mounting)
+    moved = (wrong.first.positions - exact.first.positions).reshape(-1, 3)
+    expected = foretold(form, error.unknowns)
+    assert np.linalg.norm(expected) > 0.1
+    np.testing.assert_allclose(np.nanmedian(moved, axis=0), expected, atol=0.004 + 0.03 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("heading", DWELL)
+@pytest.mark.parametrize("name", [name for name in ERRORS if name not in MOVING] + ["velocity x"])
+def test_a_target_moves_along_the_flight_as_foretold(name: str, heading: str) -> None:
+    """Within 4 mm, by errors of the velocity, and not at all by where the beams look."""
+    dwell, error = DWELL[heading], ERRORS[name]
+    (slc, exact, sensor), (wrong, _, _) = imaged(dwell, None), imaged(dwell, error)
+    form = displacement(dwell, observed(dwell, slc, exact), LAYOUT, sensor.mounting)
+    moved = (peak_of(wrong) - peak_of(slc)) @ slc.aperture.direction
+    expected = foretold(form, error.unknowns) @ slc.aperture.direction
+    assert abs(expected) > (0.1 if name in {"velocity y", "velocity z"} else -1)
+    assert moved == pytest.approx(expected, abs=0.004)
+
+
+def peak_of(slc: Slc) -> F64:
+    """Place in the slant plane of the brightest target, by parabolas through the logarithm of the power."""
+    power = np.log(np.sum(np.abs(slc.images) ** 2, axis=0))
+    row, col = np.unravel_index(np.argmax(power[1:-1, 1:-1]), (power.shape[0] - 2, power.shape[1] - 2))
+    row, col = row + 1, col + 1
+
+    def top(before: float, middle: float, after: float) -> float:
+        return (before - after) / (2 * (before - 2 * middle + after))
+
+    down, right = top(*power[row - 1 : row + 2, col]), top(*power[row, col - 1 : col + 2])
+    return slc.grid.points(row + down, col + right)
+
+
+def test_pitch_of_beams_stretches_what_is_seen() -> None:
+    slc, exact, sensor = imaged(0, None)
+    _, wrong, _ = imaged(0, Error((), lambda states: states, lambda one: squeezed(one, 0.02)))
+    moved = (wrong.first.positions - exact.first.positions).reshape(-1, 3)
+    there = np.isfinite(moved).all(axis=1)
+    middle = observed(0, slc, exact)
+    for half in (slice(0, there.sum() // 3), slice(2 * there.sum() // 3, None)):
+        numbers = np.flatnonzero(there)[half]
+        place = exact.first.positions.reshape(-1, 3)[numbers]
+        part = replace(middle.points, place=np.stack(sphere_coordinates(place), axis=-1))
+        form = displacement(0, replace(middle, points=part), LAYOUT, sensor.mounting)
+        expected = foretold(form, ((S + PITCH, 0.02),))
+        assert np.linalg.norm(expected) > 0.01
+        np.testing.assert_allclose(np.median(moved[numbers], axis=0), expected, atol=0.006)
+
+
+@pytest.mark.parametrize("heading", DWELL)
+@pytest.mark.parametrize("name", ["velocity y", "velocity z", "attitude z", "attitude y", "boresight z"])
+def test_centroid_is_off_as_foretold(name: str, heading: str) -> None:
+    """Within .4 mm/s, 5 % of a beam, and 3 % of the error."""
+    dwell, error = DWELL[heading], ERRORS[name]
+    found = [imaged(dwell, one, autofocus="always") for one in (None, error)]
+    told = []
+    for slc, field, _ in found:
+        equation = centroid(dwell, observed(dwell, slc, field), LAYOUT, DEFAULT_ADJUSTMENT)
+        assert equation is not None
+        told.append(equation)
+    values = np.zeros(LAYOUT.count)
+    for number, size in error.unknowns:
+        values[number + STATE * dwell if number < STATE else LAYOUT.common[number - STATE]] = size
+    expected = told[0].values @ values[told[0].columns]
+    assert told[1].right - told[0].right == pytest.approx(expected, abs=4e-4, rel=0.03)
+
+
+def test_slices_name_all_that_dwells_share() -> None:
+    numbers = np.arange(COMMON)
+    named = [*numbers[BORESIGHT], *numbers[LEVER_ARM], DELAY, PITCH]
+    assert named == list(range(COMMON - 1))

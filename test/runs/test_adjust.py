@@ -1,0 +1,148 @@
+"""`sal-height adjust`: passes of a recorded flight come together, and what cannot be done is said."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from flown_passes import BORESIGHT, preset_of
+from helpers import assert_one_sentence
+from rosbags.highlevel import AnyReader
+
+from sal_height.bag.reader import BagReader
+from sal_height.commands import main
+from sal_height.io import bag_name
+from sal_height.runs.adjust import ADJUSTED_FROM
+from sal_height.runs.reporting import PARAMETERS
+from sal_height.runs.sensor_bag import record_sensor
+from sal_height.simulation.scenes import street
+
+BAGS = Path(__file__).parents[2] / "bags"
+KNOWN = ["--set", "boresight_sigma_rad=3e-5", "--set", "lever_arm_sigma_m=0.01"]
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The bag of a sensor in five passes."""
+    return record_sensor(preset_of(5, 3), 1, tmp_path_factory.mktemp("passes") / "bag")
+
+
+@pytest.fixture(scope="module")
+def adjusted(flight: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("adjusted") / "out"
+    assert main(["adjust", str(flight), "--out", str(out), *KNOWN]) == 0
+    return out
+
+
+def report_of(folder: Path) -> dict[str, Any]:
+    report: dict[str, Any] = json.loads((folder / "report.json").read_text())
+    return report
+
+
+def test_report_tells_what_was_found_and_what_stays_open(adjusted: Path) -> None:
+    report = report_of(adjusted)
+    assert report["dwells"] == 15
+    assert report["comparisons"] > 20
+    assert report["comparisons_with_known_ground"] == 0
+    assert report["dropped"] == {}
+    found = [report["parameters"][f"boresight {axis} (rad)"] for axis in "xyz"]
+    off = np.array([one["error"] for one in found]) + BORESIGHT
+    assert np.all(np.abs(off) < 4 * np.array([one["sigma"] for one in found]))
+    assert found[0]["sigma"] < 0.9 * 3e-5
+    assert "odometry delay (s)" not in report["parameters"], "it was known exactly"
+    said = " ".join(report["warnings"])
+    assert "These dwells do not determine: " in said
+    assert "lever arm x (m)" in said
+    assert "Without known ground all dwells together may lie off by" in said
+    assert np.all(np.array(report["sigma_between_dwells_m"]) < [0.1, 0.1, 0.02])
+    assert np.all(np.array(report["sigma_of_all_dwells_m"]) > 0.05)
+    assert (adjusted / "adjustment.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_new_bag_has_what_the_sensor_delivered_and_better_odometry(flight: Path, adjusted: Path) -> None:
+    """As a foreign reader sees it."""
+    before, after = BagReader(flight), BagReader(adjusted / "bag")
+    assert after.custom_data[ADJUSTED_FROM] == bag_name(flight)
+    compression = json.loads(after.custom_data[PARAMETERS])["sar_compression"]
+    assert compression["boresight_sigma_rad"] == compression["lever_arm_sigma_m"] == 0.0
+    frames = [[one.cdr for one in reader.messages(["/phase_history"])] for reader in (before, after)]
+    assert frames[0] == frames[1]
+    with AnyReader([adjusted / "bag"]) as reader:
+        (connection,) = [one for one in reader.connections if one.topic == "/platform/odometry"]
+        assert connection.msgcount == before.topics["/platform/odometry"].count
+        covariances = [
+            reader.deserialize(raw, one.msgtype).pose.covariance.reshape(6, 6)
+            for one, _, raw in reader.messages([connection])
+        ]
+    assert np.all(np.linalg.eigvalsh(covariances[:4]) >= 0)
+    assert np.sqrt(covariances[0][3, 3]) < 3e-5
+
+
+def test_a_second_adjustment_finds_the_dwells_together(adjusted: Path, tmp_path: Path) -> None:
+    """They lay 50 cm apart; what is left is below a pixel, and 1 cm in height."""
+    exact = ["--set", "boresight_sigma_rad=0", "--set", "lever_arm_sigma_m=0"]
+    assert main(["adjust", str(adjusted / "bag"), "--out", str(tmp_path / "again"), *exact]) == 0
+    apart = [np.std(report_of(folder)["shifts_m"], axis=0) for folder in (adjusted, tmp_path / "again")]
+    assert np.all(apart[0] > 0.1)
+    assert np.all(apart[1] < [0.09, 0.09, 0.01]), apart[1]
+
+
+def test_known_ground_is_used(flight: Path, tmp_path: Path) -> None:
+    ground = tmp_path / "street.npz"
+    np.savez(ground, elevation=street().height[::-1], dx=0.02, dy=0.02)
+    out = tmp_path / "out"
+    assert main(["adjust", str(flight), "--out", str(out), *KNOWN, "--terrain", str(ground)]) == 0
+    report = report_of(out)
+    assert report["comparisons_with_known_ground"] >= 12
+    assert np.all(np.array(report["sigma_of_all_dwells_m"]) < [0.12, 0.06, 0.01])
+    assert not any("Without known ground" in sentence for sentence in report["warnings"])
+
+
+def test_what_is_not_there_is_said_and_the_result_is_without_it(
+    flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ground = tmp_path / "elsewhere.npz"
+    np.savez(ground, elevation=np.full((10, 10), 500.0), dx=1.0, dy=1.0)
+    out = tmp_path / "out"
+    options = ["--terrain", str(ground), "--target", "-2000,3,1", "--target", "900,3,1"]
+    assert main(["adjust", str(flight), "--out", str(out), *KNOWN, *options]) == 0
+    said = capsys.readouterr().err
+    assert "None of the 2 targets was seen" in said
+    assert "The elevation model has no heights where the dwells lie, or agrees with none" in said
+    assert report_of(out)["comparisons_with_known_ground"] == 0
+
+
+def test_passes_that_do_not_overlap_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    preset = preset_of(1, 4)
+    apart = replace(preset, flight=replace(preset.flight, dwell_spacing_m=3.0))
+    bag = record_sensor(apart, 1, tmp_path / "bag")
+    assert main(["adjust", str(bag), "--out", str(tmp_path / "out")]) == 0
+    assert "No two dwells were found to show the same ground" in capsys.readouterr().err
+    report = report_of(tmp_path / "out")
+    assert report["comparisons"] == 0
+    assert report["dwells_without_comparison"] == 4
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ([str(BAGS / "sal_stripmap")], "spotlight only"),
+        ([str(BAGS / "sal_spotlight"), "--target", "1,2"], "Option --target is '1,2'; it must be EAST,NORTH,HEIGHT"),
+        ([str(BAGS / "sal_spotlight"), "--set", "boresight=1"], "boresight"),
+        ([str(BAGS / "sal_spotlight"), "--set", "correlation_s=0"], "correlation_s"),
+        ([str(BAGS / "sal_spotlight"), "--terrain", "nowhere.tif"], "nowhere.tif"),
+        ([str(BAGS / "sal_spotlight"), "--estimator", "none"], "none"),
+        (["nowhere"], "nowhere"),
+    ],
+)
+def test_what_cannot_be_adjusted_gets_one_sentence(
+    arguments: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["adjust", *arguments, "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert says in error
+    assert_one_sentence(error.removeprefix("sal-height: "))

@@ -32,6 +32,7 @@ GROUPS = {
     "layover": "layover:throughput",
     "honest": "honest:coverage",
     "platform": "imperfect_platform:coverage",
+    "adjustment": "adjusting:brought_together",
     "psf-targets": "psf:target_route",
     "psf-both": "psf:both_routes",
     "accuracy-superposition": "superposition:false_alarms",

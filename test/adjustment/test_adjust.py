@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from flown_passes import BORESIGHT, FlownPasses, flown, observed, preset_of
+from flown_passes import BORESIGHT, flown, flown_as, preset_of
 
+from benchmarks.passes import FlownPasses
 from sal_height.adjustment import Adjustment, AdjustmentSettings, ObservedDwell, References, Target, Terrain, adjust
 from sal_height.adjustment.equations import mean_form
 from sal_height.adjustment.observed import BORESIGHT as TURN
 from sal_height.adjustment.observed import vibration_of
 from sal_height.imaging import Centroid, Placement
 from sal_height.numeric import F64
-from sal_height.simulation import flight_of
 from sal_height.simulation.phase_errors import Vibration, VibrationLine
 from sal_height.simulation.preset import TargetSettings
 
@@ -73,20 +73,14 @@ def test_known_ground_puts_all_dwells_in_their_place() -> None:
 
 def test_targets_are_as_good() -> None:
     """A post whose place is known, in the middle of the dwells of each pass."""
-    passes = with_a_post()
+    target = TargetSettings(east_m=0.0, north_m=1.0, height_m=0.5, power_db=25.0)
+    passes = flown_as(replace(preset_of(4, 3), targets=(target,)), 5)
     post = Target(0.0, 1.0, 0.5)
     adjustment = adjust(passes.dwells, passes.flight.sensor.mounting, SETTINGS, References((post,)))
     assert sum(one.is_target for one in adjustment.comparisons) >= 3
     errors, over = errors_of(adjustment, passes)
     assert np.all(np.abs(errors.mean(axis=0)) < [0.06, 0.06, 0.03]), errors.mean(axis=0)
     assert np.mean(over) < 3.0
-
-
-def with_a_post() -> FlownPasses:
-    target = TargetSettings(east_m=0.0, north_m=1.0, height_m=0.5, power_db=25.0)
-    flight = flight_of(replace(preset_of(4, 3), targets=(target,)), 5)
-    made = [observed(flight, dwell) for dwell in range(12)]
-    return FlownPasses(flight, [dwell for dwell, _ in made], np.array([shift for _, shift in made]))
 
 
 @pytest.mark.parametrize(
@@ -140,9 +134,8 @@ def test_one_dwell_with_wrong_heights_does_not_move_the_others() -> None:
 def test_dwells_that_vibrate_are_brought_together() -> None:
     """By up to 15 mm/s, half of what pulses tell from nothing: 1.5 m along the flight, of which a few cm are left."""
     shaken = Vibration(lines=(VibrationLine(60e-6, 40.0),))
-    flight = flight_of(preset_of(4, 5, vibration=shaken), 3)
-    made = [observed(flight, number)[0] for number in range(20)]
-    adjustment = adjust(made, flight.sensor.mounting, SETTINGS)
+    passes = flown_as(preset_of(4, 5, vibration=shaken), 3)
+    adjustment = adjust(passes.dwells, passes.flight.sensor.mounting, SETTINGS)
     before, after = adjustment.differences
     known = np.array([one.equation.information[0, 0] > 0.3**-2 for one in adjustment.comparisons])
     assert known.sum() > 10

@@ -29,6 +29,7 @@ from sal_height.simulation.scenes import load_scene
 
 SMALL = Path(__file__).parents[2] / "sal_height" / "presets" / "small.yaml"
 SHIPPED = (
+    "sal_passes",
     "sal_realistic",
     "sal_spotlight",
     "sal_stripmap",

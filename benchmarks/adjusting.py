@@ -1,0 +1,125 @@
+"""Whether an adjustment brings passes over the same ground together, as well as it says, and in how much time.
+
+python -m benchmarks adjustment
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from benchmarks.passes import FlownPasses, observed
+from benchmarks.row import Row, load, sized
+from benchmarks.spread import in_processes
+from sal_height.adjustment import (
+    BORESIGHT,
+    Adjustment,
+    AdjustmentSettings,
+    ObservedDwell,
+    References,
+    Stated,
+    Terrain,
+    adjust,
+)
+from sal_height.adjustment.equations import mean_form
+from sal_height.numeric import F64
+from sal_height.simulation import Preset, flight_of, load_preset
+
+PRESET = "sal_passes"
+FLIGHTS = sized(6, 1)
+COPIES = sized(10, 2)
+"""Times that a flight is taken, one after the other, to measure the time that many dwells take."""
+
+PAUSE_S = 4000.0
+"""Time between copies."""
+
+
+def _preset() -> Preset:
+    preset = load_preset(PRESET)
+    passes = sized(preset.flight.passes, replace(preset.flight.passes, count=2))
+    return replace(preset, flight=replace(preset.flight, passes=passes), dwells=sized(preset.dwells, 4))
+
+
+def _settings(preset: Preset) -> AdjustmentSettings:
+    given = preset.processing["sar_compression"]
+    names = "boresight_sigma_rad", "lever_arm_sigma_m", "odometry_delay_sigma_s"
+    return AdjustmentSettings(**{name: given[name] for name in names})
+
+
+def passes_of(seed: int) -> FlownPasses:
+    """The flight of the preset with a seed."""
+    preset = _preset()
+    made = in_processes(partial(observed, preset=preset, seed=seed), range(preset.dwells))
+    return FlownPasses.of(flight_of(preset, seed), list(made))
+
+
+def brought_together() -> Iterator[Row]:
+    """Rows of the group: heights and velocities between dwells, and of all dwells where ground is known; the time."""
+    settings, flights = _settings(_preset()), [passes_of(seed) for seed in range(1, 1 + FLIGHTS)]
+    apart, over, off, boresights, stated = [], [], [], [], []
+    for passes in flights:
+        mounting, levers = passes.flight.sensor.mounting, np.array([dwell.lever for dwell in passes.dwells])
+        alone = adjust(passes.dwells, mounting, settings)
+        grounded = adjust(
+            passes.dwells, mounting, settings, References(terrain=Terrain(passes.flight.scene.heights, 0.02))
+        )
+        errors, sigmas = _between(alone, passes)
+        apart.append(np.column_stack([1e3 * errors[:, 0] / levers, errors[:, 2]]))
+        over.append(np.mean((errors / sigmas) ** 2, axis=0))
+        left = grounded.shifts[0] - passes.shifts
+        off.append(np.column_stack([1e3 * left[:, 0] / levers, left[:, 2]]))
+        found, covariance = alone.common
+        true = np.array(passes.flight.preset.impairments.odometry.undescribed_boresight_rad)
+        boresights.append(found[BORESIGHT] + true)
+        stated.append(np.sqrt(covariance.diagonal()[BORESIGHT]))
+    about_flight, text = 1e6 * np.array(boresights)[:, 0], f"{FLIGHTS} flights of {len(flights[0].dwells)} dwells"
+    speed, height = _rms(np.concatenate(apart)), _rms(np.concatenate(off))
+    yield Row("heights between dwells", 1e3 * speed[1], "mm", "<= 10", text)
+    yield Row("errors between dwells over what is stated", float(np.sqrt(np.mean(over))), "1", "<= 1.2", text)
+    yield Row("velocity that moves images, between dwells", speed[0], "mm/s", "<= 0.5", text)
+    yield Row("velocity that moves images, with known ground", height[0], "mm/s", "<= 0.5", text)
+    yield Row("heights with known ground", 1e3 * height[1], "mm", "<= 10", text)
+    sigma = 1e6 * float(np.mean(np.array(stated)[:, 0]))
+    yield Row(
+        "boresight about the flight",
+        float(_rms(about_flight[:, None])[0]),
+        "urad",
+        "<= 10",
+        f"{text}; stated {sigma:.1f}",
+    )
+    yield from times(flights[0], settings)
+
+
+def _rms(values: F64) -> F64:
+    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
+
+
+def _between(adjustment: Adjustment, passes: FlownPasses) -> tuple[F64, F64]:
+    """Errors of the dwells against the mean of all, m, and what is stated of them, both (dwells, 3)."""
+    forms = adjustment.displacements
+    middle = mean_form(dict.fromkeys(range(len(forms)), 1 / len(forms)), forms)
+    covariances = adjustment.solution.covariance([form.minus([(1.0, middle)]) for form in forms])
+    errors = adjustment.shifts[0] - passes.shifts
+    return errors - errors.mean(axis=0), np.sqrt([covariance.diagonal() for covariance in covariances])
+
+
+def times(passes: FlownPasses, settings: AdjustmentSettings) -> Iterator[Row]:
+    """Time for many dwells, and over that for half as many, halved."""
+    mounting, seconds = passes.flight.sensor.mounting, []
+    for copies in (COPIES // 2, COPIES):
+        dwells = [_later(dwell, PAUSE_S * copy) for copy in range(copies) for dwell in passes.dwells]
+        begun = time.monotonic()
+        _ = adjust(dwells, mounting, settings).shifts
+        seconds.append(time.monotonic() - begun)
+    text = f"{COPIES * len(passes.dwells)} dwells, with the covariance of each; {load()}"
+    yield Row("time of the adjustment", seconds[1], "s", "<= 60", text)
+    yield Row("growth of the time with the dwells", seconds[1] / seconds[0] / 2, "1", "<= 1.2", text)
+
+
+def _later(dwell: ObservedDwell, seconds: float) -> ObservedDwell:
+    stated = dwell.stated
+    return replace(dwell, stated=Stated(stated.seconds + seconds, stated.pose, stated.velocity))

@@ -61,6 +61,27 @@ class RangeSawtooth(StrictKeys):
 
 
 @dataclass(frozen=True)
+class ChirpRipple(StrictKeys):
+    """A chirp that is not linear: a sine on the phase over frequency, as all receivers have it.
+
+    It puts paired echoes `cycles` range cells before and behind a target, of the amplitude J_1(a) / J_0(a) over the
+    target's, and weaker ones at multiples of that (Klauder et al., Bell Syst. Tech. J. 39, 1960, section 4). In a
+    deramped record it is that which a reference of the same delay has not taken out.
+
+    Attributes:
+        amplitude_rad: a.
+        cycles: over the band; at most half the number of frequencies.
+    """
+
+    amplitude_rad: Annotated[Float, Ge(0), Le(3)]
+    cycles: Annotated[Float, Gt(0), Le(32768)]
+
+    def response(self, frequency: F64) -> C128:
+        """Factor at frequencies in cycles per range cell."""
+        return np.exp(1j * self.amplitude_rad * np.sin(2 * np.pi * self.cycles * frequency))
+
+
+@dataclass(frozen=True)
 class RangeTaper(StrictKeys):
     """Taylor weights over the middle of the band in all receivers (PSF paper, section 1).
 
@@ -155,6 +176,7 @@ class Impairments(StrictKeys):
     Attributes:
         range_sawtooth: of the receivers' response.
         range_taper: of the receivers' response.
+        chirp_ripple: of the waveform; None: its chirp is linear.
         undescribed_gains_db: of the receivers, one each; empty: 0.
         undescribed_phases_rad: of the receivers, one each; empty: 0.
         nyquist_spur_over_noise: amplitude, over the rms of the receiver's noise in a sample, of a signal in the first
@@ -179,6 +201,7 @@ class Impairments(StrictKeys):
 
     range_sawtooth: RangeSawtooth | None = None
     range_taper: RangeTaper | None = None
+    chirp_ripple: ChirpRipple | None = None
     undescribed_gains_db: tuple[Decibels, ...] = ()
     undescribed_phases_rad: tuple[Angle, ...] = ()
     nyquist_spur_over_noise: Annotated[Float, Ge(0), Le(1e6)] = 0.0
@@ -212,6 +235,8 @@ class Impairments(StrictKeys):
         response *= (gains * np.exp(1j * phases))[:, None]
         if self.range_taper:
             response *= self.range_taper.response(frequency)
+        if self.chirp_ripple:
+            response *= self.chirp_ripple.response(frequency)
         if self.range_sawtooth:
             response[list(self.range_sawtooth.receivers) or slice(None)] *= self.range_sawtooth.response(frequency)
         return response

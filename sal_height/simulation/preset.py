@@ -346,6 +346,11 @@ def _impairment_misfits(preset: Preset) -> Iterator[str]:
                 f"impairments.range_sawtooth.teeth is {sawtooth.teeth:g}; {sensor.sample_count} samples show at most "
                 f"{sensor.sample_count // 2}"
             )
+    if (ripple := impairments.chirp_ripple) and ripple.cycles > sensor.sample_count / 2:
+        yield (
+            f"impairments.chirp_ripple.cycles is {ripple.cycles:g}; {sensor.sample_count} samples show at most "
+            f"{sensor.sample_count // 2}"
+        )
     if impairments.nyquist_spur_over_noise and (sensor.waveform != "spectrum" or sensor.sample_count % 2):
         yield (
             f"impairments.nyquist_spur_over_noise is {impairments.nyquist_spur_over_noise:g}; with a sensor.waveform "

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from beam_tables import sample_pattern
 from helpers import BEAMWIDTH, elevation_at, flat_scene, make_aperture, make_sensor, with_waveform
-from scipy.special import fresnel
+from scipy.special import fresnel, jv
 
 from sal_height import messages
 from sal_height.bag.reader import BagReader
@@ -29,6 +29,7 @@ from sal_height.simulation.flight import SimulatedFlight, flight_of
 from sal_height.simulation.impairments import (
     UNIMPAIRED,
     AntennaSwing,
+    ChirpRipple,
     Impairments,
     PointingJitter,
     PupilAberrations,
@@ -49,6 +50,7 @@ ALL = Impairments(
     range_taper=RangeTaper(band_share=0.9),
     undescribed_gains_db=(0.0, 0.5, -0.5, 0, 0, 0, 0, 0),
     undescribed_phases_rad=(0.0, 0.1, -0.1, 0, 0, 0, 0, 0),
+    chirp_ripple=ChirpRipple(amplitude_rad=0.2, cycles=5.0),
     nyquist_spur_over_noise=2.0,
     beam_width_factor=1.1,
     antenna_swing=AntennaSwing(amplitude_rad=2e-5, period_s=0.05),
@@ -150,6 +152,28 @@ def test_sawtooth_makes_paired_echoes_in_the_image_of_a_point(teeth: int) -> Non
             assert relative[3, 31 + side * order * teeth] == pytest.approx(expected, abs=3e-4)
     others = np.delete(relative, 3, axis=0)
     assert np.delete(others, 31, axis=1).max() < 5e-4
+
+
+@pytest.mark.parametrize("amplitude", [0.1, 0.7, 1.5])
+def test_chirp_that_is_not_linear_makes_paired_echoes(amplitude: float) -> None:
+    """Of the amplitudes J_n over J_0, n times 6 range cells before and behind, in all channels alike."""
+    flight = point_flight(Impairments(chirp_ripple=ChirpRipple(amplitude_rad=amplitude, cycles=6)))
+    aperture, sensor, history = flight.aperture(1), flight.sensor, flight.phase_history(1)
+    grid = slant_plane_grid(sensor, aperture, REACH, 63, 1, 1.0)
+    antenna = flight.position(history.stamp_ns * 1e-9 + history.pulse_times)
+    image = np.abs(backproject(history, antenna, sensor, Processing("rectangular"), grid)[..., 0])
+    relative = image / image[:, [31]]
+    for order in range(1, 4):
+        expected = jv(order, amplitude) / jv(0, amplitude)
+        for side in (-1, 1):
+            np.testing.assert_allclose(relative[:, 31 + side * order * 6], expected, atol=0.01 * max(1.0, expected))
+
+
+def test_chirp_that_is_linear_changes_nothing() -> None:
+    sensor = load_preset("small").make_sensor()
+    clean = echoes(sensor, 3.0).copy()
+    still = through_receivers(clean, sensor, Impairments(chirp_ripple=ChirpRipple(amplitude_rad=0.0, cycles=4)))
+    np.testing.assert_allclose(still, clean, atol=1e-12)
 
 
 @pytest.mark.parametrize("waveform", ["chirp", "deramped"])

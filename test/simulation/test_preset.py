@@ -615,6 +615,10 @@ def test_preset_name_that_no_file_can_have_is_refused(name: str) -> None:
         ({"range_sawtooth": {"depth": 0, "teeth": 4}}, "range_sawtooth.depth is 0; it must be greater than 0"),
         ({"range_sawtooth": {"depth": 0.1, "teeth": 33}}, "range_sawtooth.teeth is 33; 64 samples show at most 32"),
         (
+            {"chirp_ripple": {"amplitude_rad": 0.1, "cycles": 33}},
+            "chirp_ripple.cycles is 33; 64 samples show at most 32",
+        ),
+        (
             {"range_sawtooth": {"depth": 0.1, "teeth": 4, "receivers": [0, 8]}},
             "range_sawtooth.receivers names 8; receivers are numbered from 0 to 7",
         ),

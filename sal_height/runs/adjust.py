@@ -116,8 +116,10 @@ def adjust_bag(
         report |= {**summary, "warnings": warnings}
         with writing(folder / "adjustment.png"):
             draw_adjustment(adjustment, folder / "adjustment.png")
-        parameters = {**scheme.parameters, COMPRESSION: {**compression, **KNOWN, "map_axes": "enu", "body_axes": "flu"}}
-        _write(work, folder / "bag", parameters, _Corrections(adjustment, sensor, settings, work))
+        corrections = _Corrections(adjustment, sensor, settings, work) if adjustment.comparisons else None
+        known = {**KNOWN, "map_axes": "enu", "body_axes": "flu"} if corrections else {}
+        parameters = {**scheme.parameters, COMPRESSION: {**compression, **known}}
+        _write(work, folder / "bag", parameters, corrections)
     return Adjusted(summary, warnings, folder / "bag")
 
 
@@ -205,13 +207,8 @@ class _Corrections:
         return corrected_states(states, seconds, self.adjustment, self.sensor.mounting, self.settings)
 
 
-def _write(work: Work, folder: Path, parameters: NodeParameters, corrections: _Corrections) -> None:
-    """Write a bag with what the sensor delivered, and the corrected odometry.
-
-    Raises:
-        UserError: it cannot be written.
-    """
-    reader = NamespacedReader(work.bag, work.namespace)
+def _corrected_odometry(work: Work, reader: BagReader, corrections: _Corrections) -> Iterator[bytes | None]:
+    """The samples of the odometry in the order of the bag, serialized; None: one that cannot be used."""
     frames = RecordedDwells(work, reader).in_force.of(COMPRESSION).frames
     states: list[PlatformState | None] = []
     for recorded in reader.messages([ODOMETRY_TOPIC]):
@@ -220,10 +217,23 @@ def _write(work: Work, folder: Path, parameters: NodeParameters, corrections: _C
         except (UserError, RuntimeError):  # the compression leaves it out, too
             states.append(None)
     usable = sorted((state for state in states if state is not None), key=lambda state: state.stamp_ns)
-    found: dict[int, PlatformState] = {}
-    for state, better in zip(usable, corrections.applied(usable), strict=True):
-        found[id(state)] = better
-    corrected: Iterator[PlatformState | None] = (found[id(state)] if state else None for state in states)
+    better = dict(zip(map(id, usable), corrections.applied(usable), strict=True))
+    for state in states:
+        if state is None:
+            yield None
+            continue
+        new = better[id(state)]
+        yield serialize_message(messages.state_to_message(new, messages.to_stamp(new.stamp_ns), frames))
+
+
+def _write(work: Work, folder: Path, parameters: NodeParameters, corrections: _Corrections | None) -> None:
+    """Write a bag with what the sensor delivered, and the odometry with corrections, if there are any.
+
+    Raises:
+        UserError: it cannot be written.
+    """
+    reader = NamespacedReader(work.bag, work.namespace)
+    corrected = _corrected_odometry(work, reader, corrections) if corrections else None
     custom = {**reader.custom_data, PARAMETERS: json.dumps(parameters), ADJUSTED_FROM: bag_name(work.bag)}
     copied = [topic for topic in reader.topics.values() if topic.type_name in COPIED and topic.count]
     with BagWriter(folder, custom, kept_packing(reader)) as bag:
@@ -231,9 +241,8 @@ def _write(work: Work, folder: Path, parameters: NodeParameters, corrections: _C
             bag.add_topic(topic.name, topic.type_name, topic.offered_qos)
         names = [topic.name for topic in copied]
         for recorded in reader.messages([*names, ODOMETRY_TOPIC]):
-            cdr = recorded.cdr
-            if recorded.topic == ODOMETRY_TOPIC:
-                if (new := next(corrected)) is None:
-                    continue
-                cdr = serialize_message(messages.state_to_message(new, messages.to_stamp(new.stamp_ns), frames))
-            bag.write(recorded.topic, cdr, recorded.log_time_ns, recorded.publish_time_ns)
+            cdr: bytes | None = recorded.cdr
+            if recorded.topic == ODOMETRY_TOPIC and corrected:
+                cdr = next(corrected)
+            if cdr is not None:
+                bag.write(recorded.topic, cdr, recorded.log_time_ns, recorded.publish_time_ns)

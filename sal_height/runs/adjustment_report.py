@@ -94,8 +94,10 @@ def _sentences(summary: dict[str, Any], references: References, adjustment: Adju
         )
     if not summary["comparisons"]:
         sentences.append(
-            "No two dwells were found to show the same ground: nothing could be compared, and the result rests on the "
-            "Doppler centroids alone. Fly passes that overlap, or give targets or an elevation model."
+            "No two dwells were found to show the same ground: nothing could be compared. Fly passes that overlap."
+            if summary["comparisons_with_known_ground"]
+            else "No two dwells were found to show the same ground: nothing could be compared, and the new bag has the "
+            "odometry as it was. Fly passes that overlap, or give targets or an elevation model."
         )
     elif lonely := summary["dwells_without_comparison"]:
         sentences.append(

@@ -125,6 +125,11 @@ def test_passes_that_do_not_overlap_are_said(tmp_path: Path, capsys: pytest.Capt
     report = report_of(tmp_path / "out")
     assert report["comparisons"] == 0
     assert report["dwells_without_comparison"] == 4
+    before, after = BagReader(bag), BagReader(tmp_path / "out" / "bag")
+    odometry = [[one.cdr for one in reader.messages(["/platform/odometry"])] for reader in (before, after)]
+    assert odometry[0] == odometry[1]
+    given = [json.loads(reader.custom_data[PARAMETERS])["sar_compression"] for reader in (before, after)]
+    assert given[0].items() <= given[1].items()
 
 
 @pytest.mark.parametrize(

@@ -41,8 +41,8 @@ ROUNDS = 6
 REACH_SIGMAS = 4.0
 """Standard deviations up to which a shift is looked for."""
 
-SURPLUS_M = 0.2
-"""By which it is looked for farther than that."""
+SURPLUS_SPACINGS = 2.0
+"""By which it is looked for farther than that, in spacings of points."""
 
 MOST_POINTS = {False: 300, True: 800}
 """Points of joined dwells, and of single ones, that are compared: the first search is far and rough."""
@@ -56,8 +56,8 @@ class Strip:
         dwells: their numbers.
         seconds: their middle in time, s.
         points: of all of them that hang together.
-        low: least east and north, m, shape (2,).
-        high: greatest east and north, m, shape (2,).
+        low: least east and north, m, shape (2,); infinite without points.
+        high: greatest east and north, m, shape (2,); minus infinite without points.
     """
 
     dwells: range
@@ -77,7 +77,8 @@ class Strip:
         points = Points.joined([observed[number].points.connected for number in dwells]).moved(shifts)
         middle = float(np.mean([observed[number].seconds for number in dwells]))
         east_north = points.place[:, :2]
-        return cls(dwells, middle, points, east_north.min(axis=0), east_north.max(axis=0))
+        low, high = east_north.min(axis=0, initial=np.inf), east_north.max(axis=0, initial=-np.inf)
+        return cls(dwells, middle, points, low, high)
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,9 +212,13 @@ def _compared(
     for own, strip in enumerate(strips):
         others, middle = _partners(strip, strips[:own], settings), forms[strip.middle]
         relative = [middle.minus([(1.0, forms[other.middle])]) for other in others]
-        reaches = _reaches(known, [middle, *relative], settings)
+        reaches = _reaches(known, [middle, *relative], strip.points.spacing, settings)
         surfaces = [other.points.surface for other in others]
-        if references.terrain and (ground := references.terrain.around(strip.points, reaches[0])):
+        if (
+            references.terrain
+            and strip.points.place.size
+            and (ground := references.terrain.around(strip.points, reaches[0]))
+        ):
             surfaces, reaches = [ground, *surfaces], [reaches[0], *reaches]
         parts = [range(number, number + 1) for number in strip.dwells] if single else [strip.dwells]
         chosen = [Strip.of(part, dwells, shifts).points.thinned(MOST_POINTS[single]) for part in parts]
@@ -245,7 +250,7 @@ def _sighted(
     """Find the reference targets in the dwells."""
     if not references.targets:
         return
-    reaches = _reaches(known, forms, settings)
+    reaches = _reaches(known, forms, dwells[0].points.spacing, settings)
     for number, (dwell, form, reach) in enumerate(zip(dwells, forms, reaches, strict=True)):
         for target in references.targets:
             equation = target.sighted(dwell.points, form, form.at(known.unknowns), reach)
@@ -253,10 +258,11 @@ def _sighted(
                 yield Comparison(({number: 1.0}, {REFERENCE: 1.0}), equation, form, is_target=True)
 
 
-def _reaches(known: Solution, forms: Sequence[Form], settings: AdjustmentSettings) -> list[F64]:
+def _reaches(known: Solution, forms: Sequence[Form], spacing: float, settings: AdjustmentSettings) -> list[F64]:
     """How far displacements, or differences of them, may be from what is known, m, shape (3,) each."""
+    most, surplus = settings.reach_spacings * spacing, SURPLUS_SPACINGS * spacing
     deviations = (np.sqrt(np.diag(covariance)) for covariance in known.covariance(forms))
-    return [np.minimum(REACH_SIGMAS * deviation + SURPLUS_M, settings.reach_m) for deviation in deviations]
+    return [np.minimum(REACH_SIGMAS * deviation + surplus, most) for deviation in deviations]
 
 
 def _joined(dwells: Sequence[ObservedDwell], settings: AdjustmentSettings) -> Iterator[range]:
@@ -271,7 +277,7 @@ def _joined(dwells: Sequence[ObservedDwell], settings: AdjustmentSettings) -> It
 
 def _partners(strip: Strip, earlier: Sequence[Strip], settings: AdjustmentSettings) -> list[Strip]:
     """The latest of earlier strips that may have seen the same ground."""
-    reach = settings.reach_m
+    reach = settings.reach_spacings * strip.points.spacing
     near = [
         other
         for other in earlier

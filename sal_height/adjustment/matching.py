@@ -21,7 +21,7 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 from scipy.ndimage import distance_transform_edt, gaussian_filter1d
-from scipy.spatial import cKDTree
+from scipy.spatial import QhullError, cKDTree
 from scipy.special import logsumexp
 
 from sal_height.adjustment._kernels import compare_shifts
@@ -33,14 +33,14 @@ from sal_height.relief import HeightField
 OUTLIERS = 0.2
 """Share of points that need not fit: of cars seen from both sides, the half is hidden from one of them."""
 
-RANGE_M = 5.0
-"""Difference of heights, beyond the shift that is looked for, up to which points meet, m."""
+RANGE_SPACINGS = 50.0
+"""Difference of heights, beyond the shift that is looked for, up to which points meet, in spacings of the points."""
 
 LEAST_DENSITY = 1e-3
 """Density of heights that is not undercut, 1/m."""
 
-ROUGHNESS_M = 0.02
-"""Standard deviation of heights of the same ground seen at another time, and of its sampling, m."""
+ROUGHNESS_SPACINGS = 0.2
+"""Standard deviation of heights of the same ground seen at another time, and of its sampling, in spacings."""
 
 TEMPER = 0.25
 """By which the likelihood is lowered, as errors of neighbours are not independent: looks share speckle, and both images
@@ -58,12 +58,14 @@ COARSE = 4
 LIKELY = 10.0
 """Logarithm of the likelihood below the greatest, up to which a shift is searched finely."""
 
+MOST_LIKELY = 200
+"""Coarse steps around which a shift is searched finely: where more are likely, their spread is what counts."""
+
 LEAST_INFORMATION = 1e-6
 """Of nothing, 1/m^2: a standard deviation of 1 km."""
 
 LEAST_POINTS = 20
 """Points that two images must share."""
-
 
 REFERENCE = -1
 """Stands for a dwell where the ground is known beforehand."""
@@ -100,6 +102,8 @@ class Points:
     @cached_property
     def connected(self) -> Points:
         """The points that hang together with NEIGHBOURS others: what stands alone is a ghost or moves."""
+        if not self.place.size:
+            return self
         reach = REACH_SPACINGS * self.spacing
         climb = self.spacing + 4 * float(np.median(self.sigma))
         scaled = self.place * [1.0, 1.0, reach / climb]
@@ -129,6 +133,11 @@ class Points:
         """Not more than so many of the points, evenly spread over their order."""
         return self._chosen(slice(None, None, max(1, -(-len(self.place) // most))))
 
+    @property
+    def roughness(self) -> float:
+        """Standard deviation of heights of the same ground seen at another time, m."""
+        return ROUGHNESS_SPACINGS * self.spacing
+
     @cached_property
     def middle(self) -> F64:
         """Of the points, m, shape (3,)."""
@@ -137,10 +146,10 @@ class Points:
     @cached_property
     def log_density(self) -> F64:
         """Logarithm of the density of heights (1/m) at each point, shape (points,)."""
-        height, step = self.place[:, 2], ROUGHNESS_M / 2
-        edges = np.arange(height.min() - 10 * ROUGHNESS_M, height.max() + 10 * ROUGHNESS_M, step)
+        height, rough, step = self.place[:, 2], self.roughness, self.roughness / 2
+        edges = np.arange(height.min() - 10 * rough, height.max() + 10 * rough, step)
         counts, _ = np.histogram(height, edges)
-        width = float(np.median(np.hypot(self.sigma, ROUGHNESS_M)))
+        width = float(np.median(np.hypot(self.sigma, rough)))
         density = gaussian_filter1d(counts / len(height) / step, width / step)
         return np.log(np.interp(height, edges[:-1] + step / 2, density) + LEAST_DENSITY)
 
@@ -185,7 +194,10 @@ class Surface:
         number = np.where(far * step <= points.spacing, number[nearest[0], nearest[1]], -1)
         height, sigma = np.full(size, np.nan), np.full(size, np.nan)
         there = number >= 0
-        height[there] = LinearNDInterpolator(at, points.place[:, 2])(np.argwhere(there))
+        try:
+            height[there] = LinearNDInterpolator(at, points.place[:, 2])(np.argwhere(there))
+        except QhullError:  # all points on a line, or too few
+            height[there] = points.place[number[there], 2]
         step_there = height[there] - points.place[number[there], 2]
         sigma[there] = np.hypot(points.sigma[number[there]], step_there)
         return cls(low, step, height, sigma, points.dwell[number])
@@ -219,21 +231,24 @@ def match(points: Points, surface: Surface, reach: F64) -> Match | None:
     Returns:
         None: too few points meet the surface.
     """
+    if len(points.place) < LEAST_POINTS:
+        return None
     wide = np.maximum(np.ceil(reach[:2] / surface.step), COARSE).astype(int)
     # All shifts in coarse steps, and all around those that are likely.
-    cells = _lattice(wide, COARSE)
+    cells, step = _lattice(wide, COARSE), COARSE * surface.step
     said, up = _compared(points, surface, cells, reach[2])
     usual = _means(said)
     score = _scores(said, usual, up, reach[2])
     if not np.isfinite(score).any():
         return None
     likely = cells[score > score.max() - LIKELY]
-    around = (likely[:, None] + _lattice(np.full(2, COARSE // 2), 1)).reshape(-1, 2)
-    cells = np.unique(around[np.all(np.abs(around) <= wide, axis=1)], axis=0)
-    said, up = _compared(points, surface, cells, reach[2])
-    score = _scores(said, usual, up, reach[2])
-    if not np.isfinite(score).any():
-        return None
+    if len(likely) <= MOST_LIKELY:
+        around = (likely[:, None] + _lattice(np.full(2, COARSE // 2), 1)).reshape(-1, 2)
+        cells, step = np.unique(around[np.all(np.abs(around) <= wide, axis=1)], axis=0), surface.step
+        said, up = _compared(points, surface, cells, reach[2])
+        score = _scores(said, usual, up, reach[2])
+        if not np.isfinite(score).any():
+            return None
     # Mean and covariance of the likelihood, less what the window says by itself.
     weight = np.exp(score - logsumexp(score))
     shifts = np.column_stack([cells * surface.step, np.nan_to_num(up[:, 0])])
@@ -241,7 +256,7 @@ def match(points: Points, surface: Surface, reach: F64) -> Match | None:
     off = shifts - mean
     covariance = (weight[:, None] * off).T @ off
     of_height = weight @ (1 / np.maximum(TEMPER * up[:, 1], 1e-9))
-    of_place = surface.step**2 / 12 + (EDGE_SPACINGS * points.spacing) ** 2
+    of_place = step**2 / 12 + (EDGE_SPACINGS * points.spacing) ** 2
     covariance += np.diag([of_place, of_place, of_height])
     window = np.diag([*(3 / ((wide + 0.5) * surface.step) ** 2), 0.0])
     values, vectors = np.linalg.eigh(np.linalg.inv(covariance) - window)
@@ -259,7 +274,8 @@ def _lattice(half: Index, step: int) -> Index:
 def _compared(points: Points, surface: Surface, cells: Index, reach: float) -> tuple[F64, F64]:
     """What each point says of each shift, and shifts in height with their weights (`_kernels.compare_shifts`)."""
     place = np.column_stack([(points.place[:, :2] - surface.origin) / surface.step, points.place[:, 2]])
-    sigma, numbers = np.hypot(points.sigma, ROUGHNESS_M), np.array([reach + RANGE_M, OUTLIERS])
+    sigma = np.hypot(points.sigma, points.roughness)
+    numbers = np.array([reach + RANGE_SPACINGS * points.spacing, OUTLIERS])
     said, up = np.empty((len(cells), len(place))), np.empty((len(cells), 2))
     shifts = cells.astype(np.int64)
     compare_shifts(place, sigma, points.log_density, shifts, surface.height, surface.sigma, numbers, said, up)

@@ -54,12 +54,11 @@ class AdjustmentSettings(Settings):
     )
     strip_dwells: int = setting(16, "most dwells that are joined", minimum=1, maximum=1000)
     partners: int = setting(4, "joined dwells that each dwell is compared with, at most", minimum=1, maximum=100)
-    reach_m: float = setting(
-        10.0,
-        "farthest that two images of the same ground are looked for beside each other",
-        unit="m",
-        minimum=0.1,
-        maximum=1000.0,
+    reach_spacings: float = setting(
+        100.0,
+        "farthest that two images of the same ground are looked for beside each other, in spacings of their pixels",
+        minimum=1.0,
+        maximum=200.0,
     )
 
 

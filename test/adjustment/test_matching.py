@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from sal_height.adjustment import matching
 from sal_height.adjustment._kernels import compare_shifts
 from sal_height.adjustment.matching import Match, Points, match
 
@@ -111,6 +110,26 @@ def test_images_that_do_not_overlap_do_not_match() -> None:
     assert match(high, other.surface, REACH) is None
 
 
+def test_few_points_and_points_on_a_line_do_no_harm() -> None:
+    rng = np.random.default_rng(9)
+    whole = seen(steps, np.zeros(3), rng)
+    for place in (whole.place[:0], whole.place[:5], np.column_stack([np.arange(40) * 0.1, np.zeros(40), np.zeros(40)])):
+        some = Points(place, np.full(len(place), 0.02), np.zeros(len(place)), np.zeros(len(place), int), SPACING)
+        assert len(some.connected.place) <= len(place)
+        assert match(some, whole.surface, REACH) is None or len(place) == 40
+        if len(place) and (found_there := match(whole, some.surface, REACH)):
+            assert abs(found_there.shift[2]) < 0.05
+
+
+def test_a_wide_search_over_level_ground_stays_small() -> None:
+    """Of 40 000 shifts all are likely: none is searched finely, and the result says that it does not know."""
+    rng = np.random.default_rng(10)
+    one, other = seen(level, np.zeros(3), rng), seen(level, np.zeros(3), rng)
+    matched = match(one.thinned(300), other.surface, np.array([10.0, 10.0, 1.0]))
+    assert matched is not None
+    assert np.all(np.diag(matched.information)[:2] < 1.0)
+
+
 def test_dwells_that_met_have_their_shares() -> None:
     rng = np.random.default_rng(6)
     one = seen(steps, np.zeros(3), rng).numbered(7)
@@ -129,7 +148,7 @@ def test_dwells_that_met_have_their_shares() -> None:
 def test_the_loop_is_what_its_description_says() -> None:
     rng = np.random.default_rng(7)
     one, other = seen(steps, np.zeros(3), rng, 0.1, 1.5), seen(steps, np.zeros(3), rng, 0.1, 1.5)
-    surface, sigma = other.surface, np.hypot(one.sigma, matching.ROUGHNESS_M)
+    surface, sigma = other.surface, np.hypot(one.sigma, one.roughness)
     place = np.column_stack([(one.place[:, :2] - surface.origin) / surface.step, one.place[:, 2]])
     cells = np.array([[0, 0], [3, -2], [-40, 11], [900, 0]])
     said, up = np.empty((4, len(place))), np.empty((4, 2))

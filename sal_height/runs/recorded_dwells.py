@@ -180,9 +180,12 @@ class RecordedDwells:
         try:
             if recorded.topic == ODOMETRY_TOPIC:
                 pose = messages.received_pose(recorded.cdr)
+                self._give_up(pose.stamp_ns)
                 self._odometry.add(messages.state_of_pose(pose, self._compression.frames))
             else:
-                self._gather(messages.received_frame(recorded.cdr), recorded.log_time_ns)
+                frame = messages.received_frame(recorded.cdr)
+                self._give_up(frame.stamp_ns)
+                self._gather(frame, recorded.log_time_ns)
         except UserError as error:
             self.losses.drop(COMPRESSION, error)
         except RuntimeError as error:
@@ -193,6 +196,12 @@ class RecordedDwells:
             if place >= surplus and not (dwell.is_whole and self._is_covered(dwell)):
                 return
             self._process(dwell)
+
+    def _give_up(self, stamp_ns: int) -> None:
+        """Wait no longer for what is missing of dwells that a message of this time leaves behind, as the node does."""
+        for dwell in self._assembler.held():
+            if stamp_ns - dwell.key.stamp_ns > 1e9 * self._compression.timeout_s:
+                self._process(dwell)
 
     def end(self) -> None:
         """Process the dwells that are left, as far as they can be."""

@@ -14,6 +14,7 @@ from helpers import assert_one_sentence
 from rosbags.highlevel import AnyReader
 
 from sal_height.bag.reader import BagReader
+from sal_height.bag.writer import BagWriter
 from sal_height.commands import main
 from sal_height.io import bag_name
 from sal_height.runs.adjust import ADJUSTED_FROM
@@ -151,3 +152,28 @@ def test_what_cannot_be_adjusted_gets_one_sentence(
     error = capsys.readouterr().err.splitlines()[-1]
     assert says in error
     assert_one_sentence(error.removeprefix("sal-height: "))
+
+
+def test_faults_together_cost_a_dwell_and_a_sample(flight: Path, tmp_path: Path) -> None:
+    """In a namespace, with a frame missing and a sample of the odometry that cannot be read."""
+    reader, broken = BagReader(flight), tmp_path / "bag"
+    frames = odometry = -1
+    with BagWriter(broken, reader.custom_data) as bag:
+        for topic in reader.topics.values():
+            bag.add_topic(f"/left{topic.name}", topic.type_name, topic.offered_qos)
+        for one in reader.messages():
+            frames += one.topic == "/phase_history"
+            odometry += one.topic == "/platform/odometry"
+            if one.topic == "/phase_history" and frames == 4 * 16 + 3:
+                continue
+            cdr = one.cdr[:40] if one.topic == "/platform/odometry" and odometry == 0 else one.cdr
+            bag.write(f"/left{one.topic}", cdr, one.log_time_ns, one.publish_time_ns)
+    assert main(["adjust", str(broken), "--out", str(tmp_path / "out"), *KNOWN]) == 0
+    report = report_of(tmp_path / "out")
+    assert report["dwells"] == 14
+    assert sum(report["dropped"].values()) == 2
+    assert any("channels [3] are not in the bag" in sentence for sentence in report["warnings"])
+    assert report["comparisons"] > 15
+    after = BagReader(tmp_path / "out" / "bag")
+    assert after.topics["/platform/odometry"].count == reader.topics["/platform/odometry"].count - 1
+    assert after.topics["/phase_history"].count == reader.topics["/phase_history"].count - 1

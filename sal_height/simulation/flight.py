@@ -182,9 +182,10 @@ class SimulatedFlight:
 
     def dwell_start_ns(self, dwell: int) -> int:
         """Start of a dwell after the start of the first, ns."""
-        number, in_pass = divmod(dwell, self._dwells_per_pass)
-        seconds = in_pass * self.preset.dwell_spacing_m / self.preset.flight.speed_mps
-        return round((number * self.preset.flight.passes.interval_s + seconds) * 1e9)
+        passes = self.preset.flight.passes
+        number = min(max(0, dwell // self._dwells_per_pass), passes.count - 1)  # strips ask for tiles beyond both ends
+        seconds = (dwell - number * self._dwells_per_pass) * self.preset.dwell_spacing_m / self.preset.flight.speed_mps
+        return round((number * passes.interval_s + seconds) * 1e9)
 
     def _dwell_end_ns(self, dwell: int) -> int:
         return self.dwell_start_ns(dwell) + round(float(self.pulse_times[-1]) * 1e9)

@@ -88,3 +88,10 @@ def test_a_strip_has_one_pass() -> None:
     content["flight"]["passes"] = {"count": 2}
     with pytest.raises(UserError, match=r"flight\.passes\.count is 2; in stripmap it must be 1"):
         parse_preset(content, "test")
+
+
+def test_dwells_beyond_a_flight_continue_it() -> None:
+    """Strips ask for the ground of blocks before the first and after the last."""
+    flight = flight_of(load_preset("sal_stripmap"), 1)
+    starts = [flight.dwell_start_ns(dwell) for dwell in range(-3, flight.dwells + 3)]
+    np.testing.assert_allclose(np.diff(starts), starts[4] - starts[3], atol=1)

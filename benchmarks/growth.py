@@ -32,7 +32,7 @@ from sal_height.pipeline import heights
 from sal_height.relief import GroundMap, HeightField, PriorEstimate, ReliefMap, fine_cell_size, track
 from sal_height.relief.map import fitting_cell_size
 
-LONGEST_S = sized(6.0, 0.1)
+LONGEST_S = sized(6.0, 1.0)
 """Greatest processor time of one run, s; the next point of a curve is expected to take as its law says."""
 
 MOST_BYTES = 4e9

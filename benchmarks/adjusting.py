@@ -25,7 +25,6 @@ from sal_height.adjustment import (
     Terrain,
     adjust,
 )
-from sal_height.adjustment.equations import mean_form
 from sal_height.numeric import F64
 from sal_height.simulation import Preset, flight_of, load_preset
 
@@ -100,9 +99,7 @@ def _rms(values: F64) -> F64:
 
 def _between(adjustment: Adjustment, passes: FlownPasses) -> tuple[F64, F64]:
     """Errors of the dwells against the mean of all, m, and what is stated of them, both (dwells, 3)."""
-    forms = adjustment.displacements
-    middle = mean_form(dict.fromkeys(range(len(forms)), 1 / len(forms)), forms)
-    covariances = adjustment.solution.covariance([form.minus([(1.0, middle)]) for form in forms])
+    covariances, _ = adjustment.spread
     errors = adjustment.shifts[0] - passes.shifts
     return errors - errors.mean(axis=0), np.sqrt([covariance.diagonal() for covariance in covariances])
 

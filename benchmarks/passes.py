@@ -8,13 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sal_height.adjustment import ObservedDwell, Points, Stated
+from sal_height.adjustment import ObservedDwell
 from sal_height.elevation import ESTIMATORS
-from sal_height.geometry import ApertureState, sphere_point
 from sal_height.imaging import ImageSettings
 from sal_height.numeric import F64
 from sal_height.pipeline import Compressor, heights
-from sal_height.relief import position_jacobian
+from sal_height.relief import position_jacobian, turn_jacobian
 from sal_height.simulation import Preset, SimulatedFlight, flight_of
 
 
@@ -42,30 +41,18 @@ def observed(number: int, preset: Preset, seed: int) -> tuple[ObservedDwell, F64
     )
     assert slc is not None  # noqa: S101 (a spotlight dwell has an image)
     field = heights(slc, sensor, ml, ml.settings(range_looks=preset.looks[0], azimuth_looks=preset.looks[1]))
-    aperture = track.aperture(history.stamp_ns, history.pulse_times)
-    velocity = track.velocity_covariance(history.stamp_ns, history.pulse_times)
-    dwell = ObservedDwell(
-        points=Points.of(field),
-        aperture=slc.aperture,
-        placement=slc.placement,
-        stated=Stated(history.stamp_ns * 1e-9 + float(history.pulse_times.mean()), aperture.covariance, velocity),
-        axis_middle=sensor.beams.axis_middle,
-        look_side=sensor.look_side,
-        ambiguity=sensor.wavelength * sensor.pulse_repetition_frequency / 2,
-    )
+    dwell = ObservedDwell.of(field, slc, sensor, track, history)
     return dwell, _true_shift(dwell, flight, number)
 
 
 def _true_shift(dwell: ObservedDwell, flight: SimulatedFlight, number: int) -> F64:
     """By the aperture that was published and the true one, vibration and jitter; velocities modulo the ambiguity."""
     stated, true, sensor = dwell.aperture, flight.aperture(number), flight.sensor
-    place = sphere_point(*dwell.points.middle)
-    sight = place - stated.position
-    u, climb = sight / np.linalg.norm(sight), position_jacobian(place, stated)[:, 0]
+    u, climb = dwell.sight, position_jacobian(dwell.middle, stated)[:, 0]
     times = flight.dwell_start_ns(number) * 1e-9 + flight.pulse_times
     ahead, off_nadir = (float(np.mean(angle)) for angle in flight.pointing(times))
     turn = Rotation.from_matrix(stated.rotation @ true.rotation.T).as_rotvec()
-    angle = _plane_turn(place, stated) @ turn + sensor.look_side * off_nadir
+    turned = turn_jacobian(dwell.middle, stated) @ turn + sensor.look_side * off_nadir * climb
     if dwell.placement.by_beams:
         along = dwell.slant_range * (float(np.cross(u, stated.direction) @ turn) - ahead)
     else:
@@ -73,11 +60,4 @@ def _true_shift(dwell: ObservedDwell, flight: SimulatedFlight, number: int) -> F
         speed = float((stated.velocity - true.velocity) @ u) - trend * sensor.wavelength / (4 * np.pi)
         speed -= dwell.ambiguity * np.rint(speed / dwell.ambiguity)
         along = -dwell.lever * speed
-    return stated.position - true.position + angle * climb + along * stated.direction
-
-
-def _plane_turn(place: F64, aperture: ApertureState) -> F64:
-    """Vector w whose product with a small turn of the body is the angle by which the plane of elevation turns."""
-    sight = place - aperture.position
-    plane = np.cross(aperture.forward, sight)
-    return np.asarray(np.cross(sight, plane) / (plane @ plane))
+    return stated.position - true.position + turned + along * stated.direction

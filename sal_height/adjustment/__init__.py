@@ -8,14 +8,15 @@ images of the same ground lie apart), `drift` (how errors of navigation develop)
 from sal_height.adjustment.adjustment import Adjustment, adjust
 from sal_height.adjustment.corrected import corrected_mounting, corrected_states
 from sal_height.adjustment.drift import Stated
-from sal_height.adjustment.matching import Points
-from sal_height.adjustment.observed import BORESIGHT, DELAY, LEVER_ARM, PITCH, ObservedDwell
+from sal_height.adjustment.matching import LEAST_POINTS, Points
+from sal_height.adjustment.observed import BORESIGHT, DELAY, LEVER_ARM, PITCH, ObservedDwell, stated_sigmas
 from sal_height.adjustment.reference import UNKNOWN_GROUND, References, Target, Terrain
 from sal_height.adjustment.settings import AdjustmentSettings
 
 __all__ = [
     "BORESIGHT",
     "DELAY",
+    "LEAST_POINTS",
     "LEVER_ARM",
     "PITCH",
     "UNKNOWN_GROUND",
@@ -30,4 +31,5 @@ __all__ = [
     "adjust",
     "corrected_mounting",
     "corrected_states",
+    "stated_sigmas",
 ]

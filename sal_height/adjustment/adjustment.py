@@ -34,6 +34,7 @@ from sal_height.geometry import Mounting
 from sal_height.numeric import F64, in_threads
 
 FREEDOM = 4.0
+"""Of Student's t: the fewer, the sooner a comparison loses weight."""
 
 ROUNDS = 6
 """Solutions after which the weights hardly change."""
@@ -44,8 +45,8 @@ REACH_SIGMAS = 4.0
 SURPLUS_SPACINGS = 2.0
 """By which it is looked for farther than that, in spacings of points."""
 
-MOST_POINTS = {False: 300, True: 800}
-"""Points of joined dwells, and of single ones, that are compared: the first search is far and rough."""
+ROUGH_POINTS, FINE_POINTS = 300, 800
+"""Most points that are compared of joined dwells, whose search is far and rough, and of single ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,14 +55,12 @@ class Strip:
 
     Attributes:
         dwells: their numbers.
-        seconds: their middle in time, s.
         points: of all of them that hang together.
         low: least east and north, m, shape (2,); infinite without points.
         high: greatest east and north, m, shape (2,); minus infinite without points.
     """
 
     dwells: range
-    seconds: float
     points: Points
     low: F64
     high: F64
@@ -75,10 +74,9 @@ class Strip:
     def of(cls, dwells: range, observed: Sequence[ObservedDwell], shifts: F64) -> Strip:
         """Dwells by their numbers, each less its shift (m), shape (all dwells, 3)."""
         points = Points.joined([observed[number].points.connected for number in dwells]).moved(shifts)
-        middle = float(np.mean([observed[number].seconds for number in dwells]))
         east_north = points.place[:, :2]
         low, high = east_north.min(axis=0, initial=np.inf), east_north.max(axis=0, initial=-np.inf)
-        return cls(dwells, middle, points, low, high)
+        return cls(dwells, points, low, high)
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,14 +110,12 @@ class Adjustment:
         solution: their values and covariance.
         displacements: of the dwells, as forms of the unknowns.
         comparisons: of dwells that overlap.
-        weights: of the comparisons, between 0 and (FREEDOM + 3) / FREEDOM.
     """
 
     layout: Layout
     solution: Solution
     displacements: list[Form]
     comparisons: list[Comparison]
-    weights: F64
 
     @property
     def common(self) -> tuple[F64, F64]:
@@ -133,6 +129,14 @@ class Adjustment:
         """How far east, north and up (m) the surfaces of each dwell lie off, shape (dwells, 3), and the covariance."""
         shifts = [form.at(self.solution.unknowns) for form in self.displacements]
         return np.array(shifts), np.array(self.solution.covariance(self.displacements))
+
+    @property
+    def spread(self) -> tuple[F64, F64]:
+        """Covariance of each dwell's shift against the mean of all, m^2, shape (dwells, 3, 3), and of that mean."""
+        forms = self.displacements
+        middle = mean_form(dict.fromkeys(range(len(forms)), 1 / len(forms)), forms)
+        apart = self.solution.covariance([form.minus([(1.0, middle)]) for form in forms])
+        return np.array(apart), self.solution.covariance([middle])[0]
 
     @property
     def differences(self) -> tuple[F64, F64]:
@@ -172,27 +176,32 @@ def adjust(
     centroids = (centroid(number, dwell, layout, settings) for number, dwell in enumerate(dwells))
     known += [told for told in centroids if told is not None]
     vibration = vibration_of(dwells, _joined(dwells, settings))
-    solution, weights = solve([*known, *own_priors(dwells, layout, settings, vibration)], [], layout)
-    # Comparisons: first of joined dwells, then, where these have put them, of single ones.
-    comparisons: list[Comparison] = []
-    for single in (False, True):
-        comparisons = list(_compared(dwells, forms, layout, solution, settings, references, single=single))
-        if single:
-            comparisons += _sighted(dwells, forms, solution, settings, references)
-        own = own_priors(dwells, layout, settings, vibration, solution)
-        solution, weights = solve([*known, *own], [one.equation for one in comparisons], layout)
-    return Adjustment(layout, solution, forms, comparisons, weights)
+    solution = solve([*known, *own_priors(dwells, layout, settings, vibration)], [], layout)
+
+    def solved(comparisons: Sequence[Comparison], before: Solution) -> Solution:
+        own = own_priors(dwells, layout, settings, vibration, before)
+        return solve([*known, *own], [one.equation for one in comparisons], layout)
+
+    # Comparisons: first of joined dwells, then, where these have put them, of single ones; and of targets.
+    joined = list(_joined(dwells, settings))
+    whole = [[strip] for strip in joined]
+    single = [[range(number, number + 1) for number in strip] for strip in joined]
+    found = list(_compared(dwells, forms, layout, solution, settings, references, whole, ROUGH_POINTS))
+    solution = solved(found, solution)
+    found = list(_compared(dwells, forms, layout, solution, settings, references, single, FINE_POINTS))
+    found += _sighted(dwells, forms, solution, settings, references)
+    return Adjustment(layout, solved(found, solution), forms, found)
 
 
-def solve(known: Sequence[Equation], compared: Sequence[Equation], layout: Layout) -> tuple[Solution, F64]:
-    """The unknowns that fit all equations best, and the weights of those in `compared`, which may be wrong."""
+def solve(known: Sequence[Equation], compared: Sequence[Equation], layout: Layout) -> Solution:
+    """The unknowns that fit all equations best; those in `compared` lose weight if they contradict the others."""
     system, weights = System([*known, *compared], layout.count), np.ones(len(known) + len(compared))
     solution = system.solved(weights)
     for _ in range(ROUNDS if compared else 0):
         mismatch = system.mismatches(solution.unknowns)[len(known) :]
         weights[len(known) :] = (FREEDOM + 3) / (FREEDOM + mismatch)
         solution = system.solved(weights)
-    return solution, weights[len(known) :]
+    return solution
 
 
 def _compared(
@@ -202,27 +211,26 @@ def _compared(
     known: Solution,
     settings: AdjustmentSettings,
     references: References,
-    *,
-    single: bool,
+    parts: Sequence[Sequence[range]],
+    most_points: int,
 ) -> Iterator[Comparison]:
-    """Compare joined dwells, or each by itself, with joined ones that were flown before, and with the terrain."""
+    """Compare the parts of each strip with strips that were flown before, and with the terrain."""
     shifts = np.array([form.at(known.unknowns) for form in forms])
     edges = [seen(dwell, form, layout) for dwell, form in zip(dwells, forms, strict=True)]
-    strips = [Strip.of(members, dwells, shifts) for members in _joined(dwells, settings)]
-    for own, strip in enumerate(strips):
-        others, middle = _partners(strip, strips[:own], settings), forms[strip.middle]
+    strips = [Strip.of(range(own[0].start, own[-1].stop), dwells, shifts) for own in parts]
+    for number, (strip, own) in enumerate(zip(strips, parts, strict=True)):
+        others, middle = _partners(strip, strips[:number], settings), forms[strip.middle]
         relative = [middle.minus([(1.0, forms[other.middle])]) for other in others]
-        reaches = _reaches(known, [middle, *relative], strip.points.spacing, settings)
+        reach, *reaches = _reaches(known, [middle, *relative], strip.points.spacing, settings)
         surfaces = [other.points.surface for other in others]
         if (
             references.terrain
             and strip.points.place.size
-            and (ground := references.terrain.around(strip.points, reaches[0]))
+            and (ground := references.terrain.around(strip.points, reach))
         ):
-            surfaces, reaches = [ground, *surfaces], [reaches[0], *reaches]
-        parts = [range(number, number + 1) for number in strip.dwells] if single else [strip.dwells]
-        chosen = [Strip.of(part, dwells, shifts).points.thinned(MOST_POINTS[single]) for part in parts]
-        pairs = [(points, *other) for points in chosen for other in zip(surfaces, reaches[1:], strict=True)]
+            surfaces, reaches = [ground, *surfaces], [reach, *reaches]
+        chosen = [Strip.of(part, dwells, shifts).points.thinned(most_points) for part in own]
+        pairs = [(points, *other) for points in chosen for other in zip(surfaces, reaches, strict=True)]
         matches = in_threads(match, *zip(*pairs, strict=True)) if pairs else []
         for first in range(0, len(matches), max(1, len(surfaces))):
             found = [one for one in matches[first : first + len(surfaces)] if one is not None]

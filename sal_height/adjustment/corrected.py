@@ -46,7 +46,7 @@ def corrected_states(
     """Odometry without the errors that were found.
 
     Args:
-        states: samples, in the order of time.
+        states: samples, in any order.
         seconds: their times, s, as those of the dwells.
         adjustment: of these dwells.
         mounting: of the sensor, as described.

@@ -16,6 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from sal_height.adjustment.equations import Equation
 from sal_height.numeric import F64
@@ -73,9 +74,9 @@ class Drift:
         return knot, seconds - float(self.seconds[knot])
 
     def priors(self, stated: list[Stated]) -> list[Equation]:
-        """What is known of the knots beforehand, from what odometry states near each."""
+        """What is known of the knots beforehand, from what odometry states: in the order of time, at each of them."""
         times = np.array([one.seconds for one in stated])
-        nearest = [stated[int(np.argmin(np.abs(times - knot)))] for knot in self.seconds]
+        nearest = [stated[number] for number in np.searchsorted(times, self.seconds).tolist()]
         places = [_floored(one.pose[:3, :3], EXACT_M) for one in nearest]
         attitudes = [_floored(one.pose[3:, 3:], EXACT_RAD) for one in nearest]
         told = [
@@ -83,7 +84,7 @@ class Drift:
             for one, place in zip(nearest, places, strict=True)
         ]
         velocities = [_floored(velocity, EXACT_MPS) for velocity in told]
-        begin = _inverse(_block(places[0], velocities[0], attitudes[0]))
+        begin = _inverse(block_diag(places[0], velocities[0], attitudes[0]))
         equations = [Equation(np.arange(STATE), np.eye(STATE), np.zeros(STATE), begin)]
         # Variance of the position, and its covariance with the velocity, as they become from knot to knot.
         variance, mixed, t = _mean_variance(places[0]), 0.0, self.correlation
@@ -135,12 +136,6 @@ def _inverse(matrix: F64) -> F64:
 
 def _mean_variance(covariance: F64) -> float:
     return float(np.trace(covariance)) / 3
-
-
-def _block(place: F64, velocity: F64, attitude: F64) -> F64:
-    block = np.zeros((STATE, STATE))
-    block[:3, :3], block[3:6, 3:6], block[6:, 6:] = place, velocity, attitude
-    return block
 
 
 def _floored(covariance: F64, least: float) -> F64:

@@ -98,10 +98,9 @@ class Solution:
         # Unknowns of very different units: each in units in which its own equation has the factor 1.
         scale = 1 / np.sqrt(normal.diagonal())
         scaled = csc_array(normal.multiply(scale[:, None]).multiply(scale[None, :]))
-        self._scale, self._solver = (
-            scale,
-            splu(scaled, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}),
-        )
+        symmetric = {"SymmetricMode": True}
+        self._solver = splu(scaled, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
+        self._scale = scale
         self.unknowns = scale * self._solver.solve(scale * (weighed.T @ right))
 
     def covariance(self, forms: Sequence[Form]) -> list[F64]:

@@ -210,13 +210,11 @@ class Match:
     Attributes:
         shift: m, shape (3,).
         information: inverse of its covariance, 1/m^2, shape (3, 3).
-        points: number of points that met the other image.
-        dwells: shares of the dwells of the one image among them, and of those of the other.
+        dwells: shares of the dwells of the one image among the points that met the other, and of those of the other.
     """
 
     shift: F64
     information: F64
-    points: int
     dwells: tuple[dict[int, float], dict[int, float]]
 
 
@@ -261,8 +259,8 @@ def match(points: Points, surface: Surface, reach: F64) -> Match | None:
     window = np.diag([*(3 / ((wide + 0.5) * surface.step) ** 2), 0.0])
     values, vectors = np.linalg.eigh(np.linalg.inv(covariance) - window)
     information = (vectors * np.maximum(values, LEAST_INFORMATION)) @ vectors.T
-    pairs = _met(points, surface, mean)
-    return Match(mean, information, len(pairs[0]), (_shares(pairs[0]), _shares(pairs[1])))
+    one, other = _met(points, surface, mean)
+    return Match(mean, information, (_shares(one), _shares(other)))
 
 
 def _lattice(half: Index, step: int) -> Index:

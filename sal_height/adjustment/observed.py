@@ -16,6 +16,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -23,13 +25,17 @@ from sal_height.adjustment.drift import EXACT_M, STATE, Drift, Stated
 from sal_height.adjustment.equations import Equation, Form, Solution
 from sal_height.adjustment.matching import Points
 from sal_height.adjustment.settings import AdjustmentSettings
-from sal_height.geometry import ApertureState, Mounting, angles_of, sphere_point
-from sal_height.imaging import Placement
-from sal_height.numeric import Index
-from sal_height.relief import position_jacobian
+from sal_height.geometry import ApertureState, Mounting, Trajectory, angles_of, sphere_point
+from sal_height.imaging import Placement, Slc
+from sal_height.numeric import F64, Index
+from sal_height.relief import HeightField, position_jacobian, turn_jacobian
+from sal_height.sensor import PhaseHistory, Sensor
 
 BORESIGHT, LEVER_ARM, DELAY, PITCH, EDGES, COMMON = slice(0, 3), slice(3, 6), 6, 7, 8, 9
 """Among the unknowns that all dwells share."""
+
+EXACT = np.array([1e-9] * 3 + [1e-5] * 3 + [1e-9, 1e-8, 1e-6])
+"""Standard deviations of those that are exact."""
 
 EDGES_SPACINGS = 0.3
 """Standard deviation of how much farther from the sensor edges are seen than they are, in spacings of pixels: where a
@@ -61,20 +67,65 @@ class ObservedDwell:
     look_side: int
     ambiguity: float
 
+    @classmethod
+    def of(
+        cls,
+        field: HeightField,
+        slc: Slc,
+        sensor: Sensor,
+        track: Trajectory,
+        history: PhaseHistory,
+        epoch_ns: int = 0,
+    ) -> Self:
+        """The heights of a dwell, with its images, its sensor, the track of base_link, and its pulses.
+
+        Seconds count from the epoch.
+        """
+        begin_ns, times = history.stamp_ns, history.pulse_times
+        stated = Stated(
+            seconds=(begin_ns - epoch_ns) * 1e-9 + float(times.mean()),
+            pose=track.aperture(begin_ns, times).covariance,
+            velocity=track.velocity_covariance(begin_ns, times),
+        )
+        return cls(
+            points=Points.of(field),
+            aperture=slc.aperture,
+            placement=slc.placement,
+            stated=stated,
+            axis_middle=sensor.beams.axis_middle,
+            look_side=sensor.look_side,
+            ambiguity=sensor.wavelength * sensor.pulse_repetition_frequency / 2,
+        )
+
     @property
     def seconds(self) -> float:
         """Its middle in time, s."""
         return self.stated.seconds
 
-    @property
+    @cached_property
+    def middle(self) -> F64:
+        """Of its points, in map, m, shape (3,)."""
+        return sphere_point(*self.points.middle)
+
+    @cached_property
     def slant_range(self) -> float:
-        """To the middle of its points, m."""
-        return float(np.linalg.norm(sphere_point(*self.points.middle) - self.aperture.position))
+        """To their middle, m."""
+        return float(np.linalg.norm(self.middle - self.aperture.position))
+
+    @property
+    def sight(self) -> F64:
+        """Unit vector to their middle, in map."""
+        return np.asarray((self.middle - self.aperture.position) / self.slant_range)
+
+    @property
+    def speed(self) -> float:
+        """Of the flight, m/s."""
+        return float(np.linalg.norm(self.aperture.velocity))
 
     @property
     def lever(self) -> float:
         """Shift along the flight by a velocity along the line of sight, m per m/s."""
-        return self.slant_range / float(np.linalg.norm(self.aperture.velocity))
+        return self.slant_range / self.speed
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,20 +159,16 @@ def displacement(number: int, dwell: ObservedDwell, layout: Layout, mounting: Mo
         layout: of the unknowns.
         mounting: of the sensor, as described.
     """
-    aperture, place = dwell.aperture, sphere_point(*dwell.points.middle)
-    sight, slant_range = place - aperture.position, dwell.slant_range
-    u, f = sight / slant_range, aperture.direction
-    climb = position_jacobian(place, aperture)[:, 0]
-    plane = np.cross(aperture.forward, sight)
-    turn = np.cross(sight, plane) / (plane @ plane)  # w
+    aperture, u, f = dwell.aperture, dwell.sight, dwell.aperture.direction
+    climb = position_jacobian(dwell.middle, aperture)[:, 0]
     body = aperture.rotation @ mounting.axes.inv().as_matrix()
     arm = body @ np.array(mounting.lever_arm)
 
-    by_turn = np.outer(climb, turn)  # of the sensor, about the axes of map
+    by_turn = turn_jacobian(dwell.middle, aperture)  # of the sensor, about the axes of map
     by_velocity = -dwell.lever * np.outer(f, u)
     constant = -dwell.lever * dwell.placement.speed * f
     if dwell.placement.by_beams:
-        by_turn += slant_range * np.outer(f, np.cross(u, f))
+        by_turn += dwell.slant_range * np.outer(f, np.cross(u, f))
         by_velocity, constant = np.zeros((3, 3)), np.zeros(3)
 
     knot, since = layout.drift.knot_of(dwell.seconds)
@@ -133,7 +180,7 @@ def displacement(number: int, dwell: ObservedDwell, layout: Layout, mounting: Mo
     shared[:, BORESIGHT] = by_turn @ aperture.rotation
     shared[:, LEVER_ARM] = body
     shared[:, DELAY] = -aperture.velocity
-    _, elevation, _ = angles_of(place, aperture, dwell.look_side)
+    _, elevation, _ = angles_of(dwell.middle, aperture, dwell.look_side)
     shared[:, PITCH] = -dwell.look_side * (float(elevation) - dwell.axis_middle) * climb
     values[:, -2], values[:, -1] = f, climb
     columns = np.concatenate([STATE * knot + np.arange(STATE), layout.common, layout.own(number)])
@@ -142,8 +189,7 @@ def displacement(number: int, dwell: ObservedDwell, layout: Layout, mounting: Mo
 
 def seen(dwell: ObservedDwell, off: Form, layout: Layout) -> Form:
     """How far a dwell is seen to lie off by its edges, where it lies off by so much."""
-    sight = sphere_point(*dwell.points.middle) - dwell.aperture.position
-    outwards = np.array([sight[0], sight[1], 0.0]) / np.linalg.norm(sight[:2])
+    outwards = np.array([*dwell.sight[:2], 0.0]) / np.linalg.norm(dwell.sight[:2])
     columns = np.append(off.columns, layout.common[EDGES])
     return Form(columns, np.column_stack([off.values, outwards]), off.constant)
 
@@ -155,15 +201,12 @@ def centroid(number: int, dwell: ObservedDwell, layout: Layout, settings: Adjust
     """
     if (found := dwell.placement.centroid) is None:
         return None
-    aperture = dwell.aperture
-    sight = sphere_point(*dwell.points.middle) - aperture.position
-    speed = float(np.linalg.norm(aperture.velocity))
-    u, f = sight / dwell.slant_range, aperture.direction
-    ahead = -speed * np.cross(u, f)
+    u, f = dwell.sight, dwell.aperture.direction
+    ahead = -dwell.speed * np.cross(u, f)
     knot, _ = layout.drift.knot_of(dwell.seconds)
     columns = np.concatenate([STATE * knot + np.arange(3, 9), layout.common[BORESIGHT], layout.own(number)[:1]])
-    values = np.concatenate([-u, ahead, ahead @ aperture.rotation, [1 / dwell.lever]])[None]
-    variance = found.error**2 + (speed * settings.jitter_rad) ** 2
+    values = np.concatenate([-u, ahead, ahead @ dwell.aperture.rotation, [1 / dwell.lever]])[None]
+    variance = found.error**2 + (dwell.speed * settings.jitter_rad) ** 2
     return Equation(columns, values, np.array([found.speed]), np.array([[1 / variance]]))
 
 
@@ -224,13 +267,16 @@ def own_priors(
     return equations
 
 
-def common_prior(dwells: Sequence[ObservedDwell], layout: Layout, settings: AdjustmentSettings) -> Equation:
-    """What is known beforehand of the mounting, the delay, the pitch of the beams, and the edges in images."""
-    sigmas, spacing = np.empty(COMMON), max(dwell.points.spacing for dwell in dwells)
+def stated_sigmas(settings: AdjustmentSettings) -> F64:
+    """Standard deviations of what all dwells share, but for the edges, as they are known beforehand; 0: exact."""
+    sigmas = np.empty(EDGES)
     sigmas[BORESIGHT], sigmas[LEVER_ARM] = settings.boresight_sigma_rad, settings.lever_arm_sigma_m
     sigmas[DELAY], sigmas[PITCH] = settings.odometry_delay_sigma_s, settings.pitch_sigma
-    sigmas[EDGES] = EDGES_SPACINGS * spacing
-    least = np.empty(COMMON)
-    least[BORESIGHT], least[LEVER_ARM], least[DELAY], least[PITCH] = 1e-9, 1e-5, 1e-9, 1e-8
-    least[EDGES] = 1e-6
-    return Equation(layout.common, np.eye(COMMON), np.zeros(COMMON), np.diag(1 / np.maximum(sigmas, least) ** 2))
+    return sigmas
+
+
+def common_prior(dwells: Sequence[ObservedDwell], layout: Layout, settings: AdjustmentSettings) -> Equation:
+    """What is known beforehand of the mounting, the delay, the pitch of the beams, and the edges in images."""
+    edges = EDGES_SPACINGS * max(dwell.points.spacing for dwell in dwells)
+    sigmas = np.maximum(np.append(stated_sigmas(settings), edges), EXACT)
+    return Equation(layout.common, np.eye(COMMON), np.zeros(COMMON), np.diag(sigmas**-2))

@@ -60,6 +60,3 @@ class AdjustmentSettings(Settings):
         minimum=1.0,
         maximum=200.0,
     )
-
-
-DEFAULT_ADJUSTMENT = AdjustmentSettings()

@@ -58,6 +58,22 @@ def position_jacobian(positions: F64, aperture: ApertureState) -> F64:
     return jacobians
 
 
+def turn_jacobian(positions: F64, aperture: ApertureState) -> F64:
+    """Derivative of positions by a small turn of the body about the axes of map, m/rad: c w^T.
+
+    Args:
+        positions: of scatterers in map, m, shape (..., 3).
+        aperture: from which they were seen.
+
+    Returns:
+        Matrices of shape (..., 3, 3).
+    """
+    sight = positions - aperture_at(positions, aperture).position
+    normal = np.cross(aperture.forward, sight)
+    turn = np.cross(sight, normal) / np.sum(normal**2, axis=-1, keepdims=True)
+    return np.asarray(position_jacobian(positions, aperture)[..., :, :1] * turn[..., None, :])
+
+
 def level_turn(elevation: float, grid: Grid, aperture: ApertureState, look_side: int) -> float:
     """Elevation (rad) that level ground gains from row to row of an image, in its middle.
 

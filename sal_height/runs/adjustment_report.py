@@ -8,19 +8,14 @@ from typing import Any
 import numpy as np
 
 from sal_height.adjustment import (
-    BORESIGHT,
-    DELAY,
-    LEVER_ARM,
-    PITCH,
     Adjustment,
     AdjustmentSettings,
     ObservedDwell,
     References,
     corrected_mounting,
+    stated_sigmas,
 )
-from sal_height.adjustment.equations import mean_form
 from sal_height.geometry import Mounting
-from sal_height.numeric import F64
 from sal_height.tables import aligned
 
 DETERMINED = 0.9
@@ -45,40 +40,34 @@ def summary_of(
     """What the report says, and sentences on what is not determined."""
     common, covariance = adjustment.common
     sigmas = np.sqrt(covariance.diagonal())
-    prior = _prior(settings)
+    prior = stated_sigmas(settings)
+    estimated = np.flatnonzero(prior)
     shifts, spread = adjustment.shifts
-    forms = adjustment.displacements
-    middle = mean_form(dict.fromkeys(range(len(forms)), 1 / len(forms)), forms)
-    between = adjustment.solution.covariance([form.minus([(1.0, middle)]) for form in forms])
-    (of_all,) = adjustment.solution.covariance([middle])
+    between, of_all = adjustment.spread
     met = {number for one in adjustment.comparisons for side in one.dwells for number in side if number >= 0}
     absolute = sum(one.is_absolute for one in adjustment.comparisons)
     better = corrected_mounting(mounting, adjustment)
     summary = {
         "parameters": {
-            name: {"error": float(common[number]), "sigma": float(sigmas[number]), "known_to": float(prior[number])}
-            for number, name in enumerate(NAMES)
-            if prior[number] > 0
+            NAMES[number]: {
+                "error": float(common[number]),
+                "sigma": float(sigmas[number]),
+                "known_to": float(prior[number]),
+            }
+            for number in estimated
         },
+        "parameter_covariance": covariance[np.ix_(estimated, estimated)].tolist(),
         "mounting": {"lever_arm_m": list(better.lever_arm), "rotation": list(better.rotation)},
         "comparisons": len(adjustment.comparisons) - absolute,
         "comparisons_with_known_ground": absolute,
         "dwells_without_comparison": len(dwells) - len(met),
         "shifts_rms_m": np.sqrt(np.mean(shifts**2, axis=0)).tolist(),
-        "sigma_between_dwells_m": np.sqrt(np.mean([one.diagonal() for one in between], axis=0)).tolist(),
+        "sigma_between_dwells_m": np.sqrt(np.mean(between, axis=0).diagonal()).tolist(),
         "sigma_of_all_dwells_m": np.sqrt(of_all.diagonal()).tolist(),
         "shifts_m": shifts.tolist(),
         "shift_sigmas_m": np.sqrt([one.diagonal() for one in spread]).tolist(),
     }
     return summary, _sentences(summary, references, adjustment)
-
-
-def _prior(settings: AdjustmentSettings) -> F64:
-    """Standard deviations of the shared parameters as they were known beforehand."""
-    sigmas = np.zeros(len(NAMES))
-    sigmas[BORESIGHT], sigmas[LEVER_ARM] = settings.boresight_sigma_rad, settings.lever_arm_sigma_m
-    sigmas[DELAY], sigmas[PITCH] = settings.odometry_delay_sigma_s, settings.pitch_sigma
-    return sigmas
 
 
 def _sentences(summary: dict[str, Any], references: References, adjustment: Adjustment) -> list[str]:

@@ -155,7 +155,7 @@ class RecordedDwells:
             raise UserError(
                 f"Bag {work.bag} was processed with mounting_from_tf, which needs a graph; use `sal-height replay`."
             )
-        self._sensors, refused = sensors_of(reader)
+        self.sensors, refused = sensors_of(reader)
         for error in refused:
             self.losses.warn("sensor info", error)
         self._calibrations = self._calibrations_of(reader)
@@ -177,15 +177,13 @@ class RecordedDwells:
 
     def take(self, recorded: BagMessage) -> None:
         """Take in a frame or a sample of odometry, and process the dwells that have all they need then."""
+        self._give_up(recorded.log_time_ns)
         try:
             if recorded.topic == ODOMETRY_TOPIC:
                 pose = messages.received_pose(recorded.cdr)
-                self._give_up(pose.stamp_ns)
                 self._odometry.add(messages.state_of_pose(pose, self._compression.frames))
             else:
-                frame = messages.received_frame(recorded.cdr)
-                self._give_up(frame.stamp_ns)
-                self._gather(frame, recorded.log_time_ns)
+                self._gather(messages.received_frame(recorded.cdr), recorded.log_time_ns)
         except UserError as error:
             self.losses.drop(COMPRESSION, error)
         except RuntimeError as error:
@@ -197,10 +195,13 @@ class RecordedDwells:
                 return
             self._process(dwell)
 
-    def _give_up(self, stamp_ns: int) -> None:
-        """Wait no longer for what is missing of dwells that a message of this time leaves behind, as the node does."""
+    def _give_up(self, log_time_ns: int) -> None:
+        """Wait no longer for channels of dwells of which none was recorded in the last `timeout_s`.
+
+        Those behind them would wait as well, until their odometry is forgotten.
+        """
         for dwell in self._assembler.held():
-            if stamp_ns - dwell.key.stamp_ns > 1e9 * self._compression.timeout_s:
+            if not dwell.is_whole and log_time_ns - self._last_frame_ns[dwell.key] > 1e9 * self._compression.timeout_s:
                 self._process(dwell)
 
     def end(self) -> None:
@@ -216,7 +217,7 @@ class RecordedDwells:
         """
         if DwellKey(frame.dwell, frame.stamp_ns) not in self.work.dwells:
             return
-        sensor = self._sensors.get(frame.config_hash)
+        sensor = self.sensors.get(frame.config_hash)
         if sensor is None:
             raise Rejected("no sensor info", f"No sensor info has the config_hash {frame.config_hash!r} of a frame.")
         messages.check_frame(frame, sensor)

@@ -91,8 +91,7 @@ class SimulatedFlight:
 
     @property
     def _dwells_per_pass(self) -> int:
-        """Dwells of each pass, of the last one perhaps fewer."""
-        return -(-self.dwells // self.preset.flight.passes.count)
+        return self.preset.flight.passes.dwells_each(self.dwells)
 
     @property
     def _pass_length(self) -> float:

@@ -114,6 +114,10 @@ class Passes(StrictKeys):
     count: Annotated[Int, Ge(1), Le(10_000)] = 1
     interval_s: Annotated[Float, Gt(0), Le(1e5)] = 120.0
 
+    def dwells_each(self, dwells: int) -> int:
+        """How many of all dwells are of each pass; of the last one perhaps fewer."""
+        return -(-dwells // self.count)
+
 
 @dataclass(frozen=True)
 class Flight(StrictKeys):
@@ -395,7 +399,7 @@ def _pass_misfits(preset: Preset) -> Iterator[str]:
         yield f"flight.passes.count is {passes.count}; in stripmap it must be 1"
     if passes.count > preset.dwells:
         yield f"flight.passes.count is {passes.count}; it must be at most dwells, {preset.dwells}"
-    least = -(-preset.dwells // passes.count) * preset.dwell_spacing_m / preset.flight.speed_mps + PAUSE_S
+    least = passes.dwells_each(preset.dwells) * preset.dwell_spacing_m / preset.flight.speed_mps + PAUSE_S
     if passes.interval_s < least:
         yield (
             f"flight.passes.interval_s is {passes.interval_s:g}; a pass takes {least - PAUSE_S:.3g} s, so it must be "

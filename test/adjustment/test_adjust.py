@@ -10,7 +10,6 @@ from flown_passes import BORESIGHT, flown, flown_as, preset_of
 
 from benchmarks.passes import FlownPasses
 from sal_height.adjustment import Adjustment, AdjustmentSettings, ObservedDwell, References, Target, Terrain, adjust
-from sal_height.adjustment.equations import mean_form
 from sal_height.adjustment.observed import BORESIGHT as TURN
 from sal_height.adjustment.observed import vibration_of
 from sal_height.imaging import Centroid, Placement
@@ -31,9 +30,7 @@ def errors_of(adjustment: Adjustment, passes: FlownPasses) -> tuple[F64, F64]:
 
 def relative_over(adjustment: Adjustment, errors: F64) -> float:
     """Mean square of the errors against the mean of all dwells, over what is stated of that."""
-    forms = adjustment.displacements
-    middle = mean_form(dict.fromkeys(range(len(forms)), 1 / len(forms)), forms)
-    covariances = adjustment.solution.covariance([form.minus([(1.0, middle)]) for form in forms])
+    covariances, _ = adjustment.spread
     apart = errors - errors.mean(axis=0)
     return float(np.mean([e @ np.linalg.solve(c, e) / 3 for e, c in zip(apart, covariances, strict=True)]))
 

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sal_height.adjustment import AdjustmentSettings, corrected_mounting, corrected_states
+from sal_height.adjustment import Adjustment, AdjustmentSettings, corrected_mounting, corrected_states
 from sal_height.adjustment.drift import STATE, Drift
-from sal_height.adjustment.observed import BORESIGHT, COMMON, DELAY, LEVER_ARM, Layout
+from sal_height.adjustment.equations import Equation, System
+from sal_height.adjustment.observed import BORESIGHT, COMMON, DELAY, LEVER_ARM, OWN, Layout
 from sal_height.geometry import Mounting, PlatformState, Trajectory
+from sal_height.numeric import F64
 
 MOUNTING = Mounting("sensor", (1.2, -0.7, -0.5), tuple(Rotation.from_rotvec([0.1, 0.02, -0.3]).as_quat().tolist()))
 KNOTS = np.array([0.0, 10.0])
@@ -36,16 +36,12 @@ def true_states() -> list[PlatformState]:
     ]
 
 
-def adjustment_with(knots: np.ndarray, common: np.ndarray) -> Any:
-    """An adjustment that has found these errors, and knows them exactly but for 1 in every unknown."""
+def adjustment_with(knots: F64, common: F64) -> Adjustment:
+    """An adjustment that has found these errors, and knows each to within 1."""
     layout = Layout(Drift(KNOTS, 100.0), 1)
-    unknowns = np.concatenate([knots.ravel(), common, np.zeros(2)])
-
-    def covariance(forms: list[Any]) -> list[np.ndarray]:
-        return [form.values @ form.values.T for form in forms]
-
-    solution = SimpleNamespace(unknowns=unknowns, covariance=covariance)
-    return SimpleNamespace(layout=layout, solution=solution, knots=knots, common=(common, np.eye(COMMON)))
+    unknowns = np.concatenate([knots.ravel(), common, np.zeros(OWN)])
+    told = Equation(np.arange(layout.count), np.eye(layout.count), unknowns, np.eye(layout.count))
+    return Adjustment(layout, System([told], layout.count).solved(np.ones(1)), [], [])
 
 
 def sensor_of(states: list[PlatformState], mounting: Mounting) -> tuple[np.ndarray, np.ndarray]:

@@ -20,6 +20,7 @@ from sal_height.relief.position_error import (
     measured_covariance,
     pose_covariance,
     position_jacobian,
+    turn_jacobian,
     variance_at_place,
 )
 
@@ -163,3 +164,18 @@ def test_where_the_slope_is_not_known_the_variance_at_a_place_is_a_bound() -> No
     across = np.outer(circle, circle)
     bound, greatest = variance_at_place(across, np.full(2, np.nan)), variance_at_place(across, steep).max()
     assert bound == pytest.approx(greatest, rel=1e-4)
+
+
+@SIDES
+@SLIDING
+def test_turns_of_the_body_move_positions_as_their_covariance_says(side: int, sliding: bool) -> None:
+    """Each component of the attitude by itself, as `pose_covariance` has it, which Monte Carlo confirms above."""
+    aperture = turned_aperture(sliding)
+    points, covariance = seen_points(aperture, side), np.zeros((6, 6))
+    turns = turn_jacobian(points, aperture)
+    for axis in range(3):
+        covariance[3:, 3:] = 0
+        covariance[3 + axis, 3 + axis] = 1e-8
+        expected = pose_covariance(points, replace(aperture, covariance=covariance))
+        moved = 1e-4 * turns[..., axis]
+        np.testing.assert_allclose(moved[..., :, None] * moved[..., None, :], expected, rtol=1e-6, atol=1e-12)

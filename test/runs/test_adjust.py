@@ -54,6 +54,9 @@ def test_report_tells_what_was_found_and_what_stays_open(adjusted: Path) -> None
     off = np.array([one["error"] for one in found]) + BORESIGHT
     assert np.all(np.abs(off) < 4 * np.array([one["sigma"] for one in found]))
     assert found[0]["sigma"] < 0.9 * 3e-5
+    covariance = np.array(report["parameter_covariance"])
+    np.testing.assert_allclose(np.sqrt(covariance.diagonal())[:3], [one["sigma"] for one in found], rtol=1e-6)
+    assert covariance.shape == (6, 6)
     assert "odometry delay (s)" not in report["parameters"], "it was known exactly"
     said = " ".join(report["warnings"])
     assert "These dwells do not determine: " in said
@@ -136,7 +139,7 @@ def test_passes_that_do_not_overlap_are_said(tmp_path: Path, capsys: pytest.Capt
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ([str(BAGS / "sal_stripmap")], "spotlight only"),
+        ([str(BAGS / "sal_stripmap")], "only spotlight can be adjusted"),
         ([str(BAGS / "sal_spotlight"), "--target", "1,2"], "Option --target is '1,2'; it must be EAST,NORTH,HEIGHT"),
         ([str(BAGS / "sal_spotlight"), "--set", "boresight=1"], "boresight"),
         ([str(BAGS / "sal_spotlight"), "--set", "correlation_s=0"], "correlation_s"),

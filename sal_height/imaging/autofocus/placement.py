@@ -145,16 +145,16 @@ def placed_by_navigation(prior: NavigationPrior) -> Placement:
     return Placement(0.0, 0.0, prior.speed)
 
 
-def placed_by_centroid(centroid: Centroid, navigation: NavigationPrior, ambiguity: float) -> Placement:
+def placed_by_centroid(centroid: Centroid, prior: NavigationPrior, ambiguity: float) -> Placement:
     """Where the Doppler centroid and navigation together put an image.
 
     Args:
         centroid: that was found.
-        navigation: what is known beforehand. If it states nothing, all is taken for an error of the attitude, and the
+        prior: what navigation knows. If it states nothing, all is taken for an error of the attitude, and the
             image stays.
         ambiguity: wavelength PRF / 2, m/s. Other multiples of it are weighed by the prior.
     """
-    found, error, prior = centroid.speed, centroid.error, navigation
+    found, error = centroid.speed, centroid.error
     if not prior.spread:
         return Placement(0.0, found / prior.flight_speed, 0.0, centroid)
     prior = prior.beside(centroid.vibration)

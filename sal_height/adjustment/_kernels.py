@@ -65,19 +65,20 @@ def compare_shifts(
         cells: shifts in cells, shape (shifts, 2).
         height: of the surface, m, NaN where it is not known, shape (east, north).
         cell_sigma: its sigma, m, same shape.
-        numbers: greatest difference in height at which points meet, m, and the share of outliers.
+        numbers: greatest difference in height at which points meet, m, the share of outliers, and the least number of
+            points.
         said: filled with what each point says, NaN where it does not meet the surface, shape (shifts, points).
-        up: filled with the shift in height, NaN without points, and the sum of the weights of the points that fit,
-            1/m^2, shape (shifts, 2).
+        up: filled with the shift in height, and the sum of the weights of the points that fit, 1/m^2; NaN and 0 where
+            too few points meet; shape (shifts, 2).
     """
-    farthest, outliers = numbers[0], numbers[1]
+    farthest, outliers, least = numbers[0], numbers[1], numbers[2]
     met = np.empty((3, len(place)))
     for shift in range(len(cells)):
         count = _gather(place, sigma, cells[shift], height, cell_sigma, farthest, met)
         up[shift, 0], up[shift, 1] = np.nan, 0.0
         for point in range(len(place)):
             said[shift, point] = np.nan
-        if count == 0:
+        if count < least:
             continue
         differences, variances = met[0, :count], met[1, :count]
         found, total = _robust_mean(differences, variances)
@@ -87,3 +88,25 @@ def compare_shifts(
             off = squared(differences[number] - found) / (2 * variances[number])
             density = np.exp(-off - log_density[point]) / np.sqrt(2 * np.pi * variances[number])
             said[shift, point] = np.log((1 - outliers) * density + outliers)
+
+
+@compiled_with_nan
+def average_said(said: F64, usual: F64) -> None:
+    """Fill `usual`, shape (points,), with the mean of what each point says over all shifts, 0 where it says nothing."""
+    for point in range(said.shape[1]):
+        total, count = 0.0, 0
+        for shift in range(said.shape[0]):
+            if not np.isnan(said[shift, point]):
+                total += said[shift, point]
+                count += 1
+        usual[point] = total / max(1, count)
+
+
+@compiled_with_nan
+def sum_said(said: F64, usual: F64, score: F64) -> None:
+    """Fill `score`, shape (shifts,), with the sum of what points say of a shift beyond what is usual."""
+    for shift in range(said.shape[0]):
+        score[shift] = 0.0
+        for point in range(said.shape[1]):
+            if not np.isnan(said[shift, point]):
+                score[shift] += said[shift, point] - usual[point]

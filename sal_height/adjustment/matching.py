@@ -24,7 +24,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter1d
 from scipy.spatial import QhullError, cKDTree
 from scipy.special import logsumexp
 
-from sal_height.adjustment._kernels import compare_shifts
+from sal_height.adjustment._kernels import average_said, compare_shifts, sum_said
 from sal_height.elevation import USABLE
 from sal_height.geometry import sphere_coordinates
 from sal_height.numeric import F64, Bool, Index
@@ -273,7 +273,7 @@ def _compared(points: Points, surface: Surface, cells: Index, reach: float) -> t
     """What each point says of each shift, and shifts in height with their weights (`_kernels.compare_shifts`)."""
     place = np.column_stack([(points.place[:, :2] - surface.origin) / surface.step, points.place[:, 2]])
     sigma = np.hypot(points.sigma, points.roughness)
-    numbers = np.array([reach + RANGE_SPACINGS * points.spacing, OUTLIERS])
+    numbers = np.array([reach + RANGE_SPACINGS * points.spacing, OUTLIERS, LEAST_POINTS])
     said, up = np.empty((len(cells), len(place))), np.empty((len(cells), 2))
     shifts = cells.astype(np.int64)
     compare_shifts(place, sigma, points.log_density, shifts, surface.height, surface.sigma, numbers, said, up)
@@ -282,15 +282,16 @@ def _compared(points: Points, surface: Surface, cells: Index, reach: float) -> t
 
 def _means(said: F64) -> F64:
     """What each point says on the average over all shifts at which it meets the surface; 0: at none."""
-    met = np.isfinite(said)
-    return np.asarray(np.sum(said, axis=0, where=met) / np.maximum(1, met.sum(axis=0)))
+    usual = np.empty(said.shape[1])
+    average_said(said, usual)
+    return usual
 
 
 def _scores(said: F64, usual: F64, up: F64, reach: float) -> F64:
     """Logarithm of the likelihood of each shift, tempered; none where too few points meet, or too high or low."""
-    met = np.isfinite(said)
-    refused = (met.sum(axis=1) < LEAST_POINTS) | ~(np.abs(up[:, 0]) <= reach)
-    return np.where(refused, -np.inf, TEMPER * np.sum(said - usual, axis=1, where=met))
+    score = np.empty(len(said))
+    sum_said(said, usual, score)
+    return np.where(np.abs(up[:, 0]) <= reach, TEMPER * score, -np.inf)
 
 
 def _met(points: Points, surface: Surface, shift: F64) -> tuple[Index, Index]:

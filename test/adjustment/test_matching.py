@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from sal_height.adjustment._kernels import compare_shifts
+from sal_height.adjustment._kernels import average_said, compare_shifts, sum_said
 from sal_height.adjustment.matching import Match, Points, match
 
 SPACING = 0.1
@@ -152,7 +152,9 @@ def test_the_loop_is_what_its_description_says() -> None:
     place = np.column_stack([(one.place[:, :2] - surface.origin) / surface.step, one.place[:, 2]])
     cells = np.array([[0, 0], [3, -2], [-40, 11], [900, 0]])
     said, up = np.empty((4, len(place))), np.empty((4, 2))
-    compare_shifts(place, sigma, one.log_density, cells, surface.height, surface.sigma, np.array([2.0, 0.2]), said, up)
+    compare_shifts(
+        place, sigma, one.log_density, cells, surface.height, surface.sigma, np.array([2.0, 0.2, 1]), said, up
+    )
     for told, (mean, weights), shift in zip(said, up, cells, strict=True):
         at = place[:, :2] - shift
         there = map_coordinates(surface.height, at.T, order=1, mode="constant", cval=np.nan)
@@ -173,3 +175,9 @@ def test_the_loop_is_what_its_description_says() -> None:
         normal = np.exp(-((difference - expected) ** 2) / (2 * variance)) / np.sqrt(2 * np.pi * variance)
         np.testing.assert_allclose(told[met], np.log(0.8 * normal / np.exp(one.log_density[met]) + 0.2), rtol=1e-9)
         np.testing.assert_allclose([mean, weights], [expected, np.sum(1 / variance[fits])], rtol=1e-10)
+    usual, score = np.empty(len(place)), np.empty(4)
+    average_said(said, usual)
+    sum_said(said, usual, score)
+    expected = np.nan_to_num(np.nansum(said, axis=0) / np.maximum(1, np.isfinite(said).sum(axis=0)))
+    np.testing.assert_allclose(usual, expected, rtol=1e-12)
+    np.testing.assert_allclose(score, np.nansum(said - expected, axis=1), rtol=1e-9)

@@ -441,9 +441,13 @@ def average_cells(
         total[11] += weight * squared(height[i] + total[1] * east + total[2] * north - total[3]) / total[0]
 
 
+COLUMNS = 6
+"""Numbers of each cell of a map: those of `update_cells`."""
+
+
 @compiled_with_nan
-def update_cells(index: Index, height: F64, weight: F64, cells: F64) -> None:
-    """Update the numbers of cells with measurements, see `map.ReliefMap`.
+def update_cells(index: Index, height: F64, own: F64, common: F64, cells: F64) -> None:
+    """Update the numbers of cells with measurements of the weight w = 1 / (own + common^2), see `map.ReliefMap`.
 
     Chi-square grows by the squared difference from the mean so far, over the variance of that difference. That gives
     the sum of w (h - mean)^2 over all measurements without the cancellation of large squares.
@@ -451,17 +455,22 @@ def update_cells(index: Index, height: F64, weight: F64, cells: F64) -> None:
     Args:
         index: cell of each measurement, shape (measurements,).
         height: measured, m, shape (measurements,).
-        weight: 1 / variance, 1/m^2, shape (measurements,).
-        cells: mean height, 1 / its variance, chi-square and count of each cell, to be updated, shape (cells, 4).
+        own: variance of its independent errors, m^2, shape (measurements,).
+        common: standard deviation of the error that all measurements share, m, shape (measurements,).
+        cells: of each cell mean height, sum of the weights (1/m^2), own and common of the mean, chi-square, and count,
+            to be updated, shape (cells, COLUMNS).
     """
     for i in range(len(index)):
         cell = cells[index[i]]
-        gain = weight[i] / (cell[1] + weight[i])
+        weight = 1 / (own[i] + squared(common[i]))
+        gain = weight / (cell[1] + weight)
         step = gain * (height[i] - cell[0])
-        cell[2] += squared(step) * cell[1] / gain
+        cell[4] += squared(step) * cell[1] / gain
         cell[0] += step
-        cell[1] += weight[i]
-        cell[3] += 1
+        cell[1] += weight
+        cell[2] = squared(1 - gain) * cell[2] + squared(gain) * own[i]
+        cell[3] += gain * (common[i] - cell[3])
+        cell[5] += 1
 
 
 @compiled_with_nan
@@ -469,7 +478,7 @@ def read_cells(cells: F64, height: F32, sigma: F32, disagreement: F32, count: np
     """Fill the heights of cells that were seen, their sigma, disagreement and count, as in `map.Relief`.
 
     Args:
-        cells: mean height, 1 / its variance, chi-square and count of each cell, shape (rows, cols, 4).
+        cells: filled by `update_cells`, shape (rows, cols, COLUMNS).
         height: to be filled, m, shape (rows, cols), like all others.
         sigma: to be filled, m.
         disagreement: to be filled where two dwells or more have seen the cell.
@@ -478,8 +487,10 @@ def read_cells(cells: F64, height: F32, sigma: F32, disagreement: F32, count: np
     rows, cols, _ = cells.shape
     for i in range(rows):
         for j in range(cols):
-            mean, weight, chi_square, dwells = cells[i, j, 0], cells[i, j, 1], cells[i, j, 2], cells[i, j, 3]
+            mean, own, common = cells[i, j, 0], cells[i, j, 2], cells[i, j, 3]
+            chi_square, dwells = cells[i, j, 4], cells[i, j, 5]
             if dwells > 0:
-                height[i, j], sigma[i, j], count[i, j] = mean, 1 / np.sqrt(weight), np.uint32(dwells)
+                height[i, j], sigma[i, j] = mean, np.sqrt(own + squared(common))
+                count[i, j] = np.uint32(dwells)
             if dwells > 1:
                 disagreement[i, j] = np.sqrt(chi_square / (dwells - 1))

@@ -103,8 +103,8 @@ def _layers_of_surface(surface: Surface, aperture: ApertureState) -> Layers:
 def merged(layers: Layers, cell_size: float, gate: float, *, same_dwell: bool) -> Layers:
     """Merge layers of the same cell that do not differ by more than `gate` standard deviations and one cell in height.
 
-    With the weights w = 1 / variance of height, own errors average, sum w^2 C / (sum w)^2, and so do the common errors
-    of different dwells; those of the same dwell remain, sum w C / sum w.
+    With the weights w = 1 / variance of height, own errors average, sum w^2 C / (sum w)^2. Common errors remain,
+    sum w C / sum w, those of different dwells, too: no message says how alike they are, and a mean cannot err more.
 
     Args:
         layers: in any order.
@@ -129,11 +129,10 @@ def merged(layers: Layers, cell_size: float, gate: float, *, same_dwell: bool) -
         shape = (-1,) + (1,) * (values.ndim - 1)
         return np.add.reduceat(values * weights.reshape(shape), begins) / sums.reshape(shape)
 
-    common = mean(layers.common, weight, total) if same_dwell else mean(layers.common, weight**2, total**2)
     return Layers(
         place=mean(layers.place, weight, total),
         own=mean(layers.own, weight**2, total**2),
-        common=common,
+        common=mean(layers.common, weight, total),
         towards=mean(layers.towards, weight, total),
         dwells=(np.maximum if same_dwell else np.add).reduceat(layers.dwells, begins),
     )

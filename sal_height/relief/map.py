@@ -13,9 +13,11 @@ The height of a cell is that of the ground at its centre: heights are moved ther
 (`position_error.variance_at_place`). Where the slope is not known, heights are not moved, sigma is that of the worst
 slope up to STEEPEST, and what such a slope makes of the distance to the centre is added.
 
-Within a dwell the errors of the pixels are independent, except for the part caused by the platform's pose: all pixels
-share it, and averaging does not reduce it. Errors of different dwells are assumed independent; sigma is too small if a
-slowly drifting pose errs in the same way for several dwells, or if a spatial prior couples neighbouring pixels.
+The errors of pixels are independent, except for the part caused by the platform's pose and by uncertain beams, which
+all pixels of a dwell share. No message says how alike these are in different dwells: a pose that drifts, a boresight
+and beams err in the same way for many. Averaging therefore does not reduce the common part: its sigma is the mean of
+those of the dwells, which is right if they all err alike, and too large otherwise. Sigma is too small if a spatial
+prior couples neighbouring pixels.
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ from sal_height.elevation import ORDERS
 from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Grid, sphere_coordinates
 from sal_height.numeric import F32, F64, I64, U8, Bool, in_parallel
-from sal_height.relief._kernels import average_cells, gather_pixels, read_cells, update_cells
+from sal_height.relief._kernels import COLUMNS, average_cells, gather_pixels, read_cells, update_cells
 from sal_height.relief.heights import HeightField, Surface
 from sal_height.relief.position_error import STEEPEST
 from sal_height.relief.slope import LEAST_PIXELS, ground_slope
@@ -55,9 +57,9 @@ class Relief:
         cell_size: m.
         height: of the ground at the centre of the cell, above the sphere, m; NaN where nothing was seen.
         sigma: standard deviation of that height, m; NaN where nothing was seen.
-        disagreement: spread of the dwells' heights over that expected from sigma: the square root of chi-square per
-            degree of freedom (Birge ratio, Phys. Rev. 40, 1932, p. 207). Near 1 if sigma is right; greater where
-            something moved. NaN where fewer than two dwells saw the cell.
+        disagreement: spread of the dwells' heights over that expected from their sigmas: the square root of chi-square
+            per degree of freedom (Birge ratio, Phys. Rev. 40, 1932, p. 207). Near 1 if the sigmas are right, smaller if
+            dwells err alike; greater where something moved. NaN where fewer than two dwells saw the cell.
         count: number of dwells that saw the cell.
         kind: what each height rests on (`GroundKind`), uint8; None: on measurements, wherever it is not NaN.
     """
@@ -88,7 +90,7 @@ class ReliefMap:
         self.cell_size = cell_size
         self.max_cells = max_cells
         self._corners: I64 | None = None  # row and column of the first and of the last cell of that rectangle
-        # Of each cell: mean height (m), 1 / its variance (1/m^2), chi-square and number of dwells.
+        # The columns of `update_cells`.
         self._tiles: dict[tuple[int, int], F64] = {}
 
     def add(self, field: HeightField) -> None:
@@ -111,11 +113,12 @@ class ReliefMap:
                 f"With these heights the map would have {rows} x {cols} cells of {self.cell_size:g} m, more than the "
                 f"{self.max_cells} that max_cells allows.",
             )
-        self._enter(*_averaged(pixels, cells, self.cell_size))
+        self._enter(_averaged(pixels, cells, self.cell_size))
         self._corners = corners
 
-    def _enter(self, row: I64, col: I64, height: F64, weight: F64) -> None:
-        """Enter a dwell's mean heights (m) in some cells, in the order of rows, with `weight` 1 / variance (1/m^2)."""
+    def _enter(self, seen: _Cells) -> None:
+        """Enter a dwell's mean heights."""
+        row, col = seen.row, seen.col
         index, tile_cols = row % TILE * TILE + col % TILE, col // TILE
         for tile_row in range(row[0] // TILE, row[-1] // TILE + 1):
             first, end = np.searchsorted(row, [TILE * tile_row, TILE * (tile_row + 1)])
@@ -124,8 +127,8 @@ class ReliefMap:
                 if here.size:
                     place = tile_row, tile_col
                     if place not in self._tiles:
-                        self._tiles[place] = np.zeros((TILE * TILE, 4))
-                    update_cells(index[here], height[here], weight[here], self._tiles[place])
+                        self._tiles[place] = np.zeros((TILE * TILE, COLUMNS))
+                    update_cells(index[here], seen.height[here], seen.own[here], seen.common[here], self._tiles[place])
 
     def relief(self) -> Relief | None:
         """Return the map as it stands; None if nothing was seen yet."""
@@ -140,7 +143,11 @@ class ReliefMap:
             of_tile = np.s_[south - corner[0] : end_row - corner[0], west - corner[1] : end_col - corner[1]]
             there = np.s_[south - first[0] : end_row - first[0], west - first[1] : end_col - first[1]]
             read_cells(
-                tile.reshape(TILE, TILE, 4)[of_tile], height[there], sigma[there], disagreement[there], count[there]
+                tile.reshape(TILE, TILE, COLUMNS)[of_tile],
+                height[there],
+                sigma[there],
+                disagreement[there],
+                count[there],
             )
         centre = self.cell_size / 2
         return Relief(
@@ -191,6 +198,25 @@ class _Pixels:
     common: F64
 
 
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """Mean heights of a dwell in the cells that it has seen, shape (cells,) each, in the order of rows.
+
+    Attributes:
+        row: of the cell.
+        col: of the cell.
+        height: at the centre of the cell, m.
+        own: variance of its independent errors, m^2.
+        common: standard deviation of the error that it shares with others, m.
+    """
+
+    row: I64
+    col: I64
+    height: F64
+    own: F64
+    common: F64
+
+
 def _supported(field: HeightField) -> list[Bool]:
     """Which pixels of each surface enter a map."""
     always, never = np.ones(field.grid.shape, np.bool_), np.zeros(field.grid.shape, np.bool_)
@@ -234,7 +260,7 @@ def _gather(surface: Surface, there: Bool, spacing: float, table: F64, start: in
     return int(gather_pixels(points, own, shared, there, slope, error, STEEPEST, table, start))
 
 
-def _averaged(pixels: _Pixels, cells: I64, cell_size: float) -> tuple[I64, I64, F64, F64]:
+def _averaged(pixels: _Pixels, cells: I64, cell_size: float) -> _Cells:
     """Height at the centre of each cell that was seen: the mean of its pixels, moved along their mean slope.
 
     The weights are w = 1 / variance; own parts add up to sum w^2 own / (sum w)^2, and of the common part, which is one
@@ -246,9 +272,6 @@ def _averaged(pixels: _Pixels, cells: I64, cell_size: float) -> tuple[I64, I64, 
         pixels: of a dwell.
         cells: row and column of each pixel's cell, shape (2, pixels).
         cell_size: m.
-
-    Returns:
-        Row and column of the cells, in the order of rows, their heights (m) and 1 / their variances (1/m^2).
     """
     first, last = cells.min(axis=1), cells.max(axis=1)
     rows, cols = (last - first + 1).tolist()
@@ -274,4 +297,4 @@ def _averaged(pixels: _Pixels, cells: I64, cell_size: float) -> tuple[I64, I64, 
     _, _, _, height, slope_error, east, north, unmoved, own, own_of_mean, common, spread = sums.T
     moved = slope_error * np.hypot(east, north)
     step = np.where(spread > STEP**2 * own, spread, 0.0)
-    return row, col, height, 1 / (own_of_mean + common**2 + moved**2 + unmoved**2 + step)
+    return _Cells(row, col, height, own_of_mean + moved**2 + unmoved**2 + step, common)

@@ -17,6 +17,7 @@ from sal_height.imaging import azimuth_resolution, image_beams
 from sal_height.io import or_null
 from sal_height.nodes.relief_tracker import PREFIX
 from sal_height.numeric import F64, Bool
+from sal_height.relief import height_variance
 from sal_height.simulation import SimulatedFlight, VisibleSurface, truth_image
 
 CELL_PIXELS = 1.5
@@ -33,7 +34,8 @@ class Mosaic:
         height: estimate, m, shape (rows, cols).
         error: estimate minus true height of the same pixels with the same weights, m; without pixels that hold no
             scatterer.
-        sigma: predicted standard deviation, m; of tracked pixels, which share their errors, that of one.
+        sigma: predicted standard deviation, m, with the mean of those that pose and beams leave, which no average
+            reduces; of tracked pixels, which share their errors, that of one.
         bound: Cramer-Rao bound averaged over speckle for all looks in the cell, m.
         single: True where all pixels hold a single scatterer.
         valid_share: valid pixels over all pixels of the images.
@@ -62,6 +64,7 @@ class _Pixels:
         north: m.
         height: estimate, m.
         sigma: predicted, m.
+        common: its part that pose and beams leave, which other pixels and dwells share, m.
         truth: true height, m; NaN where there is no scatterer.
         bound: Cramer-Rao bound for two looks averaged over speckle, m: 1 / sqrt(information of one look).
         single: True where the pixel holds a single scatterer.
@@ -71,6 +74,7 @@ class _Pixels:
     north: F64
     height: F64
     sigma: F64
+    common: F64
     truth: F64
     bound: F64
     single: Bool
@@ -104,12 +108,14 @@ def mosaic(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Map
         weights, count = total(weight), total(real.astype(np.float64))
         error = total(np.where(real, weight * (pixels.height - pixels.truth), 0.0)) / total(weight * real)
         information = total(np.where(real, 1 / pixels.bound**2, 0.0)) / count
+        own, common = total(weight**2 * (pixels.sigma**2 - pixels.common**2)), total(weight * pixels.common)
         return Mosaic(
             east=(first_col + np.arange(shape[1])) * step[1],
             north=(first_row + np.arange(shape[0])) * step[0],
             height=total(weight * pixels.height) / weights,
             error=error,
-            sigma=total(weight * pixels.sigma) / weights if images[0].estimator == PREFIX else 1 / np.sqrt(weights),
+            sigma=(total(weight * pixels.sigma) if images[0].estimator == PREFIX else np.sqrt(own + common**2))
+            / weights,
             bound=1 / np.sqrt((count * looks - 1) * information),
             single=(total((real & ~pixels.single).astype(np.float64)) == 0) & (count > 0),
             valid_share=_share(images, HeightImage.OK),
@@ -167,28 +173,32 @@ def _errors(result: Mosaic, chosen: Bool) -> dict[str, Any]:
     }
 
 
-def _pixels(image: HeightImage, flight: SimulatedFlight, surface: VisibleSurface) -> _Pixels:
+def _pixels(image: HeightImage, flight: SimulatedFlight, visible: VisibleSurface) -> _Pixels:
     """The valid pixels of a height image, with the truth."""
     grid, aperture = messages.grid_from_message(image.grid), messages.aperture_from_message(image.aperture)
     sensor, track = flight.sensor, flight.preset.flight
     cell = sensor.range_resolution * azimuth_resolution(sensor, aperture, track.slant_range_m)
     beams = image_beams(sensor, messages.recorded_window(image.provenance, "azimuth"))
-    truth = truth_image(surface, aperture, grid, cell, beams)
+    truth = truth_image(visible, aperture, grid, cell, beams)
     squint = column_squint(grid, aperture, sensor.beams, sensor.look_side)
     height_slope = track.slant_range_m * np.sin(track.look_angle_rad)  # of height over elevation, m/rad
     with np.errstate(invalid="ignore"):  # where nothing stands
         cnr = 10 ** (flight.preset.cnr_db / 10) * truth.power
         bound = height_slope * speckle_crb(beams, truth.elevation, squint, cnr, 2)
 
-    first = image.surfaces[0]
-    height, sigma, east, north = (
-        messages.float_view(values, grid.shape).astype(np.float64)
-        for values in (first.height, first.sigma, first.east, first.north)
-    )
-    valid = np.asarray(image.validity).reshape(grid.shape) == HeightImage.OK
-    # How high a point lies above the plane z = 0 does not change, to first order, where on the sphere it stands.
-    points = np.stack([east + grid.origin[0], north + grid.origin[1], height], axis=-1)[valid]
-    ground_east, ground_north, _ = sphere_coordinates(points)
+    field = messages.field_from_message(image)
+    valid = field.validity == HeightImage.OK
+    surface = field.first
+    positions, sigma, covariance = surface.positions[valid], surface.sigma[valid], surface.common_covariance
+    common = np.zeros_like(sigma) if covariance is None else np.sqrt(height_variance(covariance[valid], positions))
+    east, north, height = sphere_coordinates(positions)
     return _Pixels(
-        ground_east, ground_north, height[valid], sigma[valid], truth.height[valid], bound[valid], truth.single[valid]
+        east,
+        north,
+        height,
+        sigma,
+        np.minimum(common, sigma),
+        truth.height[valid],
+        bound[valid],
+        truth.single[valid],
     )

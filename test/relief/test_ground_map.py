@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -69,6 +70,22 @@ def test_dwells_over_the_same_ground_average() -> None:
     assert 0.45 < np.nanmedian(four.sigma[inner]) / np.nanmedian(one.sigma[inner]) < 0.7  # 1/2, and their disagreement
     assert np.nanmax(np.abs(four.height - truth_of(four))[inner]) < 0.03
     assert four.count.max() == 4
+
+
+def test_what_dwells_have_in_common_does_not_average() -> None:
+    """Three sigmas of common error are left of however many dwells."""
+    rng, inner, common = np.random.default_rng(7), np.s_[8:30, 4:-4], 3 * SIGMA
+    fields = [dwell(0, rng) for _ in range(4)]
+    shared = [with_common(field, common) for field in fields]
+    own, together = (estimate_of(mapped(each)).sigma[inner] for each in (fields, shared))
+    np.testing.assert_allclose(together, np.hypot(own, common), rtol=0.03)
+
+
+def with_common(field: HeightField, sigma: float) -> HeightField:
+    """The same heights with an error (m) upwards that all pixels share."""
+    common = np.zeros_like(field.first.own_covariance)
+    common[..., 2, 2] = sigma**2
+    return replace(field, surfaces=(replace(field.first, common_covariance=common),))
 
 
 def test_the_step_is_kept() -> None:

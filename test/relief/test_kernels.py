@@ -252,15 +252,20 @@ def test_means_of_cells() -> None:
 
 
 def test_cells_of_a_map() -> None:
-    """Mean, chi-square and count of measurements that came one after the other."""
+    """Mean, its errors, chi-square and count of measurements that came one after the other."""
     rng = np.random.default_rng(7)
-    height, weight, cells = rng.standard_normal((9, 5)), rng.uniform(0.1, 2, (9, 5)), np.zeros((8, 4))
+    height, own, common = rng.standard_normal((9, 5)), *rng.uniform(0.1, 2, (2, 9, 5))
+    cells, weight = np.zeros((8, kernels.COLUMNS)), 1 / (own + common**2)
     index = np.array([6, 0, 3, 2, 7])
-    for values, weights in zip(height, weight, strict=True):
-        kernels.update_cells(index, values, weights, cells)
-    mean = np.sum(weight * height, axis=0) / weight.sum(axis=0)
+    for measured in zip(height, own, common, strict=True):
+        kernels.update_cells(index, *measured, cells)
+    total = weight.sum(axis=0)
+    mean = np.sum(weight * height, axis=0) / total
+    own_of_mean = np.sum(weight**2 * own, axis=0) / total**2
+    common_of_mean = np.sum(weight * common, axis=0) / total
     chi_square = np.sum(weight * (height - mean) ** 2, axis=0)
-    np.testing.assert_allclose(cells[index], np.stack([mean, weight.sum(axis=0), chi_square, np.full(5, 9)], axis=-1))
+    expected = np.stack([mean, total, own_of_mean, common_of_mean, chi_square, np.full(5, 9)], axis=-1)
+    np.testing.assert_allclose(cells[index], expected)
     assert not cells[[1, 4, 5]].any()
 
 

@@ -96,8 +96,8 @@ def test_pixels_and_dwells_are_weighted_by_inverse_variance() -> None:
 def test_the_order_of_dwells_does_not_matter() -> None:
     rng = np.random.default_rng(3)
     dwells = [
-        field_at(*rng.uniform(-TILE, TILE, (2, 500)), rng.normal(2000, 1, 500), rng.uniform(0.1, 1, 500))
-        for _ in range(6)
+        field_at(*rng.uniform(-TILE, TILE, (2, 500)), rng.normal(2000, 1, 500), rng.uniform(0.1, 1, 500), pose)
+        for pose in (UNKNOWN_POSE, KNOWN_POSE, *[replace(KNOWN_POSE, covariance=4 * COVARIANCE)] * 4)
     ]
     forth, back = relief_of(*dwells, cell_size=16.0), relief_of(*dwells[::-1], cell_size=16.0)
     assert forth.count.max() == 6
@@ -105,15 +105,15 @@ def test_the_order_of_dwells_does_not_matter() -> None:
         np.testing.assert_allclose(getattr(forth, name), getattr(back, name), rtol=1e-6)
 
 
-def test_the_common_part_is_not_averaged_away_within_a_dwell_but_among_dwells() -> None:
-    """Pixels of one variance: own / n + common; and the same again over the number of dwells."""
+def test_the_common_part_is_not_averaged_away_within_a_dwell_nor_among_dwells() -> None:
+    """Pixels of one variance: own / n + common, whatever the number of dwells."""
     east, north, pixels, dwells, own = -500.5, -3500.5, 400, 5, 0.3
     field = field_at(np.full(pixels, east), north, 2.0, own, KNOWN_POSE)
     unknown_slope = np.full(2, np.nan)
     common = float(variance_at_place(pose_covariance(sphere_point(east, north, 2.0), KNOWN_POSE), unknown_slope))
     for count in (1, dwells):
         relief = relief_of(*[field] * count)
-        np.testing.assert_allclose(relief.sigma, np.sqrt((own**2 / pixels + common) / count), rtol=1e-5)
+        np.testing.assert_allclose(relief.sigma, np.sqrt(own**2 / pixels / count + common), rtol=1e-5)
     assert common > 20 * own**2 / pixels
 
 
@@ -219,28 +219,40 @@ def astray(aperture: ApertureState, rng: np.random.Generator) -> ApertureState:
     )
 
 
-def test_overlapping_dwells_agree_within_their_sigmas() -> None:
-    """Differences of two dwells over their sigma, and errors of the map of both: mean squares of 1.
+@pytest.mark.parametrize("alike", [False, True])
+def test_overlapping_dwells_agree_within_their_sigmas(alike: bool) -> None:
+    """Errors of two dwells over their sigma have the mean square 1; so have differences, if poses err independently.
+
+    If poses err alike, that of the map of both dwells is 1, and else less, as no map can tell.
 
     One cell of each of 300 pairs counts, for the others share its pose: the mean of 300 squares has a standard error of
     8 %, 4 of them are allowed.
     """
-    rng, trials, differences, errors, spreads = np.random.default_rng(5), 300, [], [], []
+    rng, trials = np.random.default_rng(5), 300
+    each: list[float] = []
+    errors, differences, spreads = [], [], []
     for _ in range(trials):
-        fields = [simulated_dwell(KNOWN_POSE, astray(KNOWN_POSE, rng), rng) for _ in range(2)]
+        first = astray(KNOWN_POSE, rng)
+        poses = first, first if alike else astray(KNOWN_POSE, rng)
+        fields = [simulated_dwell(KNOWN_POSE, pose, rng) for pose in poses]
         one, other, both = (
             middle_cell(relief_of(*chosen, cell_size=0.5)) for chosen in (fields[:1], fields[1:], fields)
         )
+        each += [one[0] / one[1], other[0] / other[1]]
         differences.append((one[0] - other[0]) / np.hypot(one[1], other[1]))
         errors.append(both[0] / both[1])
         spreads.append(both[2])
-    for values in (differences, errors, spreads):
-        assert abs(np.mean(np.square(values)) - 1) < 4 * np.sqrt(2 / trials)
+    limit = 4 * np.sqrt(2 / trials)
+    for values in (each, errors) if alike else (each, differences, spreads):
+        assert abs(np.mean(np.square(values)) - 1) < limit
+    for values in (differences, spreads) if alike else (errors,):
+        assert np.mean(np.square(values)) < 1 - limit
 
 
 def middle_cell(relief: Relief) -> tuple[float, float, float]:
-    """Height, sigma and disagreement of the only cell with most of the pixels: that with the least sigma."""
-    best = np.unravel_index(np.nanargmin(relief.sigma), relief.sigma.shape)
+    """Height, sigma and disagreement of the cell with the least sigma of those that all dwells have seen."""
+    by_all = np.where(relief.count == relief.count.max(), relief.sigma, np.nan)
+    best = np.unravel_index(np.nanargmin(by_all), relief.sigma.shape)
     return tuple(float(layer[best]) for layer in (relief.height, relief.sigma, relief.disagreement))
 
 

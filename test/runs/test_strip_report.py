@@ -15,6 +15,7 @@ from sal_height.errors import UserError
 from sal_height.geometry.frames import aperture_at
 from sal_height.geometry.locate import locate_at_elevation
 from sal_height.imaging.pixels import azimuth_resolution, slant_plane_grid
+from sal_height.messages import to_floats
 from sal_height.relief.heights import HeightField, Surface
 from sal_height.runs.report import mosaic, statistics
 from sal_height.simulation.flight import SimulatedFlight
@@ -50,7 +51,9 @@ def exact_image(flight: SimulatedFlight, dwell: int, error: float) -> HeightImag
     surface = Surface.at(positions, height, sigma, 0 * sigma)
     field = HeightField(grid, np.where(seen, 0, 1).astype(np.uint8), (surface,))
     slc = ComplexImage(dwell=dwell)
-    return messages.height_to_message(field, aperture, preset.looks, "ml", slc, Provenance())
+    image = messages.height_to_message(field, aperture, preset.looks, "ml", slc, Provenance())
+    image.header.frame_id = "map"
+    return image
 
 
 def test_exact_heights_of_a_strip_have_the_error_that_was_added_and_join(flight: SimulatedFlight) -> None:
@@ -94,6 +97,21 @@ def test_cells_of_tracked_heights_are_as_sure_as_one_pixel(flight: SimulatedFlig
     counts = (0.01 / sigmas["ml"]) ** 2
     np.testing.assert_allclose(counts, np.rint(counts), atol=1e-3)
     assert counts.max() > 1.5
+
+
+def test_what_pose_leaves_is_not_averaged_away(flight: SimulatedFlight) -> None:
+    """The same dwell twice, and an error of 3 cm that all pixels share: half of the own variance, and all of it."""
+    image, dwells = exact_image(flight, 4, 0.0), {4: flight.surface(4)}
+    own = mosaic([image, image], flight, dwells).sigma
+    first = image.surfaces[0]
+    common = np.zeros((len(first.height), 6), np.float32)
+    common[:, 5] = np.where(np.isnan(first.height), np.nan, 0.03**2)
+    first.common_covariance = to_floats(common)
+    first.sigma = to_floats(np.hypot(np.asarray(first.sigma), 0.03))
+    seen = np.isfinite(own)
+    together = mosaic([image, image], flight, dwells).sigma
+    np.testing.assert_allclose(together[seen], np.hypot(own[seen], 0.03), rtol=1e-4)
+    assert own[seen].max() < 0.0072
 
 
 def test_a_flight_beside_the_scene_is_refused_at_its_first_dwell(flight: SimulatedFlight) -> None:

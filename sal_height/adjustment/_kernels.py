@@ -15,7 +15,7 @@ INLIER = 3.0
 
 @compiled_with_nan
 def _gather(place: F64, sigma: F64, shift: I64, height: F64, cell_sigma: F64, farthest: float, met: F64) -> int:
-    """Fill `met` with the difference in height, its variance and the number of each point that meets the surface.
+    """Fill `met` with the difference in height, 1 / its variance and the number of each point that meets the surface.
 
     A point meets it if the four cells around it have heights.
     """
@@ -31,24 +31,26 @@ def _gather(place: F64, sigma: F64, shift: I64, height: F64, cell_sigma: F64, fa
             difference = place[point, 2] - (1 - east) * west_side - east * east_side
             if abs(difference) <= farthest:
                 met[0, count] = difference
-                met[1, count] = squared(sigma[point]) + squared(cell_sigma[first, second])
+                met[1, count] = 1 / (squared(sigma[point]) + squared(cell_sigma[first, second]))
                 met[2, count] = point
                 count += 1
     return count
 
 
 @compiled_with_nan
-def _robust_mean(differences: F64, variances: F64) -> tuple[float, float]:
+def _robust_mean(differences: F64, weights: F64) -> tuple[float, float]:
     """Mean of the differences about their median that are of the same surface, and the sum of their weights."""
     found, total = float(np.median(differences)), 0.0
     for _ in range(REFINEMENTS):
-        total, weighed = 0.0, 0.0
+        before, total, weighed = found, 0.0, 0.0
         for number in range(len(differences)):
-            if squared(differences[number] - found) < INLIER * INLIER * variances[number]:
-                total += 1 / variances[number]
-                weighed += differences[number] / variances[number]
+            if squared(differences[number] - found) * weights[number] < INLIER * INLIER:
+                total += weights[number]
+                weighed += differences[number] * weights[number]
         if total > 0:
             found = weighed / total
+        if found == before:
+            break
     return found, total
 
 
@@ -80,13 +82,13 @@ def compare_shifts(
             said[shift, point] = np.nan
         if count < least:
             continue
-        differences, variances = met[0, :count], met[1, :count]
-        found, total = _robust_mean(differences, variances)
+        differences, weights = met[0, :count], met[1, :count]
+        found, total = _robust_mean(differences, weights)
         up[shift, 0], up[shift, 1] = found, total
         for number in range(count):
             point = int(met[2, number])
-            off = squared(differences[number] - found) / (2 * variances[number])
-            density = np.exp(-off - log_density[point]) / np.sqrt(2 * np.pi * variances[number])
+            off = squared(differences[number] - found) * weights[number] / 2
+            density = np.exp(-off - log_density[point]) * np.sqrt(weights[number] / (2 * np.pi))
             said[shift, point] = np.log((1 - outliers) * density + outliers)
 
 

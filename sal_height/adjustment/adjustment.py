@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 
 import numpy as np
 
@@ -218,6 +219,7 @@ def _compared(
     shifts = np.array([form.at(known.unknowns) for form in forms])
     edges = [seen(dwell, form, layout) for dwell, form in zip(dwells, forms, strict=True)]
     strips = [Strip.of(range(own[0].start, own[-1].stop), dwells, shifts) for own in parts]
+    in_threads(attrgetter("points.surface"), [strip for strip in strips if strip.points.place.size])  # kept for later
     for number, (strip, own) in enumerate(zip(strips, parts, strict=True)):
         others, middle = _partners(strip, strips[:number], settings), forms[strip.middle]
         relative = [middle.minus([(1.0, forms[other.middle])]) for other in others]

@@ -17,6 +17,7 @@ import numpy as np
 from sal_height.beams import Beams, column_squint
 from sal_height.calibration import Calibration
 from sal_height.elevation import (
+    ESTIMATORS,
     CellResponse,
     ElevationEstimate,
     ElevationEstimator,
@@ -34,7 +35,7 @@ from sal_height.elevation import (
     without_imprecise,
     without_saturated,
 )
-from sal_height.errors import Rejected
+from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Grid, Trajectory, aperture_at
 from sal_height.imaging import (
     ImageSettings,
@@ -47,6 +48,7 @@ from sal_height.imaging import (
     image_beams,
     with_known_errors,
 )
+from sal_height.movers import Looked, MoverSettings, find_movers
 from sal_height.numeric import C64, Bool, Index
 from sal_height.relief import HeightField, height_field, joined_rows, level_turn
 from sal_height.sensor import Channels, PhaseHistory, Sensor, count_saturated, range_compressed, with_powers
@@ -274,6 +276,33 @@ def judged(estimate: ElevationEstimate, seen: Observed, settings: HeightSettings
     estimate = with_foreign_power(estimate, foreign)
     estimate = without_imprecise(estimate, settings.max_sigma_beamwidths * beams.beamwidth)
     return without_saturated(estimate) if seen.saturated_share > settings.max_saturated_share else estimate
+
+
+def movers(slc: Slc, sensor: Sensor, settings: MoverSettings, calibration: Calibration | None = None) -> Looked:
+    """What moves in an image of a strip, its place, height and radial velocity.
+
+    Args:
+        slc: images of all channels.
+        sensor: whose phase history they were made from.
+        settings: of the search.
+        calibration: that the images were made with; None: the beams are as the sensor describes them.
+
+    Raises:
+        Rejected: too few channels have a signal.
+        UserError: the sensor is in spotlight, where the beam follows a target whatever its velocity; or noise powers
+            are not known.
+    """
+    if sensor.mode != "stripmap":
+        raise UserError(
+            f"Sensor {sensor.name} is of mode {sensor.mode}; movers are found in stripmap only, where the beam passes "
+            "them and so tells their direction."
+        )
+    live = live_channels(slc.images, sensor)
+    channels, beams = channels_and_beams(slc, sensor, ESTIMATORS["ml"], calibration, live)
+    images = np.tensordot(channels.transform, slc.images[live], 1)
+    # In one direction at a time, not averaged over those that an image is made from.
+    beams = replace(beams, aspects=np.zeros(1), weights=np.ones(1))
+    return find_movers(images, beams, slc, sensor, settings)
 
 
 def channels_and_beams(

@@ -19,7 +19,7 @@ LAYERS = (
     ("sensor",),
     ("elevation",),
     ("imaging", "relief", "simulation"),
-    ("calibration", "adjustment"),
+    ("calibration", "adjustment", "movers"),
     ("theory",),
     ("pipeline",),
     ("rehearsal",),

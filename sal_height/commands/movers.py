@@ -1,0 +1,49 @@
+"""`sal-height movers`: what moves in the strips of a bag."""
+
+from __future__ import annotations
+
+from sal_height.commands._options import (
+    DONE,
+    PROCESSING,
+    Bag,
+    NodeParameters,
+    OutputFolder,
+    Settings,
+    command,
+    complain,
+    node_parameters,
+    output_folder,
+    settings_values,
+)
+from sal_height.io import bag_name
+
+EXAMPLES = """
+  sal-height run --preset sal_stripmap
+  sal-height movers out/sal_stripmap/bag
+  sal-height movers BAG --set false_alarm_rate=1e-5 --set prominence_db=15
+"""
+
+app = command("movers", PROCESSING, EXAMPLES)
+
+
+@app.default
+def movers(bag: Bag, /, *, set_: Settings = (), param: NodeParameters = (), out: OutputFolder = None) -> int:
+    """Find what moves in the strips of a bag: place, height and radial velocity.
+
+    A mover's image lies beside it along the flight, by range times radial velocity
+    over speed. Where in the beam it was seen tells its velocity, and with it place
+    and height, up to half of the velocity that pulses cannot tell from none. What
+    stands still is taken for a mover in at most false_alarm_rate of what is looked
+    at. The output folder holds report.json.
+
+    Args:
+        out: Output folder, new or empty. Default: out/movers_BAG, or the next free of out/movers_BAG_2, ….
+    """
+    from sal_height.runs.movers import find_in_bag
+
+    folder = output_folder(out, f"movers_{bag_name(bag)}")
+    found = find_in_bag(bag, folder, node_parameters(param), settings_values(set_))
+    print(found.table())
+    complain(found.warnings)
+    print(f"see {folder}/report.json")
+    return DONE

@@ -1,0 +1,26 @@
+"""Settings of the search for what moves."""
+
+from __future__ import annotations
+
+from sal_height.settings import Settings, setting
+
+
+class MoverSettings(Settings):
+    """What is looked at, and how sure a mover must be."""
+
+    prominence_db: float = setting(
+        10.0,
+        "power of a pixel over the median of its row, from which it is looked at",
+        unit="dB",
+        minimum=3.0,
+        maximum=60.0,
+    )
+    false_alarm_rate: float = setting(
+        1e-3,
+        "greatest share of what is looked at and stands still that may be taken for a mover",
+        minimum=1e-9,
+        maximum=0.1,
+    )
+    chip_pixels: int = setting(
+        32, "pixels along the flight from which the spectrum of a bright pixel is taken", minimum=16, maximum=256
+    )

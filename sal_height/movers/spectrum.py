@@ -1,0 +1,74 @@
+"""Spectra along the flight of pieces of a strip's image, bin by bin with the aspect under which each was seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from sal_height.beams import Beams
+from sal_height.geometry import aperture_at, squint_on_cone
+from sal_height.imaging import Slc
+from sal_height.imaging.weighting import Processing
+from sal_height.numeric import C64, C128, F64, Index
+from sal_height.sensor import Sensor, processed_angle
+
+LEAST_WEIGHT = 0.35
+"""Weight of the azimuth window, over its greatest, from which a bin is used."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bins:
+    """The bins of the spectra of some pixels along the flight.
+
+    Attributes:
+        pixels: number of pixels.
+        numbers: of the bins in the order of `numpy.fft.fft`, increasing with the aspect, shape (bins,).
+        aspects: under which the antenna saw what stands still and is in these bins, as a squint, rad, same shape.
+        weights: of the azimuth window, rms 1, same shape.
+        frequencies: in cycles per resolution cell, from -1/2 to 1/2, same shape.
+    """
+
+    pixels: int
+    numbers: Index
+    aspects: F64
+    weights: F64
+    frequencies: F64
+
+    @classmethod
+    def of(cls, slc: Slc, sensor: Sensor, pixels: int) -> Self:
+        """The bins of so many pixels of a row of an image."""
+        grid, angle = slc.grid, processed_angle(sensor)
+        middle = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2)
+        aperture = aperture_at(middle, slc.aperture)
+        sight = middle - aperture.position
+        abeam = float(sight @ aperture.direction / np.linalg.norm(sight))
+        # A pixel's phase turns by 4 pi / wavelength per metre of range: its frequency is that of the line of sight.
+        whole = sensor.wavelength / (2 * grid.col_spacing)
+        cones: F64 = np.asarray(np.fft.fftfreq(pixels) * whole, np.float64)
+        cones += whole * np.rint((abeam - cones) / whole)
+        off = cones - abeam
+        taper = Processing(azimuth_window=slc.azimuth_window, angle=angle)
+        weights = taper.angle_weights(off, np.full(pixels, whole / pixels))
+        used = np.flatnonzero((weights > LEAST_WEIGHT * weights.max()) & (np.abs(off) <= angle / 2))
+        used = used[np.argsort(off[used])]
+        aspects = squint_on_cone(float(np.mean(sensor.beams.span)), cones[used], aperture, sensor.look_side)
+        weights = weights[used] / np.sqrt(np.mean(weights[used] ** 2))
+        return cls(pixels, used, aspects, weights, off[used] / angle)
+
+    def spectra(self, pixels: C64 | C128) -> C128:
+        """Spectra of pixels about the middle one without the window; noise has in each bin the power that pixels have.
+
+        Args:
+            pixels: of images, shape (..., pixels).
+
+        Returns:
+            Complex128 of shape (..., bins).
+        """
+        turned = np.fft.fft(np.fft.ifftshift(pixels, axes=-1), axis=-1)[..., self.numbers]
+        return np.asarray(turned * np.sqrt(len(self.numbers)) / (self.weights * self.pixels))
+
+    def amplitudes(self, beams: Beams, elevation: float, lags: F64) -> C128:
+        """Of all channels for a target with each of the lags (rad), shape (lags, bins, channels)."""
+        return np.asarray(beams.response(elevation, self.aspects + lags[:, None]))

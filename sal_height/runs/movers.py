@@ -1,0 +1,165 @@
+"""`sal-height movers`: what moves in the strips of a bag, with its place, height and radial velocity."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from sal_height.bag.namespace import NamespacedReader
+from sal_height.bag.reader import BagReader
+from sal_height.errors import UserError
+from sal_height.geometry import sphere_coordinates
+from sal_height.io import new_folder
+from sal_height.movers import Looked, Mover, MoverSettings
+from sal_height.pipeline import movers
+from sal_height.runs.campaign import Case, plan
+from sal_height.runs.catalogue import NodeParameters
+from sal_height.runs.recorded_dwells import FRAME_TOPIC, ODOMETRY_TOPIC, Compressed, RecordedDwells, Work
+from sal_height.runs.reporting import reporting
+
+MOST_DWELLS = 1_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class SeenMover:
+    """A mover, and in which image it was seen.
+
+    Attributes:
+        dwell: number of the block that completed the image.
+        stamp_ns: of its first pulse.
+        mover: what was found.
+    """
+
+    dwell: int
+    stamp_ns: int
+    mover: Mover
+
+    def summary(self) -> dict[str, Any]:
+        """What the report says of it."""
+        east, north, height = (float(value) for value in sphere_coordinates(self.mover.position))
+        one = self.mover
+        return {
+            "dwell": self.dwell,
+            "stamp_ns": self.stamp_ns,
+            "east_m": east,
+            "north_m": north,
+            "height_m": height,
+            "covariance_m2": one.covariance.tolist(),
+            "height_sigma_m": one.sigma,
+            "radial_velocity_mps": one.radial_velocity,
+            "radial_velocity_sigma_mps": one.velocity_sigma,
+            "ambiguity_mps": one.ambiguity,
+            "likelihood_ratio": one.likelihood_ratio,
+            "cnr_db": one.cnr_db,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class FoundMovers:
+    """What was found in a bag.
+
+    Attributes:
+        movers: in the order of time.
+        candidates: number of pixels that were looked at.
+        images: number of images.
+        warnings: sentences on what could not be used.
+    """
+
+    movers: Sequence[SeenMover]
+    candidates: int
+    images: int
+    warnings: Sequence[str]
+
+    def table(self) -> str:
+        """A line for each mover."""
+        lines = [f"{len(self.movers)} movers; {self.candidates} bright pixels of {self.images} images were looked at"]
+        if self.movers:
+            lines.append(f"{'dwell':>6}{'east m':>11}{'north m':>11}{'height m':>10}{'+-':>7}{'mm/s':>9}{'+-':>7}")
+        for seen in self.movers:
+            one = seen.summary()
+            place = f"{one['east_m']:11.3f}{one['north_m']:11.3f}{one['height_m']:10.3f}{one['height_sigma_m']:7.3f}"
+            speed = f"{1e3 * one['radial_velocity_mps']:9.2f}{1e3 * one['radial_velocity_sigma_mps']:7.2f}"
+            lines.append(f"{seen.dwell:6d}{place}{speed}")
+        if self.movers:
+            period = 1e3 * self.movers[0].mover.ambiguity
+            lines.append(f"Velocities that differ by multiples of {period:.4g} mm/s look the same.")
+        return "\n".join(lines)
+
+
+def find_in_bag(
+    bag: Path, out: Path, given: NodeParameters | None = None, wanted: Mapping[str, Any] | None = None
+) -> FoundMovers:
+    """Compress the strips of a bag and find what moves; leaves report.json in `out`.
+
+    Args:
+        bag: folder of the recorded bag, or its .mcap file.
+        out: folder; must be new or empty.
+        given: parameters of nodes that replace recorded ones.
+        wanted: settings of the search by name.
+
+    Raises:
+        UserError: the bag cannot be used or has no strips, or a parameter or a setting is not allowed.
+    """
+    settings = MoverSettings(**(wanted or {}))
+    scheme = plan(Case(bag, out, {}, given or {}, ("ml",)), MOST_DWELLS)
+    with reporting(new_folder(out), {"bag": bag.name, "settings": settings.model_dump()}) as report:
+        work = scheme.works[0]
+        reader = NamespacedReader(work.bag, work.namespace)
+        looking = _Looking(work, reader, settings)
+        count = sum(reader.topics[topic].count for topic in (ODOMETRY_TOPIC, FRAME_TOPIC) if topic in reader.topics)
+        messages = reader.messages([ODOMETRY_TOPIC, FRAME_TOPIC])
+        for recorded in tqdm(messages, total=count, unit="message", desc="images"):
+            looking.take(recorded)
+        looking.end()
+        warnings = [*scheme.warnings, *looking.losses.sentences.values()]
+        if not looking.images:
+            raise UserError(f"Bag {bag} has no image in which movers could be looked for. {' '.join(warnings[:1])}")
+        candidates = sum(one.candidates for one in looking.images)
+        report |= {
+            "images": len(looking.images),
+            "candidates": candidates,
+            "expected_false_alarms_at_most": settings.false_alarm_rate * candidates,
+            "ground_lag_rad": [list(one.ground_lag) for one in looking.images],
+            "movers": [one.summary() for one in looking.seen],
+            "dropped": looking.losses.dropped,
+            "warnings": warnings,
+        }
+    return FoundMovers(looking.seen, candidates, len(looking.images), warnings)
+
+
+class _Looking(RecordedDwells):
+    """The strips of a bag, in which movers are looked for."""
+
+    def __init__(self, work: Work, reader: BagReader, settings: MoverSettings) -> None:
+        """Look with these settings.
+
+        Raises:
+            UserError: as its base; or the bag describes sensors, but none in stripmap.
+        """
+        super().__init__(work, reader)
+        modes = {sensor.mode for sensor in self.sensors.values()}
+        if modes and "stripmap" not in modes:
+            raise UserError(
+                f"Bag {work.bag} is of mode {', '.join(sorted(modes))}; movers are found in stripmap only, where the "
+                "beam passes them and so tells their direction."
+            )
+        self._settings = settings
+        self.images: list[Looked] = []
+        self.seen: list[SeenMover] = []
+
+    def made(self, compressed: Compressed) -> None:
+        """Look for movers in an image."""
+        try:
+            found = movers(compressed.slc, compressed.sensor, self._settings, compressed.calibration)
+        except UserError as error:
+            self.losses.drop("movers", error)
+            return
+        frame = compressed.frames[0]
+        self.images.append(found)
+        in_order = sorted(found.movers, key=lambda one: float(np.dot(one.position, compressed.slc.aperture.direction)))
+        self.seen += [SeenMover(frame.dwell, frame.stamp_ns, one) for one in in_order]

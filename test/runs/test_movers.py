@@ -1,0 +1,40 @@
+"""`sal-height movers`: from a bag to a report."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from sal_height.errors import UserError
+from sal_height.runs.movers import find_in_bag
+from sal_height.runs.sensor_bag import record_sensor
+from sal_height.simulation.preset import TargetSettings, load_preset
+
+
+def recorded(folder: Path, preset: str, **changes: object) -> Path:
+    """The bag of a short flight."""
+    return record_sensor(replace(load_preset(preset), **changes), 3, folder)  # type: ignore[arg-type]
+
+
+def test_a_mover_is_in_the_report(tmp_path: Path) -> None:
+    target = TargetSettings(0.4, 1.0, 1.0, 30.0, radial_velocity_mps=0.005)
+    bag = recorded(tmp_path / "bag", "sal_stripmap", targets=(target,))
+    found = find_in_bag(bag, tmp_path / "out", wanted={"false_alarm_rate": 1e-3})
+    report = json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8"))
+    (one,) = report["movers"]
+    assert one["east_m"] == pytest.approx(0.4, abs=0.03)
+    assert one["north_m"] == pytest.approx(1.0, abs=0.03)
+    assert one["height_m"] == pytest.approx(1.0, abs=0.03)
+    assert one["radial_velocity_mps"] == pytest.approx(0.005, abs=4 * one["radial_velocity_sigma_mps"])
+    assert report["images"] == found.images == 8
+    assert report["expected_false_alarms_at_most"] == pytest.approx(1e-3 * report["candidates"])
+    assert f"{1e3 * one['radial_velocity_mps']:.2f}" in found.table()
+
+
+def test_a_bag_without_strips_is_refused(tmp_path: Path) -> None:
+    bag = recorded(tmp_path / "bag", "small", dwells=2)
+    with pytest.raises(UserError, match="stripmap only"):
+        find_in_bag(bag, tmp_path / "out")

@@ -46,6 +46,9 @@ MEDIAN_ERROR = 1.25
 ROW_ERROR = 0.15
 """Standard deviation of a target's place in range, in rows: neighbours shift the peak of its power."""
 
+SAME_ELEVATION = 0.01
+"""Change of an elevation, in beamwidths, that changes nothing of a lag."""
+
 PARTS = 5
 """Of the bins, whose elevations are compared."""
 
@@ -170,7 +173,10 @@ class _Search:
         spectra = self.bins.spectra(self.images[:, row, first : first + self.bins.pixels]).T
         lag, told, elevation, variance, background, centre = 0.0, np.zeros(0), 0.0, 0.0, 1.0, 0.0
         for _ in range(2):  # elevation for a lag, and the lag for the elevation
+            before = elevation
             elevation, variance = self._elevation(spectra, lag)
+            if abs(elevation - before) < SAME_ELEVATION * self.beams.beamwidth:
+                break  # as with all beams that separate: the lag stays, too
             background = self._background(row, elevation, spectra)
             amplitudes = self.bins.amplitudes(self.beams, elevation, self.lags)
             gains = np.linalg.norm(amplitudes, axis=-1)

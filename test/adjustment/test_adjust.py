@@ -10,6 +10,7 @@ from flown_passes import BORESIGHT, flown, flown_as, preset_of
 
 from benchmarks.passes import FlownPasses
 from sal_height.adjustment import Adjustment, AdjustmentSettings, ObservedDwell, References, Target, Terrain, adjust
+from sal_height.adjustment.equations import Form
 from sal_height.adjustment.observed import BORESIGHT as TURN
 from sal_height.adjustment.observed import vibration_of
 from sal_height.imaging import Centroid, Placement
@@ -96,6 +97,39 @@ def test_references_that_are_not_there_change_nothing(references: References) ->
     alone, other = (adjust(passes.dwells, mounting, SETTINGS, known) for known in (References(), references))
     assert not any(one.is_absolute for one in other.comparisons)
     np.testing.assert_allclose(other.shifts[0], alone.shifts[0], atol=1e-9)
+
+
+def test_a_target_that_does_not_stand_out_is_none() -> None:
+    """All points as bright as each other, or one 20 dB brighter."""
+    dwell = flown().dwells[0]
+    points, reach = dwell.points, np.full(3, 1.0)
+    place = points.place[len(points.place) // 2]
+    target, form = Target(*place.tolist()), Form(np.zeros(1, np.int64), np.zeros((3, 1)), np.zeros(3))
+    level = replace(points, cnr_db=np.full(len(points.place), 10.0))
+    bright = replace(level, cnr_db=np.where(np.all(points.place == place, axis=1), 30.0, 10.0))
+    assert target.sighted(level, form, np.zeros(3), reach) is None
+    equation = target.sighted(bright, form, np.zeros(3), reach)
+    assert equation is not None
+    np.testing.assert_allclose(equation.right, 0.0, atol=1e-9)
+
+
+def test_dwells_are_compared_with_as_many_others_as_wanted() -> None:
+    passes = flown()
+    few, many = (
+        len(adjust(passes.dwells, passes.flight.sensor.mounting, settings).comparisons)
+        for settings in (SETTINGS.model_copy(update={"partners": n}) for n in (1, 4))
+    )
+    assert 0 < few <= len(passes.dwells)
+    assert many > 1.5 * few
+
+
+def test_nothing_is_looked_for_farther_than_wanted() -> None:
+    """Dwells lie off by many pixels: those that may be a third of one off, in each of two searches, stay apart."""
+    passes = flown()
+    near = SETTINGS.model_copy(update={"reach_spacings": 1 / 3})
+    errors, _ = errors_of(adjust(passes.dwells, passes.flight.sensor.mounting, near), passes)
+    apart = np.sqrt(np.mean((errors - errors.mean(axis=0)) ** 2, axis=0))
+    assert np.all(apart[:2] > 0.1), apart
 
 
 def test_passes_that_do_not_overlap_stay_as_odometry_has_them() -> None:

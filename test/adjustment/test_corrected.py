@@ -104,6 +104,15 @@ def test_covariance_is_that_of_pose_and_mounting_together_near_dwells_and_the_st
     np.testing.assert_allclose(near.velocity_covariance, np.eye(3), atol=1e-12)
 
 
+def test_jitter_that_odometry_does_not_contain_is_in_the_attitude() -> None:
+    adjustment, states = adjustment_with(np.zeros((2, STATE)), np.zeros(COMMON)), true_states()[:1]
+    calm, shaken = (
+        corrected_states(states, [0.0], adjustment, MOUNTING, AdjustmentSettings(jitter_rad=jitter))[0].covariance
+        for jitter in (1e-9, 0.1)
+    )
+    np.testing.assert_allclose(shaken - calm, 0.01 * np.diag([0, 0, 0, 1, 1, 1]), atol=1e-9)
+
+
 def test_beyond_the_knots_velocity_stays() -> None:
     knots = np.zeros((2, STATE))
     knots[:, 0], knots[:, 3] = [1.0, 1.2], 0.02

@@ -225,6 +225,45 @@ def test_centroid_is_off_as_foretold(name: str, heading: str) -> None:
     assert told[1].right - told[0].right == pytest.approx(expected, abs=4e-4, rel=0.03)
 
 
+def one_dwell() -> ObservedDwell:
+    slc, field, _ = imaged(0, None)
+    return observed(0, slc, field)
+
+
+def test_velocity_of_a_knot_moves_the_dwells_after_it() -> None:
+    """By what the knot's position changes until the dwell."""
+    dwell, mounting = one_dwell(), flown().sensor.mounting
+    at, later = (
+        displacement(0, replace(dwell, stated=replace(dwell.stated, seconds=seconds)), LAYOUT, mounting).values
+        for seconds in (0.0, 2.5)
+    )
+    np.testing.assert_allclose((later - at)[:, 3:6], 2.5 * np.eye(3), atol=1e-12)
+
+
+def test_an_attitude_swings_the_antenna_on_its_arm() -> None:
+    dwell, mounting = one_dwell(), flown().sensor.mounting
+    with_arm, without = (
+        displacement(0, dwell, LAYOUT, one).values[:, 6:9]
+        for one in (mounting, replace(mounting, lever_arm=(0.0, 0.0, 0.0)))
+    )
+    body = dwell.aperture.rotation @ mounting.axes.inv().as_matrix()
+    arm = body @ np.array(mounting.lever_arm)
+    for number, turn in enumerate(np.eye(3)):
+        np.testing.assert_allclose((with_arm - without)[:, number], np.cross(turn, arm), atol=1e-12)
+
+
+def test_images_that_lie_where_the_beams_are_turn_with_them() -> None:
+    """Along the flight by the range times the turn of the line of sight; velocity does not move them."""
+    dwell, mounting = one_dwell(), replace(flown().sensor.mounting, lever_arm=(0.0, 0.0, 0.0))
+    dwell = replace(dwell, placement=replace(dwell.placement, by_beams=True))
+    values, f = displacement(0, dwell, LAYOUT, mounting).values, dwell.aperture.direction
+    expected = [dwell.slant_range * f @ np.cross(turn, dwell.sight) for turn in np.eye(3)]
+    np.testing.assert_allclose(f @ values[:, 6:9], expected, atol=1e-6 * dwell.slant_range)
+    assert max(np.abs(expected)) > 0.5 * dwell.slant_range
+    _, since = LAYOUT.drift.knot_of(dwell.seconds)
+    np.testing.assert_allclose(values[:, 3:6], since * np.eye(3), atol=1e-12)
+
+
 def test_slices_name_all_that_dwells_share() -> None:
     numbers = np.arange(COMMON)
     named = [*numbers[BORESIGHT], *numbers[LEVER_ARM], DELAY, PITCH]

@@ -35,7 +35,7 @@ from sal_height.elevation import (
     without_imprecise,
     without_saturated,
 )
-from sal_height.errors import Rejected, UserError
+from sal_height.errors import Rejected
 from sal_height.geometry import Grid, Trajectory, aperture_at
 from sal_height.imaging import (
     ImageSettings,
@@ -48,7 +48,7 @@ from sal_height.imaging import (
     image_beams,
     with_known_errors,
 )
-from sal_height.movers import Looked, MoverSettings, find_movers
+from sal_height.movers import Looked, MoverSettings, check_sensor, find_movers
 from sal_height.numeric import C64, Bool, Index
 from sal_height.relief import HeightField, height_field, joined_rows, level_turn
 from sal_height.sensor import Channels, PhaseHistory, Sensor, count_saturated, range_compressed, with_powers
@@ -288,16 +288,17 @@ def movers(slc: Slc, sensor: Sensor, settings: MoverSettings, calibration: Calib
         calibration: that the images were made with; None: the beams are as the sensor describes them.
 
     Raises:
-        Rejected: too few channels have a signal.
-        UserError: the sensor is in spotlight, where the beam follows a target whatever its velocity; or noise powers
-            are not known.
+        Rejected: too few channels have a signal, too many samples are clipped, or the image has too few columns.
+        UserError: the sensor cannot tell movers (`movers.check_sensor`), or noise powers are not known.
     """
-    if sensor.mode != "stripmap":
-        raise UserError(
-            f"Sensor {sensor.name} is of mode {sensor.mode}; movers are found in stripmap only, where the beam passes "
-            "them and so tells their direction."
-        )
+    check_sensor(sensor)
     live = live_channels(slc.images, sensor)
+    if (clipped := float(slc.saturated_share[live].max())) > settings.max_saturated_share:
+        raise Rejected(
+            "saturated",
+            f"A channel has {clipped:.2g} of its samples clipped, which spoils elevations; max_saturated_share allows "
+            f"{settings.max_saturated_share:g}.",
+        )
     channels, beams = channels_and_beams(slc, sensor, ESTIMATORS["ml"], calibration, live)
     images = np.tensordot(channels.transform, slc.images[live], 1)
     # In one direction at a time, not averaged over those that an image is made from.

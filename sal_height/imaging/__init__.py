@@ -6,13 +6,13 @@ Read `focus` first (`focus_dwell`, `StripFocuser`: the whole of it), then `pixel
 join) and `beams` (patterns in strip images).
 """
 
-from sal_height.imaging.autofocus.placement import Centroid, Placement
+from sal_height.imaging.autofocus.placement import Centroid, NavigationPrior, Placement
 from sal_height.imaging.beams import image_beams
 from sal_height.imaging.corrections import CorrectionSettings, correct_dwell, correct_track, with_known_errors
 from sal_height.imaging.focus import ImageSettings, Slc, StripFocuser, cell_response, focus_dwell
 from sal_height.imaging.formers.backprojection import backproject
 from sal_height.imaging.formers.choice import FORMERS, FormImages
-from sal_height.imaging.pixels import azimuth_resolution
+from sal_height.imaging.pixels import azimuth_resolution, line_of_sight
 from sal_height.imaging.weighting import Processing
 
 __all__ = [
@@ -21,6 +21,7 @@ __all__ = [
     "CorrectionSettings",
     "FormImages",
     "ImageSettings",
+    "NavigationPrior",
     "Placement",
     "Processing",
     "Slc",
@@ -32,5 +33,6 @@ __all__ = [
     "correct_track",
     "focus_dwell",
     "image_beams",
+    "line_of_sight",
     "with_known_errors",
 ]

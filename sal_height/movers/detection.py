@@ -2,13 +2,14 @@
 
 Nothing but the direction in which it was seen tells a mover from what stands still. For each bright pixel elevation and
 lag (`likelihood`) are estimated together. Twice the logarithm of the likelihood of the best lag over that of the ground
-is what tells that it moves; with what stands still, it exceeds t in less than HYPOTHESES exp(-t / 2) of all cases: each
-of the lags that can be told apart does so in less than exp(-t / 2) (Markov's inequality of likelihood ratios).
+is what tells that it moves. With what stands still, each other lag has a ratio beyond t in less than exp(-t / 2) of all
+cases (Markov's inequality, if power and width were known), and the best of the lags that can be told apart in about as
+many times more: HYPOTHESES, measured with pairs of points in one cell, the worst of what was tried.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -17,8 +18,9 @@ from scipy.optimize import nnls
 from scipy.special import logsumexp
 
 from sal_height.beams import Beams
+from sal_height.errors import Rejected, UserError
 from sal_height.geometry import aperture_at, locate_at_elevation
-from sal_height.imaging import Slc
+from sal_height.imaging import NavigationPrior, Slc, line_of_sight
 from sal_height.movers.likelihood import LagLikelihood
 from sal_height.movers.settings import MoverSettings
 from sal_height.movers.spectrum import Bins
@@ -46,8 +48,11 @@ MEDIAN_ERROR = 1.25
 ROW_ERROR = 0.15
 """Standard deviation of a target's place in range, in rows: neighbours shift the peak of its power."""
 
-SAME_ELEVATION = 0.01
-"""Change of an elevation, in beamwidths, that changes nothing of a lag."""
+GAIN_DIGITS = 3
+"""Decimals of a gain over the greatest: what differs by less has the same likelihood."""
+
+LEAST_COLUMNS = 16
+"""Of an image, along the flight."""
 
 PARTS = 5
 """Of the bins, whose elevations are compared."""
@@ -102,6 +107,24 @@ class Looked:
     ground_lag: tuple[float, float]
 
 
+def check_sensor(sensor: Sensor) -> None:
+    """Movers can be told with a sensor.
+
+    Raises:
+        UserError: it is in spotlight, where the beam follows a target whatever its velocity, or channels are blanked.
+    """
+    if sensor.mode != "stripmap":
+        raise UserError(
+            f"Sensor {sensor.name} is of mode {sensor.mode}; movers are found in stripmap only, where the beam passes "
+            "them and so tells their direction."
+        )
+    if sensor.blanked_ranges:
+        raise UserError(
+            f"Sensor {sensor.name} has channels that do not receive over some ranges (channels.blanked_ranges); movers "
+            "are found only where all channels receive."
+        )
+
+
 def find_movers(images: C64 | C128, beams: Beams, slc: Slc, sensor: Sensor, settings: MoverSettings) -> Looked:
     """Find what moves in an image of a strip.
 
@@ -111,18 +134,30 @@ def find_movers(images: C64 | C128, beams: Beams, slc: Slc, sensor: Sensor, sett
         slc: that the images are of.
         sensor: that took them.
         settings: of the search.
+
+    Raises:
+        Rejected: the image has too few columns.
     """
+    if images.shape[-1] < LEAST_COLUMNS:
+        raise Rejected(
+            "few columns",
+            f"An image of a strip has {images.shape[-1]} columns; {LEAST_COLUMNS} are needed to tell movers (parameter "
+            "cols of sar_compression).",
+        )
+    images = np.where(np.isfinite(images), images, 0)
     bins = Bins.of(slc, sensor, min(settings.chip_pixels, images.shape[-1] // 2 * 2))
     steps = round(FARTHEST / STEP)
     lags: F64 = sensor.beams.track_beamwidth * STEP * np.arange(-steps, steps + 1, dtype=np.float64)
     whole = Bins.of(slc, sensor, images.shape[-1])
-    ground = _ground_lag(images, beams, whole, lags, _lag_by_odometry(slc))
+    ground = _ground_lag(images, beams, whole, lags, _lag_by_odometry(slc, sensor))
     candidates = _bright(images, settings.prominence_db)
     threshold = 2 * np.log(HYPOTHESES / settings.false_alarm_rate)
     search = _Search(images, beams, bins, lags)
     found = []
     for row, col in np.argwhere(candidates):
         seen = search.at(int(row), int(col))
+        if seen is None:
+            continue
         ratio = 2 * (seen.told.max() - float(np.interp(ground[0], lags, seen.told)))
         if ratio > threshold and 0 < seen.told.argmax() < len(lags) - 1:
             found.append(_mover(seen, ratio, lags, ground, slc, sensor))
@@ -166,32 +201,40 @@ class _Search:
     beams: Beams
     bins: Bins
     lags: F64
+    _likelihoods: dict[bytes, LagLikelihood] = field(default_factory=dict)
 
-    def at(self, row: int, col: int) -> _Seen:
-        """Elevation and likelihoods of the lags of the target at a pixel."""
+    def at(self, row: int, col: int) -> _Seen | None:
+        """Elevation and likelihoods of the lags of the target at a pixel; None: it is at an end of the array."""
         first = int(np.clip(col - self.bins.pixels // 2, 0, self.images.shape[-1] - self.bins.pixels))
         spectra = self.bins.spectra(self.images[:, row, first : first + self.bins.pixels]).T
-        lag, told, elevation, variance, background, centre = 0.0, np.zeros(0), 0.0, 0.0, 1.0, 0.0
-        for _ in range(2):  # elevation for a lag, and the lag for the elevation
-            before = elevation
-            elevation, variance = self._elevation(spectra, lag)
-            if abs(elevation - before) < SAME_ELEVATION * self.beams.beamwidth:
-                break  # as with all beams that separate: the lag stays, too
-            background = self._background(row, elevation, spectra)
-            amplitudes = self.bins.amplitudes(self.beams, elevation, self.lags)
-            gains = np.linalg.norm(amplitudes, axis=-1)
-            matched = np.sum(amplitudes.conj() * spectra, axis=-1) / np.maximum(gains, 1e-12) / np.sqrt(background)
-            # Beyond its main lobe the antenna may have the sidelobes of its pattern, or none.
-            likelihoods = [
-                LagLikelihood(self.bins.frequencies, g, self._known) for g in (gains, np.where(self._known, gains, 0.0))
-            ]
-            peak, centre = _centres(matched[len(self.lags) // 2], self.bins.frequencies)
-            turned = [matched * np.exp(2j * np.pi * self.bins.frequencies * place) for place in (peak, centre)]
-            told = np.max([one.of(spectrum) for one in likelihoods for spectrum in turned], axis=0)
-            lag = float(self.lags[told.argmax()])
-        cnr = float(np.sum(np.abs(spectra) ** 2) / len(spectra)) / background
-        middle = first + self.bins.pixels // 2 + centre * self._pixels_per_cell
-        return _Seen(self._row(row, col), middle, elevation, float(np.sqrt(variance)), told, cnr)
+        power = float(np.sum(np.abs(spectra) ** 2)) / len(spectra)
+        # The elevation of what stands still; where beams do not separate, a lag changes it a little.
+        found = self._elevation(spectra, 0.0)
+        if found is None:
+            return None
+        background = self._background(row, found[0])
+        told, centre = self._told(spectra, found[0], max(background, MODEL_ERROR * power))
+        found = self._elevation(spectra, float(self.lags[told.argmax()]))
+        if found is None:
+            return None
+        middle = first + self.bins.pixels // 2 + centre * self.bins.pixels / len(self.bins.numbers)
+        return _Seen(self._row(row, col), middle, *found, told, power / background)
+
+    def _told(self, spectra: C128, elevation: float, background: float) -> tuple[F64, float]:
+        """Likelihoods of the lags of a target at an elevation, and how many cells it lies off the middle."""
+        amplitudes = self.bins.amplitudes(self.beams, elevation, self.lags)
+        gains = np.linalg.norm(amplitudes, axis=-1)
+        matched = np.sum(amplitudes.conj() * spectra, axis=-1) / np.maximum(gains, 1e-12) / np.sqrt(background)
+        peak, centre = _centres(matched[len(self.lags) // 2], self.bins.frequencies)
+        turned = [matched * np.exp(2j * np.pi * self.bins.frequencies * place) for place in (peak, centre)]
+        # Beyond its main lobe the antenna may have the sidelobes of its pattern, or none.
+        likelihoods = [self._likelihood(gains), self._likelihood(np.where(self._known, gains, 0.0))]
+        return np.max([one.of(spectrum) for one in likelihoods for spectrum in turned], axis=0), centre
+
+    def _likelihood(self, gains: F64) -> LagLikelihood:
+        """That of these gains, whatever their scale: where beams separate, the same for all pixels."""
+        shape = np.round(gains / gains.max(), GAIN_DIGITS)
+        return self._likelihoods.setdefault(shape.tobytes(), LagLikelihood(self.bins.frequencies, shape, self._known))
 
     @cached_property
     def _known(self) -> Bool:
@@ -199,48 +242,50 @@ class _Search:
         lobe = max(pattern.main_lobe for pattern in self.beams.patterns) * self.beams.track_beamwidth
         return np.asarray(np.abs(self.bins.aspects + self.lags[:, None]) < lobe)
 
-    @property
-    def _pixels_per_cell(self) -> float:
-        """Pixels of the chip over its bins: how far apart cells of resolution are."""
-        return self.bins.pixels / len(self.bins.numbers)
-
     def _row(self, row: int, col: int) -> float:
         """Where in range the power has its peak, by the rows beside the brightest, in fractions of a row."""
         if not 0 < row < self.images.shape[1] - 1:
             return float(row)
-        before, there, after = np.log(np.sum(np.abs(self.images[:, row - 1 : row + 2, col]) ** 2, axis=0) + 1e-300)
-        return row + float(np.clip((after - before) / max(2 * (2 * there - before - after), 1e-12), -0.5, 0.5))
+        power = np.sum(np.abs(self.images[:, row - 1 : row + 2, col]) ** 2, axis=0)
+        return row + 0.5 * float(np.clip(2 * _vertex(np.log(power + 1e-300))[0], -1, 1))
 
-    def _elevation(self, spectra: C128, lag: float) -> tuple[float, float]:
-        """The most likely elevation of a target with a lag, and its variance.
+    def _elevation(self, spectra: C128, lag: float) -> tuple[float, float] | None:
+        """The most likely elevation of a target with a lag, and its standard deviation; None: that of an outer beam.
 
         Errors are those of the power that the target does not explain, and not less than parts of the bins differ:
         another surface in the same cell turns against the target from bin to bin.
         """
         low, high = self.beams.span
-        grid = np.arange(low, high, ELEVATION_STEP * self.beams.beamwidth)
+        step = ELEVATION_STEP * self.beams.beamwidth
+        grid = np.arange(low, high, step)
         amplitudes = self.beams.response(grid[:, None], self.bins.aspects + lag)
         in_bins = np.abs(np.sum(amplitudes.conj() * spectra, axis=-1)) ** 2
         gains = np.mean(np.sum(np.abs(amplitudes) ** 2, axis=-1), axis=-1)
         explained = np.sum(in_bins, axis=-1) / gains
-        best = int(np.clip(explained.argmax(), 1, len(grid) - 2))
-        before, there, after = explained[best - 1 : best + 2]
-        bend, step = max(2 * there - before - after, 1e-9 * there), grid[1] - grid[0]
-        left = (np.sum(np.abs(spectra) ** 2) - there) / (len(spectra) * (spectra.shape[1] - 1))
-        variance = max(left, MODEL_ERROR * there / len(spectra)) * step**2 / bend
-        elevation = grid[best] + step * np.clip((after - before) / (2 * bend), -1, 1)
+        best = int(explained.argmax())
+        if not 0 < best < len(grid) - 1:
+            return None
+        offset, bend = _vertex(explained[best - 1 : best + 2])
+        left = (np.sum(np.abs(spectra) ** 2) - explained[best]) / (len(spectra) * (spectra.shape[1] - 1))
+        variance = max(left, MODEL_ERROR * explained[best] / len(spectra)) * step**2 / bend
         parts = np.add.reduceat(in_bins, np.arange(PARTS) * len(spectra) // PARTS, axis=-1)
         shares = parts[best] / parts[best].sum()
         spread = np.sum((shares * (grid[parts.argmax(axis=0)] - grid[best])) ** 2)
-        return float(elevation), float(max(variance, spread))
+        return float(grid[best] + step * offset), float(np.sqrt(max(variance, spread)))
 
-    def _background(self, row: int, elevation: float, spectra: C128) -> float:
+    def _background(self, row: int, elevation: float) -> float:
         """Power of noise and ground that a target at an elevation has in its row and those beside it."""
         beam = self.beams.response(elevation, float(np.mean(self.bins.aspects)))
         rows = self.images[:, max(0, row - 2) : row + 3]
         power = np.abs(np.tensordot(beam.conj(), rows, 1)) ** 2 / np.sum(np.abs(beam) ** 2)
-        around = float(np.median(power)) / np.log(2)
-        return max(around, MODEL_ERROR * float(np.sum(np.abs(spectra) ** 2)) / len(spectra))
+        return max(float(np.median(power)) / np.log(2), 1e-300)
+
+
+def _vertex(values: F64) -> tuple[float, float]:
+    """Of the parabola through three values: how many steps it lies off the middle one, at most 1, and its bend."""
+    before, there, after = values.tolist()
+    bend = max(2 * there - before - after, 1e-12 * (1 + abs(there)))
+    return float(np.clip((after - before) / (2 * bend), -1, 1)), bend
 
 
 def _centres(spectrum: C128, frequencies: F64) -> tuple[float, float]:
@@ -249,8 +294,7 @@ def _centres(spectrum: C128, frequencies: F64) -> tuple[float, float]:
     places = np.arange(-len(frequencies) / 2, len(frequencies) / 2, step)
     power = np.abs(np.exp(2j * np.pi * places[:, None] * frequencies) @ (spectrum * np.hanning(len(frequencies)))) ** 2
     best = int(np.clip(power.argmax(), 1, len(places) - 2))
-    before, there, after = power[best - 1 : best + 2]
-    peak = places[best] + step * np.clip((after - before) / max(2 * (2 * there - before - after), 1e-12), -1, 1)
+    peak = places[best] + step * _vertex(power[best - 1 : best + 2])[0]
     near = np.abs(places - peak) < MARGIN
     return float(peak), float(np.sum(places[near] * power[near]) / np.sum(power[near]))
 
@@ -271,6 +315,9 @@ def _ground_lag(images: C64 | C128, beams: Beams, bins: Bins, lags: F64, prior: 
     if prior == 0:
         return 0.0, 0.0
     power = np.sum(np.abs(bins.spectra(images * np.hanning(images.shape[-1]))) ** 2, axis=0)
+    power = power[np.all(power > 0, axis=-1)]
+    if not len(power):
+        return 0.0, prior
     power = power / np.mean(power, axis=-1, keepdims=True)
     level, error = np.median(power, axis=0), MEDIAN_ERROR * np.std(power) / np.sqrt(len(power))
     gains = np.sum(np.abs(bins.amplitudes(beams, float(np.mean(beams.span)), lags)) ** 2, axis=-1)
@@ -287,16 +334,17 @@ def _ground_lag(images: C64 | C128, beams: Beams, bins: Bins, lags: F64, prior: 
     return lag, float(np.sqrt(weight @ (lags - lag) ** 2))
 
 
-def _lag_by_odometry(slc: Slc) -> float:
-    """Standard deviation of the lag of what stands still, rad, by the covariance of the pose; 0: it is exact."""
-    grid, covariance = slc.grid, slc.aperture.covariance
+def _lag_by_odometry(slc: Slc, sensor: Sensor) -> float:
+    """Standard deviation of the lag of what stands still, rad, by the covariance of the pose; 0: it is exact.
+
+    An error of the velocity is in that of the position along the flight (`Placement.seen_from`).
+    """
+    grid, aperture = slc.grid, slc.aperture
     middle = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2)
-    aperture = aperture_at(middle, slc.aperture)
-    sight, flight = middle - aperture.position, aperture.direction
-    slant_range = float(np.linalg.norm(sight))
-    turn = np.cross(sight / slant_range, flight)
-    variance = flight @ covariance[:3, :3] @ flight / slant_range**2 + turn @ covariance[3:, 3:] @ turn
-    return float(np.sqrt(variance)) if np.isfinite(variance) and variance > 0 else 0.0
+    slant_range = float(np.linalg.norm(middle - aperture_at(middle, aperture).position))
+    pointing = NavigationPrior.of(aperture, np.zeros((3, 3)), line_of_sight(sensor, aperture)).pointing
+    along = aperture.direction @ aperture.covariance[:3, :3] @ aperture.direction
+    return float(np.hypot(pointing, np.sqrt(along) / slant_range)) if along >= 0 else pointing
 
 
 def _mover(seen: _Seen, ratio: float, lags: F64, ground: tuple[float, float], slc: Slc, sensor: Sensor) -> Mover:
@@ -330,9 +378,8 @@ def _mover(seen: _Seen, ratio: float, lags: F64, ground: tuple[float, float], sl
 def _peak(told: F64, lags: F64) -> tuple[float, float]:
     """The most likely lag, and its standard deviation by the bend of the likelihood there."""
     best = int(np.clip(told.argmax(), 1, len(lags) - 2))
-    before, there, after = told[best - 1 : best + 2]
-    step, bend = lags[1] - lags[0], max(2 * there - before - after, 1e-6)
-    return float(lags[best] + step * np.clip((after - before) / (2 * bend), -1, 1)), float(step / np.sqrt(bend))
+    (offset, bend), step = _vertex(told[best - 1 : best + 2]), lags[1] - lags[0]
+    return float(lags[best] + step * offset), float(step / np.sqrt(bend))
 
 
 def _without_ambiguities(found: list[Mover]) -> tuple[Mover, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from sal_height.sensor import MAX_SHARE
 from sal_height.settings import Settings, setting
 
 
@@ -23,4 +24,10 @@ class MoverSettings(Settings):
     )
     chip_pixels: int = setting(
         32, "pixels along the flight from which the spectrum of a bright pixel is taken", minimum=16, maximum=256
+    )
+    max_saturated_share: float = setting(
+        MAX_SHARE,
+        "highest share of clipped samples in a channel; above it, an image is left out",
+        minimum=0.0,
+        maximum=1.0,
     )

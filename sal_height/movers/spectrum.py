@@ -9,8 +9,7 @@ import numpy as np
 
 from sal_height.beams import Beams
 from sal_height.geometry import aperture_at, squint_on_cone
-from sal_height.imaging import Slc
-from sal_height.imaging.weighting import Processing
+from sal_height.imaging import Processing, Slc
 from sal_height.numeric import C64, C128, F64, Index
 from sal_height.sensor import Sensor, processed_angle
 

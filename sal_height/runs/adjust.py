@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from rclpy.serialization import serialize_message
-from tqdm import tqdm
 
 from sal_height import messages
 from sal_height.adjustment import (
@@ -38,7 +37,7 @@ from sal_height.runs.campaign import Case, plan
 from sal_height.runs.catalogue import NodeParameters, parameters_of
 from sal_height.runs.recorded_dwells import (
     COMPRESSION,
-    FRAME_TOPIC,
+    MOST_DWELLS,
     ODOMETRY_TOPIC,
     Compressed,
     Losses,
@@ -55,8 +54,6 @@ COPIED = {FRAME_TYPE, SENSOR_TYPE, CALIBRATION_TYPE, FIX_TYPE}
 
 KNOWN = {"boresight_sigma_rad": 0.0, "lever_arm_sigma_m": 0.0, "odometry_delay_sigma_s": 0.0}
 """Parameters of the compression whose errors the covariance of the corrected odometry contains."""
-
-MOST_DWELLS = 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,10 +173,7 @@ def _observe(work: Work, reader: BagReader, estimator: str) -> tuple[list[Observ
         UserError: there is none.
     """
     observing = _Observing(work, reader, estimator)
-    count = sum(reader.topics[topic].count for topic in (ODOMETRY_TOPIC, FRAME_TOPIC) if topic in reader.topics)
-    for recorded in tqdm(reader.messages([ODOMETRY_TOPIC, FRAME_TOPIC]), total=count, unit="message", desc="heights"):
-        observing.take(recorded)
-    observing.end()
+    observing.read(reader, "heights")
     if not observing.dwells:
         why = next(iter(observing.losses.sentences.values()), "No dwell could be compressed.")
         raise UserError(f"Bag {work.bag} has no dwell that can be adjusted. {why}")

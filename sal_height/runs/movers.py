@@ -8,21 +8,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from sal_height.bag.namespace import NamespacedReader
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
 from sal_height.geometry import sphere_coordinates
 from sal_height.io import new_folder
-from sal_height.movers import Looked, Mover, MoverSettings
+from sal_height.movers import Looked, Mover, MoverSettings, check_sensor
 from sal_height.pipeline import movers
 from sal_height.runs.campaign import Case, plan
 from sal_height.runs.catalogue import NodeParameters
-from sal_height.runs.recorded_dwells import FRAME_TOPIC, ODOMETRY_TOPIC, Compressed, RecordedDwells, Work
+from sal_height.runs.recorded_dwells import MOST_DWELLS, Compressed, RecordedDwells, Work
 from sal_height.runs.reporting import reporting
-
-MOST_DWELLS = 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,11 +108,7 @@ def find_in_bag(
         work = scheme.works[0]
         reader = NamespacedReader(work.bag, work.namespace)
         looking = _Looking(work, reader, settings)
-        count = sum(reader.topics[topic].count for topic in (ODOMETRY_TOPIC, FRAME_TOPIC) if topic in reader.topics)
-        messages = reader.messages([ODOMETRY_TOPIC, FRAME_TOPIC])
-        for recorded in tqdm(messages, total=count, unit="message", desc="images"):
-            looking.take(recorded)
-        looking.end()
+        looking.read(reader, "images")
         warnings = [*scheme.warnings, *looking.losses.sentences.values()]
         if not looking.images:
             raise UserError(f"Bag {bag} has no image in which movers could be looked for. {' '.join(warnings[:1])}")
@@ -139,15 +132,11 @@ class _Looking(RecordedDwells):
         """Look with these settings.
 
         Raises:
-            UserError: as its base; or the bag describes sensors, but none in stripmap.
+            UserError: as its base; or a sensor of the bag cannot tell movers.
         """
         super().__init__(work, reader)
-        modes = {sensor.mode for sensor in self.sensors.values()}
-        if modes and "stripmap" not in modes:
-            raise UserError(
-                f"Bag {work.bag} is of mode {', '.join(sorted(modes))}; movers are found in stripmap only, where the "
-                "beam passes them and so tells their direction."
-            )
+        for sensor in self.sensors.values():
+            check_sensor(sensor)
         self._settings = settings
         self.images: list[Looked] = []
         self.seen: list[SeenMover] = []

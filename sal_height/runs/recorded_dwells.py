@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from tqdm import tqdm
+
 from sal_height import messages
 from sal_height.bag.reader import BagMessage, BagReader, LogTimes
 from sal_height.calibration import Calibration, load_calibration
@@ -29,6 +31,9 @@ from sal_height.sensor import Sensor
 COMPRESSION = "sar_compression"
 
 GAP = "odometry gap"
+
+MOST_DWELLS = 1_000_000
+"""Of a bag that is read as one part."""
 
 FRAME_TOPIC, ODOMETRY_TOPIC, CALIBRATIONS = f"/{FRAMES}", f"/{ODOMETRY}", f"/{CALIBRATION_TOPIC}"
 
@@ -174,6 +179,14 @@ class RecordedDwells:
     def _compression(self) -> Any:
         """Parameters of the compression."""
         return self.in_force.of(COMPRESSION)
+
+    def read(self, reader: BagReader, doing: str) -> None:
+        """Take in all frames and odometry of a bag, with a progress bar that says what is done."""
+        topics = [ODOMETRY_TOPIC, FRAME_TOPIC]
+        count = sum(reader.topics[topic].count for topic in topics if topic in reader.topics)
+        for recorded in tqdm(reader.messages(topics), total=count, unit="message", desc=doing):
+            self.take(recorded)
+        self.end()
 
     def take(self, recorded: BagMessage) -> None:
         """Take in a frame or a sample of odometry, and process the dwells that have all they need then."""

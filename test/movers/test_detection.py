@@ -70,7 +70,7 @@ def test_what_stands_still_is_none() -> None:
     assert sum(len(one.movers) for one in seen) <= 0.05 * candidates + 3 * np.sqrt(0.05 * candidates)
 
 
-def test_slow_ones_and_dim_ones_are_not_told() -> None:
+def test_slow_ones_are_not_told() -> None:
     """A fifth of a beamwidth cannot be told from two scatterers in a cell."""
     assert not [one for seen in looked(2, mover(1e-3, 30.0), rate=1e-3) for one in seen.movers]
 
@@ -96,8 +96,46 @@ def test_the_ground_tells_where_the_beam_is() -> None:
     assert 1e-4 < one.velocity_sigma < 9e-4
 
 
-def test_spotlight_is_refused() -> None:
-    _, (slc, *_) = strip(1)
-    sensor = load_preset("sal_spotlight").make_sensor()
-    with pytest.raises(UserError, match="stripmap only"):
-        movers(slc, sensor, MoverSettings())
+def test_power_over_the_ground_is_told_however_bright() -> None:
+    """Ten dB more are 10 dB more, within 1 dB of the ground that adds to it."""
+    low, high = (
+        max(one.cnr_db for seen in looked(0, mover(6e-3, power, EAST + 0.6)) for one in seen.movers)
+        for power in (30.0, 40.0)
+    )
+    assert high - low == pytest.approx(10, abs=1)
+
+
+def test_what_an_outer_beam_sees_has_no_height_and_is_not_told() -> None:
+    """A mover 3 m above the highest that the beams see."""
+    outside = replace(mover(6e-3, 40.0, EAST + 0.6), height=4.5)
+    assert not [one for seen in looked(0, outside) for one in seen.movers if one.height > 2]
+
+
+def test_pixels_without_data_do_no_harm() -> None:
+    """The rows behind the mover are not there."""
+    flight, images = strip(0, mover(5e-3, 30.0, EAST + 0.5))
+    settings = MoverSettings(false_alarm_rate=1e-2)
+    found = []
+    for slc in images:
+        cut = slc.images.copy()
+        cut[:, 30:] = np.nan
+        seen = movers(yawed(replace(slc, images=cut), 1e-5), flight.sensor, settings)
+        found += seen.movers
+    (one,) = found
+    assert one.radial_velocity == pytest.approx(5e-3, abs=4 * one.velocity_sigma)
+
+
+def test_what_cannot_be_used_is_refused() -> None:
+    flight, (slc, *_) = strip(1)
+    spotlight = load_preset("sal_spotlight").make_sensor()
+    blanked = replace(flight.sensor, blanked_ranges=((0, 4990.0, 4999.0),))
+    clipped = replace(slc, saturated_share=np.full(8, 0.01))
+    narrow = replace(slc, images=slc.images[..., :15], grid=replace(slc.grid, cols=15))
+    for image, sensor, said in (
+        (slc, spotlight, "stripmap only"),
+        (slc, blanked, "do not receive"),
+        (clipped, flight.sensor, "0.01 of its samples clipped"),
+        (narrow, flight.sensor, "15 columns; 16"),
+    ):
+        with pytest.raises(UserError, match=said):
+            movers(image, sensor, MoverSettings())

@@ -57,6 +57,9 @@ LEAST_COLUMNS = 16
 PARTS = 5
 """Of the bins, whose elevations are compared."""
 
+SIDELOBES = 10**-2.5
+"""Power, over that of the brightest in the same rows or columns, up to which a pixel may be its sidelobe."""
+
 MARGIN = 4
 """Pixels from the edge of an image within which nothing is looked at: its response is cut off."""
 
@@ -165,10 +168,15 @@ def find_movers(images: C64 | C128, beams: Beams, slc: Slc, sensor: Sensor, sett
 
 
 def _bright(images: C64 | C128, prominence_db: float) -> Bool:
-    """Pixels that are brighter than all around, and than most of their row."""
+    """Pixels that are brighter than all around, than most of their row, and than sidelobes of what is brighter."""
     power = np.sum(np.abs(images) ** 2, axis=0)
     around = maximum_filter(power, size=(3, 2 * MARGIN + 1))
     bright = (power == around) & (power > 10 ** (prominence_db / 10) * np.median(power, axis=1, keepdims=True))
+    beside = np.maximum(
+        maximum_filter(power, size=(2 * len(power) + 1, 2 * MARGIN + 1)),
+        maximum_filter(power, size=(3, 2 * power.shape[1] + 1)),
+    )
+    bright &= power > SIDELOBES * beside
     bright[:, :MARGIN] = bright[:, power.shape[1] - MARGIN :] = False
     return np.asarray(bright)
 

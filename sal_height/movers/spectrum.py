@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 
 from sal_height.beams import Beams
-from sal_height.geometry import aperture_at, squint_on_cone
+from sal_height.geometry import aperture_at
 from sal_height.imaging import Processing, Slc
 from sal_height.numeric import C64, C128, F64, Index
 from sal_height.sensor import Sensor, processed_angle
@@ -42,19 +42,18 @@ class Bins:
         middle = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2)
         aperture = aperture_at(middle, slc.aperture)
         sight = middle - aperture.position
-        abeam = float(sight @ aperture.direction / np.linalg.norm(sight))
-        # A pixel's phase turns by 4 pi / wavelength per metre of range: its frequency is that of the line of sight.
+        abeam = float(sight @ grid.col_direction / np.linalg.norm(sight))
+        # A pixel's phase turns by 4 pi / wavelength per metre of range, so that its frequency is that of the line of
+        # sight; around that of the body's abeam, bins are the aspects, for small angles.
         whole = sensor.wavelength / (2 * grid.col_spacing)
-        cones: F64 = np.asarray(np.fft.fftfreq(pixels) * whole, np.float64)
-        cones += whole * np.rint((abeam - cones) / whole)
-        off = cones - abeam
+        off: F64 = np.asarray(np.fft.fftfreq(pixels) * whole - abeam, np.float64)
+        off -= whole * np.rint(off / whole)
         taper = Processing(azimuth_window=slc.azimuth_window, angle=angle)
         weights = taper.angle_weights(off, np.full(pixels, whole / pixels))
         used = np.flatnonzero((weights > LEAST_WEIGHT * weights.max()) & (np.abs(off) <= angle / 2))
         used = used[np.argsort(off[used])]
-        aspects = squint_on_cone(float(np.mean(sensor.beams.span)), cones[used], aperture, sensor.look_side)
         weights = weights[used] / np.sqrt(np.mean(weights[used] ** 2))
-        return cls(pixels, used, aspects, weights, off[used] / angle)
+        return cls(pixels, used, off[used], weights, off[used] / angle)
 
     def spectra(self, pixels: C64 | C128) -> C128:
         """Spectra of pixels about the middle one without the window; noise has in each bin the power that pixels have.

@@ -6,11 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from sal_height.errors import UserError
-from sal_height.geometry import Trajectory
+from sal_height.geometry import PlatformState, Trajectory
 from sal_height.imaging import ImageSettings, Slc
-from sal_height.movers import Looked, Mover, MoverSettings
+from sal_height.movers import Looked, Mover, MoverSettings, find_movers
+from sal_height.movers.detection import _without_ambiguities
+from sal_height.movers.spectrum import Bins
 from sal_height.pipeline import Compressor, movers
 from sal_height.simulation.flight import SimulatedFlight, flight_of
 from sal_height.simulation.preset import load_preset
@@ -19,15 +22,24 @@ from sal_height.simulation.scene import PointScatterer
 EAST, NORTH, HEIGHT = 0.05, 1.0, 1.0
 
 
-def strip(seed: int, *points: PointScatterer, dwells: int = 4) -> tuple[SimulatedFlight, list[Slc]]:
-    """The street of sal_stripmap with other targets, and its images."""
+def drifted(states: list[PlatformState], away: float) -> list[PlatformState]:
+    """As odometry has them that believes to fly towards what it sees by so much (m/s) less fast."""
+    velocity = away * np.array([0.0, np.sqrt(0.5), np.sqrt(0.5)])
+    return [
+        replace(state, velocity=state.velocity + velocity, position=state.position + 1e-9 * state.stamp_ns * velocity)
+        for state in states
+    ]
+
+
+def strip(seed: int, *points: PointScatterer, dwells: int = 4, wrong: float = 0.0) -> tuple[SimulatedFlight, list[Slc]]:
+    """The street of sal_stripmap with other targets, and its images by odometry with a wrong velocity (m/s)."""
     preset = replace(load_preset("sal_stripmap"), dwells=dwells)
     flight = flight_of(preset, seed)
     flight = replace(flight, scene=replace(flight.scene, points=points))
     settings = ImageSettings(rows=preset.image.rows, cols=preset.image.cols)
     compressor, states, images = Compressor(), [], []
     for dwell in range(dwells):
-        states += flight.platform_states(dwell)
+        states += drifted(flight.platform_states(dwell), -wrong)
         slc = compressor.add(flight.phase_history(dwell), Trajectory(states), flight.sensor, settings)
         images += [slc] if slc else []
     return flight, images
@@ -63,10 +75,10 @@ def test_a_mover_gets_place_height_and_velocity(radial: float) -> None:
 
 def test_what_stands_still_is_none() -> None:
     """A street with a bright point; at a rate of 5 % of what is looked at, the measured one has a standard error."""
-    flight, images = strip(1, PointScatterer(EAST, NORTH, HEIGHT, 1e3), dwells=5)
-    seen = [movers(slc, flight.sensor, MoverSettings(false_alarm_rate=0.05, prominence_db=8.0)) for slc in images]
+    flight, images = strip(1, PointScatterer(EAST, NORTH, HEIGHT, 1e3), dwells=6)
+    seen = [movers(slc, flight.sensor, MoverSettings(false_alarm_rate=0.05, prominence_db=5.0)) for slc in images]
     candidates = sum(one.candidates for one in seen)
-    assert candidates > 20
+    assert candidates > 300
     assert sum(len(one.movers) for one in seen) <= 0.05 * candidates + 3 * np.sqrt(0.05 * candidates)
 
 
@@ -80,15 +92,16 @@ def yawed(slc: Slc, stated: float) -> Slc:
     return replace(slc, aperture=replace(slc.aperture, covariance=np.diag([0.0, 0, 0, 0, 0, stated**2])))
 
 
-def test_the_ground_tells_where_the_beam_is() -> None:
-    """Odometry that may be off by a beamwidth: velocity is that over the ground's, whose lag is known to a tenth."""
-    flight, images = strip(0, mover(5e-3, 30.0, EAST + 0.5))
-    width = flight.sensor.beams.track_beamwidth
+@pytest.mark.parametrize("wrong", [0.0, -3e-3])
+def test_the_ground_tells_where_the_beam_is(wrong: float) -> None:
+    """Odometry that errs in the velocity along the line of sight: velocity is that over the ground's."""
+    flight, images = strip(0, mover(5e-3, 30.0, EAST + 0.5), wrong=wrong)
+    width, speed = flight.sensor.beams.track_beamwidth, 50.0
     found: list[Mover] = []
     for slc in images:
         seen = movers(yawed(slc, width), flight.sensor, MoverSettings(false_alarm_rate=1e-2))
         lag, sigma = seen.ground_lag
-        assert abs(lag) < 4 * sigma
+        assert abs(lag - wrong / speed) < 4 * sigma
         assert 0 < sigma < 0.1 * width
         found += seen.movers
     (one,) = found
@@ -105,24 +118,65 @@ def test_power_over_the_ground_is_told_however_bright() -> None:
     assert high - low == pytest.approx(10, abs=1)
 
 
-def test_what_an_outer_beam_sees_has_no_height_and_is_not_told() -> None:
-    """A mover 3 m above the highest that the beams see."""
-    outside = replace(mover(6e-3, 40.0, EAST + 0.6), height=4.5)
-    assert not [one for seen in looked(0, outside) for one in seen.movers if one.height > 2]
+def test_what_lies_beyond_the_outer_beams_has_no_height_and_is_not_told() -> None:
+    """Of the upper four channels, whose beams see the mover through their sidelobes only."""
+    flight, images = strip(0, mover(5e-3, 50.0, EAST + 0.5))
+    sensor, upper = flight.sensor, np.arange(4, 8)
+    settings = MoverSettings(false_alarm_rate=1e-2)
+    for chosen, expected in ((np.arange(8), 1), (upper, 0)):
+        beams = sensor.beams.detectors(chosen)
+        found = [find_movers(slc.images[chosen], beams, slc, sensor, settings) for slc in images]
+        assert sum(len(one.movers) for one in found) == expected
+        assert sum(one.candidates for one in found) > 0
 
 
 def test_pixels_without_data_do_no_harm() -> None:
-    """The rows behind the mover are not there."""
+    """Two rows behind the mover and all beyond are not there."""
     flight, images = strip(0, mover(5e-3, 30.0, EAST + 0.5))
     settings = MoverSettings(false_alarm_rate=1e-2)
-    found = []
-    for slc in images:
-        cut = slc.images.copy()
-        cut[:, 30:] = np.nan
-        seen = movers(yawed(replace(slc, images=cut), 1e-5), flight.sensor, settings)
-        found += seen.movers
-    (one,) = found
-    assert one.radial_velocity == pytest.approx(5e-3, abs=4 * one.velocity_sigma)
+    ((number, whole),) = [
+        (number, one) for number, slc in enumerate(images) for one in movers(slc, flight.sensor, settings).movers
+    ]
+    cut = images[number].images.copy()
+    cut[:, whole.row + 2 :] = np.nan
+    (one,) = movers(yawed(replace(images[number], images=cut), 1e-6), flight.sensor, settings).movers
+    assert one.radial_velocity == pytest.approx(whole.radial_velocity, abs=2e-4)
+    np.testing.assert_allclose(one.position, whole.position, atol=0.03)
+
+
+def test_a_bright_point_that_stands_still_is_none() -> None:
+    """So bright that what the image former leaves is far above the noise."""
+    assert not [one for seen in looked(0, mover(0.0, 80.0), rate=1e-3) for one in seen.movers]
+
+
+def test_what_is_too_fast_for_the_beam_gets_no_wrong_place() -> None:
+    """Its ambiguities, which may be told, have its place."""
+    east = EAST + 0.95
+    for one in [one for seen in looked(0, mover(9.5e-3, 45.0, east)) for one in seen.movers]:
+        assert abs(one.position[0] - east) < 0.1
+
+
+def test_the_same_place_counts_once() -> None:
+    def at(east: float, ratio: float) -> Mover:
+        covariance = 1e-4 * np.eye(3)
+        return Mover(np.array([east, 0, 0]), covariance, 0.0, 0.01, 0.005, 1e-4, 0.0155, ratio, 20.0, 1, 1)
+
+    kept = _without_ambiguities([at(0.0, 20.0), at(0.05, 30.0), at(0.5, 25.0)])
+    assert [one.likelihood_ratio for one in kept] == [30.0, 25.0]
+
+
+def test_a_body_that_does_not_fly_straight_ahead_has_its_beam_abeam_of_it() -> None:
+    """A crab angle of 10 mrad, 64 beamwidths: bins are those around it, and their aspects in the body are the same."""
+    flight, (slc, *_) = strip(1)
+    straight = Bins.of(slc, flight.sensor, 32)
+    turn = Rotation.from_rotvec([0.0, 0.0, 0.01]).as_matrix()
+    crabbed = Bins.of(
+        replace(slc, aperture=replace(slc.aperture, rotation=turn @ slc.aperture.rotation)), flight.sensor, 32
+    )
+    width = flight.sensor.beams.track_beamwidth
+    assert abs(len(crabbed.numbers) - len(straight.numbers)) <= 1
+    assert np.all(np.abs(crabbed.aspects) < 0.5 * width)
+    assert np.all(np.diff(crabbed.aspects) > 0)
 
 
 def test_what_cannot_be_used_is_refused() -> None:

@@ -10,8 +10,8 @@ adds over both. What g is depends on the scene:
 
 * Speckle in a beam so narrow that neighbouring pulses see almost the same (lidar): g is the response at the beam's
   middle, with nothing windowed, and errors of any size can be followed. `phase_linking` then uses all pairs of pulses.
-* Bright targets in a wide scene (radar): g is the response around each target, centred and windowed in azimuth, in
-  iterations with shrinking windows.
+* Bright targets in a wide scene (radar): g is the response around each target, centred and windowed in azimuth, see
+  `bright_targets`.
 
 All of it needs only the responses of pulses at points, so it holds for any trajectory.
 """
@@ -27,7 +27,8 @@ from scipy.constants import speed_of_light
 
 from sal_height.errors import UserError
 from sal_height.geometry import ApertureState, Grid
-from sal_height.imaging.autofocus.phase_error import detrended, is_smooth, without_shift
+from sal_height.imaging.autofocus.bright_targets import focus_targets, sharpness, turned
+from sal_height.imaging.autofocus.phase_error import is_smooth, phase_gradient, without_shift
 from sal_height.imaging.autofocus.phase_linking import (
     azimuth_waves,
     coherence_of,
@@ -42,11 +43,6 @@ from sal_height.numeric import C64, C128, F64, Complex
 from sal_height.sensor import NUFFT_TOLERANCE, PhaseHistory, Sensor
 from sal_height.settings import Settings, setting
 
-WINDOW_SHRINKS = 0.85  # ratio of the azimuth windows of successive iterations on targets
-NARROWEST_WINDOW = 5  # width of the last azimuth window, cells: a focused target and its first sidelobes
-TARGET_ITERATIONS = 30  # maximum number of iterations of a round on targets
-TARGET_ROUNDS = 5  # maximum number of rounds on targets, each from the widest window to the narrowest
-TARGET_CHANGE = 0.05  # rms change of the phase (rad) below which the iterations of a round end, and the rounds
 MOST_RESPONSES = 2**25  # detectors x points x pulses: 0.5 GB, of which four copies are held at a time
 
 
@@ -160,11 +156,14 @@ def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64,
         uneven = settings.autofocus_uneven_beamwidths * of_a_beam
         focus = replace(focus, trend_error=float(np.hypot(focus.trend_error, uneven)))
     if focus.standard_error > settings.autofocus_max_error_rad:
-        points = patches.reshape(-1, 3)
-        responses = pulse_responses(history, antenna, sensor, np.ones(sensor.sample_count), points)
-        focus = focus_targets(responses, half, 10 ** (settings.autofocus_target_db / 10))
+        responses = pulse_responses(history, antenna, sensor, np.ones(sensor.sample_count), patches.reshape(-1, 3))
+        of_rows = responses.reshape(len(responses), *patches.shape[:2], -1)
+        phase, error = focus_targets(of_rows, half, 10 ** (settings.autofocus_target_db / 10))
+        # Where targets lie is known by the trend alone, and the course of a phase that is not smooth has none.
+        error = error if is_smooth(phase) else np.inf
+        focus = Focus(phase, "targets" if np.isfinite(error) else "none", error)
     phase = without_shift(focus.phase)
-    sharper = _sharpness(_turned(responses, phase), half) / _sharpness(responses, half)
+    sharper = sharpness(turned(responses, phase), half) / sharpness(responses, half)
     known = focus.standard_error <= settings.autofocus_max_error_rad
     return replace(focus, phase=phase, trusted=known and sharper >= 1 - settings.autofocus_max_blur)
 
@@ -233,16 +232,6 @@ def pulse_responses(history: PhaseHistory, antenna: F64, sensor: Sensor, weights
     return responses
 
 
-def phase_gradient(responses: Complex) -> F64:
-    """Phase error by the maximum-likelihood kernel of neighbouring pulses, integrated from 0, rad, shape (pulses,).
-
-    The responses of detectors and range cells have the shape (..., pulses).
-    """
-    flat = responses.reshape(-1, responses.shape[-1])
-    products = np.einsum("gt,gt->t", flat[:, :-1].conj(), flat[:, 1:])
-    return np.concatenate([[0.0], np.cumsum(np.angle(products))])
-
-
 def focus_speckle(white: Complex, waves: C128, profile: F64) -> Focus:
     """Phase error from all that the beam lights: gradient of neighbours, then all pairs of pulses, twice.
 
@@ -261,56 +250,8 @@ def focus_speckle(white: Complex, waves: C128, profile: F64) -> Focus:
     fitted = fit_profile(classes, waves, profile, phase)
     phase, _ = link_phases(classes, coherence_of(waves, fitted), phase)
     phase = without_shift(phase)
-    trend, trend_error = find_trend(_turned(modes, phase), snr, coherence_of(waves, profile))
+    trend, trend_error = find_trend(turned(modes, phase), snr, coherence_of(waves, profile))
     return Focus(phase, "speckle", error, trend=trend, trend_error=trend_error)
-
-
-def focus_targets(responses: Complex, half_width: int, brightness: float) -> Focus:
-    """Phase error from bright targets: phase-gradient autofocus on the pictures around points.
-
-    In rounds, each from wide to narrow windows, until one finds nothing new: a blur that is wider than the pictures
-    takes several. What the last round still found counts as error.
-
-    Args:
-        responses: shape (detectors, points, pulses).
-        half_width: azimuth cells to each side of a point that its picture shows.
-        brightness: power of a target over the median of the pictures.
-    """
-    phase = np.zeros(responses.shape[-1])
-    for _ in range(TARGET_ROUNDS):
-        found, error = _round(_turned(responses, phase), half_width, brightness)
-        if not np.isfinite(error):
-            return Focus(np.zeros(len(phase)), "none", np.inf)
-        phase += found
-        change = _rms(detrended(np.unwrap(found)))
-        if change <= TARGET_CHANGE:
-            break
-    return Focus(phase, "targets", float(np.hypot(error, change)))
-
-
-def _round(responses: Complex, half_width: int, brightness: float) -> tuple[F64, float]:
-    """Phase error and its standard error, rad; that is infinite where there is no target.
-
-    Each iteration looks at the present picture of every point, an FFT over its pulses, within `half_width` cells,
-    takes those whose brightest cell is a target, moves that to the middle, and windows it in azimuth. While the window
-    shrinks, the gradient follows what the window holds; in the narrowest, each pulse is held against all others, so
-    that phases are seen which change from pulse to pulse.
-    """
-    phase, error, width = np.zeros(responses.shape[-1]), np.inf, 2.0 * half_width + 1
-    for _ in range(TARGET_ITERATIONS):
-        targets = _centred_targets(_turned(responses, phase), half_width, brightness)
-        if not targets.shape[1]:
-            return phase, np.inf
-        if width > NARROWEST_WINDOW:
-            phase += detrended(phase_gradient(_windowed(targets, width)))
-            width = max(width * WINDOW_SHRINKS, NARROWEST_WINDOW)
-            continue
-        against_others, error = _against_others(targets)
-        step = detrended(against_others)
-        phase += step
-        if _rms(step) <= TARGET_CHANGE:
-            break
-    return phase, error
 
 
 def patch_half_width(sensor: Sensor) -> int:
@@ -338,57 +279,3 @@ def patch_centres(sensor: Sensor, aperture: ApertureState, grid: Grid) -> F64:
 def _spread(pixels: int, count: int) -> F64:
     """Middles of `count` equal parts of a row of pixels, as fractional indices."""
     return (np.arange(count) + 0.5) * pixels / count - 0.5
-
-
-def _rms(values: F64) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
-def _turned(responses: Complex, phase: F64) -> Complex:
-    return responses * np.exp(-1j * phase).astype(responses.dtype)
-
-
-def _picture(responses: Complex, half_width: int) -> F64:
-    """Power of the azimuth cells around points, summed over the detectors, shape (points, 2 half_width + 1)."""
-    power = np.sum(np.abs(scipy.fft.fft(responses)) ** 2, axis=0)
-    return np.roll(power, half_width, axis=-1)[:, : 2 * half_width + 1]
-
-
-def _sharpness(responses: Complex, half_width: int) -> float:
-    """Sum of squared powers over the square of their sum; 1 for nothing at all."""
-    picture = _picture(responses, half_width)
-    if not np.any(picture):
-        return 1.0
-    return float(np.sum(picture**2) / np.sum(picture) ** 2)
-
-
-def _centred_targets(responses: Complex, half_width: int, brightness: float) -> Complex:
-    """Responses of the points whose picture holds a bright target, which a linear phase moves to the middle."""
-    picture = _picture(responses, half_width)
-    bright = picture.max(axis=-1) > brightness * np.median(picture)
-    cell = picture[bright].argmax(axis=-1) - half_width
-    pulses = responses.shape[-1]
-    return responses[:, bright] * np.exp(-2j * np.pi / pulses * cell[:, None] * np.arange(pulses))
-
-
-def _windowed(responses: Complex, width: float) -> Complex:
-    """Responses of what lies within `width` azimuth cells around the middle."""
-    pulses = responses.shape[-1]
-    near = np.abs(np.fft.fftfreq(pulses, 1 / pulses)) <= width / 2
-    return np.fft.ifft(np.fft.fft(responses) * near)
-
-
-def _against_others(targets: Complex) -> tuple[F64, float]:
-    """Phase of each pulse against what the others say of the targets, and its standard error (rms), rad.
-
-    The others' say is the response in the narrowest window less the pulse's own share in it. The products with it
-    scatter from target to target; that of their imaginary parts, over the sum of their real parts, is the error.
-    """
-    pulses = targets.shape[-1]
-    own_share = (2 * (NARROWEST_WINDOW // 2) + 1) / pulses
-    others = _windowed(targets, NARROWEST_WINDOW) - own_share * targets
-    product = np.einsum("mpt,mpt->pt", others.conj(), targets)
-    total = product.sum(axis=0)
-    phase = np.angle(total)
-    across = (product * np.exp(-1j * phase)).imag
-    return phase, _rms(np.sqrt(np.sum(across**2, axis=0)) / np.abs(total))

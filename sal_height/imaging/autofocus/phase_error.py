@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sal_height.numeric import F64
+from sal_height.numeric import F64, Complex
 
 SMOOTH_STEP = 1.0  # rms step from pulse to pulse, rad, up to which a phase can be unwrapped: pi is three times as much
 
@@ -40,6 +40,16 @@ def is_smooth(phase: F64) -> bool:
     """
     steps = np.angle(np.exp(1j * (np.diff(phase) - _mean_step(phase))))
     return bool(np.sqrt(np.mean(steps**2)) <= SMOOTH_STEP)
+
+
+def phase_gradient(responses: Complex) -> F64:
+    """Phase error by the maximum-likelihood kernel of neighbouring pulses, integrated from 0, rad, shape (pulses,).
+
+    The responses of detectors and range cells have the shape (..., pulses).
+    """
+    flat = responses.reshape(-1, responses.shape[-1])
+    products = np.einsum("gt,gt->t", flat[:, :-1].conj(), flat[:, 1:])
+    return np.concatenate([[0.0], np.cumsum(np.angle(products))])
 
 
 def _mean_step(phase: F64) -> float:

@@ -20,12 +20,11 @@ from sal_height.imaging.autofocus.gradient import (
     Focus,
     apply_phase,
     autofocus,
-    focus_targets,
     patch_centres,
     patch_half_width,
-    phase_gradient,
     pulse_responses,
 )
+from sal_height.imaging.autofocus.phase_error import phase_gradient
 from sal_height.imaging.autofocus.phase_linking import (
     azimuth_waves,
     coherence_of,
@@ -47,10 +46,6 @@ from sal_height.simulation.receivers import receiver_noise
 from sal_height.simulation.scenes import load_scene
 
 ERRORS = {"white": white_phase, "atmosphere": lambda n, rms, rng: power_law_phase(n, rms, ATMOSPHERE, rng)}
-
-
-BRIGHT = 10**1.5
-"""Power of a target over the median of the picture."""
 
 
 def rms(values: np.ndarray) -> float:
@@ -324,30 +319,6 @@ def test_modes_are_those_of_the_targets() -> None:
     assert modes.shape == (40, 64)
     assert np.mean(snr) == pytest.approx(25 * np.sum(gains**2 / noise), rel=0.03)
     assert np.mean(np.abs(modes) ** 2) == pytest.approx(np.mean(snr) + 1, rel=1e-2)
-
-
-def test_bright_targets_focus_in_every_place() -> None:
-    """A target in one of five patches, anywhere in it, a smooth error of 5 rad rms over 128 pulses."""
-    rng = np.random.default_rng(12)
-    error = power_law_phase(128, 5.0, 4.0, rng)
-    cells = rng.uniform(-12, 12, (40, 1))
-    targets = np.exp(1j * (2 * np.pi * cells * np.arange(128) / 128 + rng.uniform(0, 7, (40, 1))))
-    seen = np.concatenate([targets, np.zeros((160, 128))])
-    responses = (seen + 0.3 * circular(rng, (2, 200, 128))) * np.exp(1j * error)
-    focus = focus_targets(responses, 20, BRIGHT)
-    assert focus.method == "targets"
-    assert rms(residual_phase(focus.phase, error)) < 0.1
-    assert focus.standard_error < 0.1
-
-
-def test_white_phases_come_off_bright_targets() -> None:
-    """A window of a few cells would not let them through."""
-    rng = np.random.default_rng(13)
-    error = white_phase(128, 0.8, rng)
-    cells = rng.uniform(-12, 12, (40, 1))
-    seen = np.concatenate([10 * np.exp(2j * np.pi * cells * np.arange(128) / 128), np.zeros((160, 128))])
-    focus = focus_targets((seen + circular(rng, (2, 200, 128))) * np.exp(1j * error), 20, BRIGHT)
-    assert rms(residual_phase(focus.phase, error)) < 0.1
 
 
 def test_patches_cover_the_image_one_row_for_every_range_cell() -> None:

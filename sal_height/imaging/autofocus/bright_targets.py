@@ -1,0 +1,158 @@
+"""Autofocus on bright targets: phase-gradient autofocus of a wide scene, and whether two halves of it agree.
+
+The response around each target is centred and windowed in azimuth, in iterations with shrinking windows (Wahl, Eichel,
+Ghiglia & Jakowatz, IEEE Trans. AES 30, 1994). Such iterations can end at a wrong phase, which makes one point of the
+few scatterers of a bright target, and double images of all others. So they begin from all targets, and from those of
+either half of the range cells; that phase is taken by which the pictures of all range cells, bright or not, are
+sharpest. From there each half is focused by itself: what they differ by is the error, structure of targets included.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.fft
+
+from sal_height.imaging.autofocus.phase_error import detrended, phase_gradient
+from sal_height.numeric import F64, Bool, Complex
+
+WINDOW_SHRINKS = 0.85  # ratio of the azimuth windows of successive iterations
+NARROWEST_WINDOW = 5  # width of the last azimuth window, cells: a focused target and its first sidelobes
+ITERATIONS = 30  # maximum number of iterations of a round
+ROUNDS = 5  # maximum number of rounds, each from the widest window to the narrowest
+ATTEMPTS = 3  # maximum number of times that the halves begin anew from the sharpest phase
+SHARPER = 1.01  # by which an attempt must be better than the last one for another to be worth its time
+CHANGE = 0.05  # rms change of the phase (rad) below which the iterations of a round end, and the rounds
+LIKE_ROWS = 8  # neighbouring range cells of one half, so that a target with its first sidelobes is seldom in both
+
+
+def focus_targets(responses: Complex, half_width: int, brightness: float) -> tuple[F64, float]:
+    """Phase error from bright targets, rad, shape (pulses,), and its standard error, rad.
+
+    That is infinite where one of the halves has no target.
+
+    Args:
+        responses: of pulses at points, shape (detectors, rows, patches, pulses).
+        half_width: azimuth cells to each side of a point that its picture shows.
+        brightness: power of a target over the median of the pictures.
+    """
+    parts = [responses, *(responses[:, half] for half in _halves(responses.shape[1]))]
+    parts = [part.reshape(len(part), -1, part.shape[-1]) for part in parts]
+    everything = parts[0]
+    phase, sharpest = np.zeros(responses.shape[-1]), 0.0
+    for _ in range(ATTEMPTS):
+        found = [phase + _in_rounds(turned(part, phase), half_width, brightness) for part in parts]
+        sharp = [sharpness(turned(everything, candidate), half_width) for candidate in found]
+        best = int(np.argmax(sharp))
+        if sharp[best] <= sharpest * SHARPER:
+            break
+        phase, sharpest = found[best], sharp[best]
+    steps = [_refine(turned(part, phase), half_width, brightness) for part in parts]
+    if any(step is None for step in steps):
+        return np.zeros(len(phase)), np.inf
+    of_all, of_one, of_other = (step for step in steps if step is not None)
+    apart = np.angle(np.exp(1j * (of_one - of_other)))
+    return phase + of_all, _rms(apart) / 2
+
+
+def sharpness(responses: Complex, half_width: int) -> float:
+    """Mean over points of the sum of squared powers in a point's picture over the square of their sum; 1: no power.
+
+    Args:
+        responses: of pulses at points, shape (detectors, points, pulses).
+        half_width: azimuth cells to each side of a point that its picture shows.
+    """
+    picture = _picture(responses, half_width)
+    total = picture.sum(axis=-1)
+    lit = total > 0
+    if not np.any(lit):
+        return 1.0
+    return float(np.mean(np.sum(picture[lit] ** 2, axis=-1) / total[lit] ** 2))
+
+
+def turned(responses: Complex, phase: F64) -> Complex:
+    """Responses, shape (..., pulses), without a phase, rad, shape (pulses,)."""
+    return responses * np.exp(-1j * phase).astype(responses.dtype)
+
+
+def _halves(rows: int) -> tuple[Bool, Bool]:
+    """Which range cells belong to each half: blocks of LIKE_ROWS by turns, of fewer where there are few cells."""
+    block = max(1, min(LIKE_ROWS, rows // 4))
+    one = np.arange(rows) // block % 2 == 0
+    return one, ~one
+
+
+def _in_rounds(responses: Complex, half_width: int, brightness: float) -> F64:
+    """Phase error in rounds, until one finds nothing new: a blur wider than the pictures takes several."""
+    phase = np.zeros(responses.shape[-1])
+    for _ in range(ROUNDS):
+        found = _round(turned(responses, phase), half_width, brightness)
+        phase += found
+        if _rms(detrended(np.unwrap(found))) <= CHANGE:
+            break
+    return phase
+
+
+def _round(responses: Complex, half_width: int, brightness: float) -> F64:
+    """Phase error by phase-gradient autofocus, in windows that shrink; then by `_refine`; 0 where there is no target.
+
+    Each iteration looks at the present picture of every point, an FFT over its pulses, within `half_width` cells,
+    takes those whose brightest cell is a target, moves that to the middle, and windows it in azimuth.
+    """
+    phase, width = np.zeros(responses.shape[-1]), 2.0 * half_width + 1
+    for _ in range(ITERATIONS):
+        if width <= NARROWEST_WINDOW:
+            break
+        targets = _centred_targets(turned(responses, phase), half_width, brightness)
+        if not targets.shape[1]:
+            return phase
+        phase += detrended(phase_gradient(_windowed(targets, width)))
+        width = max(width * WINDOW_SHRINKS, NARROWEST_WINDOW)
+    last = _refine(turned(responses, phase), half_width, brightness)
+    return phase if last is None else phase + last
+
+
+def _refine(responses: Complex, half_width: int, brightness: float) -> F64 | None:
+    """Phase error of what is nearly in focus: each pulse against all others; None: there is no target.
+
+    What the others say of a target is its response in the narrowest window less the pulse's own share in it. So phases
+    are seen which change from pulse to pulse.
+    """
+    pulses = responses.shape[-1]
+    own_share = (2 * (NARROWEST_WINDOW // 2) + 1) / pulses
+    phase = np.zeros(pulses)
+    for _ in range(ITERATIONS):
+        targets = _centred_targets(turned(responses, phase), half_width, brightness)
+        if not targets.shape[1]:
+            return None
+        others = _windowed(targets, NARROWEST_WINDOW) - own_share * targets
+        step = detrended(np.angle(np.einsum("mpt,mpt->t", others.conj(), targets)))
+        phase += step
+        if _rms(step) <= CHANGE:
+            break
+    return phase
+
+
+def _picture(responses: Complex, half_width: int) -> F64:
+    """Power of the azimuth cells around points, summed over the detectors, shape (points, 2 half_width + 1)."""
+    power = np.sum(np.abs(scipy.fft.fft(responses)) ** 2, axis=0)
+    return np.roll(power, half_width, axis=-1)[:, : 2 * half_width + 1]
+
+
+def _centred_targets(responses: Complex, half_width: int, brightness: float) -> Complex:
+    """Responses of the points whose picture holds a bright target, which a linear phase moves to the middle."""
+    picture = _picture(responses, half_width)
+    bright = picture.max(axis=-1) > brightness * np.median(picture)
+    cell = picture[bright].argmax(axis=-1) - half_width
+    pulses = responses.shape[-1]
+    return responses[:, bright] * np.exp(-2j * np.pi / pulses * cell[:, None] * np.arange(pulses))
+
+
+def _windowed(responses: Complex, width: float) -> Complex:
+    """Responses of what lies within `width` azimuth cells around the middle."""
+    pulses = responses.shape[-1]
+    near = np.abs(np.fft.fftfreq(pulses, 1 / pulses)) <= width / 2
+    return np.fft.ifft(np.fft.fft(responses) * near)
+
+
+def _rms(values: F64) -> float:
+    return float(np.sqrt(np.mean(values**2)))

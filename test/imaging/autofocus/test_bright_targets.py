@@ -1,0 +1,94 @@
+"""Autofocus on bright targets finds the phase, or its two halves disagree."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers import circular
+from phase_errors import power_law_phase, residual_phase, white_phase
+
+from sal_height.imaging.autofocus.bright_targets import focus_targets, sharpness
+from sal_height.imaging.autofocus.phase_error import detrended
+from sal_height.numeric import Complex
+
+BRIGHT = 10**1.5
+"""Power of a target over the median of the picture."""
+
+PULSES, HALF_WIDTH = 128, 20
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def points(cells: np.ndarray, rows: int, rng: np.random.Generator) -> Complex:
+    """Responses of a point in each of the first range cells, at these azimuth cells, and of none in the others."""
+    waves = np.exp(2j * np.pi / PULSES * cells[:, None] * np.arange(PULSES))
+    seen = waves * np.exp(1j * rng.uniform(0, 7, (len(cells), 1)))
+    return np.concatenate([seen, np.zeros((rows - len(cells), PULSES))])[:, None]
+
+
+def test_targets_focus_in_every_place() -> None:
+    """A target in one of five patches, anywhere in it, a smooth error of 5 rad rms over 128 pulses."""
+    rng = np.random.default_rng(12)
+    error = power_law_phase(PULSES, 5.0, 4.0, rng)
+    seen = points(rng.uniform(-12, 12, 40), 200, rng)
+    phase, standard_error = focus_targets(
+        (seen + 0.3 * circular(rng, (2, 200, 1, PULSES))) * np.exp(1j * error), HALF_WIDTH, BRIGHT
+    )
+    assert rms(residual_phase(phase, error)) < 0.1
+    assert standard_error < 0.1
+
+
+def test_white_phases_come_off() -> None:
+    """A window of a few cells would not let them through."""
+    rng = np.random.default_rng(13)
+    error = white_phase(PULSES, 0.8, rng)
+    seen = 10 * points(rng.uniform(-12, 12, 40), 200, rng)
+    phase, _ = focus_targets((seen + circular(rng, (2, 200, 1, PULSES))) * np.exp(1j * error), HALF_WIDTH, BRIGHT)
+    assert rms(residual_phase(phase, error)) < 0.1
+
+
+def test_standard_error_is_that_of_targets_in_noise() -> None:
+    """Mean square of the phases' errors over what is stated: 1, over 30 scenes of 60 targets to +-0.15 (3 sigma)."""
+    ratios = []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        seen = points(rng.uniform(-12, 12, 60), 60, rng)
+        phase, stated = focus_targets(seen + 0.7 * circular(rng, (1, 60, 1, PULSES)), HALF_WIDTH, 3.0)
+        ratios.append(np.mean(detrended(phase) ** 2) / stated**2)
+    assert np.mean(ratios) == pytest.approx(1, abs=0.15)
+
+
+def test_one_bright_target_of_two_scatterers_does_not_decide() -> None:
+    """40 dB over the points of the other range cells, which alone would be taken for a point."""
+    rng = np.random.default_rng(3)
+    seen = points(rng.uniform(-12, 12, 64), 64, rng)
+    t = np.arange(PULSES)
+    seen[10, 0] = 100 * (1 + 0.9 * np.exp(2j * np.pi * 2.7 / PULSES * t))
+    error = 4 * np.sin(2 * np.pi * 3 * t / PULSES)
+    phase, standard_error = focus_targets(
+        (seen + 0.1 * circular(rng, (1, 64, 1, PULSES))) * np.exp(1j * error), HALF_WIDTH, BRIGHT
+    )
+    assert rms(residual_phase(phase, error)) < 3 * standard_error
+
+
+def test_a_single_target_is_not_enough() -> None:
+    """No second one confirms what it says."""
+    rng = np.random.default_rng(4)
+    seen = points(np.array([3.0]), 64, rng)
+    phase, standard_error = focus_targets(seen + 0.1 * circular(rng, (1, 64, 1, PULSES)), HALF_WIDTH, BRIGHT)
+    assert standard_error == np.inf
+    assert not np.any(phase)
+
+
+def test_sharpness_counts_all_points_alike() -> None:
+    """A point in a single cell has 1, one that is even over n cells 1 / n; what is dark does not count."""
+    one = np.ones((1, 1, PULSES))
+    even = 1000 * np.eye(PULSES)[:1][None]
+    dark = np.zeros((1, 1, PULSES))
+    cells = 2 * HALF_WIDTH + 1
+    assert sharpness(one, HALF_WIDTH) == pytest.approx(1)
+    assert sharpness(even, HALF_WIDTH) == pytest.approx(1 / cells)
+    assert sharpness(np.concatenate([one, even, dark], axis=1), HALF_WIDTH) == pytest.approx((1 + 1 / cells) / 2)
+    assert sharpness(dark, HALF_WIDTH) == 1

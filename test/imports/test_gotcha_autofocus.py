@@ -1,9 +1,11 @@
-"""Real data through the nodes: Gotcha with an injected phase error, with autofocus and without."""
+"""Real data, Gotcha, with errors of phase and of the antenna positions put in, with autofocus and without."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +14,12 @@ from phase_errors import residual_phase
 from scipy.io import loadmat, savemat
 
 from sal_height.bag.reader import BagReader
+from sal_height.geometry import PlatformState, Trajectory
+from sal_height.imaging import ImageSettings, Slc
+from sal_height.imports import read_gotcha
 from sal_height.imports.gotcha import FIELDS, import_gotcha
+from sal_height.pipeline import Compressor
+from sal_height.response import measure_brightest
 from sal_height.runs.replay import replay
 
 CYCLES = 3.0
@@ -63,3 +70,97 @@ def test_autofocus_takes_a_three_cycle_quadratic_off(bags: dict[str, Path], tmp_
     phase = np.array(reader.decode(message.type_name, message.cdr).provenance.autofocus_phase)
     found = residual_phase(phase, quadratic(len(phase)))
     assert np.sqrt(np.mean(found**2)) < 0.3  # the recording itself has an error of .2 rad
+
+
+def cycles(amplitude: float, count: float) -> Callable[[np.ndarray], np.ndarray]:
+    """A sine of `amplitude` with `count` cycles over the time -1 to 1."""
+    return lambda t: amplitude * np.sin(np.pi * count * t + 1)
+
+
+def walk(rms: float) -> Callable[[np.ndarray], np.ndarray]:
+    """A random walk that ends `rms` off."""
+    return lambda t: np.cumsum(np.random.default_rng(5).standard_normal(len(t))) * rms / np.sqrt(len(t))
+
+
+PHASES = {
+    "quadratic, 6 cycles": lambda t: 2 * np.pi * 6 * t**2,
+    "cubic, 6 cycles": lambda t: 2 * np.pi * 6 * t**3,
+    "random walk": walk(2 * np.pi),
+    "slow": cycles(6, 2),
+    "fast": cycles(1.5, 10),
+    "white": lambda t: 0.3 * np.random.default_rng(6).standard_normal(len(t)),
+}
+"""Phase errors in rad over the time -1 to 1."""
+
+POSITIONS = {
+    "30 mm/s": lambda t: 0.03 * 0.88 * t,
+    "acceleration of 50 mm/s^2": lambda t: 0.05 / 2 * (0.88 * t) ** 2,
+    "random walk of 10 mm": walk(0.01),
+    "vibration of 20 mm at 2 Hz": cycles(0.02, 3.5),
+    "vibration of 2 mm at 20 Hz": cycles(0.002, 35),
+}
+"""Errors in m of the antenna's position over the time -1 to 1, which is 1.76 s of flight, along each axis."""
+
+
+@cache
+def image(files: tuple[Path, ...], phase: str = "", position: str = "", autofocus: str = "always") -> Slc:
+    """The image of files, with an error that was put in."""
+    collection = read_gotcha(list(files))
+    history, states = collection.histories[0], collection.states
+    if phase:
+        turn = np.exp(1j * PHASES[phase](np.linspace(-1, 1, collection.sensor.pulse_count)))
+        history = replace(history, samples=history.samples * turn[:, None].astype(np.complex64))
+    if position:
+        off = POSITIONS[position](np.linspace(-1, 1, len(states)))[:, None] * [0.6, -0.5, 0.6]
+        states = tuple(moved(state, by) for state, by in zip(states, off, strict=True))
+    settings = ImageSettings(**collection.parameters["sar_compression"] | {"autofocus": autofocus})
+    return Compressor().add(history, Trajectory(list(states)), collection.sensor, settings)
+
+
+def moved(state: PlatformState, by: np.ndarray) -> PlatformState:
+    """The state with another position, and the attitude that it had."""
+    return replace(state, position=np.asarray(state.position) + by)
+
+
+def contrast(slc: Slc) -> float:
+    """Of the brightest target over the median, dB."""
+    return measure_brightest(slc.images[0]).peak_over_median_db
+
+
+@pytest.fixture(scope="module", params=[slice(1), slice(2, 3), slice(2)], ids=["first", "third", "two"])
+def files(request: pytest.FixtureRequest, shared_data: Callable[[str], Path]) -> tuple[Path, ...]:
+    return tuple(sorted(shared_data("afrl_gotcha").glob("*.mat"))[request.param])
+
+
+@pytest.mark.parametrize("error", PHASES)
+def test_phase_errors_come_off(files: tuple[Path, ...], error: str) -> None:
+    """What is left of them is less than 0.2 rad rms, and the image has the contrast that it has without them."""
+    own, focused = image(files), image(files, phase=error)
+    assert focused.focus
+    assert focused.focus.trusted
+    injected = PHASES[error](np.linspace(-1, 1, len(own.autofocus_phase)))
+    assert np.std(residual_phase(focused.autofocus_phase - own.autofocus_phase, injected)) < 0.2
+    assert contrast(focused) > contrast(own) - 0.4
+
+
+@pytest.mark.parametrize("error", POSITIONS)
+def test_errors_of_the_antenna_position_come_off(files: tuple[Path, ...], error: str) -> None:
+    """A velocity along the line of sight moves the image, by R / V times as much, and takes nothing of its contrast."""
+    own, blurred, focused = image(files), image(files, position=error, autofocus="never"), image(files, position=error)
+    assert focused.focus
+    assert focused.focus.trusted
+    assert contrast(focused) > contrast(own) - 0.7
+    if error != "30 mm/s":
+        assert contrast(blurred) < contrast(focused) - 0.7
+
+
+def test_a_phase_that_tells_no_place_is_refused(files: tuple[Path, ...]) -> None:
+    """Phases from -pi to pi: targets focus, but at places that nothing tells."""
+    collection = read_gotcha(list(files))
+    (history,) = collection.histories
+    turn = np.exp(1j * np.random.default_rng(7).uniform(-np.pi, np.pi, collection.sensor.pulse_count))
+    history = replace(history, samples=history.samples * turn[:, None].astype(np.complex64))
+    settings = ImageSettings(**collection.parameters["sar_compression"] | {"autofocus": "always"})
+    slc = Compressor().add(history, Trajectory(list(collection.states)), collection.sensor, settings)
+    assert slc.focus
+    assert not slc.focus.trusted

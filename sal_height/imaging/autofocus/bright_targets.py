@@ -1,10 +1,11 @@
 """Autofocus on bright targets: phase-gradient autofocus of a wide scene, and whether two halves of it agree.
 
 The response around each target is centred and windowed in azimuth, in iterations with shrinking windows (Wahl, Eichel,
-Ghiglia & Jakowatz, IEEE Trans. AES 30, 1994). Such iterations can end at a wrong phase, which makes one point of the
-few scatterers of a bright target, and double images of all others. So they begin from all targets, and from those of
-either half of the range cells; that phase is taken by which the pictures of all range cells, bright or not, are
-sharpest. From there each half is focused by itself: what they differ by is the error, structure of targets included.
+Ghiglia & Jakowatz, IEEE Trans. AES 30, 1994). Targets are weighted by what their windows leave out: the power of noise,
+and of structure that is no point's. Iterations can end at a wrong phase, which makes one point of the few scatterers of
+a target, and double images of others. So they begin from all targets, and from those of either half of the range cells;
+that phase is taken by which the pictures of all range cells, bright or not, are sharpest. From there each half is
+focused by itself: what they differ by is the error, that by structure of targets included.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.fft
 
-from sal_height.imaging.autofocus.phase_error import detrended, phase_gradient
+from sal_height.imaging.autofocus.phase_error import detrended, phase_gradient, without_shift
 from sal_height.numeric import F64, Bool, Complex
 
 WINDOW_SHRINKS = 0.85  # ratio of the azimuth windows of successive iterations
@@ -40,7 +41,7 @@ def focus_targets(responses: Complex, half_width: int, brightness: float) -> tup
     everything = parts[0]
     phase, sharpest = np.zeros(responses.shape[-1]), 0.0
     for _ in range(ATTEMPTS):
-        found = [phase + _in_rounds(turned(part, phase), half_width, brightness) for part in parts]
+        found = [without_shift(phase + _in_rounds(turned(part, phase), half_width, brightness)) for part in parts]
         sharp = [sharpness(turned(everything, candidate), half_width) for candidate in found]
         best = int(np.argmax(sharp))
         if sharp[best] <= sharpest * SHARPER:
@@ -105,7 +106,7 @@ def _round(responses: Complex, half_width: int, brightness: float) -> F64:
         targets = _centred_targets(turned(responses, phase), half_width, brightness)
         if not targets.shape[1]:
             return phase
-        phase += detrended(phase_gradient(_windowed(targets, width)))
+        phase += detrended(phase_gradient(_windowed(_weighted(targets, width), width)))
         width = max(width * WINDOW_SHRINKS, NARROWEST_WINDOW)
     last = _refine(turned(responses, phase), half_width, brightness)
     return phase if last is None else phase + last
@@ -124,6 +125,7 @@ def _refine(responses: Complex, half_width: int, brightness: float) -> F64 | Non
         targets = _centred_targets(turned(responses, phase), half_width, brightness)
         if not targets.shape[1]:
             return None
+        targets = _weighted(targets, NARROWEST_WINDOW)
         others = _windowed(targets, NARROWEST_WINDOW) - own_share * targets
         step = detrended(np.angle(np.einsum("mpt,mpt->t", others.conj(), targets)))
         phase += step
@@ -152,6 +154,12 @@ def _windowed(responses: Complex, width: float) -> Complex:
     pulses = responses.shape[-1]
     near = np.abs(np.fft.fftfreq(pulses, 1 / pulses)) <= width / 2
     return np.fft.ifft(np.fft.fft(responses) * near)
+
+
+def _weighted(responses: Complex, width: float) -> Complex:
+    """Responses over the root mean square of what lies outside a window: noise, and structure that is no point's."""
+    outside = np.abs(responses - _windowed(responses, width)) ** 2
+    return responses / np.sqrt(np.mean(outside, axis=(0, 2)))[:, None]
 
 
 def _rms(values: F64) -> float:

@@ -60,17 +60,20 @@ def test_standard_error_is_that_of_targets_in_noise() -> None:
     assert np.mean(ratios) == pytest.approx(1, abs=0.15)
 
 
-def test_one_bright_target_of_two_scatterers_does_not_decide() -> None:
-    """40 dB over the points of the other range cells, which alone would be taken for a point."""
-    rng = np.random.default_rng(3)
-    seen = points(rng.uniform(-12, 12, 64), 64, rng)
+@pytest.mark.parametrize(("amplitude", "cycles"), [(1, 3), (4, 3), (9, 3), (4, 8)])
+def test_bright_structure_does_not_decide(amplitude: float, cycles: float) -> None:
+    """Four objects of four scatterers each, 30 dB over the points of the other 60 range cells: 4 standard errors."""
     t = np.arange(PULSES)
-    seen[10, 0] = 100 * (1 + 0.9 * np.exp(2j * np.pi * 2.7 / PULSES * t))
-    error = 4 * np.sin(2 * np.pi * 3 * t / PULSES)
-    phase, standard_error = focus_targets(
-        (seen + 0.1 * circular(rng, (1, 64, 1, PULSES))) * np.exp(1j * error), HALF_WIDTH, BRIGHT
-    )
-    assert rms(residual_phase(phase, error)) < 3 * standard_error
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        seen = points(rng.uniform(-12, 12, 64), 64, rng)
+        for row in rng.choice(64, 4, replace=False):
+            seen[row, 0] = 30 * np.sum(points(rng.uniform(-8, 8, 4), 4, rng), axis=(0, 1))
+        error = amplitude * np.sin(2 * np.pi * cycles * t / PULSES + rng.uniform(0, 7))
+        noisy = seen + 0.1 * circular(rng, (1, 64, 1, PULSES))
+        phase, standard_error = focus_targets(noisy * np.exp(1j * error), HALF_WIDTH, BRIGHT)
+        assert standard_error < 0.1
+        assert rms(residual_phase(phase, error)) < 4 * standard_error
 
 
 def test_a_single_target_is_not_enough() -> None:

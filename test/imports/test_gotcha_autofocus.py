@@ -92,6 +92,13 @@ PHASES = {
 }
 """Phase errors in rad over the time -1 to 1."""
 
+HARD_PHASES = {
+    "quadratic, 20 cycles": lambda t: 2 * np.pi * 20 * t**2,
+    "vibration": cycles(1.5, 40),
+    "strong vibration": cycles(6, 10),
+}
+"""Others, that need many pulses."""
+
 POSITIONS = {
     "30 mm/s": lambda t: 0.03 * 0.88 * t,
     "acceleration of 50 mm/s^2": lambda t: 0.05 / 2 * (0.88 * t) ** 2,
@@ -108,7 +115,7 @@ def image(files: tuple[Path, ...], phase: str = "", position: str = "", autofocu
     collection = read_gotcha(list(files))
     history, states = collection.histories[0], collection.states
     if phase:
-        turn = np.exp(1j * PHASES[phase](np.linspace(-1, 1, collection.sensor.pulse_count)))
+        turn = np.exp(1j * (PHASES | HARD_PHASES)[phase](np.linspace(-1, 1, collection.sensor.pulse_count)))
         history = replace(history, samples=history.samples * turn[:, None].astype(np.complex64))
     if position:
         off = POSITIONS[position](np.linspace(-1, 1, len(states)))[:, None] * [0.6, -0.5, 0.6]
@@ -138,9 +145,15 @@ def test_phase_errors_come_off(files: tuple[Path, ...], error: str) -> None:
     own, focused = image(files), image(files, phase=error)
     assert focused.focus
     assert focused.focus.trusted
-    injected = PHASES[error](np.linspace(-1, 1, len(own.autofocus_phase)))
+    injected = (PHASES | HARD_PHASES)[error](np.linspace(-1, 1, len(own.autofocus_phase)))
     assert np.std(residual_phase(focused.autofocus_phase - own.autofocus_phase, injected)) < 0.2
     assert contrast(focused) > contrast(own) - 0.4
+
+
+@pytest.mark.parametrize("error", HARD_PHASES)
+def test_phase_errors_wider_than_a_picture_come_off(shared_data: Callable[[str], Path], error: str) -> None:
+    """Three files: a blur over more cells than stay in a range cell, and echoes 40 cells off, that first look right."""
+    test_phase_errors_come_off(tuple(sorted(shared_data("afrl_gotcha").glob("*.mat"))), error)
 
 
 @pytest.mark.parametrize("error", POSITIONS)

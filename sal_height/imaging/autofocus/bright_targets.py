@@ -2,10 +2,12 @@
 
 The response around each target is centred and windowed in azimuth, in iterations with shrinking windows (Wahl, Eichel,
 Ghiglia & Jakowatz, IEEE Trans. AES 30, 1994). Targets are weighted by what their windows leave out: the power of noise,
-and of structure that is no point's. Iterations can end at a wrong phase, which makes one point of the few scatterers of
-a target, and double images of others. So they begin from all targets, and from those of either half of the range cells;
-that phase is taken by which the pictures of all range cells, bright or not, are sharpest. From there each half is
-focused by itself: what they differ by is the error, that by structure of targets included.
+and of structure that is no point's. Without that, iterations end at phases which make one point of the few scatterers
+of the brightest target, and double images of others.
+
+The iterations begin anew from what they have found, with targets where navigation puts them, as long as the pictures of
+all range cells, bright or not, get sharper. From there each of two halves of the range cells is focused by itself: what
+they differ by is the error, that by structure of targets included.
 """
 
 from __future__ import annotations
@@ -14,13 +16,13 @@ import numpy as np
 import scipy.fft
 
 from sal_height.imaging.autofocus.phase_error import detrended, phase_gradient, without_shift
-from sal_height.numeric import F64, Bool, Complex
+from sal_height.numeric import F64, Complex
 
 WINDOW_SHRINKS = 0.85  # ratio of the azimuth windows of successive iterations
 NARROWEST_WINDOW = 5  # width of the last azimuth window, cells: a focused target and its first sidelobes
 ITERATIONS = 30  # maximum number of iterations of a round
 ROUNDS = 5  # maximum number of rounds, each from the widest window to the narrowest
-ATTEMPTS = 3  # maximum number of times that the halves begin anew from the sharpest phase
+ATTEMPTS = 3  # maximum number of times that the rounds begin
 SHARPER = 1.01  # by which an attempt must be better than the last one for another to be worth its time
 CHANGE = 0.05  # rms change of the phase (rad) below which the iterations of a round end, and the rounds
 LIKE_ROWS = 8  # neighbouring range cells of one half, so that a target with its first sidelobes is seldom in both
@@ -36,23 +38,18 @@ def focus_targets(responses: Complex, half_width: int, brightness: float) -> tup
         half_width: azimuth cells to each side of a point that its picture shows.
         brightness: power of a target over the median of the pictures.
     """
-    parts = [responses, *(responses[:, half] for half in _halves(responses.shape[1]))]
-    parts = [part.reshape(len(part), -1, part.shape[-1]) for part in parts]
-    everything = parts[0]
-    phase, sharpest = np.zeros(responses.shape[-1]), 0.0
+    everything, *halves = _everything_and_halves(responses)
+    phase, sharp = np.zeros(responses.shape[-1]), 0.0
     for _ in range(ATTEMPTS):
-        found = [without_shift(phase + _in_rounds(turned(part, phase), half_width, brightness)) for part in parts]
-        sharp = [sharpness(turned(everything, candidate), half_width) for candidate in found]
-        best = int(np.argmax(sharp))
-        if sharp[best] <= sharpest * SHARPER:
+        found = without_shift(phase + _in_rounds(turned(everything, phase), half_width, brightness))
+        reached = sharpness(turned(everything, found), half_width)
+        if reached <= sharp * SHARPER:
             break
-        phase, sharpest = found[best], sharp[best]
-    steps = [_refine(turned(part, phase), half_width, brightness) for part in parts]
-    if any(step is None for step in steps):
+        phase, sharp = found, reached
+    of_all, one, other = (_refine(turned(part, phase), half_width, brightness) for part in (everything, *halves))
+    if of_all is None or one is None or other is None:
         return np.zeros(len(phase)), np.inf
-    of_all, of_one, of_other = (step for step in steps if step is not None)
-    apart = np.angle(np.exp(1j * (of_one - of_other)))
-    return phase + of_all, _rms(apart) / 2
+    return phase + of_all, _rms(np.angle(np.exp(1j * (one - other)))) / 2
 
 
 def sharpness(responses: Complex, half_width: int) -> float:
@@ -75,11 +72,16 @@ def turned(responses: Complex, phase: F64) -> Complex:
     return responses * np.exp(-1j * phase).astype(responses.dtype)
 
 
-def _halves(rows: int) -> tuple[Bool, Bool]:
-    """Which range cells belong to each half: blocks of LIKE_ROWS by turns, of fewer where there are few cells."""
+def _everything_and_halves(responses: Complex) -> list[Complex]:
+    """Responses at all points, shape (detectors, points, pulses), and at those of either half of the range cells.
+
+    Blocks of LIKE_ROWS cells belong to the halves by turns, of fewer where there are few cells.
+    """
+    detectors, rows, _, pulses = responses.shape
     block = max(1, min(LIKE_ROWS, rows // 4))
-    one = np.arange(rows) // block % 2 == 0
-    return one, ~one
+    first = np.arange(rows) // block % 2 == 0
+    parts = [responses, responses[:, first], responses[:, ~first]]
+    return [part.reshape(detectors, -1, pulses) for part in parts]
 
 
 def _in_rounds(responses: Complex, half_width: int, brightness: float) -> F64:

@@ -148,9 +148,8 @@ def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64,
     if on_speckle:
         middle = patches[len(patches) // 2, patches.shape[1] // 2]
         cells = cell_responses(history, antenna, sensor, middle)
-        whitening = np.linalg.inv(np.linalg.cholesky(sensor.sample_count * sensor.noise_covariance))
-        responses: Complex = np.tensordot(whitening.astype(np.complex64), cells, axes=1)
-        focus = focus_speckle(responses, *azimuth_waves(sensor, antenna, middle))
+        modes, snr = signal_modes(cells, sensor.sample_count * sensor.noise_covariance)
+        focus, responses = focus_speckle(modes, snr, *azimuth_waves(sensor, antenna, middle)), modes[None]
         step = float(np.linalg.norm(antenna[-1] - antenna[0])) / (len(antenna) - 1)
         of_a_beam = 4 * np.pi / sensor.wavelength * step * sensor.beams.track_beamwidth
         uneven = settings.autofocus_uneven_beamwidths * of_a_beam
@@ -198,12 +197,12 @@ def cell_responses(history: PhaseHistory, antenna: F64, sensor: Sensor, centre: 
         centre: the point, m, shape (3,).
     """
     delay = np.linalg.norm(centre - antenna, axis=-1) - history.reference_range
-    frequency = sensor.centre_wavenumber + sensor.wavenumber_step * (
-        np.arange(sensor.sample_count) - sensor.sample_count // 2
-    )
-    turned = history.samples * np.exp(1j * frequency * delay[:, None]).astype(np.complex64)
-    profiles = scipy.fft.fftshift(scipy.fft.ifft(turned, norm="forward", overwrite_x=True), axes=-1)
-    return np.ascontiguousarray(profiles.swapaxes(1, 2))
+    half = sensor.sample_count // 2
+    number = np.arange(sensor.sample_count)
+    frequency = sensor.centre_wavenumber + sensor.wavenumber_step * (number - half)
+    in_order = -2 * np.pi / sensor.sample_count * half * number  # the nearest cell first, not that of the point
+    towards = history.samples * np.exp(1j * (frequency * delay[:, None] + in_order)).astype(np.complex64)
+    return scipy.fft.ifft(towards, norm="forward", overwrite_x=True).swapaxes(1, 2)
 
 
 def pulse_responses(history: PhaseHistory, antenna: F64, sensor: Sensor, weights: F64, points: F64) -> C128:
@@ -232,25 +231,25 @@ def pulse_responses(history: PhaseHistory, antenna: F64, sensor: Sensor, weights
     return responses
 
 
-def focus_speckle(white: Complex, waves: C128, profile: F64) -> Focus:
+def focus_speckle(modes: Complex, snr: F64, waves: C128, profile: F64) -> Focus:
     """Phase error from all that the beam lights: gradient of neighbours, then all pairs of pulses, twice.
 
     Args:
-        white: responses at the beam's middle in every range cell, with independent noise of power 1 in all channels,
-            shape (channels, rows, pulses).
+        modes: what the channels' responses at the beam's middle hold in every range cell, and the signal-to-noise ratio
+            of each (`signal_modes`).
+        snr: see there.
         waves: from each azimuth (`azimuth_waves`).
         profile: share of the power that the beam sends to each azimuth.
     """
-    modes, snr = signal_modes(white)
     if not len(modes):
-        return Focus(np.zeros(white.shape[-1]), "none", np.inf)
-    classes = speckle_classes(modes, snr)
-    phase, error = link_phases(classes, coherence_of(waves, profile), phase_gradient(modes))
+        return Focus(np.zeros(modes.shape[-1]), "none", np.inf)
+    classes, by_beam = speckle_classes(modes, snr), coherence_of(waves, profile)
+    phase, error = link_phases(classes, by_beam, phase_gradient(modes))
     # A fitted profile takes some noise for echo: the phases gain by it, but the error that it predicts is too small.
-    fitted = fit_profile(classes, waves, profile, phase)
+    fitted = fit_profile(classes, waves, profile, by_beam, phase)
     phase, _ = link_phases(classes, coherence_of(waves, fitted), phase)
     phase = without_shift(phase)
-    trend, trend_error = find_trend(turned(modes, phase), snr, coherence_of(waves, profile))
+    trend, trend_error = find_trend(turned(modes, phase), snr, by_beam)
     return Focus(phase, "speckle", error, trend=trend, trend_error=trend_error)
 
 

@@ -16,7 +16,7 @@ beam that is round and not a product, and ground of uneven brightness spread the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -50,6 +50,28 @@ class Speckle:
     count: int
 
 
+@dataclass(frozen=True, eq=False)
+class Coherence:
+    """Of the echo between every two pulses; 1 on the diagonal.
+
+    Attributes:
+        matrix: shape (pulses, pulses).
+    """
+
+    matrix: C128
+    _inverses: dict[float, C128] = field(default_factory=dict, repr=False)
+
+    def covariance(self, snr: float) -> C128:
+        """Of an echo of power `snr` with noise of power 1."""
+        return snr * self.matrix + np.eye(len(self.matrix))
+
+    def inverse_covariance(self, snr: float) -> C128:
+        """The inverse of `covariance`, made once for each `snr`."""
+        if snr not in self._inverses:
+            self._inverses[snr] = np.linalg.inv(self.covariance(snr))
+        return self._inverses[snr]
+
+
 def azimuth_waves(sensor: Sensor, antenna: F64, centre: F64) -> tuple[C128, F64]:
     """Waves from all azimuths that the pulses can tell apart, and the share of the power that the beam sends there.
 
@@ -76,27 +98,33 @@ def azimuth_waves(sensor: Sensor, antenna: F64, centre: F64) -> tuple[C128, F64]
     return np.exp(-1j * sensor.centre_wavenumber * farther), power / power.sum()
 
 
-def signal_modes(white: Complex) -> tuple[Complex, F64]:
+def signal_modes(responses: Complex, noise_covariance: F64 | C128) -> tuple[Complex, F64]:
     """Combinations of the channels that hold more than noise.
 
-    A common phase leaves the covariance between the channels of LIKE_ROWS range cells as it is. Its eigenvectors whose
-    values exceed those of noise alone (Marchenko & Pastur: (1 + sqrt(channels / samples))^2), and WEAKEST_MODE, are the
-    channels' beams towards what lies there; the rest is left out, and so are the last cells if they are fewer.
+    A common phase leaves the covariance between the channels of LIKE_ROWS range cells as it is. Where noise is white,
+    its eigenvectors whose values exceed those of noise alone (Marchenko & Pastur: (1 + sqrt(channels / samples))^2),
+    and WEAKEST_MODE, are the channels' beams towards what lies there; the rest is left out, and so are the last cells
+    if they are fewer.
 
     Args:
-        white: responses with noise of power 1 that is independent in all channels, shape (channels, cells, pulses).
+        responses: shape (channels, cells, pulses).
+        noise_covariance: of the channels, shape (channels, channels).
 
     Returns:
         The combinations, noise of power 1, shape (modes, pulses), and the signal-to-noise ratio of each, (modes,).
     """
-    channels, cells, pulses = white.shape
+    channels, cells, pulses = responses.shape
     like, samples = min(LIKE_ROWS, cells), min(LIKE_ROWS, cells) * pulses
-    alike = np.ascontiguousarray(white[:, : cells // like * like].reshape(channels, -1, samples).swapaxes(0, 1))
-    values, vectors = np.linalg.eigh(alike @ alike.conj().swapaxes(1, 2) / samples)
+    blocks = responses[:, : cells // like * like].reshape(channels, -1, like, pulses).swapaxes(0, 1)
+    alike = np.ascontiguousarray(blocks).reshape(-1, channels, samples)
+    whitening = np.linalg.inv(np.linalg.cholesky(noise_covariance)).astype(responses.dtype)
+    covariance = whitening @ (alike @ alike.conj().swapaxes(1, 2) / samples) @ whitening.conj().T
+    values, vectors = np.linalg.eigh(covariance)
     snr = values - 1
     noise_edge = (1 + np.sqrt(channels / samples)) ** 2
     seen = (values > NOISE_MARGIN * noise_edge) & (snr >= WEAKEST_MODE * snr[:, -1:])
-    combined = (vectors.conj().swapaxes(1, 2) @ alike)[seen]
+    strongest = slice(channels - int(seen.sum(axis=1).max(initial=0)), None)  # values ascend
+    combined = (vectors[..., strongest].conj().swapaxes(1, 2) @ whitening @ alike)[seen[:, strongest]]
     return combined.reshape(-1, pulses), np.repeat(snr[seen], like)
 
 
@@ -114,7 +142,7 @@ def _class_members(snr: F64) -> list[Bool]:
     return [steps == step for step in np.unique(steps)]
 
 
-def link_phases(classes: list[Speckle], coherence: C128, start: F64) -> tuple[F64, float]:
+def link_phases(classes: list[Speckle], coherence: Coherence, start: F64) -> tuple[F64, float]:
     """Phases of maximum likelihood by Fisher scoring; their mean and linear trend are those of the start.
 
     Args:
@@ -129,8 +157,7 @@ def link_phases(classes: list[Speckle], coherence: C128, start: F64) -> tuple[F6
     pulses = len(start)
     weighted, information = np.zeros((pulses, pulses), np.complex128), np.zeros((pulses, pulses))
     for speckle in classes:
-        covariance = speckle.snr * coherence + np.eye(pulses)
-        inverse = np.linalg.inv(covariance)
+        covariance, inverse = coherence.covariance(speckle.snr), coherence.inverse_covariance(speckle.snr)
         weighted -= inverse * speckle.total.T
         information += 2 * speckle.count * ((covariance * inverse.T).real - np.eye(pulses))
     # The inverse of the information on all but mean and linear trend, of which the likelihood knows nothing.
@@ -148,7 +175,7 @@ def link_phases(classes: list[Speckle], coherence: C128, start: F64) -> tuple[F6
     return phase, float(np.sqrt(np.mean(np.diag(variance))))
 
 
-def find_trend(modes: Complex, snr: F64, coherence: C128) -> tuple[float, float]:
+def find_trend(modes: Complex, snr: F64, coherence: Coherence) -> tuple[float, float]:
     """Phase from pulse to pulse by which the echoes are off the middle of the beam, and its standard error, rad.
 
     The likelihood of `link_phases` of the phases s t: a sum over the lags d between pulses of exp(-j s d) times what
@@ -161,40 +188,47 @@ def find_trend(modes: Complex, snr: F64, coherence: C128) -> tuple[float, float]
         coherence: of the echo of even ground (`coherence_of` the beam's profile).
     """
     pulses = modes.shape[-1]
-    block = np.arange(len(modes)) * BLOCKS // len(modes)
-    products = np.zeros((BLOCKS, pulses, pulses), np.complex128)  # R^-1(t, s) total(s, t) of each block
-    for members in _class_members(snr):
-        inverse = np.linalg.inv(snr[members].mean() * coherence + np.eye(pulses))
-        for number in np.unique(block[members]):
-            some = modes[members & (block == number)]
-            products[number] += inverse * (some.conj().T @ some)
+    product = np.zeros((pulses, pulses), np.complex128)  # R^-1(t, s) total(s, t)
+    classes = [
+        (modes[members], coherence.inverse_covariance(float(snr[members].mean())), members)
+        for members in _class_members(snr)
+    ]
+    for some, inverse, _ in classes:
+        product += inverse * (some.conj().T @ some)
     lag = np.arange(pulses) - np.arange(pulses)[:, None]
     waves = np.zeros(FINELY * pulses, np.complex128)
-    np.add.at(waves, lag, products.sum(axis=0))
+    np.add.at(waves, lag, product)
     trend = float(2 * np.pi * np.fft.fftfreq(len(waves))[np.argmin(np.fft.fft(waves).real)])
+    information = 1.0
     for _ in range(2):  # Newton: the grid is within a hundredth of the beam
-        turned = products * np.exp(-1j * trend * lag)
-        scores, information = np.sum(1j * lag * turned, axis=(1, 2)).real, -float(np.sum(lag**2 * turned).real)
-        trend += float(scores.sum()) / information
-    return trend, float(np.sqrt(np.sum(scores**2)) / information)
+        turned = product * np.exp(-1j * trend * lag)
+        information = -float(np.sum(lag**2 * turned).real)
+        trend += float(np.sum(1j * lag * turned).real) / information
+    time, scores = np.arange(pulses) - (pulses - 1) / 2, np.zeros(len(modes))
+    for some, inverse, members in classes:
+        turned = some * np.exp(-1j * trend * time)
+        scores[members] = 2 * np.sum(time * turned.conj() * (turned @ inverse.T), axis=1).imag
+    of_blocks = np.bincount(np.arange(len(modes)) * BLOCKS // len(modes), scores, BLOCKS)
+    return trend, float(np.sqrt(np.sum(of_blocks**2)) / information)
 
 
-def fit_profile(classes: list[Speckle], waves: C128, profile: F64, phase: F64) -> F64:
-    """A profile of greater likelihood than `profile`, given the phases (rad, shape (pulses,)).
+def fit_profile(classes: list[Speckle], waves: C128, profile: F64, coherence: Coherence, phase: F64) -> F64:
+    """A profile of greater likelihood than `profile`, whose coherence is given, and the phases (rad, shape (pulses,)).
 
     One step p <- p (w^H R^-1 S R^-1 w) / (n w^H R^-1 w) towards the maximum, its fixed point: S is the sum over n
     responses, and the classes add to numerator and denominator by their signal-to-noise ratio. More steps fit noise.
     """
-    turn, coherence = np.exp(-1j * phase), coherence_of(waves, profile)
-    found, expected = np.zeros(len(profile)), np.zeros(len(profile))
+    turn = np.exp(-1j * phase)
+    found, expected = np.zeros_like(coherence.matrix), np.zeros_like(coherence.matrix)
     for speckle in classes:
-        whitened = np.linalg.inv(speckle.snr * coherence + np.eye(len(phase))) @ waves
+        inverse = coherence.inverse_covariance(speckle.snr)
         total = speckle.total * turn[:, None] * turn.conj()
-        found += speckle.snr * np.sum(whitened.conj() * (total @ whitened), axis=0).real
-        expected += speckle.snr * speckle.count * np.sum(waves.conj() * whitened, axis=0).real
-    return profile * found / expected
+        found += speckle.snr * (inverse @ total @ inverse)
+        expected += speckle.snr * speckle.count * inverse
+    along = [np.sum(waves.conj() * (matrix @ waves), axis=0).real for matrix in (found, expected)]
+    return profile * along[0] / along[1]
 
 
-def coherence_of(waves: C128, profile: F64) -> C128:
-    """Coherence of the echo between every two pulses, (pulses, pulses); 1 on the diagonal if the profile's sum is 1."""
-    return (waves * profile) @ waves.conj().T
+def coherence_of(waves: C128, profile: F64) -> Coherence:
+    """Coherence of the echo between every two pulses, of a profile whose sum is 1."""
+    return Coherence((waves * profile) @ waves.conj().T)

@@ -263,8 +263,8 @@ def test_phase_linking_reaches_its_bound() -> None:
     centre = dwell.patches[len(dwell.patches) // 2, 0]
     waves, share = azimuth_waves(dwell.sensor, dwell.antenna, centre)
     coherence = coherence_of(waves, share)
-    np.testing.assert_allclose(np.diag(coherence), 1.0)
-    factor = np.linalg.cholesky(coherence + 1e-9 * np.eye(48))
+    np.testing.assert_allclose(np.diag(coherence.matrix), 1.0)
+    factor = np.linalg.cholesky(coherence.matrix + 1e-9 * np.eye(48))
     snr, left = 20.0, []
     for _ in range(100):
         speckle = np.sqrt(snr) * circular(rng, (200, 48)) @ factor.T + circular(rng, (200, 48))
@@ -296,10 +296,10 @@ def test_profile_of_the_echo_is_found_where_the_beam_is_not_as_described() -> No
     lit = (np.arange(96) >= 40) & (np.arange(96) < 72)
     modes = circular(rng, (400, 96)) * np.sqrt(20 / 32 * lit) @ waves.T + circular(rng, (400, 48))
     (speckle,) = classes = speckle_classes(modes, np.full(400, 20.0))
-    found = fit_profile(classes, waves, share, np.zeros(48))
+    found = fit_profile(classes, waves, share, coherence_of(waves, share), np.zeros(48))
 
     def likelihood(profile: np.ndarray) -> float:
-        covariance = 20 * coherence_of(waves, profile) + np.eye(48)
+        covariance = coherence_of(waves, profile).covariance(20)
         return float(
             -np.linalg.slogdet(covariance)[1] - np.trace(np.linalg.solve(covariance, speckle.total)).real / 400
         )
@@ -315,7 +315,7 @@ def test_modes_are_those_of_the_targets() -> None:
     gains, noise = np.array([1.0, 0.5, 0.1, 0.02]), np.array([1.0, 2.0, 1.0, 4.0])
     signal = 5 * gains[:, None, None] * np.exp(1j * rng.uniform(0, 7, (1, 40, 64)))
     responses = signal + np.sqrt(noise)[:, None, None] * circular(rng, (4, 40, 64))
-    modes, snr = signal_modes(responses / np.sqrt(noise)[:, None, None])
+    modes, snr = signal_modes(responses, np.diag(noise))
     assert modes.shape == (40, 64)
     assert np.mean(snr) == pytest.approx(25 * np.sum(gains**2 / noise), rel=0.03)
     assert np.mean(np.abs(modes) ** 2) == pytest.approx(np.mean(snr) + 1, rel=1e-2)

@@ -68,7 +68,7 @@ class Coherence:
     def inverse_covariance(self, snr: float) -> C128:
         """The inverse of `covariance`, made once for each `snr`."""
         if snr not in self._inverses:
-            self._inverses[snr] = np.linalg.inv(self.covariance(snr))
+            self._inverses[snr] = np.asarray(np.linalg.inv(self.covariance(snr)), dtype=np.complex128)
         return self._inverses[snr]
 
 

@@ -12,7 +12,16 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from sal_height.errors import UserError
-from sal_height.geometry import ApertureState, Origin, PlatformState, Trajectory, look_direction, sphere_point
+from sal_height.geometry import (
+    ApertureState,
+    Origin,
+    PlatformState,
+    Trajectory,
+    aperture_at,
+    look_direction,
+    sphere_coordinates,
+    sphere_point,
+)
 from sal_height.numeric import F64, Complex
 from sal_height.sensor import (
     PhaseHistory,
@@ -36,9 +45,10 @@ from sal_height.simulation.scenes import load_scene
 from sal_height.simulation.spotlight import cell_power, draw_amplitudes, simulate_dwell
 from sal_height.simulation.stripmap import mean_square_gain, simulate_block
 
+LEAST_ABOVE = 1e-3  # height above the terrain from which a scatterer is vegetation, m
 TURN_BEAMWIDTHS = 0.5  # ground beyond what the pulses of a stripmap block light up, in case the body turns a little
 GROUND, GUST, ODOMETRY, VIBRATION, AIR, JITTER = range(6)  # keys of random streams that do not belong to a dwell
-LASER = 6  # key of the stream of a dwell's laser phase
+LASER, LEAVES = 6, 7  # keys of streams of a dwell, or of a tile: laser phase, and velocities of vegetation
 
 
 @dataclass(frozen=True)
@@ -260,7 +270,8 @@ class SimulatedFlight:
             seconds = {tile: (start_ns - self.dwell_start_ns(tile)) * 1e-9 for tile in self._tiles(dwell)}
             return joined([self._ground(tile)[0].after(since) for tile, since in seconds.items()])
         aperture, reach = self.aperture(dwell), self._swept_angle * self.preset.flight.slant_range_m
-        return self._visible(aperture, (aperture.position[0] - reach, aperture.position[0] + reach))
+        seen = self._visible(aperture, (aperture.position[0] - reach, aperture.position[0] + reach))
+        return self._in_wind(seen, aperture, (LEAVES, dwell))
 
     @property
     def _swept_angle(self) -> float:
@@ -281,12 +292,26 @@ class SimulatedFlight:
 
     def _make_ground(self, tile: int) -> tuple[VisibleSurface, Complex]:
         edges = (tile - self.dwells / 2 + np.arange(2)) * self.preset.dwell_spacing_m
-        ground = self._visible(self.aperture(tile), (float(edges[0]), float(edges[1])), strips_per_cell=1)
+        aperture = self.aperture(tile)
+        ground = self._visible(aperture, (float(edges[0]), float(edges[1])), strips_per_cell=1)
+        ground = self._in_wind(ground, aperture, (LEAVES, abs(tile), int(tile < 0)))
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(GROUND, abs(tile), int(tile < 0))))
         flight, sensor = self.preset.flight, self.spectrum
         pulses = aperture_length(sensor, flight.slant_range_m) * sensor.pulse_repetition_frequency / flight.speed_mps
         power = cell_power(self._cnr, sensor, pulses, mean_square_gain(sensor.beams))
         return ground, draw_amplitudes(ground, power, rng)
+
+    def _in_wind(self, surface: VisibleSurface, aperture: ApertureState, key: tuple[int, ...]) -> VisibleSurface:
+        """The surface, with velocities of what of it is vegetation: above the terrain, and no target."""
+        if not (wind := self.preset.impairments.vegetation_wind):
+            return surface
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
+        east, north, height = sphere_coordinates(surface.positions)
+        above = (height > self.scene.heights(east, north) + LEAST_ABOVE) & ~surface.deterministic
+        sight = surface.positions - aperture_at(surface.positions, aperture).position
+        sight /= np.linalg.norm(sight, axis=-1, keepdims=True)
+        speed = np.where(above, wind.drawn(len(above), rng), 0.0)
+        return replace(surface, velocity=surface.velocity + speed[:, None] * sight)
 
     @property
     def _cnr(self) -> float:

@@ -31,6 +31,7 @@ from sal_height.simulation.odometry_errors import EXACT, OdometryErrors
 from sal_height.simulation.phase_errors import AT_REST, Vibration
 from sal_height.simulation.settings import Angle, Decibels
 from sal_height.simulation.turbulence import Turbulence
+from sal_height.simulation.vegetation_wind import VegetationWind
 
 MOST_SWING_BEAMWIDTHS = 0.5
 """Greatest swing of the antenna: the beams' middle stays within the band that a dwell may have (`imaging.checks`)."""
@@ -195,6 +196,7 @@ class Impairments(StrictKeys):
         vibration: of the antenna along the line of sight; the odometry does not contain it.
         laser_linewidth_hz: full width at half maximum of the line of the laser.
         turbulence: of the air; None: it is at rest.
+        vegetation_wind: moves what is above the terrain; None: it stands still.
         adc_bits: of the converters of real and imaginary parts, over the full scale that the sensor must have; 0: as
             fine as floating-point numbers.
     """
@@ -214,6 +216,7 @@ class Impairments(StrictKeys):
     vibration: Vibration = AT_REST
     laser_linewidth_hz: Annotated[Float, Ge(0), Le(1e9)] = 0.0
     turbulence: Turbulence | None = None
+    vegetation_wind: VegetationWind | None = None
     adc_bits: Annotated[Int, Ge(0), Le(24)] = 0
 
     def receiver_response(self, sensor: Sensor) -> C128:

@@ -383,7 +383,8 @@ def flight_of(preset: Preset, seed: int) -> SimulatedFlight:
         )
         for t in preset.targets
     )
-    scene = replace(scene, points=scene.points + targets, origin=_origin_of(preset, scene))
+    bounce = 0.0 if preset.double_bounce_db is None else 10 ** (preset.double_bounce_db / 10)
+    scene = replace(scene, points=scene.points + targets, origin=_origin_of(preset, scene), double_bounce=float(bounce))
     return SimulatedFlight(preset, sensor, scene, preset.dwells, seed)
 
 

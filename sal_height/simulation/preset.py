@@ -183,6 +183,7 @@ class Preset(StrictKeys):
     looks: tuple[Annotated[Int, Ge(1)], Annotated[Int, Ge(1)]]
     dwells: Annotated[Int, Ge(1), Le(1_000_000)]
     scene_extent_m: Annotated[Float, Ge(0), Le(10_000)] = 0.0
+    double_bounce_db: Decibels | None = None
     targets: tuple[TargetSettings, ...] = ()
     impairments: Impairments = UNIMPAIRED
     estimators: tuple[str, ...] = ()

@@ -15,6 +15,7 @@ from sal_height.geometry import ApertureState, Origin, angles_of, aperture_at, s
 from sal_height.numeric import F64, Bool, Index
 from sal_height.simulation._terrain_kernels import divide_cuts, interpolate, mark_lit, see
 from sal_height.simulation.canopy import CANOPY_LAYERS, Canopy
+from sal_height.simulation.double_bounce import find_walls
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,8 @@ class Scene:
             and below it, and only there.
         canopy: vegetation above the terrain, hidden where the terrain under it is; None: there is none.
         origin: where on the earth the map origin is; None: nowhere in particular.
+        double_bounce: power of the double bounce at the foot of a wall 1 m high, relative to a resolution cell of
+            brightness 1; it grows with the square of the height.
 
     Raises:
         UserError: fewer than 2 x 2 nodes, nodes that do not increase, values that are not finite, an extent below 0, or
@@ -77,6 +80,7 @@ class Scene:
     extent: float = 0.0
     canopy: Canopy | None = None
     origin: Origin | None = None
+    double_bounce: float = 0.0
 
     def __post_init__(self) -> None:
         shape = (len(self.north), len(self.east))
@@ -236,9 +240,11 @@ def visible_surface(
         UserError: the scene has no terrain within the extents.
     """
     ground, lit = _terrain_scatterers(scene, aperture, look_side, cell, east_extent, range_extent, strips_per_cell)
+    feet = _wall_feet(scene, aperture, look_side, cell, east_extent, strips_per_cell)
     targets = _targets(scene.points, aperture, look_side)
     east = np.array([point.east for point in scene.points])
     ground = ground.where(lit & _within(ground.slant_range, range_extent))
+    feet = feet.where(_within(feet.slant_range, range_extent))
     targets = targets.where(
         _within(targets.slant_range, range_extent) & (east >= east_extent[0]) & (east < east_extent[1])
     )
@@ -247,7 +253,7 @@ def visible_surface(
             f"Scene {scene.name} has no terrain at slant ranges {range_extent[0]:.1f} to {range_extent[1]:.1f} m and "
             f"{east_extent[0]:.1f} to {east_extent[1]:.1f} m east; fly where the scene is, or choose a larger scene."
         )
-    return joined([ground, targets])
+    return joined([ground, feet, targets])
 
 
 def _within(values: F64, extent: tuple[float, float]) -> Bool:
@@ -286,13 +292,10 @@ def _terrain_scatterers(
     of the others, is lit, all layers are.
     """
     range_cell, azimuth_cell = cell
-    strips = max(2, round((east_extent[1] - east_extent[0]) / azimuth_cell * strips_per_cell))
-    strip_width = (east_extent[1] - east_extent[0]) / strips
-    east = east_extent[0] + strip_width * (np.arange(strips) + 0.5)
-    outwards = -look_side * np.sign(aperture.direction[0])
+    strip_width, east, outwards = _strips(aperture, look_side, azimuth_cell, east_extent, strips_per_cell)
     refine = int(np.ceil(np.diff(scene.north).max() / (LONGEST_PIECE * range_cell)))
     steps = np.arange((len(scene.north) - 1) * refine + 1) / refine
-    north = np.interp(steps, np.arange(len(scene.north)), scene.north)[:: int(outwards)]
+    north = np.interp(steps, np.arange(len(scene.north)), scene.north)[::outwards]
     height = scene.heights(east[:, None], north)
     there = np.broadcast_to(east[:, None], height.shape), np.broadcast_to(north, height.shape)
     _, (node_range, node_elevation, _) = _seen(*there, height, aperture, look_side)
@@ -342,6 +345,39 @@ def _terrain_scatterers(
     through = scene.transmission(surface.positions, aperture_at(surface.positions, aperture).position)
     lit_layers = np.tile(lit, len(layers) + len(heights))[chosen]
     return replace(surface, power=surface.power * through), lit_layers
+
+
+def _strips(
+    aperture: ApertureState, look_side: int, azimuth_cell: float, east_extent: tuple[float, float], per_cell: int
+) -> tuple[float, F64, int]:
+    """Width of strips and their middles east, m, and the step in `Scene.north` that goes outwards."""
+    strips = max(2, round((east_extent[1] - east_extent[0]) / azimuth_cell * per_cell))
+    width = (east_extent[1] - east_extent[0]) / strips
+    east: F64 = east_extent[0] + width * (np.arange(strips, dtype=np.float64) + 0.5)
+    return width, east, int(-look_side * np.sign(aperture.direction[0]))
+
+
+def _wall_feet(
+    scene: Scene,
+    aperture: ApertureState,
+    look_side: int,
+    cell: tuple[float, float],
+    east_extent: tuple[float, float],
+    strips_per_cell: int,
+) -> VisibleSurface:
+    """The double bounces of walls, one in each strip, at their feet."""
+    width, east, outwards = _strips(aperture, look_side, cell[1], east_extent, strips_per_cell)
+    east = east if scene.double_bounce else east[:0]
+    north = scene.north[::outwards]
+    height = scene.heights(east[:, None], north)
+    there = np.broadcast_to(east[:, None], height.shape), np.broadcast_to(north, height.shape)
+    _, (_, elevation, _) = _seen(*there, height, aperture, look_side)
+    feet, rise = find_walls(north, height, elevation)
+    place = there[0][feet], there[1][feet], height[feet]
+    positions, angles = _seen(*place, aperture, look_side)
+    power = scene.double_bounce * rise[feet] ** 2 * width / cell[1]
+    fluctuating, at_rest = np.zeros(len(power), dtype=bool), np.zeros_like(positions)
+    return VisibleSurface(positions, place[2], power, *angles, fluctuating, at_rest)
 
 
 def _seen(

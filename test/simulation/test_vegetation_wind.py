@@ -18,7 +18,7 @@ from sal_height.simulation.vegetation_wind import VegetationWind
 HALF_WIDTH = 0.03
 """Of the strip of ground along the flight, m: less than a resolution cell, so that pulses see the same."""
 
-FLIGHTS = 24
+FLIGHTS = 10
 
 
 def flown(scene_extent: float, wind: VegetationWind | None, seed: int = 3) -> SimulatedFlight:
@@ -56,7 +56,7 @@ def test_velocities_have_the_exponential_spectrum() -> None:
 def test_coherence_falls_as_the_transform_of_the_spectrum() -> None:
     """1 / (1 + (4 pi v t / wavelength)^2 / 2) for three quarters of the layers above the ground, 1 for the rest.
 
-    Some 3000 range cells and beams, in 24 flights: within .06.
+    Some 1000 range cells and beams, in 10 flights: within .1, 4 standard errors.
     """
     wind = VegetationWind(rms_velocity_mps=0.004, still_share=0.25)
     found, windy = coherences(wind) / coherences(None), flown(0.2, wind)
@@ -67,13 +67,16 @@ def test_coherence_falls_as_the_transform_of_the_spectrum() -> None:
     assert moving == pytest.approx(0.75 * 7 / 15, abs=0.02)
     expected = 1 - moving + moving * moved
     assert expected[-1] < 0.75
-    np.testing.assert_allclose(found[: len(time) // 2].real, expected[: len(time) // 2], atol=0.06)
+    np.testing.assert_allclose(found[: len(time) // 2].real, expected[: len(time) // 2], atol=0.1)
 
 
 def test_ground_and_targets_stand_still() -> None:
-    flight = flown(0.0, VegetationWind(0.2))
-    np.testing.assert_array_equal(flight.surface(0).velocity, 0.0)
-    np.testing.assert_array_equal(flight.phase_history(0).samples, flown(0.0, None).phase_history(0).samples)
+    """Of the street, whose posts are above the ground: the same echoes, whatever the wind."""
+    calm = load_preset("small")
+    windy = replace(calm, impairments=Impairments(vegetation_wind=VegetationWind(0.2)))
+    np.testing.assert_array_equal(
+        flight_of(windy, 3).phase_history(0).samples, flight_of(calm, 3).phase_history(0).samples
+    )
 
 
 def test_leaves_of_woods_move_along_the_sight_and_the_ground_beneath_does_not() -> None:

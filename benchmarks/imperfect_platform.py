@@ -135,7 +135,7 @@ def flown(seed: int, case: Case, autofocus: str) -> Flown:
     assert slc is not None  # noqa: S101 (a spotlight dwell has an image)
     field = heights(slc, sensor, estimator, chosen)
     beams = image_beams(sensor, settings.azimuth_window)
-    truth = true_surfaces(field, slc.aperture, beams, flight, flight.surface(dwell))
+    truth = true_surfaces(field, slc.aperture, beams, flight, flight.surface(dwell), dwell)
     return Flown(1, Counter(), compare(field, truth, sensor.beamwidth))
 
 

@@ -6,7 +6,7 @@ Nothing that is published remains uncounted: each surface of each pixel with a h
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -93,9 +93,17 @@ def height_beamwidth(flight: SimulatedFlight) -> float:
 
 
 def true_surfaces(
-    field: HeightField, aperture: ApertureState, beams: Beams, flight: SimulatedFlight, surface: VisibleSurface
+    field: HeightField,
+    aperture: ApertureState,
+    beams: Beams,
+    flight: SimulatedFlight,
+    surface: VisibleSurface,
+    dwell: int,
 ) -> LitSurfaces:
     """The lit surfaces of the pixels of a height image.
+
+    In spotlight, range and Doppler count from where the platform was, not from where the odometry says: a pixel holds
+    what it saw, with its true height, and its height is too high by as much as the platform was taken to be.
 
     Args:
         field: the heights.
@@ -103,8 +111,12 @@ def true_surfaces(
         beams: as images have them.
         flight: that was simulated.
         surface: what was lit in the dwell.
+        dwell: number of the dwell.
     """
     sensor = flight.sensor
+    if not aperture.sliding:
+        off = aperture.position - flight.aperture(dwell).position
+        surface = replace(surface, positions=surface.positions + off)
     connected = max(CONNECTED, 1.5 * flight.scene.layer_spacing / height_beamwidth(flight))
     cell = sensor.range_resolution, azimuth_resolution(sensor, aperture, flight.preset.flight.slant_range_m)
     return lit_surfaces(surface, aperture, field.grid, cell, beams, connected, field.first.positions)
@@ -128,7 +140,7 @@ def judged(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Map
         field, aperture = messages.field_from_message(image), messages.aperture_from_message(image.aperture)
         beams = image_beams(sensor, messages.recorded_window(image.provenance, "azimuth"))
         surface = surfaces[image.dwell]
-        truth = true_surfaces(field, aperture, beams, flight, surface)
+        truth = true_surfaces(field, aperture, beams, flight, surface, image.dwell)
         comparisons.append(compare(field, truth, sensor.beamwidth))
         cells = ground_cells(flight.scene, surface, aperture, field.grid, beams, sensor.look_side, size)
         silent = np.isin(field.validity, (Validity.NO_SIGNAL, Validity.LOW_CNR))[*cells.pixel.T]

@@ -157,8 +157,12 @@ def combined(number: int) -> Preset:
 
     preset = load_preset(str(rng.choice([PRESET, "sal_realistic"])))
     lines = tuple(VibrationLine(level(1e-6, 30e-6), level(10, 2000)) for _ in range(rng.integers(0, 4)))
-    odometry = replace(
-        preset.impairments.odometry,
+    # What processing is told of the mounting and the clock; nothing where it is told nothing.
+    told = ImageSettings(**preset.processing.get("sar_compression", {}))
+    odometry = OdometryErrors(
+        delay_s=told.odometry_delay_sigma_s * rng.standard_normal(),
+        undescribed_lever_arm_m=tuple((told.lever_arm_sigma_m * rng.standard_normal(3)).tolist()),
+        undescribed_boresight_rad=tuple((told.boresight_sigma_rad * rng.standard_normal(3)).tolist()),
         position_m=level(0.005, 0.2),
         velocity_mps=level(2e-4, 0.03),
         attitude_rad=level(1e-6, 1e-4),

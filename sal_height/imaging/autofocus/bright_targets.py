@@ -16,7 +16,7 @@ import numpy as np
 import scipy.fft
 
 from sal_height.imaging.autofocus.phase_error import detrended, phase_gradient, without_shift
-from sal_height.numeric import F64, Complex
+from sal_height.numeric import F64, Bool, Complex
 
 WINDOW_SHRINKS = 0.85  # ratio of the azimuth windows of successive iterations
 NARROWEST_WINDOW = 5  # width of the last azimuth window, cells: a focused target and its first sidelobes
@@ -25,6 +25,8 @@ ROUNDS = 5  # maximum number of rounds, each from the widest window to the narro
 ATTEMPTS = 3  # maximum number of times that the rounds begin
 SHARPER = 1.01  # by which an attempt must be better than the last one for another to be worth its time
 CHANGE = 0.05  # rms change of the phase (rad) below which the iterations of a round end, and the rounds
+WITHIN_CELL = np.arange(-4, 5) / 8  # of a cell, places that are tried for a target's peak
+LEAST_OUTSIDE = 1e-6  # of a target's power that is taken to lie outside of any window
 LIKE_ROWS = 8  # neighbouring range cells of one half, so that a target with its first sidelobes is seldom in both
 
 
@@ -38,7 +40,7 @@ def focus_targets(responses: Complex, half_width: int, brightness: float) -> tup
         half_width: azimuth cells to each side of a point that its picture shows.
         brightness: power of a target over the median of the pictures.
     """
-    everything, *halves = _everything_and_halves(responses)
+    everything = _at_points(responses)
     phase, sharp = np.zeros(responses.shape[-1]), 0.0
     for _ in range(ATTEMPTS):
         found = without_shift(phase + _in_rounds(turned(everything, phase), half_width, brightness))
@@ -46,7 +48,9 @@ def focus_targets(responses: Complex, half_width: int, brightness: float) -> tup
         if reached <= sharp * SHARPER:
             break
         phase, sharp = found, reached
-    of_all, one, other = (_refine(turned(part, phase), half_width, brightness) for part in (everything, *halves))
+    first = _first_half(responses.shape[1])
+    parts = everything, _at_points(responses[:, first]), _at_points(responses[:, ~first])
+    of_all, one, other = (_refine(turned(part, phase), half_width, brightness) for part in parts)
     if of_all is None or one is None or other is None:
         return np.zeros(len(phase)), np.inf
     return phase + of_all, _rms(np.angle(np.exp(1j * (one - other)))) / 2
@@ -72,16 +76,15 @@ def turned(responses: Complex, phase: F64) -> Complex:
     return responses * np.exp(-1j * phase).astype(responses.dtype)
 
 
-def _everything_and_halves(responses: Complex) -> list[Complex]:
-    """Responses at all points, shape (detectors, points, pulses), and at those of either half of the range cells.
+def _at_points(responses: Complex) -> Complex:
+    """Responses of rows and patches as those of points, shape (detectors, points, pulses)."""
+    return responses.reshape(len(responses), -1, responses.shape[-1])
 
-    Blocks of LIKE_ROWS cells belong to the halves by turns, of fewer where there are few cells.
-    """
-    detectors, rows, _, pulses = responses.shape
+
+def _first_half(rows: int) -> Bool:
+    """Which range cells are in the first of two halves: blocks of LIKE_ROWS by turns, of fewer where they are few."""
     block = max(1, min(LIKE_ROWS, rows // 4))
-    first = np.arange(rows) // block % 2 == 0
-    parts = [responses, responses[:, first], responses[:, ~first]]
-    return [part.reshape(detectors, -1, pulses) for part in parts]
+    return np.arange(rows) // block % 2 == 0
 
 
 def _in_rounds(responses: Complex, half_width: int, brightness: float) -> F64:
@@ -144,11 +147,15 @@ def _picture(responses: Complex, half_width: int) -> F64:
 
 def _centred_targets(responses: Complex, half_width: int, brightness: float) -> Complex:
     """Responses of the points whose picture holds a bright target, which a linear phase moves to the middle."""
+    if not responses.shape[1]:
+        return responses
     picture = _picture(responses, half_width)
     bright = picture.max(axis=-1) > brightness * np.median(picture)
+    turn = -2j * np.pi / responses.shape[-1] * np.arange(responses.shape[-1])
     cell = picture[bright].argmax(axis=-1) - half_width
-    pulses = responses.shape[-1]
-    return responses[:, bright] * np.exp(-2j * np.pi / pulses * cell[:, None] * np.arange(pulses))
+    targets = responses[:, bright] * np.exp(turn * cell[:, None])
+    beside = np.sum(np.abs(targets @ np.exp(turn[:, None] * WITHIN_CELL)) ** 2, axis=0)
+    return targets * np.exp(turn * WITHIN_CELL[beside.argmax(axis=-1)][:, None])
 
 
 def _windowed(responses: Complex, width: float) -> Complex:
@@ -160,8 +167,10 @@ def _windowed(responses: Complex, width: float) -> Complex:
 
 def _weighted(responses: Complex, width: float) -> Complex:
     """Responses over the root mean square of what lies outside a window: noise, and structure that is no point's."""
-    outside = np.abs(responses - _windowed(responses, width)) ** 2
-    return responses / np.sqrt(np.mean(outside, axis=(0, 2)))[:, None]
+    outside, power = (
+        np.mean(np.abs(part) ** 2, axis=(0, 2)) for part in (responses - _windowed(responses, width), responses)
+    )
+    return responses / np.sqrt(np.maximum(outside, LEAST_OUTSIDE * power))[:, None]
 
 
 def _rms(values: F64) -> float:

@@ -159,8 +159,8 @@ def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64,
         of_rows = responses.reshape(len(responses), *patches.shape[:2], -1)
         phase, error = focus_targets(of_rows, half, 10 ** (settings.autofocus_target_db / 10))
         # Where targets lie is known by the trend alone, and the course of a phase that is not smooth has none.
-        error = error if is_smooth(phase) else np.inf
-        focus = Focus(phase, "targets" if np.isfinite(error) else "none", error)
+        tells_place = np.isfinite(error) and is_smooth(phase)
+        focus = Focus(phase, "targets", error) if tells_place else Focus(np.zeros(len(phase)), "none", np.inf)
     phase = without_shift(focus.phase)
     sharper = sharpness(turned(responses, phase), half) / sharpness(responses, half)
     known = focus.standard_error <= settings.autofocus_max_error_rad

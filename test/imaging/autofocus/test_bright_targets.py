@@ -76,6 +76,14 @@ def test_bright_structure_does_not_decide(amplitude: float, cycles: float) -> No
         assert rms(residual_phase(phase, error)) < 4 * standard_error
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_single_range_cell_is_not_enough() -> None:
+    """It has no two halves."""
+    rng = np.random.default_rng(6)
+    seen = points(np.array([3.0]), 1, rng) + 0.1 * circular(rng, (1, 1, 1, PULSES))
+    assert focus_targets(seen, HALF_WIDTH, BRIGHT)[1] == np.inf
+
+
 def test_a_single_target_is_not_enough() -> None:
     """No second one confirms what it says."""
     rng = np.random.default_rng(4)
@@ -83,6 +91,17 @@ def test_a_single_target_is_not_enough() -> None:
     phase, standard_error = focus_targets(seen + 0.1 * circular(rng, (1, 64, 1, PULSES)), HALF_WIDTH, BRIGHT)
     assert standard_error == np.inf
     assert not np.any(phase)
+
+
+@pytest.mark.filterwarnings("error")
+def test_points_without_any_noise_and_pictures_of_all_cells_focus() -> None:
+    """Nothing lies outside of a window as wide as all pulses; all targets lie alike in their cells."""
+    rng = np.random.default_rng(5)
+    seen = points(np.round(rng.uniform(-12, 12, 32)), 64, rng)
+    error = 2 * np.sin(2 * np.pi * np.arange(PULSES) / PULSES)
+    phase, standard_error = focus_targets((seen * np.exp(1j * error))[None], (PULSES - 1) // 2, BRIGHT)
+    assert standard_error < 0.1
+    assert rms(residual_phase(phase, error)) < 0.1
 
 
 def test_sharpness_counts_all_points_alike() -> None:

@@ -60,6 +60,21 @@ def test_standard_error_is_that_of_targets_in_noise() -> None:
     assert np.mean(ratios) == pytest.approx(1, abs=0.15)
 
 
+def test_what_spreads_over_range_cells_is_in_one_half() -> None:
+    """Objects of a point and weaker ones in 8 range cells each: their structure is an error, which the halves show.
+
+    Mean square of the phases' errors over what is stated, over 10 scenes of 24 objects: within a factor of 2.
+    """
+    ratios = []
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        weaker = sum(0.3 * points(rng.uniform(-12, 12, 24), 24, rng) for _ in range(3))
+        seen = np.repeat(points(rng.uniform(-12, 12, 24), 24, rng) + weaker, 8, axis=0)
+        phase, stated = focus_targets(seen + 0.02 * circular(rng, (1, 192, 1, PULSES)), HALF_WIDTH, 3.0)
+        ratios.append(np.mean(detrended(phase) ** 2) / stated**2)
+    assert 0.5 < np.mean(ratios) < 2
+
+
 @pytest.mark.parametrize(("amplitude", "cycles"), [(1, 3), (4, 3), (9, 3), (4, 8)])
 def test_bright_structure_does_not_decide(amplitude: float, cycles: float) -> None:
     """Four objects of four scatterers each, 30 dB over the points of the other 60 range cells: 4 standard errors."""

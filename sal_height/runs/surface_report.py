@@ -92,31 +92,38 @@ def height_beamwidth(flight: SimulatedFlight) -> float:
     return float(flight.sensor.beamwidth * track.slant_range_m * np.sin(track.look_angle_rad))
 
 
-def true_surfaces(
-    field: HeightField,
-    aperture: ApertureState,
-    beams: Beams,
-    flight: SimulatedFlight,
-    surface: VisibleSurface,
-    dwell: int,
-) -> LitSurfaces:
-    """The lit surfaces of the pixels of a height image.
+def as_flown(field: HeightField, aperture: ApertureState, true: ApertureState) -> tuple[HeightField, ApertureState]:
+    """Where the pixels of a height image and its points lie, seen from where the platform was.
 
-    In spotlight, range and Doppler count from where the platform was, not from where the odometry says: a pixel holds
-    what it saw, with its true height, and its height is too high by as much as the platform was taken to be.
+    In spotlight, range and Doppler count from there, not from where the odometry says; a pixel is compared with what it
+    saw. Of strips it is not known here, and they stay. Heights and covariances stay as they were published.
 
     Args:
         field: the heights.
         aperture: as whose image they are published.
+        true: the aperture in the middle of the dwell.
+    """
+    if aperture.sliding:
+        return field, aperture
+    off = aperture.position - true.position
+    surfaces = tuple(replace(surface, positions=surface.positions - off) for surface in field.surfaces)
+    grid = replace(field.grid, origin=field.grid.origin - off)
+    return replace(field, grid=grid, surfaces=surfaces), replace(aperture, position=true.position)
+
+
+def true_surfaces(
+    field: HeightField, aperture: ApertureState, beams: Beams, flight: SimulatedFlight, surface: VisibleSurface
+) -> LitSurfaces:
+    """The lit surfaces of the pixels of a height image.
+
+    Args:
+        field: the heights (`as_flown`).
+        aperture: from where they were seen (`as_flown`).
         beams: as images have them.
         flight: that was simulated.
         surface: what was lit in the dwell.
-        dwell: number of the dwell.
     """
     sensor = flight.sensor
-    if not aperture.sliding:
-        off = aperture.position - flight.aperture(dwell).position
-        surface = replace(surface, positions=surface.positions + off)
     connected = max(CONNECTED, 1.5 * flight.scene.layer_spacing / height_beamwidth(flight))
     cell = sensor.range_resolution, azimuth_resolution(sensor, aperture, flight.preset.flight.slant_range_m)
     return lit_surfaces(surface, aperture, field.grid, cell, beams, connected, field.first.positions)
@@ -137,12 +144,13 @@ def judged(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Map
     tolerance = float(TOLERANCE_BEAMWIDTHS * across)
     comparisons, seen = [], []
     for image in images:
-        field, aperture = messages.field_from_message(image), messages.aperture_from_message(image.aperture)
+        field, published_as = messages.field_from_message(image), messages.aperture_from_message(image.aperture)
+        flown, aperture = as_flown(field, published_as, flight.aperture(image.dwell))
         beams = image_beams(sensor, messages.recorded_window(image.provenance, "azimuth"))
         surface = surfaces[image.dwell]
-        truth = true_surfaces(field, aperture, beams, flight, surface, image.dwell)
+        truth = true_surfaces(flown, aperture, beams, flight, surface)
         comparisons.append(compare(field, truth, sensor.beamwidth))
-        cells = ground_cells(flight.scene, surface, aperture, field.grid, beams, sensor.look_side, size)
+        cells = ground_cells(flight.scene, surface, aperture, flown.grid, beams, sensor.look_side, size)
         silent = np.isin(field.validity, (Validity.NO_SIGNAL, Validity.LOW_CNR))[*cells.pixel.T]
         seen.append((cells, _is_right(field, cells, tolerance), silent))
     return Judged(joined_comparisons(comparisons), _coverage(seen, size, tolerance))

@@ -2,8 +2,8 @@
 
 Level ground and an upright wall are a dihedral corner: whatever the height at which a ray meets the wall, its path is
 twice that to the foot of the wall, where the echo seems to come from. A wall of the height h sends back a power that
-grows with h^2 in a strip of given width (Ruck et al., Radar Cross Section Handbook, 1970, section 8.3), as long as the
-ground before it is lit.
+grows with h^2 in a strip of given width, as the radar cross section of a dihedral corner does, which is
+8 pi (width x height)^2 / wavelength^2, as long as the ground before it is lit.
 """
 
 from __future__ import annotations

@@ -306,8 +306,8 @@ class SimulatedFlight:
         if not (wind := self.preset.impairments.vegetation_wind):
             return surface
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
-        east, north, height = sphere_coordinates(surface.positions)
-        above = (height > self.scene.heights(east, north) + LEAST_ABOVE) & ~surface.deterministic
+        east, north, _ = sphere_coordinates(surface.positions)
+        above = (surface.heights > self.scene.heights(east, north) + LEAST_ABOVE) & ~surface.deterministic
         sight = surface.positions - aperture_at(surface.positions, aperture).position
         sight /= np.linalg.norm(sight, axis=-1, keepdims=True)
         speed = np.where(above, wind.drawn(len(above), rng), 0.0)

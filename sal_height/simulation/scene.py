@@ -67,8 +67,8 @@ class Scene:
             brightness 1; it grows with the square of the height.
 
     Raises:
-        UserError: fewer than 2 x 2 nodes, nodes that do not increase, values that are not finite, an extent below 0, or
-            a canopy that is not on the nodes of the scene or has a number below 0.
+        UserError: fewer than 2 x 2 nodes, nodes that do not increase, values that are not finite, an extent or a double
+            bounce below 0, or a canopy that is not on the nodes of the scene or has a number below 0.
     """
 
     name: str
@@ -95,7 +95,10 @@ class Scene:
             raise UserError(f"Scene {self.name}: heights must be finite, brightness finite and 0 or more.")
         if not (np.isfinite(self.extent) and self.extent >= 0):
             raise UserError(f"Scene {self.name}: extent is {self.extent} m; it must be finite and 0 or more.")
-
+        if not (np.isfinite(self.double_bounce) and self.double_bounce >= 0):
+            raise UserError(
+                f"Scene {self.name}: double_bounce is {self.double_bounce}; it must be finite and 0 or more."
+            )
         if self.canopy and self.canopy.top.shape != shape:
             raise UserError(
                 f"Scene {self.name}: the canopy's top {self.canopy.top.shape} must be (north, east) = {shape}."
@@ -239,8 +242,9 @@ def visible_surface(
     Raises:
         UserError: the scene has no terrain within the extents.
     """
-    ground, lit = _terrain_scatterers(scene, aperture, look_side, cell, east_extent, range_extent, strips_per_cell)
-    feet = _wall_feet(scene, aperture, look_side, cell, east_extent, strips_per_cell)
+    cuts = _Cuts.through(scene, aperture, look_side, cell, east_extent, strips_per_cell)
+    ground, lit = _terrain_scatterers(scene, cuts, aperture, look_side, cell, range_extent)
+    feet = _wall_feet(scene, cuts, aperture, look_side, cell[1])
     targets = _targets(scene.points, aperture, look_side)
     east = np.array([point.east for point in scene.points])
     ground = ground.where(lit & _within(ground.slant_range, range_extent))
@@ -274,14 +278,56 @@ def _targets(points: tuple[PointScatterer, ...], aperture: ApertureState, look_s
     return VisibleSurface(positions, height, power, *angles, np.ones(len(points), dtype=bool), velocity)
 
 
+@dataclass(frozen=True, eq=False)
+class _Cuts:
+    """Vertical cuts through the terrain across the flight, the middles of strips, with nodes in the order outwards.
+
+    Attributes:
+        strip_width: m.
+        north: arc distances of the nodes, m, shape (nodes,).
+        place: arc distances east and north and height of the nodes, m, three arrays of shape (cuts, nodes).
+        slant_range: to them, m, shape (cuts, nodes).
+        elevation: under which they are seen, rad, shape (cuts, nodes).
+    """
+
+    strip_width: float
+    north: F64
+    place: tuple[F64, F64, F64]
+    slant_range: F64
+    elevation: F64
+
+    @classmethod
+    def through(
+        cls,
+        scene: Scene,
+        aperture: ApertureState,
+        look_side: int,
+        cell: tuple[float, float],
+        east_extent: tuple[float, float],
+        strips_per_cell: int,
+    ) -> Self:
+        """The cuts of an extent, `strips_per_cell` in a resolution cell in azimuth, no piece over LONGEST_PIECE."""
+        range_cell, azimuth_cell = cell
+        strips = max(2, round((east_extent[1] - east_extent[0]) / azimuth_cell * strips_per_cell))
+        width = (east_extent[1] - east_extent[0]) / strips
+        east = east_extent[0] + width * (np.arange(strips) + 0.5)
+        outwards = int(-look_side * np.sign(aperture.direction[0]))
+        refine = int(np.ceil(np.diff(scene.north).max() / (LONGEST_PIECE * range_cell)))
+        steps = np.arange((len(scene.north) - 1) * refine + 1) / refine
+        north = np.interp(steps, np.arange(len(scene.north)), scene.north)[::outwards]
+        height = scene.heights(east[:, None], north)
+        place = np.broadcast_to(east[:, None], height.shape), np.broadcast_to(north, height.shape), height
+        _, (slant_range, elevation, _) = _seen(*place, aperture, look_side)
+        return cls(width, north, place, slant_range, elevation)
+
+
 def _terrain_scatterers(
     scene: Scene,
+    cuts: _Cuts,
     aperture: ApertureState,
     look_side: int,
     cell: tuple[float, float],
-    east_extent: tuple[float, float],
     range_extent: tuple[float, float],
-    strips_per_cell: int,
 ) -> tuple[VisibleSurface, Bool]:
     """Scatterers along vertical cuts through the terrain, SAMPLES_PER_CELL in each cell of a cut, and which are lit.
 
@@ -292,13 +338,8 @@ def _terrain_scatterers(
     of the others, is lit, all layers are.
     """
     range_cell, azimuth_cell = cell
-    strip_width, east, outwards = _strips(aperture, look_side, azimuth_cell, east_extent, strips_per_cell)
-    refine = int(np.ceil(np.diff(scene.north).max() / (LONGEST_PIECE * range_cell)))
-    steps = np.arange((len(scene.north) - 1) * refine + 1) / refine
-    north = np.interp(steps, np.arange(len(scene.north)), scene.north)[::outwards]
-    height = scene.heights(east[:, None], north)
-    there = np.broadcast_to(east[:, None], height.shape), np.broadcast_to(north, height.shape)
-    _, (node_range, node_elevation, _) = _seen(*there, height, aperture, look_side)
+    east, north, height = cuts.place
+    node_range, node_elevation = cuts.slant_range, cuts.elevation
 
     step = np.abs(np.diff(node_range))
     span = np.maximum(step, np.abs(np.diff(node_elevation)) * node_range[:, :-1])
@@ -316,7 +357,7 @@ def _terrain_scatterers(
     horizon = np.maximum.accumulate(before, axis=1)
     points = np.empty((4, int(pieces.sum())))
     strip, node = (np.empty(points.shape[1], dtype=np.int32) for _ in range(2))
-    divide_cuts(pieces, np.stack([*there, height, scene.brightnesses(*there)]), points, strip, node)
+    divide_cuts(pieces, np.stack([east, north, height, scene.brightnesses(east, north)]), points, strip, node)
     place, brightness = points[:3], points[3]
 
     def raised(heights: F64, power: F64) -> VisibleSurface:
@@ -328,7 +369,7 @@ def _terrain_scatterers(
         return VisibleSurface(positions, above, power.ravel(), *angles, fluctuating, at_rest)
 
     layers = scene.extent * ((np.arange(LAYERS) + 0.5) / LAYERS - 0.5) if scene.extent else np.zeros(1)
-    cells = strip_width / azimuth_cell / pieces[strip, node] / range_cell  # of a cut of unit length
+    cells = cuts.strip_width / azimuth_cell / pieces[strip, node] / range_cell  # of a cut of unit length
     power = brightness * step[strip, node] * cells
     ground = raised(np.tile(layers[:, None], len(power)), np.tile(power / len(layers), (len(layers), 1)))
     terrain_elevation = ground.elevation.reshape(len(layers), -1)[len(layers) // 2]
@@ -338,7 +379,7 @@ def _terrain_scatterers(
         return ground, np.tile(lit, len(layers))
 
     heights, thickness = scene.canopy.layers(scene.canopy_tops(*place[:2]))
-    level = np.abs(np.diff(north))[node] * np.sin(terrain_elevation) * cells
+    level = np.abs(np.diff(cuts.north))[node] * np.sin(terrain_elevation) * cells
     volume = raised(heights, scene.canopy.reflectivity * thickness * level)
     chosen = np.concatenate([np.ones(len(ground.power), dtype=bool), volume.power > 0])
     surface = joined([ground, volume]).where(chosen)
@@ -347,37 +388,18 @@ def _terrain_scatterers(
     return replace(surface, power=surface.power * through), lit_layers
 
 
-def _strips(
-    aperture: ApertureState, look_side: int, azimuth_cell: float, east_extent: tuple[float, float], per_cell: int
-) -> tuple[float, F64, int]:
-    """Width of strips and their middles east, m, and the step in `Scene.north` that goes outwards."""
-    strips = max(2, round((east_extent[1] - east_extent[0]) / azimuth_cell * per_cell))
-    width = (east_extent[1] - east_extent[0]) / strips
-    east: F64 = east_extent[0] + width * (np.arange(strips, dtype=np.float64) + 0.5)
-    return width, east, int(-look_side * np.sign(aperture.direction[0]))
-
-
 def _wall_feet(
-    scene: Scene,
-    aperture: ApertureState,
-    look_side: int,
-    cell: tuple[float, float],
-    east_extent: tuple[float, float],
-    strips_per_cell: int,
+    scene: Scene, cuts: _Cuts, aperture: ApertureState, look_side: int, azimuth_cell: float
 ) -> VisibleSurface:
-    """The double bounces of walls, one in each strip, at their feet."""
-    width, east, outwards = _strips(aperture, look_side, cell[1], east_extent, strips_per_cell)
-    east = east if scene.double_bounce else east[:0]
-    north = scene.north[::outwards]
-    height = scene.heights(east[:, None], north)
-    there = np.broadcast_to(east[:, None], height.shape), np.broadcast_to(north, height.shape)
-    _, (_, elevation, _) = _seen(*there, height, aperture, look_side)
-    feet, rise = find_walls(north, height, elevation)
-    place = there[0][feet], there[1][feet], height[feet]
-    positions, angles = _seen(*place, aperture, look_side)
-    power = scene.double_bounce * rise[feet] ** 2 * width / cell[1]
+    """The double bounces of walls, one in each strip, at their feet, as far as the canopy lets them through."""
+    feet, rise = find_walls(cuts.north, cuts.place[2], cuts.elevation)
+    feet &= scene.double_bounce > 0
+    east, north, height = (values[feet] for values in cuts.place)
+    positions, angles = _seen(east, north, height, aperture, look_side)
+    through = scene.transmission(positions, aperture_at(positions, aperture).position)
+    power = scene.double_bounce * rise[feet] ** 2 * cuts.strip_width / azimuth_cell * through
     fluctuating, at_rest = np.zeros(len(power), dtype=bool), np.zeros_like(positions)
-    return VisibleSurface(positions, place[2], power, *angles, fluctuating, at_rest)
+    return VisibleSurface(positions, height, power, *angles, fluctuating, at_rest)
 
 
 def _seen(

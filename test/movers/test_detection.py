@@ -152,7 +152,9 @@ def test_a_bright_point_that_stands_still_is_none() -> None:
 def test_what_is_too_fast_for_the_beam_gets_no_wrong_place() -> None:
     """Its ambiguities, which may be told, have its place."""
     east = EAST + 0.95
-    for one in [one for seen in looked(0, mover(9.5e-3, 45.0, east)) for one in seen.movers]:
+    seen = looked(0, mover(9.5e-3, 45.0, east))
+    assert sum(one.candidates for one in seen) > 0
+    for one in [one for each in seen for one in each.movers]:
         assert abs(one.position[0] - east) < 0.1
 
 

@@ -11,7 +11,7 @@ from sal_height.elevation import ESTIMATORS
 from sal_height.imaging import ImageSettings, image_beams
 from sal_height.pipeline import Compressor, heights
 from sal_height.runs.comparison import PublishedErrors, compare
-from sal_height.runs.surface_report import true_surfaces
+from sal_height.runs.surface_report import as_flown, true_surfaces
 from sal_height.simulation import flight_of, load_preset
 from sal_height.simulation.impairments import Impairments
 from sal_height.simulation.odometry_errors import OdometryErrors
@@ -27,7 +27,8 @@ def errors_with(position_m: float, seed: int) -> PublishedErrors:
     assert slc
     field = heights(slc, flight.sensor, estimator, estimator.settings(range_looks=2, azimuth_looks=2))
     beams = image_beams(flight.sensor, settings.azimuth_window)
-    truth = true_surfaces(field, slc.aperture, beams, flight, flight.surface(1), 1)
+    seen, aperture = as_flown(field, slc.aperture, flight.aperture(1))
+    truth = true_surfaces(seen, aperture, beams, flight, flight.surface(1))
     return compare(field, truth, flight.sensor.beamwidth).errors
 
 

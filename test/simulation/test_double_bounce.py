@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sal_height.errors import UserError
 from sal_height.simulation import flight_of, load_preset
+from sal_height.simulation.canopy import Canopy
 from sal_height.simulation.double_bounce import find_walls
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.scene import Scene, VisibleSurface
@@ -55,6 +57,17 @@ def test_a_wall_echoes_from_its_foot_with_the_square_of_its_height() -> None:
 def test_only_walls_that_face_the_sensor_and_are_lit_echo(height: np.ndarray, seen: int) -> None:
     feet = feet_of(over(height, NORTH))
     assert len(np.unique(np.round(feet.positions[:, 1], 3))) == seen
+
+
+def test_a_canopy_attenuates_it_and_no_scene_has_less_than_none() -> None:
+    """By exp(-2 kappa s) of the path s through the canopy over the ground before the wall: here, less than all."""
+    bare = over(np.where(NORTH < -0.95, 1.0, 0.0), NORTH)
+    canopy = Canopy(np.full(bare.scene.height.shape, 0.5), 0.0, extinction=1.0, reflectivity=0.0)
+    covered = replace(bare, scene=replace(bare.scene, canopy=canopy))
+    through = feet_of(covered).power / feet_of(bare).power
+    np.testing.assert_allclose(through, np.exp(-2 * 0.5 / np.cos(bare.preset.flight.look_angle_rad)), rtol=1e-2)
+    with pytest.raises(UserError, match="double_bounce"):
+        replace(bare.scene, double_bounce=-1.0)
 
 
 def test_a_wall_of_several_nodes_is_one() -> None:

@@ -43,7 +43,7 @@ def focus_targets(responses: Complex, half_width: int, brightness: float) -> tup
     everything = _at_points(responses)
     phase, sharp = np.zeros(responses.shape[-1]), 0.0
     for _ in range(ATTEMPTS):
-        found = without_shift(phase + _in_rounds(turned(everything, phase), half_width, brightness))
+        found = without_shift(_in_rounds(everything, phase, half_width, brightness))
         reached = sharpness(turned(everything, found), half_width)
         if reached <= sharp * SHARPER:
             break
@@ -87,9 +87,9 @@ def _first_half(rows: int) -> Bool:
     return np.arange(rows) // block % 2 == 0
 
 
-def _in_rounds(responses: Complex, half_width: int, brightness: float) -> F64:
+def _in_rounds(responses: Complex, start: F64, half_width: int, brightness: float) -> F64:
     """Phase error in rounds, until one finds nothing new: a blur wider than the pictures takes several."""
-    phase = np.zeros(responses.shape[-1])
+    phase = start.copy()
     for _ in range(ROUNDS):
         found = _round(turned(responses, phase), half_width, brightness)
         phase += found

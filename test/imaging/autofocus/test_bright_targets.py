@@ -119,6 +119,16 @@ def test_points_without_any_noise_and_pictures_of_all_cells_focus() -> None:
     assert rms(residual_phase(phase, error)) < 0.1
 
 
+@pytest.mark.filterwarnings("error")
+def test_equal_responses_leave_nothing_outside_and_need_no_phase() -> None:
+    """Exactly nothing: a weight without a limit would be infinite."""
+    seen = np.zeros((1, 64, 1, PULSES), np.complex128)
+    seen[:, ::2] = 1
+    phase, standard_error = focus_targets(seen, (PULSES - 1) // 2, BRIGHT)
+    np.testing.assert_allclose(phase, 0, atol=1e-9)
+    assert standard_error < 1e-9
+
+
 def test_sharpness_counts_all_points_alike() -> None:
     """A point in a single cell has 1, one that is even over n cells 1 / n; what is dark does not count."""
     one = np.ones((1, 1, PULSES))

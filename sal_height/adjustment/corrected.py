@@ -52,10 +52,9 @@ def corrected_states(
         mounting: of the sensor, as described.
         settings: of the adjustment; the jitter of single dwells becomes part of the covariance.
     """
-    drift, unknowns = adjustment.layout.drift, adjustment.solution.unknowns
-    times, knots = np.asarray(seconds), adjustment.knots
-    motion, turns = _interpolated(drift.seconds, knots, times)
-    common = unknowns[adjustment.layout.common]
+    times, common = np.asarray(seconds), adjustment.solution.of(adjustment.layout.common)
+    knots = np.array([knot.seconds for knot in adjustment.layout.drift.knots])
+    motion, turns = _interpolated(knots, adjustment.knots, times)
     found = []
     covariances = _covariances(states, times, adjustment, mounting)
     for state, place, velocity, turn, covariance in zip(states, *motion, turns, covariances, strict=True):
@@ -116,14 +115,15 @@ def _covariances(
 ) -> list[F64 | None]:
     """Covariance of the numbers of `_errors` of each state near a knot; None: there is none near."""
     drift = adjustment.layout.drift
-    near = [drift.knot_of(time) for time in times.tolist()]
-    covered = [abs(since) <= KNOWN_CORRELATIONS * drift.correlation for _, since in near]
-    first = {knot: number for number, (knot, _) in reversed(list(enumerate(near))) if covered[number]}
+    near = [drift.nearest_knot(time) for time in times.tolist()]
+    known = KNOWN_CORRELATIONS * drift.correlation
+    covered = [abs(time - knot.seconds) <= known for knot, time in zip(near, times.tolist(), strict=True)]
+    first = {id(knot): number for number, knot in reversed(list(enumerate(near))) if covered[number]}
     if not first:
         return [None] * len(near)
     forms = []
-    for knot, number in first.items():
-        columns = np.concatenate([STATE * knot + np.arange(STATE), adjustment.layout.common])
+    for number in first.values():
+        columns = np.concatenate([near[number].columns, adjustment.layout.common])
         forms.append(Form(columns, _errors(states[number], mounting), np.zeros(9)))
     of_knot = dict(zip(first, adjustment.solution.covariance(forms), strict=True))
-    return [of_knot[knot] if there else None for (knot, _), there in zip(near, covered, strict=True)]
+    return [of_knot[id(knot)] if there else None for knot, there in zip(near, covered, strict=True)]

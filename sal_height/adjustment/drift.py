@@ -13,13 +13,14 @@ than these let it become, as with satellites, the difference is taken as a fix; 
 
 from __future__ import annotations
 
+import bisect
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from sal_height.adjustment.equations import Equation
-from sal_height.numeric import F64
+from sal_height.numeric import F64, Index
 
 STATE = 9
 """Numbers of a knot: errors of position (m), velocity (m/s) and attitude (rad), each about or along east, north, up."""
@@ -46,67 +47,81 @@ class Stated:
 
 
 @dataclass(frozen=True, eq=False)
-class Drift:
-    """Knots in time between which the errors follow smoothly.
+class Knot:
+    """A time at which the errors are unknowns.
 
     Attributes:
-        seconds: of the knots, s, increasing, shape (knots,).
-        correlation: T, s.
+        seconds: s.
+        columns: numbers of the unknowns, shape (STATE,).
     """
 
-    seconds: F64
-    correlation: float
+    seconds: float
+    columns: Index
 
-    @classmethod
-    def over(cls, seconds: F64, correlation: float) -> Drift:
-        """Knots at the first of times (s, increasing), and whenever the last one is T / KNOTS_PER_CORRELATION old."""
-        knots = [float(seconds[0])]
-        for time in seconds.tolist():
-            if time - knots[-1] >= correlation / KNOTS_PER_CORRELATION:
-                knots.append(time)
-        return cls(np.array(knots), correlation)
 
-    def knot_of(self, seconds: float) -> tuple[int, float]:
-        """The nearest knot, and the time since it, s."""
-        after = int(np.searchsorted(self.seconds, seconds))
-        near = [number for number in (after - 1, after) if 0 <= number < len(self.seconds)]
-        knot = min(near, key=lambda number: abs(self.seconds[number] - seconds))
-        return knot, seconds - float(self.seconds[knot])
+class Drift:
+    """Knots in time, as time goes on, between which the errors follow smoothly."""
 
-    def priors(self, stated: list[Stated]) -> list[Equation]:
-        """What is known of the knots beforehand, from what odometry states: in the order of time, at each of them."""
-        times = np.array([one.seconds for one in stated])
-        nearest = [stated[number] for number in np.searchsorted(times, self.seconds).tolist()]
-        places = [_floored(one.pose[:3, :3], EXACT_M) for one in nearest]
-        attitudes = [_floored(one.pose[3:, 3:], EXACT_RAD) for one in nearest]
-        told = [
-            one.velocity if one.velocity.any() else place / self.correlation**2
-            for one, place in zip(nearest, places, strict=True)
-        ]
-        velocities = [_floored(velocity, EXACT_MPS) for velocity in told]
-        begin = _inverse(block_diag(places[0], velocities[0], attitudes[0]))
-        equations = [Equation(np.arange(STATE), np.eye(STATE), np.zeros(STATE), begin)]
-        # Variance of the position, and its covariance with the velocity, as they become from knot to knot.
-        variance, mixed, t = _mean_variance(places[0]), 0.0, self.correlation
-        for number in range(1, len(self.seconds)):
-            step = float(self.seconds[number] - self.seconds[number - 1]) / t
-            fade, speed = np.exp(-step), _mean_variance(velocities[number])
-            noise, carried = _position_noise(step, t) * speed, t * (1 - fade)
-            variance += 2 * carried * mixed + carried**2 * speed + float(noise[0, 0])
-            mixed = fade * (mixed + carried * speed) + float(noise[0, 1])
-            stated_variance = _mean_variance(places[number])
-            worse = max(0.0, stated_variance - variance)
-            equations.append(self._transition(number, step, velocities[number], attitudes[number], worse))
-            if stated_variance < 0.99 * variance:
-                information = np.eye(3) * (1 / stated_variance - 1 / variance)
-                equations.append(Equation(STATE * number + np.arange(3), np.eye(3), np.zeros(3), information))
-                mixed *= stated_variance / variance
-            variance = stated_variance
+    def __init__(self, correlation: float) -> None:
+        """Begin without knots; `correlation`: T, s."""
+        self.correlation = correlation
+        self.knots: list[Knot] = []
+        # Variance of the position at the last knot, and its covariance with the velocity.
+        self._variance = self._mixed = 0.0
+
+    def needs_knot(self, seconds: float) -> bool:
+        """Whether there is no knot yet, or the last one is older than T / KNOTS_PER_CORRELATION."""
+        return not self.knots or seconds - self.knots[-1].seconds >= self.correlation / KNOTS_PER_CORRELATION
+
+    def add_knot(self, stated: Stated, columns: Index) -> list[Equation]:
+        """Add a knot at the time of what odometry states, later than all others, whose unknowns have these numbers.
+
+        Returns:
+            What is known of them beforehand.
+        """
+        knot, before = Knot(stated.seconds, columns), self.knots[-1] if self.knots else None
+        self.knots.append(knot)
+        place, attitude = _floored(stated.pose[:3, :3], EXACT_M), _floored(stated.pose[3:, 3:], EXACT_RAD)
+        moved = stated.velocity if stated.velocity.any() else place / self.correlation**2
+        velocity = _floored(moved, EXACT_MPS)
+        variance = _mean_variance(place)
+        if before is None:
+            self._variance = variance
+            return [Equation(columns, np.eye(STATE), np.zeros(STATE), _inverse(block_diag(place, velocity, attitude)))]
+        # Variance of the position, and its covariance with the velocity, as they become.
+        step = (knot.seconds - before.seconds) / self.correlation
+        fade, speed = np.exp(-step), _mean_variance(velocity)
+        noise, carried = _position_noise(step, self.correlation) * speed, self.correlation * (1 - fade)
+        become = self._variance + 2 * carried * self._mixed + carried**2 * speed + float(noise[0, 0])
+        self._mixed = fade * (self._mixed + carried * speed) + float(noise[0, 1])
+        self._variance = variance
+        equations = [self._transition(before, knot, velocity, attitude, max(0.0, variance - become))]
+        if variance < 0.99 * become:
+            fix = np.eye(3) * (1 / variance - 1 / become)
+            equations.append(Equation(columns[:3], np.eye(3), np.zeros(3), fix))
+            self._mixed *= variance / become
         return equations
 
-    def _transition(self, number: int, step: float, velocity: F64, attitude: F64, worse: float) -> Equation:
+    def knot_before(self, seconds: float) -> Knot:
+        """The last knot that is not later; the first one if all are."""
+        return self.knots[max(0, bisect.bisect_right(self.knots, seconds, key=_time_of) - 1)]
+
+    def nearest_knot(self, seconds: float) -> Knot:
+        """The knot that is nearest in time."""
+        after = bisect.bisect_right(self.knots, seconds, key=_time_of)
+        return min(self.knots[max(0, after - 1) : after + 1], key=lambda knot: abs(knot.seconds - seconds))
+
+    def forget_before(self, knot: Knot) -> list[Knot]:
+        """Forget the knots before this one, and return them."""
+        first = self.knots.index(knot)
+        gone, self.knots = self.knots[:first], self.knots[first:]
+        return gone
+
+    def _transition(self, before: Knot, knot: Knot, velocity: F64, attitude: F64, worse: float) -> Equation:
         """How a knot follows from the one before, whose position is `worse` known by so much variance, m^2."""
-        fade, t = np.exp(-step), self.correlation
+        t = self.correlation
+        step = (knot.seconds - before.seconds) / t
+        fade = np.exp(-step)
         carried = np.eye(STATE)
         carried[3:, 3:] *= fade
         carried[:3, 3:6] = t * (1 - fade) * np.eye(3)
@@ -116,8 +131,12 @@ class Drift:
         noise[:3, :3] += np.eye(3) * (worse + (0.01 * EXACT_M) ** 2)
         noise[3:6, 3:6] += np.eye(3) * EXACT_MPS**2
         noise[6:, 6:] += np.eye(3) * EXACT_RAD**2
-        columns = STATE * (number - 1) + np.arange(2 * STATE)
+        columns = np.concatenate([before.columns, knot.columns])
         return Equation(columns, np.hstack([-carried, np.eye(STATE)]), np.zeros(STATE), _inverse(noise))
+
+
+def _time_of(knot: Knot) -> float:
+    return knot.seconds
 
 
 def _position_noise(step: float, correlation: float) -> F64:

@@ -1,4 +1,8 @@
-"""Sparse linear least squares: linear forms of unknowns, equations with an information matrix, and their solution."""
+"""Sparse linear least squares: linear forms of unknowns, equations with an information matrix, and their solution.
+
+Unknowns are known by their numbers, of which there may be gaps: they come and go with the dwells of a flight. Before
+they go, what equations with them say of the others is kept (`without`).
+"""
 
 from __future__ import annotations
 
@@ -20,7 +24,7 @@ class Form:
     """Numbers that depend linearly on the unknowns: values x[columns] + constant.
 
     Attributes:
-        columns: of the unknowns, shape (terms,).
+        columns: numbers of the unknowns, shape (terms,).
         values: shape (numbers, terms).
         constant: shape (numbers,).
     """
@@ -36,18 +40,14 @@ class Form:
         constant = self.constant - sum((weight * form.constant for weight, form in others), np.zeros(1))
         return Form(columns, values, constant)
 
-    def at(self, unknowns: F64) -> F64:
-        """Its numbers."""
-        return np.asarray(self.values @ unknowns[self.columns] + self.constant)
-
     def equals(self, right: F64, information: F64) -> Equation:
         """The equation by which it is so much."""
         return Equation(self.columns, self.values, right - self.constant, information)
 
 
-def mean_form(shares: Mapping[int, float], forms: Sequence[Form]) -> Form:
-    """The mean of some forms, by their numbers, with weights; numbers below 0 stand for nothing."""
-    nothing = Form(np.empty(0, np.int64), np.empty((len(forms[0].constant), 0)), np.zeros(len(forms[0].constant)))
+def mean_form(shares: Mapping[int, float], forms: Mapping[int, Form]) -> Form:
+    """The mean of some forms of three numbers, by their own numbers, with weights; those below 0 stand for nothing."""
+    nothing = Form(np.empty(0, np.int64), np.empty((3, 0)), np.zeros(3))
     return nothing.minus([(-share, forms[number]) for number, share in shares.items() if number >= 0])
 
 
@@ -64,35 +64,68 @@ class Equation:
 class System:
     """Equations whose errors are made independent and of variance 1, ready to be solved with changing weights."""
 
-    def __init__(self, equations: Sequence[Equation], count: int) -> None:
-        """Take equations between `count` unknowns."""
-        whitened = [np.linalg.cholesky(one.information).T for one in equations]
-        values = [root @ one.values for root, one in zip(whitened, equations, strict=True)]
-        sizes = np.array([len(one.right) for one in equations])
-        lengths = np.repeat([len(one.columns) for one in equations], sizes)
-        columns = np.concatenate([np.tile(one.columns, len(one.right)) for one in equations])
-        entries = np.concatenate([block.ravel() for block in values])
-        rows = np.repeat(np.arange(sizes.sum()), lengths)
-        self.matrix = csr_array((entries, (rows, columns)), (int(sizes.sum()), count))
-        self.right = np.concatenate([root @ one.right for root, one in zip(whitened, equations, strict=True)])
-        self._sizes = sizes
+    def __init__(self, equations: Sequence[Equation]) -> None:
+        """Take equations that determine all unknowns which they have."""
+        rows, values, self.columns, self._right = _whitened(equations)
+        self._sizes = np.array([len(one.right) for one in equations])
+        self._matrix = csr_array((values, rows), (len(self._right), len(self.columns)))
 
     def solved(self, weights: F64) -> Solution:
         """The unknowns that fit best, with a weight of each equation."""
-        each = np.repeat(weights, self._sizes)
-        return Solution(self.matrix, each, self.right)
+        return Solution(self.columns, self._matrix, np.repeat(weights, self._sizes), self._right)
 
-    def mismatches(self, unknowns: F64) -> F64:
+    def mismatches(self, solution: Solution) -> F64:
         """Square of the error of each equation over what is expected."""
-        errors = (self.matrix @ unknowns - self.right) ** 2
+        errors = (self._matrix @ solution.of(self.columns) - self._right) ** 2
         return np.add.reduceat(errors, np.append(0, np.cumsum(self._sizes)[:-1]))
+
+
+def _whitened(equations: Sequence[Equation]) -> tuple[tuple[Index, Index], F64, Index, F64]:
+    """Equations with errors that are independent and of variance 1.
+
+    Returns:
+        Rows and columns of all entries, the entries, the number of the unknown of each column, and the right sides.
+    """
+    roots = [np.linalg.cholesky(one.information).T for one in equations]
+    values = np.concatenate([(root @ one.values).ravel() for root, one in zip(roots, equations, strict=True)])
+    right = np.concatenate([root @ one.right for root, one in zip(roots, equations, strict=True)])
+    lengths = np.repeat([len(one.columns) for one in equations], [len(one.right) for one in equations])
+    numbers = np.concatenate([np.tile(one.columns, len(one.right)) for one in equations])
+    columns, places = np.unique(numbers, return_inverse=True)
+    return (np.repeat(np.arange(len(right)), lengths), places), values, columns, right
+
+
+def without(equations: Sequence[Equation], gone: Index) -> list[Equation]:
+    """Equations without some unknowns: what those that have any of them say of the others becomes one equation.
+
+    By a triangular decomposition whose first columns are the unknowns that go: rows that begin after them are free of
+    them (Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, chapter II).
+    """
+    has_gone = [bool(np.isin(one.columns, gone).any()) for one in equations]
+    if not any(has_gone):
+        return list(equations)
+    (rows, places), values, columns, right = _whitened(
+        [one for one, has in zip(equations, has_gone, strict=True) if has]
+    )
+    stays = ~np.isin(columns, gone)
+    order = np.argsort(stays, kind="stable")
+    dense = np.zeros((len(right), len(columns) + 1))
+    np.add.at(dense, (rows, np.argsort(order)[places]), values)
+    dense[:, -1] = right
+    triangle = np.asarray(np.linalg.qr(dense, mode="r"))
+    first, count = int(np.count_nonzero(~stays)), int(np.count_nonzero(stays))
+    left = triangle[first : first + count]
+    others = [one for one, has in zip(equations, has_gone, strict=True) if not has]
+    if not left.size:
+        return others
+    return [*others, Equation(columns[stays], left[:, first:-1], left[:, -1], np.eye(len(left)))]
 
 
 class Solution:
     """Unknowns that fit all equations best, and their covariance."""
 
-    def __init__(self, matrix: csr_array, weights: F64, right: F64) -> None:
-        """Solve equations of variance 1 with a weight of each row."""
+    def __init__(self, columns: Index, matrix: csr_array, weights: F64, right: F64) -> None:
+        """Solve equations of variance 1 with a weight of each row; `columns`: number of the unknown of each column."""
         weighed = csr_array(matrix.multiply(weights[:, None]))
         normal = csc_array(matrix.T @ weighed)
         # Unknowns of very different units: each in units in which its own equation has the factor 1.
@@ -100,17 +133,25 @@ class Solution:
         scaled = csc_array(normal.multiply(scale[:, None]).multiply(scale[None, :]))
         symmetric = {"SymmetricMode": True}
         self._solver = splu(scaled, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
-        self._scale = scale
-        self.unknowns = scale * self._solver.solve(scale * (weighed.T @ right))
+        self._columns, self._scale = columns, scale
+        self._unknowns = scale * self._solver.solve(scale * (weighed.T @ right))
+
+    def of(self, columns: Index) -> F64:
+        """The unknowns with these numbers."""
+        return np.asarray(self._unknowns[np.searchsorted(self._columns, columns)])
+
+    def at(self, form: Form) -> F64:
+        """The numbers of a form."""
+        return np.asarray(form.values @ self.of(form.columns) + form.constant)
 
     def covariance(self, forms: Sequence[Form]) -> list[F64]:
-        """Covariance of the numbers of each form."""
+        """Covariance of the numbers of each form, all of which have as many."""
         found: list[F64] = []
         size = len(forms[0].constant)
         for first in range(0, len(forms), max(1, COLUMNS // size)):
             part = forms[first : first + max(1, COLUMNS // size)]
             rows = np.repeat(np.arange(size * len(part)), [len(form.columns) for form in part for _ in range(size)])
-            columns = np.concatenate([np.tile(form.columns, size) for form in part])
+            columns = np.searchsorted(self._columns, np.concatenate([np.tile(form.columns, size) for form in part]))
             values = np.concatenate([form.values.ravel() for form in part])
             sides = csr_array((values * self._scale[columns], (rows, columns)), (size * len(part), len(self._scale)))
             solved = self._solver.solve(sides.toarray().T)

@@ -125,9 +125,9 @@ class Points:
         """The points of a dwell with its number."""
         return replace(self, dwell=np.full(len(self.place), dwell))
 
-    def moved(self, shifts: F64) -> Points:
-        """The points, each less the shift (m) of its dwell; shifts of shape (dwells, 3)."""
-        return replace(self, place=self.place - shifts[self.dwell])
+    def moved(self, shift: F64) -> Points:
+        """The points less a shift, m, shape (3,)."""
+        return replace(self, place=self.place - shift) if shift.any() else self
 
     def thinned(self, most: int) -> Points:
         """Not more than so many of the points, evenly spread over their order."""

@@ -14,14 +14,14 @@ with t = u x f.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
 
 import numpy as np
 
-from sal_height.adjustment.drift import EXACT_M, STATE, Drift, Stated
+from sal_height.adjustment.drift import EXACT_M, STATE, Drift, Knot, Stated
 from sal_height.adjustment.equations import Equation, Form, Solution
 from sal_height.adjustment.matching import Points
 from sal_height.adjustment.settings import AdjustmentSettings
@@ -43,6 +43,10 @@ wall is in the same pixels as a roof, the roof begins later, and its last pixel 
 
 OWN = 2
 """Unknowns of each dwell: its shift along the flight (m) and its angle off nadir (rad)."""
+
+PLACE, TURN, STRETCH, POSE = slice(0, 3), slice(3, 6), 6, 7
+"""What is off where a dwell is seen from: the antenna (m, map), the sensor (rad, about the axes of map), and the angles
+between its beams (share)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,30 +132,47 @@ class ObservedDwell:
         return self.slant_range / self.speed
 
 
-@dataclass(frozen=True, eq=False)
 class Layout:
-    """Where the unknowns are: the knots of navigation, what all dwells share, and each dwell's own."""
+    """Numbers of the unknowns: first what all dwells share; then, as they come, knots of navigation and their own."""
 
-    drift: Drift
-    dwells: int
+    common = np.arange(COMMON)
 
-    @property
-    def common(self) -> Index:
-        """Columns that all dwells share."""
-        return STATE * len(self.drift.seconds) + np.arange(COMMON)
+    def __init__(self, correlation: float) -> None:
+        """Begin without dwells; `correlation` of the navigation's errors, s."""
+        self.drift = Drift(correlation)
+        self._count = COMMON
+        self._own: dict[int, Index] = {}
+
+    def add(self, dwell: int, stated: Stated) -> list[Equation]:
+        """Number the unknowns of a dwell, which is later than all others, and of a knot if it needs one.
+
+        Returns:
+            What is known beforehand of that knot.
+        """
+        equations: list[Equation] = []
+        if self.drift.needs_knot(stated.seconds):
+            equations = self.drift.add_knot(stated, self._numbered(STATE))
+        self._own[dwell] = self._numbered(OWN)
+        return equations
 
     def own(self, dwell: int) -> Index:
-        """Columns of a dwell."""
-        return STATE * len(self.drift.seconds) + COMMON + OWN * dwell + np.arange(OWN)
+        """Numbers of what a dwell has of its own."""
+        return self._own[dwell]
 
-    @property
-    def count(self) -> int:
-        """Of all unknowns."""
-        return STATE * len(self.drift.seconds) + COMMON + OWN * self.dwells
+    def forget(self, dwells: Collection[int], first: Knot) -> Index:
+        """Forget what dwells have of their own, and the knots before the first that is still needed: their numbers."""
+        knots = [knot.columns for knot in self.drift.forget_before(first)]
+        return np.concatenate([*knots, *(self._own.pop(dwell) for dwell in dwells)])
+
+    def _numbered(self, count: int) -> Index:
+        self._count += count
+        return np.arange(self._count - count, self._count)
 
 
-def displacement(number: int, dwell: ObservedDwell, layout: Layout, mounting: Mounting) -> Form:
-    """How far east, north and up (m) the surfaces of a dwell lie off, at their middle.
+def pose(number: int, dwell: ObservedDwell, layout: Layout, mounting: Mounting) -> Form:
+    """How far the antenna is off as a dwell is seen from it: the POSE numbers.
+
+    What moves an image along the flight counts as an error of the position.
 
     Args:
         number: of the dwell in the layout.
@@ -160,31 +181,44 @@ def displacement(number: int, dwell: ObservedDwell, layout: Layout, mounting: Mo
         mounting: of the sensor, as described.
     """
     aperture, u, f = dwell.aperture, dwell.sight, dwell.aperture.direction
-    climb = position_jacobian(dwell.middle, aperture)[:, 0]
     body = aperture.rotation @ mounting.axes.inv().as_matrix()
     arm = body @ np.array(mounting.lever_arm)
-
-    by_turn = turn_jacobian(dwell.middle, aperture)  # of the sensor, about the axes of map
-    by_velocity = -dwell.lever * np.outer(f, u)
-    constant = -dwell.lever * dwell.placement.speed * f
+    knot = layout.drift.knot_before(dwell.seconds)
+    values = np.zeros((POSE, STATE + COMMON + OWN))
+    constant = np.zeros(POSE)
+    # The sensor turns with the body and with the boresight, and its beams by themselves about its forward axis.
+    values[TURN, 6:9], values[TURN, -1] = np.eye(3), aperture.forward
+    values[TURN, STATE:-OWN][:, BORESIGHT] = aperture.rotation
+    # The antenna is where navigation, arm and delay put it.
+    values[PLACE, :3], values[PLACE, 3:6] = np.eye(3), (dwell.seconds - knot.seconds) * np.eye(3)
+    values[PLACE, 6:9] = -np.cross(np.eye(3), arm)
+    values[PLACE, STATE:-OWN][:, LEVER_ARM], values[PLACE, STATE + DELAY] = body, -aperture.velocity
+    # The image moves along the flight with the velocity, or with the beams.
+    values[PLACE, -2] = f
     if dwell.placement.by_beams:
-        by_turn += dwell.slant_range * np.outer(f, np.cross(u, f))
-        by_velocity, constant = np.zeros((3, 3)), np.zeros(3)
-
-    knot, since = layout.drift.knot_of(dwell.seconds)
-    values = np.zeros((3, STATE + COMMON + OWN))
-    values[:, :3] = np.eye(3)
-    values[:, 3:6] = since * np.eye(3) + by_velocity
-    values[:, 6:9] = by_turn - np.cross(np.eye(3), arm)
-    shared = values[:, STATE : STATE + COMMON]
-    shared[:, BORESIGHT] = by_turn @ aperture.rotation
-    shared[:, LEVER_ARM] = body
-    shared[:, DELAY] = -aperture.velocity
-    _, elevation, _ = angles_of(dwell.middle, aperture, dwell.look_side)
-    shared[:, PITCH] = -dwell.look_side * (float(elevation) - dwell.axis_middle) * climb
-    values[:, -2], values[:, -1] = f, climb
-    columns = np.concatenate([STATE * knot + np.arange(STATE), layout.common, layout.own(number)])
+        values[PLACE, :-OWN] += dwell.slant_range * np.outer(f, np.cross(u, f)) @ values[TURN, :-OWN]
+    else:
+        values[PLACE, 3:6] -= dwell.lever * np.outer(f, u)
+        constant[PLACE] = -dwell.lever * dwell.placement.speed * f
+    values[STRETCH, STATE + PITCH] = 1.0
+    columns = np.concatenate([knot.columns, layout.common, layout.own(number)])
     return Form(columns, values, constant)
+
+
+def pose_jacobian(positions: F64, dwell: ObservedDwell) -> F64:
+    """How far positions (m, map, shape (..., 3)) of a dwell's surfaces lie off by the POSE numbers, (..., 3, POSE)."""
+    jacobian = np.empty((*positions.shape, POSE))
+    jacobian[..., PLACE], jacobian[..., TURN] = np.eye(3), turn_jacobian(positions, dwell.aperture)
+    _, elevation, _ = angles_of(positions, dwell.aperture, dwell.look_side)
+    climb = position_jacobian(positions, dwell.aperture)[..., 0]
+    jacobian[..., STRETCH] = -dwell.look_side * (np.asarray(elevation) - dwell.axis_middle)[..., None] * climb
+    return jacobian
+
+
+def displacement(pose_error: Form, dwell: ObservedDwell) -> Form:
+    """How far east, north and up (m) the surfaces of a dwell lie off, at their middle, by the error of its pose."""
+    jacobian = pose_jacobian(dwell.middle, dwell)
+    return Form(pose_error.columns, jacobian @ pose_error.values, jacobian @ pose_error.constant)
 
 
 def seen(dwell: ObservedDwell, off: Form, layout: Layout) -> Form:
@@ -203,14 +237,14 @@ def centroid(number: int, dwell: ObservedDwell, layout: Layout, settings: Adjust
         return None
     u, f = dwell.sight, dwell.aperture.direction
     ahead = -dwell.speed * np.cross(u, f)
-    knot, _ = layout.drift.knot_of(dwell.seconds)
-    columns = np.concatenate([STATE * knot + np.arange(3, 9), layout.common[BORESIGHT], layout.own(number)[:1]])
+    knot = layout.drift.knot_before(dwell.seconds)
+    columns = np.concatenate([knot.columns[3:], layout.common[BORESIGHT], layout.own(number)[:1]])
     values = np.concatenate([-u, ahead, ahead @ dwell.aperture.rotation, [1 / dwell.lever]])[None]
     variance = found.error**2 + (dwell.speed * settings.jitter_rad) ** 2
     return Equation(columns, values, np.array([found.speed]), np.array([[1 / variance]]))
 
 
-def vibration_of(dwells: Sequence[ObservedDwell], joined: Iterable[range]) -> float:
+def vibration_of(dwells: Mapping[int, ObservedDwell], joined: Iterable[range]) -> float:
     """Standard deviation of the velocity along the line of sight by vibration that odometry does not contain, m/s.
 
     That is the spread of the Doppler centroids of dwells that follow each other, whose navigation errs alike; they are
@@ -218,10 +252,10 @@ def vibration_of(dwells: Sequence[ObservedDwell], joined: Iterable[range]) -> fl
     curvature of their phases told.
 
     Args:
-        dwells: all of them.
+        dwells: all of them, by number.
         joined: numbers of those that follow each other.
     """
-    told = [dwell.placement.centroid.vibration for dwell in dwells if dwell.placement.centroid]
+    told = [dwell.placement.centroid.vibration for dwell in dwells.values() if dwell.placement.centroid]
     if not told:
         return 0.0
     weight = resultant = 0.0
@@ -232,38 +266,46 @@ def vibration_of(dwells: Sequence[ObservedDwell], joined: Iterable[range]) -> fl
             resultant += count * float(mean) ** 2 - 1  # (count - 1) times the square of the true one, on the average
             weight += count - 1
     length = np.clip(resultant / weight, 0.01, 1.0) if weight else 1.0
-    spread = float(np.sqrt(-np.log(length))) * dwells[0].ambiguity / (2 * np.pi)
+    spread = float(np.sqrt(-np.log(length))) * next(iter(dwells.values())).ambiguity / (2 * np.pi)
     return max(spread, float(np.sqrt(np.mean(np.square(told)))))
 
 
+def ambiguities_of(dwells: Mapping[int, ObservedDwell], layout: Layout, solution: Solution) -> dict[int, float]:
+    """By how many ambiguities the velocity of each dwell is beyond that of navigation, a whole number, by number.
+
+    A velocity beyond the half of the ambiguity acts as if it were one ambiguity less.
+    """
+    along = {number: float(solution.of(layout.own(number)[:1])[0]) for number in dwells}
+    return {
+        number: 0.0 if dwell.placement.by_beams else round(along[number] / (dwell.lever * dwell.ambiguity))
+        for number, dwell in dwells.items()
+    }
+
+
 def own_priors(
-    dwells: Sequence[ObservedDwell],
+    dwells: Mapping[int, ObservedDwell],
     layout: Layout,
     settings: AdjustmentSettings,
     vibration: float,
-    solution: Solution | None = None,
+    ambiguities: Mapping[int, float],
 ) -> list[Equation]:
     """What is known beforehand of each dwell's own errors: of vibration and of the jitter of its beams.
 
-    A velocity that is beyond the half of the ambiguity acts as if it were one ambiguity less.
-
     Args:
-        dwells: all of them.
+        dwells: all of them, by number.
         layout: of the unknowns.
         settings: of the jitter.
         vibration: standard deviation of the velocity by vibration, m/s.
-        solution: in which such dwells are looked for; None: there are none.
+        ambiguities: as of `ambiguities_of`; of those that are not there 0.
     """
     equations = []
-    for number, dwell in enumerate(dwells):
-        along, middle = max(dwell.lever * vibration, EXACT_M), 0.0
+    for number, dwell in dwells.items():
+        along = max(dwell.lever * vibration, EXACT_M)
         if dwell.placement.by_beams:
             along = dwell.slant_range * settings.jitter_rad
-        elif solution is not None:
-            whole = dwell.lever * dwell.ambiguity
-            middle = whole * float(np.rint(solution.unknowns[layout.own(number)[0]] / whole))
+        middle = np.array([ambiguities.get(number, 0.0) * dwell.lever * dwell.ambiguity, 0.0])
         information = np.diag([along**-2, settings.jitter_rad**-2])
-        equations.append(Equation(layout.own(number), np.eye(OWN), np.array([middle, 0.0]), information))
+        equations.append(Equation(layout.own(number), np.eye(OWN), middle, information))
     return equations
 
 
@@ -275,8 +317,13 @@ def stated_sigmas(settings: AdjustmentSettings) -> F64:
     return sigmas
 
 
-def common_prior(dwells: Sequence[ObservedDwell], layout: Layout, settings: AdjustmentSettings) -> Equation:
-    """What is known beforehand of the mounting, the delay, the pitch of the beams, and the edges in images."""
-    edges = EDGES_SPACINGS * max(dwell.points.spacing for dwell in dwells)
-    sigmas = np.maximum(np.append(stated_sigmas(settings), edges), EXACT)
+def common_prior(spacing: float, layout: Layout, settings: AdjustmentSettings) -> Equation:
+    """What is known beforehand of the mounting, the delay, the pitch of the beams, and the edges in images.
+
+    Args:
+        spacing: of the points of images on the ground, m.
+        layout: of the unknowns.
+        settings: of the adjustment.
+    """
+    sigmas = np.maximum(np.append(stated_sigmas(settings), EDGES_SPACINGS * spacing), EXACT)
     return Equation(layout.common, np.eye(COMMON), np.zeros(COMMON), np.diag(sigmas**-2))

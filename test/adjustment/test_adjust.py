@@ -179,10 +179,10 @@ def test_vibration_is_the_spread_of_centroids_on_their_circle() -> None:
     rng = np.random.default_rng(1)
     one, ambiguity = flown().dwells[0], 0.031
 
-    def shaken(speeds: F64) -> list[ObservedDwell]:
+    def shaken(speeds: F64) -> dict[int, ObservedDwell]:
         folded = speeds - ambiguity * np.rint(speeds / ambiguity)
         placements = [Placement(0.0, 0.0, 0.0, Centroid(speed, 1e-4)) for speed in folded.tolist()]
-        return [replace(one, placement=placement, ambiguity=ambiguity) for placement in placements]
+        return {n: replace(one, placement=told, ambiguity=ambiguity) for n, told in enumerate(placements)}
 
     drift = np.repeat(rng.normal(0.0, 0.02, 5000), 2)
     pairs = [range(2 * n, 2 * n + 2) for n in range(5000)]

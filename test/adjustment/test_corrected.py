@@ -9,9 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sal_height.adjustment import Adjustment, AdjustmentSettings, corrected_mounting, corrected_states
-from sal_height.adjustment.drift import STATE, Drift
+from sal_height.adjustment.drift import STATE, Stated
 from sal_height.adjustment.equations import Equation, System
-from sal_height.adjustment.observed import BORESIGHT, COMMON, DELAY, LEVER_ARM, OWN, Layout
+from sal_height.adjustment.observed import BORESIGHT, COMMON, DELAY, LEVER_ARM, Layout
 from sal_height.geometry import Mounting, PlatformState, Trajectory
 from sal_height.numeric import F64
 
@@ -38,10 +38,13 @@ def true_states() -> list[PlatformState]:
 
 def adjustment_with(knots: F64, common: F64) -> Adjustment:
     """An adjustment that has found these errors, and knows each to within 1."""
-    layout = Layout(Drift(KNOTS, 100.0), 1)
-    unknowns = np.concatenate([knots.ravel(), common, np.zeros(OWN)])
-    told = Equation(np.arange(layout.count), np.eye(layout.count), unknowns, np.eye(layout.count))
-    return Adjustment(layout, System([told], layout.count).solved(np.ones(1)), [], [])
+    layout = Layout(100.0)
+    for number, seconds in enumerate(KNOTS.tolist()):
+        layout.add(number, Stated(seconds, np.eye(6), np.eye(3)))
+    unknowns = np.concatenate([common, knots.ravel()])
+    columns = np.concatenate([layout.common, *(knot.columns for knot in layout.drift.knots)])
+    told = Equation(columns, np.eye(len(columns)), unknowns, np.eye(len(columns)))
+    return Adjustment(layout, System([told]).solved(np.ones(1)), [], [])
 
 
 def sensor_of(states: list[PlatformState], mounting: Mounting) -> tuple[np.ndarray, np.ndarray]:

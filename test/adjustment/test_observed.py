@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sal_height.adjustment.drift import STATE, Drift
+from sal_height.adjustment.drift import STATE, Stated
 from sal_height.adjustment.equations import Form
 from sal_height.adjustment.observed import (
     BORESIGHT,
@@ -23,6 +23,7 @@ from sal_height.adjustment.observed import (
     ObservedDwell,
     centroid,
     displacement,
+    pose,
 )
 from sal_height.adjustment.settings import AdjustmentSettings
 from sal_height.elevation import ESTIMATORS
@@ -106,7 +107,23 @@ def axis(number: int, size: float) -> F64:
 
 
 S = STATE
-LAYOUT = Layout(Drift(np.array([0.0, 60.0]), 100.0), 2)
+
+
+def layout_of(*times: float) -> Layout:
+    """Of dwells at these times, s."""
+    layout = Layout(100.0)
+    for number, seconds in enumerate(times):
+        layout.add(number, Stated(seconds, np.eye(6), np.eye(3)))
+    return layout
+
+
+LAYOUT = layout_of(0.0, 60.0)
+
+
+def displaced(number: int, dwell: ObservedDwell, mounting: Mounting, layout: Layout = LAYOUT) -> Form:
+    return displacement(pose(number, dwell, layout, mounting), dwell)
+
+
 ERRORS = {
     **{
         f"position {name}": Error(
@@ -157,7 +174,7 @@ def test_surfaces_move_as_foretold(name: str, heading: str) -> None:
     dwell, error = DWELL[heading], ERRORS[name]
     slc, exact, sensor = imaged(dwell, None)
     _, wrong, _ = imaged(dwell, error)
-    form = displacement(dwell, observed(dwell, slc, exact), LAYOUT, sensor.mounting)
+    form = displaced(dwell, observed(dwell, slc, exact), sensor.mounting)
     moved = (wrong.first.positions - exact.first.positions).reshape(-1, 3)
     expected = foretold(form, error.unknowns)
     assert np.linalg.norm(expected) > 0.1
@@ -170,7 +187,7 @@ def test_a_target_moves_along_the_flight_as_foretold(name: str, heading: str) ->
     """Within 4 mm, by errors of the velocity, and not at all by where the beams look."""
     dwell, error = DWELL[heading], ERRORS[name]
     (slc, exact, sensor), (wrong, _, _) = imaged(dwell, None), imaged(dwell, error)
-    form = displacement(dwell, observed(dwell, slc, exact), LAYOUT, sensor.mounting)
+    form = displaced(dwell, observed(dwell, slc, exact), sensor.mounting)
     moved = (peak_of(wrong) - peak_of(slc)) @ slc.aperture.direction
     expected = foretold(form, error.unknowns) @ slc.aperture.direction
     if name in {"velocity y", "velocity z"}:
@@ -201,7 +218,7 @@ def test_pitch_of_beams_stretches_what_is_seen() -> None:
         numbers = np.flatnonzero(there)[half]
         place = exact.first.positions.reshape(-1, 3)[numbers]
         part = replace(middle.points, place=np.stack(sphere_coordinates(place), axis=-1))
-        form = displacement(0, replace(middle, points=part), LAYOUT, sensor.mounting)
+        form = displaced(0, replace(middle, points=part), sensor.mounting)
         expected = foretold(form, ((S + PITCH, 0.02),))
         assert np.linalg.norm(expected) > 0.01
         np.testing.assert_allclose(np.median(moved[numbers], axis=0), expected, atol=0.006)
@@ -218,10 +235,9 @@ def test_centroid_is_off_as_foretold(name: str, heading: str) -> None:
         equation = centroid(dwell, observed(dwell, slc, field), LAYOUT, AdjustmentSettings())
         assert equation is not None
         told.append(equation)
-    values = np.zeros(LAYOUT.count)
-    for number, size in error.unknowns:
-        values[number + STATE * dwell if number < STATE else LAYOUT.common[number - STATE]] = size
-    expected = told[0].values @ values[told[0].columns]
+    named = np.concatenate([LAYOUT.drift.knots[dwell].columns, LAYOUT.common])
+    values = {int(named[number]): size for number, size in error.unknowns}
+    expected = told[0].values @ [values.get(column, 0.0) for column in told[0].columns.tolist()]
     assert told[1].right - told[0].right == pytest.approx(expected, abs=4e-4, rel=0.03)
 
 
@@ -234,7 +250,7 @@ def test_velocity_of_a_knot_moves_the_dwells_after_it() -> None:
     """By what the knot's position changes until the dwell."""
     dwell, mounting = one_dwell(), flown().sensor.mounting
     at, later = (
-        displacement(0, replace(dwell, stated=replace(dwell.stated, seconds=seconds)), LAYOUT, mounting).values
+        displaced(0, replace(dwell, stated=replace(dwell.stated, seconds=seconds)), mounting).values
         for seconds in (0.0, 2.5)
     )
     np.testing.assert_allclose((later - at)[:, 3:6], 2.5 * np.eye(3), atol=1e-12)
@@ -243,8 +259,7 @@ def test_velocity_of_a_knot_moves_the_dwells_after_it() -> None:
 def test_an_attitude_swings_the_antenna_on_its_arm() -> None:
     dwell, mounting = one_dwell(), flown().sensor.mounting
     with_arm, without = (
-        displacement(0, dwell, LAYOUT, one).values[:, 6:9]
-        for one in (mounting, replace(mounting, lever_arm=(0.0, 0.0, 0.0)))
+        displaced(0, dwell, one).values[:, 6:9] for one in (mounting, replace(mounting, lever_arm=(0.0, 0.0, 0.0)))
     )
     body = dwell.aperture.rotation @ mounting.axes.inv().as_matrix()
     arm = body @ np.array(mounting.lever_arm)
@@ -256,11 +271,11 @@ def test_images_that_lie_where_the_beams_are_turn_with_them() -> None:
     """Along the flight by the range times the turn of the line of sight; velocity does not move them."""
     dwell, mounting = one_dwell(), replace(flown().sensor.mounting, lever_arm=(0.0, 0.0, 0.0))
     dwell = replace(dwell, placement=replace(dwell.placement, by_beams=True))
-    values, f = displacement(0, dwell, LAYOUT, mounting).values, dwell.aperture.direction
+    values, f = displaced(0, dwell, mounting).values, dwell.aperture.direction
     expected = [dwell.slant_range * f @ np.cross(turn, dwell.sight) for turn in np.eye(3)]
     np.testing.assert_allclose(f @ values[:, 6:9], expected, atol=1e-6 * dwell.slant_range)
     assert max(np.abs(expected)) > 0.5 * dwell.slant_range
-    _, since = LAYOUT.drift.knot_of(dwell.seconds)
+    since = dwell.seconds - LAYOUT.drift.knots[0].seconds
     np.testing.assert_allclose(values[:, 3:6], since * np.eye(3), atol=1e-12)
 
 

@@ -1,0 +1,193 @@
+"""Which images of dwells are compared, and what each comparison tells of their displacements.
+
+Dwells that follow each other are joined to a strip: its image has more to recognise than that of a dwell, and dwells
+are compared with those of earlier strips.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sal_height.adjustment.equations import Form, Solution, mean_form
+from sal_height.adjustment.matching import REFERENCE, Match, Points, Surface, match
+from sal_height.adjustment.network import Comparison, Network
+from sal_height.adjustment.observed import ObservedDwell
+from sal_height.adjustment.reference import References
+from sal_height.adjustment.settings import AdjustmentSettings
+from sal_height.numeric import F64, in_threads
+
+REACH_SIGMAS = 4.0
+"""Standard deviations up to which a shift is looked for."""
+
+SURPLUS_SPACINGS = 2.0
+"""By which it is looked for farther than that, in spacings of points."""
+
+ROUGH_POINTS, FINE_POINTS = 300, 800
+"""Most points that are compared of joined dwells, whose search is far and rough, and of single ones."""
+
+
+@dataclass(frozen=True, eq=False)
+class Strip:
+    """Dwells that follow each other, joined.
+
+    Attributes:
+        shifts: that were taken out of the places of their points, m, shape (3,), by the number of the dwell.
+        points: of all of them that hang together.
+        low: least east and north, m, shape (2,); infinite without points.
+        high: greatest east and north, m, shape (2,); minus infinite without points.
+    """
+
+    shifts: Mapping[int, F64]
+    points: Points
+    low: F64
+    high: F64
+
+    @property
+    def middle(self) -> int:
+        """Number of the dwell in the middle."""
+        return list(self.shifts)[len(self.shifts) // 2]
+
+    @classmethod
+    def of(cls, dwells: range, network: Network, known: Solution) -> Strip:
+        """Dwells of a network by their numbers, each without the shift that is known."""
+        shifts = {number: known.at(network.displacements[number]) for number in dwells}
+        points = Points.joined([network.dwells[n].points.connected.moved(shift) for n, shift in shifts.items()])
+        east_north = points.place[:, :2]
+        low, high = east_north.min(axis=0, initial=np.inf), east_north.max(axis=0, initial=-np.inf)
+        return cls(shifts, points, low, high)
+
+
+def joined(dwells: Mapping[int, ObservedDwell], settings: AdjustmentSettings) -> list[range]:
+    """Numbers of dwells that follow each other closely."""
+    found: list[range] = []
+    for number, dwell in dwells.items():
+        last = found[-1] if found else range(0)
+        if last and continues(dwells[last.start], len(last), dwell, settings):
+            found[-1] = range(last.start, number + 1)
+        else:
+            found.append(range(number, number + 1))
+    return found
+
+
+def continues(first: ObservedDwell, count: int, dwell: ObservedDwell, settings: AdjustmentSettings) -> bool:
+    """Whether a dwell belongs to the same strip as its first one, which has so many dwells by now."""
+    return count < settings.strip_dwells and dwell.seconds - first.seconds <= settings.strip_s
+
+
+def compared(
+    strip: Strip,
+    parts: Sequence[Strip],
+    earlier: Sequence[Strip],
+    network: Network,
+    known: Solution,
+    references: References,
+    most_points: int,
+) -> Iterator[Comparison]:
+    """Compare the parts of a strip with strips that were flown before, and with the terrain.
+
+    Args:
+        strip: all dwells.
+        parts: of them.
+        earlier: strips in the order of time.
+        network: of all dwells.
+        known: of the displacements.
+        references: known ground.
+        most_points: of a part that are compared.
+    """
+    middle, near = network.displacements[strip.middle], _near(strip, earlier, network.settings)
+    relative = [middle.minus([(1.0, network.displacements[other.middle])]) for other in near]
+    reach, *reaches = _reaches(known, [middle, *relative], strip.points.spacing, network.settings)
+    met = [_Met.of(other, network, known) for other in near]
+    if references.terrain and strip.points.place.size and (ground := references.terrain.around(strip.points, reach)):
+        met, reaches = [_Met(ground, {}, np.zeros(3)), *met], [reach, *reaches]
+    thinned = [part.points.thinned(most_points) for part in parts]
+    pairs = [
+        (points.moved(-other.since), other.surface, reach)
+        for points in thinned
+        for other, reach in zip(met, reaches, strict=True)
+    ]
+    matches = iter(in_threads(match, *zip(*pairs, strict=True)) if pairs else [])
+    for part in parts:
+        found = [(other, one) for other in met if (one := next(matches)) is not None]
+        for other, one in found:
+            # The noise of the dwell itself is in all its comparisons: half of the variance of each.
+            yield _told(one, part, other, network, 2 / (len(found) + 1))
+
+
+@dataclass(frozen=True, eq=False)
+class _Met:
+    """A surface that points are compared with.
+
+    Attributes:
+        surface: of a strip, or of known ground.
+        shifts: that were taken out of it, as of a strip; none: known ground.
+        since: how much farther off it is known to lie by now, m, shape (3,).
+    """
+
+    surface: Surface
+    shifts: Mapping[int, F64]
+    since: F64
+
+    @classmethod
+    def of(cls, strip: Strip, network: Network, known: Solution) -> _Met:
+        now = known.at(network.displacements[strip.middle])
+        return cls(strip.points.surface, strip.shifts, now - strip.shifts[strip.middle])
+
+
+def _told(found: Match, part: Strip, other: _Met, network: Network, share: float) -> Comparison:
+    """What a match tells, with a share of its information."""
+    one, two = found.dwells
+    taken_out = _mean(one, part.shifts) - _mean(two, other.shifts) - other.since
+    moved, seen = (_between(one, two, forms) for forms in (network.displacements, network.seen))
+    return Comparison(found.dwells, seen.equals(taken_out + found.shift, share * found.information), moved)
+
+
+def _mean(shares: Mapping[int, float], shifts: Mapping[int, F64]) -> F64:
+    """The mean of the shifts of some dwells, m; of known ground it is 0."""
+    return sum((share * shifts[number] for number, share in shares.items() if number != REFERENCE), np.zeros(3))
+
+
+def _between(one: Mapping[int, float], two: Mapping[int, float], forms: Mapping[int, Form]) -> Form:
+    """How far some dwells lie off from others, by their shares."""
+    return mean_form(one, forms).minus([(1.0, mean_form(two, forms))])
+
+
+def sighted(network: Network, numbers: Iterable[int], known: Solution, references: References) -> Iterator[Comparison]:
+    """Find the reference targets in dwells.
+
+    Args:
+        network: of the dwells.
+        numbers: of those in which they are looked for.
+        known: of the displacements.
+        references: known ground.
+    """
+    if not references.targets:
+        return
+    for number in numbers:
+        points, form = network.dwells[number].points, network.displacements[number]
+        (reach,) = _reaches(known, [form], points.spacing, network.settings)
+        for target in references.targets:
+            equation = target.sighted(points, form, known.at(form), reach)
+            if equation is not None:
+                yield Comparison(({number: 1.0}, {REFERENCE: 1.0}), equation, form, is_target=True)
+
+
+def _reaches(known: Solution, forms: Sequence[Form], spacing: float, settings: AdjustmentSettings) -> list[F64]:
+    """How far displacements, or differences of them, may be from what is known, m, shape (3,) each."""
+    most, surplus = settings.reach_spacings * spacing, SURPLUS_SPACINGS * spacing
+    deviations = (np.sqrt(np.diag(covariance)) for covariance in known.covariance(forms))
+    return [np.minimum(REACH_SIGMAS * deviation + surplus, most) for deviation in deviations]
+
+
+def _near(strip: Strip, earlier: Sequence[Strip], settings: AdjustmentSettings) -> list[Strip]:
+    """The latest of earlier strips that may have seen the same ground."""
+    reach = settings.reach_spacings * strip.points.spacing
+    near = [
+        other
+        for other in earlier
+        if np.all(other.low <= strip.high + reach) and np.all(other.high >= strip.low - reach)
+    ]
+    return near[-settings.partners :]

@@ -1,0 +1,151 @@
+"""Dwells that have come, their unknowns, and all equations between these."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sal_height.adjustment.equations import Equation, Form, Solution, System, without
+from sal_height.adjustment.matching import REFERENCE
+from sal_height.adjustment.observed import (
+    Layout,
+    ObservedDwell,
+    ambiguities_of,
+    centroid,
+    common_prior,
+    displacement,
+    own_priors,
+    pose,
+    seen,
+    vibration_of,
+)
+from sal_height.adjustment.settings import AdjustmentSettings
+from sal_height.geometry import Mounting
+from sal_height.numeric import F64
+
+FREEDOM = 4.0
+"""Of Student's t: the fewer, the sooner a comparison loses weight."""
+
+ROUNDS = 6
+"""Solutions after which the weights hardly change."""
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What a comparison of two images tells of the displacements of their dwells.
+
+    Attributes:
+        dwells: shares of the dwells of the one image, and of those of the other; REFERENCE: known ground.
+        equation: between the displacements.
+        between: displacement of the one from the other, without what edges make of it.
+        is_target: whether a reference target was seen.
+    """
+
+    dwells: tuple[Mapping[int, float], Mapping[int, float]]
+    equation: Equation
+    between: Form
+    is_target: bool = False
+
+    @property
+    def is_absolute(self) -> bool:
+        """Whether the ground was known."""
+        return REFERENCE in self.dwells[1]
+
+
+class Network:
+    """Dwells, what is known of them beforehand, and the solution of that and of comparisons.
+
+    Attributes:
+        mounting: of the sensor, as described.
+        settings: what is known beforehand.
+        layout: of the unknowns.
+        dwells: by their numbers, in the order of time.
+        poses: how they are off as forms of the unknowns (`observed.pose`), by number.
+        displacements: how far their surfaces lie off, by number.
+        seen: how far these are seen to lie off by their edges, by number.
+    """
+
+    def __init__(self, mounting: Mounting, settings: AdjustmentSettings) -> None:
+        """Begin without dwells."""
+        self.mounting, self.settings = mounting, settings
+        self.layout = Layout(settings.correlation_s)
+        self.dwells: dict[int, ObservedDwell] = {}
+        self.poses: dict[int, Form] = {}
+        self.displacements: dict[int, Form] = {}
+        self.seen: dict[int, Form] = {}
+        self._count = 0
+        self._known: list[Equation] = []
+        self._ambiguities: dict[int, float] = {}
+        # Of the last solution.
+        self._own: dict[int, Equation] = {}
+        self._compared: list[Comparison] = []
+        self._weights = np.ones(0)
+
+    def add(self, dwell: ObservedDwell) -> int:
+        """Add a dwell, not earlier than all others; returns its number."""
+        number, self._count = self._count, self._count + 1
+        if not number:
+            self._known.append(common_prior(dwell.points.spacing, self.layout, self.settings))
+        self._known += self.layout.add(number, dwell.stated)
+        self.dwells[number] = dwell = replace(dwell, points=dwell.points.numbered(number))
+        self.poses[number] = pose(number, dwell, self.layout, self.mounting)
+        self.displacements[number] = displacement(self.poses[number], dwell)
+        self.seen[number] = seen(dwell, self.displacements[number], self.layout)
+        told = centroid(number, dwell, self.layout, self.settings)
+        self._known += [told] if told else []
+        return number
+
+    def solved(self, joined: Iterable[range], compared: Sequence[Comparison] = ()) -> Solution:
+        """The unknowns that fit best; those comparisons lose weight that contradict the others.
+
+        What dwells have of their own is taken to be near what the last solution has found.
+
+        Args:
+            joined: numbers of the dwells that follow each other.
+            compared: comparisons of the dwells.
+        """
+        vibration = vibration_of(self.dwells, joined)
+        own = own_priors(self.dwells, self.layout, self.settings, vibration, self._ambiguities)
+        self._own = dict(zip(self.dwells, own, strict=True))
+        self._compared = list(compared)
+        known = [*self._known, *self._own.values()]
+        solution, self._weights = solve(known, [one.equation for one in compared])
+        self._ambiguities = ambiguities_of(self.dwells, self.layout, solution)
+        return solution
+
+    def forget(self, numbers: Collection[int]) -> list[Comparison]:
+        """Forget the first dwells, but not what they told in the last solution of the unknowns that others share.
+
+        Returns:
+            The comparisons of that solution in which none of them is.
+        """
+        told, stay = [], []
+        for one, weight in zip(self._compared, self._weights.tolist(), strict=True):
+            if any(number in numbers for side in one.dwells for number in side):
+                told.append(replace(one.equation, information=weight * one.equation.information))
+            else:
+                stay.append(one)
+        own = [self._own.pop(number) for number in numbers]
+        for number in numbers:
+            for held in (self.dwells, self.poses, self.displacements, self.seen, self._ambiguities):
+                del held[number]
+        first = self.layout.drift.knot_before(next(iter(self.dwells.values())).seconds)
+        self._known = without([*self._known, *own, *told], self.layout.forget(numbers, first))
+        return stay
+
+
+def solve(known: Sequence[Equation], compared: Sequence[Equation]) -> tuple[Solution, F64]:
+    """The unknowns that fit all equations best; those in `compared` lose weight if they contradict the others.
+
+    Returns:
+        The unknowns, and the weights of the equations in `compared`.
+    """
+    system, weights = System([*known, *compared]), np.ones(len(known) + len(compared))
+    solution = system.solved(weights)
+    for _ in range(ROUNDS if compared else 0):
+        mismatch = system.mismatches(solution)[len(known) :]
+        weights[len(known) :] = (FREEDOM + 3) / (FREEDOM + mismatch)
+        solution = system.solved(weights)
+    return solution, weights[len(known) :]

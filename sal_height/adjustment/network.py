@@ -28,8 +28,8 @@ from sal_height.numeric import F64
 FREEDOM = 4.0
 """Of Student's t: the fewer, the sooner a comparison loses weight."""
 
-ROUNDS = 6
-"""Solutions after which the weights hardly change."""
+ROUNDS, SETTLED = 6, 0.02
+"""Solutions after which the weights hardly change, at most, and the greatest change of a weight that is none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +81,7 @@ class Network:
         # Of the last solution.
         self._own: dict[int, Equation] = {}
         self._compared: list[Comparison] = []
-        self._weights = np.ones(0)
+        self._weights: dict[int, float] = {}  # by the identity of a comparison
 
     def add(self, dwell: ObservedDwell) -> int:
         """Add a dwell, not earlier than all others; returns its number."""
@@ -111,7 +111,9 @@ class Network:
         self._own = dict(zip(self.dwells, own, strict=True))
         self._compared = list(compared)
         known = [*self._known, *self._own.values()]
-        solution, self._weights = solve(known, [one.equation for one in compared])
+        weights = np.array([self._weights.get(id(one), 1.0) for one in compared])
+        solution, weights = solve(known, [one.equation for one in compared], weights)
+        self._weights = dict(zip(map(id, compared), weights.tolist(), strict=True))
         self._ambiguities = ambiguities_of(self.dwells, self.layout, solution)
         return solution
 
@@ -122,9 +124,9 @@ class Network:
             The comparisons of that solution in which none of them is.
         """
         told, stay = [], []
-        for one, weight in zip(self._compared, self._weights.tolist(), strict=True):
+        for one in self._compared:
             if any(number in numbers for side in one.dwells for number in side):
-                told.append(replace(one.equation, information=weight * one.equation.information))
+                told.append(replace(one.equation, information=self._weights[id(one)] * one.equation.information))
             else:
                 stay.append(one)
         own = [self._own.pop(number) for number in numbers]
@@ -136,16 +138,22 @@ class Network:
         return stay
 
 
-def solve(known: Sequence[Equation], compared: Sequence[Equation]) -> tuple[Solution, F64]:
+def solve(known: Sequence[Equation], compared: Sequence[Equation], weights: F64) -> tuple[Solution, F64]:
     """The unknowns that fit all equations best; those in `compared` lose weight if they contradict the others.
 
+    Args:
+        known: equations whose weight is 1.
+        compared: the others.
+        weights: of these, to begin with, shape (comparisons,).
+
     Returns:
-        The unknowns, and the weights of the equations in `compared`.
+        The unknowns, and the weights.
     """
-    system, weights = System([*known, *compared]), np.ones(len(known) + len(compared))
-    solution = system.solved(weights)
+    system, ones = System([*known, *compared]), np.ones(len(known))
+    solution = system.solved(np.append(ones, weights))
     for _ in range(ROUNDS if compared else 0):
-        mismatch = system.mismatches(solution)[len(known) :]
-        weights[len(known) :] = (FREEDOM + 3) / (FREEDOM + mismatch)
-        solution = system.solved(weights)
-    return solution, weights[len(known) :]
+        before, weights = weights, (FREEDOM + 3) / (FREEDOM + system.mismatches(solution)[len(known) :])
+        if np.all(np.abs(weights - before) < SETTLED):
+            break
+        solution = system.solved(np.append(ones, weights))
+    return solution, weights

@@ -1,0 +1,114 @@
+"""The adjustment of a flight as it goes on: each dwell as it comes, with all that the dwells before it have told.
+
+A dwell is compared with earlier ones that saw the same ground: first joined with those that it follows, then by itself,
+as in `adjustment`. Only the latest dwells are held; what the others have told of navigation and mounting stays
+(`Network.forget`), with the weights that their comparisons had when they left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from sal_height.adjustment.adjustment import Adjustment
+from sal_height.adjustment.comparing import FINE_POINTS, ROUGH_POINTS, Strip, compared, continues, sighted
+from sal_height.adjustment.equations import Solution
+from sal_height.adjustment.network import Comparison, Network
+from sal_height.adjustment.observed import ObservedDwell
+from sal_height.adjustment.reference import UNKNOWN_GROUND, References
+from sal_height.adjustment.settings import AdjustmentSettings
+from sal_height.geometry import Mounting
+from sal_height.numeric import F64
+
+
+@dataclass(frozen=True, eq=False)
+class PoseError:
+    """How far off a dwell is seen from: the POSE numbers of `observed`, and their covariance.
+
+    Attributes:
+        error: shape (POSE,).
+        covariance: shape (POSE, POSE).
+    """
+
+    error: F64
+    covariance: F64
+
+
+class Window:
+    """The latest dwells of a flight, adjusted to each other as they come."""
+
+    def __init__(
+        self,
+        mounting: Mounting,
+        settings: AdjustmentSettings,
+        most_dwells: int,
+        references: References = UNKNOWN_GROUND,
+    ) -> None:
+        """Begin without dwells.
+
+        Args:
+            mounting: of the sensor, as described.
+            settings: what is known beforehand.
+            most_dwells: that are held; a strip is held as a whole or not at all.
+            references: targets, and an elevation model.
+        """
+        self._network = Network(mounting, settings)
+        self._references, self._most_dwells = references, most_dwells
+        self._over: list[Strip] = []
+        self._growing = range(0)
+        self._compared: list[Comparison] = []
+        self._solution: Solution | None = None
+
+    def add(self, dwell: ObservedDwell) -> PoseError:
+        """Add a dwell, not earlier than all others, and tell how it is off."""
+        network = self._network
+        self._begin_strip_with(dwell)
+        number = network.add(dwell)
+        self._growing = range(self._growing.start if self._growing else number, number + 1)
+        known = network.solved(self._strips(), self._compared)
+        # Where the strip is, by all its dwells together; and then, from there, where this dwell is.
+        strip = Strip.of(self._growing, network, known)
+        rough = compared(strip, [strip], self._over, network, known, self._references, ROUGH_POINTS)
+        known = network.solved(self._strips(), [*self._compared, *rough])
+        alone = [Strip.of(range(number, number + 1), network, known)]
+        strip = Strip.of(self._growing, network, known)
+        self._compared += compared(strip, alone, self._over, network, known, self._references, FINE_POINTS)
+        self._compared += sighted(network, [number], known, self._references)
+        self._solution = known = network.solved(self._strips(), self._compared)
+        pose = network.poses[number]
+        return PoseError(known.at(pose), known.covariance([pose])[0])
+
+    @property
+    def dwells(self) -> int:
+        """Number of those that are held."""
+        return len(self._network.dwells)
+
+    @property
+    def adjustment(self) -> Adjustment:
+        """The adjustment of the dwells that are held, as it stands.
+
+        Raises:
+            ValueError: no dwell has come.
+        """
+        if self._solution is None:
+            raise ValueError("no dwell has come")
+        forms = list(self._network.displacements.values())
+        return Adjustment(self._network.layout, self._solution, forms, self._compared)
+
+    def _begin_strip_with(self, dwell: ObservedDwell) -> None:
+        """End the strip that grows if a dwell does not continue it, and forget strips that are too many."""
+        network, growing = self._network, self._growing
+        if not growing or self._solution is None:
+            return
+        if continues(network.dwells[growing.start], len(growing), dwell, network.settings):
+            return
+        self._over.append(Strip.of(growing, network, self._solution))
+        self._growing = range(0)
+        while len(self._over) > 1 and self.dwells >= self._most_dwells:
+            self._compared = network.forget(list(self._over.pop(0).shifts))
+
+    def _strips(self) -> Iterator[range]:
+        for strip in self._over:
+            yield range(min(strip.shifts), max(strip.shifts) + 1)
+        if self._growing:
+            yield self._growing

@@ -1,17 +1,20 @@
 """Dwells adjusted to each other: errors of navigation and mounting, from height images that overlap.
 
-Read `adjustment` first (the way through), then `observed` (how errors move what a dwell shows), `matching` (how far two
-images of the same ground lie apart), `drift` (how errors of navigation develop), `equations` (least squares),
-`reference` (known ground) and `corrected` (the trajectory that results).
+Read `adjustment` first (the way through), then `observed` (how errors move what a dwell shows), `comparing` and
+`matching` (which images of the same ground are compared, and how far they lie apart), `drift` (how errors of navigation
+develop), `network` and `equations` (least squares), `reference` (known ground) and `corrected` (the trajectory that
+results). `window` and `corrected_heights` are the same for a flight that goes on.
 """
 
 from sal_height.adjustment.adjustment import Adjustment, adjust
 from sal_height.adjustment.corrected import corrected_mounting, corrected_states
+from sal_height.adjustment.corrected_heights import corrected_aperture, corrected_heights
 from sal_height.adjustment.drift import Stated
 from sal_height.adjustment.matching import LEAST_POINTS, Points
 from sal_height.adjustment.observed import BORESIGHT, DELAY, LEVER_ARM, PITCH, ObservedDwell, stated_sigmas
 from sal_height.adjustment.reference import UNKNOWN_GROUND, References, Target, Terrain
 from sal_height.adjustment.settings import AdjustmentSettings
+from sal_height.adjustment.window import PoseError, Window
 
 __all__ = [
     "BORESIGHT",
@@ -24,11 +27,15 @@ __all__ = [
     "AdjustmentSettings",
     "ObservedDwell",
     "Points",
+    "PoseError",
     "References",
     "Stated",
     "Target",
     "Terrain",
+    "Window",
     "adjust",
+    "corrected_aperture",
+    "corrected_heights",
     "corrected_mounting",
     "corrected_states",
     "stated_sigmas",

@@ -91,10 +91,17 @@ class ObservedDwell:
             pose=track.aperture(begin_ns, times).covariance,
             velocity=track.velocity_covariance(begin_ns, times),
         )
+        return cls.seen_from(slc.aperture, field, slc.placement, stated, sensor)
+
+    @classmethod
+    def seen_from(
+        cls, aperture: ApertureState, field: HeightField, placement: Placement, stated: Stated, sensor: Sensor
+    ) -> Self:
+        """The heights of a dwell, and what they were made with."""
         return cls(
             points=Points.of(field),
-            aperture=slc.aperture,
-            placement=slc.placement,
+            aperture=aperture,
+            placement=placement,
             stated=stated,
             axis_middle=sensor.beams.axis_middle,
             look_side=sensor.look_side,

@@ -1,0 +1,131 @@
+"""A flight that is adjusted as it goes on: as good as all at once, with no more dwells held than wanted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from flown_passes import flown
+
+from benchmarks.passes import FlownPasses
+from sal_height.adjustment import AdjustmentSettings, References, Target, Terrain, Window, adjust
+from sal_height.adjustment.comparing import FINE_POINTS, Strip, compared, joined
+from sal_height.adjustment.network import Network
+from sal_height.adjustment.observed import pose_jacobian
+from sal_height.adjustment.reference import UNKNOWN_GROUND
+from sal_height.numeric import F64
+
+SETTINGS = AdjustmentSettings(boresight_sigma_rad=3e-5, lever_arm_sigma_m=0.01, jitter_rad=1e-7)
+HALF = 8
+"""Of the 15 dwells: it begins with the last one of a pass, and most of its ground has been seen three times."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """How far each dwell lay off when it came, m, shape (dwells, 3), its covariance, and the most dwells held."""
+
+    shifts: F64
+    covariances: F64
+    held: int
+
+
+def told_of(passes: FlownPasses, most_dwells: int, references: References = UNKNOWN_GROUND) -> Told:
+    window = Window(passes.flight.sensor.mounting, SETTINGS, most_dwells, references)
+    shifts, covariances, held = [], [], 0
+    for dwell in passes.dwells:
+        off, jacobian = window.add(dwell), pose_jacobian(dwell.middle, dwell)
+        shifts.append(jacobian @ off.error)
+        covariances.append(jacobian @ off.covariance @ jacobian.T)
+        held = max(held, window.dwells)
+    return Told(np.array(shifts), np.array(covariances), held)
+
+
+def over(told: Told, truth: F64) -> F64:
+    """Mean square of the errors over what is stated, shape (dwells,)."""
+    errors = told.shifts - truth
+    return np.array([e @ np.linalg.solve(c, e) / 3 for e, c in zip(errors, told.covariances, strict=True)])
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_dwells_are_brought_together_as_they_come(seed: int) -> None:
+    """From more than 10 cm to 3 cm in height; along the flight, where a dwell shows little, once a pass is over."""
+    passes = flown(seed)
+    told = told_of(passes, 1000)
+    assert told.held == len(passes.dwells)
+    before = passes.shifts - passes.shifts.mean(axis=0)
+    assert np.all(np.sqrt(np.mean(before**2, axis=0)) > 0.1)
+    errors = (told.shifts - passes.shifts)[HALF:]
+    apart = errors - errors.mean(axis=0)
+    assert np.sqrt(np.mean(apart[:, 2] ** 2)) < 0.03, apart
+    assert np.all(np.abs(apart[::3, :2]) < [0.3, 0.1]), apart
+    assert np.mean(over(told, passes.shifts)) < 3.0
+
+
+def test_the_last_adjustment_is_that_of_all_dwells_at_once() -> None:
+    """Within a standard deviation, though comparisons began from what was known then."""
+    passes = flown()
+    window = Window(passes.flight.sensor.mounting, SETTINGS, 1000)
+    for dwell in passes.dwells:
+        window.add(dwell)
+    whole = adjust(passes.dwells, passes.flight.sensor.mounting, SETTINGS)
+    (ours, covariance), (theirs, _) = window.adjustment.shifts, whole.shifts
+    sigmas = np.sqrt([one.diagonal() for one in covariance])
+    assert np.sqrt(np.mean(((ours - theirs) / sigmas) ** 2)) < 0.5
+    assert len(window.adjustment.comparisons) > 0.5 * len(whole.comparisons)
+
+
+def test_dwells_that_left_have_told_what_they_knew() -> None:
+    """With half of the dwells held, the last ones lie where they do with all; without their memory they would not."""
+    passes = flown()
+    whole, short = told_of(passes, 1000), told_of(passes, 6)
+    assert short.held <= 9, "six, and a strip that begins"
+    sigmas = np.sqrt([one.diagonal() for one in whole.covariances])
+    apart = np.abs(short.shifts - whole.shifts) / sigmas
+    assert np.sqrt(np.mean(apart**2)) < 0.5
+    late = FlownPasses(passes.flight, passes.dwells[-6:], passes.shifts[-6:])
+    forgetful = told_of(late, 1000)
+    variances = [np.mean([c[2, 2] for c in one.covariances[-3:]]) for one in (short, forgetful)]
+    assert variances[0] < 0.8 * variances[1]
+    assert np.mean(over(short, passes.shifts)) < 3.0
+
+
+def test_what_dwells_leave_says_the_same_of_the_others() -> None:
+    """Without new comparisons, poses and covariances stay as they were, but for weights that settle."""
+    passes = flown()
+    network = Network(passes.flight.sensor.mounting, SETTINGS)
+    for dwell in passes.dwells:
+        network.add(dwell)
+    strips = joined(network.dwells, SETTINGS)
+    known = network.solved(strips)
+    joint = [Strip.of(numbers, network, known) for numbers in strips]
+    found = []
+    for number, strip in enumerate(joint):
+        found += compared(strip, [strip], joint[:number], network, known, UNKNOWN_GROUND, FINE_POINTS)
+    for _ in range(3):
+        before = network.solved(strips, found)
+    gone = list(joint[0].shifts)
+    stay = network.forget(gone)
+    assert 0 < len(stay) < len(found)
+    assert not set(gone) & set(network.dwells)
+    after = network.solved(strips[1:], stay)
+    forms = list(network.poses.values())
+    for form, one, other in zip(forms, before.covariance(forms), after.covariance(forms), strict=True):
+        sigmas = np.sqrt(one.diagonal())
+        assert np.all(np.abs(after.at(form) - before.at(form)) < 0.05 * sigmas)
+        np.testing.assert_allclose(np.sqrt(other.diagonal()), sigmas, rtol=0.02)
+
+
+def test_known_ground_is_used_as_dwells_come() -> None:
+    """Heights within 2 cm of the truth from the first dwell on; a target that is not there changes nothing."""
+    passes = flown()
+    ground = References((Target(1000.0, 0.0, 0.0),), Terrain(passes.flight.scene.heights, 0.02))
+    told = told_of(passes, 6, ground)
+    assert np.sqrt(np.mean((told.shifts - passes.shifts)[:, 2] ** 2)) < 0.02
+    assert np.mean(over(told, passes.shifts)) < 3.0
+
+
+def test_a_window_tells_of_nothing_before_the_first_dwell() -> None:
+    window = Window(flown().flight.sensor.mounting, SETTINGS, 10)
+    with pytest.raises(ValueError, match="no dwell"):
+        _ = window.adjustment

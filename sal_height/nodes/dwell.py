@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from operator import attrgetter
 from typing import Generic, NamedTuple, TypeVar
 
 from sal_height.errors import Rejected
@@ -34,6 +36,7 @@ class Dwell(Generic[Item]):
         key: config_hash of the sensor, dwell number and stamp.
         sensor: that the messages were made with.
         began: time at which the first message came, s of a steady clock.
+        channels: number of messages that make it whole.
         items: messages by channel.
         size: bytes that they hold.
     """
@@ -41,6 +44,7 @@ class Dwell(Generic[Item]):
     key: Key
     sensor: Sensor
     began: float
+    channels: int
     items: dict[int, Item] = field(default_factory=dict)
     size: int = 0
 
@@ -52,18 +56,20 @@ class Dwell(Generic[Item]):
     @property
     def is_whole(self) -> bool:
         """Whether the messages of all channels have come."""
-        return len(self.items) == self.sensor.detector_count
+        return len(self.items) == self.channels
 
     @property
     def absent(self) -> list[int]:
         """The channels of which no message has come."""
-        return sorted(set(range(self.sensor.detector_count)) - set(self.items))
+        return sorted(set(range(self.channels)) - set(self.items))
 
 
 class DwellAssembler(Generic[Item]):
     """The unfinished dwells of all sensors, oldest first."""
 
-    def __init__(self) -> None:
+    def __init__(self, channels: Callable[[Sensor], int] = attrgetter("detector_count")) -> None:
+        """Begin without dwells; `channels`: number of messages that make a dwell of a sensor whole."""
+        self._channels = channels
         self._dwells: dict[Key, Dwell[Item]] = {}
         self._finished: deque[Key] = deque(maxlen=FINISHED_KEPT)
         self._latest_ns: dict[str, int] = {}
@@ -81,7 +87,7 @@ class DwellAssembler(Generic[Item]):
                 raise Rejected(
                     "late", f"Dwell {key.number}, channel {channel}: the dwell was finished or dropped before."
                 )
-            dwell = self._dwells[key] = Dwell(key, sensor, now)
+            dwell = self._dwells[key] = Dwell(key, sensor, now, self._channels(sensor))
         if channel in dwell.items:
             raise Rejected("duplicate", f"Dwell {key.number}, channel {channel}: the same message came twice.")
         dwell.items[channel] = item

@@ -1,4 +1,4 @@
-"""A stage that works on whole dwells: it gathers the messages of all channels, and the sensor they belong to."""
+"""A stage that works on whole dwells: it gathers their messages, and the sensor that they belong to."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ READERS: dict[type, Callable[[bytes], Any]] = {
 
 
 class DwellParameters(StageParameters):
-    """Parameters of every node that works on whole dwells."""
+    """Parameters of every node that waits for what belongs to a dwell."""
 
     timeout_s: float = setting(
         5.0,
@@ -68,6 +68,14 @@ class DwellParameters(StageParameters):
         minimum=0.01,
         maximum=3600.0,
     )
+    max_unfinished_dwells: int = setting(
+        8, "unfinished dwells that are held before the oldest is given up", minimum=1, maximum=10_000
+    )
+
+
+class ChannelParameters(DwellParameters):
+    """Parameters of every node that takes one message of each channel."""
+
     missing_channels: str = setting(
         "refuse",
         "what becomes of a dwell of which channels have not come in time: refuse drops it, proceed processes the other "
@@ -76,9 +84,6 @@ class DwellParameters(StageParameters):
     )
     min_channels: int = setting(
         2, "smallest number of channels to proceed with if others are missing", minimum=1, maximum=128
-    )
-    max_unfinished_dwells: int = setting(
-        8, "unfinished dwells that are held before the oldest is given up", minimum=1, maximum=10_000
     )
 
 
@@ -123,7 +128,7 @@ class DwellStage(Stage):
         """
         super().__init__(name, **node_arguments)
         self._sensors = Held[Sensor](HELD_SENSORS)
-        self._assembler: DwellAssembler[Any] = DwellAssembler()
+        self._assembler: DwellAssembler[Any] = DwellAssembler(self.channels_of)
         self._early: list[_Early] = []
         self._latest_ns = 0
         self._waiting = WaitingClock()
@@ -134,6 +139,10 @@ class DwellStage(Stage):
         self.listen(SensorInfo, "sensor_info", self._on_sensor_info, LATCHED_QOS)
         self._inlet = self.listen(message_type, topic, self._on_message, read=self.decode)
         self.every(TICK_S, self._tick)
+
+    def channels_of(self, sensor: Sensor) -> int:
+        """Number of messages that make a dwell of a sensor whole."""
+        return sensor.detector_count
 
     @abstractmethod
     def check(self, message: Any, sensor: Sensor) -> None:
@@ -227,6 +236,8 @@ class DwellStage(Stage):
     def _may_proceed(self, dwell: Dwell[Any]) -> bool:
         """Whether the channels that have come may be processed without the others."""
         parameters = self.current_parameters()
+        if not isinstance(parameters, ChannelParameters):
+            return False
         return parameters.missing_channels == "proceed" and len(dwell.items) >= parameters.min_channels
 
     def _hand_over(self, dwell: Dwell[Any]) -> Rejected | None:

@@ -21,7 +21,7 @@ from sal_height.errors import Rejected, UserError
 from sal_height.imaging import ImageSettings, Slc
 from sal_height.messages import ReceivedImage
 from sal_height.nodes.account import CALIBRATIONS
-from sal_height.nodes.dwell_stage import DwellParameters, DwellStage, WholeDwell
+from sal_height.nodes.dwell_stage import ChannelParameters, DwellStage, WholeDwell
 from sal_height.nodes.held import HELD_CALIBRATIONS, Held
 from sal_height.nodes.placed_points import PlacedPoints
 from sal_height.nodes.program import run_node
@@ -56,7 +56,7 @@ class HeightNode(DwellStage):
 
     Heights of small dwells that wait are made at once, which is faster, and published when their turn comes.
 
-    Its parameters are the settings of its estimator, and those of DwellParameters.
+    Its parameters are the settings of its estimator, and those of ChannelParameters.
     """
 
     estimator: ElevationEstimator
@@ -201,7 +201,7 @@ def height_image(
 
 def height_node(estimator: ElevationEstimator) -> type[HeightNode]:
     """The class of an estimator's node."""
-    parameters = create_model(f"{estimator.name}_parameters", __base__=(estimator.settings, DwellParameters))
+    parameters = create_model(f"{estimator.name}_parameters", __base__=(estimator.settings, ChannelParameters))
     attributes = {
         "estimator": estimator,
         "product": estimator.name,

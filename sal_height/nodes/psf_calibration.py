@@ -16,7 +16,7 @@ from sal_height.calibration import CalibrationSettings, Calibrator, save_calibra
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import sphere_point
 from sal_height.messages import ReceivedImage
-from sal_height.nodes.dwell_stage import DwellParameters, DwellStage
+from sal_height.nodes.dwell_stage import ChannelParameters, DwellStage
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
 from sal_height.nodes.stage import CALIBRATION, IMAGES, LATCHED_QOS, RESET, SENSOR_TOPICS
@@ -28,7 +28,7 @@ MOST_DWELLS = 1024
 """Greatest number of dwells for one calibration: 130 MB of pixels from 16 channels."""
 
 
-class Parameters(DwellParameters, CalibrationSettings):
+class Parameters(ChannelParameters, CalibrationSettings):
     """Parameters of the node."""
 
     dwells: int = setting(

@@ -21,7 +21,7 @@ from sal_height.geometry import Motion, Mounting, PlatformState, Trajectory
 from sal_height.imaging import ImageSettings, Slc
 from sal_height.messages import Pose, ReceivedFrame
 from sal_height.nodes.account import CALIBRATIONS
-from sal_height.nodes.dwell_stage import DwellParameters, DwellStage
+from sal_height.nodes.dwell_stage import ChannelParameters, DwellStage
 from sal_height.nodes.held import HELD_CALIBRATIONS, Held
 from sal_height.nodes.odometry import Arrival, OdometryHistory
 from sal_height.nodes.parameters import FrameParameters
@@ -44,7 +44,7 @@ OTHER_CLOCK_S = 86400.0
 NOT_TRUSTED = "autofocus found no phase error that it can trust; the image is focused with the odometry alone."
 
 
-class Parameters(FrameParameters, ImageSettings, DwellParameters):
+class Parameters(FrameParameters, ImageSettings, ChannelParameters):
     """Settings of the images, and what the node needs besides."""
 
     calibration: str = setting(

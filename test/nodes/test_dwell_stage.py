@@ -20,7 +20,7 @@ from sal_height.nodes.dwell_stage import (
     HELD_EARLY,
     HELD_SENSORS,
     REHEARSED_BYTES,
-    DwellParameters,
+    ChannelParameters,
     DwellStage,
 )
 from sal_height.nodes.graph import Graph
@@ -35,7 +35,7 @@ TIMEOUT_S = 20.0
 class Gate(DwellStage):
     """A stage whose dwells are supplied when the test says so, and which keeps what it is handed."""
 
-    parameters = DwellParameters
+    parameters = ChannelParameters
 
     def __init__(self, graph: Graph, **parameters: Any) -> None:
         overrides = [Parameter(name, value=value) for name, value in parameters.items()]

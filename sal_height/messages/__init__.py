@@ -48,6 +48,7 @@ from sal_height.messages.navigation import (
     read_pose,
     read_twist,
 )
+from sal_height.messages.placements import placement_of, placement_values
 from sal_height.messages.provenance import derived, held_stages, stages_of, with_stage
 from sal_height.messages.received import (
     HeightOrigin,
@@ -102,6 +103,8 @@ __all__ = [
     "history_from_messages",
     "history_to_messages",
     "origin_to_message",
+    "placement_of",
+    "placement_values",
     "read_attitude",
     "read_fix",
     "read_origin",

@@ -156,12 +156,18 @@ class Tracker:
 def _series_of(message: HeightImage, parameters: Parameters) -> tuple[Hashable, ...]:
     """What the heights of a series have in common: sensor, calibration, and how they are made and tracked.
 
-    Which channels had to be left out may change from dwell to dwell, and does not end a series.
+    Which channels had to be left out, and what was found in the data, whose names have a dot, may change from dwell to
+    dwell, and does not end a series.
     """
     provenance = message.provenance
     stages = messages.held_stages(provenance)
-    made = repr({name: {**values, LEFT_OUT: None} for name, values in stages.items()})
+    made = repr({node: {k: v for k, v in values.items() if _is_set(k)} for node, values in stages.items()})
     return provenance.config_hash, provenance.calibration_id, message.estimator, made, parameters
+
+
+def _is_set(name: str) -> bool:
+    """Whether a name in the provenance is that of a parameter."""
+    return "." not in name and name != LEFT_OUT
 
 
 def main() -> int:

@@ -349,7 +349,7 @@ def compress_dwell(
         code_version=__version__,
         config_hash=sensor.config_hash,
         calibration_id=calibration.id if calibration else sensor.calibration_id,
-        parameters=messages.with_stage([], node, parameters),
+        parameters=messages.with_stage([], node, {**dict(parameters), **messages.placement_values(slc.placement)}),
         autofocus_phase=slc.autofocus_phase.tolist(),
     )
     return slc, messages.serialized_slc(slc, frames[0], provenance, parameters.map_frame)

@@ -73,6 +73,7 @@ setup(
             "sar_compression = sal_height.nodes.sar_compression:main",
             *(f"{node} = sal_height.nodes.height:main" for node in height_nodes),
             "relief_tracker = sal_height.nodes.relief_tracker:main",
+            "height_adjuster = sal_height.nodes.height_adjuster:main",
             "paced_player = sal_height.nodes.paced_player:main",
             "player = sal_height.nodes.player:main",
             "recorder = sal_height.nodes.recorder:main",

@@ -7,7 +7,7 @@ results). `window` and `corrected_heights` are the same for a flight that goes o
 """
 
 from sal_height.adjustment.adjustment import Adjustment, adjust
-from sal_height.adjustment.corrected import corrected_mounting, corrected_states
+from sal_height.adjustment.corrected import corrected_mounting, corrected_states, mounting_covariance
 from sal_height.adjustment.corrected_heights import corrected_aperture, corrected_heights
 from sal_height.adjustment.drift import Stated
 from sal_height.adjustment.matching import LEAST_POINTS, Points
@@ -38,5 +38,6 @@ __all__ = [
     "corrected_heights",
     "corrected_mounting",
     "corrected_states",
+    "mounting_covariance",
     "stated_sigmas",
 ]

@@ -36,6 +36,22 @@ def corrected_mounting(mounting: Mounting, adjustment: Adjustment) -> Mounting:
     return replace(mounting, lever_arm=tuple(arm.tolist()), rotation=(x, y, z, w))
 
 
+def mounting_covariance(mounting: Mounting, adjustment: Adjustment) -> F64:
+    """Covariance of what is left of its errors: of the lever arm (m^2) and of the rotation (rad^2), axes of base_link.
+
+    Args:
+        mounting: of the sensor, as described.
+        adjustment: of its dwells.
+
+    Returns:
+        Shape (6, 6).
+    """
+    _, covariance = adjustment.common
+    turned = np.zeros((6, COMMON))
+    turned[:3, LEVER_ARM], turned[3:, BORESIGHT] = np.eye(3), mounting.axes.as_matrix()
+    return turned @ covariance @ turned.T
+
+
 def corrected_states(
     states: Sequence[PlatformState],
     seconds: Sequence[float],

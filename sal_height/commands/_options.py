@@ -206,7 +206,8 @@ Estimators: TypeAlias = Annotated[
         accepts_keys=False,
         show_default=False,
         converter=_names,
-        help="Height estimators, for example ml,capon,music. Default: the standard ones that suit the sensor.",
+        help="Height estimators, for example ml,capon,music; adjusted is those of ml, or of the first, moved to where "
+        "earlier dwells saw the same ground. Default: the standard ones that suit the sensor.",
     ),
 ]
 

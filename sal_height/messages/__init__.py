@@ -9,6 +9,7 @@ from sal_height.messages.basics import (
     MAP_FRAME,
     Frames,
     aperture_from_message,
+    check_geometry,
     complex_view,
     float_view,
     grid_from_message,
@@ -41,6 +42,7 @@ from sal_height.messages.heights import (
 )
 from sal_height.messages.images import check_slc, recorded_window, slc_from_messages, slc_to_messages
 from sal_height.messages.navigation import (
+    mounting_to_pose,
     origin_to_message,
     read_attitude,
     read_fix,
@@ -88,6 +90,7 @@ __all__ = [
     "calibration_from_message",
     "calibration_to_message",
     "check_frame",
+    "check_geometry",
     "check_slc",
     "complex_view",
     "derived",
@@ -102,6 +105,7 @@ __all__ = [
     "held_stages",
     "history_from_messages",
     "history_to_messages",
+    "mounting_to_pose",
     "origin_to_message",
     "placement_of",
     "placement_values",

@@ -1,7 +1,7 @@
-"""What is read of the messages of instruments: PoseStamped, TwistStamped, NavSatFix and Imu.
+"""What is read of the messages of instruments (PoseStamped, TwistStamped, NavSatFix and Imu), and what is told them.
 
-Each function checks what it reads; all raise Rejected if a frame is another one than stated, a value is not finite, or
-a quaternion has not the norm 1.
+Each function that reads checks what it reads; all of them raise Rejected if a frame is another one than stated, a value
+is not finite, or a quaternion has not the norm 1.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from collections.abc import Sequence
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import PoseStamped, Quaternion, TwistStamped
+from geometry_msgs.msg import Point, PoseStamped, PoseWithCovarianceStamped, Quaternion, TwistStamped
 from sensor_msgs.msg import Imu, NavSatFix
 from std_msgs.msg import Header
 
 from sal_height.errors import Rejected
-from sal_height.geometry import Origin, Sample
+from sal_height.geometry import Mounting, Origin, Sample
 from sal_height.messages.basics import Frames, check_finite, check_rotation, to_ns, vector_of
 from sal_height.numeric import F64
 
@@ -46,6 +46,22 @@ def read_twist(message: TwistStamped, frames: Frames) -> tuple[Sample, bool]:
     in_body = message.header.frame_id == frames.body
     velocity = frames.axes.body_vector(velocity) if in_body else frames.axes.vector(velocity)
     return Sample(to_ns(message.header.stamp), velocity, UNKNOWN), in_body
+
+
+def mounting_to_pose(mounting: Mounting, covariance: F64, stamp: Time, body_frame: str) -> PoseWithCovarianceStamped:
+    """The pose of the sensor in the axes of the platform.
+
+    Args:
+        mounting: of the sensor.
+        covariance: of its lever arm (m^2) and its rotation (rad^2) in the axes of base_link, shape (6, 6).
+        stamp: of the dwell that told it.
+        body_frame: name of the platform's frame.
+    """
+    message = PoseWithCovarianceStamped(header=Header(stamp=stamp, frame_id=body_frame))
+    message.pose.pose.position = Point(**dict(zip("xyz", mounting.lever_arm, strict=True)))
+    message.pose.pose.orientation = Quaternion(**dict(zip("xyzw", mounting.rotation, strict=True)))
+    message.pose.covariance = covariance.ravel()
+    return message
 
 
 def origin_to_message(origin: Origin, stamp: Time, map_frame: str) -> NavSatFix:

@@ -123,6 +123,8 @@ class DwellStage(Stage):
     def __init__(self, name: str, message_type: type, topic: str, **node_arguments: Any) -> None:
         """Declare the parameters; subscribe to `topic` and to sensor_info.
 
+        Names of parameters in braces in `topic` stand for their values.
+
         Raises:
             UserError: a parameter has a value that is not allowed.
         """
@@ -137,6 +139,7 @@ class DwellStage(Stage):
         self._to_rehearse: Sensor | None = None
         self._message_type = message_type
         self.listen(SensorInfo, "sensor_info", self._on_sensor_info, LATCHED_QOS)
+        topic = topic.format_map(dict(self.current_parameters()))
         self._inlet = self.listen(message_type, topic, self._on_message, read=self.decode)
         self.every(TICK_S, self._tick)
 

@@ -19,6 +19,7 @@ from sal_height import messages
 from sal_height.elevation import ESTIMATORS
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import UTM, ApertureState, Origin, Projection, find_system, sphere_point
+from sal_height.nodes.height_adjuster import PREFIX as ADJUSTED
 from sal_height.nodes.parameters import MapFrameParameters, OriginParameters
 from sal_height.nodes.placed_points import PlacedPoints
 from sal_height.nodes.relief_tracker import PREFIX as TRACKED
@@ -41,7 +42,7 @@ class MapParameters(OriginParameters, MapFrameParameters, StageParameters):
     estimator: str = setting(
         "ml",
         "estimator whose heights enter the map; they come on topic <estimator>/height",
-        choices=(*ESTIMATORS, TRACKED),
+        choices=(*ESTIMATORS, TRACKED, ADJUSTED),
         read_only=True,
     )
     max_cells: int = setting(

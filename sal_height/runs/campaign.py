@@ -26,7 +26,7 @@ from sal_height.io import write_text
 from sal_height.nodes.cues import Cue
 from sal_height.nodes.playlist import FRAMES
 from sal_height.runs.accuracy import read_accuracy, read_images
-from sal_height.runs.catalogue import NodeParameters, consumers
+from sal_height.runs.catalogue import ADJUSTER, HEIGHTS, NodeParameters, consumers
 from sal_height.runs.entry import Part, chain_of, sensors_of
 from sal_height.runs.judge import verdict_of
 from sal_height.runs.offline import process, track
@@ -88,9 +88,15 @@ def plan(case: Case, most_dwells: int) -> Scheme:
     part = Part()
     reader = part.open(case.bag)
     chain = chain_of(reader, FRAMES, case.estimators)
-    if not chain.makers:
+    makers, stages = ([name for name in names if name != ADJUSTER] for names in (chain.makers, chain.stages))
+    if HEIGHTS[ADJUSTER] in case.estimators:
+        raise UserError(
+            "Adjusted heights need the dwells in their order; make them by `sal-height replay`, or by `sal-height "
+            "adjust` and a batch of its bag."
+        )
+    if not makers:
         raise UserError(f"Bag {case.bag} is of a sensor with one detector, of which no heights can be made.")
-    processing = processing_of(reader, chain, part, consumers(chain.makers), case.given, names_dwells=True)
+    processing = processing_of(reader, chain, part, consumers(makers), case.given, names_dwells=True)
     if not processing.frames:
         raise UserError(
             f"Bag {case.bag} has no readable frame on topic {FRAMES}; see `sal-height bag check {case.bag}`."
@@ -108,7 +114,7 @@ def plan(case: Case, most_dwells: int) -> Scheme:
             Work(
                 case.bag,
                 reader.namespace,
-                tuple(chain.makers),
+                tuple(makers),
                 in_force.values(),
                 tuple(cue for cue in processing.cues if cue.dwell in within),
                 tuple(come),
@@ -123,7 +129,7 @@ def plan(case: Case, most_dwells: int) -> Scheme:
             come += in_force.go_on_to(dwell)
     return Scheme(
         reader.namespace,
-        tuple(chain.stages),
+        tuple(stages),
         processing.values,
         tuple(processing.cues),
         tuple(works),

@@ -11,6 +11,7 @@ from sal_height.errors import UserError
 from sal_height.geometry import Origin
 from sal_height.nodes.ground_mapper import GroundMapper
 from sal_height.nodes.height import HEIGHT_NODES
+from sal_height.nodes.height_adjuster import ADJUSTED_ODOMETRY, HeightAdjuster
 from sal_height.nodes.navigation import NavigationNode
 from sal_height.nodes.paced_player import PacedPlayer
 from sal_height.nodes.played import SENSOR
@@ -35,6 +36,7 @@ NODES: dict[str, type[Any]] = {
     "relief_mapper": ReliefMapper,
     "ground_mapper": GroundMapper,
     "relief_tracker": ReliefTracker,
+    "height_adjuster": HeightAdjuster,
     "recorder": Recorder,
 }
 """Every node by its name; what runs know of a node are the attributes of its class (`nodes.role`)."""
@@ -47,6 +49,9 @@ SETTABLE = tuple(name for name, node in NODES.items() if node.settable)
 
 TRACKER = "relief_tracker"
 """Node that tracks the heights of one estimator."""
+
+ADJUSTER = "height_adjuster"
+"""Node that adjusts the heights of one estimator to those of earlier dwells; asked for as if it were an estimator."""
 
 MAPPERS = ("relief_mapper", "ground_mapper")
 """Nodes that make maps."""
@@ -94,29 +99,38 @@ def suited(sensor: Sensor, asked: Collection[str] = ()) -> list[str]:
 
     Args:
         sensor: whose channels the estimators take.
-        asked: names of estimators; none: those that suit the sensor and need not be asked for.
+        asked: names of estimators; none: those that suit the sensor and need not be asked for. With the name of the
+            adjuster's product that node is the last one; it needs heights of an estimator.
 
     Raises:
         UserError: there is no estimator of that name, or it does not suit the sensor.
     """
+    if HEIGHTS[ADJUSTER] in asked:
+        return [*suited(sensor, [name for name in asked if name != HEIGHTS[ADJUSTER]]), ADJUSTER]
     suiting = {name: estimator for name, estimator in ESTIMATORS.items() if estimator.suits(sensor)}
     if not asked:
         return [estimator.node for estimator in suiting.values() if estimator.by_default]
     if wrong := [name for name in asked if name not in suiting]:
         reason = "does not suit the sensor's channels" if wrong[0] in ESTIMATORS else "does not exist"
-        raise UserError(f"Estimator {wrong[0]!r} {reason}; allowed are {', '.join(suiting) or 'none'}.")
+        allowed = ", ".join([*suiting, HEIGHTS[ADJUSTER]]) if suiting else "none"
+        raise UserError(f"Estimator {wrong[0]!r} {reason}; allowed are {allowed}.")
     return [estimator.node for name, estimator in suiting.items() if name in asked]
 
 
 def consumers(estimators: list[str]) -> dict[str, dict[str, str]]:
-    """Parameters of tracker and mapper that let them take heights that are made: of maximum likelihood, or the first.
+    """Parameters that let nodes take heights that are made: of maximum likelihood, or the first.
+
+    Mappers take adjusted ones where these are made.
 
     Args:
         estimators: the height nodes of a run.
     """
-    if not estimators or ESTIMATORS["ml"].node in estimators:
-        return {}
-    return {name: {"estimator": HEIGHTS[estimators[0]]} for name in (TRACKER, *MAPPERS)}
+    taken = {}
+    if estimators and ESTIMATORS["ml"].node not in estimators:
+        taken = dict.fromkeys((TRACKER, ADJUSTER, *MAPPERS), HEIGHTS[estimators[0]])
+    if ADJUSTER in estimators:
+        taken |= dict.fromkeys(MAPPERS, HEIGHTS[ADJUSTER])
+    return {name: {"estimator": prefix} for name, prefix in taken.items()}
 
 
 def placed(origin: Origin | None) -> dict[str, dict[str, float]]:
@@ -137,7 +151,8 @@ def recorded_topics(stages: list[str], parameters: NodeParameters, played: Seque
     heights = [f"{HEIGHTS[name]}/height" for name in stages if name in HEIGHTS]
     applied = parameters.get("sar_compression", {}).get("calibration", "") not in {"", HEARD}
     calibration = ["calibration"] if applied else []
-    return [*played, "diagnostics", *calibration, *(heights or ["slc"])]
+    odometry = [ADJUSTED_ODOMETRY] if ADJUSTER in stages else []
+    return [*played, "diagnostics", *calibration, *(heights or ["slc"]), *odometry]
 
 
 def height_sources(stages: list[str], parameters: NodeParameters, played: Sequence[str] = SENSOR) -> dict[str, str]:

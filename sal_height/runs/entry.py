@@ -21,7 +21,7 @@ from sal_height.nodes.dwell_stage import CONTRADICTION
 from sal_height.nodes.played import ALL, IMAGES, LATEST_NS, MOST, SENSOR, DwellRange
 from sal_height.nodes.playlist import FRAMES, SENSOR_INFO
 from sal_height.nodes.stage import MAP_ORIGIN
-from sal_height.runs.catalogue import HEIGHTS, NODES, TRACKER, NodeParameters, suited
+from sal_height.runs.catalogue import ADJUSTER, HEIGHTS, NODES, TRACKER, NodeParameters, suited
 from sal_height.sensor import Sensor
 
 _LOG = logging.getLogger(__name__)
@@ -139,25 +139,30 @@ def chain_of(reader: BagReader, entry: str, estimators: Collection[str]) -> Chai
     Args:
         reader: of the bag.
         entry: one of ENTRIES.
-        estimators: names of those whose heights are made; none: those whose heights the bag holds, or else all that
-            suit the sensor and need not be asked for.
+        estimators: names of those whose heights are made, as of `suited`; none: those whose heights the bag holds, or
+            else all that suit the sensor and need not be asked for.
 
     Raises:
         UserError: the bag lacks what is to be played, an estimator does not suit it, or there is nothing to make.
     """
-    held = [name for name in ESTIMATORS if _count(reader, f"/{name}/height")]
+    makers_of = {prefix: node for node, prefix in HEIGHTS.items() if node != TRACKER}
+    held = [name for name in makers_of if _count(reader, f"/{name}/height")]
     if entry == FROM_HEIGHTS:
         if not held:
             raise _lacking(reader, "heights of an estimator, such as /ml/height", entry)
         if estimators:
             raise UserError("Option --estimators has no meaning with --from heights: no estimator works there.")
         topics = [f"/{name}/height" for name in held]
-        makers = [ESTIMATORS[name].node for name in held]
+        makers = [makers_of[name] for name in held]
         return Chain(entry, makers, [TRACKER, MAPPER], max(_count(reader, topic) for topic in topics), topics)
     sensor, dwells = contents(reader, entry)
     height_nodes = suited(sensor, estimators or held)
     if entry == IMAGES and not height_nodes:
         raise UserError(f"Bag {reader.path} is of a sensor with one detector: of its images no heights can be made.")
+    if entry == IMAGES and ADJUSTER in height_nodes:
+        if HEIGHTS[ADJUSTER] in estimators:
+            raise UserError("Heights are adjusted with the odometry; replay from phase_history to make them.")
+        height_nodes.remove(ADJUSTER)
     first = ["sar_compression"] if entry == FRAMES else []
     return Chain(
         entry, height_nodes, [*first, *((*height_nodes, TRACKER) if height_nodes else ())], dwells, [f"/{entry}"]

@@ -22,7 +22,7 @@ from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.nodes.playlist import FRAMES, ODOMETRY, SENSOR_INFO, Playlist
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, MAP_ORIGIN, ODOMETRY_QOS
-from sal_height.runs.catalogue import HEIGHTS, suited
+from sal_height.runs.catalogue import HEIGHTS, TRACKER, suited
 from sal_height.runs.entry import contents
 from sal_height.runs.processes import Forked, beside
 from sal_height.runs.replay_parameters import recorded_parameters
@@ -63,7 +63,7 @@ class Feed:
         """
         reader = BagReader(bag)
         sensor, _ = contents(reader)
-        made = [name for name in HEIGHTS.values() if f"/{name}/height" in reader.topics and name != "tracked"]
+        made = [name for name in HEIGHTS.values() if f"/{name}/height" in reader.topics and name != HEIGHTS[TRACKER]]
         return cls(bag, sensor, suited(sensor, made), recorded_parameters(reader), reader.custom_data)
 
     @classmethod

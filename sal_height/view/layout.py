@@ -10,7 +10,7 @@ import numpy as np
 from sal_height.view.colours import EMPTY
 from sal_height.view.painter import WORLD, Subject
 
-BEST_FIRST = ("tracked", "ml", "capon", "music", "canopy_ground", "sum_difference", "monopulse")
+BEST_FIRST = ("tracked", "adjusted", "ml", "capon", "music", "canopy_ground", "sum_difference", "monopulse")
 """Estimators in the order in which their tabs stand; the first one that is there is shown."""
 
 EYE = np.radians(30.0), np.radians(35.0)

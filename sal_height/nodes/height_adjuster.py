@@ -1,0 +1,431 @@
+"""Node height_adjuster: moves the heights of an estimator to where earlier dwells saw the same ground.
+
+From <estimator>/height it makes adjusted/height, without the errors of navigation and mounting that overlapping dwells
+have told so far, the odometry without them (adjusted/odometry), and the mounting as it should be (adjusted/mounting).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry
+from sal_height_msgs.msg import HeightImage
+from sensor_msgs.msg import Image
+
+from sal_height import messages
+from sal_height.adjustment import (
+    LEAST_POINTS,
+    UNKNOWN_GROUND,
+    AdjustmentSettings,
+    ObservedDwell,
+    PoseError,
+    References,
+    Stated,
+    Terrain,
+    Window,
+    corrected_aperture,
+    corrected_heights,
+    corrected_mounting,
+    corrected_states,
+    mounting_covariance,
+)
+from sal_height.elevation import ESTIMATORS, USABLE
+from sal_height.errors import Rejected, UserError
+from sal_height.geometry import ApertureState, Mounting, PlatformState, Trajectory
+from sal_height.messages import Pose
+from sal_height.nodes.dwell_stage import DwellParameters, DwellStage
+from sal_height.nodes.odometry import Arrival, OdometryHistory
+from sal_height.nodes.parameters import FrameParameters
+from sal_height.nodes.placed_points import PlacedPoints
+from sal_height.nodes.program import run_node
+from sal_height.nodes.role import Topics
+from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS, SENSOR_TOPICS, height_topics, payload_bytes
+from sal_height.numeric import F64
+from sal_height.relief import HeightField
+from sal_height.sensor import Sensor
+from sal_height.settings import setting, settings_of
+from sal_height.simulation.dem import read_elevation_model
+
+PREFIX = "adjusted"
+"""Prefix of the topics, and value of HeightImage.estimator."""
+
+ADJUSTED_ODOMETRY = f"{PREFIX}/odometry"
+"""Topic of the odometry without the errors that were found."""
+
+ODOMETRY_HELD_S = 100.0
+"""Time for which odometry is held: heights must come within it."""
+
+KNOWN = "boresight_sigma_rad", "lever_arm_sigma_m", "odometry_delay_sigma_s"
+"""Parameters that the compression has as well, whose values there count if they are not 0."""
+
+
+class Parameters(FrameParameters, DwellParameters, AdjustmentSettings):
+    """Parameters of the node."""
+
+    estimator: str = setting(
+        "ml",
+        "estimator whose heights are adjusted; they come on topic <estimator>/height",
+        choices=tuple(ESTIMATORS),
+        read_only=True,
+    )
+    window_dwells: int = setting(
+        200,
+        "latest dwells that are held to be compared with; what earlier ones told of navigation and mounting stays",
+        minimum=1,
+        maximum=10_000,
+    )
+    terrain: str = setting(
+        "",
+        "path of an elevation model of known ground, .tif or .npz, around the origin of map; empty: none",
+        read_only=True,
+    )
+    terrain_sigma_m: float = setting(
+        0.1, "standard deviation of its heights", unit="m", minimum=1e-4, maximum=1000.0, read_only=True
+    )
+
+
+@dataclass(frozen=True)
+class ReceivedHeights:
+    """A height image as the only message of its dwell.
+
+    Attributes:
+        image: the message.
+    """
+
+    image: HeightImage
+    channel: ClassVar[int] = 0
+
+    @property
+    def dwell(self) -> int:
+        """Number of the dwell."""
+        return int(self.image.dwell)
+
+    @property
+    def stamp_ns(self) -> int:
+        """Of the frames that it was made of, ns."""
+        return messages.to_ns(self.image.header.stamp)
+
+    @property
+    def config_hash(self) -> str:
+        """Identity of the sensor."""
+        return str(self.image.provenance.config_hash)
+
+    @property
+    def size(self) -> int:
+        """Bytes of its arrays."""
+        return payload_bytes(self.image)
+
+
+class Supplies(NamedTuple):
+    """What heights are adjusted with besides their image.
+
+    Attributes:
+        states: odometry, without the delay of its stamps, from the last sample before the dwell to the first after it.
+        delay_ns: that it had.
+    """
+
+    states: list[PlatformState]
+    delay_ns: int
+
+
+class Adjusted(NamedTuple):
+    """What became of a dwell.
+
+    Attributes:
+        field: its heights where they are.
+        aperture: from which they are seen.
+        off: how far off that was.
+        states: odometry during the dwell.
+        mounting: of the sensor.
+        mounting_covariance: of its lever arm, m^2, and of its rotation, rad^2, both in the axes of the platform.
+    """
+
+    field: HeightField
+    aperture: ApertureState
+    off: PoseError
+    states: list[PlatformState]
+    mounting: Mounting
+    mounting_covariance: F64
+
+
+class Adjuster:
+    """Adjusts the heights of one dwell after the other, of one sensor at a time."""
+
+    def __init__(self, references: References = UNKNOWN_GROUND) -> None:
+        """Begin without dwells."""
+        self._references = references
+        self._window: Window | None = None
+        self._made_for: Hashable = None
+        self._epoch_ns = self._latest_ns = 0
+
+    def adjust(
+        self, image: HeightImage, field: HeightField, sensor: Sensor, supplies: Supplies, parameters: Parameters
+    ) -> Adjusted:
+        """Adjust the heights of a dwell, which is later than all before, to those of earlier ones.
+
+        Another sensor, or other settings, begin anew.
+
+        Args:
+            image: the heights.
+            field: the same as arrays.
+            sensor: that took them.
+            supplies: odometry.
+            parameters: of the node.
+
+        Raises:
+            UserError: they cannot be adjusted.
+        """
+        stage = messages.held_stages(image.provenance).get("sar_compression", {})
+        settings = _settings_of(parameters, stage)
+        aperture, stamp_ns = messages.aperture_from_message(image.aperture), messages.to_ns(image.header.stamp)
+        _check_suitable(image, sensor, stage, field)
+        made_for = sensor.digest, settings, parameters.window_dwells
+        if self._window is None or made_for != self._made_for:
+            self._window = Window(sensor.mounting, settings, parameters.window_dwells, self._references)
+            self._made_for, self._epoch_ns, self._latest_ns = made_for, stamp_ns, stamp_ns
+        if stamp_ns < self._latest_ns:
+            late_s = (self._latest_ns - stamp_ns) * 1e-9
+            raise Rejected(
+                "out of order",
+                f"Dwell {image.dwell} is {late_s:.3g} s older than one before it; dwells must be in order.",
+            )
+        self._latest_ns = stamp_ns
+        track = Trajectory(supplies.states)
+        times = np.array([0.0, _length_s(image) - 1 / sensor.pulse_repetition_frequency])
+        stated = Stated(
+            (stamp_ns - self._epoch_ns) * 1e-9 + float(times.mean()),
+            track.aperture(stamp_ns, times).covariance,
+            track.velocity_covariance(stamp_ns, times),
+        )
+        dwell = ObservedDwell.seen_from(aperture, field, messages.placement_of(stage), stated, sensor)
+        off = self._window.add(dwell)
+        adjustment = self._window.adjustment
+        seconds = [(state.stamp_ns - self._epoch_ns) * 1e-9 for state in supplies.states]
+        return Adjusted(
+            corrected_heights(field, dwell, off),
+            corrected_aperture(dwell, off),
+            off,
+            corrected_states(supplies.states, seconds, adjustment, sensor.mounting, settings),
+            corrected_mounting(sensor.mounting, adjustment),
+            mounting_covariance(sensor.mounting, adjustment),
+        )
+
+
+def _settings_of(parameters: Parameters, stage: Mapping[str, Any]) -> AdjustmentSettings:
+    """What is known beforehand: what the compression states of mounting and delay, and else the parameters.
+
+    Raises:
+        UserError: what it states is not allowed.
+    """
+    values = {name: getattr(parameters, name) for name in settings_of(AdjustmentSettings)}
+    return AdjustmentSettings(**{**values, **{name: stage[name] for name in KNOWN if stage.get(name)}})
+
+
+def _check_suitable(image: HeightImage, sensor: Sensor, stage: Mapping[str, Any], field: HeightField) -> None:
+    """Heights that can be adjusted.
+
+    Raises:
+        Rejected: they are not.
+    """
+    if sensor.mode != "spotlight":
+        raise Rejected(
+            "wrong mode", f"Sensor {sensor.name} is of mode {sensor.mode}; heights are adjusted in spotlight only."
+        )
+    if stage.get("mounting_from_tf"):
+        raise Rejected(
+            "mounting from tf",
+            "The mounting of the sensor is that on /tf_static (sar_compression.mounting_from_tf); heights are adjusted "
+            "with that in sensor_info only.",
+        )
+    usable = np.isin(field.validity, list(USABLE)) & np.isfinite(field.first.height)
+    if (count := np.count_nonzero(usable)) < LEAST_POINTS:
+        raise Rejected(
+            "few heights", f"Dwell {image.dwell} has {count} heights; {LEAST_POINTS} are needed to compare it."
+        )
+
+
+def _length_s(image: HeightImage) -> float:
+    """Time from the first pulse of a dwell to one pulse spacing past its last, s."""
+    velocity = image.aperture.velocity
+    return float(image.aperture.length) / math.hypot(velocity.x, velocity.y, velocity.z)
+
+
+class HeightAdjuster(DwellStage):
+    """Moves the heights of each dwell to where earlier dwells saw the same ground, with the error that is left.
+
+    A dwell that cannot be adjusted is passed on as it is, and counted.
+    """
+
+    parameters = Parameters
+    inputs: ClassVar[Topics] = {
+        "sensor_info": SENSOR_TOPICS["sensor_info"],
+        "platform/odometry": SENSOR_TOPICS["platform/odometry"],
+        "<estimator>/height": "heights of the estimator that the parameter names",
+    }
+    outputs: ClassVar[Topics] = {
+        **height_topics(PREFIX),
+        ADJUSTED_ODOMETRY: "state of the platform in each dwell without the errors found, nav_msgs/Odometry",
+        f"{PREFIX}/mounting": "pose of the sensor in the axes of the platform without the error found, "
+        "geometry_msgs/PoseWithCovarianceStamped, latched",
+    }
+    product = PREFIX
+    takes_heights = True
+    settable = True
+
+    def __init__(self, **node_arguments: Any) -> None:
+        """Make the node; `node_arguments` go to rclpy's Node.
+
+        Raises:
+            UserError: a parameter has a value that is not allowed, or the elevation model cannot be read.
+        """
+        super().__init__("height_adjuster", HeightImage, "{estimator}/height", **node_arguments)
+        parameters = self.current_parameters()
+        try:
+            self._references = _references_of(parameters)
+        except UserError:
+            super().destroy_node()
+            raise
+        self._adjuster = Adjuster(self._references)
+        self._history = OdometryHistory(ODOMETRY_HELD_S)
+        self._awaited_ns: float = math.inf
+        self._told_ns = 0
+        self._height = self.offer(HeightImage, f"{PREFIX}/height")
+        self._image = self.offer(Image, f"{PREFIX}/image")
+        self._points = PlacedPoints(self, PREFIX)
+        self._odometry = self.offer(Odometry, ADJUSTED_ODOMETRY, ODOMETRY_QOS)
+        self._mounting = self.offer(PoseWithCovarianceStamped, f"{PREFIX}/mounting", LATCHED_QOS)
+        self.listen(Odometry, "platform/odometry", self._on_odometry, ODOMETRY_QOS, read=messages.received_pose)
+
+    def decode(self, cdr: bytes) -> ReceivedHeights:
+        """The heights that these bytes are."""
+        return ReceivedHeights(messages.received_height(cdr))
+
+    def channels_of(self, sensor: Sensor) -> int:  # noqa: ARG002 (the height image is all)
+        """One message is a dwell."""
+        return 1
+
+    def check(self, message: ReceivedHeights, sensor: Sensor) -> None:  # noqa: ARG002 (of any sensor)
+        """Geometry of a height image; the pixels are read when its turn comes."""
+        image, where = message.image, f"HeightImage of dwell {message.dwell}"
+        messages.check_geometry(image.grid, image.aperture, where)
+        if not 0 < (length_s := _length_s(image)) <= messages.LONGEST_DWELL:
+            raise Rejected(
+                "wrong geometry",
+                f"{where}: at its velocity aperture.length takes {length_s:g} s; more than 0 and at most "
+                f"{messages.LONGEST_DWELL:g} s are allowed.",
+            )
+
+    def supplies(self, dwell: list[ReceivedHeights], sensor: Sensor) -> Supplies:  # noqa: ARG002 (of any sensor)
+        """Odometry from before the dwell to after it.
+
+        Raises:
+            Rejected: it does not cover the dwell yet.
+        """
+        image, start_ns = dwell[0].image, dwell[0].stamp_ns
+        delay_ns = _delay_ns(image)
+        end_ns = start_ns + round(1e9 * _length_s(image))
+        states = self._history.around(start_ns + delay_ns, end_ns + delay_ns)
+        if states:
+            return Supplies([replace(state, stamp_ns=state.stamp_ns - delay_ns) for state in states], delay_ns)
+        self._awaited_ns = min(self._awaited_ns, end_ns + delay_ns)
+        raise Rejected(
+            "odometry gap",
+            f"Dwell {image.dwell}: platform/odometry must reach from its first pulse to its last to adjust its heights."
+            f"{self.source_warning}",
+        )
+
+    def process(self, dwell: list[ReceivedHeights], sensor: Sensor, supplies: Supplies) -> int:
+        """Adjust and publish the heights of a dwell."""
+        image, parameters = dwell[0].image, self.current_parameters()
+        field = messages.field_from_message(image, parameters.map_frame)
+        if bad := messages.bad_pixels(image, field):
+            self.ignore("bad pixels", messages.bad_pixel_warning(image, bad))
+        aperture, told = messages.aperture_from_message(image.aperture), dict(parameters)
+        try:
+            found = self._adjuster.adjust(image, field, sensor, supplies, parameters)
+        except UserError as error:
+            reason = error.reason if isinstance(error, Rejected) else "not adjusted"
+            self.ignore(reason, UserError(f"{error} Its heights are passed on as they are."))
+        else:
+            field, aperture, told["pose_error"] = found.field, found.aperture, found.off.error.tolist()
+            self._publish_platform(image, found, supplies.delay_ns)
+        provenance = messages.derived(image.provenance, self.get_name(), told)
+        looks = image.range_looks, image.azimuth_looks
+        adjusted = messages.height_to_message(field, aperture, looks, PREFIX, image, provenance)
+        self._image.publish_if_heard(lambda: messages.height_picture(adjusted))
+        self._points.publish(
+            lambda name: messages.frame_near(field.grid.origin, adjusted.header, name),
+            lambda frame: messages.height_points(field, frame),
+        )
+        self._height.publish(adjusted)
+        return 1
+
+    def forget(self) -> None:
+        """Forget odometry, and the dwells so far."""
+        self._history, self._awaited_ns = OdometryHistory(ODOMETRY_HELD_S), math.inf
+        super().forget()
+
+    def forget_results(self) -> int:
+        """Adjust the next dwell as the first one."""
+        self._adjuster, self._told_ns = Adjuster(self._references), 0
+        return 0
+
+    def _publish_platform(self, image: HeightImage, found: Adjusted, delay_ns: int) -> None:
+        """Publish odometry that was not published yet, with the stamps that it had, and the mounting."""
+        frames = self.current_parameters().frames
+        for state in found.states:
+            if (stamp_ns := state.stamp_ns + delay_ns) > self._told_ns:
+                self._odometry.publish(messages.state_to_message(state, messages.to_stamp(stamp_ns), frames))
+                self._told_ns = stamp_ns
+        self._mounting.publish(
+            messages.mounting_to_pose(found.mounting, found.mounting_covariance, image.header.stamp, frames.body)
+        )
+
+    def _on_odometry(self, pose: Pose) -> None:
+        try:
+            state = messages.state_of_pose(pose, self.current_parameters().frames)
+        except Rejected as error:
+            self.ignore("odometry", error)
+            return
+        _, latest_ns = self._history.span_ns or (0, 0)
+        arrival = self._history.add(state)
+        if arrival is Arrival.RESTARTED and state.stamp_ns < latest_ns:  # the clock began anew, and so does the flight
+            super().forget()
+        if state.stamp_ns >= self._awaited_ns or arrival is not Arrival.IN_ORDER:
+            self._awaited_ns = math.inf
+            self.note_progress()
+            self.advance()
+
+
+def _references_of(parameters: Parameters) -> References:
+    """Known ground.
+
+    Raises:
+        UserError: the elevation model cannot be read.
+    """
+    if not parameters.terrain:
+        return UNKNOWN_GROUND
+    heights = read_elevation_model(Path(parameters.terrain)).heights
+    return References(terrain=Terrain(heights, parameters.terrain_sigma_m))
+
+
+def _delay_ns(image: HeightImage) -> int:
+    """By which the odometry of a dwell is stamped too late, as its provenance says, ns."""
+    stage = messages.held_stages(image.provenance).get("sar_compression", {})
+    delay_s = stage.get("odometry_delay_s", 0.0)
+    return round(1e9 * delay_s) if isinstance(delay_s, float) and abs(delay_s) <= ODOMETRY_HELD_S else 0
+
+
+def main() -> int:
+    """Console script."""
+    return run_node(HeightAdjuster)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

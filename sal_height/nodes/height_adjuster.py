@@ -6,6 +6,7 @@ have told so far, the odometry without them (adjusted/odometry), and the mountin
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, replace
@@ -60,6 +61,9 @@ ADJUSTED_ODOMETRY = f"{PREFIX}/odometry"
 
 ODOMETRY_HELD_S = 100.0
 """Time for which odometry is held: heights must come within it."""
+
+BETWEEN_NS = 1_000_000_000
+"""Longest time between dwells whose odometry is told as well."""
 
 KNOWN = "boresight_sigma_rad", "lever_arm_sigma_m", "odometry_delay_sigma_s"
 """Parameters that the compression has as well, whose values there count if they are not 0."""
@@ -126,7 +130,8 @@ class Supplies(NamedTuple):
     """What heights are adjusted with besides their image.
 
     Attributes:
-        states: odometry, without the delay of its stamps, from the last sample before the dwell to the first after it.
+        states: odometry, without the delay of its stamps, from the last sample before the dwell, or before the end of
+            the one that it follows, to the first after it.
         delay_ns: that it had.
     """
 
@@ -270,7 +275,8 @@ class HeightAdjuster(DwellStage):
     }
     outputs: ClassVar[Topics] = {
         **height_topics(PREFIX),
-        ADJUSTED_ODOMETRY: "state of the platform in each dwell without the errors found, nav_msgs/Odometry",
+        ADJUSTED_ODOMETRY: "state of the platform in dwells, and between those that follow each other, without the "
+        "errors found, nav_msgs/Odometry",
         f"{PREFIX}/mounting": "pose of the sensor in the axes of the platform without the error found, "
         "geometry_msgs/PoseWithCovarianceStamped, latched",
     }
@@ -294,7 +300,7 @@ class HeightAdjuster(DwellStage):
         self._adjuster = Adjuster(self._references)
         self._history = OdometryHistory(ODOMETRY_HELD_S)
         self._awaited_ns: float = math.inf
-        self._told_ns = 0
+        self._supplied_ns = self._told_ns = 0
         self._height = self.offer(HeightImage, f"{PREFIX}/height")
         self._image = self.offer(Image, f"{PREFIX}/image")
         self._points = PlacedPoints(self, PREFIX)
@@ -330,8 +336,10 @@ class HeightAdjuster(DwellStage):
         image, start_ns = dwell[0].image, dwell[0].stamp_ns
         delay_ns = _delay_ns(image)
         end_ns = start_ns + round(1e9 * _length_s(image))
-        states = self._history.around(start_ns + delay_ns, end_ns + delay_ns)
+        since_ns = self._supplied_ns if 0 <= start_ns - self._supplied_ns <= BETWEEN_NS else start_ns
+        states = self._history.around(since_ns + delay_ns, end_ns + delay_ns)
         if states:
+            self._supplied_ns = end_ns
             return Supplies([replace(state, stamp_ns=state.stamp_ns - delay_ns) for state in states], delay_ns)
         self._awaited_ns = min(self._awaited_ns, end_ns + delay_ns)
         raise Rejected(
@@ -346,29 +354,42 @@ class HeightAdjuster(DwellStage):
         field = messages.field_from_message(image, parameters.map_frame)
         if bad := messages.bad_pixels(image, field):
             self.ignore("bad pixels", messages.bad_pixel_warning(image, bad))
-        aperture, told = messages.aperture_from_message(image.aperture), dict(parameters)
         try:
             found = self._adjuster.adjust(image, field, sensor, supplies, parameters)
         except UserError as error:
             reason = error.reason if isinstance(error, Rejected) else "not adjusted"
             self.ignore(reason, UserError(f"{error} Its heights are passed on as they are."))
+            self._publish(self._passed_on(image, parameters), field)
         else:
-            field, aperture, told["pose_error"] = found.field, found.aperture, found.off.error.tolist()
             self._publish_platform(image, found, supplies.delay_ns)
+            self._publish(self._moved(image, found, parameters), found.field)
+        return 1
+
+    def _passed_on(self, image: HeightImage, parameters: Parameters) -> HeightImage:
+        """The heights as they came."""
+        passed = copy.copy(image)
+        passed.estimator = PREFIX
+        passed.provenance = messages.derived(image.provenance, self.get_name(), parameters)
+        return passed
+
+    def _moved(self, image: HeightImage, found: Adjusted, parameters: Parameters) -> HeightImage:
+        """The heights where they are."""
+        told = {**dict(parameters), "pose_error": found.off.error.tolist()}
         provenance = messages.derived(image.provenance, self.get_name(), told)
         looks = image.range_looks, image.azimuth_looks
-        adjusted = messages.height_to_message(field, aperture, looks, PREFIX, image, provenance)
-        self._image.publish_if_heard(lambda: messages.height_picture(adjusted))
+        return messages.height_to_message(found.field, found.aperture, looks, PREFIX, image, provenance)
+
+    def _publish(self, image: HeightImage, field: HeightField) -> None:
+        self._image.publish_if_heard(lambda: messages.height_picture(image))
         self._points.publish(
-            lambda name: messages.frame_near(field.grid.origin, adjusted.header, name),
+            lambda name: messages.frame_near(field.grid.origin, image.header, name),
             lambda frame: messages.height_points(field, frame),
         )
-        self._height.publish(adjusted)
-        return 1
+        self._height.publish(image)
 
     def forget(self) -> None:
         """Forget odometry, and the dwells so far."""
-        self._history, self._awaited_ns = OdometryHistory(ODOMETRY_HELD_S), math.inf
+        self._history, self._awaited_ns, self._supplied_ns = OdometryHistory(ODOMETRY_HELD_S), math.inf, 0
         super().forget()
 
     def forget_results(self) -> int:

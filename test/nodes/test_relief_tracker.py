@@ -182,13 +182,18 @@ def of_sensor(config_hash: str, dwell: int) -> HeightImage:
 
 
 def test_a_prior_is_of_the_dwells_of_one_sensor_and_of_one_way_to_make_heights(graph: Graph) -> None:
-    """A dwell is tracked as if none of another sensor or of other parameters had come; silent channels do not count."""
+    """A dwell is tracked as if none of another sensor or of other parameters had come.
+
+    Silent channels, and what was found in the data, do not count.
+    """
     tracking = Tracking(graph)
     alone = [prior_of(tracking.track(of_sensor("a", dwell))) for dwell in range(3)]
     first, second, blanked = (of_sensor("b", dwell) for dwell in range(3))
     other, changed = of_sensor("c", 1), of_sensor("b", 1)
     changed.provenance.parameters = messages.with_stage([], "ml_height", {"layover": False})
-    blanked.provenance.parameters = messages.with_stage([], "ml_height", {"layover": True, LEFT_OUT: [3]})
+    blanked.provenance.parameters = messages.with_stage(
+        [], "ml_height", {"layover": True, LEFT_OUT: [3], "placement": {"speed": 1.0}}
+    )
     found = [prior_of(tracking.track(image)) for image in (first, other, changed, second, blanked)]
     assert [found[0], found[3], found[4]] == alone
     assert found[1] == found[2] != alone[1]

@@ -1,0 +1,324 @@
+"""Node height_adjuster: heights of passes over the same ground come together; what cannot be adjusted is passed on."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from flown_heights import STATED, FlownHeights, flown_heights
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from helpers import assert_one_sentence
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from sal_height_msgs.msg import HeightImage, SensorInfo, Surface
+from sensor_msgs.msg import Image, PointCloud2
+from std_srvs.srv import Trigger
+
+from sal_height import messages
+from sal_height.adjustment import LEAST_POINTS
+from sal_height.errors import UserError
+from sal_height.nodes.domain import free_domain
+from sal_height.nodes.graph import Graph
+from sal_height.nodes.height_adjuster import HeightAdjuster
+from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
+from sal_height.relief import HeightField
+from sal_height.sensor import Sensor
+from sal_height.simulation.scenes import load_scene
+
+TIMEOUT_S = 30.0
+JITTER = {"jitter_rad": 1e-7}
+LAYERS = tuple(Surface.get_fields_and_field_types())
+
+
+class Adjusting:
+    """An adjuster that is fed by hand, and what it publishes."""
+
+    def __init__(self, graph: Graph, sensor: SensorInfo | None, **parameters: Any) -> None:
+        """Start it, and wait until it is connected and knows its sensor, if there is one."""
+        overrides = [Parameter(name, value=value) for name, value in {**JITTER, **parameters}.items()]
+        self.node = graph.add(HeightAdjuster(context=graph.context, parameter_overrides=overrides))
+        self.graph = graph
+        self.heard: dict[str, list[Any]] = {}
+        feeder = self.feeder = graph.add(Node("feeder", context=graph.context))
+        self.heights = feeder.create_publisher(HeightImage, "ml/height", FRAMES_QOS)
+        self.odometry = feeder.create_publisher(Odometry, "platform/odometry", ODOMETRY_QOS)
+        self.info = feeder.create_publisher(SensorInfo, "sensor_info", LATCHED_QOS)
+        kinds = {
+            "height": (HeightImage, FRAMES_QOS),
+            "image": (Image, FRAMES_QOS),
+            "points": (PointCloud2, FRAMES_QOS),
+            "odometry": (Odometry, ODOMETRY_QOS),
+            "mounting": (PoseWithCovarianceStamped, LATCHED_QOS),
+        }
+        for name, (kind, qos) in kinds.items():
+            heard = self.heard.setdefault(name, [])
+            feeder.create_subscription(kind, f"adjusted/{name}", heard.append, qos)
+        self.wait(
+            lambda: all(one.get_subscription_count() == 1 for one in (self.heights, self.odometry, self.info)),
+            "subscriptions",
+        )
+        self.wait(lambda: all(feeder.count_publishers(f"adjusted/{name}") == 1 for name in kinds), "publishers")
+        if sensor:
+            self.info.publish(sensor)
+
+    def wait(self, condition: Callable[[], bool], what: str) -> None:
+        assert self.graph.spin_until(condition, TIMEOUT_S), (what, self.node.tally.summary(), self.node.last_rejection)
+
+    def feed(self, image: HeightImage, odometry: Sequence[Odometry]) -> HeightImage:
+        """The adjusted image of one."""
+        count = len(self.heard["height"])
+        for state in odometry:
+            self.odometry.publish(state)
+        self.heights.publish(image)
+        self.wait(lambda: len(self.heard["height"]) > count, "heights")
+        return self.heard["height"][-1]
+
+    def fly(self, flown: FlownHeights, dwells: Sequence[int] | None = None) -> list[HeightImage]:
+        numbers = range(len(flown.images)) if dwells is None else dwells
+        return [self.feed(flown.images[number], flown.odometry[number]) for number in numbers]
+
+    def counted(self, under: str) -> dict[str, int]:
+        """Messages that were "dropped." or "ignored.", by reason."""
+        counts = self.node.tally.summary()
+        return {name.removeprefix(under): count for name, count in counts.items() if name.startswith(under)}
+
+
+def fields_of(images: Sequence[HeightImage]) -> list[HeightField]:
+    return [messages.field_from_message(image) for image in images]
+
+
+def same_heights(one: HeightImage, other: HeightImage) -> bool:
+    """Whether all numbers are the same, to the last bit."""
+    numbers = [
+        [getattr(surface, name).tobytes() for surface in image.surfaces for name in LAYERS] for image in (one, other)
+    ]
+    return numbers[0] == numbers[1] and one.grid == other.grid and one.aperture == other.aperture
+
+
+@pytest.fixture(scope="module")
+def flown() -> FlownHeights:
+    return flown_heights()
+
+
+@pytest.fixture
+def adjusting(graph: Graph, flown: FlownHeights) -> Adjusting:
+    return Adjusting(graph, flown.sensor_info)
+
+
+def test_heights_of_passes_come_together(adjusting: Adjusting, flown: FlownHeights) -> None:
+    """Median errors of the last two passes, more than 30 cm apart, are within 6 cm; sigma holds the common error."""
+    images = adjusting.fly(flown)
+    before, after = flown.errors(flown.fields), flown.errors(fields_of(images))
+    assert np.ptp(before) > 0.3
+    assert np.ptp(after[6:]) < 0.06, after
+    for image, field, error in zip(images, fields_of(images), after.tolist(), strict=True):
+        assert image.estimator == "adjusted"
+        assert abs(error) < 3 * np.nanmedian(field.first.sigma)
+        stage = messages.stages_of(image.provenance.parameters)["height_adjuster"]
+        assert len(stage["pose_error"]) == 7
+        np.testing.assert_array_equal(image.validity, flown.images[image.dwell].validity)
+    assert np.nanmedian(fields_of(images)[-1].first.sigma) < 0.8 * np.nanmedian(flown.fields[-1].first.sigma)
+    assert adjusting.counted("ignored.") == {}
+    assert adjusting.node.tally.summary()["processed"] == len(images)
+    assert len(adjusting.heard["points"]) == len(adjusting.heard["image"]) == len(images)
+
+
+def test_odometry_and_mounting_come_without_their_errors(adjusting: Adjusting, flown: FlownHeights) -> None:
+    """Every sample once, with its stamp; the antenna where the corrected aperture has it; the mounting with sigma."""
+    images = adjusting.fly(flown)
+    adjusting.wait(lambda: len(adjusting.heard["mounting"]) == len(images), "the mounting")
+    fed = {messages.to_ns(one.header.stamp) for part in flown.odometry for one in part}
+    begins = [messages.to_ns(image.header.stamp) for image in images]
+    wanted = {stamp for stamp in fed for first in begins[::3] if first <= stamp <= first + begins[2] - begins[0]}
+    assert len(wanted) > 12
+
+    def stamps() -> list[int]:
+        return [messages.to_ns(one.header.stamp) for one in adjusting.heard["odometry"]]
+
+    adjusting.wait(lambda: wanted <= set(stamps()), "odometry")
+    assert stamps() == sorted(set(stamps()))
+    assert set(stamps()) <= fed
+    image = images[-1]
+    nearest = min(
+        adjusting.heard["odometry"],
+        key=lambda one: abs(messages.to_ns(one.header.stamp) - messages.to_ns(image.header.stamp)),
+    )
+    aperture = messages.aperture_from_message(image.aperture)
+    state = messages.state_from_message(nearest)
+    seconds = (state.stamp_ns - messages.to_ns(image.header.stamp)) * 1e-9
+    across = (state.position - aperture.position - seconds * state.velocity)[1:]
+    assert np.all(np.abs(across) < 0.01), across
+    mounting = adjusting.heard["mounting"][-1]
+    assert mounting.header.frame_id == "base_link"
+    assert mounting.header.stamp == image.header.stamp
+    sigmas = np.sqrt(np.diag(np.array(mounting.pose.covariance).reshape(6, 6)))
+    assert np.all((sigmas[:3] > 1e-3) & (sigmas[:3] < 0.0101))
+    assert np.all((sigmas[3:] > 1e-6) & (sigmas[3:] < 3.01e-5))
+
+
+def test_what_the_compression_states_of_the_mounting_counts(graph: Graph, flown: FlownHeights) -> None:
+    """Before anything was compared: 30 urad and 1 cm, not the default; the default where it states nothing."""
+    adjusting = Adjusting(graph, flown.sensor_info)
+    adjusting.fly(flown, [0])
+    silent = copy.deepcopy(flown.images[1])
+    silent.provenance.parameters = [
+        one for one in silent.provenance.parameters if one.name.removeprefix("sar_compression.") not in STATED
+    ]
+    adjusting.feed(silent, flown.odometry[1])
+    adjusting.wait(lambda: len(adjusting.heard["mounting"]) == 2, "the mounting")
+    sigmas = [np.sqrt(np.diag(np.array(one.pose.covariance).reshape(6, 6))) for one in adjusting.heard["mounting"]]
+    np.testing.assert_allclose(sigmas[0][[0, 3]], [0.01, 3e-5], rtol=0.01)
+    np.testing.assert_allclose(sigmas[1][[0, 3]], [0.05, 1e-3], rtol=0.01)
+
+
+def test_known_ground_places_heights(graph: Graph, flown: FlownHeights, tmp_path: Path) -> None:
+    """Within 5 cm of the truth from the first dwell on; a file that cannot be read is refused at the start."""
+    scene = load_scene("street")
+    step = 0.05
+    east, north = np.arange(-6, 6, step), np.arange(6, -6, -step)
+    elevation = scene.heights(*np.meshgrid(east, north))
+    np.savez(tmp_path / "ground.npz", elevation=elevation, dx=step, dy=step)
+    adjusting = Adjusting(graph, flown.sensor_info, terrain=str(tmp_path / "ground.npz"), terrain_sigma_m=0.02)
+    after = flown.errors(fields_of(adjusting.fly(flown, range(12))))
+    assert np.all(np.abs(after) < 0.05), after
+    with pytest.raises(UserError) as refused:
+        HeightAdjuster(context=graph.context, parameter_overrides=[Parameter("terrain", value="ground.txt")])
+    assert_one_sentence(str(refused.value), "ground.txt", "allowed are .tif, .tiff and .npz")
+
+
+def stripmap(sensor: Sensor) -> SensorInfo:
+    info = messages.sensor_to_message(sensor, messages.to_stamp(0))
+    info.mode = "stripmap"
+    return info
+
+
+def spoilt(flown: FlownHeights, how: str) -> HeightImage:
+    """A height image that cannot be adjusted: a dwell of another number right after dwell 1, or after dwell 0."""
+    image = copy.deepcopy(flown.images[0 if how == "out of order" else 1])
+    image.dwell = 100
+    image.header.stamp = messages.to_stamp(messages.to_ns(image.header.stamp) + 1)
+    provenance = image.provenance
+    values = messages.stages_of(provenance.parameters)["sar_compression"]
+    if how == "mounting from tf":
+        values["mounting_from_tf"] = True
+    elif how == "wrong provenance":
+        values["placement.speed"] = float("nan")
+    elif how == "not adjusted":
+        values["boresight_sigma_rad"] = 7.0
+    elif how == "few heights":
+        usable = np.flatnonzero(np.array(image.validity) == HeightImage.OK)
+        for pixel in usable[LEAST_POINTS - 1 :].tolist():
+            image.validity[pixel] = HeightImage.LOW_CNR
+        others = np.flatnonzero(np.array(image.validity) != HeightImage.OK)
+        for pixel in others.tolist():
+            image.validity[pixel] = HeightImage.LOW_CNR
+    provenance.parameters = messages.with_stage([], "sar_compression", values)
+    return image
+
+
+REASONS = ["mounting from tf", "wrong provenance", "not adjusted", "few heights", "out of order"]
+
+
+@pytest.mark.parametrize("reason", REASONS)
+def test_heights_that_cannot_be_adjusted_are_passed_on_as_they_are(
+    adjusting: Adjusting, flown: FlownHeights, reason: str
+) -> None:
+    """And counted, with a sentence; those after them are adjusted as if they had not come."""
+    bad = spoilt(flown, reason)
+    adjusting.fly(flown, [0, 1])
+    passed = adjusting.feed(bad, [])
+    assert same_heights(passed, bad) or reason == "few heights"
+    assert passed.estimator == "adjusted"
+    assert "pose_error" not in messages.stages_of(passed.provenance.parameters)["height_adjuster"]
+    assert adjusting.counted("ignored.") == {reason: 1}
+    assert "passed on as they are" in adjusting.node.last_rejection
+    (after,) = adjusting.fly(flown, [2])
+    assert same_heights(after, undisturbed(flown, [0, 1, 2])[2])
+
+
+def undisturbed(flown: FlownHeights, dwells: Sequence[int]) -> list[HeightImage]:
+    """The adjusted images of a node to which nothing else comes."""
+    with free_domain() as domain, Graph(domain) as graph:
+        return Adjusting(graph, flown.sensor_info).fly(flown, dwells)
+
+
+def test_a_strip_is_passed_on_as_it_is(graph: Graph, flown: FlownHeights) -> None:
+    adjusting = Adjusting(graph, stripmap(flown.sensor))
+    passed = adjusting.fly(flown, [0])
+    assert same_heights(passed[0], flown.images[0])
+    assert adjusting.counted("ignored.") == {"wrong mode": 1}
+
+
+@pytest.mark.parametrize("length", [0.0, -1.0, math.nan, math.inf, 1e9])
+def test_an_aperture_that_takes_no_time_or_too_long_is_refused(
+    adjusting: Adjusting, flown: FlownHeights, length: float
+) -> None:
+    image = copy.deepcopy(flown.images[0])
+    image.aperture.length = length
+    adjusting.heights.publish(image)
+    adjusting.wait(lambda: adjusting.counted("dropped.") == {"wrong geometry": 1}, "a drop")
+    assert "aperture.length" in adjusting.node.last_drop
+    assert adjusting.fly(flown, [0])
+
+
+def test_heights_wait_for_odometry_and_for_their_sensor(graph: Graph, flown: FlownHeights) -> None:
+    adjusting = Adjusting(graph, None)
+    adjusting.heights.publish(flown.images[0])
+    adjusting.wait(lambda: adjusting.node.tally.summary()["in"] == 1, "heights to come")
+    adjusting.info.publish(flown.sensor_info)
+    for state in flown.odometry[0]:
+        assert not adjusting.heard["height"]
+        adjusting.odometry.publish(state)
+    adjusting.wait(lambda: len(adjusting.heard["height"]) == 1, "heights")
+    assert adjusting.counted("dropped.") == {}
+
+
+def test_heights_without_odometry_are_given_up(graph: Graph, flown: FlownHeights) -> None:
+    adjusting = Adjusting(graph, flown.sensor_info, timeout_s=0.2)
+    adjusting.heights.publish(flown.images[0])
+    adjusting.wait(lambda: adjusting.counted("dropped.") == {"odometry gap": 1}, "a drop")
+    assert "platform/odometry must reach" in adjusting.node.last_drop
+    assert adjusting.feed(flown.images[1], [*flown.odometry[0], *flown.odometry[1]])
+
+
+def test_a_clock_that_begins_anew_begins_a_flight(adjusting: Adjusting, flown: FlownHeights) -> None:
+    """The second flight is adjusted as the first one was; a gap of 100 s between passes does not begin one."""
+    first = adjusting.fly(flown, [0, 1, 3, 4])
+    assert not same_heights(first[2], flown.images[3])
+    for part in (flown.odometry[0], flown.odometry[1]):
+        for state in part:
+            adjusting.odometry.publish(state)
+    again = [adjusting.feed(flown.images[number], []) for number in (0, 1)]
+    assert all(same_heights(one, other) for one, other in zip(again, first, strict=False))
+    assert adjusting.counted("ignored.").get("out of order", 0) == 0
+
+
+def test_a_reset_begins_a_flight(adjusting: Adjusting, flown: FlownHeights) -> None:
+    first = adjusting.fly(flown, [0, 3])
+    client = adjusting.feeder.create_client(Trigger, "height_adjuster/reset")
+    adjusting.wait(client.service_is_ready, "the service")
+    answer = client.call_async(Trigger.Request())
+    adjusting.wait(answer.done, "an answer")
+    again = adjusting.fly(flown, [3])
+    assert not same_heights(again[0], first[1])
+
+
+def test_the_window_is_as_long_as_wanted(graph: Graph, flown: FlownHeights) -> None:
+    """Dwells of the third pass are compared with both before it, or with the second alone."""
+    adjusting = Adjusting(graph, flown.sensor_info, window_dwells=1)
+    short, whole = adjusting.fly(flown, range(7)), undisturbed(flown, range(7))
+    assert same_heights(short[3], whole[3])
+    assert not same_heights(short[6], whole[6])
+
+
+def test_another_sensor_or_other_settings_begin_anew(adjusting: Adjusting, flown: FlownHeights) -> None:
+    adjusting.fly(flown, [0, 3])
+    adjusting.node.set_parameters([Parameter("correlation_s", value=50.0)])
+    (alone,) = adjusting.fly(flown, [4])
+    assert not same_heights(alone, undisturbed(flown, [0, 3, 4])[2])

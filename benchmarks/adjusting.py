@@ -23,8 +23,10 @@ from sal_height.adjustment import (
     References,
     Stated,
     Terrain,
+    Window,
     adjust,
 )
+from sal_height.adjustment.observed import pose_jacobian
 from sal_height.numeric import F64
 from sal_height.simulation import Preset, flight_of, load_preset
 
@@ -32,6 +34,9 @@ PRESET = "sal_passes"
 FLIGHTS = sized(6, 1)
 COPIES = sized(10, 2)
 """Times that a flight is taken, one after the other, to measure the time that many dwells take."""
+
+WINDOW_DWELLS = 30
+"""Dwells that are held where they are adjusted one by one."""
 
 PAUSE_S = 4000.0
 """Time between copies."""
@@ -90,7 +95,29 @@ def brought_together() -> Iterator[Row]:
         "<= 10",
         f"{text}; stated {sigma:.1f}",
     )
+    yield from as_they_come(flights, settings)
     yield from times(flights[0], settings)
+
+
+def as_they_come(flights: list[FlownPasses], settings: AdjustmentSettings) -> Iterator[Row]:
+    """Rows on dwells that are adjusted one by one, of the later half of each flight."""
+    apart, over, seconds = [], [], []
+    for passes in flights:
+        window = Window(passes.flight.sensor.mounting, settings, WINDOW_DWELLS)
+        errors, stated = [], []
+        for dwell, truth in zip(passes.dwells, passes.shifts, strict=True):
+            begun = time.monotonic()
+            off, jacobian = window.add(dwell), pose_jacobian(dwell.middle, dwell)
+            seconds.append(time.monotonic() - begun)
+            errors.append(jacobian @ off.error - truth)
+            stated.append(jacobian @ off.covariance @ jacobian.T)
+        late = slice(len(errors) // 2, None)
+        apart.append(np.array(errors[late]) - np.mean(errors[late], axis=0))
+        over += [e @ np.linalg.solve(c, e) / 3 for e, c in zip(errors[late], stated[late], strict=True)]
+    text = f"one by one, {WINDOW_DWELLS} held; the later half of {len(flights)} flights"
+    yield Row("heights between dwells as they come", 1e3 * _rms(np.concatenate(apart))[2], "mm", "<= 20", text)
+    yield Row("errors of dwells as they come over what is stated", float(np.sqrt(np.mean(over))), "1", "<= 1.2", text)
+    yield Row("time for a dwell as it comes", 1e3 * float(np.median(seconds)), "ms", "<= 100", f"{text}; {load()}")
 
 
 def _rms(values: F64) -> F64:

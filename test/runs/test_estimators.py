@@ -58,8 +58,22 @@ def test_tracker_and_mapper_take_heights_that_are_made() -> None:
     assert consumers([]) == {}
     assert consumers(["capon_height", "music_height"]) == {
         "relief_tracker": {"estimator": "capon"},
+        "height_adjuster": {"estimator": "capon"},
         "relief_mapper": {"estimator": "capon"},
         "ground_mapper": {"estimator": "capon"},
+    }
+
+
+def test_adjusted_heights_are_asked_for_as_if_they_were_of_an_estimator() -> None:
+    """The adjuster takes those of ml or of the first, and mappers take the adjusted ones."""
+    assert suited(SMALL, ["adjusted", "capon"]) == ["capon_height", "height_adjuster"]
+    assert suited(SMALL, ["adjusted"]) == ["monopulse", "ml_height", "height_adjuster"]
+    adjusted = {"relief_mapper": {"estimator": "adjusted"}, "ground_mapper": {"estimator": "adjusted"}}
+    assert consumers(["ml_height", "height_adjuster"]) == adjusted
+    assert consumers(["capon_height", "height_adjuster"]) == {
+        "relief_tracker": {"estimator": "capon"},
+        "height_adjuster": {"estimator": "capon"},
+        **adjusted,
     }
 
 

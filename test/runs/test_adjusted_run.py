@@ -1,0 +1,103 @@
+"""A run whose heights are adjusted live, and what replays make of its bag."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers import assert_one_sentence
+
+from sal_height.bag.compare import EQUAL
+from sal_height.bag.reader import BagReader
+from sal_height.errors import UserError
+from sal_height.runs.accuracy import read_images
+from sal_height.runs.campaign import Case, plan
+from sal_height.runs.conductor import Execution
+from sal_height.runs.entry import FROM_HEIGHTS, IMAGES, Part
+from sal_height.runs.replay import replay
+from sal_height.runs.simulate import Flown, fly
+from sal_height.simulation import load_preset
+from sal_height.simulation.preset import Passes
+
+DWELLS = 9
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("adjusted")
+
+
+@pytest.fixture(scope="module")
+def flown(folder: Path) -> Flown:
+    """Three passes of three dwells, with all errors of sal_realistic."""
+    preset = load_preset("sal_passes")
+    flight = replace(preset.flight, passes=Passes(3, 60.0))
+    preset = replace(preset, dwells=DWELLS, flight=flight, estimators=("ml", "adjusted"))
+    return fly(preset, 2, folder / "run", {}, Execution(record=("slc",)))
+
+
+def test_the_heights_of_a_run_come_together(flown: Flown, folder: Path) -> None:
+    """What is left between dwells is a third of what it was, at most; nothing is lost, and the map is made of them."""
+    statistics = flown.accuracy.statistics
+    assert statistics["adjusted"]["s68_m"] < statistics["ml"]["s68_m"] / 3
+    assert flown.outcome.losses == []
+    images = read_images(folder / "run" / "bag")["adjusted"]
+    assert [image.dwell for image in images] == list(range(DWELLS))
+    parts = {one.name for one in images[-1].provenance.parameters}
+    assert {"height_adjuster.pose_error", "sar_compression.placement.speed"} <= parts
+    topics = BagReader(folder / "run" / "bag").topics
+    assert topics["/adjusted/odometry"].count >= 2 * 3
+    account = flown.outcome.stages["relief_mapper"]
+    assert account.received == DWELLS
+
+
+def test_a_replay_repeats_them_to_the_bit(flown: Flown, folder: Path) -> None:
+    found = replay(folder / "run" / "bag", folder / "replay", {})
+    assert {topic: one.verdict for topic, one in found.compared.items()} == dict.fromkeys(
+        ("/ml/height", "/adjusted/height", "/tracked/height"), EQUAL
+    )
+    errors = [run["adjusted"]["s68_m"] for run in (found.accuracy, flown.accuracy.statistics)]
+    assert errors[0] == pytest.approx(errors[1])
+
+
+@pytest.mark.usefixtures("flown")
+def test_a_replay_from_heights_makes_the_map_of_them(folder: Path) -> None:
+    found = replay(folder / "run" / "bag", folder / "mapped", {}, part=Part(FROM_HEIGHTS))
+    assert found.outcome.stages["relief_mapper"].received == DWELLS
+    assert found.outcome.losses == []
+
+
+@pytest.mark.usefixtures("flown")
+def test_where_odometry_is_not_played_they_are_left_out_or_refused(folder: Path) -> None:
+    images = Part(IMAGES)
+    with pytest.raises(UserError) as refused:
+        replay(folder / "run" / "bag", folder / "none", {}, estimators=("ml", "adjusted"), part=images)
+    assert_one_sentence(str(refused.value), "with the odometry", "phase_history")
+    found = replay(folder / "run" / "bag", folder / "images", {}, part=images)
+    assert "height_adjuster" not in found.outcome.stages
+    assert found.compared["/ml/height"].verdict == EQUAL
+
+
+@pytest.mark.usefixtures("flown")
+def test_a_batch_leaves_them_out_and_refuses_to_make_them(folder: Path) -> None:
+    """Its parts are made in any order."""
+    bag = folder / "run" / "bag"
+    scheme = plan(Case(bag, folder / "batch", {}, {}), 4)
+    assert "height_adjuster" not in scheme.stages
+    assert all("height_adjuster" not in work.makers for work in scheme.works)
+    with pytest.raises(UserError) as refused:
+        plan(Case(bag, folder / "batch", {}, {}, ("ml", "adjusted")), 4)
+    assert_one_sentence(str(refused.value), "sal-height replay", "sal-height adjust")
+
+
+@pytest.mark.usefixtures("flown")
+def test_sigma_holds_the_errors_of_adjusted_heights(folder: Path, flown: Flown) -> None:
+    """Errors of all dwells together are within 3 sigma, which is smaller than before."""
+    sigmas = {
+        prefix: np.nanmedian([np.nanmedian(image.surfaces[0].sigma) for image in images])
+        for prefix, images in read_images(folder / "run" / "bag").items()
+    }
+    assert sigmas["adjusted"] < 0.9 * sigmas["ml"]
+    assert abs(flown.accuracy.statistics["adjusted"]["bias_m"]) < 3 * sigmas["adjusted"]

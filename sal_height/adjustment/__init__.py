@@ -14,13 +14,14 @@ from sal_height.adjustment.matching import LEAST_POINTS, Points
 from sal_height.adjustment.observed import BORESIGHT, DELAY, LEVER_ARM, PITCH, ObservedDwell, stated_sigmas
 from sal_height.adjustment.reference import UNKNOWN_GROUND, References, Target, Terrain
 from sal_height.adjustment.settings import AdjustmentSettings
-from sal_height.adjustment.window import PoseError, Window
+from sal_height.adjustment.window import MOST_POINTS, PoseError, Window
 
 __all__ = [
     "BORESIGHT",
     "DELAY",
     "LEAST_POINTS",
     "LEVER_ARM",
+    "MOST_POINTS",
     "PITCH",
     "UNKNOWN_GROUND",
     "Adjustment",

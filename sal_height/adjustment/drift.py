@@ -28,6 +28,9 @@ STATE = 9
 EXACT_M, EXACT_MPS, EXACT_RAD = 1e-4, 1e-6, 1e-9
 """Standard deviations of what odometry states to be exact, or does not state."""
 
+WORST_M, WORST_MPS, WORST_RAD = 1e3, 10.0, 0.1
+"""Standard deviations of what it states to be known worse: no images could be compared then."""
+
 KNOTS_PER_CORRELATION = 1000
 
 
@@ -81,9 +84,12 @@ class Drift:
         """
         knot, before = Knot(stated.seconds, columns), self.knots[-1] if self.knots else None
         self.knots.append(knot)
-        place, attitude = _floored(stated.pose[:3, :3], EXACT_M), _floored(stated.pose[3:, 3:], EXACT_RAD)
+        place, attitude = (
+            _bounded(stated.pose[:3, :3], EXACT_M, WORST_M),
+            _bounded(stated.pose[3:, 3:], EXACT_RAD, WORST_RAD),
+        )
         moved = stated.velocity if stated.velocity.any() else place / self.correlation**2
-        velocity = _floored(moved, EXACT_MPS)
+        velocity = _bounded(moved, EXACT_MPS, WORST_MPS)
         variance = _mean_variance(place)
         if before is None:
             self._variance = variance
@@ -157,9 +163,9 @@ def _mean_variance(covariance: F64) -> float:
     return float(np.trace(covariance)) / 3
 
 
-def _floored(covariance: F64, least: float) -> F64:
-    """A covariance with no variance below `least` squared; that of nothing finite is that."""
+def _bounded(covariance: F64, least: float, most: float) -> F64:
+    """A covariance with standard deviations from `least` to `most`; one that is not finite counts as exact."""
     if not np.all(np.isfinite(covariance)):
         covariance = np.zeros_like(covariance)
     values, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
-    return (vectors * np.maximum(values, least**2)) @ vectors.T
+    return (vectors * np.clip(values, least**2, most**2)) @ vectors.T

@@ -20,6 +20,9 @@ from sal_height.adjustment.settings import AdjustmentSettings
 from sal_height.geometry import Mounting
 from sal_height.numeric import F64
 
+MOST_POINTS = 5_000_000
+"""Points of all dwells that are held, 1 GB: with the surfaces between them each takes 200 bytes."""
+
 
 @dataclass(frozen=True, eq=False)
 class PoseError:
@@ -42,6 +45,7 @@ class Window:
         mounting: Mounting,
         settings: AdjustmentSettings,
         most_dwells: int,
+        most_points: int = MOST_POINTS,
         references: References = UNKNOWN_GROUND,
     ) -> None:
         """Begin without dwells.
@@ -49,11 +53,12 @@ class Window:
         Args:
             mounting: of the sensor, as described.
             settings: what is known beforehand.
-            most_dwells: that are held; a strip is held as a whole or not at all.
+            most_dwells: that are held; a strip is held as a whole or not at all, and one that is over always is.
+            most_points: of all dwells that are held, likewise.
             references: targets, and an elevation model.
         """
         self._network = Network(mounting, settings)
-        self._references, self._most_dwells = references, most_dwells
+        self._references, self._most_dwells, self._most_points = references, most_dwells, most_points
         self._over: list[Strip] = []
         self._growing = range(0)
         self._compared: list[Comparison] = []
@@ -84,6 +89,11 @@ class Window:
         return len(self._network.dwells)
 
     @property
+    def points(self) -> int:
+        """Number of their points."""
+        return sum(len(dwell.points.place) for dwell in self._network.dwells.values())
+
+    @property
     def adjustment(self) -> Adjustment:
         """The adjustment of the dwells that are held, as it stands.
 
@@ -104,7 +114,7 @@ class Window:
             return
         self._over.append(Strip.of(growing, network, self._solution))
         self._growing = range(0)
-        while len(self._over) > 1 and self.dwells >= self._most_dwells:
+        while len(self._over) > 1 and (self.dwells >= self._most_dwells or self.points >= self._most_points):
             self._compared = network.forget(list(self._over.pop(0).shifts))
 
     def _strips(self) -> Iterator[range]:

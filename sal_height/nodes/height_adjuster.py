@@ -22,6 +22,7 @@ from sensor_msgs.msg import Image
 from sal_height import messages
 from sal_height.adjustment import (
     LEAST_POINTS,
+    MOST_POINTS,
     UNKNOWN_GROUND,
     AdjustmentSettings,
     ObservedDwell,
@@ -62,6 +63,9 @@ ADJUSTED_ODOMETRY = f"{PREFIX}/odometry"
 ODOMETRY_HELD_S = 100.0
 """Time for which odometry is held: heights must come within it."""
 
+GREATEST_VARIANCE = 1e9
+"""Of what odometry states, m^2, (m/s)^2 or rad^2: beyond, nothing is known."""
+
 BETWEEN_NS = 1_000_000_000
 """Longest time between dwells whose odometry is told as well."""
 
@@ -83,6 +87,12 @@ class Parameters(FrameParameters, DwellParameters, AdjustmentSettings):
         "latest dwells that are held to be compared with; what earlier ones told of navigation and mounting stays",
         minimum=1,
         maximum=10_000,
+    )
+    window_points: int = setting(
+        MOST_POINTS,
+        "heights of all dwells that are held, at most; each takes 200 bytes",
+        minimum=1000,
+        maximum=1_000_000_000,
     )
     terrain: str = setting(
         "",
@@ -190,9 +200,10 @@ class Adjuster:
         settings = _settings_of(parameters, stage)
         aperture, stamp_ns = messages.aperture_from_message(image.aperture), messages.to_ns(image.header.stamp)
         _check_suitable(image, sensor, stage, field)
-        made_for = sensor.digest, settings, parameters.window_dwells
+        limits = parameters.window_dwells, parameters.window_points
+        made_for = sensor.digest, settings, limits
         if self._window is None or made_for != self._made_for:
-            self._window = Window(sensor.mounting, settings, parameters.window_dwells, self._references)
+            self._window = Window(sensor.mounting, settings, *limits, self._references)
             self._made_for, self._epoch_ns, self._latest_ns = made_for, stamp_ns, stamp_ns
         if stamp_ns < self._latest_ns:
             late_s = (self._latest_ns - stamp_ns) * 1e-9
@@ -202,14 +213,18 @@ class Adjuster:
             )
         self._latest_ns = stamp_ns
         track = Trajectory(supplies.states)
-        times = np.array([0.0, _length_s(image) - 1 / sensor.pulse_repetition_frequency])
+        times = np.array([0.0, _length_s(image)])
         stated = Stated(
             (stamp_ns - self._epoch_ns) * 1e-9 + float(times.mean()),
             track.aperture(stamp_ns, times).covariance,
             track.velocity_covariance(stamp_ns, times),
         )
         dwell = ObservedDwell.seen_from(aperture, field, messages.placement_of(stage), stated, sensor)
-        off = self._window.add(dwell)
+        try:
+            off = self._window.add(dwell)
+        except Exception:
+            self._window = None  # begin anew rather than go on with a part
+            raise
         adjustment = self._window.adjustment
         seconds = [(state.stamp_ns - self._epoch_ns) * 1e-9 for state in supplies.states]
         return Adjusted(
@@ -340,7 +355,7 @@ class HeightAdjuster(DwellStage):
         states = self._history.around(since_ns + delay_ns, end_ns + delay_ns)
         if states:
             self._supplied_ns = end_ns
-            return Supplies([replace(state, stamp_ns=state.stamp_ns - delay_ns) for state in states], delay_ns)
+            return Supplies([_supplied(state, delay_ns) for state in states], delay_ns)
         self._awaited_ns = min(self._awaited_ns, end_ns + delay_ns)
         raise Rejected(
             "odometry gap",
@@ -434,6 +449,15 @@ def _references_of(parameters: Parameters) -> References:
         return UNKNOWN_GROUND
     heights = read_elevation_model(Path(parameters.terrain)).heights
     return References(terrain=Terrain(heights, parameters.terrain_sigma_m))
+
+
+def _supplied(state: PlatformState, delay_ns: int) -> PlatformState:
+    """A state without the delay of its stamp, whose covariances can be calculated with."""
+    pose, velocity = (
+        np.clip(np.nan_to_num(matrix), -GREATEST_VARIANCE, GREATEST_VARIANCE)
+        for matrix in (state.covariance, state.velocity_covariance)
+    )
+    return replace(state, stamp_ns=state.stamp_ns - delay_ns, covariance=pose, velocity_covariance=velocity)
 
 
 def _delay_ns(image: HeightImage) -> int:

@@ -31,7 +31,7 @@ class Told:
 
 
 def told_of(passes: FlownPasses, most_dwells: int, references: References = UNKNOWN_GROUND) -> Told:
-    window = Window(passes.flight.sensor.mounting, SETTINGS, most_dwells, references)
+    window = Window(passes.flight.sensor.mounting, SETTINGS, most_dwells, references=references)
     shifts, covariances, held = [], [], 0
     for dwell in passes.dwells:
         off, jacobian = window.add(dwell), pose_jacobian(dwell.middle, dwell)
@@ -88,6 +88,18 @@ def test_dwells_that_left_have_told_what_they_knew() -> None:
     variances = [np.mean([c[2, 2] for c in one.covariances[-3:]]) for one in (short, forgetful)]
     assert variances[0] < 0.8 * variances[1]
     assert np.mean(over(short, passes.shifts)) < 3.0
+
+
+def test_no_more_points_are_held_than_wanted() -> None:
+    """But for a strip that is over, and one that grows."""
+    passes = flown()
+    strip = sum(len(dwell.points.place) for dwell in passes.dwells[:3])
+    window = Window(passes.flight.sensor.mounting, SETTINGS, 1000, 2 * strip)
+    held = []
+    for dwell in passes.dwells:
+        window.add(dwell)
+        held.append(window.points)
+    assert 2 * strip < max(held) < 3.5 * strip
 
 
 def test_what_dwells_leave_says_the_same_of_the_others() -> None:

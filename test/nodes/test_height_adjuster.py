@@ -21,7 +21,7 @@ from sensor_msgs.msg import Image, PointCloud2
 from std_srvs.srv import Trigger
 
 from sal_height import messages
-from sal_height.adjustment import LEAST_POINTS
+from sal_height.adjustment import LEAST_POINTS, Window
 from sal_height.errors import UserError
 from sal_height.nodes.domain import free_domain
 from sal_height.nodes.graph import Graph
@@ -265,6 +265,42 @@ def test_an_aperture_that_takes_no_time_or_too_long_is_refused(
     adjusting.wait(lambda: adjusting.counted("dropped.") == {"wrong geometry": 1}, "a drop")
     assert "aperture.length" in adjusting.node.last_drop
     assert adjusting.fly(flown, [0])
+
+
+@pytest.mark.parametrize("variance", [0.0, -1.0, 1e30, 1e308, math.nan, math.inf])
+def test_absurd_covariances_do_no_harm(graph: Graph, flown: FlownHeights, variance: float) -> None:
+    """Heights come out with a finite sigma, and those of the next pass are adjusted to them."""
+    adjusting = Adjusting(graph, flown.sensor_info)
+    odometry = [[copy.deepcopy(state) for state in part] for part in flown.odometry]
+    for part in odometry:
+        for state in part:
+            state.pose.covariance = np.diag(np.full(6, variance)).ravel()
+            state.twist.covariance = np.diag(np.full(6, variance)).ravel()
+    images = [adjusting.feed(flown.images[number], odometry[number]) for number in (0, 1, 3, 4)]
+    for field in fields_of(images):
+        there = np.isfinite(field.first.height)
+        assert np.count_nonzero(there) > 100
+        assert np.all(np.isfinite(field.first.sigma[there]))
+    assert not [reason for reason in adjusting.counted("dropped.") if reason]
+
+
+def test_an_error_within_begins_anew(
+    adjusting: Adjusting, flown: FlownHeights, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The dwell is lost and counted; the next one is adjusted as the first of a flight."""
+    adjusting.fly(flown, [0, 1])
+
+    def fail(*_: object) -> None:
+        raise ZeroDivisionError
+
+    with monkeypatch.context() as broken:
+        broken.setattr(Window, "add", fail)
+        adjusting.heights.publish(flown.images[2])
+        for state in flown.odometry[2]:
+            adjusting.odometry.publish(state)
+        adjusting.wait(lambda: sum(adjusting.counted("dropped.").values()) == 1, "a drop")
+    (after,) = adjusting.fly(flown, [3])
+    assert same_heights(after, undisturbed(flown, [3])[0])
 
 
 def test_heights_wait_for_odometry_and_for_their_sensor(graph: Graph, flown: FlownHeights) -> None:

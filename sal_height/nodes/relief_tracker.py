@@ -17,6 +17,7 @@ from std_msgs.msg import Header
 
 from sal_height import messages
 from sal_height.elevation import ESTIMATORS
+from sal_height.nodes.air import USED_AIR
 from sal_height.nodes.height import LEFT_OUT
 from sal_height.nodes.parameters import MapFrameParameters
 from sal_height.nodes.placed_points import PlacedPoints
@@ -156,12 +157,17 @@ class Tracker:
 def _series_of(message: HeightImage, parameters: Parameters) -> tuple[Hashable, ...]:
     """What the heights of a series have in common: sensor, calibration, and how they are made and tracked.
 
-    Which channels had to be left out may change from dwell to dwell, and does not end a series.
+    Which channels had to be left out, and the air, may change from dwell to dwell, and do not end a series.
     """
     provenance = message.provenance
     stages = messages.held_stages(provenance)
-    made = repr({name: {**values, LEFT_OUT: None} for name, values in stages.items()})
+    made = repr([(node, [one for one in values.items() if _is_of_series(one[0])]) for node, values in stages.items()])
     return provenance.config_hash, provenance.calibration_id, message.estimator, made, parameters
+
+
+def _is_of_series(name: str) -> bool:
+    """Whether what a provenance says under a name beside a node's own holds for more than one dwell."""
+    return name != LEFT_OUT and not name.startswith(f"{USED_AIR}.")
 
 
 def main() -> int:

@@ -30,6 +30,7 @@ from sal_height.nodes.domain import free_domain
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.recorder import Recorder
 from sal_height.runs.adjust import _write
+from sal_height.runs.calibrate import calibrate
 from sal_height.runs.conductor import Execution
 from sal_height.runs.entry import Part, check_air, contents
 from sal_height.runs.lead import IN_STEP, lead_of
@@ -142,6 +143,13 @@ def test_a_live_graph_beside_the_recorded_sensor_makes_them_too(flown: Path, tmp
     made = [(image.dwell, repr(image.surfaces)) for image in images_of(BagReader(tmp_path / "live" / "bag"))]
     assert len(made) > 3
     assert all(values == expected[dwell] for dwell, values in made)
+
+
+def test_a_calibration_has_images_in_the_air_too(flown: Path, tmp_path: Path) -> None:
+    outcome, calibration = calibrate(flown, tmp_path / "out", {})
+    assert not outcome.losses
+    assert calibration is not None
+    assert calibration.dwells == 3
 
 
 @pytest.mark.parametrize("most_dwells", [1, 3])

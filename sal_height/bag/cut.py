@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from rcl_interfaces.msg import ParameterEvent
@@ -21,12 +22,13 @@ from sal_height.bag.stamps import stamp_ns_of
 from sal_height.bag.topics import CALIBRATION_TYPE, FRAME_TYPE, HEIGHT_TYPE, IMAGE_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter, held_by_publishers
 from sal_height.errors import UserError
+from sal_height.messages import AIR_LATENCY_NS, AIR_TYPES
 
 STAMPS_FROM_S = 100_000_000
 """Seconds from which on a number is a time since 1970, and not since the begin of the bag (three years)."""
 
 MARGIN_NS = 1_000_000_000
-"""Odometry is kept from so long before the first pulse to so long after the last."""
+"""Odometry and air are kept from so long before the first pulse to so long after the last."""
 
 OF_DWELLS = {FRAME_TYPE, IMAGE_TYPE, HEIGHT_TYPE}
 """Types of messages that belong to a dwell, and have its stamp."""
@@ -71,8 +73,8 @@ def cut(path: Path, out_directory: Path, kept: Range) -> Cut:
 
     Messages are byte for byte those of the bag, with their times, in one file. Of a dwell all messages are kept, or
     none: it is kept if all its frames are in the range. Odometry is kept from a second before the kept dwells to a
-    second after. What was latched before is kept as it was last, at the begin of the new bag; so are the parameters of
-    nodes, those of a node in one event.
+    second after, and so is the air, with the last message that they used. What was latched before is kept as it was
+    last, at the begin of the new bag; so are the parameters of nodes, those of a node in one event.
 
     Args:
         path: of the bag.
@@ -100,15 +102,22 @@ def cut(path: Path, out_directory: Path, kept: Range) -> Cut:
     return Cut(counts, {plan.topics.frames: len(plan.dwells) for plan in plans})
 
 
+class _Span(NamedTuple):
+    """What is kept of a topic: from one stamp to another, and when the first of it was received, ns."""
+
+    begin_ns: int
+    end_ns: int
+    log_ns: int
+
+
 @dataclass(frozen=True)
 class _SensorPlan:
-    """What is kept of a sensor: its dwells, and odometry from one stamp to another, the first received at a time."""
+    """What is kept of a sensor: its dwells, and by topic the stamps of its odometry and of the air around them."""
 
     topics: SensorTopics
     all_dwells: Sequence[Dwell]
     dwells: Sequence[Dwell]
-    odometry_ns: tuple[int, int]
-    odometry_log_ns: int | None
+    spans: Mapping[str, _Span]
 
     @property
     def stamps(self) -> frozenset[int]:
@@ -125,16 +134,29 @@ def time_of(reader: BagReader, seconds: Decimal) -> int:
 def _plan_sensor(reader: BagReader, topics: SensorTopics, kept: Range) -> _SensorPlan:
     found = list(read_dwells(reader, topics))
     dwells = [dwell for dwell in found if kept.keeps(dwell)]
-    if not dwells or topics.odometry not in reader.topics:
-        return _SensorPlan(topics, found, dwells, (0, -1), None)
-    poses = [(stamp_ns_of(m.cdr), m.log_time_ns) for m in reader.recorded_messages([topics.odometry])]
-    stamps = np.array(sorted(stamp for stamp, _ in poses), dtype=np.int64)
-    first_ns, last_ns = min(dwell.stamp_ns for dwell in dwells), max(dwell.last_pulse_ns for dwell in dwells)
+    spans: dict[str, _Span] = {}
+    if dwells:
+        first_ns, last_ns = min(dwell.stamp_ns for dwell in dwells), max(dwell.last_pulse_ns for dwell in dwells)
+        needed = {topics.odometry: first_ns}
+        air = [name for name, topic in reader.topics.items() if topic.type_name in AIR_TYPES]
+        needed |= dict.fromkeys(air, first_ns - AIR_LATENCY_NS)
+        found_spans = {name: _span(reader, name, need_ns, last_ns) for name, need_ns in needed.items()}
+        spans = {name: span for name, span in found_spans.items() if span}
+    return _SensorPlan(topics, found, dwells, spans)
+
+
+def _span(reader: BagReader, topic: str, first_ns: int, last_ns: int) -> _Span | None:
+    """What is kept of the samples on a topic around two times, ns; None: there is none.
+
+    It is from a margin before to a margin after, and at least from the last sample before to the first one after.
+    """
+    samples = [(stamp_ns_of(m.cdr), m.log_time_ns) for m in reader.recorded_messages([topic])]
+    stamps = np.array(sorted(stamp for stamp, _ in samples), dtype=np.int64)
     before, behind = stamps[stamps <= first_ns], stamps[stamps >= last_ns]
     begin_ns = min(first_ns - MARGIN_NS, int(before[-1]) if before.size else first_ns)
     end_ns = max(last_ns + MARGIN_NS, int(behind[0]) if behind.size else last_ns)
-    logs = [log_ns for stamp, log_ns in poses if begin_ns <= stamp <= end_ns]
-    return _SensorPlan(topics, found, dwells, (begin_ns, end_ns), min(logs, default=None))
+    logs = [log_ns for stamp, log_ns in samples if begin_ns <= stamp <= end_ns]
+    return _Span(begin_ns, end_ns, min(logs)) if logs else None
 
 
 def _described(plans: Sequence[_SensorPlan]) -> str:
@@ -154,10 +176,12 @@ class _Window:
         last_ns = max((dwell.last_log_ns for dwell in dwells), default=2**63) if by_number else 2**63
         self._begin_ns = max(first_ns, kept.begin_ns or 0)
         self._end_ns = last_ns if kept.end_ns is None else min(last_ns, kept.end_ns)
-        logs = [plan.odometry_log_ns for plan in plans if plan.odometry_log_ns is not None]
-        self._first_ns = min([self._begin_ns, *logs])
+        spans = [(name, span) for plan in plans for name, span in plan.spans.items()]
+        self._first_ns = min([self._begin_ns, *(span.log_ns for _, span in spans)])
         """When the first of what is kept was received: what was latched then is moved here."""
-        self._odometry = {plan.topics.odometry: plan.odometry_ns for plan in plans}
+        self._spans: dict[str, list[_Span]] = {}
+        for name, span in spans:
+            self._spans.setdefault(name, []).append(span)
         self._stamps = {name: _stamps_for(name, plans) for name, t in reader.topics.items() if t.type_name in OF_DWELLS}
         self._latched = {
             name: deque[BagMessage](maxlen=held) for name, topic in reader.topics.items() if (held := _held(topic))
@@ -177,7 +201,7 @@ class _Window:
                 if is_begun:
                     yield message
                 else:
-                    waiting.append(message)  # odometry
+                    waiting.append(message)  # odometry or air
             elif not is_begun:
                 self._hold(message)
         if not is_begun:
@@ -187,9 +211,9 @@ class _Window:
     def _keeps(self, message: BagMessage) -> bool:
         if message.topic in self._stamps:
             return stamp_ns_of(message.cdr) in self._stamps[message.topic]
-        if message.topic in self._odometry:
-            begin_ns, end_ns = self._odometry[message.topic]
-            if begin_ns <= stamp_ns_of(message.cdr) <= end_ns:
+        if spans := self._spans.get(message.topic):
+            stamp_ns = stamp_ns_of(message.cdr)
+            if any(span.begin_ns <= stamp_ns <= span.end_ns for span in spans):
                 return True
         return self._begin_ns <= message.log_time_ns <= self._end_ns
 

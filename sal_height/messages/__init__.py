@@ -4,6 +4,7 @@ It is the only package that knows both the types of messages and those of the co
 (but for frames of 16-bit integers) and written with one block copy.
 """
 
+from sal_height.messages.air import AIR, AIR_LATENCY_NS, AIR_TYPES, AirSample, needed_air, read_air
 from sal_height.messages.basics import (
     BODY_FRAME,
     MAP_FRAME,
@@ -74,11 +75,15 @@ from sal_height.messages.sensors import sensor_from_message, sensor_to_message
 from sal_height.messages.serialized import serialized_height, serialized_slc
 
 __all__ = [
+    "AIR",
+    "AIR_LATENCY_NS",
+    "AIR_TYPES",
     "BODY_FRAME",
     "LONGEST_DWELL",
     "MAP_FRAME",
     "POINT_FIELDS",
     "RELIEF_POINT_FIELDS",
+    "AirSample",
     "Frames",
     "HeightOrigin",
     "Pose",
@@ -106,9 +111,11 @@ __all__ = [
     "history_from_messages",
     "history_to_messages",
     "mounting_to_pose",
+    "needed_air",
     "origin_to_message",
     "placement_of",
     "placement_values",
+    "read_air",
     "read_attitude",
     "read_fix",
     "read_origin",

@@ -1,7 +1,7 @@
 """What is played of a bag in the order in which the sensor delivered it, with the times of that, once or several times.
 
-Odometry is delivered at its stamp, a frame after its last pulse; what has no such time, as the description of a sensor,
-follows what is before it in the bag.
+Odometry is delivered at its stamp, a frame after its last pulse; what has no such time, as the description of a sensor
+or a message on the air, follows what is before it in the bag.
 """
 
 from __future__ import annotations
@@ -73,7 +73,8 @@ def delivered(reader: BagReader, topics: Collection[str], dwells: DwellRange, pa
     for number in range(1, passes):
         shift_ns = number * first.period_ns
         for recorded, content in _once(reader, topics, dwells):
-            cdr = recorded.cdr if content.delivered_ns is None else restamped(recorded.cdr, shift_ns)
+            is_old = content.delivered_ns is None and content.air_ns is None
+            cdr = recorded.cdr if is_old else restamped(recorded.cdr, shift_ns)
             later = recorded._replace(cdr=cdr, log_time_ns=recorded.log_time_ns + shift_ns)
             yield Played(later, content.later(shift_ns))
 

@@ -10,8 +10,10 @@ from typing import Any, ClassVar
 from nav_msgs.msg import Odometry
 from sal_height_msgs.msg import ChannelFrame, SensorInfo
 
+from sal_height import messages
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
+from sal_height.nodes.air import AIR_TOPICS
 from sal_height.nodes.managed import INACTIVE
 from sal_height.nodes.pace import Pace
 from sal_height.nodes.playlist import FRAMES, ODOMETRY, SENSOR_INFO, Playlist, restamped
@@ -34,7 +36,7 @@ class Parameters(StageParameters):
 
 
 class PacedPlayer(Stage):
-    """Publishes odometry and frames when the sensor would, from the call of ~/start until it ends.
+    """Publishes odometry, air and frames when the sensor would, from the call of ~/start until it ends.
 
     The bag is played from memory and begins anew after its end. Stamps go on: they begin with the time of the call,
     which is answered by the first of them (ns), and all else in the messages is as recorded. Further calls are answered
@@ -43,7 +45,7 @@ class PacedPlayer(Stage):
     """
 
     parameters = Parameters
-    outputs = SENSOR_TOPICS
+    outputs: ClassVar[Topics] = {**SENSOR_TOPICS, **AIR_TOPICS}
     answers: ClassVar[Topics] = {**RESET, "~/start": "begin to deliver"}
     begin_service = "start"
 
@@ -62,6 +64,7 @@ class PacedPlayer(Stage):
         self._outlets = {
             ODOMETRY: self.offer(Odometry, ODOMETRY, ODOMETRY_QOS),
             FRAMES: self.offer(ChannelFrame, FRAMES, FRAMES_QOS),
+            **{topic: self.offer(one.message_type, topic, ODOMETRY_QOS) for topic, one in messages.AIR.items()},
         }
         self.offer(SensorInfo, SENSOR_INFO, LATCHED_QOS).publish(self.playlist.sensor_info)
         self._starting, self._first_stamp_ns = threading.Lock(), 0

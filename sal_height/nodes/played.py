@@ -12,6 +12,7 @@ from rclpy.qos import QoSProfile
 from sal_height_msgs.msg import Provenance
 
 from sal_height import messages
+from sal_height.bag.stamps import stamp_ns_of
 from sal_height.bag.topics import FRAME_TYPE, HEIGHT_TYPE, IMAGE_TYPE, ODOMETRY_TYPE, BagMessage
 from sal_height.nodes.cues import DwellKey
 from sal_height.nodes.playlist import FRAMES, ODOMETRY, SENSOR_INFO
@@ -23,8 +24,8 @@ SENSOR = (SENSOR_INFO, ODOMETRY, FRAMES)
 """Topics of a sensor: those that are played unless others are named."""
 
 MARGIN_NS = 1_000_000_000
-"""Odometry is played from so long before the first pulse of a chosen dwell to so long after its last, besides the last
-sample before and the first one after."""
+"""Odometry and the air are played from so long before the first pulse of a chosen dwell to so long after its last,
+besides the last sample before and the first one after."""
 
 MOST, LATEST_NS = 2**32 - 1, 2**63 - 1
 """Greatest number of a dwell, and latest stamp, ns."""
@@ -32,7 +33,7 @@ MOST, LATEST_NS = 2**32 - 1, 2**63 - 1
 
 def qos_of(topic: str) -> QoSProfile:
     """The quality of service of a topic that is played."""
-    return {SENSOR_INFO: LATCHED_QOS, ODOMETRY: ODOMETRY_QOS}.get(topic, FRAMES_QOS)
+    return {SENSOR_INFO: LATCHED_QOS, **dict.fromkeys((ODOMETRY, *messages.AIR), ODOMETRY_QOS)}.get(topic, FRAMES_QOS)
 
 
 class DwellPart(NamedTuple):
@@ -79,12 +80,19 @@ class Content(NamedTuple):
     Attributes:
         part: of a dwell; None: it is part of none.
         odometry_ns: stamp of odometry, ns; None: it is none.
+        air_ns: stamp of a message on the air, ns; None: it is none.
         fault: why nothing is known of it, for it is broken; empty: it is not.
     """
 
     part: DwellPart | None = None
     odometry_ns: int | None = None
+    air_ns: int | None = None
     fault: str = ""
+
+    @property
+    def sample_ns(self) -> int | None:
+        """Stamp of what was sampled besides dwells, ns; None: it was not."""
+        return self.odometry_ns if self.air_ns is None else self.air_ns
 
     @property
     def delivered_ns(self) -> int | None:
@@ -93,11 +101,8 @@ class Content(NamedTuple):
 
     def later(self, shift_ns: int) -> Content:
         """What matters of the same message with a stamp that is later, ns."""
-        return Content(
-            self.part and self.part.later(shift_ns),
-            None if self.odometry_ns is None else self.odometry_ns + shift_ns,
-            self.fault,
-        )
+        odometry_ns, air_ns = (None if one is None else one + shift_ns for one in (self.odometry_ns, self.air_ns))
+        return Content(self.part and self.part.later(shift_ns), odometry_ns, air_ns, self.fault)
 
 
 class Played(NamedTuple):
@@ -116,6 +121,8 @@ def _content_of(recorded: BagMessage) -> Content:
     try:
         if recorded.type_name == ODOMETRY_TYPE:
             return Content(odometry_ns=messages.received_pose(recorded.cdr).stamp_ns)
+        if recorded.type_name in messages.AIR_TYPES:
+            return Content(air_ns=stamp_ns_of(recorded.cdr))
         return Content(part_of(recorded))
     except Exception as error:  # noqa: BLE001 (whatever broken bytes lead to)
         return Content(fault=str(error))
@@ -146,38 +153,41 @@ ALL = DwellRange()
 
 
 def chosen(items: Iterator[Played], dwells: DwellRange) -> Iterator[Played]:
-    """The messages of chosen dwells, and the odometry around them; descriptions of the sensor are never left out.
+    """The messages of chosen dwells, and odometry and air around them; descriptions of the sensor are never left out.
 
     Broken messages are left to whoever plays them.
     """
     if dwells == ALL:
         yield from items
         return
-    odometry: deque[tuple[int, Played]] = deque()
-    covered_ns, needed_ns, passed_ns = -math.inf, -math.inf, -math.inf
+    held: dict[str, deque[tuple[int, Played]]] = {}
+    covered_ns: dict[str, int] = {}
+    needed_ns, passed_ns = -math.inf, -math.inf
     for one in items:
-        part, stamp_ns, _ = one.content
+        part, stamp_ns, topic = one.content.part, one.content.sample_ns, one.recorded.topic
         if stamp_ns is not None:
-            if covered_ns < needed_ns or stamp_ns <= needed_ns + MARGIN_NS:
-                covered_ns = stamp_ns
+            if covered_ns.get(topic, -math.inf) < needed_ns or stamp_ns <= needed_ns + MARGIN_NS:
+                covered_ns[topic] = stamp_ns
                 yield one
             else:
-                odometry.append((stamp_ns, one))
-                _forget(odometry, passed_ns)
+                samples = held.setdefault(topic, deque())
+                samples.append((stamp_ns, one))
+                _forget(samples, passed_ns)
         elif part is None:
             yield one
         elif part.dwell in dwells:
             needed_ns = max(needed_ns, part.end_ns)
-            _forget(odometry, part.dwell.stamp_ns)
-            while odometry:
-                covered_ns, sample = odometry.popleft()
-                yield sample
+            for name, samples in held.items():
+                _forget(samples, part.dwell.stamp_ns)
+                while samples:
+                    covered_ns[name], sample = samples.popleft()
+                    yield sample
             yield one
         else:
             passed_ns = part.dwell.stamp_ns
 
 
-def _forget(odometry: deque[tuple[int, Played]], time_ns: float) -> None:
+def _forget(samples: deque[tuple[int, Played]], time_ns: float) -> None:
     """Leave out what is longer than the margin before a time, but for the last sample before it."""
-    while len(odometry) > 1 and odometry[1][0] < time_ns - MARGIN_NS:
-        odometry.popleft()
+    while len(samples) > 1 and samples[1][0] < time_ns - MARGIN_NS:
+        samples.popleft()

@@ -6,17 +6,18 @@ It does so dwell by dwell, at the pace of the sensor beside /clock, or as fast a
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
 from sal_height_msgs.msg import Calibration as CalibrationMessage
 
+from sal_height import messages
 from sal_height.bag.definitions import message_class
 from sal_height.bag.namespace import NamespacedReader
 from sal_height.bag.reader import BagMessage, BagReader
-from sal_height.bag.topics import HEIGHT_TYPE, SENSOR_TYPE, Topic
+from sal_height.bag.topics import HEIGHT_TYPE, SENSOR_TYPE
 from sal_height.errors import UserError
 from sal_height.nodes.account import CALIBRATIONS, DWELLS
 from sal_height.nodes.cues import DwellKey, cues_of_text
@@ -50,7 +51,8 @@ class Parameters(StageParameters):
     bag: str = setting("", "path of the bag: its folder or its .mcap file", read_only=True)
     topics: tuple[str, ...] = setting(
         SENSOR,
-        "topics that are played: those of the sensor, or sensor_info and slc, or heights such as ml/height",
+        "topics that are played: those of the sensor, with those of the air if any; or sensor_info and slc, or heights "
+        "such as ml/height",
         read_only=True,
     )
     namespace: str = setting(
@@ -92,7 +94,8 @@ class Parameters(StageParameters):
 class Player(Stage):
     """Publishes the recorded bytes of one group of dwells at each call of ~/step, or of all dwells at one call.
 
-    The first sensor info comes before that, so that the nodes can get ready for the sensor. A dwell before which
+    The first sensor info comes before that, so that the nodes can get ready for the sensor. The first step begins with
+    the first message on each topic of the air, which dwells before it have waited for in flight. A dwell before which
     something happened in flight (`cues`) begins a group; a calibration is published at a step of its own. So does a
     step end there that plays all that follows: whoever asks for the next one can wait until the nodes are done before.
     """
@@ -156,14 +159,26 @@ class Player(Stage):
         self._others = RemoteParameters(self, {name for cue in self._cues.values() for name in cue.parameters})
         self._calibrations = self._named_calibrations()
         self._calibration = self.offer(CalibrationMessage, CALIBRATION_TOPIC, LATCHED_QOS)
-        self._reel = Reel(_without_first(recorded.get(SENSOR_INFO), self._played(parameters)))
+        info, air = (
+            self._first_of([recorded[name].name for name in names if name in parameters.topics])
+            for names in ([SENSOR_INFO], messages.AIR)
+        )
+        self._reel = Reel(_brought_forward(air, _without(info, self._played(parameters))))
         self._last_odometry_ns = 0
         if parameters.clock == PACED and self._reel.next:
             self._time = SimulatedClock(self, self._reel.next.recorded.log_time_ns, parameters.rate)
-        if SENSOR_INFO in parameters.topics:
-            announced = next(self._reader.messages([recorded[SENSOR_INFO].name]), None)
-            if announced and self._is_usable(Played(announced, Content())):
+        for announced in info:
+            if self._is_usable(Played(announced, Content())):
                 self._publish(announced)
+
+    def _first_of(self, names: Sequence[str]) -> list[BagMessage]:
+        """The first message on each of these topics.
+
+        Raises:
+            UserError: the bag is damaged.
+        """
+        found = [next(self._reader.messages([name]), None) for name in names]
+        return [message for message in found if message]
 
     def _played(self, parameters: Parameters) -> Iterator[Played]:
         """The messages of the bag that are played, in their order; unless in lockstep with the times of their delivery.
@@ -308,14 +323,26 @@ def _names_of(rule: str) -> tuple[str, str]:
     return old, new
 
 
-def _without_first(topic: Topic | None, items: Iterator[Played]) -> Iterator[Played]:
-    """What is played, without the first message of a topic, which has been published already."""
-    is_due = topic is not None
+def _without(published: Sequence[BagMessage], items: Iterator[Played]) -> Iterator[Played]:
+    """What is played, without messages that have been published already."""
+    due = {message.topic: message.cdr for message in published}
     for item in items:
-        if is_due and topic and item.recorded.topic == topic.name:
-            is_due = False
+        if due.get(item.recorded.topic) == item.recorded.cdr:
+            del due[item.recorded.topic]
         else:
             yield item
+
+
+def _brought_forward(early: Sequence[BagMessage], items: Iterator[Played]) -> Iterator[Played]:
+    """What is played, with these messages of it at the begin."""
+    others = _without(early, items)
+    first = next(others, None)
+    if first is None:
+        return
+    begin_ns = first.recorded.log_time_ns
+    yield from read_contents(message._replace(log_time_ns=begin_ns) for message in early)
+    yield first
+    yield from others
 
 
 def calibrations_of(reader: BagReader) -> Iterator[tuple[str, bytes]]:

@@ -25,10 +25,11 @@ class Item(NamedTuple):
 
 
 class Playlist(NamedTuple):
-    """Odometry and frames of whole dwells, in the order of their delivery, and the description of their sensor.
+    """Odometry, air and frames of whole dwells, in the order of their delivery, and the description of their sensor.
 
-    Odometry is delivered at its stamp, a frame after its last pulse. The list can be played again and again: its stamps
-    then go on by `period_ns`.
+    Odometry and air are delivered at their stamps, a frame after its last pulse; what was known of the air before comes
+    at the begin, with a stamp from which on it is used for the first dwell. The list can be played again and again: its
+    stamps then go on by `period_ns`.
 
     Attributes:
         sensor_info: the last description, serialized.
@@ -57,8 +58,9 @@ class Playlist(NamedTuple):
         """
         info, described, size = b"", SensorInfo(), 0
         odometry: dict[int, tuple[bytes, Odometry]] = {}
+        air: dict[str, list[tuple[int, bytes]]] = {topic: [] for topic in messages.AIR}
         dwells: dict[int, list[tuple[bytes, ChannelFrame]]] = {}
-        topics = [name for name in reader.topics if name.lstrip("/") in {SENSOR_INFO, ODOMETRY, FRAMES}]
+        topics = [name for name in reader.topics if name.lstrip("/") in {SENSOR_INFO, ODOMETRY, FRAMES, *air}]
         for recorded in reader.messages(topics):
             message = reader.decode(recorded.type_name, recorded.cdr)
             size += len(recorded.cdr)
@@ -71,6 +73,8 @@ class Playlist(NamedTuple):
                 info, described = recorded.cdr, message
             elif isinstance(message, Odometry):
                 odometry[messages.to_ns(message.header.stamp)] = recorded.cdr, message
+            elif (topic := recorded.topic.lstrip("/")) in air:
+                air[topic].append((messages.to_ns(message.header.stamp), recorded.cdr))
             else:
                 dwells.setdefault(messages.to_ns(message.header.stamp), []).append((recorded.cdr, message))
         channels = messages.sensor_from_message(described).detector_count if info else 0
@@ -82,6 +86,8 @@ class Playlist(NamedTuple):
             )
         items = [Item(stamp, ODOMETRY, odometry[stamp][0]) for stamp in around]
         items += [Item(_last_pulse(m), FRAMES, cdr) for frames in whole.values() for cdr, m in frames]
+        for topic, samples in air.items():
+            items += _air_during(topic, samples, min(whole), around[0], around[-1])
         return cls(
             info,
             sorted(items, key=lambda item: item.due_ns),
@@ -133,6 +139,24 @@ def _odometry_around(stamps: list[int], dwells: Iterable[int], ends: dict[int, i
     first = int(np.searchsorted(known, min(starts), "right")) - 1
     last = int(np.searchsorted(known, max(ends.values()), "left"))
     return stamps[first : last + 1] if 0 <= first < last < len(stamps) else []
+
+
+def _air_during(topic: str, samples: list[tuple[int, bytes]], dwell_ns: int, begin_ns: int, end_ns: int) -> list[Item]:
+    """What comes on a topic of the air from the begin to the end, first what the first dwell needs.
+
+    Args:
+        topic: its name.
+        samples: stamp and bytes of its messages.
+        dwell_ns: stamp of the first dwell.
+        begin_ns: when the first odometry comes.
+        end_ns: when the last odometry comes.
+    """
+    if not samples:
+        return []
+    in_use_ns = dwell_ns - messages.AIR_LATENCY_NS
+    stamp_ns, cdr = max((one for one in samples if one[0] <= in_use_ns), default=min(samples))
+    later = [Item(max(begin_ns, stamp), topic, cdr) for stamp, cdr in samples if in_use_ns < stamp <= end_ns]
+    return [Item(begin_ns, topic, restamped(cdr, in_use_ns - stamp_ns)), *later]
 
 
 def _period(dwells: list[int], odometry: list[int]) -> int:

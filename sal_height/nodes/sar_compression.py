@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -21,6 +22,15 @@ from sal_height.geometry import Motion, Mounting, PlatformState, Trajectory
 from sal_height.imaging import ImageSettings, Slc
 from sal_height.messages import Pose, ReceivedFrame
 from sal_height.nodes.account import CALIBRATIONS
+from sal_height.nodes.air import (
+    AIR_TOPICS,
+    HEARD_AIR,
+    OTHER_CLOCK_S,
+    USED_AIR,
+    AirHistory,
+    AirParameters,
+    heard_air,
+)
 from sal_height.nodes.dwell_stage import ChannelParameters, DwellStage
 from sal_height.nodes.held import HELD_CALIBRATIONS, Held
 from sal_height.nodes.odometry import Arrival, OdometryHistory
@@ -38,13 +48,10 @@ from sal_height.settings import setting
 HEARD = "topic"
 """Value of the parameter calibration: apply the calibration that comes on the topic calibration."""
 
-OTHER_CLOCK_S = 86400.0
-"""Odometry that is a day from the frames has another clock."""
-
 NOT_TRUSTED = "autofocus found no phase error that it can trust; the image is focused with the odometry alone."
 
 
-class Parameters(FrameParameters, ImageSettings, ChannelParameters):
+class Parameters(FrameParameters, AirParameters, ImageSettings, ChannelParameters):
     """Settings of the images, and what the node needs besides."""
 
     calibration: str = setting(
@@ -106,11 +113,13 @@ class Supplies(NamedTuple):
         states: odometry from the last sample before the first pulse to the first after the last pulse.
         calibration: of the sensor's receivers; None: there is none.
         mounting: of the sensor on the platform.
+        air: that was heard, as values of the parameters that state a measured one; None: none is to be heard.
     """
 
     states: list[PlatformState]
     calibration: Calibration | None
     mounting: Mounting
+    air: Mapping[str, float] | None = None
 
 
 class SarCompression(DwellStage):
@@ -119,6 +128,7 @@ class SarCompression(DwellStage):
     parameters = Parameters
     inputs: ClassVar[Topics] = {
         **SENSOR_TOPICS,
+        **AIR_TOPICS,
         "calibration": "calibration to apply, only if the parameter calibration is topic",
         TF_STATIC: "frame of the sensor on the platform, only if the parameter mounting_from_tf is true",
     }
@@ -146,6 +156,7 @@ class SarCompression(DwellStage):
         self._heard = Held[Calibration](HELD_CALIBRATIONS)
         """Calibrations that came on the topic, by config_hash of their sensor."""
         self._frames = StaticFrames()
+        self._air = AirHistory()
         try:
             self._begin_calibration(self.current_parameters().calibration)
             if self.current_parameters().mounting_from_tf:
@@ -154,7 +165,22 @@ class SarCompression(DwellStage):
             self.destroy_node()
             raise
         self.listen(Odometry, "platform/odometry", self._on_odometry, ODOMETRY_QOS, read=messages.received_pose)
+        self._air_inlets = {
+            topic: self.listen(
+                one.message_type, topic, functools.partial(self._on_air, topic), ODOMETRY_QOS, optional=True
+            )
+            for topic, one in messages.AIR.items()
+        }
         self._slc = self.offer(ComplexImage, "slc")
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether it can work on a dwell, also as to the air if that is to be heard."""
+        if not super().is_ready or self.current_parameters().air != HEARD_AIR:
+            return super().is_ready
+        sensors = map(self._sensors.get, self._sensors)
+        needed = {topic for sensor in sensors if sensor for topic in messages.needed_air(sensor.wavelength)}
+        return all(self._air_inlets[topic].is_connected for topic in needed)
 
     def check(self, message: ReceivedFrame, sensor: Sensor) -> None:
         """Check size, samples and pulse times of a frame."""
@@ -162,11 +188,12 @@ class SarCompression(DwellStage):
         self._last_pulse_ns = max(self._last_pulse_ns, message.end_ns)
 
     def supplies(self, dwell: list[ReceivedFrame], sensor: Sensor) -> Supplies:
-        """Odometry from before the first pulse to after the last without gaps, and the calibration in force.
+        """Odometry from before the first pulse to after the last without gaps, and calibration and air in force.
 
         Raises:
-            Rejected: the odometry does not cover the pulses yet, or has a gap; the sensor's frame is not known yet.
-            UserError: the sensor's frame is nowhere on a platform.
+            Rejected: the odometry does not cover the pulses yet, or has a gap; the sensor's frame, or the air, is not
+                known yet.
+            UserError: the sensor's frame is nowhere on a platform, or the air of messages is wanted for a strip.
         """
         frame = dwell[0]
         delay_ns = self.current_parameters().odometry_delay_ns
@@ -174,9 +201,10 @@ class SarCompression(DwellStage):
         gap = longest_gap_s(states)
         limit = self.current_parameters().max_odometry_gap_s
         if gap <= limit:
+            air = heard_air(self._air, frame, sensor, states, self.current_parameters())
             if gap > self.current_parameters().odometry_interval_s:
                 self.tally.note("odometry.bridged")
-            return Supplies(states, self._calibration_for(sensor), self._mounting_of(sensor))
+            return Supplies(states, self._calibration_for(sensor), self._mounting_of(sensor), air)
         self._awaited_ns = min(self._awaited_ns, frame.end_ns + delay_ns)
         found = f"there are {gap:g} s between two" if states else self._odometry_held(frame.stamp_ns)
         raise Rejected(
@@ -290,6 +318,12 @@ class SarCompression(DwellStage):
             self._heard.put(calibration.config_hash, calibration)
         self.tell(CALIBRATIONS)
 
+    def _on_air(self, topic: str, message: Any) -> None:
+        try:
+            self._air.add(topic, messages.read_air(topic, message))
+        except Rejected as error:
+            self.ignore("air", error)
+
     def _on_odometry(self, pose: Pose) -> None:
         try:
             state = messages.state_of_pose(pose, self.current_parameters().frames)
@@ -340,16 +374,19 @@ def compress_dwell(
     if supplies.mounting != sensor.mounting:
         sensor = replace(sensor, mounting=supplies.mounting)
     history, calibration = messages.history_from_messages(frames), supplies.calibration
-    slc = compressor.add(
-        history, Trajectory(supplies.states, motion=parameters.motion), sensor, parameters, calibration
-    )
+    track = Trajectory(supplies.states, motion=parameters.motion)
+    settings, stated = parameters, dict(parameters)
+    if supplies.air is not None:
+        settings = parameters.changed(air="measured", **supplies.air)
+        stated[USED_AIR] = supplies.air
+    slc = compressor.add(history, track, sensor, settings, calibration)
     if slc is None:
         return None
     provenance = Provenance(
         code_version=__version__,
         config_hash=sensor.config_hash,
         calibration_id=calibration.id if calibration else sensor.calibration_id,
-        parameters=messages.with_stage([], node, {**dict(parameters), **messages.placement_values(slc.placement)}),
+        parameters=messages.with_stage([], node, {**stated, **messages.placement_values(slc.placement)}),
         autofocus_phase=slc.autofocus_phase.tolist(),
     )
     return slc, messages.serialized_slc(slc, frames[0], provenance, parameters.map_frame)

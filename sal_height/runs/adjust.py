@@ -50,7 +50,7 @@ from sal_height.sensor import Sensor
 ADJUSTED_FROM = "adjusted_from"
 """Name of the bag that was adjusted in the custom data of a new one."""
 
-COPIED = {FRAME_TYPE, SENSOR_TYPE, CALIBRATION_TYPE, FIX_TYPE}
+COPIED = {FRAME_TYPE, SENSOR_TYPE, CALIBRATION_TYPE, FIX_TYPE, *messages.AIR_TYPES}
 
 KNOWN = {"boresight_sigma_rad": 0.0, "lever_arm_sigma_m": 0.0, "odometry_delay_sigma_s": 0.0}
 """Parameters of the compression whose errors the covariance of the corrected odometry contains."""

@@ -13,11 +13,12 @@ from sal_height.beams import ZERNIKE
 from sal_height.calibration import Calibration, load_calibration
 from sal_height.errors import UserError
 from sal_height.io import new_folder, or_null, writing
+from sal_height.nodes.played import SENSOR
 from sal_height.nodes.psf_calibration import MOST_DWELLS
 from sal_height.runs.calibration_picture import beam_width, draw_calibration
 from sal_height.runs.catalogue import CALIBRATOR, NodeParameters, check_parameters
 from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
-from sal_height.runs.entry import contents
+from sal_height.runs.entry import air_in, check_air, contents
 from sal_height.runs.replay_parameters import recorded_parameters
 from sal_height.runs.reporting import PARAMETERS, conclude, merged, reporting
 
@@ -53,13 +54,15 @@ def calibrate(
     wanted = {CALIBRATOR: {"dwells": min(dwells, MOST_DWELLS), "dwell_step": 1, "file": str(out / CALIBRATION)}}
     recorded = {name: recorded_parameters(reader).get(name, {}) for name in STAGES}
     values = check_parameters(merged(merged(merged(recorded, unweighted), wanted), parameters), STAGES)
+    air = air_in(reader)
+    check_air(values, [sensor], air, f"Bag {bag}")
     folder = new_folder(out)
-    made = folder / "bag"
+    made, played = folder / "bag", [*SENSOR, *air]
     with reporting(folder, {"bag": bag.name}) as report:
-        nodes = {**values, "player": {"bag": str(bag)}}
+        nodes = {**values, "player": {"bag": str(bag), "topics": played}}
         topics = ["sensor_info", "calibration", "diagnostics"]
         custom_data = {PARAMETERS: json.dumps(values)}
-        outcome = perform(Plan("player", STAGES, topics, made, nodes, dwells, custom_data), execution)
+        outcome = perform(Plan("player", STAGES, topics, made, nodes, dwells, custom_data, played), execution)
         conclude(outcome, values, report)
         path = Path(values[CALIBRATOR]["file"])
         if outcome.interrupted:

@@ -22,6 +22,7 @@ from std_srvs.srv import Trigger
 from tqdm import tqdm
 
 from sal_height.errors import UserError
+from sal_height.messages import AIR
 from sal_height.nodes.account import (
     CALIBRATIONS,
     DIAGNOSTICS,
@@ -192,8 +193,9 @@ class Conductor(Node):
         inputs = stage_inputs(plan.stages, plan.parameters, plan.played)
         self._inputs = {plan.source: "", **dict(zip(inputs, plan.on_wire(inputs.values()), strict=True))}
         self._recorded, self._played = plan.on_wire(plan.recorded), plan.on_wire(plan.played)
-        self._sensor_info, self._odometry, self._calibration = plan.on_wire([SENSOR_INFO, ODOMETRY, CALIBRATION_TOPIC])
-        self._odometry_takers = [self._odometry for name in plan.stages if ODOMETRY in NODES[name].inputs]
+        self._sensor_info, self._calibration = plan.on_wire([SENSOR_INFO, CALIBRATION_TOPIC])
+        taken = [topic for name in plan.stages for topic in (ODOMETRY, *AIR) if topic in NODES[name].inputs]
+        self._samples = plan.on_wire(taken)
         self._calibrated = [name for name in plan.stages if CALIBRATION_TOPIC in NODES[name].inputs]
         self._frames, self._images = plan.on_wire([FRAMES, IMAGES])
         self._steps = 0
@@ -217,7 +219,7 @@ class Conductor(Node):
         if unknown := sorted(recorded - offered.keys()):
             raise UserError(f"No node of this run publishes topic {unknown[0]}; it has {', '.join(sorted(offered))}.")
         needed = Counter(topic for topic in self._inputs.values() if topic)
-        needed.update([*(self._odometry_takers if self._odometry in self._played else ()), *recorded])
+        needed.update([*(topic for topic in self._samples if topic in self._played), *recorded])
         alone = all(self.count_publishers(topic) == 1 for topic in self._played)
         return alone and all(offered[topic] >= n for topic, n in needed.items()) and self._step.service_is_ready()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -16,6 +16,7 @@ from sal_height.bag.topics import FIX_TYPE
 from sal_height.elevation import ESTIMATORS
 from sal_height.errors import UserError
 from sal_height.geometry import Origin
+from sal_height.nodes.air import HEARD_AIR, NOT_IN_STRIPS
 from sal_height.nodes.cues import DwellKey
 from sal_height.nodes.dwell_stage import CONTRADICTION
 from sal_height.nodes.played import ALL, IMAGES, LATEST_NS, MOST, SENSOR, DwellRange
@@ -110,6 +111,7 @@ class Chain:
         stages: all that process, in their order.
         dwells: how many dwells the bag has.
         dwell_topics: topics of the bag that the dwells are on.
+        air: topics of the bag that tell the air.
     """
 
     entry: str
@@ -117,6 +119,7 @@ class Chain:
     stages: list[str]
     dwells: int
     dwell_topics: list[str]
+    air: Sequence[str] = ()
 
     def played(self, parameters: NodeParameters) -> list[str]:
         """Topics that are played to nodes with these parameters.
@@ -125,7 +128,7 @@ class Chain:
             UserError: a node takes heights that are not among those in the bag.
         """
         if self.entry != FROM_HEIGHTS:
-            return list(SENSOR) if self.entry == FRAMES else [SENSOR_INFO, IMAGES]
+            return [*SENSOR, *self.air] if self.entry == FRAMES else [SENSOR_INFO, IMAGES]
         prefixes = dict.fromkeys(parameters.get(name, {}).get("estimator", "ml") for name in self.stages)
         topics = [f"{prefix}/height" for prefix in prefixes if prefix != HEIGHTS[TRACKER]]
         if lost := [topic for topic in topics if f"/{topic}" not in self.dwell_topics]:
@@ -164,9 +167,41 @@ def chain_of(reader: BagReader, entry: str, estimators: Collection[str]) -> Chai
             raise UserError("Heights are adjusted with the odometry; replay from phase_history to make them.")
         height_nodes.remove(ADJUSTER)
     first = ["sar_compression"] if entry == FRAMES else []
-    return Chain(
-        entry, height_nodes, [*first, *((*height_nodes, TRACKER) if height_nodes else ())], dwells, [f"/{entry}"]
-    )
+    stages = [*first, *((*height_nodes, TRACKER) if height_nodes else ())]
+    return Chain(entry, height_nodes, stages, dwells, [f"/{entry}"], air_in(reader))
+
+
+def air_in(reader: BagReader) -> list[str]:
+    """The topics of a bag that tell the air, as nodes know them."""
+    return [
+        topic
+        for topic, quantity in messages.AIR.items()
+        if _count(reader, f"/{topic}") and reader.topics[f"/{topic}"].type_name == quantity.type_name
+    ]
+
+
+def check_air(parameters: NodeParameters, sensors: Iterable[Sensor], topics: Collection[str], source: str) -> None:
+    """Refuse a compression that is to hear the air where nothing tells it, or of strips.
+
+    Args:
+        parameters: of the nodes.
+        sensors: whose dwells are compressed.
+        topics: that tell the air, of those that nodes know.
+        source: of the messages, as the begin of a sentence.
+
+    Raises:
+        UserError: something is missing.
+    """
+    if parameters.get("sar_compression", {}).get("air") != HEARD_AIR:
+        return
+    for sensor in sensors:
+        if sensor.mode == "stripmap":
+            raise UserError(NOT_IN_STRIPS)
+        if missing := [topic for topic in messages.needed_air(sensor.wavelength) if topic not in topics]:
+            raise UserError(
+                f"{source} has no messages on {', '.join(missing)}, which sar_compression takes the air from (its "
+                "parameter air is heard); record these topics, or set air to standard, measured or none."
+            )
 
 
 def origin_of(reader: BagReader) -> Origin | None:

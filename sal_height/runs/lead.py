@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from sal_height.nodes.air import HEARD_AIR
 from sal_height.nodes.dwell_stage import DwellParameters
 from sal_height.nodes.height import CROWD
 from sal_height.nodes.stage import FRAMES_QOS
@@ -36,7 +37,7 @@ IN_STEP = Lead()
 
 
 def lead_of(sensor: Sensor, stages: Sequence[str], parameters: NodeParameters) -> Lead:
-    """The lead with which all comes out as in step: no queue overflows, and no dwell or calibration overtakes another.
+    """The lead with which all comes out as in step: no queue overflows, and nothing overtakes a dwell.
 
     Args:
         sensor: whose dwells are played.
@@ -55,6 +56,6 @@ def lead_of(sensor: Sensor, stages: Sequence[str], parameters: NodeParameters) -
         limits += [now.max_queued_dwells, now.max_memory_bytes // (SPACE * sensor.dwell_bytes) - 1]
         if isinstance(now, DwellParameters):
             limits.append(now.max_unfinished_dwells - 1)
-        if now.latency_budget_s or name == CALIBRATOR:
+        if now.latency_budget_s or name == CALIBRATOR or getattr(now, "air", "") == HEARD_AIR:
             return IN_STEP
     return Lead(max(0, min(limits)), channels)

@@ -19,6 +19,7 @@ from sal_height_msgs.msg import HeightImage
 from sal_height.bag.stamps import stamp_ns_of
 from sal_height.errors import UserError
 from sal_height.io import new_folder
+from sal_height.messages import AIR
 from sal_height.nodes.account import CPU, Account
 from sal_height.nodes.domain import ros_domain
 from sal_height.nodes.middleware import provide_shared_memory
@@ -28,6 +29,7 @@ from sal_height.runs.account_book import AccountBook
 from sal_height.runs.catalogue import HEIGHTS, TRACKER, check_parameters, consumers
 from sal_height.runs.conductor import RECORDER, Conductor, Execution, Interruption, Plan, members_of
 from sal_height.runs.ensemble import Ensemble
+from sal_height.runs.entry import check_air
 from sal_height.runs.processes import beside, process_age_s
 from sal_height.runs.reporting import PARAMETERS, PRESET, merged, reporting
 from sal_height.runs.self_test import core_rate_hz, make_tables
@@ -155,6 +157,8 @@ def live(
     start_s = {"tables": process_age_s()}
     playlist = feed.playlist()
     start_s["dwells"] = process_age_s()
+    air = [topic for topic in AIR if any(item.topic == topic for item in playlist.items)]
+    check_air(values, [feed.sensor], air, f"Bag {feed.bag}")
     interval_s = 1 / (playlist.dwell_rate_hz * how.rate)
     budget_s = how.budget_s or _budget_of(feed) or max(BUDGET_DWELLS * interval_s, LEAST_BUDGET_S)
     shares = {name: {"latency_budget_s": budget_s / STEPS} for name in stages if name != MAPPER}
@@ -162,7 +166,7 @@ def live(
     source = {"bag": str(feed.bag), "rate": how.rate, "max_memory_mb": 1 + int(playlist.size / 1e6) * 2}
     folder = new_folder(out)
     topics = [f"{HEIGHTS[name]}/height" for name in stages if name in HEIGHTS]
-    recorded = [SENSOR_INFO, ODOMETRY, "diagnostics", *topics, *(t.removeprefix("/") for t in execution.record)]
+    recorded = [SENSOR_INFO, ODOMETRY, *air, "diagnostics", *topics, *(t.removeprefix("/") for t in execution.record)]
     custom_data = {**feed.custom_data, PARAMETERS: json.dumps(values)}
     nodes = {**values, SOURCE: source, RECORDER: {"node_parameters": True}}  # which may be changed in flight
     plan = Plan(SOURCE, stages, list(dict.fromkeys(recorded)), folder / "bag", nodes, 0, custom_data)

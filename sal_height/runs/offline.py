@@ -10,7 +10,8 @@ from rclpy.serialization import serialize_message
 
 from sal_height import messages
 from sal_height.bag.namespace import NamespacedReader
-from sal_height.bag.reader import ALWAYS, BagReader, LogTimes
+from sal_height.bag.reader import ALWAYS, BagMessage, BagReader, LogTimes
+from sal_height.bag.stamps import stamp_ns_of
 from sal_height.bag.topics import HEIGHT_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.elevation import ESTIMATORS
@@ -21,10 +22,10 @@ from sal_height.nodes.relief_tracker import PREFIX, Tracker
 from sal_height.pipeline import heights
 from sal_height.runs.catalogue import TRACKER, NodeParameters
 from sal_height.runs.recorded_dwells import (
+    AIR_TOPICS,
     COMPRESSION,
-    FRAME_TOPIC,
     GAP,
-    ODOMETRY_TOPIC,
+    TAKEN,
     Compressed,
     InForce,
     Losses,
@@ -99,10 +100,26 @@ def _process(work: Work, times: LogTimes, folder: Path) -> Losses:
     reader = NamespacedReader(work.bag, work.namespace)
     with BagWriter(folder) as bag:
         making = _Making(work, reader, bag)
-        for recorded in reader.messages([ODOMETRY_TOPIC, FRAME_TOPIC], times):
+        making.hear_air(_air_before(work, reader, times))
+        for recorded in reader.messages(TAKEN, times):
             making.take(recorded)
         making.end()
     return making.losses
+
+
+def _air_before(work: Work, reader: BagReader, times: LogTimes) -> list[BagMessage]:
+    """The messages on the air that were recorded before `times`, from the one on that the first dwell needs."""
+    needed_ns = min(dwell.stamp_ns for dwell in work.dwells) - messages.AIR_LATENCY_NS
+    held = {topic for topic in AIR_TOPICS if topic in reader.topics and reader.topics[topic].count}
+    found: list[BagMessage] = []
+    reach_ns, end_ns = MARGIN_NS, times.first_ns
+    while held and end_ns > reader.begin_ns:
+        begin_ns = max(reader.begin_ns, times.first_ns - reach_ns)
+        found = [*reader.messages(held, LogTimes(begin_ns, end_ns - 1)), *found]
+        if {one.topic for one in found if stamp_ns_of(one.cdr) <= needed_ns} == held:
+            break
+        reach_ns, end_ns = 4 * reach_ns, begin_ns
+    return found
 
 
 class _Making(RecordedDwells):

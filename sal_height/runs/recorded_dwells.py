@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from rclpy.serialization import deserialize_message
 from tqdm import tqdm
 
 from sal_height import messages
@@ -15,6 +17,7 @@ from sal_height.bag.reader import BagMessage, BagReader, LogTimes
 from sal_height.calibration import Calibration, load_calibration
 from sal_height.errors import Rejected, UserError
 from sal_height.imaging import Slc
+from sal_height.nodes.air import AirHistory, heard_air
 from sal_height.nodes.cues import Cue, DwellKey
 from sal_height.nodes.dwell import Dwell, DwellAssembler, Key
 from sal_height.nodes.dwell_stage import with_blanks
@@ -36,6 +39,12 @@ MOST_DWELLS = 1_000_000
 """Of a bag that is read as one part."""
 
 FRAME_TOPIC, ODOMETRY_TOPIC, CALIBRATIONS = f"/{FRAMES}", f"/{ODOMETRY}", f"/{CALIBRATION_TOPIC}"
+
+AIR_TOPICS = {f"/{topic}": topic for topic in messages.AIR}
+"""Topics that tell the air, in a bag and as nodes know them."""
+
+TAKEN = (ODOMETRY_TOPIC, *AIR_TOPICS, FRAME_TOPIC)
+"""Topics that are gone through in the order of the bag."""
 
 
 @dataclass(frozen=True)
@@ -167,6 +176,9 @@ class RecordedDwells:
         self._heard: dict[str, Calibration] = {}
         self._listen(work.calibrations)
         self._odometry = OdometryHistory(self._compression.odometry_held_s)
+        self._air = AirHistory()
+        for topic in AIR_TOPICS:
+            self.hear_air(islice(reader.messages([topic]), 1))  # dwells before the first message have waited for it
         self._assembler = DwellAssembler[messages.ReceivedFrame]()
         self._last_frame_ns: dict[Key, int] = {}
         self._compressor = Compressor()
@@ -181,20 +193,21 @@ class RecordedDwells:
         return self.in_force.of(COMPRESSION)
 
     def read(self, reader: BagReader, doing: str) -> None:
-        """Take in all frames and odometry of a bag, with a progress bar that says what is done."""
-        topics = [ODOMETRY_TOPIC, FRAME_TOPIC]
-        count = sum(reader.topics[topic].count for topic in topics if topic in reader.topics)
-        for recorded in tqdm(reader.messages(topics), total=count, unit="message", desc=doing):
+        """Take in all frames, odometry and air of a bag, with a progress bar that says what is done."""
+        count = sum(reader.topics[topic].count for topic in TAKEN if topic in reader.topics)
+        for recorded in tqdm(reader.messages(TAKEN), total=count, unit="message", desc=doing):
             self.take(recorded)
         self.end()
 
     def take(self, recorded: BagMessage) -> None:
-        """Take in a frame or a sample of odometry, and process the dwells that have all they need then."""
+        """Take in a frame or a sample of odometry or air, and process the dwells that have all they need then."""
         self._give_up(recorded.log_time_ns)
         try:
             if recorded.topic == ODOMETRY_TOPIC:
                 pose = messages.received_pose(recorded.cdr)
                 self._odometry.add(messages.state_of_pose(pose, self._compression.frames))
+            elif recorded.topic in AIR_TOPICS:
+                self.hear_air([recorded])
             else:
                 self._gather(messages.received_frame(recorded.cdr), recorded.log_time_ns)
         except UserError as error:
@@ -207,6 +220,17 @@ class RecordedDwells:
             if place >= surplus and not (dwell.is_whole and self._is_covered(dwell)):
                 return
             self._process(dwell)
+
+    def hear_air(self, recorded: Iterable[BagMessage]) -> None:
+        """Take in messages on the air; those that cannot be used are told."""
+        for one in recorded:
+            topic = AIR_TOPICS[one.topic]
+            if one.type_name != (quantity := messages.AIR[topic]).type_name:
+                continue
+            try:
+                self._air.add(topic, messages.read_air(topic, deserialize_message(one.cdr, quantity.message_type)))
+            except (UserError, RuntimeError) as error:
+                self.losses.warn("air", UserError(f"A message on {topic} is not used. {error}"))
 
     def _give_up(self, log_time_ns: int) -> None:
         """Wait no longer for channels of dwells of which none was recorded in the last `timeout_s`.
@@ -277,10 +301,10 @@ class RecordedDwells:
         return with_blanks(dwell)
 
     def _supplies(self, frames: Sequence[messages.ReceivedFrame], sensor: Sensor) -> Supplies:
-        """Odometry and calibration of a dwell.
+        """Odometry, calibration and air of a dwell.
 
         Raises:
-            UserError: odometry has a gap, or the calibration cannot be read.
+            UserError: odometry has a gap, the calibration cannot be read, or the air is not known.
         """
         delay_ns = self._compression.odometry_delay_ns
         states = self._odometry.around(frames[0].stamp_ns + delay_ns, frames[0].end_ns + delay_ns)
@@ -291,7 +315,8 @@ class RecordedDwells:
                 f"Dwell {frames[0].dwell}: {ODOMETRY} in the bag does not reach from its first pulse to its last with "
                 f"a sample every {limit:g} s (max_odometry_gap_s).",
             )
-        return Supplies(states, self._calibration_for(sensor), sensor.mounting)
+        air = heard_air(self._air, frames[0], sensor, states, self._compression)
+        return Supplies(states, self._calibration_for(sensor), sensor.mounting, air)
 
     def _calibration_for(self, sensor: Sensor) -> Calibration | None:
         """The calibration to apply.

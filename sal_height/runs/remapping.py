@@ -12,6 +12,7 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import FRAME_TYPE, HEIGHT_TYPE, IMAGE_TYPE, ODOMETRY_TYPE, SENSOR_TYPE
 from sal_height.errors import UserError
+from sal_height.messages import AIR, AIR_TYPES
 from sal_height.nodes.played import IMAGES
 from sal_height.nodes.player import CALIBRATION_TOPIC
 from sal_height.nodes.playlist import FRAMES, ODOMETRY, SENSOR_INFO
@@ -22,6 +23,7 @@ KNOWN: Mapping[str, str] = {
     f"/{SENSOR_INFO}": SENSOR_TYPE,
     f"/{ODOMETRY}": ODOMETRY_TYPE,
     f"/{FRAMES}": FRAME_TYPE,
+    **{f"/{topic}": quantity.type_name for topic, quantity in AIR.items()},
     f"/{IMAGES}": IMAGE_TYPE,
     **{f"/{prefix}/height": HEIGHT_TYPE for prefix in HEIGHTS.values()},
 }
@@ -117,7 +119,7 @@ def _played_types(entry: str) -> set[str]:
     """Types of what is played from an entry on."""
     if entry == FROM_HEIGHTS:
         return {HEIGHT_TYPE}
-    return {SENSOR_TYPE, IMAGE_TYPE} if entry == IMAGES else {SENSOR_TYPE, ODOMETRY_TYPE, FRAME_TYPE}
+    return {SENSOR_TYPE, IMAGE_TYPE} if entry == IMAGES else {SENSOR_TYPE, ODOMETRY_TYPE, FRAME_TYPE, *AIR_TYPES}
 
 
 def _names_of(rule: str) -> tuple[str, str]:

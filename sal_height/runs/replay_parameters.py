@@ -20,7 +20,7 @@ from sal_height.nodes.playlist import FRAMES
 from sal_height.nodes.sar_compression import HEARD
 from sal_height.nodes.stage import MAP_ORIGIN
 from sal_height.runs.catalogue import NODES, NodeParameters, check_parameters, placed
-from sal_height.runs.entry import Chain, Part, check_given, origin_of
+from sal_height.runs.entry import Chain, Part, check_air, check_given, origin_of, sensors_of
 from sal_height.runs.flight_record import FlightRecord
 from sal_height.runs.reporting import PARAMETERS, merged
 from sal_height.runs.timeline import PROVENANCE, Applied, Change, Parameter, Timeline, timeline_of
@@ -118,7 +118,7 @@ def processing_of(
         names_dwells: whether the dwells are looked for in any case, which may take a reading of the bag.
 
     Raises:
-        UserError: the bag's parameters cannot be read, or a value is not allowed today.
+        UserError: the bag's parameters cannot be read, a value is not allowed today, or the bag lacks the air.
     """
     check_given(given, chain)
     timeline = timeline_of(reader, chain.dwell_topics)
@@ -135,6 +135,10 @@ def processing_of(
         if one.parameter.node in chain.stages and one.parameter.name not in given.get(one.parameter.node, {})
     ]
     changes = [_checked(one) for one in wanted if not _is_read_only(one.parameter)]
+    if chain.entry == FRAMES:
+        sensors = list(sensors_of(reader)[0].values())
+        for one in (values, *({parameter.node: {parameter.name: value}} for _, parameter, value, _ in changes)):
+            check_air(one, sensors, chain.air, f"Bag {reader.path}")
     calibrations = timeline.calibrations if _applies_calibrations(chain, values) else []
     if not calibrations and given.get(APPLIED.node, {}).get(APPLIED.name) == HEARD:
         calibrations = timeline.come  # which nobody applied in flight

@@ -26,6 +26,7 @@ from sal_height.runs.catalogue import (
     suited,
 )
 from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
+from sal_height.runs.entry import check_air
 from sal_height.runs.lead import lead_of
 from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, conclude, merged, reporting
 from sal_height.simulation import Preset, SimulatedFlight, flight_of
@@ -80,6 +81,7 @@ def fly(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
     parameters = check_parameters(merged(preset.processing, parameters))
     flight = flight_of(preset, seed)
     estimators = suited(flight.sensor, preset.estimators)
+    check_air(parameters, [flight.sensor], (), "A simulated flight")
     flight.surface(0)  # refuses a flight beside the scene before anything is started
     folder = new_folder(out)
     settings = folder / "preset.yaml"

@@ -67,6 +67,10 @@ class Chain:
             SensorInfo: self._feeder.create_publisher(SensorInfo, "sensor_info", LATCHED_QOS),
             Odometry: self._feeder.create_publisher(Odometry, "platform/odometry", ODOMETRY_QOS),
             ChannelFrame: self._feeder.create_publisher(ChannelFrame, "phase_history", FRAMES_QOS),
+            **{
+                one.message_type: self._feeder.create_publisher(one.message_type, topic, ODOMETRY_QOS)
+                for topic, one in messages.AIR.items()
+            },
         }
         for name in self.estimators:
             self._feeder.create_subscription(HeightImage, f"{name}/height", self._keep, FRAMES_QOS)

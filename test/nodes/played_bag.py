@@ -12,6 +12,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from sal_height_msgs.msg import Calibration, ChannelFrame, SensorInfo
+from sensor_msgs.msg import Temperature
 
 from sal_height import messages
 from sal_height.bag.definitions import Definition
@@ -36,7 +37,7 @@ def bag(folder: Path, recorded: Iterable[Any], other: Mapping[type, Definition] 
     """A bag of a sensor with two detectors, with `other` definitions of types than those that are installed."""
     info = SensorInfo()
     info.beams.elevation_boresights = [0.0, 0.1]
-    topics = {**TOPICS, Calibration: "/calibration"}
+    topics = {**TOPICS, Calibration: "/calibration", Temperature: "/air/temperature"}
     with BagWriter(folder, {}) as writer:
         for kind, name in topics.items():
             type_name = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from air_messages import temperature_at
 from nav_msgs.msg import Odometry
 from played_bag import bag, odometry
 from rclpy.serialization import serialize_message
@@ -19,7 +20,12 @@ from sal_height.nodes.delivery import delivered
 from sal_height.nodes.played import DwellRange
 from sal_height.nodes.stage import FRAMES_QOS
 
-NAMES = {"/sensor_info": "info", "/platform/odometry": "odometry", "/phase_history": "frame"}
+NAMES = {
+    "/sensor_info": "info",
+    "/platform/odometry": "odometry",
+    "/phase_history": "frame",
+    "/air/temperature": "air",
+}
 
 
 def lasting(dwell: int, channel: int = 0) -> ChannelFrame:
@@ -55,6 +61,27 @@ def test_odometry_comes_at_its_stamp_and_a_frame_after_its_last_pulse(tmp_path: 
         ("odometry", 2.0, 2.0),
         ("frame", 2.5, 2.0),
         ("odometry", 3.0, 3.0),
+    ]
+
+
+def test_the_air_follows_what_is_before_it_in_the_bag_with_stamps_that_go_on(tmp_path: Path) -> None:
+    order = [temperature_at(500_000_000, 9.0), *map(odometry, (1.0, 1.5)), lasting(1), temperature_at(10**9, 8.0)]
+    found = played(tmp_path / "bag", [*order, lasting(2), odometry(2.5)], passes=2)
+    assert [one for one in found if one[0] != "info"] == [
+        ("odometry", 1.0, 1.0),
+        ("odometry", 1.5, 1.5),
+        ("air", 1.5, 0.5),
+        ("frame", 1.5, 1.0),
+        ("air", 1.5, 1.0),
+        ("odometry", 2.5, 2.5),
+        ("frame", 2.5, 2.0),
+        ("odometry", 3.0, 3.0),
+        ("odometry", 3.5, 3.5),
+        ("air", 3.5, 2.5),
+        ("frame", 3.5, 3.0),
+        ("air", 3.5, 3.0),
+        ("odometry", 4.5, 4.5),
+        ("frame", 4.5, 4.0),
     ]
 
 

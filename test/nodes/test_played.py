@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+from air_messages import pressure_at, temperature_at
 from nav_msgs.msg import Odometry
 from rclpy.serialization import serialize_message
 from sal_height_msgs.msg import ChannelFrame, SensorInfo
+from sensor_msgs.msg import FluidPressure, Temperature
 from written_bag import frame, key
 
 from sal_height import messages
@@ -17,6 +19,8 @@ NAMES = {
     Odometry: ("/platform/odometry", "nav_msgs/msg/Odometry"),
     ChannelFrame: ("/phase_history", "sal_height_msgs/msg/ChannelFrame"),
     SensorInfo: ("/sensor_info", "sal_height_msgs/msg/SensorInfo"),
+    FluidPressure: ("/air/pressure", "sensor_msgs/msg/FluidPressure"),
+    Temperature: ("/air/temperature", "sensor_msgs/msg/Temperature"),
 }
 
 
@@ -41,6 +45,8 @@ def played(dwells: DwellRange, *recorded: Any) -> list[float | str]:
             found.append(str(content.part.dwell.number))
         elif one.topic == "/sensor_info":
             found.append("info")
+        elif content.air_ns is not None:
+            found.append(f"{one.topic[5]}{content.air_ns * 1e-9:g}")
         else:
             found.append(messages.received_pose(one.cdr).stamp_ns * 1e-9)
     return found
@@ -68,6 +74,14 @@ def test_the_last_sample_before_and_the_first_after_are_played_however_far_they_
     assert played(DwellRange(50, 50), *order) == [2.0, 90.0, "50"]
     late = [*map(odometry, (0.0, 1.0, 2.0)), frame(1), frame(50), frame(51), *map(odometry, (90.0, 95.0)), frame(99)]
     assert played(DwellRange(50, 50), *late) == [2.0, "50", 90.0]
+
+
+def test_the_air_that_chosen_dwells_have_is_played_whatever_else_is() -> None:
+    """Of each quantity the last message that was stamped a second or more before, and those that follow it."""
+    pressures = [pressure_at(round(t * 1e9), 1e5) for t in (1.0, 20.0, 48.0, 49.0, 49.5, 51.5)]
+    temperatures = [temperature_at(round(t * 1e9), 10.0) for t in (2.0, 3.0)]
+    order = [*temperatures, *pressures[:5], *map(odometry, (0.0, 32.0, 49.5)), frame(1), frame(50), pressures[5]]
+    assert played(DwellRange(50, 50), *order) == ["t3", "p48", "p49", "p49.5", 32.0, 49.5, "50", "p51.5"]
 
 
 def test_dwells_are_chosen_by_number_and_by_stamp() -> None:

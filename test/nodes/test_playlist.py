@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from air_messages import temperature_at
 from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
 from sal_height_msgs.msg import ChannelFrame
@@ -12,6 +13,7 @@ from sal_height_msgs.msg import ChannelFrame
 from sal_height import messages
 from sal_height.bag.reader import BagReader
 from sal_height.bag.stamps import stamp_ns_of
+from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.nodes.playlist import FRAMES, ODOMETRY, Playlist, restamped
 
@@ -49,6 +51,27 @@ def test_one_sample_of_odometry_lies_before_the_first_pulse_and_one_after_the_la
     first, last = min(start for start, _ in frames), max(end for _, end in frames)
     assert sum(stamp <= first for stamp in odometry) == 1
     assert sum(stamp >= last for stamp in odometry) == 1
+
+
+def test_the_air_comes_at_its_stamp_after_what_the_first_dwell_needs(tmp_path: Path, playlist: Playlist) -> None:
+    """That is stamped so that it is used for it in later passes, too; what comes after the last dwell is left out."""
+    begin_ns, end_ns = (item.due_ns for item in (playlist.items[0], playlist.items[-1]))
+    first_ns = min(stamp_ns_of(item.cdr) for item in playlist.items if item.topic == FRAMES)
+    used_ns = first_ns - 1_000_000_000
+    stamps = [used_ns - 30_000_000_000, used_ns - 20_000_000_000, used_ns + 5, first_ns, end_ns, end_ns + 1]
+    with BagWriter(tmp_path / "bag") as bag:
+        for name, topic in BagReader(BAG).topics.items():
+            bag.add_topic(name, topic.type_name)
+        bag.add_topic("/air/temperature", "sensor_msgs/msg/Temperature")
+        for number, stamp_ns in enumerate(stamps):
+            bag.write("/air/temperature", serialize_message(temperature_at(stamp_ns, number)), 1, 1)
+        for one in BagReader(BAG).messages():
+            bag.write(one.topic, one.cdr, one.log_time_ns, one.publish_time_ns)
+    items = Playlist.of_bag(BagReader(tmp_path / "bag"), 1e9).items
+    air = [(item.due_ns, item.cdr) for item in items if item.topic == "air/temperature"]
+    expected = [(begin_ns, used_ns, 1), (begin_ns, used_ns + 5, 2), (first_ns, first_ns, 3), (end_ns, end_ns, 4)]
+    assert air == [(due, serialize_message(temperature_at(stamp, number))) for due, stamp, number in expected]
+    assert [item for item in items if item.topic != "air/temperature"] == playlist.items
 
 
 def test_repetitions_do_not_overlap(playlist: Playlist) -> None:

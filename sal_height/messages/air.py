@@ -1,0 +1,84 @@
+"""What is read of messages on the air: FluidPressure, Temperature and RelativeHumidity."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from sensor_msgs.msg import FluidPressure, RelativeHumidity, Temperature
+
+from sal_height.errors import Rejected
+from sal_height.geometry import RADIO_M
+from sal_height.imaging import CorrectionSettings
+from sal_height.messages.basics import to_ns
+from sal_height.settings import settings_of
+
+
+class AirQuantity(NamedTuple):
+    """A quantity of the air, as messages and parameters have it.
+
+    Attributes:
+        message_type: class of its messages.
+        type_name: name of that in a bag.
+        field: of the message.
+        unit: of the field, after a space; empty: none.
+        parameter: that states the same.
+        offset: what is to be added to the field for the unit of the parameter.
+    """
+
+    message_type: type
+    type_name: str
+    field: str
+    unit: str
+    parameter: str
+    offset: float = 0.0
+
+
+class AirSample(NamedTuple):
+    """When a quantity was measured (ns), and its value in the unit of its parameter."""
+
+    stamp_ns: int
+    value: float
+
+
+AIR: Mapping[str, AirQuantity] = {
+    "air/pressure": AirQuantity(
+        FluidPressure, "sensor_msgs/msg/FluidPressure", "fluid_pressure", " Pa", "air_pressure_pa"
+    ),
+    "air/temperature": AirQuantity(
+        Temperature, "sensor_msgs/msg/Temperature", "temperature", " degrees Celsius", "air_temperature_k", 273.15
+    ),
+    "air/humidity": AirQuantity(
+        RelativeHumidity, "sensor_msgs/msg/RelativeHumidity", "relative_humidity", "", "air_humidity"
+    ),
+}
+"""The quantities by the topic that they come on."""
+
+AIR_TYPES = {quantity.type_name for quantity in AIR.values()}
+
+AIR_LATENCY_NS = 1_000_000_000
+"""A message on the air is used for dwells that begin so much later than it is stamped. Whatever takes less time from
+probe to node has come then, so that a replay uses the same messages as the flight did."""
+
+
+def needed_air(wavelength: float) -> list[str]:
+    """The topics that tell the air for a wavelength (m): the humidity delays and bends radio waves only."""
+    return [topic for topic in AIR if topic != "air/humidity" or wavelength >= RADIO_M]
+
+
+def read_air(topic: str, message: Any) -> AirSample:
+    """A measurement of the quantity that a topic of `AIR` tells.
+
+    Raises:
+        Rejected: the value is not one that the parameter of the quantity allows.
+    """
+    quantity = AIR[topic]
+    value, limits = float(getattr(message, quantity.field)), settings_of(CorrectionSettings)[quantity.parameter]
+    low, high = (float(limit or 0.0) - quantity.offset for limit in (limits.minimum, limits.maximum))
+    if not low <= value <= high:
+        raise Rejected(
+            "wrong air",
+            f"{quantity.message_type.__name__} on {topic} has {quantity.field} {value:g}; it must be from {low:g} to "
+            f"{high:g}{quantity.unit}.",
+        )
+    return AirSample(to_ns(message.header.stamp), value + quantity.offset)

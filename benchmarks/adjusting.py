@@ -112,10 +112,13 @@ def as_they_come(flights: list[FlownPasses], settings: AdjustmentSettings) -> It
             errors.append(jacobian @ off.error - truth)
             stated.append(jacobian @ off.covariance @ jacobian.T)
         late = slice(len(errors) // 2, None)
-        apart.append(np.array(errors[late]) - np.mean(errors[late], axis=0))
+        left = np.array(errors[late]) - np.mean(errors[late], axis=0)
+        apart.append(np.column_stack([1e3 * left[:, 0] / [dwell.lever for dwell in passes.dwells[late]], left[:, 2]]))
         over += [e @ np.linalg.solve(c, e) / 3 for e, c in zip(errors[late], stated[late], strict=True)]
     text = f"one by one, {WINDOW_DWELLS} held; the later half of {len(flights)} flights"
-    yield Row("heights between dwells as they come", 1e3 * _rms(np.concatenate(apart))[2], "mm", "<= 20", text)
+    speed, height = _rms(np.concatenate(apart))
+    yield Row("heights between dwells as they come", 1e3 * height, "mm", "<= 10", text)
+    yield Row("velocity that moves images, as they come", speed, "mm/s", "<= 0.5", text)
     yield Row("errors of dwells as they come over what is stated", float(np.sqrt(np.mean(over))), "1", "<= 1.2", text)
     yield Row("time for a dwell as it comes", 1e3 * float(np.median(seconds)), "ms", "<= 100", f"{text}; {load()}")
 

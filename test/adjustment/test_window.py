@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from flown_passes import flown
+from flown_passes import flown, flown_as, preset_of
 
 from benchmarks.passes import FlownPasses
 from sal_height.adjustment import AdjustmentSettings, References, Target, Terrain, Window, adjust
 from sal_height.adjustment.comparing import FINE_POINTS, Strip, compared, joined
+from sal_height.adjustment.equations import Solution
 from sal_height.adjustment.network import Network
 from sal_height.adjustment.observed import pose_jacobian
 from sal_height.adjustment.reference import UNKNOWN_GROUND
 from sal_height.numeric import F64
+from sal_height.simulation.preset import TargetSettings
 
 SETTINGS = AdjustmentSettings(boresight_sigma_rad=3e-5, lever_arm_sigma_m=0.01, jitter_rad=1e-7)
 HALF = 8
@@ -102,18 +104,29 @@ def test_no_more_points_are_held_than_wanted() -> None:
     assert 2 * strip < max(held) < 3.5 * strip
 
 
-def test_what_dwells_leave_says_the_same_of_the_others() -> None:
-    """Without new comparisons, poses and covariances stay as they were, but for weights that settle."""
-    passes = flown()
+def strips_of(passes: FlownPasses) -> tuple[Network, Solution, list[Strip]]:
+    """A network of all dwells, what is known of it without comparisons, and its strips."""
     network = Network(passes.flight.sensor.mounting, SETTINGS)
     for dwell in passes.dwells:
         network.add(dwell)
     strips = joined(network.dwells, SETTINGS)
     known = network.solved(strips)
-    joint = [Strip.of(numbers, network, known) for numbers in strips]
+    return network, known, [Strip.of(numbers, network, known) for numbers in strips]
+
+
+@pytest.mark.parametrize("wrong_m", [0.0, 20.0])
+def test_what_dwells_leave_says_the_same_of_the_others(wrong_m: float) -> None:
+    """Without new comparisons, poses and covariances stay as they were, but for weights that settle.
+
+    So they do if one of those that leave is wrong, and has lost its weight.
+    """
+    passes = flown()
+    network, known, joint = strips_of(passes)
+    strips = joined(network.dwells, SETTINGS)
     found = []
     for number, strip in enumerate(joint):
         found += compared(strip, [strip], joint[:number], network, known, UNKNOWN_GROUND, FINE_POINTS)
+    found[0] = replace(found[0], equation=replace(found[0].equation, right=found[0].equation.right + wrong_m))
     for _ in range(3):
         before = network.solved(strips, found)
     gone = list(joint[0].shifts)
@@ -126,6 +139,35 @@ def test_what_dwells_leave_says_the_same_of_the_others() -> None:
         sigmas = np.sqrt(one.diagonal())
         assert np.all(np.abs(after.at(form) - before.at(form)) < 0.05 * sigmas)
         np.testing.assert_allclose(np.sqrt(other.diagonal()), sigmas, rtol=0.02)
+
+
+def test_a_strip_that_is_known_to_lie_elsewhere_by_now_is_compared_as_before() -> None:
+    """Whatever was taken out of it when it was over: the same comparison, to a tenth of a pixel."""
+    network, known, (first, second, *_) = strips_of(flown())
+    off = np.array([0.24, -0.16, 0.11])
+    held = replace(
+        first,
+        shifts={number: shift - off for number, shift in first.shifts.items()},
+        points=first.points.moved(-off),
+        low=first.low + off[:2],
+        high=first.high + off[:2],
+    )
+    one, other = (
+        next(compared(second, [second], [strip], network, known, UNKNOWN_GROUND, FINE_POINTS))
+        for strip in (first, held)
+    )
+    np.testing.assert_allclose(one.equation.right, other.equation.right, atol=0.1 * first.points.spacing)
+
+
+def test_targets_are_used_as_dwells_come() -> None:
+    """A post whose place is known: heights of the pass that sees it are known three times as well."""
+    seen = TargetSettings(east_m=0.0, north_m=1.0, height_m=0.5, power_db=25.0)
+    passes = flown_as(replace(preset_of(2, 3), targets=(seen,)), 5)
+    with_post, without = (
+        told_of(passes, 1000, known) for known in (References((Target(0.0, 1.0, 0.5),)), UNKNOWN_GROUND)
+    )
+    assert with_post.covariances[-1][2, 2] < without.covariances[-1][2, 2] / 9
+    assert np.mean(over(with_post, passes.shifts)) < 3.0
 
 
 def test_known_ground_is_used_as_dwells_come() -> None:

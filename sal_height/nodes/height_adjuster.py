@@ -314,8 +314,7 @@ class HeightAdjuster(DwellStage):
             raise
         self._adjuster = Adjuster(self._references)
         self._history = OdometryHistory(ODOMETRY_HELD_S)
-        self._awaited_ns: float = math.inf
-        self._supplied_ns = self._told_ns = 0
+        self._needed_ns = self._supplied_ns = self._told_ns = 0
         self._height = self.offer(HeightImage, f"{PREFIX}/height")
         self._image = self.offer(Image, f"{PREFIX}/image")
         self._points = PlacedPoints(self, PREFIX)
@@ -356,7 +355,7 @@ class HeightAdjuster(DwellStage):
         if states:
             self._supplied_ns = end_ns
             return Supplies([_supplied(state, delay_ns) for state in states], delay_ns)
-        self._awaited_ns = min(self._awaited_ns, end_ns + delay_ns)
+        self._needed_ns = end_ns + delay_ns
         raise Rejected(
             "odometry gap",
             f"Dwell {image.dwell}: platform/odometry must reach from its first pulse to its last to adjust its heights."
@@ -404,7 +403,7 @@ class HeightAdjuster(DwellStage):
 
     def forget(self) -> None:
         """Forget odometry, and the dwells so far."""
-        self._history, self._awaited_ns, self._supplied_ns = OdometryHistory(ODOMETRY_HELD_S), math.inf, 0
+        self._history, self._supplied_ns = OdometryHistory(ODOMETRY_HELD_S), 0
         super().forget()
 
     def forget_results(self) -> int:
@@ -433,10 +432,8 @@ class HeightAdjuster(DwellStage):
         arrival = self._history.add(state)
         if arrival is Arrival.RESTARTED and state.stamp_ns < latest_ns:  # the clock began anew, and so does the flight
             super().forget()
-        if state.stamp_ns >= self._awaited_ns or arrival is not Arrival.IN_ORDER:
-            self._awaited_ns = math.inf
-            self.note_progress()
-            self.advance()
+        if state.stamp_ns <= self._needed_ns:
+            self.note_progress()  # what heights wait for is on its way
 
 
 def _references_of(parameters: Parameters) -> References:

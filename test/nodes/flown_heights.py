@@ -63,7 +63,7 @@ class FlownHeights:
 def flown_heights() -> FlownHeights:
     """Four passes of three dwells over the street."""
     preset = load_preset("sal_spotlight")
-    flight = replace(preset.flight, passes=Passes(4, 100.0))
+    flight = replace(preset.flight, passes=Passes(4, 120.0), odometry_rate_hz=1000.0)
     preset = replace(preset, dwells=12, flight=flight, impairments=Impairments(odometry=ERRORS))
     flown, exact = flight_of(preset, 1), flight_of(replace(preset, impairments=Impairments()), 1)
     ml = ESTIMATORS["ml"]

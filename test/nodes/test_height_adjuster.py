@@ -112,11 +112,11 @@ def adjusting(graph: Graph, flown: FlownHeights) -> Adjusting:
 
 
 def test_heights_of_passes_come_together(adjusting: Adjusting, flown: FlownHeights) -> None:
-    """Median errors of the last two passes, more than 30 cm apart, are within 6 cm; sigma holds the common error."""
+    """Median errors of the last two passes, more than 30 cm apart, are within 10 cm; sigma holds the common error."""
     images = adjusting.fly(flown)
     before, after = flown.errors(flown.fields), flown.errors(fields_of(images))
     assert np.ptp(before) > 0.3
-    assert np.ptp(after[6:]) < 0.06, after
+    assert np.ptp(after[6:]) < 0.1, after
     for image, field, error in zip(images, fields_of(images), after.tolist(), strict=True):
         assert image.estimator == "adjusted"
         assert abs(error) < 3 * np.nanmedian(field.first.sigma)
@@ -323,8 +323,21 @@ def test_heights_without_odometry_are_given_up(graph: Graph, flown: FlownHeights
     assert adjusting.feed(flown.images[1], [*flown.odometry[0], *flown.odometry[1]])
 
 
+def test_odometry_that_goes_on_after_a_gap_does_not_keep_heights_waiting(graph: Graph, flown: FlownHeights) -> None:
+    adjusting = Adjusting(graph, flown.sensor_info, timeout_s=0.2)
+    adjusting.heights.publish(flown.images[0])
+    state = copy.deepcopy(flown.odometry[2][-1])
+
+    def is_dropped() -> bool:
+        state.header.stamp = messages.to_stamp(messages.to_ns(state.header.stamp) + 1_000_000)
+        adjusting.odometry.publish(state)
+        return bool(adjusting.counted("dropped."))
+
+    adjusting.wait(is_dropped, "a drop while odometry goes on")
+
+
 def test_a_clock_that_begins_anew_begins_a_flight(adjusting: Adjusting, flown: FlownHeights) -> None:
-    """The second flight is adjusted as the first one was; a gap of 100 s between passes does not begin one."""
+    """The second flight is adjusted as the first one was; a gap of 120 s between passes does not begin one."""
     first = adjusting.fly(flown, [0, 1, 3, 4])
     assert not same_heights(first[2], flown.images[3])
     for part in (flown.odometry[0], flown.odometry[1]):
@@ -345,9 +358,10 @@ def test_a_reset_begins_a_flight(adjusting: Adjusting, flown: FlownHeights) -> N
     assert not same_heights(again[0], first[1])
 
 
-def test_the_window_is_as_long_as_wanted(graph: Graph, flown: FlownHeights) -> None:
+@pytest.mark.parametrize("limit", [{"window_dwells": 1}, {"window_points": 1000}])
+def test_the_window_is_as_long_as_wanted(graph: Graph, flown: FlownHeights, limit: dict[str, int]) -> None:
     """Dwells of the third pass are compared with both before it, or with the second alone."""
-    adjusting = Adjusting(graph, flown.sensor_info, window_dwells=1)
+    adjusting = Adjusting(graph, flown.sensor_info, **limit)
     short, whole = adjusting.fly(flown, range(7)), undisturbed(flown, range(7))
     assert same_heights(short[3], whole[3])
     assert not same_heights(short[6], whole[6])

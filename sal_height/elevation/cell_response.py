@@ -69,10 +69,12 @@ class CellResponse:
     Attributes:
         down: along range.
         across: along azimuth.
+        pedestal: share of a scatterer's energy in each pixel along azimuth by phases that err from pulse to pulse.
     """
 
     down: AxisResponse
     across: AxisResponse
+    pedestal: float = 0.0
 
 
 @lru_cache(maxsize=64)

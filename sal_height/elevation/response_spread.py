@@ -40,6 +40,8 @@ def sidelobe_variance(
 ) -> F64:
     """Variance of elevation (rad^2) by the sidelobes of the scatterers in other pixels of the same row or column.
 
+    So it is with what phases that err from pulse to pulse spread along azimuth.
+
     Beyond the edge of the image the ground is taken to go on, turned by half a turn about the edge.
 
     Args:
@@ -57,7 +59,9 @@ def sidelobe_variance(
     power = np.where(known, np.maximum(mean - noise, 0.0), 0.0)
     pulled = np.zeros_like(place)
     _add_along(place, power, pulled, shares_of_pixels(response.down, windows[0].step), table)
-    _add_along(place.T, power.T, pulled.T, shares_of_pixels(response.across, windows[1].step), table)
+    step = windows[1].step
+    shares = shares_of_pixels(response.across, step) + response.pedestal * step
+    _add_along(place.T, power.T, pulled.T, shares, table)
     # The scatterers' energy is uncertain by that of the noise of one channel at least.
     energy = looks.count * np.maximum(power, looks.receiver_noise)
     return np.divide(pulled, 2 * energy, where=energy > 0, out=np.zeros_like(pulled))

@@ -114,6 +114,7 @@ class Slc:
         focus: what autofocus found; None: it was not asked for.
         doubt: a sentence on what of the odometry the data cannot confirm; empty: nothing.
         placement: where the image lies other than odometry says.
+        residual_phase: standard deviation of the phase of each pulse that autofocus leaves, rad.
     """
 
     images: C64
@@ -126,6 +127,7 @@ class Slc:
     focus: Focus | None = None
     doubt: str = ""
     placement: Placement = AS_NAVIGATED
+    residual_phase: float = 0.0
 
     @property
     def autofocus_phase(self) -> F64:
@@ -136,6 +138,9 @@ class Slc:
 def cell_response(slc: Slc, sensor: Sensor) -> CellResponse:
     """The response of images, by their windows and the spacing of their pixels in range and along the flight.
 
+    A phase error of variance s^2, independent from pulse to pulse, leaves exp(-s^2) of a scatterer's energy in its
+    response, and spreads the rest evenly over as many cells along azimuth as there are pulses.
+
     Args:
         slc: the images.
         sensor: that they are of.
@@ -145,8 +150,11 @@ def cell_response(slc: Slc, sensor: Sensor) -> CellResponse:
     slant_range = float(np.linalg.norm(sight))
     down = grid.row_spacing * abs(float(grid.row_direction @ sight)) / slant_range / sensor.range_resolution
     across = grid.col_spacing / azimuth_resolution(sensor, aperture, slant_range)
+    pulses = aperture.length / float(np.linalg.norm(aperture.velocity)) * sensor.pulse_repetition_frequency
     return CellResponse(
-        AxisResponse(slc.range_window, round(down, 3)), AxisResponse(slc.azimuth_window, round(across, 3))
+        AxisResponse(slc.range_window, round(down, 3)),
+        AxisResponse(slc.azimuth_window, round(across, 3)),
+        -float(np.expm1(-(slc.residual_phase**2))) * across / pulses,
     )
 
 
@@ -191,7 +199,9 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
         doubt = doubt or off_middle
     doubt = doubt or bad_covariance
     windows = settings.azimuth_window, settings.range_window
-    return Slc(images, grid, aperture, noise_power, history.shares.max(axis=1), *windows, focus, doubt, placement)
+    left = focus.standard_error if focus and focus.trusted else 0.0
+    shares = history.shares.max(axis=1)
+    return Slc(images, grid, aperture, noise_power, shares, *windows, focus, doubt, placement, left)
 
 
 def _find_beams(

@@ -5,6 +5,7 @@ It is the only package that knows both the types of messages and those of the co
 """
 
 from sal_height.messages.air import AIR, AIR_LATENCY_NS, AIR_TYPES, AirSample, needed_air, read_air
+from sal_height.messages.autofocus import autofocus_values, placement_of
 from sal_height.messages.basics import (
     BODY_FRAME,
     MAP_FRAME,
@@ -51,7 +52,6 @@ from sal_height.messages.navigation import (
     read_pose,
     read_twist,
 )
-from sal_height.messages.placements import placement_of, placement_values
 from sal_height.messages.provenance import derived, held_stages, stages_of, with_stage
 from sal_height.messages.received import (
     HeightOrigin,
@@ -90,6 +90,7 @@ __all__ = [
     "ReceivedFrame",
     "ReceivedImage",
     "aperture_from_message",
+    "autofocus_values",
     "bad_pixel_warning",
     "bad_pixels",
     "calibration_from_message",
@@ -114,7 +115,6 @@ __all__ = [
     "needed_air",
     "origin_to_message",
     "placement_of",
-    "placement_values",
     "read_air",
     "read_attitude",
     "read_fix",

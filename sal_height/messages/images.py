@@ -12,6 +12,7 @@ from std_msgs.msg import Header
 
 from sal_height.errors import Rejected
 from sal_height.imaging import Slc
+from sal_height.messages.autofocus import residual_phase_of
 from sal_height.messages.basics import (
     MAP_FRAME,
     aperture_from_message,
@@ -105,7 +106,7 @@ def slc_from_messages(images: Sequence[Image]) -> Slc:
     """Return the images of all channels of a dwell, in order, from messages that `check_slc` has passed.
 
     Raises:
-        Rejected: the channels differ in grid or aperture.
+        Rejected: the channels differ in grid or aperture, or provenance says what cannot be.
     """
     first = images[0]
     for image in images[1:]:
@@ -125,6 +126,7 @@ def slc_from_messages(images: Sequence[Image]) -> Slc:
         saturated_share=np.array([image.saturated_share for image in images]),
         azimuth_window=recorded_window(first.provenance, "azimuth"),
         range_window=recorded_window(first.provenance, "range"),
+        residual_phase=residual_phase_of(held_stages(first.provenance).get("sar_compression", {})),
     )
 
 

@@ -386,7 +386,7 @@ def compress_dwell(
         code_version=__version__,
         config_hash=sensor.config_hash,
         calibration_id=calibration.id if calibration else sensor.calibration_id,
-        parameters=messages.with_stage([], node, {**stated, **messages.placement_values(slc.placement)}),
+        parameters=messages.with_stage([], node, {**stated, **messages.autofocus_values(slc)}),
         autofocus_phase=slc.autofocus_phase.tolist(),
     )
     return slc, messages.serialized_slc(slc, frames[0], provenance, parameters.map_frame)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers import BEAMWIDTH, circular, elevation_at, make_beams, offset_of
@@ -44,6 +46,24 @@ def test_variance_is_the_sum_over_pixels_of_share_power_and_squared_pull() -> No
     pull = squared_pull(beams)[round((PULL_SPAN + 1) * PULL_STEPS)]
     share = (whole - near)[len(whole) // 2 + np.array([5, 15])].sum()
     assert variance[10, 0] == pytest.approx(share * 1e6 * pull / (2 * 1e2), rel=1e-3)
+
+
+def test_a_pedestal_reaches_all_pixels_of_a_row_and_none_of_a_column() -> None:
+    """By as much in every sample of a look, wherever the bright pixel is."""
+    beams = make_beams("jinc", 16)
+    blurred = replace(RECTANGULAR, pedestal=1e-3)
+    pull = squared_pull(beams)[round((PULL_SPAN + 1) * PULL_STEPS)]
+    added = []
+    for shape, bright in (((1, 9), (0, 2)), ((9, 1), (2, 0))):
+        power = np.full(shape, 1e2)
+        power[bright] = 1e6
+        elevation = elevation_at((power > 1e3).astype(float))
+        looks = Looks.of(((power[..., None, None] / 16 + 1.0) * np.eye(16, dtype=np.float32)).astype(np.float32), 1.0)
+        sharp, blur = (sidelobe_variance(elevation, looks, beams, ONE, one) for one in (RECTANGULAR, blurred))
+        added.append((blur - sharp).ravel()[[5, 7]])
+    # The pixel itself, and its mirror image about the nearer edge.
+    np.testing.assert_allclose(added[0], 2 * 1e-3 * 1e6 * pull / (2 * 1e2), rtol=1e-2)
+    np.testing.assert_allclose(added[1], 0.0, atol=1e-12)
 
 
 def test_pixels_of_one_elevation_do_not_move_each_other() -> None:

@@ -15,7 +15,7 @@ from sal_height.errors import UserError
 from sal_height.geometry.frames import angles_of
 from sal_height.geometry.trajectory import Trajectory
 from sal_height.imaging.autofocus.gradient import AutofocusSettings, apply_phase, autofocus, patch_centres
-from sal_height.imaging.focus import ImageSettings, Slc, focus_dwell
+from sal_height.imaging.focus import ImageSettings, Slc, cell_response, focus_dwell
 from sal_height.imaging.formers.backprojection import backproject
 from sal_height.imaging.formers.choice import FEW_PIXELS, FORMERS
 from sal_height.imaging.pixels import slc_noise_power
@@ -211,6 +211,32 @@ def test_autofocus_of_noise_is_not_trusted_and_leaves_the_image() -> None:
     assert flight.sensor.pulse_count == len(on.focus.phase)
 
 
+def test_phases_that_err_from_pulse_to_pulse_spread_energy_along_azimuth_as_the_response_says() -> None:
+    """400 draws of .3 rad: a pixel 3 to 4 cells beside a point holds what is said within 5 %, standard error 2 %."""
+    flight, deviation = flight_of("small"), 0.3
+    sensor, antenna = flight.spectrum, flight.position(flight.pulse_times)
+    size = {"former": "specan", "rows": 20, "cols": 8, "autofocus": "never", "azimuth_window": "rectangular"}
+    exact = focused("small", **size)
+    point = exact.grid.points(10.0, 4.0)
+    reference = np.full(48, REACH)
+    samples = direct_history(sensor, point[None], [1.0], antenna, reference)
+    history = PhaseHistory(0, flight.pulse_times, reference, np.broadcast_to(samples, (2, *samples.shape)))
+    rng = np.random.default_rng(5)
+
+    def energy(phase: np.ndarray) -> np.ndarray:
+        slc = focused("small", apply_phase(history, phase), **size)
+        return np.asarray(np.abs(slc.images[0, 10]) ** 2)
+
+    left = [energy(deviation * rng.standard_normal(48)) for _ in range(400)]
+    sharp = energy(np.zeros(48))
+    response = cell_response(replace(exact, residual_phase=deviation), sensor)
+    # The response keeps exp(-s^2) of its energy, and all its sidelobes with it.
+    spread = np.mean(left, axis=0) - np.exp(-(deviation**2)) * sharp
+    whole = sharp[4] / response.across.spacing  # of all pixels of the row, by Parseval
+    assert spread[[0, 1, 7]] / whole == pytest.approx(response.pedestal, rel=0.05)
+    assert cell_response(exact, sensor).pedestal == 0.0
+
+
 @pytest.mark.parametrize("applied", [True, False])
 def test_only_a_trusted_phase_is_taken_off(applied: bool) -> None:
     """An error of more than the speckle allows is asked for, or of 3 rad."""
@@ -223,6 +249,7 @@ def test_only_a_trusted_phase_is_taken_off(applied: bool) -> None:
     expected = focused("small", apply_phase(bad, slc.focus.phase) if applied else bad, looking_as(slc), **size)
     np.testing.assert_allclose(slc.images, expected.images, atol=1e-5 * np.abs(slc.images).max())
     np.testing.assert_array_equal(slc.autofocus_phase, slc.focus.phase if applied else np.zeros(0))
+    assert slc.residual_phase == (slc.focus.standard_error if applied else 0.0)
 
 
 @pytest.mark.parametrize("former", [*SPOTLIGHT_FORMERS, "auto"])

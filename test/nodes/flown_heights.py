@@ -80,7 +80,7 @@ def flown_heights() -> FlownHeights:
         stamp = messages.to_stamp(START_NS + flown.dwell_start_ns(number))
         source = ComplexImage(dwell=number)
         source.header.frame_id, source.header.stamp = "map", stamp
-        values = {**dict(image), **messages.placement_values(slc.placement)}
+        values = {**dict(image), **messages.autofocus_values(slc)}
         provenance = Provenance(
             config_hash=flown.sensor.config_hash, parameters=messages.with_stage([], "sar_compression", values)
         )

@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sal_height.adjustment import AdjustmentSettings, ObservedDwell, Stated, Window, corrected_heights
 from sal_height.elevation import ElevationEstimator, HeightSettings, Validity
 from sal_height.geometry import ApertureState, Grid, PlatformState, Trajectory, look_direction
-from sal_height.imaging import ImageSettings, Slc, image_beams
+from sal_height.imaging import ImageSettings, Placement, Slc, image_beams
 from sal_height.pipeline import Compressor, heights
 from sal_height.relief import HeightField, Surface
 from sal_height.sensor import PhaseHistory, Sensor, lit_angle, spectrum_sensor
@@ -105,6 +106,22 @@ def rehearse_heights(
         lit = with_scatterers(slc, sensor, rng)
         for estimator, settings in estimators:
             heights(lit, sensor, estimator, settings)
+
+
+def rehearse_adjustment(sensor: Sensor, rng: np.random.Generator) -> None:
+    """Adjust a made-up dwell to one before it of the same ground, and correct its heights.
+
+    Args:
+        sensor: whose dwells will come.
+        rng: of errors of the heights.
+    """
+    settings = AdjustmentSettings(boresight_sigma_rad=0.0, lever_arm_sigma_m=0.0)  # so that little has to be searched
+    window, known = Window(sensor.mounting, settings, 1), 1e-10 * np.eye(6)
+    for passage in range(2):
+        field, aperture = made_up_heights(rng)
+        stated = Stated(2 * passage * settings.strip_s, known, known[:3, :3])
+        dwell = ObservedDwell.seen_from(aperture, field, Placement(0.0, 0.0, 0.0), stated, sensor)
+        corrected_heights(field, dwell, window.add(dwell))
 
 
 def made_up_heights(rng: np.random.Generator) -> tuple[HeightField, ApertureState]:

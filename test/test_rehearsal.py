@@ -11,7 +11,7 @@ from sal_height.beams import Beams
 from sal_height.elevation import ESTIMATORS, ElevationEstimate, ElevationEstimator, HeightSettings, Looks, Validity
 from sal_height.imaging import ImageSettings
 from sal_height.pipeline import Compressor, heights
-from sal_height.rehearsal import made_up_heights, rehearse_heights, rehearsed_slc, with_scatterers
+from sal_height.rehearsal import made_up_heights, rehearse_adjustment, rehearse_heights, rehearsed_slc, with_scatterers
 from sal_height.relief import PriorEstimate, track
 from sal_height.simulation import load_preset
 
@@ -31,6 +31,17 @@ def test_every_sensor_has_a_made_up_dwell(name: str) -> None:
     ml = ESTIMATORS["ml"]
     validity = heights(lit, sensor, ml, ml.settings(range_looks=2, azimuth_looks=2)).validity
     assert np.mean(validity == Validity.OK) > 0.05
+
+
+def test_an_adjustment_is_rehearsed_with_all_that_it_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two passes are compared, and the heights corrected."""
+    from sal_height.adjustment import comparing
+    from sal_height.adjustment.matching import match
+
+    found = []
+    monkeypatch.setattr(comparing, "match", lambda *given: found.append(match(*given)) or found[-1])
+    rehearse_adjustment(load_preset("sal_spotlight").make_sensor(), np.random.default_rng(0))
+    assert len([one for one in found if one]) == 2
 
 
 def test_all_estimators_are_rehearsed_with_their_settings() -> None:

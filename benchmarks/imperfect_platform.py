@@ -1,8 +1,9 @@
-"""Whether heights keep what their sigma promises if the platform vibrates, and laser and odometry err.
+"""Whether heights keep what their sigma promises if the platform vibrates, laser and odometry err, and leaves move.
 
-Odometry errs as it states. Every dwell is flown, compressed and turned into heights as the graph does it, with nothing
-set but what a preset sets. A dwell is published or refused; every surface of every published pixel is compared with the
-nearest true surface.
+Odometry errs as it states. The truth of a leaf in the wind is where it is in the middle of the dwell, not where its
+Doppler puts its echo; that of a double bounce is the foot of its wall, where it appears. Every dwell is flown,
+compressed and turned into heights as the graph does it, with nothing set but what a preset sets. A dwell is published
+or refused; every surface of every published pixel is compared with the nearest true surface.
 
     python -m benchmarks platform                             the cases as rows with targets, into bench.json
     python -m benchmarks.imperfect_platform                   the cases as lines of a table, for people
@@ -21,8 +22,10 @@ from typing import Annotated
 
 import numpy as np
 from cyclopts import App, Parameter
+from scipy.constants import mile, speed_of_light
 
 from benchmarks.honest import Summary
+from benchmarks.honest_scenes import level
 from benchmarks.row import Row, load, medians, sized
 from benchmarks.spread import in_processes
 from sal_height.elevation import ESTIMATORS
@@ -31,11 +34,12 @@ from sal_height.imaging import ImageSettings, image_beams
 from sal_height.pipeline import Compressor, heights
 from sal_height.runs.comparison import Comparison, compare, joined_comparisons
 from sal_height.runs.surface_report import as_flown, true_surfaces
-from sal_height.simulation import Preset, flight_of, load_preset
+from sal_height.simulation import Preset, Scene, flight_of, load_preset
 from sal_height.simulation.impairments import Impairments, PointingJitter
 from sal_height.simulation.odometry_errors import OdometryErrors
 from sal_height.simulation.phase_errors import Vibration, VibrationBand, VibrationLine
 from sal_height.simulation.turbulence import Turbulence
+from sal_height.simulation.vegetation_wind import VegetationWind
 
 PRESET = "sal_spotlight"
 FLIGHTS = sized(96, 1)
@@ -45,8 +49,17 @@ MANY = sized(4, 1)
 """Times as many flights of cases where the error that all pixels of a flight share is the greatest: of n flights, c1 is
 off by sqrt(.68 x .32 / n)."""
 
+FEW = sized(24, 1)
+"""Flights of cases whose dwells take several times as long, with vegetation or many pixels."""
+
 COMBINATIONS = sized(1000, 2)
 """Of levels of everything, each of them a flight of one dwell."""
+
+WINDS = {2: 0.12, 10: 0.25}
+"""Rms velocity of leaves, m/s, by the speed of the wind, m/s: light air and wind of `vegetation_wind`."""
+
+BOUNCES = (10.0, 20.0, 30.0)
+"""Double bounce of a wall 1 m high over a cell, dB."""
 
 POINTING = 2e-6
 """Standard deviation of the attitude about each axis, rad: 7 mm of height by roll."""
@@ -54,11 +67,19 @@ POINTING = 2e-6
 
 @dataclass(frozen=True)
 class Case:
-    """A platform that is not perfect."""
+    """A platform that is not perfect, or ground that is not at rest.
+
+    Attributes:
+        name: for people.
+        preset: its first estimator makes the heights, `ml` if it names none.
+        flights: of one dwell each.
+        scene: instead of that of the preset.
+    """
 
     name: str
     preset: Preset
     flights: int = FLIGHTS
+    scene: Scene | None = None
 
 
 def _flown_as(impairments: Impairments, cnr_db: float = 20.0) -> Preset:
@@ -90,7 +111,46 @@ def _cases() -> Iterator[Case]:
     for cnr_db in (20.0, 10.0, 3.0):
         name = f"all together, {cnr_db:g} dB"
         yield _case(name, 0.01, cnr_db=cnr_db, vibration=helicopter, laser_linewidth_hz=1e4)
+    yield from _leaves()
+    yield from _walls()
     yield from (Case(name, load_preset(name), MANY * FLIGHTS) for name in ("sal_realistic", "xband_realistic"))
+
+
+def _leaves() -> Iterator[Case]:
+    """Vegetation at rest and in the wind: short grass for the lidar, woods for a radar near by and one far off."""
+    lidar = replace(load_preset(PRESET), scene_extent_m=0.05)
+    grass = replace(level(), extent=lidar.scene_extent_m)
+    far = replace(load_preset("xband_relief"), scene_extent_m=20.0)
+    ground = replace(load_preset("woods"), estimators=("canopy_ground",))
+    for wind in (0, *WINDS):
+        yield Case(f"grass, lidar, wind {wind} m/s", _in_wind(lidar, wind), FEW, grass)
+        yield Case(f"grassy street, lidar, wind {wind} m/s", _in_wind(lidar, wind), FEW)
+        yield Case(f"ground under woods, radar, wind {wind} m/s", _in_wind(ground, wind), FEW)
+        yield Case(f"woods over relief, radar, wind {wind} m/s", _in_wind(far, wind), FEW)
+
+
+def _in_wind(preset: Preset, wind: int) -> Preset:
+    """The preset with its vegetation in a wind (m/s) of WINDS; 0: at rest."""
+    if not wind:
+        return preset
+    still = still_share(wind, speed_of_light / preset.sensor.wavelength_m)
+    return replace(preset, impairments=replace(preset.impairments, vegetation_wind=VegetationWind(WINDS[wind], still)))
+
+
+def still_share(wind: float, frequency: float) -> float:
+    """Share of the power of leaves that stays still in a wind (m/s) at a frequency (Hz), as `vegetation_wind` says."""
+    ratio = 489.8 * (wind * 3600 / mile) ** -1.55 * (frequency / 1e9) ** -1.21
+    return ratio / (1 + ratio)
+
+
+def _walls() -> Iterator[Case]:
+    """Double bounce at the feet of cars, steps and walls in the street, for a lidar and for a radar near by."""
+    radar = replace(load_preset("woods"), scene="street", looks=(1, 4))
+    for bounce in (None, *BOUNCES):
+        strength = "no double bounce" if bounce is None else f"double bounce {bounce:g} dB"
+        if bounce is not None:
+            yield Case(f"street, lidar, {strength}", replace(load_preset(PRESET), double_bounce_db=bounce))
+        yield Case(f"street, radar, {strength}", replace(radar, double_bounce_db=bounce))
 
 
 CASES = tuple(_cases())
@@ -126,10 +186,12 @@ class Flown:
 HEADING = "dwells refused pixels valid publ. c1 c2 o5 own-o5 missed ghosts order (%) median error (mm), why refused"
 
 
-def flown(seed: int, preset: Preset, autofocus: str) -> Flown:
-    """Fly a preset with a seed, and compare the heights of a dwell."""
+def flown(seed: int, preset: Preset, autofocus: str, scene: Scene | None = None) -> Flown:
+    """Fly a preset with a seed, over its scene or another, and compare the heights of a dwell."""
     flight, settings = flight_of(preset, seed), image_settings(preset, autofocus)
-    sensor, estimator, dwell = flight.sensor, ESTIMATORS["ml"], seed % preset.dwells
+    flight = replace(flight, scene=scene) if scene else flight
+    sensor, dwell = flight.sensor, seed % preset.dwells
+    estimator = ESTIMATORS[next(iter(preset.estimators), "ml")]
     chosen = estimator.settings(range_looks=preset.looks[0], azimuth_looks=preset.looks[1])
     try:
         slc = Compressor().add(flight.phase_history(dwell), flight.track(dwell), sensor, settings)
@@ -145,7 +207,8 @@ def flown(seed: int, preset: Preset, autofocus: str) -> Flown:
 
 def all_flown(case: Case, autofocus: str = "auto") -> Flown:
     """All flights of a case."""
-    return together(list(in_processes(partial(flown, preset=case.preset, autofocus=autofocus), range(case.flights))))
+    fly = partial(flown, preset=case.preset, autofocus=autofocus, scene=case.scene)
+    return together(list(in_processes(fly, range(case.flights))))
 
 
 def combined(number: int) -> Preset:

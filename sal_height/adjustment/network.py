@@ -80,8 +80,7 @@ class Network:
         self._ambiguities: dict[int, float] = {}
         # Of the last solution.
         self._own: dict[int, Equation] = {}
-        self._compared: list[Comparison] = []
-        self._weights: dict[int, float] = {}  # by the identity of a comparison
+        self._weights: dict[Comparison, float] = {}
 
     def add(self, dwell: ObservedDwell) -> int:
         """Add a dwell, not earlier than all others; returns its number."""
@@ -109,11 +108,10 @@ class Network:
         vibration = vibration_of(self.dwells, joined)
         own = own_priors(self.dwells, self.layout, self.settings, vibration, self._ambiguities)
         self._own = dict(zip(self.dwells, own, strict=True))
-        self._compared = list(compared)
         known = [*self._known, *self._own.values()]
-        weights = np.array([self._weights.get(id(one), 1.0) for one in compared])
+        weights = np.array([self._weights.get(one, 1.0) for one in compared])
         solution, weights = solve(known, [one.equation for one in compared], weights)
-        self._weights = dict(zip(map(id, compared), weights.tolist(), strict=True))
+        self._weights = dict(zip(compared, weights.tolist(), strict=True))
         self._ambiguities = ambiguities_of(self.dwells, self.layout, solution)
         return solution
 
@@ -123,19 +121,15 @@ class Network:
         Returns:
             The comparisons of that solution in which none of them is.
         """
-        told, stay = [], []
-        for one in self._compared:
-            if any(number in numbers for side in one.dwells for number in side):
-                told.append(replace(one.equation, information=self._weights[id(one)] * one.equation.information))
-            else:
-                stay.append(one)
+        leave = [one for one in self._weights if any(number in numbers for side in one.dwells for number in side)]
+        told = [replace(one.equation, information=self._weights.pop(one) * one.equation.information) for one in leave]
         own = [self._own.pop(number) for number in numbers]
         for number in numbers:
             for held in (self.dwells, self.poses, self.displacements, self.seen, self._ambiguities):
                 del held[number]
         first = self.layout.drift.knot_before(next(iter(self.dwells.values())).seconds)
         self._known = without([*self._known, *own, *told], self.layout.forget(numbers, first))
-        return stay
+        return list(self._weights)
 
 
 def solve(known: Sequence[Equation], compared: Sequence[Equation], weights: F64) -> tuple[Solution, F64]:

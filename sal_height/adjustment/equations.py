@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csc_array, csr_array
@@ -60,6 +61,15 @@ class Equation:
     right: F64
     information: F64
 
+    @cached_property
+    def whitened(self) -> tuple[Index, F64, F64]:
+        """As many equations whose errors are independent and of variance 1: unknowns, values and right sides.
+
+        Unknowns and values are those of one equation after the other.
+        """
+        root = np.linalg.cholesky(self.information).T
+        return np.tile(self.columns, len(self.right)), (root @ self.values).ravel(), root @ self.right
+
 
 class System:
     """Equations whose errors are made independent and of variance 1, ready to be solved with changing weights."""
@@ -86,11 +96,8 @@ def _whitened(equations: Sequence[Equation]) -> tuple[tuple[Index, Index], F64, 
     Returns:
         Rows and columns of all entries, the entries, the number of the unknown of each column, and the right sides.
     """
-    roots = [np.linalg.cholesky(one.information).T for one in equations]
-    values = np.concatenate([(root @ one.values).ravel() for root, one in zip(roots, equations, strict=True)])
-    right = np.concatenate([root @ one.right for root, one in zip(roots, equations, strict=True)])
+    numbers, values, right = map(np.concatenate, zip(*(one.whitened for one in equations), strict=True))
     lengths = np.repeat([len(one.columns) for one in equations], [len(one.right) for one in equations])
-    numbers = np.concatenate([np.tile(one.columns, len(one.right)) for one in equations])
     columns, places = np.unique(numbers, return_inverse=True)
     return (np.repeat(np.arange(len(right)), lengths), places), values, columns, right
 

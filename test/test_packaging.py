@@ -84,6 +84,7 @@ def test_every_program_can_be_started() -> None:
         "sar_compression",
         *(estimator.node for estimator in ESTIMATORS.values()),
         "relief_tracker",
+        "height_adjuster",
         "relief_mapper",
         "ground_mapper",
         "psf_calibration",

@@ -11,7 +11,15 @@ from sal_height.adjustment.corrected import corrected_mounting, corrected_states
 from sal_height.adjustment.corrected_heights import corrected_aperture, corrected_heights
 from sal_height.adjustment.drift import Stated
 from sal_height.adjustment.matching import LEAST_POINTS, Points
-from sal_height.adjustment.observed import BORESIGHT, DELAY, LEVER_ARM, PITCH, ObservedDwell, stated_sigmas
+from sal_height.adjustment.observed import (
+    BORESIGHT,
+    DELAY,
+    LEVER_ARM,
+    PITCH,
+    ObservedDwell,
+    check_sensor,
+    stated_sigmas,
+)
 from sal_height.adjustment.reference import UNKNOWN_GROUND, References, Target, Terrain
 from sal_height.adjustment.settings import AdjustmentSettings
 from sal_height.adjustment.window import MOST_POINTS, PoseError, Window
@@ -35,6 +43,7 @@ __all__ = [
     "Terrain",
     "Window",
     "adjust",
+    "check_sensor",
     "corrected_aperture",
     "corrected_heights",
     "corrected_mounting",

@@ -134,7 +134,7 @@ def _covariances(
     near = [drift.nearest_knot(time) for time in times.tolist()]
     known = KNOWN_CORRELATIONS * drift.correlation
     covered = [abs(time - knot.seconds) <= known for knot, time in zip(near, times.tolist(), strict=True)]
-    first = {id(knot): number for number, knot in reversed(list(enumerate(near))) if covered[number]}
+    first = {knot: number for number, knot in reversed(list(enumerate(near))) if covered[number]}
     if not first:
         return [None] * len(near)
     forms = []
@@ -142,4 +142,4 @@ def _covariances(
         columns = np.concatenate([near[number].columns, adjustment.layout.common])
         forms.append(Form(columns, _errors(states[number], mounting), np.zeros(9)))
     of_knot = dict(zip(first, adjustment.solution.covariance(forms), strict=True))
-    return [of_knot[id(knot)] if there else None for knot, there in zip(near, covered, strict=True)]
+    return [of_knot[knot] if there else None for knot, there in zip(near, covered, strict=True)]

@@ -15,11 +15,13 @@ from __future__ import annotations
 
 import bisect
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from sal_height.adjustment.equations import Equation
+from sal_height.geometry import Trajectory
 from sal_height.numeric import F64, Index
 
 STATE = 9
@@ -47,6 +49,15 @@ class Stated:
     seconds: float
     pose: F64
     velocity: F64
+
+    @classmethod
+    def of(cls, track: Trajectory, begin_ns: int, times: F64, epoch_ns: int) -> Self:
+        """Of a dwell, in its middle, by the track of base_link; `times` of pulses from its begin, s."""
+        return cls(
+            (begin_ns - epoch_ns) * 1e-9 + float(times.mean()),
+            track.aperture(begin_ns, times).covariance,
+            track.velocity_covariance(begin_ns, times),
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,8 +23,9 @@ import numpy as np
 
 from sal_height.adjustment.drift import EXACT_M, STATE, Drift, Knot, Stated
 from sal_height.adjustment.equations import Equation, Form, Solution
-from sal_height.adjustment.matching import Points
+from sal_height.adjustment.matching import LEAST_POINTS, Points
 from sal_height.adjustment.settings import AdjustmentSettings
+from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Mounting, Trajectory, angles_of, sphere_point
 from sal_height.imaging import Placement, Slc
 from sal_height.numeric import F64, Index
@@ -47,6 +48,16 @@ OWN = 2
 PLACE, TURN, STRETCH, POSE = slice(0, 3), slice(3, 6), 6, 7
 """What is off where a dwell is seen from: the antenna (m, map), the sensor (rad, about the axes of map), and the angles
 between its beams (share)."""
+
+
+def check_sensor(sensor: Sensor) -> None:
+    """Make sure that dwells of a sensor can be adjusted.
+
+    Raises:
+        Rejected: it is not in spotlight.
+    """
+    if sensor.mode != "spotlight":
+        raise Rejected("wrong mode", f"Sensor {sensor.name} is of mode {sensor.mode}; only spotlight can be adjusted.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,22 +95,27 @@ class ObservedDwell:
         """The heights of a dwell, with its images, its sensor, the track of base_link, and its pulses.
 
         Seconds count from the epoch.
+
+        Raises:
+            Rejected: it has too few points.
         """
-        begin_ns, times = history.stamp_ns, history.pulse_times
-        stated = Stated(
-            seconds=(begin_ns - epoch_ns) * 1e-9 + float(times.mean()),
-            pose=track.aperture(begin_ns, times).covariance,
-            velocity=track.velocity_covariance(begin_ns, times),
-        )
+        stated = Stated.of(track, history.stamp_ns, history.pulse_times, epoch_ns)
         return cls.seen_from(slc.aperture, field, slc.placement, stated, sensor)
 
     @classmethod
     def seen_from(
         cls, aperture: ApertureState, field: HeightField, placement: Placement, stated: Stated, sensor: Sensor
     ) -> Self:
-        """The heights of a dwell, and what they were made with."""
+        """The heights of a dwell, and what they were made with.
+
+        Raises:
+            Rejected: it has too few points.
+        """
+        points = Points.of(field)
+        if (count := len(points.place)) < LEAST_POINTS:
+            raise Rejected("few heights", f"A dwell has {count} heights; {LEAST_POINTS} are needed to compare it.")
         return cls(
-            points=Points.of(field),
+            points=points,
             aperture=aperture,
             placement=placement,
             stated=stated,

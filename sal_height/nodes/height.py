@@ -12,7 +12,6 @@ import numpy as np
 from pydantic import create_model
 from sal_height_msgs.msg import Calibration as CalibrationMessage
 from sal_height_msgs.msg import ComplexImage, HeightImage
-from sensor_msgs.msg import Image
 
 from sal_height import messages
 from sal_height.calibration import Calibration
@@ -22,8 +21,8 @@ from sal_height.imaging import ImageSettings, Slc
 from sal_height.messages import ReceivedImage
 from sal_height.nodes.account import CALIBRATIONS
 from sal_height.nodes.dwell_stage import ChannelParameters, DwellStage, WholeDwell
+from sal_height.nodes.height_outlets import HeightOutlets
 from sal_height.nodes.held import HELD_CALIBRATIONS, Held
-from sal_height.nodes.placed_points import PlacedPoints
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
 from sal_height.nodes.stage import CALIBRATION, IMAGES, LATCHED_QOS, SENSOR_TOPICS, height_topics
@@ -74,9 +73,7 @@ class HeightNode(DwellStage):
         self._calibrations = Held[Calibration](HELD_CALIBRATIONS)
         self._made: dict[int, Made] = {}
         self.listen(CalibrationMessage, "calibration", self._on_calibration, LATCHED_QOS, optional=True)
-        self._height = self.offer(HeightImage, f"{self.product}/height")
-        self._image = self.offer(Image, f"{self.product}/image")
-        self._points = PlacedPoints(self, self.product)
+        self._heights = HeightOutlets(self, self.product)
 
     def check(self, message: ReceivedImage, sensor: Sensor) -> None:
         """Size of an image; single bad pixels are marked as such."""
@@ -102,12 +99,7 @@ class HeightNode(DwellStage):
             )
             self.ignore("saturated", UserError(f"{sentence}less (max_saturated_share)."))
         image = height_image(field, slc, images, sensor, self.estimator, parameters, self.get_name())
-        self._image.publish_if_heard(lambda: messages.height_picture(image))
-        self._points.publish(
-            lambda name: messages.frame_near(field.grid.origin, image.header, name),
-            lambda frame: messages.height_points(field, frame),
-        )
-        self._height.publish(messages.serialized_height(image))
+        self._heights.publish(image, field, messages.serialized_height(image))
         return 1
 
     def _made_of(self, dwell: WholeDwell, parameters: Any) -> Made:

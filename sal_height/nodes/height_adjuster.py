@@ -17,11 +17,9 @@ import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from sal_height_msgs.msg import HeightImage
-from sensor_msgs.msg import Image
 
 from sal_height import messages
 from sal_height.adjustment import (
-    LEAST_POINTS,
     MOST_POINTS,
     UNKNOWN_GROUND,
     AdjustmentSettings,
@@ -31,20 +29,21 @@ from sal_height.adjustment import (
     Stated,
     Terrain,
     Window,
+    check_sensor,
     corrected_aperture,
     corrected_heights,
     corrected_mounting,
     corrected_states,
     mounting_covariance,
 )
-from sal_height.elevation import ESTIMATORS, USABLE
+from sal_height.elevation import ESTIMATORS
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import ApertureState, Mounting, PlatformState, Trajectory
 from sal_height.messages import Pose
 from sal_height.nodes.dwell_stage import DwellParameters, DwellStage
+from sal_height.nodes.height_outlets import HeightOutlets
 from sal_height.nodes.odometry import Arrival, OdometryHistory
 from sal_height.nodes.parameters import FrameParameters
-from sal_height.nodes.placed_points import PlacedPoints
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
 from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS, SENSOR_TOPICS, height_topics, payload_bytes
@@ -137,19 +136,6 @@ class ReceivedHeights:
         return payload_bytes(self.image)
 
 
-class Supplies(NamedTuple):
-    """What heights are adjusted with besides their image.
-
-    Attributes:
-        states: odometry, without the delay of its stamps, from the last sample before the dwell, or before the end of
-            the one that it follows, to the first after it.
-        delay_ns: that it had.
-    """
-
-    states: list[PlatformState]
-    delay_ns: int
-
-
 class Adjusted(NamedTuple):
     """What became of a dwell.
 
@@ -181,7 +167,12 @@ class Adjuster:
         self._epoch_ns = self._latest_ns = 0
 
     def adjust(
-        self, image: HeightImage, field: HeightField, sensor: Sensor, supplies: Supplies, parameters: Parameters
+        self,
+        image: HeightImage,
+        field: HeightField,
+        sensor: Sensor,
+        states: list[PlatformState],
+        parameters: Parameters,
     ) -> Adjusted:
         """Adjust the heights of a dwell, which is later than all before, to those of earlier ones.
 
@@ -191,7 +182,7 @@ class Adjuster:
             image: the heights.
             field: the same as arrays.
             sensor: that took them.
-            supplies: odometry.
+            states: odometry around it, without the delay of its stamps.
             parameters: of the node.
 
         Raises:
@@ -200,7 +191,8 @@ class Adjuster:
         stage = messages.held_stages(image.provenance).get("sar_compression", {})
         settings = _settings_of(parameters, stage)
         aperture, stamp_ns = messages.aperture_from_message(image.aperture), messages.to_ns(image.header.stamp)
-        _check_suitable(image, sensor, stage, field)
+        check_sensor(sensor)
+        _check_mounting(stage)
         limits = parameters.window_dwells, parameters.window_points
         made_for = sensor.digest, settings, limits
         if self._window is None or made_for != self._made_for:
@@ -213,13 +205,7 @@ class Adjuster:
                 f"Dwell {image.dwell} is {late_s:.3g} s older than one before it; dwells must be in order.",
             )
         self._latest_ns = stamp_ns
-        track = Trajectory(supplies.states)
-        times = np.array([0.0, _length_s(image)])
-        stated = Stated(
-            (stamp_ns - self._epoch_ns) * 1e-9 + float(times.mean()),
-            track.aperture(stamp_ns, times).covariance,
-            track.velocity_covariance(stamp_ns, times),
-        )
+        stated = Stated.of(Trajectory(states), stamp_ns, np.array([0.0, _length_s(image)]), self._epoch_ns)
         dwell = ObservedDwell.seen_from(aperture, field, messages.placement_of(stage), stated, sensor)
         try:
             off = self._window.add(dwell)
@@ -227,12 +213,12 @@ class Adjuster:
             self._window = None  # begin anew rather than go on with a part
             raise
         adjustment = self._window.adjustment
-        seconds = [(state.stamp_ns - self._epoch_ns) * 1e-9 for state in supplies.states]
+        seconds = [(state.stamp_ns - self._epoch_ns) * 1e-9 for state in states]
         return Adjusted(
             corrected_heights(field, dwell, off),
             corrected_aperture(dwell, off),
             off,
-            corrected_states(supplies.states, seconds, adjustment, sensor.mounting, settings),
+            corrected_states(states, seconds, adjustment, sensor.mounting, settings),
             corrected_mounting(sensor.mounting, adjustment),
             mounting_covariance(sensor.mounting, adjustment),
         )
@@ -248,26 +234,17 @@ def _settings_of(parameters: Parameters, stage: Mapping[str, Any]) -> Adjustment
     return AdjustmentSettings(**{**values, **{name: stage[name] for name in KNOWN if stage.get(name)}})
 
 
-def _check_suitable(image: HeightImage, sensor: Sensor, stage: Mapping[str, Any], field: HeightField) -> None:
-    """Heights that can be adjusted.
+def _check_mounting(stage: Mapping[str, Any]) -> None:
+    """Make sure that images were made with the mounting of the sensor's description.
 
     Raises:
-        Rejected: they are not.
+        Rejected: they were not.
     """
-    if sensor.mode != "spotlight":
-        raise Rejected(
-            "wrong mode", f"Sensor {sensor.name} is of mode {sensor.mode}; heights are adjusted in spotlight only."
-        )
     if stage.get("mounting_from_tf"):
         raise Rejected(
             "mounting from tf",
             "The mounting of the sensor is that on /tf_static (sar_compression.mounting_from_tf); heights are adjusted "
             "with that in sensor_info only.",
-        )
-    usable = np.isin(field.validity, list(USABLE)) & np.isfinite(field.first.height)
-    if (count := np.count_nonzero(usable)) < LEAST_POINTS:
-        raise Rejected(
-            "few heights", f"Dwell {image.dwell} has {count} heights; {LEAST_POINTS} are needed to compare it."
         )
 
 
@@ -316,9 +293,7 @@ class HeightAdjuster(DwellStage):
         self._adjuster = Adjuster(self._references)
         self._history = OdometryHistory(ODOMETRY_HELD_S)
         self._needed_ns = self._supplied_ns = self._told_ns = 0
-        self._height = self.offer(HeightImage, f"{PREFIX}/height")
-        self._image = self.offer(Image, f"{PREFIX}/image")
-        self._points = PlacedPoints(self, PREFIX)
+        self._heights = HeightOutlets(self, PREFIX)
         self._odometry = self.offer(Odometry, ADJUSTED_ODOMETRY, ODOMETRY_QOS)
         self._mounting = self.offer(PoseWithCovarianceStamped, f"{PREFIX}/mounting", LATCHED_QOS)
         self.listen(Odometry, "platform/odometry", self._on_odometry, ODOMETRY_QOS, read=messages.received_pose)
@@ -346,8 +321,10 @@ class HeightAdjuster(DwellStage):
                 f"{messages.LONGEST_DWELL:g} s are allowed.",
             )
 
-    def supplies(self, dwell: list[ReceivedHeights], sensor: Sensor) -> Supplies:  # noqa: ARG002 (of any sensor)
-        """Odometry from before the dwell to after it.
+    def supplies(self, dwell: list[ReceivedHeights], sensor: Sensor) -> list[PlatformState]:  # noqa: ARG002 (of any)
+        """Odometry, without the delay of its stamps, from before the dwell to after it.
+
+        It begins before the end of the dwell that this one follows.
 
         Raises:
             Rejected: it does not cover the dwell yet.
@@ -359,7 +336,7 @@ class HeightAdjuster(DwellStage):
         states = self._history.around(since_ns + delay_ns, end_ns + delay_ns)
         if states:
             self._supplied_ns = end_ns
-            return Supplies([_supplied(state, delay_ns) for state in states], delay_ns)
+            return [_supplied(state, delay_ns) for state in states]
         self._needed_ns = end_ns + delay_ns
         raise Rejected(
             "odometry gap",
@@ -367,21 +344,21 @@ class HeightAdjuster(DwellStage):
             f"{self.source_warning}",
         )
 
-    def process(self, dwell: list[ReceivedHeights], sensor: Sensor, supplies: Supplies) -> int:
+    def process(self, dwell: list[ReceivedHeights], sensor: Sensor, states: list[PlatformState]) -> int:
         """Adjust and publish the heights of a dwell."""
         image, parameters = dwell[0].image, self.current_parameters()
         field = messages.field_from_message(image, parameters.map_frame)
         if bad := messages.bad_pixels(image, field):
             self.ignore("bad pixels", messages.bad_pixel_warning(image, bad))
         try:
-            found = self._adjuster.adjust(image, field, sensor, supplies, parameters)
+            found = self._adjuster.adjust(image, field, sensor, states, parameters)
         except UserError as error:
             reason = error.reason if isinstance(error, Rejected) else "not adjusted"
             self.ignore(reason, UserError(f"{error} Its heights are passed on as they are."))
-            self._publish(self._passed_on(image, parameters), field)
+            self._heights.publish(self._passed_on(image, parameters), field)
         else:
-            self._publish_platform(image, found, supplies.delay_ns)
-            self._publish(self._moved(image, found, parameters), found.field)
+            self._publish_platform(image, found)
+            self._heights.publish(self._moved(image, found, parameters), found.field)
         return 1
 
     def _passed_on(self, image: HeightImage, parameters: Parameters) -> HeightImage:
@@ -398,14 +375,6 @@ class HeightAdjuster(DwellStage):
         looks = image.range_looks, image.azimuth_looks
         return messages.height_to_message(found.field, found.aperture, looks, PREFIX, image, provenance)
 
-    def _publish(self, image: HeightImage, field: HeightField) -> None:
-        self._image.publish_if_heard(lambda: messages.height_picture(image))
-        self._points.publish(
-            lambda name: messages.frame_near(field.grid.origin, image.header, name),
-            lambda frame: messages.height_points(field, frame),
-        )
-        self._height.publish(image)
-
     def forget(self) -> None:
         """Forget odometry, and the dwells so far."""
         self._history, self._supplied_ns = OdometryHistory(ODOMETRY_HELD_S), 0
@@ -416,9 +385,9 @@ class HeightAdjuster(DwellStage):
         self._adjuster, self._told_ns = Adjuster(self._references), 0
         return 0
 
-    def _publish_platform(self, image: HeightImage, found: Adjusted, delay_ns: int) -> None:
+    def _publish_platform(self, image: HeightImage, found: Adjusted) -> None:
         """Publish odometry that was not published yet, with the stamps that it had, and the mounting."""
-        frames = self.current_parameters().frames
+        frames, delay_ns = self.current_parameters().frames, _delay_ns(image)
         for state in found.states:
             if (stamp_ns := state.stamp_ns + delay_ns) > self._told_ns:
                 self._odometry.publish(messages.state_to_message(state, messages.to_stamp(stamp_ns), frames))
@@ -437,6 +406,8 @@ class HeightAdjuster(DwellStage):
         arrival = self._history.add(state)
         if arrival is Arrival.RESTARTED and state.stamp_ns < latest_ns:  # the clock began anew, and so does the flight
             super().forget()
+        elif arrival is not Arrival.IN_ORDER:
+            self.tally.note(f"odometry.{arrival.value}")
         if state.stamp_ns <= self._needed_ns:
             self.note_progress()  # what heights wait for is on its way
 

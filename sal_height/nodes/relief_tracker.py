@@ -12,14 +12,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 from sal_height_msgs.msg import HeightImage, Provenance
-from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
 from sal_height import messages
 from sal_height.elevation import ESTIMATORS
 from sal_height.nodes.height import LEFT_OUT
+from sal_height.nodes.height_outlets import HeightOutlets
 from sal_height.nodes.parameters import MapFrameParameters
-from sal_height.nodes.placed_points import PlacedPoints
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
 from sal_height.nodes.stage import Stage, StageParameters, height_topics, payload_bytes
@@ -63,9 +62,7 @@ class ReliefTracker(Stage):
         """
         super().__init__("relief_tracker", **node_arguments)
         self._tracker = Tracker()
-        self._height = self.offer(HeightImage, f"{PREFIX}/height")
-        self._image = self.offer(Image, f"{PREFIX}/image")
-        self._points = PlacedPoints(self, PREFIX)
+        self._heights = HeightOutlets(self, PREFIX)
         self._rehearsed = False
         self.submit(0, self._rehearse)
         topic = f"{self.current_parameters().estimator}/height"
@@ -100,12 +97,7 @@ class ReliefTracker(Stage):
         image, tracked, bad = self._tracker.track(message, parameters, self.get_name())
         if bad:
             self.ignore("bad pixels", messages.bad_pixel_warning(message, bad))
-        self._image.publish_if_heard(lambda: messages.height_picture(image))
-        self._points.publish(
-            lambda name: messages.frame_near(tracked.grid.origin, image.header, name),
-            lambda frame: messages.height_points(tracked, frame),
-        )
-        self._height.publish(image)  # whose provenance, with the prior, is that of no other dwell
+        self._heights.publish(image, tracked)  # whose provenance, with the prior, is that of no other dwell
         return 1
 
 

@@ -12,12 +12,12 @@ from rclpy.serialization import serialize_message
 
 from sal_height import messages
 from sal_height.adjustment import (
-    LEAST_POINTS,
     UNKNOWN_GROUND,
     AdjustmentSettings,
     ObservedDwell,
     References,
     adjust,
+    check_sensor,
     corrected_states,
 )
 from sal_height.bag.copies import kept_packing
@@ -137,8 +137,7 @@ class _Observing(RecordedDwells):
             names = ", ".join(sensor.name for sensor in self.sensors.values())
             raise UserError(f"Bag {work.bag} describes several sensors ({names}); cut it by `sal-height bag cut`.")
         for sensor in self.sensors.values():
-            if sensor.mode != "spotlight":
-                raise UserError(f"Sensor {sensor.name} is of mode {sensor.mode}; only spotlight can be adjusted.")
+            check_sensor(sensor)
         self._estimator = ESTIMATORS[estimator]
         self.dwells: list[ObservedDwell] = []
 
@@ -153,11 +152,9 @@ class _Observing(RecordedDwells):
             return
         track = correct_track(Trajectory(compressed.supplies.states, motion=settings.motion), settings)
         history = messages.history_from_messages(compressed.frames)
-        dwell = ObservedDwell.of(field, slc, sensor, track, history, epoch_of(self.work))
-        if (count := len(dwell.points.place)) >= LEAST_POINTS:
-            self.dwells.append(dwell)
-        else:
-            few = Rejected("few heights", f"A dwell has {count} heights; {LEAST_POINTS} are needed to compare it.")
+        try:
+            self.dwells.append(ObservedDwell.of(field, slc, sensor, track, history, epoch_of(self.work)))
+        except Rejected as few:
             self.losses.drop(self._estimator.node, few)
 
 

@@ -1,18 +1,19 @@
 """Image formation: from the phase history of a dwell or strip to single-look complex images of all detectors.
 
-Read `focus` first (`focus_dwell`, `StripFocuser`: the whole of it), then `pixels` (image grids and their noise),
-`weighting` (spectral windows), `corrections` (errors that are known), `checks` (dwells that alias are refused),
-`formers` (backprojection and the fast ones), `autofocus` (phase errors common to all detectors), `strip` (blocks that
-join) and `beams` (patterns in strip images).
+Read `focus` and `strip_focus` first (`focus_dwell`, `StripFocuser`: the whole of it), then `pixels` (image grids and
+their noise), `weighting` (spectral windows), `corrections` (errors that are known), `checks` (dwells that alias are
+refused), `formers` (backprojection and the fast ones), `autofocus` (phase errors common to all detectors), `strip`
+(blocks that join) and `beams` (patterns in strip images).
 """
 
 from sal_height.imaging.autofocus.placement import Centroid, NavigationPrior, Placement
 from sal_height.imaging.beams import image_beams
 from sal_height.imaging.corrections import CorrectionSettings, correct_dwell, correct_track, with_known_errors
-from sal_height.imaging.focus import ImageSettings, Slc, StripFocuser, cell_response, focus_dwell
+from sal_height.imaging.focus import ImageSettings, Slc, cell_response, focus_dwell
 from sal_height.imaging.formers.backprojection import backproject
 from sal_height.imaging.formers.choice import FORMERS, FormImages
 from sal_height.imaging.pixels import azimuth_resolution, line_of_sight
+from sal_height.imaging.strip_focus import StripFocuser
 from sal_height.imaging.weighting import Processing
 
 __all__ = [

@@ -15,9 +15,10 @@ from sal_height.errors import Rejected, UserError
 from sal_height.geometry.frames import look_direction
 from sal_height.geometry.grid import Grid, without_range_phase
 from sal_height.geometry.trajectory import PlatformState, Trajectory
-from sal_height.imaging.focus import ImageSettings, Slc, StripFocuser
+from sal_height.imaging.focus import ImageSettings, Slc
 from sal_height.imaging.formers.backprojection import backproject
 from sal_height.imaging.strip import GREATEST_DRIFT, SPARE_PULSES, SPARE_SHARE
+from sal_height.imaging.strip_focus import StripFocuser
 from sal_height.imaging.weighting import Processing
 from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.sensor.sensor import Sensor

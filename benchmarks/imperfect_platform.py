@@ -30,11 +30,11 @@ from benchmarks.row import Row, load, medians, sized
 from benchmarks.spread import in_processes
 from sal_height.elevation import ESTIMATORS
 from sal_height.errors import Rejected
-from sal_height.imaging import ImageSettings, image_beams
+from sal_height.imaging import ImageSettings, Slc, image_beams
 from sal_height.pipeline import Compressor, heights
 from sal_height.runs.comparison import Comparison, compare, joined_comparisons
 from sal_height.runs.surface_report import as_flown, true_surfaces
-from sal_height.simulation import Preset, Scene, flight_of, load_preset
+from sal_height.simulation import Preset, Scene, SimulatedFlight, flight_of, load_preset
 from sal_height.simulation.impairments import Impairments, PointingJitter
 from sal_height.simulation.odometry_errors import OdometryErrors
 from sal_height.simulation.phase_errors import Vibration, VibrationBand, VibrationLine
@@ -51,6 +51,9 @@ off by sqrt(.68 x .32 / n)."""
 
 FEW = sized(24, 1)
 """Flights of cases whose dwells take several times as long, with vegetation or many pixels."""
+
+BLOCKS = 6
+"""Of a short strip: 3.8 m, five apertures."""
 
 COMBINATIONS = sized(1000, 2)
 """Of levels of everything, each of them a flight of one dwell."""
@@ -111,9 +114,40 @@ def _cases() -> Iterator[Case]:
     for cnr_db in (20.0, 10.0, 3.0):
         name = f"all together, {cnr_db:g} dB"
         yield _case(name, 0.01, cnr_db=cnr_db, vibration=helicopter, laser_linewidth_hz=1e4)
+    yield from _strips()
     yield from _leaves()
     yield from _walls()
     yield from (Case(name, load_preset(name), MANY * FLIGHTS) for name in ("sal_realistic", "xband_realistic"))
+
+
+def _strips() -> Iterator[Case]:
+    """Short strips of the stripmap lidar, of which each of the first blocks joins on to the one before."""
+    strip = replace(load_preset("sal_stripmap"), dwells=BLOCKS)
+    helicopter = Vibration(lines=(VibrationLine(30e-6, 20.0), VibrationLine(3e-6, 200.0)))
+    yield Case("strip, perfect", strip, FEW)
+    cases: dict[str, tuple[OdometryErrors, dict[str, object], float]] = {
+        "velocity 1 mm/s": (OdometryErrors(velocity_mps=1e-3, attitude_rad=POINTING), {}, 20.0),
+        "velocity 15 mm/s": (OdometryErrors(velocity_mps=0.015, attitude_rad=POINTING), {}, 20.0),
+        "attitude 1e-4 rad": (OdometryErrors(velocity_mps=0.005, attitude_rad=1e-4), {}, 20.0),
+        "vibration": (OdometryErrors(velocity_mps=0.005, attitude_rad=POINTING), {"vibration": helicopter}, 20.0),
+        "linewidth 100 kHz": (
+            OdometryErrors(velocity_mps=0.005, attitude_rad=POINTING),
+            {"laser_linewidth_hz": 1e5},
+            20.0,
+        ),
+        **{
+            f"all together, {cnr:g} dB": (
+                OdometryErrors(velocity_mps=0.01, attitude_rad=POINTING),
+                {"vibration": helicopter, "laser_linewidth_hz": 1e4},
+                cnr,
+            )
+            for cnr in (20.0, 10.0, 3.0)
+        },
+    }
+    for name, (odometry, others, cnr) in cases.items():
+        impairments = Impairments(odometry=odometry, **others)  # type: ignore[arg-type]
+        flights = FEW if odometry.attitude_rad == POINTING else MANY * FEW
+        yield Case(f"strip, {name}", replace(strip, impairments=impairments, cnr_db=cnr), flights)
 
 
 def _leaves() -> Iterator[Case]:
@@ -187,22 +221,33 @@ HEADING = "dwells refused pixels valid publ. c1 c2 o5 own-o5 missed ghosts order
 
 
 def flown(seed: int, preset: Preset, autofocus: str, scene: Scene | None = None) -> Flown:
-    """Fly a preset with a seed, over its scene or another, and compare the heights of a dwell."""
+    """Fly a preset with a seed, over its scene or another, and compare the heights of a dwell, or of a short strip."""
     flight, settings = flight_of(preset, seed), image_settings(preset, autofocus)
     flight = replace(flight, scene=scene) if scene else flight
-    sensor, dwell = flight.sensor, seed % preset.dwells
+    is_strip = flight.sensor.mode == "stripmap"
+    numbers = range(preset.dwells) if is_strip else [seed % preset.dwells]
+    compressor, refused, found = Compressor(), Counter[str](), []
+    for dwell in numbers:
+        try:
+            slc = compressor.add(flight.phase_history(dwell), flight.track(dwell), flight.sensor, settings)
+        except Rejected as refusal:
+            refused[refusal.reason] += 1
+            continue
+        if slc:
+            found.append(_compared(slc, flight, dwell, settings))
+    return Flown(len(numbers), refused, joined_comparisons(found) if found else None)
+
+
+def _compared(slc: Slc, flight: SimulatedFlight, dwell: int, settings: ImageSettings) -> Comparison:
+    """Heights of an image beside the truth."""
+    preset, sensor = flight.preset, flight.sensor
     estimator = ESTIMATORS[next(iter(preset.estimators), "ml")]
     chosen = estimator.settings(range_looks=preset.looks[0], azimuth_looks=preset.looks[1])
-    try:
-        slc = Compressor().add(flight.phase_history(dwell), flight.track(dwell), sensor, settings)
-    except Rejected as refusal:
-        return Flown(1, Counter([refusal.reason]), None)
-    assert slc is not None  # noqa: S101 (a spotlight dwell has an image)
     field = heights(slc, sensor, estimator, chosen)
+    seen, aperture = as_flown(field, slc.aperture, flight, dwell)
     beams = image_beams(sensor, settings.azimuth_window)
-    seen, aperture = as_flown(field, slc.aperture, flight.aperture(dwell))
     truth = true_surfaces(seen, aperture, beams, flight, flight.surface(dwell))
-    return Flown(1, Counter(), compare(field, truth, sensor.beamwidth))
+    return compare(field, truth, sensor.beamwidth)
 
 
 def all_flown(case: Case, autofocus: str = "auto") -> Flown:
@@ -251,7 +296,8 @@ def together(parts: Sequence[Flown]) -> Flown:
     """Flights as one."""
     found = [part.comparison for part in parts if part.comparison]
     refused = sum((part.refused for part in parts), Counter[str]())
-    return Flown(len(parts), refused, joined_comparisons(found) if found else None)
+    dwells = sum(part.dwells for part in parts)
+    return Flown(dwells, refused, joined_comparisons(found) if found else None)
 
 
 def image_settings(preset: Preset, autofocus: str) -> ImageSettings:

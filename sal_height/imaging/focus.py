@@ -79,8 +79,8 @@ class ImageSettings(AutofocusSettings, CorrectionSettings):
     autofocus: Annotated[str, BeforeValidator(_from_older_bag)] = setting(
         "auto",
         "whether to estimate and remove the phase error that all channels share, and to look for the beams by their "
-        "Doppler centroid (spotlight only); auto: if the odometry's covariances of velocity and attitude leave the "
-        "beams uncertain by more than autofocus_from_beamwidths, and speckle can tell where they are",
+        "Doppler centroid; auto: if the odometry's covariances of velocity and attitude leave the beams uncertain by "
+        "more than autofocus_from_beamwidths, and speckle can tell where they are",
         choices=("auto", "always", "never"),
     )
     autofocus_from_beamwidths: float = setting(
@@ -89,6 +89,11 @@ class ImageSettings(AutofocusSettings, CorrectionSettings):
         minimum=1e-6,
         maximum=1.0,
     )
+
+    def beams_are_uncertain(self, prior: NavigationPrior, sensor: Sensor) -> bool:
+        """Whether navigation does not know well enough where the beams are along the flight."""
+        allowed = self.autofocus_from_beamwidths * sensor.beams.track_beamwidth * prior.flight_speed
+        return prior.spread > allowed
 
     def describes_pixels_of(self, other: ImageSettings) -> bool:
         """Whether images with the other settings join on to these: all are equal but the former that makes them."""
@@ -210,19 +215,19 @@ def _find_beams(
     Raises:
         Rejected: navigation does not know well enough where the beams are, and the data do not tell.
     """
-    allowed = settings.autofocus_from_beamwidths * sensor.beams.track_beamwidth * prior.flight_speed
-    uncertain = prior.spread > allowed and is_for_speckle(sensor, antenna)
+    uncertain = settings.beams_are_uncertain(prior, sensor) and is_for_speckle(sensor, antenna)
     if settings.autofocus == "never" or (settings.autofocus == "auto" and not uncertain):
         return None, placed_by_navigation(prior)
     focus = autofocus(history, antenna, sensor, patches, settings)
     if uncertain and not focus.finds_beams:
-        raise Rejected("autofocus", _describe_distrust(focus, prior))
+        raise Rejected("autofocus", describe_distrust(focus, prior))
     if not focus.trusted:
         return focus, placed_by_navigation(prior)
     return place_image(focus, history.pulse_times, sensor.wavelength, prior)
 
 
-def _describe_distrust(focus: Focus, prior: NavigationPrior) -> str:
+def describe_distrust(focus: Focus, prior: NavigationPrior) -> str:
+    """A sentence on a dwell whose phase error is not known, although navigation is not enough."""
     why = (
         f"estimates the phase to {focus.standard_error:.2g} rad" if np.isfinite(focus.standard_error) else "finds none"
     )

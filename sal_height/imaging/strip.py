@@ -12,6 +12,7 @@ import numpy as np
 
 from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Grid, Trajectory
+from sal_height.imaging.autofocus.placement import Placement
 from sal_height.imaging.formers.backprojection import filled_apertures
 from sal_height.imaging.pixels import line_of_sight, strip_grid
 from sal_height.imaging.weighting import Processing
@@ -38,6 +39,8 @@ class Strip:
         track: of the platform during these pulses.
         lattice: pixels from the next column on, as many as one image has.
         angle: that is processed, rad.
+        placement: by the Doppler centroid of the first block, if the phase errors of all pulses are removed; None: they
+            are not looked for.
     """
 
     history: PhaseHistory
@@ -45,11 +48,20 @@ class Strip:
     track: Trajectory
     lattice: Grid
     angle: float
+    placement: Placement | None = None
 
     @classmethod
-    def begun(cls, history: PhaseHistory, antenna: F64, track: Trajectory, lattice: Grid, angle: float) -> Self:
+    def begun(
+        cls,
+        history: PhaseHistory,
+        antenna: F64,
+        track: Trajectory,
+        lattice: Grid,
+        angle: float,
+        placement: Placement | None,
+    ) -> Self:
         """A strip of its first block; its first column is the first of the lattice that the pulses can fill."""
-        strip = cls(history, antenna, track, lattice, angle)
+        strip = cls(history, antenna, track, lattice, angle, placement)
         return replace(strip, lattice=_moved(lattice, np.ceil(strip._first_column(lattice))))
 
     def pause_before(self, history: PhaseHistory) -> float:

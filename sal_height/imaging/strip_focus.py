@@ -7,14 +7,32 @@ from dataclasses import replace
 import numpy as np
 
 from sal_height.errors import Rejected, UserError
-from sal_height.geometry import Grid, Trajectory
-from sal_height.imaging.autofocus.placement import NavigationPrior, placed_by_navigation
-from sal_height.imaging.checks import check_dwell, describe_strip_centroid, describe_unverified_squint
-from sal_height.imaging.focus import ImageSettings, Slc
+from sal_height.geometry import ApertureState, Grid, Trajectory
+from sal_height.imaging.autofocus.gradient import Focus, apply_phase, uneven_trend
+from sal_height.imaging.autofocus.phase_error import course_of, turns_slowly
+from sal_height.imaging.autofocus.placement import (
+    NavigationPrior,
+    Placement,
+    centroid_of,
+    placed_by_beams,
+    placed_by_centroid,
+    placed_by_navigation,
+    speed_of_a_radian,
+)
+from sal_height.imaging.autofocus.strip_phase import link_block, stays_in_range_cell
+from sal_height.imaging.checks import (
+    check_dwell,
+    describe_covariances,
+    describe_strip_centroid,
+    describe_unverified_squint,
+)
+from sal_height.imaging.corrections import with_known_errors
+from sal_height.imaging.focus import ImageSettings, Slc, describe_distrust
 from sal_height.imaging.formers.choice import choose_former
 from sal_height.imaging.pixels import line_of_sight, slc_noise_power
 from sal_height.imaging.strip import CLOCK_STEP, WIDEST_GAP, Strip, lay_lattice
 from sal_height.imaging.weighting import Processing
+from sal_height.numeric import F64
 from sal_height.sensor import PhaseHistory, Sensor, aperture_length, processed_angle
 
 
@@ -51,11 +69,8 @@ class StripFocuser:
             Rejected: pulses or frequencies do not sample the scene, or the block is older than the last one.
             UserError: an image that cannot be made in stripmap.
         """
-        if settings.image_plane != "slant" or settings.autofocus == "always":
-            raise UserError(
-                f"Parameters image_plane {settings.image_plane} and autofocus {settings.autofocus} were set; stripmap "
-                "allows only slant, and auto or never."
-            )
+        if settings.image_plane != "slant":
+            raise UserError(f"Parameter image_plane is {settings.image_plane}; stripmap allows only slant.")
         processing = Processing(settings.range_window, settings.azimuth_window, processed_angle(sensor))
         # The strip that the block continues, and a track from the first pulse that it holds.
         continued = self._continued(history, sensor, settings)
@@ -68,13 +83,22 @@ class StripFocuser:
         aperture = mounted.aperture(history.stamp_ns, history.pulse_times)
         reference = float(history.reference_range[len(antenna) // 2])
         check_dwell(history, antenna, sensor, aperture)
+        # Phase error, and where the beams are along the flight: as navigation or, where that is not enough, data say.
+        velocity_covariance = mounted.velocity_covariance(history.stamp_ns, history.pulse_times)
+        self._doubt = describe_covariances(aperture, velocity_covariance) or self._doubt
+        flown = with_known_errors(aperture, sensor, settings)
+        prior = NavigationPrior.of(flown, velocity_covariance, line_of_sight(sensor, aperture))
+        history, focus, placement = _in_focus(history, antenna, aperture, prior, continued, sensor, settings)
+        if placement:
+            aperture = placement.pointed(aperture, line_of_sight(sensor, aperture))
         self._doubt = describe_strip_centroid(history, antenna, sensor, aperture) or self._doubt
-        lattice = lay_lattice(sensor, processing, aperture, antenna, reference, (settings.rows, settings.cols))
+        shape = settings.rows, settings.cols
+        lattice = lay_lattice(sensor, processing, aperture, antenna, reference, shape)
         # The strip with the block, on the pixels that it had as long as the flight stays with them.
         if continued:
             strip = continued.followed_by(history, antenna, track)
         else:
-            strip = Strip.begun(history, antenna, track, lattice, processing.angle)
+            strip = Strip.begun(history, antenna, track, lattice, processing.angle, placement)
         if strip.has_left_lattice(sensor, aperture):
             strip = strip.on(lattice)
         self._strip, self._settings = strip, settings
@@ -86,25 +110,12 @@ class StripFocuser:
         if not cols:
             return None
         self._strip = strip.after(cols)
-        # Their image, and the state of the platform abeam of its middle.
+        # Their image.
         grid = replace(strip.lattice, cols=cols)
-        pulses, sent_from = strip.lighting(grid)
-        former = choose_former(settings.former, sent_from, sensor, processing, grid)
-        images = former(pulses, sent_from, sensor, processing, grid)
-        around = strip.abeam_time(grid) + np.array([-0.5, 0.5]) / sensor.pulse_repetition_frequency
-        abeam = mounted.aperture(strip.history.stamp_ns, around)
-        length = aperture_length(sensor, reference)
-        noise_power = slc_noise_power(sensor, processing, round(length * len(antenna) / aperture.length))
-        shares = strip.history.shares.max(axis=1)
-        # What navigation does not know of the velocity is an error along the flight.
-        sight = line_of_sight(sensor, abeam)
-        velocity_covariance = mounted.velocity_covariance(strip.history.stamp_ns, around)
-        prior = NavigationPrior.of(abeam, velocity_covariance, sight)
-        abeam = placed_by_navigation(prior).seen_from(abeam, sight, reference)
-        abeam = replace(abeam, length=length, sliding=True)
+        pulses = round(aperture_length(sensor, reference) * len(antenna) / aperture.length)
+        slc = _image(strip, grid, mounted, pulses, reference, sensor, settings)
         doubt, self._doubt = describe_unverified_squint(sensor, aperture) or self._doubt, ""
-        windows = settings.azimuth_window, settings.range_window
-        return Slc(images, grid, abeam, noise_power, shares, *windows, doubt=doubt)
+        return replace(slc, focus=focus, doubt=doubt)
 
     def _continued(self, history: PhaseHistory, sensor: Sensor, settings: ImageSettings) -> Strip | None:
         """The strip, if the block is its next and of the same image.
@@ -121,6 +132,120 @@ class StripFocuser:
             )
         follows = pause * sensor.pulse_repetition_frequency < WIDEST_GAP
         return strip if follows and settings.describes_pixels_of(self._settings) else None
+
+
+def _in_focus(
+    history: PhaseHistory,
+    antenna: F64,
+    aperture: ApertureState,
+    prior: NavigationPrior,
+    strip: Strip | None,
+    sensor: Sensor,
+    settings: ImageSettings,
+) -> tuple[PhaseHistory, Focus | None, Placement | None]:
+    """The block without its phase error, that error, and where the strip lies; None of both if it is not looked for.
+
+    It is looked for in all blocks of a strip or in none, or they would not join. The first tells where the beams look,
+    and all of the phase beyond that is movement of the antenna.
+
+    Args:
+        history: of a block.
+        antenna: position at each of its pulses, m, shape (pulses, 3).
+        aperture: of the block, as navigation says.
+        prior: what navigation knows.
+        strip: that the block continues; None: it begins one.
+        sensor: that took the block.
+        settings: what image is wanted.
+
+    Raises:
+        Rejected: navigation does not know well enough where the beams are, and the data do not tell, or contradict it.
+        UserError: a phase error that cannot be told is wanted.
+    """
+    uncertain = settings.beams_are_uncertain(prior, sensor)
+    if not _is_wanted(strip, uncertain, float(history.reference_range[0]), sensor, settings):
+        return history, None, None
+    placement, sight = strip.placement if strip else None, line_of_sight(sensor, aperture)
+    if placement:
+        sight = line_of_sight(sensor, placement.pointed(aperture, sight))
+    before = (strip.history, strip.antenna) if strip else None
+    focus = link_block(history, antenna, before, sight, aperture.direction, sensor, settings)
+    if not focus.trusted:
+        if uncertain:
+            raise Rejected("autofocus", describe_distrust(focus, prior))
+        return history, replace(focus, phase=np.zeros(len(antenna))), placement or placed_by_navigation(prior)
+    # How far the middle of the beams is off, if the course of the phase is known; the rest is movement.
+    times, phase, slow = history.pulse_times, focus.phase, turns_slowly(focus.phase)
+    error = float(np.hypot(focus.trend_error, uneven_trend(sensor, antenna, settings)))
+    of_a_radian = speed_of_a_radian(times, sensor.wavelength)
+    if slow:
+        course, trend = course_of(phase)
+        apart = replace(focus, phase=course, trend=trend, trend_error=error)
+        centroid = centroid_of(apart, times, sensor.wavelength, prior, placement.pointing if placement else 0.0)
+    if placement is None:
+        if slow:
+            placement = placed_by_centroid(centroid, prior, 2 * np.pi * of_a_radian)
+        else:
+            placement = placed_by_beams(prior, of_a_radian * error)
+        phase = phase - prior.flight_speed * placement.pointing / of_a_radian * np.arange(len(phase))
+    return apply_phase(history, phase), replace(focus, phase=phase), placement
+
+
+def _is_wanted(
+    strip: Strip | None, uncertain: bool, slant_range: float, sensor: Sensor, settings: ImageSettings
+) -> bool:
+    """Whether the phase error of a block is looked for: as in the strip that it continues, or else as the settings say.
+
+    Raises:
+        UserError: it is asked for where it cannot be told.
+    """
+    if strip:
+        return strip.placement is not None
+    can_be_told = stays_in_range_cell(sensor, slant_range)
+    if settings.autofocus == "always" and not can_be_told:
+        raise UserError(
+            "Parameter autofocus is always, which in stripmap needs known noise powers and a beam so narrow that all "
+            "that it lights abeam stays in its range cell; set auto or never."
+        )
+    return can_be_told and (settings.autofocus == "always" or (settings.autofocus == "auto" and uncertain))
+
+
+def _image(
+    strip: Strip,
+    grid: Grid,
+    track: Trajectory,
+    pulses: int,
+    slant_range: float,
+    sensor: Sensor,
+    settings: ImageSettings,
+) -> Slc:
+    """The image of columns that are complete.
+
+    Args:
+        strip: that they are of.
+        grid: of the columns.
+        track: of the antenna.
+        pulses: of an aperture.
+        slant_range: at which an aperture is as long as it is said to be, m.
+        sensor: that took the strip.
+        settings: what image is wanted.
+    """
+    processing = Processing(settings.range_window, settings.azimuth_window, processed_angle(sensor))
+    history, sent_from = strip.lighting(grid)
+    former = choose_former(settings.former, sent_from, sensor, processing, grid)
+    images = former(history, sent_from, sensor, processing, grid)
+    noise_power = slc_noise_power(sensor, processing, pulses)
+    shares = strip.history.shares.max(axis=1)
+    # The state of the platform abeam of the middle; what is not known of its velocity is an error along the flight.
+    around = strip.abeam_time(grid) + np.array([-0.5, 0.5]) / sensor.pulse_repetition_frequency
+    abeam = track.aperture(strip.history.stamp_ns, around)
+    sight, placement = line_of_sight(sensor, abeam), strip.placement
+    if placement is None:
+        velocity_covariance = track.velocity_covariance(strip.history.stamp_ns, around)
+        placement = placed_by_navigation(NavigationPrior.of(abeam, velocity_covariance, sight))
+    abeam = placement.seen_from(abeam, sight, slant_range)
+    abeam = replace(abeam, length=aperture_length(sensor, slant_range), sliding=True)
+    windows = settings.azimuth_window, settings.range_window
+    return Slc(images, grid, abeam, noise_power, shares, *windows, placement=placement)
 
 
 def _describe_shortfall(strip: Strip, lattice: Grid, complete: int) -> str:

@@ -92,23 +92,30 @@ def height_beamwidth(flight: SimulatedFlight) -> float:
     return float(flight.sensor.beamwidth * track.slant_range_m * np.sin(track.look_angle_rad))
 
 
-def as_flown(field: HeightField, aperture: ApertureState, true: ApertureState) -> tuple[HeightField, ApertureState]:
+def as_flown(
+    field: HeightField, aperture: ApertureState, flight: SimulatedFlight, dwell: int
+) -> tuple[HeightField, ApertureState]:
     """Where the pixels of a height image and its points lie, seen from where the platform was.
 
-    In spotlight, range and Doppler count from there, not from where the odometry says; a pixel is compared with what it
-    saw. Of strips it is not known here, and they stay. Heights and covariances stay as they were published.
+    Range and Doppler count from there, not from where the odometry says; a pixel is compared with what it saw. Heights
+    and covariances stay as they were published. In stripmap the error of the odometry is that in the middle of the last
+    block.
 
     Args:
         field: the heights.
         aperture: as whose image they are published.
-        true: the aperture in the middle of the dwell.
+        flight: that was simulated.
+        dwell: whose image it is, or which block has completed it.
     """
+    true = flight.aperture(dwell)
+    stated = aperture
     if aperture.sliding:
-        return field, aperture
-    off = aperture.position - true.position
+        track = flight.track(dwell).mounted(flight.sensor.mounting)
+        stated = track.aperture(flight.dwell_start_ns(dwell), flight.pulse_times)
+    off = stated.position - true.position
     surfaces = tuple(replace(surface, positions=surface.positions - off) for surface in field.surfaces)
     grid = replace(field.grid, origin=field.grid.origin - off)
-    return replace(field, grid=grid, surfaces=surfaces), replace(aperture, position=true.position)
+    return replace(field, grid=grid, surfaces=surfaces), replace(aperture, position=aperture.position - off)
 
 
 def true_surfaces(
@@ -145,7 +152,7 @@ def judged(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Map
     comparisons, seen = [], []
     for image in images:
         field, published_as = messages.field_from_message(image), messages.aperture_from_message(image.aperture)
-        flown, aperture = as_flown(field, published_as, flight.aperture(image.dwell))
+        flown, aperture = as_flown(field, published_as, flight, image.dwell)
         beams = image_beams(sensor, messages.recorded_window(image.provenance, "azimuth"))
         surface = surfaces[image.dwell]
         truth = true_surfaces(flown, aperture, beams, flight, surface)

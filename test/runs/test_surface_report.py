@@ -27,7 +27,7 @@ def errors_with(position_m: float, seed: int) -> PublishedErrors:
     assert slc
     field = heights(slc, flight.sensor, estimator, estimator.settings(range_looks=2, azimuth_looks=2))
     beams = image_beams(flight.sensor, settings.azimuth_window)
-    seen, aperture = as_flown(field, slc.aperture, flight.aperture(1))
+    seen, aperture = as_flown(field, slc.aperture, flight, 1)
     truth = true_surfaces(seen, aperture, beams, flight, flight.surface(1))
     return compare(field, truth, flight.sensor.beamwidth).errors
 

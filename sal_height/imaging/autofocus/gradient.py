@@ -51,7 +51,8 @@ class AutofocusSettings(Settings):
 
     autofocus_max_error_rad: float = setting(
         0.5,
-        "greatest standard error of a phase that autofocus applies; 0.5 leaves 0.8 of a point's peak power",
+        "greatest standard error of a phase that autofocus applies, in stripmap from one pulse to the next; 0.5 leaves "
+        "0.8 of a point's peak power",
         unit="rad",
         minimum=0.0,
         maximum=3.0,
@@ -127,10 +128,10 @@ def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64,
         settings: what is trusted.
 
     Raises:
-        UserError: a stripmap sensor, or a dwell that is too large.
+        UserError: a stripmap sensor (see `strip_phase`), or a dwell that is too large.
     """
     if sensor.mode != "spotlight":
-        raise UserError(f"The sensor's mode is {sensor.mode}; autofocus needs spotlight, one aperture for all pixels.")
+        raise UserError(f"The sensor's mode is {sensor.mode}; dwells need spotlight, one aperture for all pixels.")
     if (count := sensor.detector_count * patches[..., 0].size * sensor.pulse_count) > MOST_RESPONSES:
         raise UserError(
             f"Autofocus would hold {count} responses of pulses at points of the image; at most {MOST_RESPONSES} are "
@@ -150,9 +151,7 @@ def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64,
         cells = cell_responses(history, antenna, sensor, middle)
         modes, snr = signal_modes(cells, sensor.sample_count * sensor.noise_covariance)
         focus, responses = focus_speckle(modes, snr, *azimuth_waves(sensor, antenna, middle)), modes[None]
-        step = float(np.linalg.norm(antenna[-1] - antenna[0])) / (len(antenna) - 1)
-        of_a_beam = 4 * np.pi / sensor.wavelength * step * sensor.beams.track_beamwidth
-        uneven = settings.autofocus_uneven_beamwidths * of_a_beam
+        uneven = uneven_trend(sensor, antenna, settings)
         focus = replace(focus, trend_error=float(np.hypot(focus.trend_error, uneven)))
     if focus.standard_error > settings.autofocus_max_error_rad:
         responses = pulse_responses(history, antenna, sensor, np.ones(sensor.sample_count), patches.reshape(-1, 3))
@@ -178,6 +177,13 @@ def is_for_speckle(sensor: Sensor, antenna: F64) -> bool:
     return bool(half_beam <= patch_half_width(sensor)) and min(sensor.noise_power) > 0
 
 
+def uneven_trend(sensor: Sensor, antenna: F64, settings: AutofocusSettings) -> float:
+    """Standard deviation, rad, of the trend from pulse to pulse by ground that is uneven in all range cells alike."""
+    step = float(np.linalg.norm(antenna[-1] - antenna[0])) / (len(antenna) - 1)
+    of_a_beam = 4 * np.pi / sensor.wavelength * step * sensor.beams.track_beamwidth
+    return settings.autofocus_uneven_beamwidths * of_a_beam
+
+
 def apply_phase(history: PhaseHistory, phase: F64) -> PhaseHistory:
     """The history with exp(-j phase) on all samples of every pulse; phase in rad, shape (pulses,)."""
     turn = np.exp(-1j * phase).astype(np.complex64)
@@ -194,7 +200,7 @@ def cell_responses(history: PhaseHistory, antenna: F64, sensor: Sensor, centre: 
         history: of all detectors in a dwell.
         antenna: position at each pulse, m, shape (pulses, 3).
         sensor: wavelength and frequencies.
-        centre: the point, m, shape (3,).
+        centre: the point, m, shape (3,); or one for each pulse, shape (pulses, 3).
     """
     delay = np.linalg.norm(centre - antenna, axis=-1) - history.reference_range
     half = sensor.sample_count // 2

@@ -42,6 +42,24 @@ def is_smooth(phase: F64) -> bool:
     return bool(np.sqrt(np.mean(steps**2)) <= SMOOTH_STEP)
 
 
+def turns_slowly(phase: F64) -> bool:
+    """Whether steps from pulse to pulse, however large, change so little from one to the next that they can be told."""
+    changes = np.angle(np.exp(1j * np.diff(phase, 2)))
+    return bool(np.sqrt(np.mean(changes**2)) <= SMOOTH_STEP)
+
+
+def course_of(phase: F64) -> tuple[F64, float]:
+    """A phase that turns slowly, whole turns put in, without mean and trend; and its trend from pulse to pulse, rad.
+
+    The trend is known modulo 2 pi, and given within half a turn.
+    """
+    steps = np.unwrap(np.diff(phase))
+    course = np.concatenate([[0.0], np.cumsum(steps)])
+    left, time = detrended(course), np.arange(len(phase)) - (len(phase) - 1) / 2
+    trend = float(time @ course / (time @ time))
+    return left, trend - 2 * np.pi * round(trend / (2 * np.pi))
+
+
 def phase_gradient(responses: Complex) -> F64:
     """Phase error by the maximum-likelihood kernel of neighbouring pulses, integrated from 0, rad, shape (pulses,).
 

@@ -17,6 +17,7 @@ beam that is round and not a product, and ground of uneven brightness spread the
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
@@ -41,7 +42,7 @@ class Speckle:
 
     Attributes:
         total: sum over the responses of g_t conj(g_s), noise of power 1, shape (pulses, pulses).
-        snr: mean power of the echo in a pulse.
+        snr: power of the echo in a pulse, as is usual in the class.
         count: number of responses.
     """
 
@@ -60,6 +61,7 @@ class Coherence:
 
     matrix: C128
     _inverses: dict[float, C128] = field(default_factory=dict, repr=False)
+    _informations: dict[float, F64] = field(default_factory=dict, repr=False)
 
     def covariance(self, snr: float) -> C128:
         """Of an echo of power `snr` with noise of power 1."""
@@ -70,6 +72,13 @@ class Coherence:
         if snr not in self._inverses:
             self._inverses[snr] = np.asarray(np.linalg.inv(self.covariance(snr)), dtype=np.complex128)
         return self._inverses[snr]
+
+    def information(self, snr: float) -> F64:
+        """Fisher information of one response on the phases, made once for each `snr`."""
+        if snr not in self._informations:
+            product = (self.covariance(snr) * self.inverse_covariance(snr).T).real
+            self._informations[snr] = 2 * (product - np.eye(len(product)))
+        return self._informations[snr]
 
 
 def azimuth_waves(sensor: Sensor, antenna: F64, centre: F64) -> tuple[C128, F64]:
@@ -131,15 +140,18 @@ def signal_modes(responses: Complex, noise_covariance: F64 | C128) -> tuple[Comp
 def speckle_classes(modes: Complex, snr: F64) -> list[Speckle]:
     """The modes in classes of signal-to-noise ratio."""
     return [
-        Speckle(modes[members].T @ modes[members].conj(), float(snr[members].mean()), int(members.sum()))
-        for members in _class_members(snr)
+        Speckle(modes[members].T @ modes[members].conj(), middle, int(members.sum()))
+        for middle, members in _class_members(snr)
     ]
 
 
-def _class_members(snr: F64) -> list[Bool]:
-    """Which responses belong to each class."""
+def _class_members(snr: F64) -> list[tuple[float, Bool]]:
+    """The signal-to-noise ratio of each class, in its middle, and which responses belong to it.
+
+    Classes are those of any responses, so that the inverses of their covariances serve others as well.
+    """
     steps = np.floor(np.log(snr) / np.log(CLASS_RATIO))
-    return [steps == step for step in np.unique(steps)]
+    return [(float(CLASS_RATIO ** (step + 0.5)), steps == step) for step in np.unique(steps)]
 
 
 def link_phases(classes: list[Speckle], coherence: Coherence, start: F64) -> tuple[F64, float]:
@@ -157,12 +169,10 @@ def link_phases(classes: list[Speckle], coherence: Coherence, start: F64) -> tup
     pulses = len(start)
     weighted, information = np.zeros((pulses, pulses), np.complex128), np.zeros((pulses, pulses))
     for speckle in classes:
-        covariance, inverse = coherence.covariance(speckle.snr), coherence.inverse_covariance(speckle.snr)
-        weighted -= inverse * speckle.total.T
-        information += 2 * speckle.count * ((covariance * inverse.T).real - np.eye(pulses))
+        weighted -= coherence.inverse_covariance(speckle.snr) * speckle.total.T
+        information += speckle.count * coherence.information(speckle.snr)
     # The inverse of the information on all but mean and linear trend, of which the likelihood knows nothing.
-    trend = np.stack([np.ones(pulses), np.linspace(-1.0, 1.0, pulses)], axis=1)
-    rest = np.linalg.qr(trend, mode="complete")[0][:, 2:]
+    rest = _without_trend(pulses)
     variance = rest @ np.linalg.inv(rest.T @ information @ rest) @ rest.T
     phase = start.copy()
     for _ in range(ITERATIONS):
@@ -173,6 +183,13 @@ def link_phases(classes: list[Speckle], coherence: Coherence, start: F64) -> tup
         if np.sqrt(np.mean(step**2)) < CONVERGED:
             break
     return phase, float(np.sqrt(np.mean(np.diag(variance))))
+
+
+@lru_cache(maxsize=4)
+def _without_trend(pulses: int) -> F64:
+    """Orthonormal phases without mean and linear trend, shape (pulses, pulses - 2)."""
+    trend = np.stack([np.ones(pulses), np.linspace(-1.0, 1.0, pulses)], axis=1)
+    return np.linalg.qr(trend, mode="complete")[0][:, 2:]
 
 
 def find_trend(modes: Complex, snr: F64, coherence: Coherence) -> tuple[float, float]:
@@ -190,8 +207,7 @@ def find_trend(modes: Complex, snr: F64, coherence: Coherence) -> tuple[float, f
     pulses = modes.shape[-1]
     product = np.zeros((pulses, pulses), np.complex128)  # R^-1(t, s) total(s, t)
     classes = [
-        (modes[members], coherence.inverse_covariance(float(snr[members].mean())), members)
-        for members in _class_members(snr)
+        (modes[members], coherence.inverse_covariance(middle), members) for middle, members in _class_members(snr)
     ]
     for some, inverse, _ in classes:
         product += inverse * (some.conj().T @ some)

@@ -122,18 +122,18 @@ class Placement:
         """Positions of the antenna (m), shape (pulses, 3), at times in s from the middle of the dwell."""
         return antenna + (self.speed * seconds)[:, None] * sight
 
+    def pointed(self, aperture: ApertureState, sight: F64) -> ApertureState:
+        """The aperture as it looked."""
+        turn = Rotation.from_rotvec(self.pointing * np.cross(sight, aperture.direction))
+        return replace(aperture, rotation=turn.as_matrix() @ aperture.rotation)
+
     def seen_from(self, aperture: ApertureState, sight: F64, slant_range: float) -> ApertureState:
         """The aperture as it flew and looked, with what is left of the error along the flight in its covariance."""
-        turn = np.cross(sight, aperture.direction)
         covariance = np.array(aperture.covariance, dtype=np.float64)
         along = self.speed_error * slant_range / np.linalg.norm(aperture.velocity)
         covariance[:3, :3] += along**2 * np.outer(aperture.direction, aperture.direction)
-        return replace(
-            aperture,
-            velocity=aperture.velocity + self.speed * sight,
-            rotation=Rotation.from_rotvec(self.pointing * turn).as_matrix() @ aperture.rotation,
-            covariance=covariance,
-        )
+        velocity = aperture.velocity + self.speed * sight
+        return replace(self.pointed(aperture, sight), velocity=velocity, covariance=covariance)
 
 
 AS_NAVIGATED = Placement(0.0, 0.0, 0.0)
@@ -166,6 +166,16 @@ def placed_by_centroid(centroid: Centroid, prior: NavigationPrior, ambiguity: fl
     # A wrap more moves image and beams together, and so the image off the beams' middle by what is not its part.
     left = prior.speed**2 * (1 - of_speed) + (1 - of_speed) ** 2 * wrapped
     return Placement(of_speed * found, of_pointing * found / prior.flight_speed, float(np.sqrt(left)), centroid)
+
+
+def placed_by_beams(prior: NavigationPrior, error: float) -> Placement:
+    """An image in the middle of the beams, whose angle alone says where that is.
+
+    Args:
+        prior: what navigation knows.
+        error: standard error of the beams' middle in the image, as a velocity along the line of sight, m/s.
+    """
+    return Placement(0.0, 0.0, float(np.hypot(prior.flight_speed * prior.pointing, error)), by_beams=True)
 
 
 def vibration_speed(phase: F64, seconds: F64, wavelength: float) -> float:
@@ -210,13 +220,31 @@ def place_image(focus: Focus, pulse_times: F64, wavelength: float, prior: Naviga
     if not focus.finds_beams:
         return focus, placed_by_navigation(prior)
     pulses = len(pulse_times)
-    interval = float(pulse_times[-1] - pulse_times[0]) / (pulses - 1)
-    of_a_radian = wavelength / (4 * np.pi * interval)
-    found, error = of_a_radian * focus.trend, of_a_radian * focus.trend_error
+    of_a_radian = speed_of_a_radian(pulse_times, wavelength)
     if not focus.is_smooth:
         centred = focus.phase + focus.trend * (np.arange(pulses) - (pulses - 1) / 2)
-        left = float(np.hypot(prior.flight_speed * prior.pointing, error))
-        return replace(focus, phase=centred, trend=0.0), Placement(0.0, 0.0, left, by_beams=True)
+        return replace(focus, phase=centred, trend=0.0), placed_by_beams(prior, of_a_radian * focus.trend_error)
+    centroid = centroid_of(focus, pulse_times, wavelength, prior)
+    return focus, placed_by_centroid(centroid, prior, 2 * np.pi * of_a_radian)
+
+
+def centroid_of(
+    focus: Focus, pulse_times: F64, wavelength: float, prior: NavigationPrior, known_pointing: float = 0.0
+) -> Centroid:
+    """The Doppler centroid by the trend of a phase that is smooth.
+
+    Args:
+        focus: what autofocus has found, to be trusted.
+        pulse_times: s, shape (pulses,).
+        wavelength: m.
+        prior: what navigation knows.
+        known_pointing: by which the beams look farther ahead than navigation says, and less by the trend, rad.
+
+    Raises:
+        Rejected: the Doppler centroid contradicts navigation.
+    """
+    of_a_radian = speed_of_a_radian(pulse_times, wavelength)
+    found, error = of_a_radian * focus.trend + prior.flight_speed * known_pointing, of_a_radian * focus.trend_error
     vibration = vibration_speed(focus.phase, pulse_times, wavelength) if prior.spread else 0.0
     known = prior.beside(vibration)
     if not known.allows(found, error):
@@ -226,4 +254,10 @@ def place_image(focus: Focus, pulse_times: F64, wavelength: float, prior: Naviga
             f"of the odometry, which states {known.spread:.2g} m/s for velocity and pointing together; attitude, "
             "boresights or the stated covariances must be wrong.",
         )
-    return focus, placed_by_centroid(Centroid(found, error, vibration), prior, 2 * np.pi * of_a_radian)
+    return Centroid(found, error, vibration)
+
+
+def speed_of_a_radian(pulse_times: F64, wavelength: float) -> float:
+    """Velocity along the line of sight (m/s) by which the phase turns by 1 rad from pulse to pulse."""
+    interval = float(pulse_times[-1] - pulse_times[0]) / (len(pulse_times) - 1)
+    return wavelength / (4 * np.pi * interval)

@@ -1,0 +1,153 @@
+"""Autofocus of a strip: the phase error of the pulses of a block, which joins on to those of the pulses before.
+
+In stripmap the beam moves along with the antenna. Relative to the ground abeam of each pulse, speckle has the same
+covariance between two pulses of a strip as between two that are as far apart in a dwell; so a window of pulses is
+linked as a dwell is (`phase_linking`), from the responses abeam. A window holds pulses that were linked before; what is
+found of the new ones counts from the last of those. It has a trend, which the middle of the beam tells. So the phase of
+a strip is known but for a constant; uneven ground moves the trend of each window a little, and blurs images along the
+flight, by centimetres in lidar.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from sal_height.imaging.autofocus.gradient import AutofocusSettings, Focus, cell_responses
+from sal_height.imaging.autofocus.phase_error import phase_gradient
+from sal_height.imaging.autofocus.phase_linking import (
+    Coherence,
+    azimuth_waves,
+    coherence_of,
+    find_trend,
+    link_phases,
+    signal_modes,
+    speckle_classes,
+)
+from sal_height.numeric import C64, F64, Complex
+from sal_height.sensor import PhaseHistory, Sensor, aperture_length
+
+WINDOW = 256  # pulses that are linked at a time, if there are that many: time grows with the cube, errors shrink little
+OVERLAP = 32  # of them at least that have been linked before
+FAR = 1e4  # range over the length of a window, at which ground is seen under one angle by all pulses
+STEP_DIGITS = 0.01  # relative difference of the ways from pulse to pulse that have the same coherence
+
+
+def stays_in_range_cell(sensor: Sensor, slant_range: float) -> bool:
+    """Whether pulses of a strip can be linked: their noise is known, and what a pulse lights abeam stays in a cell."""
+    curvature = aperture_length(sensor, slant_range) ** 2 / (8 * slant_range)
+    return curvature <= sensor.range_resolution / 2 and min(sensor.noise_power) > 0
+
+
+def link_block(
+    history: PhaseHistory,
+    antenna: F64,
+    before: tuple[PhaseHistory, F64] | None,
+    sight: F64,
+    direction: F64,
+    sensor: Sensor,
+    settings: AutofocusSettings,
+) -> Focus:
+    """The phase error of a block, all of it, and whether it is to be trusted.
+
+    `standard_error` is that of the phase from one pulse to the next where it is known worst, in OVERLAP pulses, and
+    `trend_error` that of the trend of a window.
+
+    Args:
+        history: of all detectors in a block.
+        antenna: position at each of its pulses, m, shape (pulses, 3).
+        before: pulses of the strip without their phase errors, and the antenna at these; None: there are none.
+        sight: unit vector in the middle of the beams, as far as it is known, map axes.
+        direction: unit vector of flight.
+        sensor: wavelength, frequencies, beams and noise power.
+        settings: what is trusted.
+    """
+    line = _Line(antenna.mean(axis=0), float(history.reference_range[0]) * sight, direction)
+    responses = line.responses(history, antenna, sensor)
+    new_ones = len(antenna)
+    if before:
+        held = slice(-WINDOW, None)
+        earlier = line.responses(before[0].pulses(held), before[1][held], sensor)
+        responses, antenna = np.concatenate([earlier, responses], axis=-1), np.concatenate([before[1][held], antenna])
+    phase, errors = np.zeros(len(antenna)), []
+    for new in np.array_split(np.arange(len(antenna) - new_ones, len(antenna)), -(-new_ones // WINDOW)):
+        first, end = int(new[0]), int(new[-1]) + 1
+        begin = max(0, min(first - OVERLAP, end - WINDOW))
+        seen = responses[..., begin:end] * np.exp(-1j * phase[begin:end]).astype(responses.dtype)
+        modes, snr = signal_modes(seen, sensor.sample_count * sensor.noise_covariance)
+        if not len(modes):
+            return Focus(np.zeros(new_ones), "none", np.inf)
+        found, trend_error = _link(modes, snr, _coherence_along(antenna[begin:end], sensor))
+        phase[first:end] = found[first - begin :] - (found[first - begin - 1] if first > begin else 0.0)
+        known = modes * np.exp(-1j * found).astype(modes.dtype)
+        errors.append((_step_error(known[:, max(0, first - begin - 1) :]), trend_error))
+    step_error = float(np.max([error for error, _ in errors]))
+    trend_error = float(np.sqrt(np.mean([error**2 for _, error in errors])))
+    trusted = step_error <= settings.autofocus_max_error_rad
+    return Focus(phase[-new_ones:], "speckle", step_error, trusted, trend_error=trend_error)
+
+
+@dataclass(frozen=True, eq=False)
+class _Line:
+    """The ground in the middle of the beams: a line along the flight.
+
+    Attributes:
+        middle: position of the antenna, from which the line is `reach` away, m, shape (3,).
+        reach: from the antenna to the middle of the beams, m, shape (3,).
+        along: unit vector of the line.
+    """
+
+    middle: F64
+    reach: F64
+    along: F64
+
+    def responses(self, history: PhaseHistory, antenna: F64, sensor: Sensor) -> C64:
+        """What each pulse contributes to the range cells of the line, in the middle of the beams.
+
+        Shape (detectors, cells, pulses). The phase of what stays where it is does not turn from pulse to pulse, however
+        far ahead of abeam the beams look.
+        """
+        way = (antenna - self.middle) @ self.along
+        found = cell_responses(history, antenna, sensor, self.middle + self.reach + way[:, None] * self.along)
+        ahead = float(self.reach @ self.along) / float(np.linalg.norm(self.reach))
+        found *= np.exp(-1j * sensor.centre_wavenumber * ahead * way).astype(found.dtype)
+        return found
+
+
+def _link(modes: Complex, snr: F64, coherence: Coherence) -> tuple[F64, float]:
+    """The phase of a window but for a constant, and the standard error of its trend, rad."""
+    phase, _ = link_phases(speckle_classes(modes, snr), coherence, phase_gradient(modes))
+    trend, trend_error = find_trend(modes * np.exp(-1j * phase).astype(modes.dtype), snr, coherence)
+    return phase + trend * np.arange(len(phase)), trend_error
+
+
+def _step_error(modes: Complex) -> float:
+    """Standard error of the phase from one pulse to the next, where it is known worst in OVERLAP pulses, rad.
+
+    That is sqrt((1 - c^2) / (2 n c^2)) for n responses of the coherence c (Rodriguez & Martin, IEE Proc. F 139, 1992).
+    """
+    power: F64 = np.sum(np.abs(modes) ** 2, axis=0)
+    product: Complex = np.sum(modes[:, :-1].conj() * modes[:, 1:], axis=0)
+    together = np.abs(product) ** 2 / np.maximum(power[:-1] * power[1:], 1e-300)
+    pieces = np.arange(0, max(1, len(together) - OVERLAP + 1), OVERLAP)
+    coherence = np.add.reduceat(together, pieces) / np.diff(np.append(pieces, len(together)))
+    least = float(np.clip(coherence.min(), 1e-6, 1.0))
+    return float(np.sqrt((1 - least) / (2 * len(modes) * least)))
+
+
+def _coherence_along(antenna: F64, sensor: Sensor) -> Coherence:
+    """Coherence of the echo between positions (m, shape (pulses, 3)), as if they were evenly apart."""
+    way = float(np.linalg.norm(antenna[-1] - antenna[0])) / (len(antenna) - 1)
+    return _coherence(sensor, len(antenna), round(math.log(way) / STEP_DIGITS))
+
+
+@lru_cache(maxsize=4)
+def _coherence(sensor: Sensor, pulses: int, step: int) -> Coherence:
+    """The same, of ways from pulse to pulse whose logarithm is `step` times STEP_DIGITS."""
+    antenna = np.zeros((pulses, 3))
+    antenna[:, 0] = math.exp(step * STEP_DIGITS) * np.arange(pulses)
+    centre = antenna.mean(axis=0) + FAR * np.linalg.norm(antenna[-1]) * np.array([0.0, 1.0, 0.0])
+    return coherence_of(*azimuth_waves(sensor, antenna, centre))

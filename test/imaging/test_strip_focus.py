@@ -94,13 +94,13 @@ UNSURE = Stated(speed_sigma=0.005, attitude_sigma=2e-6)
 
 
 def test_images_of_a_platform_that_vibrates_are_those_of_one_that_does_not() -> None:
-    """Powers of looks of 8 cm correlate by .95, blurred by half a centimetre; without autofocus by less than .7."""
+    """Powers of looks of 8 cm correlate by .95, blurred by half a centimetre; without autofocus hardly at all."""
     exact, _ = images(flight_with(Impairments()), Stated(), SETTINGS.changed(autofocus="never"))
     focused, refused = images(flight_with(SHAKEN), UNSURE)
     blurred, _ = images(flight_with(SHAKEN), UNSURE, SETTINGS.changed(autofocus="never"))
     assert not refused
     alike, unlike = (np.corrcoef(looks(exact).ravel(), looks(some).ravel())[0, 1] for some in (focused, blurred))
-    assert (alike, unlike) == (pytest.approx(0.95, abs=0.04), pytest.approx(0.5, abs=0.2))
+    assert (alike, unlike) == (pytest.approx(0.95, abs=0.04), pytest.approx(0.1, abs=0.2))
     assert all(slc.autofocus_phase.shape == (256,) for slc in focused)
 
 

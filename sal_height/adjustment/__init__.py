@@ -2,8 +2,8 @@
 
 Read `adjustment` first (the way through), then `observed` (how errors move what a dwell shows), `comparing` and
 `matching` (which images of the same ground are compared, and how far they lie apart), `drift` (how errors of navigation
-develop), `network` and `equations` (least squares), `reference` (known ground) and `corrected` (the trajectory that
-results). `window` and `corrected_heights` are the same for a flight that goes on.
+develop), `network` and `equations` (least squares), `reference` and `targets` (known ground) and `corrected` (the
+trajectory that results). `window` and `corrected_heights` are the same for a flight that goes on.
 """
 
 from sal_height.adjustment.adjustment import Adjustment, adjust
@@ -22,6 +22,7 @@ from sal_height.adjustment.observed import (
 )
 from sal_height.adjustment.reference import UNKNOWN_GROUND, References, Target, Terrain
 from sal_height.adjustment.settings import AdjustmentSettings
+from sal_height.adjustment.targets import read_targets
 from sal_height.adjustment.window import MOST_POINTS, PoseError, Window
 
 __all__ = [
@@ -49,5 +50,6 @@ __all__ = [
     "corrected_mounting",
     "corrected_states",
     "mounting_covariance",
+    "read_targets",
     "stated_sigmas",
 ]

@@ -67,6 +67,7 @@ def adjust(
             negative=(),
         ),
     ] = (),
+    targets: Annotated[Path | None, Parameter(metavar="FILE")] = None,
     terrain: Annotated[Path | None, Parameter(metavar="FILE")] = None,
     terrain_sigma: Annotated[float, Parameter(metavar="M")] = 0.1,
     set_: Settings = (),
@@ -91,17 +92,19 @@ def adjust(
     Args:
         estimator: Whose heights are compared.
         target: A point target at a known place in map; may be repeated.
+        targets: CSV file of more, with the columns east_m, north_m, height_m and, if it is not 0.01, sigma_m.
         terrain: Elevation model of known ground, as .tif or .npz, around the origin of map.
         terrain_sigma: Standard deviation of its heights.
         out: Output folder, new or empty. Default: out/adjust_BAG, or the next free of out/adjust_BAG_2, ….
     """
-    from sal_height.adjustment import References, Target, Terrain
+    from sal_height.adjustment import References, Target, Terrain, read_targets
     from sal_height.runs.adjust import adjust_bag
     from sal_height.runs.adjustment_report import adjustment_table
     from sal_height.simulation.dem import read_elevation_model
 
     ground = Terrain(read_elevation_model(terrain).heights, terrain_sigma) if terrain else None
-    references = References(tuple(Target(*place) for place in target), ground)
+    known = (*(Target(*place) for place in target), *(read_targets(targets) if targets else ()))
+    references = References(known, ground)
     folder = output_folder(out, f"adjust_{bag_name(bag)}")
     adjusted = adjust_bag(bag, folder, estimator, node_parameters(param), settings_values(set_), references)
     print(adjustment_table(adjusted.summary))

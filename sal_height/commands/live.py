@@ -14,6 +14,7 @@ from sal_height.commands._options import (
     FAILED,
     GRAPH,
     PROCESSING,
+    Estimators,
     Flag,
     GraphOptions,
     NodeParameters,
@@ -34,6 +35,7 @@ EXAMPLES = """
   sal-height live                        the lidar over a street, until Ctrl-C
   sal-height live --preset sal_stripmap --seconds 60
   sal-height live --bag out/sal_spotlight/bag --rate 0.5
+  sal-height live --preset sal_passes --estimators ml,adjusted
   sal-height live --record phase_history --out out/flight
   sal-height live flight.yaml --supervise    nodes for a sensor of your own
 """
@@ -58,6 +60,7 @@ def live(
     graph: GraphOptions = GRAPH,
     out: OutputFolder = None,
     param: NodeParameters = (),
+    estimators: Estimators = (),
 ) -> int:
     """Process a sensor that does not wait, and show rate, latency and drops of every node.
 
@@ -95,7 +98,16 @@ def live(
     end_s = math.inf if seconds is None else seconds
     if config is not None:
         simulating = {"--preset": preset, "--bag": bag, "--rate": rate, "--dwells": dwells, "--budget": budget}
-        _refuse_beside_config({**simulating, "--seed": seed, "--out": out, "--param": param, "--record": graph.record})
+        _refuse_beside_config(
+            {
+                **simulating,
+                "--seed": seed,
+                "--out": out,
+                "--param": param,
+                "--record": graph.record,
+                "--estimators": estimators,
+            }
+        )
         return _attend(config, one_process, supervise, end_s, graph)
     if not one_process:
         use_one_thread()
@@ -104,7 +116,7 @@ def live(
         from sal_height.runs.live import Live, live
         from sal_height.runs.live_table import live_table, showing
 
-    feed, folder = _feed(preset or "sal_spotlight", bag, dwells, 1 if seed is None else seed, out)
+    feed, folder = _feed(preset or "sal_spotlight", bag, dwells, 1 if seed is None else seed, out, estimators)
     how = Live(rate or 1.0, end_s, budget or 0.0, supervise)
     with showing(lambda watched: live_table(watched, time.monotonic())) as show:
         seen = live(feed, folder / "run", node_parameters(param), how, graph.execution(not one_process), show)
@@ -118,7 +130,9 @@ def live(
     return DONE
 
 
-def _feed(preset: str, bag: Path | None, dwells: int | None, seed: int, out: Path | None) -> tuple[Feed, Path]:
+def _feed(
+    preset: str, bag: Path | None, dwells: int | None, seed: int, out: Path | None, estimators: tuple[str, ...]
+) -> tuple[Feed, Path]:
     """The sensor that is played, from a bag or else simulated, and the output folder."""
     import dataclasses
 
@@ -127,10 +141,10 @@ def _feed(preset: str, bag: Path | None, dwells: int | None, seed: int, out: Pat
 
     if bag is not None:
         folder = output_folder(out, f"live_{bag_name(bag)}")
-        return Feed.of_bag(bag), folder
+        return Feed.of_bag(bag, estimators), folder
     loaded = load_preset(preset)
     folder = output_folder(out, f"live_{loaded.name}")
-    changed = dataclasses.replace(loaded, dwells=dwells or loaded.dwells)
+    changed = dataclasses.replace(loaded, dwells=dwells or loaded.dwells, estimators=estimators or loaded.estimators)
     return Feed.simulated(changed, seed, folder / "sensor"), folder
 
 

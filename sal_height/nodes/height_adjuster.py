@@ -35,6 +35,7 @@ from sal_height.adjustment import (
     corrected_mounting,
     corrected_states,
     mounting_covariance,
+    read_targets,
 )
 from sal_height.elevation import ESTIMATORS
 from sal_height.errors import Rejected, UserError
@@ -101,6 +102,12 @@ class Parameters(FrameParameters, DwellParameters, AdjustmentSettings):
     )
     terrain_sigma_m: float = setting(
         0.1, "standard deviation of its heights", unit="m", minimum=1e-4, maximum=1000.0, read_only=True
+    )
+    targets: str = setting(
+        "",
+        "path of a CSV file of targets at known places in map, with the columns east_m, north_m, height_m and, if it "
+        "is not 0.01, sigma_m; empty: none",
+        read_only=True,
     )
 
 
@@ -281,7 +288,7 @@ class HeightAdjuster(DwellStage):
         """Make the node; `node_arguments` go to rclpy's Node.
 
         Raises:
-            UserError: a parameter has a value that is not allowed, or the elevation model cannot be read.
+            UserError: a parameter has a value that is not allowed, or a file of known ground cannot be read.
         """
         super().__init__("height_adjuster", HeightImage, "{estimator}/height", **node_arguments)
         parameters = self.current_parameters()
@@ -416,12 +423,13 @@ def _references_of(parameters: Parameters) -> References:
     """Known ground.
 
     Raises:
-        UserError: the elevation model cannot be read.
+        UserError: the elevation model or the file of targets cannot be read.
     """
+    targets = read_targets(Path(parameters.targets)) if parameters.targets else ()
     if not parameters.terrain:
-        return UNKNOWN_GROUND
+        return References(targets)
     heights = read_elevation_model(Path(parameters.terrain)).heights
-    return References(terrain=Terrain(heights, parameters.terrain_sigma_m))
+    return References(targets, Terrain(heights, parameters.terrain_sigma_m))
 
 
 def _supplied(state: PlatformState, delay_ns: int) -> PlatformState:

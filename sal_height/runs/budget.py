@@ -138,6 +138,7 @@ class Budget:
             *self._data(),
             *self._accuracy(),
             *self._sensitivities(),
+            *self._navigation(),
             *self._air(),
         ]
 
@@ -258,6 +259,21 @@ class Budget:
             group, "acceleration_mps2", "acceleration along the sight that defocuses (pi/4)", acceleration, "m/s²"
         )
         yield Entry(group, "vibration_um", "vibration with echoes of -20 dB, amplitude", 1e6 * vibration, "µm")
+
+    def _navigation(self) -> Iterator[Entry]:
+        """What the errors of the preset's navigation do, rms; nothing where it has none."""
+        flight, errors = self.preset.flight, self.preset.impairments.odometry
+        if not errors.is_wrong:
+            return
+        grade = f", {errors.grade} grade" if errors.grade else ""
+        group = f"errors of the navigation, rms{grade}"
+        arm = flight.slant_range_m * np.sin(flight.look_angle_rad)
+        along = errors.velocity_mps * flight.slant_range_m / flight.speed_mps
+        roll, heading = float(arm * errors.attitude_rad), float(arm * errors.heading_rad)
+        yield Entry(group, "navigation_position_m", "position", errors.position_m, "m")
+        yield Entry(group, "navigation_along_m", "velocity: place along the flight, without autofocus", along, "m")
+        yield Entry(group, "navigation_height_m", "roll: height", roll, "m")
+        yield Entry(group, "navigation_beams_m", "heading: beams along the flight", heading, "m")
 
     def _air(self) -> Iterator[Entry]:
         """What the standard atmosphere does; nothing where it is not known."""

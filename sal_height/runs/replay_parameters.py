@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -243,7 +245,7 @@ def _custom_data(reader: BagReader) -> dict[str, dict[str, Any]] | None:
     path = parameters_file(reader.path)
     try:
         text = reader.custom_data.get(PARAMETERS) or (path.read_text(encoding="utf-8") if path.is_file() else "")
-        values = yaml.safe_load(text)  # JSON is a part of YAML
+        values = _read(text)
     except (OSError, ValueError, yaml.YAMLError) as error:
         raise UserError(
             f"The parameters of bag {reader.path} cannot be read: {' '.join(str(error).split())}."
@@ -254,6 +256,13 @@ def _custom_data(reader: BagReader) -> dict[str, dict[str, Any]] | None:
     if not (isinstance(values, dict) and all(isinstance(entry, dict) for entry in values.values())):
         raise UserError(f"The parameters of bag {reader.path} must map node names to mappings of names to values.")
     return values
+
+
+def _read(text: str) -> Any:
+    """What a text in JSON says, or else in YAML, for which 1e-05 is no number."""
+    with suppress(json.JSONDecodeError):
+        return json.loads(text)
+    return yaml.safe_load(text)
 
 
 def _parameters(values: NodeParameters) -> list[Parameter]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 import math
 import time
 from collections.abc import Mapping
@@ -12,7 +13,7 @@ import numpy as np
 
 from sal_height import messages
 from sal_height.errors import UserError
-from sal_height.geometry import Trajectory
+from sal_height.geometry import PlatformState, Trajectory
 from sal_height.nodes.height import HeightNode
 from sal_height.nodes.playlist import Playlist
 from sal_height.pipeline import Compressor, heights
@@ -59,13 +60,15 @@ def core_rate_hz(
     """
     parameters = {name: NODES[name].parameters(**values.get(name, {})) for name in stages}
     estimators = {name: NODES[name].estimator for name in stages if issubclass(NODES[name], HeightNode)}
-    way = Trajectory([messages.state_from_message(message) for message in playlist.odometry])
+    states = [messages.state_from_message(message) for message in playlist.odometry]
     compressor, prior = Compressor(), PriorEstimate()
     begun: float | None = None
     dwells, spent_s = 0, 0.0
     for frames in playlist.frames():
         try:
-            slc = compressor.add(messages.history_from_messages(frames), way, sensor, parameters["sar_compression"])
+            history = messages.history_from_messages(frames)
+            way = _track_of(states, history.stamp_ns, history.stamp_of_last_pulse_ns)
+            slc = compressor.add(history, way, sensor, parameters["sar_compression"])
             if slc is None:
                 continue
             fields = [heights(slc, sensor, estimators[name], parameters[name]) for name in estimators]
@@ -80,3 +83,14 @@ def core_rate_hz(
         if spent_s > TEST_S:
             break
     return processors * dwells / spent_s if dwells else math.inf
+
+
+def _track_of(states: list[PlatformState], begin_ns: int, end_ns: int) -> Trajectory:
+    """The odometry around a dwell: passes have turns between them, of which it tells nothing.
+
+    Raises:
+        UserError: there is none, or it contradicts itself.
+    """
+    stamps = [state.stamp_ns for state in states]
+    first = max(0, bisect.bisect_right(stamps, begin_ns) - 1)
+    return Trajectory(states[first : bisect.bisect_left(stamps, end_ns) + 1])

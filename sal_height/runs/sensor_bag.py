@@ -6,7 +6,7 @@ import dataclasses
 import json
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -55,16 +55,20 @@ class Feed:
     simulation: Forked | None = None
 
     @classmethod
-    def of_bag(cls, bag: Path) -> Self:
+    def of_bag(cls, bag: Path, estimators: Collection[str] = ()) -> Self:
         """What a bag says of its sensor.
 
+        Args:
+            bag: folder or file.
+            estimators: names of those that make heights; none: those whose heights the bag holds, or the standard ones.
+
         Raises:
-            UserError: it has no phase history or no sensor info, or one of its estimators does not suit the sensor.
+            UserError: it has no phase history or no sensor info, or an estimator does not suit the sensor.
         """
         reader = BagReader(bag)
         sensor, _ = contents(reader)
         made = [name for name in HEIGHTS.values() if f"/{name}/height" in reader.topics and name != HEIGHTS[TRACKER]]
-        return cls(bag, sensor, suited(sensor, made), recorded_parameters(reader), reader.custom_data)
+        return cls(bag, sensor, suited(sensor, estimators or made), recorded_parameters(reader), reader.custom_data)
 
     @classmethod
     def simulated(cls, preset: Preset, seed: int, folder: Path) -> Self:
@@ -83,7 +87,7 @@ class Feed:
         simulation = beside(simulate, "simulation")
         custom_data = _custom_data(flight)
         values = json.loads(custom_data[PARAMETERS])
-        return cls(folder, flight.sensor, suited(flight.sensor), values, custom_data, simulation)
+        return cls(folder, flight.sensor, suited(flight.sensor, preset.estimators), values, custom_data, simulation)
 
     def playlist(self) -> Playlist:
         """The dwells of the bag, once it is complete.

@@ -2,12 +2,16 @@
 
 Errors of velocity and attitude are Gauss-Markov processes of first order, as the residuals of an inertial navigation
 that satellites aid are commonly modelled (Farrell, Aided Navigation, chapter 4); position follows velocity.
+
+A grade gives the rms errors that the maker of such a navigation states for it: Applanix Corporation, POS AV
+Specifications, absolute accuracy, post-processed, of the models 310 (tactical), 510 (navigation) and 610 (survey).
+docs/presets.md says what is not known of them.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -26,28 +30,70 @@ SPAN = 100.0
 
 Arm = Annotated[Float, Ge(-10), Le(10)]
 
+DEGREE = np.pi / 180
+GRADES = {
+    "tactical": {"velocity_mps": 0.01, "attitude_rad": 0.013 * DEGREE, "heading_rad": 0.035 * DEGREE},
+    "navigation": {"velocity_mps": 0.005, "attitude_rad": 0.005 * DEGREE, "heading_rad": 0.008 * DEGREE},
+    "survey": {"velocity_mps": 0.005, "attitude_rad": 0.0025 * DEGREE, "heading_rad": 0.005 * DEGREE},
+}
+"""Rms errors of each grade."""
+
+GRADED_POSITION_M = 0.1
+"""Rms error of position of every grade: satellites decide it, and all models state 0.05 to 0.3 m."""
+
+BY_GRADE = float("nan")
+"""Stands for a number that is not given, while errors are made; none is left in them."""
+
+NO_ERRORS = {"position_m": 0.0, "velocity_mps": 0.0, "attitude_rad": 0.0}
+
 
 @dataclass(frozen=True)
 class OdometryErrors(StrictKeys):
     """How odometry and mounting err; by default in nothing.
 
     Attributes:
+        grade: gives those of the next four numbers that are not given; none: they are 0, and the heading errs as the
+            attitude does.
         position_m: rms of an error of each coordinate that stays the same in a flight.
         velocity_mps: rms of the error of each component of velocity.
-        attitude_rad: rms of the error about each axis of map.
+        attitude_rad: rms of the error about the two level axes of map.
+        heading_rad: rms of the error about the vertical.
         correlation_s: correlation time of errors of velocity and attitude.
         delay_s: by which odometry is stamped too late.
         undescribed_lever_arm_m: from where the antenna is described to be to where it is, in axes of base_link.
         undescribed_boresight_rad: turn of the sensor from how it is described, about its own x, y and z.
     """
 
-    position_m: Annotated[Float, Ge(0), Le(1000)] = 0.0
-    velocity_mps: Annotated[Float, Ge(0), Le(10)] = 0.0
-    attitude_rad: Annotated[Float, Ge(0), Le(0.1)] = 0.0
+    position_m: Annotated[Float, Ge(0), Le(1000)] = BY_GRADE
+    velocity_mps: Annotated[Float, Ge(0), Le(10)] = BY_GRADE
+    attitude_rad: Annotated[Float, Ge(0), Le(0.1)] = BY_GRADE
+    heading_rad: Annotated[Float, Ge(0), Le(0.1)] = BY_GRADE
     correlation_s: Annotated[Float, Gt(0), Le(1e6)] = 100.0
     delay_s: Annotated[Float, Ge(-1), Le(1)] = 0.0
     undescribed_lever_arm_m: tuple[Arm, Arm, Arm] = (0.0, 0.0, 0.0)
     undescribed_boresight_rad: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
+    grade: Literal["tactical", "navigation", "survey"] | None = None
+
+    def __post_init__(self) -> None:
+        """Fill in what is not given."""
+        graded = {"position_m": GRADED_POSITION_M, **GRADES[self.grade]} if self.grade else NO_ERRORS
+        for name, value in graded.items():
+            self._fill(name, value)
+        self._fill("heading_rad", self.attitude_rad)
+
+    def _fill(self, name: str, value: float) -> None:
+        if np.isnan(getattr(self, name)):
+            object.__setattr__(self, name, value)
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether the pose and the velocity that odometry states err."""
+        return bool(self.position_m or self.velocity_mps or self.turn_rad.any())
+
+    @property
+    def turn_rad(self) -> F64:
+        """Rms of the error about each axis of map, rad, shape (3,)."""
+        return np.array([self.attitude_rad, self.attitude_rad, self.heading_rad])
 
     @property
     def delay_ns(self) -> int:
@@ -65,8 +111,8 @@ class OdometryErrors(StrictKeys):
     def drawn(self, rng: np.random.Generator) -> PoseErrors:
         """The errors of a flight."""
         place = self.position_m * rng.standard_normal(3)
-        motion, turns = (_gauss_markov(rms, self.correlation_s, rng) for rms in (self.velocity_mps, self.attitude_rad))
-        return PoseErrors(self, place, motion, turns)
+        motion = _gauss_markov(np.full(3, self.velocity_mps), self.correlation_s, rng)
+        return PoseErrors(self, place, motion, _gauss_markov(self.turn_rad, self.correlation_s, rng))
 
 
 EXACT = OdometryErrors()
@@ -90,7 +136,7 @@ class PoseErrors:
 
     def added_to(self, true: PlatformState, seconds: float) -> PlatformState:
         """The state that odometry tells instead of the true one at a time, with its covariance."""
-        if not (self.of.position_m or self.of.velocity_mps or self.of.attitude_rad):
+        if not self.of.is_wrong:
             return true
         attitude = self.rotation(seconds) * Rotation.from_quat(true.orientation)
         return replace(
@@ -123,16 +169,15 @@ class PoseErrors:
         errors = self.of
         x = abs(seconds) / errors.correlation_s
         moved = 2 * (errors.velocity_mps * errors.correlation_s) ** 2 * (x + np.expm1(-x))
-        return np.diag([errors.position_m**2 + moved] * 3 + [errors.attitude_rad**2] * 3)
+        return np.diag([errors.position_m**2 + moved] * 3 + [*errors.turn_rad**2])
 
 
-def _gauss_markov(rms: float, correlation_s: float, rng: np.random.Generator) -> Harmonics:
-    """Three processes whose autocorrelation is rms^2 exp(-|t| / T): spectrum 2 T / pi / (1 + (omega T)^2)."""
+def _gauss_markov(rms: F64, correlation_s: float, rng: np.random.Generator) -> Harmonics:
+    """Three processes whose autocorrelations are rms^2 exp(-|t| / T): spectrum 2 T / pi / (1 + (omega T)^2)."""
     edges = np.geomspace(1 / (SPAN * correlation_s), SPAN / correlation_s, HARMONICS + 1)
     power = np.diff(np.arctan(edges * correlation_s))
-    amplitude = rms * np.sqrt(2 * power / power.sum())
     return Harmonics(
         omega=np.sqrt(edges[1:] * edges[:-1]),
-        amplitude=np.repeat(amplitude[:, None], 3, axis=1),
+        amplitude=np.sqrt(2 * power / power.sum())[:, None] * rms,
         phase=rng.uniform(0, 2 * np.pi, (HARMONICS, 3)),
     )

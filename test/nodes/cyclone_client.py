@@ -30,6 +30,14 @@ MSG_DEFS = Path(__file__).parents[2] / "msg_defs" / "msg"
 TIMEOUT_S = 25.0
 """Longest wait for one thing, less than that of the test for the whole program, so that it is said for what."""
 
+ACCOUNTS = 4
+"""Of ml_height, one every half second, that come between the first heights and the next: a second passes at least.
+
+Fast DDS sends a heartbeat when it finds a reader. Cyclone has mostly not found the writer by then, and hears only the
+next one, 0.2 s after the first message. What has not arrived completely when that comes, Cyclone takes for older than
+its reader, and never asks for it.
+"""
+
 LOOPBACK = """<CycloneDDS><Domain>
 <General><Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces></General>
 <Discovery>
@@ -118,9 +126,13 @@ class Client:
 
     def says(self, node: str, key: str) -> int:
         """The number of that name in the last message of a node on /diagnostics; 0: there is none."""
+        return [0, *self.said(node, key)][-1]
+
+    def said(self, node: str, key: str) -> list[int]:
+        """The numbers of that name in all messages of a node on /diagnostics, the oldest first."""
         statuses = [status for message in self.inbox["/diagnostics"] for status in message.status]
-        values = [item.value for status in statuses if status.name == node for item in status.values if item.key == key]
-        return int(values[-1]) if values else 0
+        items = [item for status in statuses if status.name == node for item in status.values]
+        return [int(item.value) for item in items if item.key == key]
 
     def _topic(self, topic: str, type_name: str) -> Topic[Any]:
         return Topic(self._participant, f"rt{topic}", self._types[type_name])
@@ -160,17 +172,17 @@ def main() -> None:
         heard = client.says("ml_height", "subscribers./ml/height")
         return bool(heard and client.says("ml_height", "ready") and client.says("sar_compression", "ready"))
 
+    def is_in_step() -> bool:
+        return client.said("ml_height", "published./ml/height").count(1) >= ACCOUNTS
+
     # Nodes are ready once they know the sensor, and a publisher of everything else.
     write("/sensor_info")
     client.wait(is_ready, "the nodes to be ready")
     write("/platform/odometry")
-    dwells = sorted({message.dwell for topic, message in recorded if topic == "/phase_history"})
-    for number, dwell in enumerate(dwells, 1):
-        # Cyclone takes what is under way when the first heartbeat of a publisher comes for older than its reader: the
-        # next message waits until that has come, with one that the node says so in.
+    for dwell in sorted({message.dwell for topic, message in recorded if topic == "/phase_history"}):
         write("/phase_history", dwell)
         client.wait(lambda until=dwell: until in {image.dwell for image in client.inbox["/ml/height"]}, "heights")
-        client.wait(lambda count=number: client.says("ml_height", "published./ml/height") >= count, "an account")
+        client.wait(is_in_step, "accounts after the first heights")
     for image in client.inbox["/ml/height"]:
         (options.out / f"{image.dwell}.cdr").write_bytes(image.serialize(use_version_2=False))
 

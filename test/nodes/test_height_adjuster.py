@@ -23,6 +23,7 @@ from std_srvs.srv import Trigger
 from sal_height import messages
 from sal_height.adjustment import LEAST_POINTS, Window
 from sal_height.errors import UserError
+from sal_height.geometry import sphere_coordinates
 from sal_height.nodes.domain import free_domain
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.height_adjuster import HeightAdjuster
@@ -190,6 +191,27 @@ def test_known_ground_places_heights(graph: Graph, flown: FlownHeights, tmp_path
     with pytest.raises(UserError) as refused:
         HeightAdjuster(context=graph.context, parameter_overrides=[Parameter("terrain", value="ground.txt")])
     assert_one_sentence(str(refused.value), "ground.txt", "allowed are .tif, .tiff and .npz")
+
+
+def test_a_known_target_moves_heights_to_where_it_is(graph: Graph, flown: FlownHeights, tmp_path: Path) -> None:
+    """A point that outshines all others, and is known to be 10 cm higher: its dwell rises by that, within 4 cm."""
+    image = copy.deepcopy(flown.images[0])
+    usable = np.flatnonzero(np.array(image.validity) == HeightImage.OK)
+    first, bright = image.surfaces[0], int(usable[usable.size // 2])
+    first.cnr_db[bright] = 70.0
+    field = fields_of([image])[0]
+    east, north, height = (one.flat[bright] for one in sphere_coordinates(field.first.positions))
+    targets = tmp_path / "targets.csv"
+    targets.write_text(f"east_m,north_m,height_m\n{east},{north},{height + 0.1}\n", encoding="utf-8")
+    adjusting = Adjusting(graph, flown.sensor_info, targets=str(targets))
+    moved = fields_of([adjusting.feed(image, flown.odometry[0])])[0]
+    assert np.nanmedian(moved.first.height - field.first.height) == pytest.approx(0.1, abs=0.04)
+
+
+def test_a_file_of_targets_that_cannot_be_read_is_refused(graph: Graph) -> None:
+    with pytest.raises(UserError) as refused:
+        HeightAdjuster(context=graph.context, parameter_overrides=[Parameter("targets", value="none.csv")])
+    assert_one_sentence(str(refused.value), "Cannot read none.csv with targets")
 
 
 def stripmap(sensor: Sensor) -> SensorInfo:

@@ -112,7 +112,9 @@ def test_what_is_not_there_is_said_and_the_result_is_without_it(
     ground = tmp_path / "elsewhere.npz"
     np.savez(ground, elevation=np.full((10, 10), 500.0), dx=1.0, dy=1.0)
     out = tmp_path / "out"
-    options = ["--terrain", str(ground), "--target", "-2000,3,1", "--target", "900,3,1"]
+    targets = tmp_path / "targets.csv"
+    targets.write_text("east_m,north_m,height_m\n900,3,1\n", encoding="utf-8")
+    options = ["--terrain", str(ground), "--target", "-2000,3,1", "--targets", str(targets)]
     assert main(["adjust", str(flight), "--out", str(out), *KNOWN, *options]) == 0
     said = capsys.readouterr().err
     assert "None of the 2 targets was seen" in said
@@ -144,6 +146,7 @@ def test_passes_that_do_not_overlap_are_said(tmp_path: Path, capsys: pytest.Capt
         ([str(BAGS / "sal_spotlight"), "--set", "boresight=1"], "boresight"),
         ([str(BAGS / "sal_spotlight"), "--set", "correlation_s=0"], "correlation_s"),
         ([str(BAGS / "sal_spotlight"), "--terrain", "nowhere.tif"], "nowhere.tif"),
+        ([str(BAGS / "sal_spotlight"), "--targets", "nowhere.csv"], "Cannot read nowhere.csv with targets"),
         ([str(BAGS / "sal_spotlight"), "--estimator", "none"], "none"),
         (["nowhere"], "nowhere"),
     ],

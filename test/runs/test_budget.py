@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,8 +13,9 @@ from scipy.constants import speed_of_light
 
 from sal_height.commands import main
 from sal_height.errors import UserError
-from sal_height.runs.budget import Assumptions, Budget
+from sal_height.runs.budget import Assumptions, Budget, budget_table
 from sal_height.simulation import Preset, flight_of, load_preset, preset_names
+from sal_height.simulation.odometry_errors import OdometryErrors
 
 
 def numbers(preset: Preset, **assumed: float) -> dict[str, float]:
@@ -39,6 +41,19 @@ def test_air_that_is_not_known_is_left_out() -> None:
     preset = load_preset("sal_spotlight")
     high = replace(preset, flight=replace(preset.flight, slant_range_m=100e3))
     assert "air_range_m" not in numbers(high)
+
+
+def test_what_the_grade_of_a_navigation_does_is_in_the_budget() -> None:
+    """At 5 km, 45 degrees and 50 m/s, with 5 mm/s, 0.005 and 0.008 degrees."""
+    preset = load_preset("sal_spotlight")
+    assert "navigation_height_m" not in numbers(preset)
+    graded = replace(preset, impairments=replace(preset.impairments, odometry=OdometryErrors(grade="navigation")))
+    found = numbers(graded)
+    assert found["navigation_position_m"] == pytest.approx(0.1)
+    assert found["navigation_along_m"] == pytest.approx(0.5)
+    assert found["navigation_height_m"] == pytest.approx(5000 * 0.5**0.5 * 0.005 * math.pi / 180)
+    assert found["navigation_beams_m"] == pytest.approx(5000 * 0.5**0.5 * 0.008 * math.pi / 180)
+    assert "errors of the navigation, rms, navigation grade\n" in budget_table(Budget(graded, Assumptions()).entries())
 
 
 def test_power_and_cnr_are_two_views_of_one_link() -> None:

@@ -116,6 +116,7 @@ def test_topics_that_a_parameter_names_can_be_renamed(tmp_path: Path) -> None:
         (["--param", "ml_height.range_looks=2"], "Option --param is for"),
         (["--record", "slc"], "Option --record is for"),
         (["--seed", "0"], "Option --seed is for"),
+        (["--estimators", "ml,adjusted"], "Option --estimators is for"),
         (["--supervise", "--one-process"], "exclude each other"),
     ],
 )

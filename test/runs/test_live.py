@@ -20,6 +20,7 @@ from sal_height.runs.replay import replay
 from sal_height.runs.self_test import core_rate_hz
 from sal_height.runs.sensor_bag import Feed, record_sensor
 from sal_height.simulation import load_preset
+from sal_height.simulation.preset import Passes
 
 DWELLS = 3
 DEADLINE_S = 60.0
@@ -64,6 +65,25 @@ def test_heights_of_a_live_sensor_are_those_of_the_lockstep_run(sensor_bag: Path
     assert 0.05 < report["start_s"]["first height"] - report["start_s"]["ready"] < 3.0  # a dwell lasts .2 s
 
 
+def test_adjusted_heights_are_made_live_if_asked_for(sensor_bag: Path, tmp_path: Path) -> None:
+    """Of a bag, which holds none, and of a preset: one of every dwell, and the map is made of them."""
+
+    def end_once_both_are_seen(watched: Watched) -> None:
+        if min(len(values) for values in watched.latencies_s.values()) >= DWELLS:
+            raise KeyboardInterrupt
+
+    feed = Feed.of_bag(sensor_bag, ("ml", "adjusted"))
+    how = Live(rate=0.05, seconds=DEADLINE_S, budget_s=30.0)
+    watched = live(feed, tmp_path / "live", {}, how, Execution(), end_once_both_are_seen)
+    assert watched.elapsed_s < DEADLINE_S
+    assert list(watched.latencies_s) == ["ml/height", "adjusted/height", "tracked/height"]
+    assert not any(account.dropped for account in watched.accounts.values())
+    parameters = json.loads((tmp_path / "live" / "report.json").read_text())["parameters"]
+    assert parameters["relief_mapper"]["estimator"] == "adjusted"
+    asked = replace(load_preset("small"), dwells=1, estimators=("ml", "adjusted"))
+    assert Feed.simulated(asked, 1, tmp_path / "sensor").nodes == ["ml_height", "height_adjuster"]
+
+
 def test_at_overload_whole_dwells_are_left_out_and_the_others_come_in_time(sensor_bag: Path, tmp_path: Path) -> None:
     """A compression that takes more time than there is: every frame that came is accounted for."""
     slow = {"sar_compression": {"rows": 500, "cols": 60, "former": "backprojection"}}
@@ -81,6 +101,14 @@ def test_at_overload_whole_dwells_are_left_out_and_the_others_come_in_time(senso
     assert set(account.dropped) <= {"overload", "queue full", "buffer full"}
     assert account.received == account.count("processed") + sum(account.dropped.values()) + account.waiting
     assert account.count("processed") > 0
+
+
+def test_the_speed_of_passes_is_tested_too(tmp_path: Path) -> None:
+    """Between passes odometry tells nothing of the turn."""
+    preset = load_preset("small")
+    passes = replace(preset, dwells=4, flight=replace(preset.flight, passes=Passes(2, 60.0)))
+    feed = Feed.of_bag(record_sensor(passes, 1, tmp_path / "bag"))
+    assert 0.5 < core_rate_hz(feed.playlist(), feed.sensor, ["sar_compression", "ml_height"], feed.parameters, 1) < 1e4
 
 
 def test_a_machine_that_is_too_slow_is_said_to_be(sensor_bag: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -43,6 +43,13 @@ def test_every_value_has_a_source(tmp_path: Path) -> None:
     assert (found.cues, found.warnings) == ([], [])
 
 
+def test_numbers_without_a_point_are_numbers(tmp_path: Path) -> None:
+    """JSON writes 1e-05, which YAML takes for a text."""
+    custom = {"parameters": json.dumps({"sar_compression": {"odometry_delay_sigma_s": 1e-5}})}
+    found = processing(written(tmp_path / "bag", [frame(0)], custom))
+    assert found.values["sar_compression"] == {"odometry_delay_sigma_s": 1e-5}
+
+
 def test_without_custom_data_heights_and_nodes_say_it(tmp_path: Path) -> None:
     told_before = told("ml_height", min_cnr_db=17.0, range_looks=3)
     found = processing(written(tmp_path / "bag", [told_before, frame(0), heights(0, ml_height={"range_looks": 4})]))

@@ -54,6 +54,51 @@ def test_errors_are_as_large_as_they_are_stated_at_any_time() -> None:
         assert velocity == pytest.approx(0.01, rel=0.075)
 
 
+SHEET = {"tactical": (0.01, 0.013, 0.035), "navigation": (0.005, 0.005, 0.008), "survey": (0.005, 0.0025, 0.005)}
+"""Rms of velocity (m/s), of roll and pitch, and of heading (degrees) that the maker states of each grade."""
+
+
+@pytest.mark.parametrize("grade", SHEET)
+def test_a_grade_errs_as_its_maker_states_and_says_so(grade: str) -> None:
+    """Over 400 flights: rms within 3.5 of its standard errors, 1 / sqrt(2 n) of n numbers."""
+    velocity, attitude, heading = SHEET[grade][0], *np.radians(SHEET[grade][1:])
+    true = flight_of(TRUE, seed=2).platform_states(0)[0]
+    errors, seconds, t = OdometryErrors(grade=grade), 60.0, 100.0  # type: ignore[arg-type]
+    states = [errors.drawn(np.random.default_rng(seed)).added_to(true, seconds) for seed in range(SEEDS)]
+    back = Rotation.from_quat(true.orientation).inv()
+    turns = np.array([(Rotation.from_quat(state.orientation) * back).as_rotvec() for state in states])
+    moved = 2 * (velocity * t) ** 2 * (seconds / t - 1 + np.exp(-seconds / t))
+    stated = np.sqrt(0.1**2 + moved), velocity, attitude, heading
+    drawn = (
+        np.array([state.position - true.position for state in states]),
+        np.array([state.velocity - true.velocity for state in states]),
+        turns[:, :2],
+        turns[:, 2],
+    )
+    for told, found in zip(stated, drawn, strict=True):
+        assert np.sqrt(np.mean(found**2)) == pytest.approx(told, rel=3.5 / np.sqrt(2 * found.size))
+    np.testing.assert_allclose(np.sqrt(np.diag(states[0].covariance)), [stated[0]] * 3 + [attitude, attitude, heading])
+    np.testing.assert_allclose(states[0].velocity_covariance, velocity**2 * np.eye(3))
+
+
+def test_numbers_beside_a_grade_override_it_and_others_stay() -> None:
+    errors = OdometryErrors(grade="survey", velocity_mps=0.0, attitude_rad=1e-3)
+    assert (errors.velocity_mps, errors.attitude_rad) == (0.0, 1e-3)
+    assert (errors.position_m, errors.heading_rad) == pytest.approx((0.1, np.radians(0.005)))
+    assert OdometryErrors(attitude_rad=1e-4).heading_rad == 1e-4
+    assert not OdometryErrors().is_wrong
+
+
+def test_a_preset_names_a_grade_and_another_name_is_refused() -> None:
+    content = yaml.safe_load((SHIPPED / "small.yaml").read_text(encoding="utf-8"))
+    content["impairments"] = {"odometry": {"grade": "navigation", "position_m": 0.3}}
+    errors = parse_preset(content, "mine").impairments.odometry
+    assert errors == OdometryErrors(grade="navigation", position_m=0.3)
+    content["impairments"] = {"odometry": {"grade": "marine"}}
+    with pytest.raises(UserError, match=r"grade is 'marine'; it must be 'tactical', 'navigation' or 'survey'"):
+        parse_preset(content, "mine")
+
+
 def test_velocity_is_the_change_of_position_and_forgets_in_its_correlation_time() -> None:
     errors = OdometryErrors(velocity_mps=0.01, correlation_s=5.0)
     drawn = [errors.drawn(np.random.default_rng(seed)) for seed in range(SEEDS)]

@@ -14,25 +14,31 @@ of the power P. Bins k and l have the covariance
     C = 1 + P g_k g_l exp(-2 (pi w (f_k - f_l))^2)
 
 with the beam's amplitudes g and background 1. A single point is w = 0, whose spectrum is the beam's amplitude; speckle
-is a wide cloud, each bin by itself. Beyond its main lobe a beam is not known well: there each bin is by itself. The
-likelihood of beta is the greatest over P and w: what two scatterers of a cell do to their spectrum by interference is
-counted, and not taken for motion.
+is a wide cloud, each bin by itself. Beyond its main lobe a beam is not known well: there each bin is by itself, or the
+antenna sees nothing. The likelihood of beta is the greatest over P, w and these two: what two scatterers of a cell do
+to their spectrum by interference is counted, and not taken for motion.
+
+For a lag and a width the modes of C are the same whatever P is, and for all targets whose beam is the same. They and
+the weights that they have for each P are computed once; a spectrum then costs two small products of matrices.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
-from sal_height.numeric import C128, F64, Bool
+from sal_height.numeric import C128, F32, F64, Bool
 
 WIDTHS = np.array([0.0, 0.15, 0.3, 0.6, 1.2, 2.4, 4.8, 9.6, 1e3])
 """Rms widths of the clouds in resolution cells; the widest leaves no two bins alike."""
 
-POWERS = 10 ** (np.arange(-10, 21, 2) / 10)
-"""Powers of the clouds, over the mean power of the bins."""
+POWERS = 10 ** (np.arange(-10, 41, 2) / 10)
+"""Powers of the clouds, over the background."""
+
+HELD = 16
+"""Likelihoods that are kept for the next images, 10 MB each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +46,7 @@ class LagLikelihood:
     """Likelihoods of some lags, for targets at one elevation.
 
     Attributes:
-        frequencies: of the bins in cycles per resolution cell, from -1/2 to 1/2, shape (bins,).
+        frequencies: of the bins in cycles per resolution cell, shape (bins,); only their differences count.
         gains: amplitude of the beam in each bin for each lag, shape (lags, bins).
         known: whether that is in the main lobe, same shape.
     """
@@ -49,23 +55,63 @@ class LagLikelihood:
     gains: F64
     known: Bool
 
+    @staticmethod
+    def held(frequencies: F64, gains: F64, known: Bool) -> LagLikelihood:
+        """That of these arguments, made once for all images that have the very same ones."""
+        return _held(frequencies.tobytes(), gains.tobytes(), known.tobytes(), len(gains))
+
     @cached_property
-    def _modes(self) -> tuple[F64, F64]:
-        """Powers of the independent parts of clouds of power 1, shape (lags, widths, bins), and these parts."""
+    def _cases(self) -> tuple[F64, Bool]:
+        """Gains of each lag, then of those lags whose beam has sidelobes, once more without them; where they are known.
+
+        The lags of the latter are those that have an unknown bin, in their order.
+        """
+        beside = ~np.all(self.known, axis=-1)
+        gains = np.concatenate([self.gains, np.where(self.known, self.gains, 0.0)[beside]])
+        return gains, np.concatenate([self.known, self.known[beside]])
+
+    @cached_property
+    def _modes(self) -> tuple[F32, F32, F32]:
+        """What spectra are multiplied by.
+
+        Returns:
+            The modes of each case and width, shape (cases, widths, modes, bins); one over the power that each has with
+            the background for each power of the cloud, shape (cases, widths, powers, modes); and the sum over the modes
+            of the logarithm of that power, shape (cases, widths, powers).
+        """
+        gains, known = self._cases
         apart = self.frequencies[:, None] - self.frequencies
-        together = (self.known[:, None, :, None] & self.known[:, None, None, :]) | (apart == 0)
+        together = (known[:, None, :, None] & known[:, None, None, :]) | (apart == 0)
         alike = np.where(together, np.exp(-2 * (np.pi * WIDTHS[:, None, None] * apart) ** 2), 0.0)
-        powers, parts = np.linalg.eigh(self.gains[:, None, :, None] * alike * self.gains[:, None, None, :])
-        return np.maximum(powers, 0.0), np.swapaxes(parts, -1, -2)
+        powers, modes = np.linalg.eigh(gains[:, None, :, None] * alike * gains[:, None, None, :])
+        with_background = 1 + POWERS[:, None] * np.maximum(powers, 0.0)[:, :, None, :]
+        volumes = np.sum(np.log(with_background), axis=-1)
+        as_rows = np.ascontiguousarray(np.swapaxes(modes, -1, -2))
+        return as_rows.astype(np.float32), (1 / with_background).astype(np.float32), volumes.astype(np.float32)
 
     def of(self, spectra: C128) -> F64:
-        """Logarithm of the likelihood of each lag, shape (lags,).
+        """Logarithm of the likelihood of each lag, shape (targets, lags).
 
         Args:
-            spectra: of one target about its centre, background 1, for each lag, shape (lags, bins).
+            spectra: of targets about their centres, background 1, for each lag, shape (targets, lags, bins).
         """
-        powers, parts = self._modes
-        seen = np.abs((parts @ spectra[:, None, :, None])[..., 0]) ** 2
-        cloud = np.mean(np.abs(spectra) ** 2, axis=-1)[:, None, None] * powers
-        misfits = [np.sum(np.log1p(power * cloud) + seen / (1 + power * cloud), axis=-1) for power in POWERS]
-        return -np.min(misfits, axis=(0, 2))
+        modes, weights, volumes = self._modes
+        beside = ~np.all(self.known, axis=-1)
+        both = np.concatenate([spectra.real, spectra.imag]).astype(np.float32)
+        columns = np.moveaxis(np.concatenate([both, both[:, beside]], axis=1), 0, -1)
+        amplitudes = modes @ columns[:, None]
+        count = len(spectra)
+        seen = amplitudes[..., :count] ** 2 + amplitudes[..., count:] ** 2
+        misfits = np.min(weights @ seen + volumes[..., None], axis=(1, 2)).T.astype(np.float64)
+        told, without = -misfits[:, : len(self.gains)], -misfits[:, len(self.gains) :]
+        told[:, beside] = np.maximum(told[:, beside], without)
+        return told
+
+
+@lru_cache(maxsize=HELD)
+def _held(frequencies: bytes, gains: bytes, known: bytes, lags: int) -> LagLikelihood:
+    return LagLikelihood(
+        np.frombuffer(frequencies),
+        np.frombuffer(gains).reshape(lags, -1),
+        np.frombuffer(known, dtype=np.bool_).reshape(lags, -1),
+    )

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
+import numpy.typing as npt
 
 from sal_height.beams import Beams
 from sal_height.geometry import aperture_at
@@ -15,6 +16,9 @@ from sal_height.sensor import Sensor, processed_angle
 
 LEAST_WEIGHT = 0.35
 """Weight of the azimuth window, over its greatest, from which a bin is used."""
+
+SPACING_STEP = 0.005
+"""Between the spacings of nominal bins, over the spacing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,14 +30,14 @@ class Bins:
         numbers: of the bins in the order of `numpy.fft.fft`, increasing with the aspect, shape (bins,).
         aspects: under which the antenna saw what stands still and is in these bins, as a squint, rad, same shape.
         weights: of the azimuth window, rms 1, same shape.
-        frequencies: in cycles per resolution cell, from -1/2 to 1/2, same shape.
+        angle: that is processed, rad.
     """
 
     pixels: int
     numbers: Index
     aspects: F64
     weights: F64
-    frequencies: F64
+    angle: float
 
     @classmethod
     def of(cls, slc: Slc, sensor: Sensor, pixels: int) -> Self:
@@ -53,7 +57,23 @@ class Bins:
         used = np.flatnonzero((weights > LEAST_WEIGHT * weights.max()) & (np.abs(off) <= angle / 2))
         used = used[np.argsort(off[used])]
         weights = weights[used] / np.sqrt(np.mean(weights[used] ** 2))
-        return cls(pixels, used, off[used], weights, off[used] / angle)
+        return cls(pixels, used, off[used], weights, angle)
+
+    @property
+    def frequencies(self) -> F64:
+        """In cycles per resolution cell, from -1/2 to 1/2, shape (bins,)."""
+        return self.aspects / self.angle
+
+    @property
+    def middle(self) -> int:
+        """Number of the bin whose aspect is nearest to 0."""
+        return int(np.abs(self.aspects).argmin())
+
+    def nominal(self) -> Self:
+        """Bins as many, of the nearest of some spacings, with the aspect 0 in the middle one."""
+        spacing = (self.aspects[-1] - self.aspects[0]) / (len(self.aspects) - 1)
+        rounded = self.angle * np.exp(SPACING_STEP * np.rint(np.log(spacing / self.angle) / SPACING_STEP))
+        return replace(self, aspects=rounded * (np.arange(len(self.aspects)) - self.middle))
 
     def spectra(self, pixels: C64 | C128) -> C128:
         """Spectra of pixels about the middle one without the window; noise has in each bin the power that pixels have.
@@ -67,6 +87,9 @@ class Bins:
         turned = np.fft.fft(np.fft.ifftshift(pixels, axes=-1), axis=-1)[..., self.numbers]
         return np.asarray(turned * np.sqrt(len(self.numbers)) / (self.weights * self.pixels))
 
-    def amplitudes(self, beams: Beams, elevation: float, lags: F64) -> C128:
-        """Of all channels for a target with each of the lags (rad), shape (lags, bins, channels)."""
+    def amplitudes(self, beams: Beams, elevation: npt.ArrayLike, lags: F64) -> C128:
+        """Of all channels for a target with each of the lags (rad), shape (..., lags, bins, channels).
+
+        The elevation (rad) is a number, or an array that broadcasts with (..., lags, bins).
+        """
         return np.asarray(beams.response(elevation, self.aspects + lags[:, None]))

@@ -13,6 +13,8 @@ from sal_height.geometry import PlatformState, Trajectory
 from sal_height.imaging import ImageSettings, Slc
 from sal_height.movers import Looked, Mover, MoverSettings, find_movers
 from sal_height.movers.detection import _without_ambiguities
+from sal_height.movers.likelihood import _held
+from sal_height.movers.search import Search
 from sal_height.movers.spectrum import Bins
 from sal_height.pipeline import Compressor, movers
 from sal_height.simulation.flight import SimulatedFlight, flight_of
@@ -130,6 +132,48 @@ def test_what_lies_beyond_the_outer_beams_has_no_height_and_is_not_told() -> Non
         assert sum(one.candidates for one in found) > 0
 
 
+def test_up_to_half_a_pitch_beyond_the_outer_beams_a_mover_is_found() -> None:
+    """It lies 1.48 m from the middle of the beams, the outer boresight 1.36 m, and half a pitch beyond is 1.55 m."""
+    beyond = PointScatterer(EAST + 0.5, -1.0, 1.1, 1e3, radial_velocity=5e-3)
+    flight, images = strip(0, beyond)
+    seen = [movers(slc, flight.sensor, MoverSettings(false_alarm_rate=1e-2)) for slc in images]
+    (one,) = [one for each in seen for one in each.movers]
+    assert abs(one.height - beyond.height) < 4 * one.sigma
+    assert one.sigma < 0.1
+
+
+def crabbed(slc: Slc, angle: float) -> Slc:
+    """The image of a body that is turned by so much (rad) against the flight."""
+    turn = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
+    return replace(slc, aperture=replace(slc.aperture, rotation=turn @ slc.aperture.rotation))
+
+
+def test_what_does_not_depend_on_the_image_is_computed_once() -> None:
+    """Bodies that are turned by parts of a bin against the flight have different aspects, and the same likelihoods."""
+    flight, (slc, *_) = strip(1)
+    held: list[int] = []
+    for angle in (0.0, 1e-6, -1e-6):
+        before = _held.cache_info().misses
+        movers(crabbed(slc, angle), flight.sensor, MoverSettings())
+        held.append(_held.cache_info().misses - before)
+    assert held[1:] == [0, 0]
+    assert not np.array_equal(
+        Bins.of(slc, flight.sensor, 32).aspects, Bins.of(crabbed(slc, 1e-6), flight.sensor, 32).aspects
+    )
+
+
+def test_the_beam_sees_the_bins_of_all_images_under_the_same_angles() -> None:
+    """Lags make up for aspects; spacings are rounded to 0.25 %, a thousandth of a beam over 11 bins."""
+    flight, (slc, *_) = strip(1)
+    width = flight.sensor.beams.track_beamwidth
+    turned = crabbed(slc, 1.5e-6)
+    bins = Bins.of(turned, flight.sensor, 32)
+    search = Search(turned.images, flight.sensor.beams, bins)
+    assert abs(bins.aspects[bins.middle]) > 0.005 * width
+    angles = search._nominal.aspects + search._lags[:, None]
+    np.testing.assert_allclose(bins.aspects + search.lags[:, None], angles, atol=1.1e-3 * width)
+
+
 def test_pixels_without_data_do_no_harm() -> None:
     """Two rows behind the mover and all beyond are not there."""
     flight, images = strip(0, mover(5e-3, 30.0, EAST + 0.5))
@@ -171,14 +215,11 @@ def test_a_body_that_does_not_fly_straight_ahead_has_its_beam_abeam_of_it() -> N
     """A crab angle of 10 mrad, 64 beamwidths: bins are those around it, and their aspects in the body are the same."""
     flight, (slc, *_) = strip(1)
     straight = Bins.of(slc, flight.sensor, 32)
-    turn = Rotation.from_rotvec([0.0, 0.0, 0.01]).as_matrix()
-    crabbed = Bins.of(
-        replace(slc, aperture=replace(slc.aperture, rotation=turn @ slc.aperture.rotation)), flight.sensor, 32
-    )
+    turned = Bins.of(crabbed(slc, 0.01), flight.sensor, 32)
     width = flight.sensor.beams.track_beamwidth
-    assert abs(len(crabbed.numbers) - len(straight.numbers)) <= 1
-    assert np.all(np.abs(crabbed.aspects) < 0.5 * width)
-    assert np.all(np.diff(crabbed.aspects) > 0)
+    assert abs(len(turned.numbers) - len(straight.numbers)) <= 1
+    assert np.all(np.abs(turned.aspects) < 0.5 * width)
+    assert np.all(np.diff(turned.aspects) > 0)
 
 
 def test_what_cannot_be_used_is_refused() -> None:

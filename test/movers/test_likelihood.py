@@ -43,12 +43,12 @@ def spectrum(target: Callable[[np.random.Generator], Complex], lag: float, snr: 
     rng = np.random.default_rng([91, seed])
     clean = target(rng) * np.sinc(FREQUENCIES + lag)
     noisy = clean * np.sqrt(snr / np.mean(np.abs(clean) ** 2)) + circular(rng, BINS)
-    return np.broadcast_to(noisy, (len(LAGS), BINS))
+    return np.broadcast_to(noisy, (1, len(LAGS), BINS))
 
 
 def ratio(target: Callable[[np.random.Generator], Complex], lag: float, snr: float, seed: int) -> tuple[float, float]:
     """Twice the logarithm of the likelihood ratio against what stands still, and the most likely lag."""
-    told = LIKELIHOOD.of(spectrum(target, lag, snr, seed))
+    (told,) = LIKELIHOOD.of(spectrum(target, lag, snr, seed))
     return float(2 * (told.max() - told[STILL])), float(LAGS[told.argmax()])
 
 
@@ -70,19 +70,28 @@ def test_the_lag_is_found(target: Callable[[np.random.Generator], Complex], lag:
     assert abs(np.mean(found) - lag) < error
 
 
-def test_it_is_the_likelihood_of_a_gaussian_cloud() -> None:
-    """At one lag, width and power, against the density written out."""
-    spectra = spectrum(speckle, 0.2, 10.0, 1)
-    gains = np.sinc(FREQUENCIES + 0.2)
+@pytest.mark.parametrize("lag", [0.2, 0.9])
+def test_it_is_the_likelihood_of_a_gaussian_cloud(lag: float) -> None:
+    """At one lag, over widths and powers, against the density written out; with sidelobes and without."""
+    spectra = spectrum(speckle, lag, 10.0, 1)
+    number = int(np.argmin(np.abs(LAGS - lag)))
+    known = np.abs(FREQUENCIES + LAGS[number]) < 1
+    assert np.all(known) == (lag == 0.2)
     apart = FREQUENCIES[:, None] - FREQUENCIES
+    together = (known[:, None] & known) | (apart == 0)
     best = -np.inf
-    for width in (0.0, 0.15, 0.3, 0.6, 1.2, 2.4, 4.8, 9.6, 1e3):
-        alike = np.exp(-2 * (np.pi * width * apart) ** 2)
-        for decibels in range(-10, 21, 2):
-            power = np.mean(np.abs(spectra[0]) ** 2) * 10 ** (decibels / 10)
-            covariance = np.eye(BINS) + power * gains[:, None] * alike * gains
-            _, log_det = np.linalg.slogdet(covariance)
-            misfit = np.real(spectra[0].conj() @ np.linalg.solve(covariance, spectra[0]))
-            best = max(best, -log_det - misfit)
-    number = int(np.argmin(np.abs(LAGS - 0.2)))
-    assert LIKELIHOOD.of(spectra)[number] == pytest.approx(best, rel=1e-9)
+    for gains in (np.sinc(FREQUENCIES + LAGS[number]), np.where(known, np.sinc(FREQUENCIES + LAGS[number]), 0.0)):
+        for width in (0.0, 0.15, 0.3, 0.6, 1.2, 2.4, 4.8, 9.6, 1e3):
+            alike = together * np.exp(-2 * (np.pi * width * apart) ** 2)
+            for decibels in range(-10, 41, 2):
+                covariance = np.eye(BINS) + 10 ** (decibels / 10) * gains[:, None] * alike * gains
+                _, log_det = np.linalg.slogdet(covariance)
+                misfit = np.real(spectra[0, 0].conj() @ np.linalg.solve(covariance, spectra[0, 0]))
+                best = max(best, -log_det - misfit)
+    assert LIKELIHOOD.of(spectra)[0, number] == pytest.approx(best, rel=1e-5)
+
+
+def test_many_targets_have_the_likelihoods_that_each_has_alone() -> None:
+    many = np.concatenate([spectrum(speckle, 0.2, 10.0, seed) for seed in range(3)])
+    alone = [LIKELIHOOD.of(one[None])[0] for one in many]
+    np.testing.assert_allclose(LIKELIHOOD.of(many), alone, rtol=1e-5)

@@ -1,0 +1,65 @@
+"""Where in the beam the ground is seen: zero for movers, if odometry does not know exactly where the beam looks."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import nnls
+from scipy.special import logsumexp
+
+from sal_height.beams import Beams
+from sal_height.geometry import aperture_at
+from sal_height.imaging import NavigationPrior, Slc, line_of_sight
+from sal_height.movers.spectrum import Bins
+from sal_height.numeric import C64, C128, F64
+from sal_height.sensor import Sensor
+
+MEDIAN_ERROR = 1.25
+"""Standard error of a median over that of a mean."""
+
+
+def ground_lag(images: C64 | C128, beams: Beams, bins: Bins, lags: F64, prior: float) -> tuple[float, float]:
+    """Lag of what stands still, rad, and its standard deviation: the mean over what spectra and odometry leave likely.
+
+    The spectra are the median over rows, each over its own mean, so that no target counts for much; they have the
+    beam's power over that of noise, which is unknown.
+
+    Args:
+        images: of all channels.
+        beams: of the channels.
+        bins: of whole rows.
+        lags: that are looked for, rad.
+        prior: standard deviation of the lag by odometry, rad; 0: odometry is exact.
+    """
+    if prior == 0:
+        return 0.0, 0.0
+    power = np.sum(np.abs(bins.spectra(images * np.hanning(images.shape[-1]))) ** 2, axis=0)
+    power = power[np.all(power > 0, axis=-1)]
+    if not len(power):
+        return 0.0, prior
+    power = power / np.mean(power, axis=-1, keepdims=True)
+    level, error = np.median(power, axis=0), MEDIAN_ERROR * np.std(power) / np.sqrt(len(power))
+    gains = np.sum(np.abs(bins.amplitudes(beams, float(np.mean(beams.span)), lags)) ** 2, axis=-1)
+    misfits = []
+    for gain in gains:
+        columns = np.stack([gain, np.ones_like(gain)], axis=-1)
+        share, _ = nnls(columns, level)
+        misfits.append(np.sum((columns @ share - level) ** 2) / error**2)
+    misfit = np.array(misfits)
+    excess = max(1.0, misfit.min() / max(1, len(level) - 3))
+    told = -misfit / (2 * excess) - (lags / prior) ** 2 / 2
+    weight = np.exp(told - logsumexp(told))
+    lag = float(weight @ lags)
+    return lag, float(np.sqrt(weight @ (lags - lag) ** 2))
+
+
+def lag_by_odometry(slc: Slc, sensor: Sensor) -> float:
+    """Standard deviation of the lag of what stands still, rad, by the covariance of the pose; 0: it is exact.
+
+    An error of the velocity is in that of the position along the flight (`Placement.seen_from`).
+    """
+    grid, aperture = slc.grid, slc.aperture
+    middle = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2)
+    slant_range = float(np.linalg.norm(middle - aperture_at(middle, aperture).position))
+    pointing = NavigationPrior.of(aperture, np.zeros((3, 3)), line_of_sight(sensor, aperture)).pointing
+    along = aperture.direction @ aperture.covariance[:3, :3] @ aperture.direction
+    return float(np.hypot(pointing, np.sqrt(along) / slant_range)) if along >= 0 else pointing

@@ -1,0 +1,239 @@
+"""What bright pixels of an image are: elevations, and how likely each lag is (`likelihood`), for all pixels at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from sal_height.beams import Beams
+from sal_height.movers.likelihood import LagLikelihood
+from sal_height.movers.spectrum import Bins
+from sal_height.numeric import C64, C128, F64, Bool, Index
+
+MODEL_ERROR = 0.01
+"""Power by which spectra differ from what the beams let expect, over their own."""
+
+ELEVATION_STEP = 0.05
+"""Of the search, in beamwidths."""
+
+GAIN_STEP = 0.25
+"""Between elevations whose gains along the flight are told apart, in beamwidths."""
+
+GAIN_ERROR = 0.005
+"""Of a gain over the greatest, which does not matter."""
+
+MARGIN = 4
+"""Cells about the peak of a target that count in its centre."""
+
+PARTS = 5
+"""Of the bins, whose elevations are compared."""
+
+FARTHEST, STEP = 1.1, 0.02
+"""Greatest lag that is looked for and the step from one to the next, in beamwidths along the flight.
+
+What has a greater one, or the greatest itself, is seen through sidelobes only, and not told."""
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A bright pixel.
+
+    Attributes:
+        row, col: of the pixel, in fractions.
+        elevation: of what stands still, rad.
+        told: logarithm of the likelihood of each lag.
+        cnr: power over the background.
+        spectra: of the channels, shape (bins, channels).
+    """
+
+    row: float
+    col: float
+    elevation: float
+    told: F64
+    cnr: float
+    spectra: C128
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """Pixels of an image, by the lags that are looked for.
+
+    Attributes:
+        images: of channels of independent noise of one power, shape (channels, rows, cols).
+        beams: of these channels, in one direction.
+        bins: of the spectra.
+    """
+
+    images: C64 | C128
+    beams: Beams
+    bins: Bins
+
+    @cached_property
+    def lags(self) -> F64:
+        """That are looked for, rad, so that the beam sees the bins under the same angles whatever their aspects are."""
+        return self._lags - self.bins.aspects[self.bins.middle]
+
+    def at(self, pixels: Index) -> Iterator[Seen]:
+        """The targets at pixels, shape (targets, 2), row and column; without those at an end of the array."""
+        rows, cols = pixels.T
+        half, last = self.bins.pixels // 2, self.images.shape[-1] - self.bins.pixels
+        firsts = np.clip(cols - half, 0, last)
+        chips = self.images[:, rows[:, None], firsts[:, None] + np.arange(self.bins.pixels)]
+        spectra = np.moveaxis(self.bins.spectra(chips), 0, -1)
+        # The elevation of what stands still; where beams do not separate, a lag changes it a little.
+        elevations = self._elevations(spectra)
+        inside = np.flatnonzero(np.isfinite(elevations))
+        spectra, elevations = spectra[inside], elevations[inside]
+        backgrounds = self._backgrounds(rows[inside], elevations)
+        powers = np.mean(np.sum(np.abs(spectra) ** 2, axis=-1), axis=-1)
+        told, centres = self._told(spectra, elevations, np.maximum(backgrounds, MODEL_ERROR * powers))
+        middles = firsts[inside] + half + centres * self.bins.pixels / len(self.bins.numbers)
+        for number, pixel in enumerate(inside):
+            yield Seen(
+                self._row(int(rows[pixel]), int(cols[pixel])),
+                float(middles[number]),
+                float(elevations[number]),
+                told[number],
+                float(powers[number] / backgrounds[number]),
+                spectra[number],
+            )
+
+    def _told(self, spectra: C128, elevations: F64, backgrounds: F64) -> tuple[F64, F64]:
+        """Likelihoods of the lags of targets, shape (targets, lags), and how many cells they lie off the middle.
+
+        What a target is a cloud about may be its brightest place or the centre of its power; the likelier one counts.
+        """
+        told, centres = np.empty((len(spectra), len(self.lags))), np.empty(len(spectra))
+        frequencies = self.bins.frequencies
+        amplitudes = self.bins.amplitudes(self.beams, elevations[:, None, None], self.lags)
+        gains = np.linalg.norm(amplitudes, axis=-1)
+        matched = np.einsum("tlbc,tbc->tlb", amplitudes.conj(), spectra)
+        matched /= np.maximum(gains, 1e-12) * np.sqrt(backgrounds)[:, None, None]
+        for likelihood, targets in self._alike(elevations, gains):
+            peaks, middles = _centres(matched[targets, len(self.lags) // 2], frequencies)
+            turned = np.exp(2j * np.pi * frequencies * np.concatenate([peaks, middles])[:, None])
+            both = likelihood.of(np.concatenate([matched[targets]] * 2) * turned[:, None])
+            told[targets] = np.maximum(*np.split(both, 2))
+            centres[targets] = middles
+        return told, centres
+
+    def _alike(self, elevations: F64, gains: F64) -> Iterator[tuple[LagLikelihood, Index]]:
+        """Likelihoods, and the numbers of the targets that have them.
+
+        Where beams separate, gains along the flight are those in the middle of the array. Elsewhere they are those of
+        the nearest of some elevations.
+        """
+        step = GAIN_STEP * self.beams.beamwidth
+        middle = float(np.mean(self.beams.span))
+        common = self._shape(middle)
+        apart = np.max(np.abs(gains / gains.max(axis=(1, 2), keepdims=True) - common), axis=(1, 2)) > GAIN_ERROR
+        steps = np.where(apart, np.rint((elevations - middle) / step), 0)
+        for number in np.unique(steps):
+            shape = self._shape(middle + number * step) if number else common
+            yield LagLikelihood.held(self._nominal.frequencies, shape, self._known), np.flatnonzero(steps == number)
+
+    def _shape(self, elevation: float) -> F64:
+        """Gains for each lag at an elevation, over the greatest."""
+        amplitudes = self._nominal.amplitudes(self.beams, elevation, self._lags)
+        gains = np.linalg.norm(amplitudes, axis=-1)
+        return np.asarray(gains / gains.max())
+
+    @cached_property
+    def _nominal(self) -> Bins:
+        """The bins, as for most images of a flight: what is computed for these serves for all."""
+        return self.bins.nominal()
+
+    @cached_property
+    def _lags(self) -> F64:
+        """Lags of the nominal bins, rad."""
+        steps = round(FARTHEST / STEP)
+        return self.beams.track_beamwidth * STEP * np.arange(-steps, steps + 1, dtype=np.float64)
+
+    @cached_property
+    def _known(self) -> Bool:
+        """Whether the antenna saw a target with each of the lags in its main lobe in each bin."""
+        lobe = max(pattern.main_lobe for pattern in self.beams.patterns) * self.beams.track_beamwidth
+        return np.asarray(np.abs(self._nominal.aspects + self._lags[:, None]) < lobe)
+
+    def _row(self, row: int, col: int) -> float:
+        """Where in range the power has its peak, by the rows beside the brightest, in fractions of a row."""
+        if not 0 < row < self.images.shape[1] - 1:
+            return float(row)
+        power = np.sum(np.abs(self.images[:, row - 1 : row + 2, col]) ** 2, axis=0)
+        return row + 0.5 * float(np.clip(2 * vertex(np.log(power + 1e-300))[0], -1, 1))
+
+    @cached_property
+    def _elevation_grid(self) -> F64:
+        low, high = self.beams.domain(0.0)
+        return np.arange(low, high, ELEVATION_STEP * self.beams.beamwidth)
+
+    def _elevations(self, spectra: C128) -> F64:
+        """The most likely elevations of what stands still, shape (targets,); NaN: that of an outer beam."""
+        grid = self._elevation_grid
+        amplitudes = self.beams.response(grid[:, None], self.bins.aspects)
+        gains = np.mean(np.sum(np.abs(amplitudes) ** 2, axis=-1), axis=-1)
+        in_bins = np.einsum("ebc,tbc->etb", amplitudes.conj(), spectra, optimize=True)
+        explained = np.sum(np.abs(in_bins) ** 2, axis=-1) / gains[:, None]
+        found = np.full(len(spectra), np.nan)
+        for target, (values, best) in enumerate(zip(explained.T, explained.argmax(axis=0), strict=True)):
+            if 0 < best < len(grid) - 1:
+                found[target] = grid[best] + (grid[1] - grid[0]) * vertex(values[best - 1 : best + 2])[0]
+        return found
+
+    def elevation(self, spectra: C128, lag: float) -> tuple[float, float] | None:
+        """The most likely elevation of a target with a lag, and its standard deviation; None: that of an outer beam.
+
+        Errors are those of the power that the target does not explain, and not less than parts of the bins differ:
+        another surface in the same cell turns against the target from bin to bin.
+        """
+        grid = self._elevation_grid
+        step = ELEVATION_STEP * self.beams.beamwidth
+        amplitudes = self.beams.response(grid[:, None], self.bins.aspects + lag)
+        in_bins = np.abs(np.sum(amplitudes.conj() * spectra, axis=-1)) ** 2
+        gains = np.mean(np.sum(np.abs(amplitudes) ** 2, axis=-1), axis=-1)
+        explained = np.sum(in_bins, axis=-1) / gains
+        best = int(explained.argmax())
+        if not 0 < best < len(grid) - 1:
+            return None
+        offset, bend = vertex(explained[best - 1 : best + 2])
+        left = (np.sum(np.abs(spectra) ** 2) - explained[best]) / (len(spectra) * (spectra.shape[1] - 1))
+        variance = max(left, MODEL_ERROR * explained[best] / len(spectra)) * step**2 / bend
+        parts = np.add.reduceat(in_bins, np.arange(PARTS) * len(spectra) // PARTS, axis=-1)
+        shares = parts[best] / parts[best].sum()
+        spread = np.sum((shares * (grid[parts.argmax(axis=0)] - grid[best])) ** 2)
+        return float(grid[best] + step * offset), float(np.sqrt(max(variance, spread)))
+
+    def _backgrounds(self, rows: Index, elevations: F64) -> F64:
+        """Power of noise and ground that targets at elevations have in their rows and those beside them."""
+        beams = self.beams.response(elevations, float(np.mean(self.bins.aspects)))
+        found = np.empty(len(rows))
+        for target, (row, beam) in enumerate(zip(rows.tolist(), beams, strict=True)):
+            around = self.images[:, max(0, row - 2) : row + 3]
+            power = np.abs(np.tensordot(beam.conj(), around, 1)) ** 2 / np.sum(np.abs(beam) ** 2)
+            found[target] = max(float(np.median(power)) / np.log(2), 1e-300)
+        return found
+
+
+def vertex(values: F64) -> tuple[float, float]:
+    """Of the parabola through three values: how many steps it lies off the middle one, at most 1, and its bend."""
+    before, there, after = values.tolist()
+    bend = max(2 * there - before - after, 1e-12 * (1 + abs(there)))
+    return float(np.clip((after - before) / (2 * bend), -1, 1)), bend
+
+
+def _centres(spectra: C128, frequencies: F64) -> tuple[F64, F64]:
+    """Where targets lie off the middle, in cells: their brightest places, and the centres of the power around these."""
+    step = 0.125
+    places = np.arange(-len(frequencies) / 2, len(frequencies) / 2, step)
+    image = (spectra * np.hanning(len(frequencies))) @ np.exp(2j * np.pi * frequencies[:, None] * places)
+    power = np.abs(image) ** 2
+    peaks, middles = np.empty((2, len(spectra)))
+    for target, values in enumerate(power):
+        best = int(np.clip(values.argmax(), 1, len(places) - 2))
+        peaks[target] = places[best] + step * vertex(values[best - 1 : best + 2])[0]
+        near = np.abs(places - peaks[target]) < MARGIN
+        middles[target] = np.sum(places[near] * values[near]) / np.sum(values[near])
+    return peaks, middles

@@ -38,6 +38,7 @@ from sal_height.elevation import (
 from sal_height.errors import Rejected
 from sal_height.geometry import Grid, Trajectory, aperture_at
 from sal_height.imaging import (
+    CorrectionSettings,
     ImageSettings,
     Slc,
     StripFocuser,
@@ -91,17 +92,8 @@ class Compressor:
             UserError: an image that cannot be made, a track that does not cover the pulses, air that is not known, or
                 the calibration of another sensor.
         """
-        # Clipped samples are counted while they are still those of the receivers.
-        counted = count_saturated(history, sensor)
-        # Range compression: samples over fast-time frequency, whatever the waveform.
-        spectrum, sensor = range_compressed(counted, sensor)
-        # Calibration: all channels get one response over the band.
-        if calibration:
-            calibration.check(sensor)
-            spectrum = calibration.equalised(spectrum)
-        # Errors that are known: clocks, delays, and air.
-        track = correct_track(track, settings)
-        spectrum, sensor = correct_dwell(spectrum, track, sensor, settings)
+        # Samples over frequency, without the errors that are known.
+        spectrum, track, sensor = corrected_spectrum(history, track, sensor, settings, calibration)
         # Azimuth compression, with one and the same filter for all channels.
         if sensor.mode == "spotlight":
             slc: Slc | None = focus_dwell(spectrum, track, sensor, settings)
@@ -122,6 +114,34 @@ class Compressor:
     def shortfall(self) -> str:
         """Why the block that began a strip completed no image, a sentence; empty: it did, or was not the last one."""
         return self._strip.shortfall
+
+
+def corrected_spectrum(
+    history: PhaseHistory,
+    track: Trajectory,
+    sensor: Sensor,
+    settings: CorrectionSettings,
+    calibration: Calibration | None = None,
+) -> tuple[PhaseHistory, Trajectory, Sensor]:
+    """Samples over fast-time frequency, the track, and the sensor that has such samples; without known errors.
+
+    Arguments are those of `Compressor.add`.
+
+    Raises:
+        UserError: air that is not known, or the calibration of another sensor.
+    """
+    # Clipped samples are counted while they are still those of the receivers.
+    counted = count_saturated(history, sensor)
+    # Range compression: samples over fast-time frequency, whatever the waveform.
+    spectrum, sensor = range_compressed(counted, sensor)
+    # Calibration: all channels get one response over the band.
+    if calibration:
+        calibration.check(sensor)
+        spectrum = calibration.equalised(spectrum)
+    # Errors that are known: clocks, delays, and air.
+    track = correct_track(track, settings)
+    spectrum, sensor = correct_dwell(spectrum, track, sensor, settings)
+    return spectrum, track, sensor
 
 
 def heights(

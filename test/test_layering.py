@@ -22,7 +22,7 @@ LAYERS = (
     ("calibration", "adjustment", "movers"),
     ("theory",),
     ("pipeline",),
-    ("rehearsal",),
+    ("rehearsal", "passes"),
     ("messages", "figures"),
     ("bag",),
     ("nodes",),

@@ -6,11 +6,12 @@ refused), `formers` (backprojection and the fast ones), `autofocus` (phase error
 (blocks that join) and `beams` (patterns in strip images).
 """
 
+from sal_height.imaging.autofocus.gradient import apply_phase
 from sal_height.imaging.autofocus.placement import Centroid, NavigationPrior, Placement
 from sal_height.imaging.beams import image_beams
 from sal_height.imaging.corrections import CorrectionSettings, correct_dwell, correct_track, with_known_errors
 from sal_height.imaging.focus import ImageSettings, Slc, cell_response, focus_dwell
-from sal_height.imaging.formers.backprojection import backproject
+from sal_height.imaging.formers.backprojection import backproject, backproject_points
 from sal_height.imaging.formers.choice import FORMERS, FormImages
 from sal_height.imaging.pixels import azimuth_resolution, line_of_sight
 from sal_height.imaging.strip_focus import StripFocuser
@@ -27,8 +28,10 @@ __all__ = [
     "Processing",
     "Slc",
     "StripFocuser",
+    "apply_phase",
     "azimuth_resolution",
     "backproject",
+    "backproject_points",
     "cell_response",
     "correct_dwell",
     "correct_track",

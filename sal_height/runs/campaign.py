@@ -79,8 +79,10 @@ class Scheme:
     warnings: tuple[str, ...]
 
 
-def plan(case: Case, most_dwells: int) -> Scheme:
+def plan(case: Case, most_dwells: int, *, for_heights: bool = True) -> Scheme:
     """Find out how a bag is to be processed, in parts of so many dwells at most; a strip is one part.
+
+    A bag of one detector is refused, unless its heights are not asked for.
 
     Raises:
         UserError: the bag cannot be used, or a parameter is not allowed.
@@ -94,7 +96,7 @@ def plan(case: Case, most_dwells: int) -> Scheme:
             "Adjusted heights need the dwells in their order; make them by `sal-height replay`, or by `sal-height "
             "adjust` and a batch of its bag."
         )
-    if not makers:
+    if for_heights and not makers:
         raise UserError(f"Bag {case.bag} is of a sensor with one detector, of which no heights can be made.")
     processing = processing_of(reader, chain, part, consumers(makers), case.given, names_dwells=True)
     if not processing.frames:

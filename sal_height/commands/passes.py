@@ -1,0 +1,125 @@
+"""`sal-height passes`: heights of bright points, from several passes over the same ground."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter, Token
+
+from sal_height.commands._options import (
+    DONE,
+    PROCESSING,
+    NodeParameters,
+    OutputFolder,
+    Settings,
+    command,
+    complain,
+    node_parameters,
+    output_folder,
+    settings_values,
+)
+from sal_height.errors import UserError
+
+EXAMPLES = """
+  sal-height import gotcha pass1/*.mat --out out/pass1
+  sal-height passes out/pass1 out/pass2 out/pass3 out/pass4
+  sal-height passes out/pass? --tie 3.95,3,1.02 --compare -3.5,3,1.02
+  sal-height passes out/pass? --estimator capon --set highest_m=12
+"""
+
+app = command("passes", PROCESSING, EXAMPLES)
+
+
+def _places(_type: type, tokens: Sequence[Token]) -> tuple[tuple[float, float, float], ...]:
+    places = []
+    for token in tokens:
+        try:
+            east, north, height = map(float, token.value.split(","))
+        except ValueError:
+            raise UserError(
+                f"A reference point is {token.value!r}; it must be EAST,NORTH,HEIGHT in m, for example 12.5,-3,1.2."
+            ) from None
+        places.append((east, north, height))
+    return tuple(places)
+
+
+PLACES = Parameter(
+    metavar="EAST,NORTH,HEIGHT",
+    n_tokens=1,
+    accepts_keys=False,
+    allow_leading_hyphen=True,
+    converter=_places,
+    consume_multiple=False,
+    show_default=False,
+    negative=(),
+)
+
+
+def _centre(_type: type, tokens: Sequence[Token]) -> tuple[float, float]:
+    try:
+        east, north = map(float, tokens[0].value.split(","))
+    except ValueError:
+        raise UserError(
+            f"Option --centre is {tokens[0].value!r}; it must be EAST,NORTH in m, for example 10,-3."
+        ) from None
+    return east, north
+
+
+@app.default
+def passes(
+    bags: Annotated[tuple[Path, ...], Parameter(name="BAG", show_default=False)],
+    /,
+    *,
+    estimator: Annotated[str, Parameter(metavar="NAME")] = "ml",
+    tie: Annotated[tuple[tuple[float, float, float], ...], PLACES] = (),
+    compare: Annotated[tuple[tuple[float, float, float], ...], PLACES] = (),
+    centre: Annotated[
+        tuple[float, float] | None,
+        Parameter(
+            metavar="EAST,NORTH",
+            n_tokens=1,
+            accepts_keys=False,
+            allow_leading_hyphen=True,
+            converter=_centre,
+            negative=(),
+        ),
+    ] = None,
+    set_: Settings = (),
+    param: NodeParameters = (),
+    out: OutputFolder = None,
+) -> int:
+    """Make heights of bright points from several passes over the same ground.
+
+    The passes are a sparse array in elevation, whose channels are their images.
+    Bright points tell what phases and positions of the passes are wrong against
+    each other, but for a height that all points share: it is that of reference
+    points (--tie), or else the median of the points is put at ground_m. Passes of
+    another band, of other ground or whose phase cannot be tied are left out.
+
+    The output folder holds report.json, passes.png and a bag with the heights of
+    the points, for `sal-height export`.
+
+    Args:
+        bags: Folders of bags, or their .mcap files; of one pass each, three or more.
+        estimator: Estimator of elevation: ml or capon.
+        tie: A reflector at a known place in map that all heights refer to; may be repeated.
+        compare: A reflector at a known place in map that heights are compared with; may be repeated.
+        centre: Middle of the scene. Default: where the passes look.
+        out: Output folder, new or empty. Default: out/passes, or the next free of out/passes_2, ….
+    """
+    import numpy as np
+
+    from sal_height.passes import ReferencePoint
+    from sal_height.runs.passes import heights_of_bags
+    from sal_height.runs.passes_report import passes_table
+
+    references = [ReferencePoint(np.array(place), ties=True) for place in tie]
+    references += [ReferencePoint(np.array(place)) for place in compare]
+    folder = output_folder(out, "passes")
+    made = heights_of_bags(bags, folder, estimator, node_parameters(param), settings_values(set_), references, centre)
+    print(passes_table(made.summary))
+    complain(made.warnings)
+    print(f"see {folder}/passes.png and {folder}/report.json")
+    return DONE

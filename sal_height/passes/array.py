@@ -1,0 +1,229 @@
+"""The passes as an array in elevation: their response to a point of the same range and Doppler at any elevation.
+
+Range, Doppler and elevation are those from a reference aperture in the middle of the passes. Images are formed on one
+grid, so that a pixel x of pass p holds a scatterer at q with the phase
+
+    phi_p = -k (mean over the pulses of |a_t - q| - |a_t - x|),    k = 4 pi / wavelength
+
+and what passes with the elevation e of q on its circle of range and Doppler is the response exp(j phi_p(e)) of a
+channel. The ranges are exact; over the few metres of a box their differences are polynomials of e to better than
+1e-6 rad. A phase that all passes share tells nothing, so that of the middle is taken off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.beams import Beams, Pattern
+from sal_height.errors import UserError
+from sal_height.geometry import ApertureState, angles_of, locate_at_elevation
+from sal_height.numeric import F64, window
+from sal_height.passes.flown import Pass
+from sal_height.passes.settings import PassSettings
+
+PULSES = 17
+"""Pulses of a pass over which ranges are averaged: between them they change as a parabola of time."""
+
+DEGREE = 4
+"""Of the polynomials of elevation."""
+
+NODES = 12
+"""Elevations at which ranges are computed for a polynomial."""
+
+GUARD = 5.0
+"""Beamwidths beyond a box for which its polynomials hold: those that estimators search, and some."""
+
+LEAST_APART = 1e-4
+"""Least difference of elevation between passes, rad: of a resolution of 150 m at X band and 10 km."""
+
+
+@dataclass(frozen=True, eq=False)
+class Steering:
+    """The phases of the passes about one point.
+
+    Attributes:
+        elevation: of the point, rad.
+        searched: elevations from the lowest to the greatest at which scatterers are looked for, less that of the
+            point, rad.
+        beamwidth: elevation over which the phases of two passes farthest apart turn once against each other, rad.
+        coefficients: of rising powers of (elevation - that of the point) in beamwidths, shape (passes, DEGREE + 1), of
+            the phase in rad.
+        metres: distance across range and flight for a rad of elevation: the slant range.
+    """
+
+    elevation: float
+    searched: tuple[float, float]
+    beamwidth: float
+    coefficients: F64
+    metres: float
+
+    def phase(self, offset: npt.ArrayLike) -> F64:
+        """Phases at offsets from the point in beamwidths, rad, shape (..., passes)."""
+        return np.asarray(np.polynomial.polynomial.polyval(np.asarray(offset, np.float64), self.coefficients.T).T)
+
+    def slope(self, offset: npt.ArrayLike) -> F64:
+        """Derivatives of `phase`, rad per beamwidth, shape (..., passes)."""
+        rising = np.polynomial.polynomial.polyder(self.coefficients.T)
+        return np.asarray(np.polynomial.polynomial.polyval(np.asarray(offset, np.float64), rising).T)
+
+    def beams(self, uncertainty: float = 0.0) -> Beams:
+        """The passes as beams of one receiver each, over the elevations that are searched."""
+        offsets = np.linspace(*self.searched, len(self.coefficients))
+        boresights, starts = self.elevation + offsets, offsets / self.beamwidth
+        patterns = tuple(map(_pattern, self.coefficients, starts.tolist()))
+        return Beams(patterns, boresights, self.beamwidth, uncertainty=uncertainty)
+
+
+def _pattern(coefficients: F64, start: float) -> Pattern:
+    """The pattern of a pass, whose boresight is `start` beamwidths from the point that the coefficients are about."""
+    polynomial = np.polynomial.Polynomial(coefficients)
+    rising = polynomial.deriv()
+
+    def amplitude(e: npt.ArrayLike, _a: npt.ArrayLike) -> Any:
+        return np.exp(1j * polynomial(np.asarray(e) + start))
+
+    def slope(e: npt.ArrayLike, _a: npt.ArrayLike) -> Any:
+        x = np.asarray(e) + start
+        return 1j * rising(x) * np.exp(1j * polynomial(x))
+
+    none: Callable[[npt.ArrayLike, npt.ArrayLike], Any] = lambda e, _a: np.zeros(np.shape(e))  # noqa: E731
+    return Pattern("pass", amplitude, slope, none, main_lobe=1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class PassArray:
+    """Passes, and the aperture in their middle from which range, Doppler and elevation count.
+
+    Attributes:
+        passes: cut to the same azimuths.
+        centre: of the scene in map, m, shape (3,).
+        reference: the aperture in the middle; its body axes are level, with y across the line of sight.
+        look_side: +1 right of its flight, -1 left.
+        azimuth_window: of the images.
+    """
+
+    passes: tuple[Pass, ...]
+    centre: F64
+    reference: ApertureState
+    look_side: int
+    azimuth_window: str
+
+    @classmethod
+    def of(cls, passes: tuple[Pass, ...], centre: F64, settings: PassSettings) -> Self:
+        """The array of some passes.
+
+        Raises:
+            UserError: they all see the scene from one elevation.
+        """
+        ways = np.array([one.flight for one in passes])
+        ways *= np.sign(ways @ ways[0])[:, None]  # a pass flown the other way sees the same
+        middles = np.array([one.antenna[len(one.antenna) // 2] for one in passes])
+        position, way = middles.mean(axis=0), ways.mean(axis=0)
+        level = (centre - position) * np.array([1.0, 1.0, 0.0])
+        forward = np.cross([0.0, 0.0, 1.0], level / np.linalg.norm(level))
+        forward *= np.sign(forward @ way) or 1.0
+        rotation = np.column_stack([forward, np.cross([0.0, 0.0, 1.0], forward), [0.0, 0.0, 1.0]])
+        side = -1 if rotation[:, 1] @ level > 0 else 1
+        length = float(np.linalg.norm(way))
+        reference = ApertureState(position, way, rotation, length, np.zeros((6, 6)))
+        array = cls(passes, centre, reference, side, settings.azimuth_window)
+        apart = float(np.ptp(array.elevations))
+        if not apart > LEAST_APART:
+            raise UserError(
+                f"The passes see the scene from elevations that differ by {np.degrees(apart):.3g} degrees; heights "
+                f"need {np.degrees(LEAST_APART):.2g} or more."
+            )
+        return array
+
+    @cached_property
+    def middles(self) -> F64:
+        """Position of each antenna in the middle of its pass, m in map, shape (passes, 3)."""
+        return np.array([one.antenna[len(one.antenna) // 2] for one in self.passes])
+
+    @property
+    def wavenumbers(self) -> F64:
+        """Two-way wavenumbers of the middles of the bands, rad/m, shape (passes,)."""
+        return np.array([one.wavenumber for one in self.passes])
+
+    @cached_property
+    def elevations(self) -> F64:
+        """Angles from nadir under which the passes see the middle of the scene, rad, shape (passes,)."""
+        sight = self.middles - self.centre
+        return np.asarray(np.arccos(sight[:, 2] / np.linalg.norm(sight, axis=-1)))
+
+    @cached_property
+    def axes(self) -> F64:
+        """Unit vectors along the line of sight, along the flight and upwards across both, rows, shape (3, 3)."""
+        return self.axes_at(self.centre)
+
+    def axes_at(self, point: F64) -> F64:
+        """`axes` at another point (m, shape (3,)): rows, columns of an image there, and what elevation moves along."""
+        sight = (point - self.reference.position) / np.linalg.norm(point - self.reference.position)
+        along = self.reference.direction - (self.reference.direction @ sight) * sight
+        along /= np.linalg.norm(along)
+        across = np.cross(sight, along)
+        return np.stack([sight, along, across * np.sign(across[2])])
+
+    def moved(self, offsets: F64) -> Self:
+        """The array with the antennas of its passes elsewhere (m, shape (passes, 3)), its reference where it was."""
+        passes = (one.moved(offset) for one, offset in zip(self.passes, offsets, strict=True))
+        return replace(self, passes=tuple(passes))
+
+    def without(self, number: int) -> tuple[Pass, ...]:
+        """The passes without one."""
+        return tuple(one for at, one in enumerate(self.passes) if at != number)
+
+    def seen(self, points: F64) -> tuple[F64, F64, F64]:
+        """Slant range (m), distance along the flight (m) and elevation (rad) of points, shape (..., 3)."""
+        slant_range, elevation, _ = angles_of(points, self.reference, self.look_side)
+        return slant_range, (points - self.reference.position) @ self.reference.direction, elevation
+
+    def steering(self, point: F64, low_m: float, high_m: float) -> Steering:
+        """The phases of the passes about a point (m, shape (3,)), for scatterers so far across from it (m)."""
+        slant_range, along, elevation = (float(value) for value in self.seen(point))
+        searched = low_m / slant_range, high_m / slant_range
+        reach = 1.5 * max(np.abs(searched))
+        for _ in range(2):  # the reach needs the beamwidth
+            coefficients, beamwidth = self._fitted(point, (slant_range, along, elevation), reach)
+            reach = 1.5 * max(np.abs(searched)) + GUARD * beamwidth
+        return Steering(elevation, searched, beamwidth, coefficients, slant_range)
+
+    def _fitted(self, point: F64, seen: tuple[float, float, float], reach: float) -> tuple[F64, float]:
+        """Coefficients of `Steering`, good over `reach` (rad), and its beamwidth; `seen` is what `seen` says."""
+        slant_range, along, elevation = seen
+        offsets = reach * np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES)
+        places = locate_at_elevation(elevation + offsets, slant_range, along, self.reference, self.look_side)
+        phases = np.array([self._phases(one, point, places) for one in self.passes])
+        fitted = np.polynomial.polynomial.polyfit(offsets / reach, phases.T, DEGREE)
+        slopes = fitted[1] / reach
+        fastest, slowest = np.argmax(slopes), np.argmin(slopes)
+        # What all passes share tells nothing: the phase half way between the outermost is taken off.
+        fitted -= (fitted[:, [fastest]] + fitted[:, [slowest]]) / 2
+        beamwidth = float(2 * np.pi / (slopes[fastest] - slopes[slowest]))
+        scale = (beamwidth / reach) ** np.arange(DEGREE + 1)
+        return (fitted * scale[:, None]).T, beamwidth
+
+    def _phases(self, one: Pass, point: F64, places: F64) -> F64:
+        """Phases (rad) in a pass of scatterers at places (m, (n, 3)) in the pixel at a point, shape (n,)."""
+        count = len(one.antenna)
+        chosen = np.unique(np.linspace(0, count - 1, min(count, PULSES)).astype(np.intp))
+        weights = window(self.azimuth_window, count)[chosen]
+        antenna = one.antenna[chosen]
+        sight = point - antenna
+        near = np.linalg.norm(sight, axis=-1)
+        offset = places - point
+        # |s + d| - |s| = (2 s d + d^2) / (|s + d| + |s|) without the difference of two large numbers.
+        far = np.linalg.norm(sight[:, None] + offset, axis=-1)
+        longer = (2 * sight @ offset.T + np.sum(offset**2, axis=-1)) / (far + near[:, None])
+        return np.asarray(-one.wavenumber * (weights @ longer) / weights.sum())
+
+
+def resolution(steering: Steering) -> float:
+    """Distance across range and flight that the passes resolve: a beamwidth, m."""
+    return steering.beamwidth * steering.metres

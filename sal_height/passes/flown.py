@@ -1,0 +1,178 @@
+"""The phase history of one pass, and which passes can be taken together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from sal_height.errors import UserError
+from sal_height.numeric import F64
+from sal_height.sensor import PhaseHistory, Sensor
+
+LEAST_PASSES = 3
+"""Of a point, two passes tell amplitude, phase and height: nothing is left that could show a wrong phase."""
+
+BAND_SHARE = 0.1
+"""Greatest difference of middle frequency and of bandwidth between passes, over the bandwidth."""
+
+LEAST_OVERLAP = 0.5
+"""Share of the azimuths of a pass that all passes must have."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pass:
+    """What one receiver collected on one pass.
+
+    Attributes:
+        name: shown to users.
+        sensor: with waveform "spectrum" and one channel.
+        history: of the pulses, shape (1, pulses, frequencies).
+        antenna: position at each pulse in map, m, shape (pulses, 3).
+    """
+
+    name: str
+    sensor: Sensor
+    history: PhaseHistory
+    antenna: F64
+
+    @property
+    def wavenumber(self) -> float:
+        """Two-way wavenumber of the middle of the band, rad/m."""
+        return 4 * np.pi / self.sensor.wavelength
+
+    @property
+    def flight(self) -> F64:
+        """Vector from the first pulse to the last, m, shape (3,)."""
+        return np.asarray(self.antenna[-1] - self.antenna[0])
+
+    def azimuths(self, centre: F64) -> F64:
+        """Azimuth of the antenna seen from a point, rad from the middle pulse of the pass, shape (pulses,)."""
+        angle = self.bearing(centre, self.antenna)
+        return np.asarray((angle - angle[len(angle) // 2] + np.pi) % (2 * np.pi) - np.pi)
+
+    @staticmethod
+    def bearing(centre: F64, antenna: F64) -> F64:
+        """Angle of antennas from east about a point, rad, shape of `antenna` without its last axis."""
+        return np.asarray(np.arctan2(antenna[..., 1] - centre[1], antenna[..., 0] - centre[0]))
+
+    def moved(self, offset: F64) -> Self:
+        """The pass with its antenna elsewhere by `offset` (m, shape (3,))."""
+        return replace(self, antenna=self.antenna + offset)
+
+    def of_pulses(self, which: slice) -> Self:
+        """The pass with some of its pulses."""
+        return replace(self, history=self.history.pulses(which), antenna=self.antenna[which])
+
+
+def together(passes: Sequence[Pass], centre: F64) -> tuple[tuple[Pass, ...], tuple[str, ...]]:
+    """Choose the passes that see the same ground in the same band and from the same azimuths, and cut them alike.
+
+    What most passes have is right: bands are compared with their median, azimuths with the medians of both ends.
+
+    Args:
+        passes: in any order.
+        centre: of the scene, m in map, shape (3,).
+
+    Returns:
+        The passes, cut to the azimuths that all have; and a sentence on each pass that was left out.
+
+    Raises:
+        UserError: fewer than LEAST_PASSES are left.
+    """
+    if len(passes) < LEAST_PASSES:
+        raise UserError(
+            f"{len(passes)} passes were given; heights need {LEAST_PASSES} or more, as two leave nothing that could "
+            "show a wrong phase between them."
+        )
+    refused: list[str] = []
+    kept: Sequence[Pass] = passes
+    for check in (_check_receiver, _check_band, _check_ground, _check_azimuths):
+        reasons = check(kept, centre)
+        refused += [f"Pass {one.name} is left out: {why}" for one, why in zip(kept, reasons, strict=True) if why]
+        kept = [one for one, why in zip(kept, reasons, strict=True) if not why]
+        if len(kept) < LEAST_PASSES:
+            raise UserError(f"Of {len(passes)} passes {len(kept)} can be used; {LEAST_PASSES} are needed. {refused[0]}")
+    first, last = _common_azimuths(kept, centre)
+    return tuple(_cut(one, centre, first, last) for one in kept), tuple(refused)
+
+
+def _check_receiver(passes: Sequence[Pass], _centre: F64) -> list[str]:
+    reasons = []
+    for one in passes:
+        why = ""
+        if one.sensor.mode != "spotlight" or one.sensor.waveform != "spectrum":
+            why = f"mode {one.sensor.mode} and waveform {one.sensor.waveform} are not spotlight and spectrum."
+        elif one.sensor.detector_count > 1:
+            why = f"it has {one.sensor.detector_count} channels; a pass must have one."
+        reasons.append(why)
+    return reasons
+
+
+def _check_band(passes: Sequence[Pass], _centre: F64) -> list[str]:
+    middle = np.array([one.wavenumber for one in passes])
+    width = np.array([one.sensor.wavenumber_step * one.sensor.sample_count for one in passes])
+    usual, wide = float(np.median(middle)), float(np.median(width))
+    other = (np.abs(middle - usual) > BAND_SHARE * wide) | (np.abs(width - wide) > BAND_SHARE * wide)
+    return [
+        f"its wavelength is {one.sensor.wavelength:.6g} m and its bandwidth {one.sensor.bandwidth:.4g} Hz; those of "
+        f"most passes are {4 * np.pi / usual:.6g} m and {one.sensor.bandwidth * wide / own:.4g} Hz."
+        if differs
+        else ""
+        for one, own, differs in zip(passes, width, other, strict=True)
+    ]
+
+
+def _check_ground(passes: Sequence[Pass], centre: F64) -> list[str]:
+    off = [
+        float(np.abs(np.linalg.norm(one.antenna - centre, axis=-1) - one.history.reference_range).max())
+        for one in passes
+    ]
+    return [
+        f"the middle of the scene is {by:.4g} m off the range that it has recorded; its range window reaches over "
+        f"{one.sensor.range_window / 2:.4g} m."
+        if by > one.sensor.range_window / 2
+        else ""
+        for one, by in zip(passes, off, strict=True)
+    ]
+
+
+def _intervals(passes: Sequence[Pass], centre: F64) -> F64:
+    """First and last azimuth of each pass, rad from that of the middle of the first pass, shape (passes, 2)."""
+    start = Pass.bearing(centre, passes[0].antenna[len(passes[0].antenna) // 2])
+    ends = []
+    for one in passes:
+        own = one.azimuths(centre)
+        middle = Pass.bearing(centre, one.antenna[len(own) // 2]) - start
+        middle = (middle + np.pi) % (2 * np.pi) - np.pi
+        ends.append([middle + own.min(), middle + own.max()])
+    return np.array(ends)
+
+
+def _check_azimuths(passes: Sequence[Pass], centre: F64) -> list[str]:
+    ends = _intervals(passes, centre)
+    first, last = np.median(ends, axis=0)
+    common = np.minimum(ends[:, 1], last) - np.maximum(ends[:, 0], first)
+    return [
+        f"it sees the scene from azimuths of {np.degrees(low):.3g} to {np.degrees(high):.3g} degrees from the first "
+        f"pass, most passes from {np.degrees(first):.3g} to {np.degrees(last):.3g}; they must overlap by half."
+        if share < LEAST_OVERLAP * max(high - low, last - first)
+        else ""
+        for (low, high), share in zip(ends, common, strict=True)
+    ]
+
+
+def _common_azimuths(passes: Sequence[Pass], centre: F64) -> tuple[float, float]:
+    """The azimuths that all passes have, as bearings from the first pass's middle."""
+    ends = _intervals(passes, centre)
+    start = float(Pass.bearing(centre, passes[0].antenna[len(passes[0].antenna) // 2]))
+    return start + float(ends[:, 0].max()), start + float(ends[:, 1].min())
+
+
+def _cut(one: Pass, centre: F64, first: float, last: float) -> Pass:
+    middle = (first + last) / 2
+    angle = (Pass.bearing(centre, one.antenna) - middle + np.pi) % (2 * np.pi) - np.pi
+    inside = np.flatnonzero(np.abs(angle) <= (last - first) / 2 + 1e-9)
+    return one.of_pulses(slice(int(inside[0]), int(inside[-1]) + 1))

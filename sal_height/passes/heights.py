@@ -1,0 +1,155 @@
+"""The whole way from passes to the heights of what is bright, each step one line."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sal_height.elevation import ElevationEstimator, HeightSettings
+from sal_height.errors import UserError
+from sal_height.numeric import F64, Bool
+from sal_height.passes.ambiguity import Ambiguity, ambiguity_of
+from sal_height.passes.array import PassArray
+from sal_height.passes.boxes import Lattice
+from sal_height.passes.flown import LEAST_PASSES, Pass, together
+from sal_height.passes.points import Found, find_points
+from sal_height.passes.registration import Registered, registered
+from sal_height.passes.settings import PassSettings
+from sal_height.passes.tie import Candidates, Tie, loosest, tie_passes
+
+ESTIMATORS_OF_PASSES = ("ml", "capon")
+"""Estimators of elevation that take complex beams and tell of a single look whether a scatterer explains it."""
+
+
+@dataclass(frozen=True, eq=False)
+class ReferencePoint:
+    """A point whose place is known.
+
+    Attributes:
+        position: m in map, shape (3,).
+        ties: whether the passes may be tied by it; False: it is only compared with.
+    """
+
+    position: F64
+    ties: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class PassHeights:
+    """What became of the passes.
+
+    Attributes:
+        array: the passes that were used, in place.
+        shifts: that registration took out, in range and along the flight, m, (passes, 2).
+        tie: of them.
+        ambiguity: of heights at the middle of the scene.
+        found: the points.
+        warnings: a sentence on each pass or reference point that was left out.
+    """
+
+    array: PassArray
+    shifts: F64
+    tie: Tie
+    ambiguity: Ambiguity
+    found: Found
+    warnings: tuple[str, ...]
+
+
+def heights_from_passes(
+    passes: Sequence[Pass],
+    centre: F64,
+    estimator: ElevationEstimator,
+    height_settings: HeightSettings,
+    settings: PassSettings,
+    references: Sequence[ReferencePoint] = (),
+) -> PassHeights:
+    """Heights of bright points from several passes.
+
+    Args:
+        passes: of one receiver each, over the same ground.
+        centre: of the scene, m in map, shape (3,).
+        estimator: of elevation; it must take complex beams.
+        height_settings: of the estimator.
+        settings: of the volume, and of what ties the passes.
+        references: points of known place.
+
+    Raises:
+        UserError: too few passes go together, or too few points tie them.
+    """
+    # The passes that see the same ground, from the same azimuths and in the same band.
+    flown, refused = together(passes, centre)
+    array, warnings = PassArray.of(flown, centre, settings), list(refused)
+    # Their images on one grid, and on each other.
+    seen = registered(array, settings)
+    # Their phases, from bright points; passes that do not share these are left out.
+    candidates = Candidates.of(seen, settings)
+    candidates, lacking = _with_references(candidates, seen, references, settings)
+    warnings += lacking
+    kept, unfit = _fit_together(candidates, seen.lattice.array, settings)
+    warnings += unfit
+    if not kept.all():
+        array = PassArray.of(tuple(one for one, good in zip(flown, kept, strict=True) if good), centre, settings)
+        seen = registered(array, settings)
+        candidates, _ = _with_references(Candidates.of(seen, settings), seen, references, settings)
+    tie = tie_passes(candidates, seen.lattice.array, settings)
+    # Heights of what is bright, in the whole volume.
+    array, tie = tie.placed(seen.lattice.array)
+    lattice, least = Lattice.of(array, settings), 10 ** (settings.least_power_db / 10)
+    found = find_points(lattice, tie, seen.background, estimator, height_settings, least)
+    # Heights that the passes confuse.
+    steering = lattice.steering(centre)
+    climb = steering.metres * float(array.axes[2, 2])
+    reach = max(settings.highest_m - settings.lowest_m, 3 * steering.beamwidth * climb)
+    return PassHeights(array, seen.shifts, tie, ambiguity_of(steering, climb, reach), found, tuple(warnings))
+
+
+def _fit_together(candidates: Candidates, array: PassArray, settings: PassSettings) -> tuple[Bool, list[str]]:
+    """Which passes can be tied by their phases, and a sentence on each other one.
+
+    Raises:
+        UserError: too few can.
+    """
+    kept, sentences = np.ones(len(array.passes), np.bool_), list[str]()
+    while True:
+        some = np.flatnonzero(kept)
+        part = replace(array, passes=tuple(array.passes[number] for number in some))
+        worst, coherence, points = loosest(candidates.of_passes(kept), part, settings)
+        if coherence >= settings.least_coherence:
+            return kept, sentences
+        sentences.append(
+            f"Pass {array.passes[some[worst]].name} is left out: its phase cannot be tied to the others; it shares "
+            f"their phase in {points} bright points by {coherence:.2g} of what is usual, and "
+            f"{settings.least_coherence:g} is needed (least_coherence)."
+        )
+        kept[some[worst]] = False
+        if kept.sum() < LEAST_PASSES:
+            raise UserError(f"Fewer than {LEAST_PASSES} passes can be tied by their phases. {sentences[0]}")
+
+
+def _with_references(
+    candidates: Candidates, seen: Registered, references: Sequence[ReferencePoint], settings: PassSettings
+) -> tuple[Candidates, list[str]]:
+    """The candidates of which those at reference points that tie have a known height; a sentence on each lacking."""
+    array, sentences = seen.lattice.array, []
+    known, sigma = candidates.known.copy(), candidates.known_sigma.copy()
+    for one in references:
+        if not one.ties:
+            continue
+        slant_range, along, elevation = array.seen(one.position)
+        ranges, ways, _ = array.seen(candidates.positions)
+        off = np.hypot(ranges - slant_range, ways - along)
+        near = int(np.argmin(off))
+        if off[near] > settings.reference_radius_m:
+            east, north, up = one.position.tolist()
+            sentences.append(
+                f"The reference point at {east:g}, {north:g}, {up:g} m is not used: the nearest bright point is "
+                f"{off[near]:.3g} m from where it is to be seen (reference_radius_m is "
+                f"{settings.reference_radius_m:g})."
+            )
+            continue
+        known[near] = (elevation - candidates.elevations[near]) / candidates.beamwidths[near]
+        metre = ranges[near] * np.sin(candidates.elevations[near]) * candidates.beamwidths[near]
+        sigma[near] = settings.reference_sigma_m / metre
+    return replace(candidates, known=known, known_sigma=sigma), sentences

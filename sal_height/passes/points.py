@@ -1,0 +1,297 @@
+"""Heights of what is bright: an estimator of elevation on the peaks of the images in all boxes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Self
+
+import numpy as np
+from scipy.ndimage import binary_dilation
+from scipy.spatial import cKDTree
+
+from sal_height.elevation import (
+    CellResponse,
+    ElevationEstimate,
+    ElevationEstimator,
+    HeightSettings,
+    Looks,
+    Window,
+    scatterer_count,
+    windowed_looks,
+    with_foreign_power,
+    without_imprecise,
+)
+from sal_height.numeric import C64, F32, F64, U8, Bool, Index
+from sal_height.passes.array import PassArray, resolution
+from sal_height.passes.boxes import MARGIN, Box, Lattice, brightest
+from sal_height.passes.tie import Tie
+from sal_height.relief import Surface, height_field
+from sal_height.sensor import Channels
+
+ONE_LOOK = Window.named("boxcar", 1, 0)
+
+PLACE_FACTOR = float(np.sqrt(12) / (2 * np.pi * np.sqrt(2)))
+"""Standard deviation of the place of a point over the cell, times the root of its energy: the Cramer-Rao bound.
+
+Of a flat spectrum of bandwidth B it is 1 / (2 pi B / sqrt(12) sqrt(2 E)) of the delay.
+"""
+
+WINDOW_LOSS = 1.3
+"""What the Taylor window adds to it, and a parabola through three pixels; by Monte Carlo."""
+
+LEAST_PLACE = 0.01
+"""Standard deviation of a place that a parabola leaves of a point without noise, cells."""
+
+SAME_PLACE = 0.5
+"""Cells and beamwidths within which two points are the same one, found in two boxes."""
+
+INSIDE = 0.55
+"""Distance across from the middle of a box up to which it keeps points, over its size: boxes overlap a little."""
+
+COLUMNS_AT_ONCE = 32
+
+APART = 6
+"""Every so many boxes of a column, bright points are looked for: in those between they are up to half a cell off."""
+
+FAINT = 0.4
+"""Power of a point there, at least, over what it has in register."""
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Points with a height; arrays of shape (points, ...).
+
+    Attributes:
+        positions: m in map, (points, 3).
+        height: m.
+        own_covariance: of the position, m^2, (points, 3, 3).
+        common_covariance: what the phases of the passes add, which points near each other share, m^2.
+        cnr_db: of one pass.
+        validity: `Validity`: how many scatterers the pixel holds.
+        power: mean over the passes, over the background.
+    """
+
+    positions: F64
+    height: F64
+    own_covariance: F64
+    common_covariance: F64
+    cnr_db: F64
+    validity: U8
+    power: F64
+
+    @property
+    def sigma(self) -> F64:
+        """Standard deviation of height, without the common part, m."""
+        return np.asarray(np.sqrt(self.own_covariance[:, 2, 2]))
+
+    @property
+    def common_sigma(self) -> F64:
+        """Standard deviation of the part of the height's error that points near each other share, m."""
+        return np.asarray(np.sqrt(self.common_covariance[:, 2, 2]))
+
+    @property
+    def total_sigma(self) -> F64:
+        """Standard deviation of height, m."""
+        return np.hypot(self.sigma, self.common_sigma)
+
+    def of(self, some: Index) -> Self:
+        """Some of the points."""
+        return type(self)(*(getattr(self, field.name)[some] for field in fields(self)))
+
+    @classmethod
+    def together(cls, several: Sequence[Self]) -> Self:
+        """Points of several boxes."""
+        return cls(*(np.concatenate([getattr(one, field.name) for one in several]) for field in fields(cls)))
+
+    @classmethod
+    def none(cls) -> Self:
+        """No points."""
+        flat, matrices = np.zeros(0), np.zeros((0, 3, 3))
+        return cls(np.zeros((0, 3)), flat, matrices, matrices, flat, np.zeros(0, np.uint8), flat)
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a search of the volume found.
+
+    Attributes:
+        points: with a height.
+        peaks: number of bright pixels that were looked at.
+        reasons: number of them by `Validity`.
+    """
+
+    points: Points
+    peaks: int
+    reasons: dict[int, int]
+
+
+def find_points(
+    lattice: Lattice,
+    tie: Tie,
+    background: F64,
+    estimator: ElevationEstimator,
+    settings: HeightSettings,
+    least_power: float,
+) -> Found:
+    """Heights of the peaks of power in the volume.
+
+    Args:
+        lattice: of the boxes, with the antennas where the tie has put them.
+        tie: of the passes.
+        background: power of it in each pass, (passes,).
+        estimator: of elevation.
+        settings: of the estimator.
+        least_power: of a peak, mean over the passes, over the background.
+    """
+    several, reasons, peaks = [Points.none()], np.zeros(256, np.int64), 0
+    columns, turn = lattice.columns(), (np.exp(-1j * tie.phase) / np.sqrt(background)).astype(np.complex64)
+    for first in range(0, len(columns), COLUMNS_AT_ONCE):
+        boxes, where = _lit(lattice, columns[first : first + COLUMNS_AT_ONCE], np.abs(turn), FAINT * least_power)
+        for box, image in zip(boxes, lattice.images(boxes, where) if boxes else [], strict=True):
+            seen = Peaks.of(box, image * turn[:, None, None], lattice.response, least_power)
+            if seen is None:
+                continue
+            estimate = seen.estimate(tie.uncertainty, estimator, settings)
+            several += list(seen.placed(estimate, tie, lattice))
+            reasons += np.bincount(estimate.validity.ravel(), minlength=256)
+            peaks += estimate.validity.size
+    counts = {number: int(count) for number, count in enumerate(reasons.tolist()) if count}
+    points = Points.together(several)
+    low, high = lattice.heights
+    inside = lattice.covers(points.positions) & (points.height >= low) & (points.height <= high)
+    return Found(_once(points.of(np.flatnonzero(inside)), lattice), peaks, counts)
+
+
+def _lit(
+    lattice: Lattice, columns: Sequence[Sequence[tuple[int, int, int]]], gains: F32, least_power: float
+) -> tuple[list[Box], list[Bool]]:
+    """The boxes of columns that hold something bright, and the pixels around it.
+
+    What is in one box of a column is seen in the others in the same rows and columns, though not in register.
+
+    Args:
+        lattice: of the boxes.
+        columns: numbers of their boxes.
+        gains: factors of the passes that make the background's power 1, (passes,).
+        least_power: of what is bright.
+    """
+    looked_at = [column[len(column) % APART // 2 :: APART] for column in columns]
+    planes = [lattice.box(number) for numbers in looked_at for number in numbers]
+    images = iter(zip(planes, lattice.images(planes), strict=True))
+    boxes, where = list[Box](), list[Bool]()
+    for column, numbers in zip(columns, looked_at, strict=True):
+        bright = np.zeros(planes[0].grid.shape, np.bool_)
+        for _ in numbers:
+            box, image = next(images)
+            power = np.mean(np.abs(image * gains[:, None, None]) ** 2, axis=0)
+            row, col = (np.rint(place).astype(np.intp) for place in brightest(power, box, least_power))
+            bright[row, col] = True
+        if bright.any():
+            around = np.ones((2 * MARGIN + 3, 2 * MARGIN + 3), np.bool_)
+            boxes += [lattice.box(number) for number in column]
+            where += [binary_dilation(bright, around)] * len(column)
+    return boxes, where
+
+
+@dataclass(frozen=True, eq=False)
+class Peaks:
+    """The peaks of power in a box.
+
+    Attributes:
+        box: that they are in.
+        looks: one each, side by side, shape (1, peaks).
+        power: mean over the passes, (peaks,).
+    """
+
+    box: Box
+    looks: Looks
+    power: F64
+
+    @classmethod
+    def of(cls, box: Box, image: C64, response: CellResponse, least_power: float) -> Self | None:
+        """The peaks of an image with the background's power 1 in all passes; None: there are none."""
+        passes = len(image)
+        power = np.mean(np.abs(image) ** 2, axis=0)
+        row, col = brightest(power, box, least_power)
+        if not len(row):
+            return None
+        alone = Channels(np.eye(passes, dtype=np.complex128), np.eye(passes), np.ones(passes))
+        nowhere = np.zeros(box.grid.cols)
+        looks = windowed_looks(image, (ONE_LOOK, ONE_LOOK), nowhere, alone, hermitian=True, response=response)
+        here = np.rint(row).astype(np.intp), np.rint(col).astype(np.intp)
+        energy = np.maximum(passes * (power[here] - 1), 1.0)
+        place = np.hypot(WINDOW_LOSS * PLACE_FACTOR / np.sqrt(energy), LEAST_PLACE)
+
+        def listed(values: F64) -> F64:
+            return np.asarray(values[here])[None]
+
+        looks = replace(
+            looks,
+            covariance=looks.covariance[here][None],
+            squint=np.zeros(len(row)),
+            floor=listed(looks.floor),
+            count=listed(looks.count),
+            row=row[None],
+            col=col[None],
+            row_variance=(place / response.down.spacing)[None] ** 2,
+            col_variance=(place / response.across.spacing)[None] ** 2,
+            power=listed(looks.power),
+            finite=looks.finite[here][None],
+            level_spread=np.zeros(len(row)),
+            unplaced=np.zeros(len(row)),
+            dwells=len(row),
+        )
+        return cls(box, looks, power[here])
+
+    def estimate(
+        self, uncertainty: float, estimator: ElevationEstimator, settings: HeightSettings
+    ) -> ElevationEstimate:
+        """Elevations of the scatterers in each peak, and the reasons for none; sidelobes of others count as noise."""
+        beams = self.box.steering.beams(uncertainty)
+        found = estimator.estimate(self.looks, beams, settings)
+        found = with_foreign_power(found, found.sigma**2 * (self.looks.floor - 1))
+        return without_imprecise(found, settings.max_sigma_beamwidths * beams.beamwidth)
+
+    def placed(self, estimate: ElevationEstimate, tie: Tie, lattice: Lattice) -> Iterator[Points]:
+        """The scatterers of peaks with a height, by their order of strength."""
+        array, grid = lattice.array, self.box.grid
+        field = height_field(estimate, self.looks, grid, grid, array.reference, array.look_side)
+        held = scatterer_count(field.validity)[0]
+        for number, surface in enumerate(field.surfaces):
+            off = np.abs(estimate.scatterers[number].elevation[0] - self.box.steering.elevation)
+            inside = off <= INSIDE * lattice.size[2] / self.box.steering.metres
+            some = np.flatnonzero((held > number) & inside)
+            if some.size:
+                yield self._points(surface, some, field.validity[0], tie, array)
+
+    def _points(self, surface: Surface, some: Index, validity: U8, tie: Tie, array: PassArray) -> Points:
+        positions, steering = surface.positions[0, some], self.box.steering
+        common = np.zeros((len(some), 3, 3))
+        for number, position in enumerate(positions):
+            offset = (array.seen(position)[2] - steering.elevation) / steering.beamwidth
+            variance = tie.variance(position, steering.slope(offset), array)
+            way = array.axes_at(position)[2] * steering.beamwidth * steering.metres
+            common[number] = variance * np.outer(way, way)
+        return Points(
+            positions,
+            surface.height[0, some],
+            surface.own_covariance[0, some],
+            common,
+            surface.cnr_db[0, some],
+            validity[some],
+            self.power[some],
+        )
+
+
+def _once(points: Points, lattice: Lattice) -> Points:
+    """The points without those that another box holds more strongly."""
+    if not len(points.height):
+        return points
+    cells = np.array([*(2 * np.array(lattice.spacing)), resolution(lattice.steering(lattice.array.centre))])
+    tree = cKDTree(points.positions @ lattice.array.axes.T / cells)
+    dropped = np.zeros(len(points.height), np.bool_)
+    for first, second in tree.query_pairs(SAME_PLACE):
+        weaker = first if points.power[first] < points.power[second] else second
+        dropped[weaker] = True
+    return points.of(np.flatnonzero(~dropped))

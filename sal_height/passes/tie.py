@@ -1,0 +1,451 @@
+"""Phases and positions of passes against each other, from bright points of unknown height.
+
+Pass p of point i has the phase
+
+    psi_ip = phi_p(e_i) + c_i + b_p + k (l_p(x_i) - l_p(x_0)) d_p
+
+phi_p the response (`array`), c_i the phase of the point, b_p a phase of the pass, l_p the line of sight, d_p an error
+of position of its antenna across that of the middle x_0. Unknown are b, d and, for each point, e and c. Adding the
+phases of one height to all b_p raises all points alike: that offset is the gauge. Points of known height fix it;
+without them the median height of the points is put on the ground. A tilt of all points is told from errors of position
+by nothing but their a-priori standard deviation.
+
+The solution is one of least squares. Where it begins is found by trying bright points as anchors: at the phases of one
+of them, each other point has the elevation at which most of its power is in phase.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from sal_height.errors import UserError
+from sal_height.numeric import C64, C128, F64, Bool
+from sal_height.passes.array import PassArray, Steering
+from sal_height.passes.boxes import Box, brightest
+from sal_height.passes.registration import Registered
+from sal_height.passes.settings import PassSettings
+
+ANCHORS = 20
+"""Bright points that are tried as the one whose phases the others refer to."""
+
+LEAST_TIES = 5
+"""Points that must agree."""
+
+LEAST_POWER = 0.05
+"""Power of a point in its weakest pass over the mean: of others that have faded, the phase tells nothing."""
+
+LIFT_STEP = 0.05  # of the offsets of all points that are tried, beamwidths
+SEARCH_STEP = 0.1  # of the elevations that are tried, beamwidths
+ROUNDS = 25  # of adjusting phases and elevations by turns
+LEAST_AGREEMENT = 0.7  # share of the power of a point in phase, from which on it ties
+LEAST_PHASE_ERROR = 0.02  # rad, that points have beside noise at least: none is a point exactly
+FIXED = 1e9  # weight by which what nothing determines is held
+LEAST_SHARE = 0.4  # the same, of points that tell whether a pass is in phase with the others
+OUTLIER = 3.5  # standard deviations from which on a point is left out
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Bright points that may tie the passes.
+
+    Attributes:
+        samples: of the passes, in units of the background's amplitude, shape (points, passes).
+        positions: of their pixels in map, m, shape (points, 3).
+        coefficients: of the phases about each, as in `Steering`, shape (points, passes, n).
+        elevations: of the points that the coefficients are about, rad, (points,).
+        beamwidths: rad, (points,).
+        known: offset of a point of known height in beamwidths, NaN where it is not, (points,).
+        known_sigma: of that, beamwidths.
+    """
+
+    samples: C128
+    positions: F64
+    coefficients: F64
+    elevations: F64
+    beamwidths: F64
+    known: F64
+    known_sigma: F64
+
+    @classmethod
+    def of(cls, seen: Registered, settings: PassSettings) -> Self:
+        """The brightest points of the images on the ground that no pass misses.
+
+        Raises:
+            UserError: there are too few.
+        """
+        found: list[tuple[float, C128, F64, Steering]] = []
+        for box, image in zip(seen.boxes, seen.images, strict=True):
+            bright, margin = _bright_in(box, image, settings), settings.tie_reach_m
+            found += [one for one in bright if seen.lattice.covers(one[2][None], margin)[0]]
+        if len(found) < LEAST_TIES:
+            raise UserError(
+                f"The scene has {len(found)} points that all passes see {settings.least_power_db:g} dB above the "
+                f"background; {LEAST_TIES} are needed to tie the phases of the passes: a larger side_m or a lower "
+                "least_power_db finds more."
+            )
+        found.sort(key=lambda one: -one[0])
+        _, samples, positions, steering = zip(*found[: settings.most_ties], strict=True)
+        nowhere = np.full(len(samples), np.nan)
+        return cls(
+            np.array(samples, np.complex128),
+            np.array(positions),
+            np.array([one.coefficients for one in steering]),
+            np.array([one.elevation for one in steering]),
+            np.array([one.beamwidth for one in steering]),
+            nowhere,
+            nowhere,
+        )
+
+    def of_points(self, some: Bool) -> Candidates:
+        """Some of the points."""
+        return Candidates(**{name: values[some] for name, values in vars(self).items()})
+
+    def of_passes(self, some: Bool) -> Candidates:
+        """The points in some of the passes."""
+        return replace(self, samples=self.samples[:, some], coefficients=self.coefficients[:, some])
+
+    @property
+    def power(self) -> F64:
+        """Mean over the passes, over the background, (points,)."""
+        return np.asarray(np.mean(np.abs(self.samples) ** 2, axis=1))
+
+    def phases(self, offset: F64) -> F64:
+        """Phases (rad) at one offset of each point (beamwidths), shape (points, passes)."""
+        powers = offset[:, None] ** np.arange(self.coefficients.shape[2])
+        return np.einsum("ipn,in->ip", self.coefficients, powers)
+
+    def slopes(self, offset: F64) -> F64:
+        """Their derivatives, rad per beamwidth."""
+        number = np.arange(1, self.coefficients.shape[2])
+        return np.einsum("ipn,in->ip", self.coefficients[..., 1:], number * offset[:, None] ** (number - 1))
+
+    def best_offsets(self, turned: C128, reach: F64) -> tuple[F64, F64]:
+        """Offsets (beamwidths) at which most of each point's power is in phase, and its share; both (points,).
+
+        Args:
+            turned: samples without the phases of the passes, (points, passes).
+            reach: offsets to each side that are tried, (points,).
+        """
+        steps = np.linspace(-1.0, 1.0, 2 * int(np.ceil(reach.max() / SEARCH_STEP)) + 1)
+        offsets = reach[:, None] * steps
+        powers = offsets[..., None] ** np.arange(self.coefficients.shape[2])
+        phases = np.einsum("ipn,ijn->ijp", self.coefficients, powers)
+        share = np.abs(np.einsum("ijp,ip->ij", np.exp(-1j * phases), turned)) ** 2
+        share /= turned.shape[1] * np.sum(np.abs(turned) ** 2, axis=1)[:, None]
+        at = np.clip(np.argmax(share, axis=1), 1, len(steps) - 2)
+        every = np.arange(len(at))
+        before, here, after = (share[every, at + k] for k in (-1, 0, 1))
+        bend = np.maximum(2 * here - before - after, 1e-12)
+        return offsets[every, at] + np.clip((after - before) / (2 * bend), -1, 1) * reach * (steps[1] - steps[0]), here
+
+
+def _bright_in(box: Box, image: C64, settings: PassSettings) -> list[tuple[float, C128, F64, Steering]]:
+    power = np.mean(np.abs(image) ** 2, axis=0)
+    rows, cols = brightest(power, box, 10 ** (settings.least_power_db / 10))
+    found = []
+    for row, col in zip(rows, cols, strict=True):
+        samples = image[:, round(row), round(col)]
+        each = np.abs(samples) ** 2
+        if np.all(np.isfinite(samples)) and each.min() >= LEAST_POWER * each.mean():
+            found.append((float(each.mean()), samples.astype(np.complex128), box.grid.points(row, col), box.steering))
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Tie:
+    """What ties the passes.
+
+    Attributes:
+        phase: of each pass, rad, shape (passes,).
+        offset: error of position of each across the line of sight: along the flight and upwards, m, (passes, 2).
+        covariance: of phases, then of offsets, shape (3 passes, 3 passes); what the gauge leaves open is not in it.
+        uncertainty: root mean square of the error of a point's amplitude in a pass, over the amplitude, beside noise.
+        coherence: share of the power of the points that each pass has in the phase of the others, (passes,).
+        points: number of points that tie.
+        references: number of points of known height among them.
+        positions: of the points, m in map, (points, 3).
+    """
+
+    phase: F64
+    offset: F64
+    covariance: F64
+    uncertainty: float
+    coherence: F64
+    points: int
+    references: int
+    positions: F64
+
+    def placed(self, array: PassArray) -> tuple[PassArray, Tie]:
+        """The passes with their antennas where they were found to be, and the tie with the phases that are left."""
+        moved = self.offset @ array.axes[1:]
+        sight = array.centre - array.middles
+        sight /= np.linalg.norm(sight, axis=-1, keepdims=True)
+        # An antenna that is nearer by d to the middle of the scene adds k d.
+        phase = self.phase - array.wavenumbers * np.sum(sight * moved, axis=-1)
+        return array.moved(moved), replace(self, phase=phase)
+
+    def variance(self, point: F64, slope: F64, array: PassArray) -> float:
+        """Variance that the tie adds to the offset of a point, beamwidths squared; points near each other share it.
+
+        Args:
+            point: m in map, shape (3,).
+            slope: of the phases there, rad per beamwidth, (passes,).
+            array: the passes.
+        """
+        turning = slope - slope.mean()
+        pull = turning / np.sum(turning**2)
+        by = np.concatenate([pull, (pull[:, None] * sensitivity(array, point[None])[0]).ravel()])
+        return float(by @ self.covariance @ by)
+
+
+def sensitivity(array: PassArray, points: F64) -> F64:
+    """Phase (rad) that an error of position of a pass adds, per m along the flight and upwards, (points, passes, 2)."""
+
+    def sight(point: F64) -> F64:
+        way = point[..., None, :] - array.middles
+        return np.asarray(way / np.linalg.norm(way, axis=-1, keepdims=True))
+
+    turned = sight(points) - sight(array.centre)
+    return array.wavenumbers[:, None] * (turned @ array.axes[1:].T)
+
+
+@dataclass(frozen=True, eq=False)
+class _Adjusted:
+    """State of the adjustment: phases, offsets of the antennas, and of each point its offset in elevation."""
+
+    phase: F64
+    offset: F64
+    elevation: F64
+
+    def turned(self, points: Candidates, sensitive: F64) -> C128:
+        """Samples without what the passes add."""
+        return points.samples * np.exp(-1j * (self.phase + np.einsum("ipn,pn->ip", sensitive, self.offset)))
+
+
+def loosest(points: Candidates, array: PassArray, settings: PassSettings) -> tuple[int, float, int]:
+    """The pass that shares the phases of the others least, how much over what passes usually do, by how many points.
+
+    One pass of random phases makes points disagree that else tie; so it is looked for before these are chosen, on all
+    points of which most passes agree.
+    """
+    sensitive, reach = sensitivity(array, points.positions), _reach(points, array, settings)
+    state, share = _by_turns(_anchored(points, reach), points, sensitive, reach, settings)
+    some = share >= LEAST_SHARE
+    turned = state.turned(points, sensitive) * np.exp(-1j * points.phases(state.elevation))
+    coherence = _coherences(turned[some])
+    return int(np.argmin(coherence)), float(coherence.min() / np.median(coherence)), int(some.sum())
+
+
+def _reach(points: Candidates, array: PassArray, settings: PassSettings) -> F64:
+    """Offsets up to which the elevation of each point is looked for, beamwidths, (points,)."""
+    metres = array.seen(points.positions)[0] * points.beamwidths * np.sin(points.elevations)
+    return np.asarray(settings.tie_reach_m / metres)
+
+
+def tie_passes(points: Candidates, array: PassArray, settings: PassSettings) -> Tie:
+    """Tie the passes by bright points.
+
+    Raises:
+        UserError: too few points agree.
+    """
+    sensitive = sensitivity(array, points.positions)
+    reach = _reach(points, array, settings)
+    state, _ = _by_turns(_anchored(points, reach), points, sensitive, reach, settings)
+    if np.any(np.isfinite(points.known)):
+        state = _levelled(state, points, sensitive, reach)
+    _, share = points.best_offsets(state.turned(points, sensitive), reach)
+    agree = share >= LEAST_AGREEMENT
+    error = LEAST_PHASE_ERROR
+    for _ in range(4):
+        if agree.sum() < LEAST_TIES:
+            break
+        kept, of_kept = points.of_points(agree), sensitive[agree]
+        part = replace(state, elevation=state.elevation[agree])
+        for _ in range(4):
+            part, covariance, residual, weight = _solved(part, kept, of_kept, error, settings)
+        # What points err beside their noise, so that residuals are as large as they should be.
+        free = max(1.0, kept.samples.size - 2 * len(kept.samples) - 3 * (points.samples.shape[1] - 1))
+        error = float(np.sqrt(max(LEAST_PHASE_ERROR**2, _excess(residual, kept, free))))
+        elevation = state.elevation.copy()
+        elevation[agree] = part.elevation
+        state = replace(part, elevation=elevation)
+        rms = np.sqrt(np.mean(weight * residual**2, axis=1))
+        good = rms < OUTLIER / np.sqrt(2)
+        if good.all():
+            break
+        agree[np.flatnonzero(agree)[~good]] = False
+    if agree.sum() < LEAST_TIES:
+        raise UserError(
+            f"Of {len(points.samples)} bright points {int(agree.sum())} agree on the phases of the passes; "
+            f"{LEAST_TIES} are needed."
+        )
+    kept, references = points.of_points(agree), np.isfinite(points.known[agree])
+    turned = state.turned(points, sensitive)[agree] * np.exp(-1j * kept.phases(state.elevation[agree]))
+    if not references.any():
+        state = _on_ground(state, points, agree, array, settings)
+    return Tie(
+        state.phase,
+        state.offset,
+        covariance,
+        _uncertainty(turned),
+        _coherences(turned),
+        int(agree.sum()),
+        int(references.sum()),
+        kept.positions,
+    )
+
+
+def _anchored(points: Candidates, reach: F64) -> _Adjusted:
+    """The phases of the bright point at which most of the others' power is in phase."""
+    best = -1.0, 0
+    for number in range(min(ANCHORS, len(points.samples))):
+        anchor = points.samples[number] / np.abs(points.samples[number])
+        _, share = points.best_offsets(points.samples * anchor.conj(), reach)
+        best = max(best, (float(np.sum(share)), number))
+    phase = np.angle(points.samples[best[1]])
+    offset, _ = points.best_offsets(points.samples * np.exp(-1j * phase), reach)
+    return _Adjusted(phase, np.zeros((len(phase), 2)), offset)
+
+
+def _by_turns(
+    state: _Adjusted, points: Candidates, sensitive: F64, reach: F64, settings: PassSettings
+) -> tuple[_Adjusted, F64]:
+    """Adjust phases to elevations, and elevations to phases, as long as something moves."""
+    share = np.zeros(len(points.samples))
+    for _ in range(ROUNDS):
+        offset, share = points.best_offsets(state.turned(points, sensitive), reach)
+        state = replace(state, elevation=offset)
+        some = share >= min(LEAST_AGREEMENT, float(np.median(share)))
+        part = replace(state, elevation=offset[some])
+        free = replace(points.of_points(some), known=np.full(int(some.sum()), np.nan))
+        part, *_ = _solved(part, free, sensitive[some], 0.3, settings)
+        moved = float(np.abs(part.phase - state.phase).max())
+        state = replace(part, elevation=offset)
+        if moved < 1e-4:
+            break
+    return state, share
+
+
+def _solved(
+    state: _Adjusted, points: Candidates, sensitive: F64, error: float, settings: PassSettings
+) -> tuple[_Adjusted, F64, F64, F64]:
+    """One step of Gauss and Newton.
+
+    Args:
+        state: to begin from.
+        points: that tie.
+        sensitive: `sensitivity` at them.
+        error: standard deviation of phases beside noise, rad.
+        settings: a-priori standard deviation of positions.
+
+    Returns:
+        The state after it, the covariance of phases and offsets, residuals (rad) and their weights (points, passes).
+    """
+    passes, slope = points.samples.shape[1], points.slopes(state.elevation)
+    weight = 1 / (0.5 / np.maximum(np.abs(points.samples) ** 2, 1e-6) + error**2)
+    turned = state.turned(points, sensitive) * np.exp(-1j * points.phases(state.elevation))
+    mean = np.sum(weight * turned / np.abs(turned), axis=1, keepdims=True)
+    residual = np.angle(turned * mean.conj())
+    # Unknowns of the passes: phases, then offsets two by two.
+    design = np.zeros((len(residual), passes, 3 * passes))
+    every = np.arange(passes)
+    design[:, every, every] = 1.0
+    for axis in (0, 1):
+        design[:, every, passes + 2 * every + axis] = sensitive[..., axis]
+    # Of each point: phase and elevation, which are eliminated.
+    own = np.stack([np.ones_like(slope), slope], axis=-1)
+    known = np.isfinite(points.known)
+    prior = np.where(known, 1 / np.where(known, points.known_sigma, 1.0) ** 2, 0.0)
+    heavy = weight[..., None] * own
+    inner = np.swapaxes(own, 1, 2) @ heavy
+    inner[:, 1, 1] += prior
+    pull = np.einsum("ipn,ip->in", heavy, residual)
+    pull[:, 1] += prior * np.where(known, points.known - state.elevation, 0.0)
+    cross = np.swapaxes(design, 1, 2) @ heavy
+    through = cross @ np.linalg.inv(inner)
+    normal = np.einsum("ipm,ip,ipn->mn", design, weight, design, optimize=True)
+    normal -= np.einsum("imn,ikn->mk", through, cross)
+    right = np.einsum("ipm,ip->m", design, weight * residual) - np.einsum("imn,in->m", through, pull)
+    variance = max(settings.position_sigma_m, 1e-6) ** 2
+    normal[passes:, passes:] += np.eye(2 * passes) / variance
+    right[passes:] -= state.offset.ravel() / variance
+    # The gauge: a phase that all passes share and, without known points, a height that all points share.
+    held = [np.ones(passes)] + ([] if known.any() else [np.mean(slope - slope.mean(axis=1, keepdims=True), axis=0)])
+    for vector in held:
+        unit = vector / np.linalg.norm(vector)
+        normal[:passes, :passes] += FIXED * np.outer(unit, unit)
+    covariance = np.linalg.inv(normal)
+    for vector in held:
+        unit = vector / np.linalg.norm(vector)
+        covariance[:passes, :passes] -= np.outer(unit, unit) / FIXED
+    step = covariance @ right
+    of_points = np.einsum("inm,im->in", np.linalg.inv(inner), pull - np.einsum("imn,m->in", cross, step))
+    moved = _Adjusted(
+        state.phase + step[:passes],
+        state.offset + step[passes:].reshape(-1, 2),
+        state.elevation + np.clip(of_points[:, 1], -0.5, 0.5),
+    )
+    left = residual - design @ step - np.einsum("ipn,in->ip", own, of_points)
+    return moved, covariance, left, weight
+
+
+def _levelled(state: _Adjusted, points: Candidates, sensitive: F64, reach: F64) -> _Adjusted:
+    """The state raised so that most of the power of the points of known height is in phase at these heights."""
+    known = np.isfinite(points.known)
+    some = points.of_points(known)
+    turned = state.turned(points, sensitive)[known]
+    most = float(reach.max())
+    lifts = np.arange(-2 * most, 2 * most, LIFT_STEP)
+    offsets = some.known[:, None] - lifts
+    powers = offsets[..., None] ** np.arange(points.coefficients.shape[2])
+    phases = np.einsum("ipn,ijn->ijp", some.coefficients, powers)
+    in_phase = np.abs(np.einsum("ijp,ip->ij", np.exp(-1j * phases), turned)) ** 2
+    share = in_phase / np.sum(np.abs(turned) ** 2, axis=1)[:, None]
+    return _lifted(state, points, float(lifts[np.argmax(share.sum(axis=0))]))
+
+
+def _lifted(state: _Adjusted, points: Candidates, lift: float) -> _Adjusted:
+    """The state with all points higher by `lift` (beamwidths), and phases that make it so."""
+    added = points.phases(state.elevation) - points.phases(state.elevation + lift)
+    change = np.median(added - added.mean(axis=1, keepdims=True), axis=0)
+    return _Adjusted(state.phase + change, state.offset, state.elevation + lift)
+
+
+def _on_ground(
+    state: _Adjusted, points: Candidates, agree: Bool, array: PassArray, settings: PassSettings
+) -> _Adjusted:
+    """The state in which the median height of the points that tie is that of the ground."""
+    metres = array.seen(points.positions)[0] * np.sin(points.elevations) * points.beamwidths
+    heights = points.positions[:, 2] + state.elevation * metres
+    lift = settings.ground_m - float(np.median(heights[agree]))
+    return _lifted(state, points, lift / float(np.median(metres)))
+
+
+def _excess(residual: F64, points: Candidates, free: float) -> float:
+    """Variance of phases beside that of noise, rad^2, from residuals that have `free` degrees of freedom."""
+    noise = 0.5 / np.maximum(np.abs(points.samples) ** 2, 1e-6)
+    return float(np.sum(residual**2) / free - np.mean(noise))
+
+
+def _uncertainty(turned: C128) -> float:
+    """Root mean square of the relative error of amplitudes beside noise, in the median over points.
+
+    Args:
+        turned: samples of which the phases of passes and heights are taken off, in units of noise, (points, passes).
+    """
+    passes = turned.shape[1]
+    explained = np.abs(turned.sum(axis=1)) ** 2 / passes
+    left = np.sum(np.abs(turned) ** 2, axis=1) - explained
+    free = passes - 1.5
+    return float(np.sqrt(max(0.0, np.median((left / free - 1) / (explained / passes)))))
+
+
+def _coherences(turned: C128) -> F64:
+    """Share of each pass's power in the phase of the others, over points of like weight, (passes,)."""
+    unit = turned / np.sqrt(np.mean(np.abs(turned) ** 2, axis=1, keepdims=True))
+    others = unit.sum(axis=1, keepdims=True) - unit
+    phasor = unit * others.conj() / np.abs(others)
+    return np.asarray(np.abs(np.mean(phasor, axis=0)) ** 2 / np.mean(np.abs(unit) ** 2, axis=0))

@@ -37,6 +37,7 @@ from sal_height.imaging.autofocus.phase_linking import (
     link_phases,
     signal_modes,
     speckle_classes,
+    standard_error,
 )
 from sal_height.imaging.pixels import azimuth_resolution
 from sal_height.numeric import C64, C128, F64, Complex
@@ -250,13 +251,13 @@ def focus_speckle(modes: Complex, snr: F64, waves: C128, profile: F64) -> Focus:
     if not len(modes):
         return Focus(np.zeros(modes.shape[-1]), "none", np.inf)
     classes, by_beam = speckle_classes(modes, snr), coherence_of(waves, profile)
-    phase, error = link_phases(classes, by_beam, phase_gradient(modes))
+    phase, information = link_phases(classes, by_beam, phase_gradient(modes))
     # A fitted profile takes some noise for echo: the phases gain by it, but the error that it predicts is too small.
     fitted = fit_profile(classes, waves, profile, by_beam, phase)
     phase, _ = link_phases(classes, coherence_of(waves, fitted), phase)
     phase = without_shift(phase)
     trend, trend_error = find_trend(turned(modes, phase), snr, by_beam)
-    return Focus(phase, "speckle", error, trend=trend, trend_error=trend_error)
+    return Focus(phase, "speckle", standard_error(information), trend=trend, trend_error=trend_error)
 
 
 def patch_half_width(sensor: Sensor) -> int:

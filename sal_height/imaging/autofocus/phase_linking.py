@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
+import scipy.linalg
 
 from sal_height.numeric import C128, F64, Bool, Complex
 from sal_height.sensor import Sensor
@@ -33,6 +34,7 @@ ITERATIONS = 50  # maximum number of steps of Fisher scoring
 CONVERGED = 1e-4  # rms change of the phases (rad) below which Fisher scoring has converged
 BLOCKS = 12  # of neighbouring range cells, whose differences tell how uneven ground moves the Doppler centroid
 FINELY = 16  # trends on which the likelihood is looked at, over the number of pulses
+FIRMLY = 1e6  # by which mean and trend are held, over the information on a phase
 LONGEST_STEP = 1.0  # greatest change of a phase in one step, rad: far from the maximum the likelihood is no parabola
 
 
@@ -154,7 +156,7 @@ def _class_members(snr: F64) -> list[tuple[float, Bool]]:
     return [(float(CLASS_RATIO ** (step + 0.5)), steps == step) for step in np.unique(steps)]
 
 
-def link_phases(classes: list[Speckle], coherence: Coherence, start: F64) -> tuple[F64, float]:
+def link_phases(classes: list[Speckle], coherence: Coherence, start: F64) -> tuple[F64, F64]:
     """Phases of maximum likelihood by Fisher scoring; their mean and linear trend are those of the start.
 
     Args:
@@ -163,33 +165,38 @@ def link_phases(classes: list[Speckle], coherence: Coherence, start: F64) -> tup
         start: first estimate, rad, shape (pulses,).
 
     Returns:
-        The phases, rad, and their standard error (rms over the pulses, mean and linear trend apart) by the Fisher
-        information, rad.
+        The phases, rad, and the Fisher information on them, rad^-2, shape (pulses, pulses).
     """
     pulses = len(start)
     weighted, information = np.zeros((pulses, pulses), np.complex128), np.zeros((pulses, pulses))
     for speckle in classes:
         weighted -= coherence.inverse_covariance(speckle.snr) * speckle.total.T
         information += speckle.count * coherence.information(speckle.snr)
-    # The inverse of the information on all but mean and linear trend, of which the likelihood knows nothing.
-    rest = _without_trend(pulses)
-    variance = rest @ np.linalg.inv(rest.T @ information @ rest) @ rest.T
+    # The likelihood knows nothing of mean and linear trend, which steps therefore do not have.
+    trend = _trend(pulses)
+    fixed = scipy.linalg.cho_factor(information + FIRMLY * information.diagonal().max() * trend @ trend.T)
     phase = start.copy()
     for _ in range(ITERATIONS):
         turn = np.exp(1j * phase)
-        step = variance @ (2 * (weighted * turn[:, None] * turn.conj()).imag.sum(axis=0))
+        pull = 2 * np.sum((weighted * turn[:, None] * turn.conj()).imag, axis=0)
+        step = scipy.linalg.cho_solve(fixed, pull)
         step *= LONGEST_STEP / max(np.abs(step).max(), LONGEST_STEP)
         phase += step
         if np.sqrt(np.mean(step**2)) < CONVERGED:
             break
-    return phase, float(np.sqrt(np.mean(np.diag(variance))))
+    return phase, information
+
+
+def standard_error(information: F64) -> float:
+    """Standard error of phases (rms over the pulses, mean and linear trend apart) by the information on them, rad."""
+    rest = np.linalg.qr(_trend(len(information)), mode="complete")[0][:, 2:]
+    return float(np.sqrt(np.trace(np.linalg.inv(rest.T @ information @ rest)) / len(information)))
 
 
 @lru_cache(maxsize=4)
-def _without_trend(pulses: int) -> F64:
-    """Orthonormal phases without mean and linear trend, shape (pulses, pulses - 2)."""
-    trend = np.stack([np.ones(pulses), np.linspace(-1.0, 1.0, pulses)], axis=1)
-    return np.linalg.qr(trend, mode="complete")[0][:, 2:]
+def _trend(pulses: int) -> F64:
+    """Orthonormal mean and linear trend, shape (pulses, 2)."""
+    return np.linalg.qr(np.stack([np.ones(pulses), np.linspace(-1.0, 1.0, pulses)], axis=1))[0]
 
 
 def find_trend(modes: Complex, snr: F64, coherence: Coherence) -> tuple[float, float]:
@@ -211,13 +218,15 @@ def find_trend(modes: Complex, snr: F64, coherence: Coherence) -> tuple[float, f
     ]
     for some, inverse, _ in classes:
         product += inverse * (some.conj().T @ some)
-    lag = np.arange(pulses) - np.arange(pulses)[:, None]
+    # Sums over the pairs of each lag.
+    lag = np.arange(-pulses + 1, pulses)
+    of_lags = np.array([np.trace(product, offset) for offset in lag])
     waves = np.zeros(FINELY * pulses, np.complex128)
-    np.add.at(waves, lag, product)
+    waves[lag] = of_lags
     trend = float(2 * np.pi * np.fft.fftfreq(len(waves))[np.argmin(np.fft.fft(waves).real)])
     information = 1.0
     for _ in range(2):  # Newton: the grid is within a hundredth of the beam
-        turned = product * np.exp(-1j * trend * lag)
+        turned = of_lags * np.exp(-1j * trend * lag)
         information = -float(np.sum(lag**2 * turned).real)
         trend += float(np.sum(1j * lag * turned).real) / information
     time, scores = np.arange(pulses) - (pulses - 1) / 2, np.zeros(len(modes))

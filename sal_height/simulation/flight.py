@@ -164,14 +164,24 @@ class SimulatedFlight:
         return turbulence.drawn(structure, flight.speed_mps, rng)
 
     def pulse_phase(self, dwell: int) -> F64:
-        """Phase (rad) of the echoes of each pulse of a dwell by vibration, laser and air, shape (pulses,)."""
+        """Phase (rad) of the echoes of each pulse of a dwell by vibration, laser and air, shape (pulses,).
+
+        That of a laser that walks within pulses is left out: see `sample_phase`.
+        """
         times = self.dwell_start_ns(dwell) * 1e-9 + self.pulse_times
         farther = self._vibration.displacement(times)[:, 0]
-        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(LASER, dwell)))
-        linewidth = self.preset.impairments.laser_linewidth_hz
-        walk = laser_phase(linewidth, self.pulse_times, self.preset.flight.slant_range_m, rng)
+        walk = 0.0 if self.preset.impairments.laser_within_pulse else self._laser_phase(dwell, self.pulse_times)
         air = self._air.displacement(times)[:, 0] if self._air else 0.0
         return np.asarray(walk + air - 4 * np.pi / self.sensor.wavelength * farther)
+
+    def sample_phase(self, dwell: int) -> F64:
+        """Phase (rad) of the raw samples of a dwell by a laser that walks within pulses, shape (pulses, samples)."""
+        numbers = np.arange(self.sensor.sample_count) - (self.sensor.sample_count - 1) / 2
+        return self._laser_phase(dwell, self.pulse_times[:, None] + numbers / self.sensor.sampling_rate)
+
+    def _laser_phase(self, dwell: int, seconds: F64) -> F64:
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(LASER, dwell)))
+        return laser_phase(self.preset.impairments.laser_linewidth_hz, seconds, self.preset.flight.slant_range_m, rng)
 
     @cached_property
     def spectrum(self) -> Sensor:
@@ -386,7 +396,10 @@ class SimulatedFlight:
         if impairments.turns_pulses:
             echoes *= np.exp(1j * self.pulse_phase(dwell))[:, None]
         clean = through_receivers(echoes, self.sensor, impairments)
-        samples = received(from_spectrum(clean, self.sensor), self.sensor, rng, impairments.adc_bits)
+        raw = from_spectrum(clean, self.sensor)
+        if impairments.laser_within_pulse:
+            raw *= np.exp(1j * self.sample_phase(dwell)).astype(np.complex64)
+        samples = received(raw, self.sensor, rng, impairments.adc_bits)
         samples = blanked(samples, self.sensor, self.preset.flight.slant_range_m)
         return PhaseHistory(start_ns, self.pulse_times, reference, samples)
 

@@ -196,6 +196,8 @@ class Impairments(StrictKeys):
         odometry: errors of the odometry, and of where the sensor is said to be.
         vibration: of the antenna along the line of sight; the odometry does not contain it.
         laser_linewidth_hz: full width at half maximum of the line of the laser.
+        laser_within_pulse: whether its phase walks within a pulse, too; not with waveform "spectrum", whose samples are
+            no times.
         air: between platform and ground, which delays and bends echoes; None: there is none.
         turbulence: of the air; None: it is at rest.
         vegetation_wind: moves what is above the terrain; None: it stands still.
@@ -217,6 +219,7 @@ class Impairments(StrictKeys):
     odometry: OdometryErrors = EXACT
     vibration: Vibration = AT_REST
     laser_linewidth_hz: Annotated[Float, Ge(0), Le(1e9)] = 0.0
+    laser_within_pulse: bool = False
     air: SimulatedAir | None = None
     turbulence: Turbulence | None = None
     vegetation_wind: VegetationWind | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Iterator
 from itertools import pairwise
@@ -9,7 +10,9 @@ from itertools import pairwise
 import numpy as np
 
 from sal_height import messages
+from sal_height.bag.copies import kept_custom_data
 from sal_height.bag.dwells import Dwell, DwellFault, DwellList, faults_of
+from sal_height.bag.files import PARAMETERS
 from sal_height.bag.findings import Finding, error, some, warning
 from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.bag.sensor_topics import SensorTopics
@@ -69,9 +72,23 @@ class SensorCheck:
                 f"Nodes refuse {count} messages on {topic} ({reason}), the first: {self._faults[topic, reason]}",
                 "The program that publishes them must be put right.",
             )
+        yield from self._check_air()
         yield from self._check_dwells()
         if self.topics.odometry not in absent:
             yield from self._check_odometry()
+
+    def _check_air(self) -> Iterator[Finding]:
+        """Whether the air is there that the compression was to hear."""
+        if not _hears_air(self._reader):
+            return
+        needed = {topic for sensor in self._sensors.values() for topic in messages.needed_air(sensor.wavelength)}
+        names = [self.topics.namespace + topic for topic in messages.AIR if topic in needed]
+        if absent := [name for name in names if not self._count(name)]:
+            yield error(
+                f"Bag {self._reader.path} has no messages on {', '.join(absent)}, which sar_compression is to take the "
+                "air from (its parameter air is heard).",
+                "Record them, too, or replay it with --param sar_compression.air=standard.",
+            )
 
     def _count(self, topic: str) -> int:
         """Messages on a topic of the bag."""
@@ -176,6 +193,15 @@ class SensorCheck:
                 f"({longest_ns * 1e-9:.3g} s) and {GAPLESS_NS * 1e-9:g} s, the longest of {gaps.max() * 1e-9:.3g} s.",
                 "Publish odometry more often; in long gaps sigma grows, or dwells are refused (max_odometry_gap_s).",
             )
+
+
+def _hears_air(reader: BagReader) -> bool:
+    """Whether the parameters that a bag was made with have the compression take the air from messages."""
+    try:
+        values = json.loads(kept_custom_data(reader).get(PARAMETERS, "{}"))
+        return bool(values["sar_compression"]["air"] == messages.HEARD_AIR)
+    except (ValueError, TypeError, LookupError):  # there are none, or a replay refuses them
+        return False
 
 
 def _is_covered(dwell: Dwell, stamps: I64) -> bool:

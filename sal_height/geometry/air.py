@@ -77,9 +77,7 @@ class Atmosphere:
         there = np.array([height])
         warmer = temperature - float(STANDARD_ATMOSPHERE.at(there)[0][0])
         unscaled = float(cls(warmer, 1.0, 0.0).at(there)[1][0])
-        celsius = temperature - 273.15
-        saturation = 611.21 * np.exp(17.502 * celsius / (240.97 + celsius))  # ITU-R P.453
-        density = humidity * saturation / (_VAPOUR_CONSTANT * temperature)
+        density = humidity * _saturation(temperature) / (_VAPOUR_CONSTANT * temperature)
         return cls(warmer, pressure / unscaled, float(density * np.exp(height / _VAPOUR_SCALE_M)))
 
     def at(self, height: F64) -> tuple[F64, F64, F64]:
@@ -97,8 +95,19 @@ class Atmosphere:
         density = self.vapour * np.exp(-height / _VAPOUR_SCALE_M)
         return temperature, pressure, density * _VAPOUR_CONSTANT * temperature
 
+    def humidity(self, height: float) -> float:
+        """Relative humidity over water at a height above sea level (m); more than 1 where vapour would condense."""
+        temperature, _, vapour = (float(values[0]) for values in self.at(np.array([height])))
+        return vapour / _saturation(temperature)
+
 
 STANDARD_ATMOSPHERE = Atmosphere()
+
+
+def _saturation(temperature: float) -> float:
+    """Pressure of saturated water vapour (Pa) at a temperature (K), by ITU-R P.453."""
+    celsius = temperature - 273.15
+    return float(611.21 * np.exp(17.502 * celsius / (240.97 + celsius)))
 
 
 def _pressure_ratio(above: F64, temperature: float, lapse: float) -> F64:

@@ -4,7 +4,16 @@ It is the only package that knows both the types of messages and those of the co
 (but for frames of 16-bit integers) and written with one block copy.
 """
 
-from sal_height.messages.air import AIR, AIR_LATENCY_NS, AIR_TYPES, AirSample, needed_air, read_air
+from sal_height.messages.air import (
+    AIR,
+    AIR_LATENCY_NS,
+    AIR_TYPES,
+    HEARD_AIR,
+    AirSample,
+    air_to_messages,
+    needed_air,
+    read_air,
+)
 from sal_height.messages.autofocus import autofocus_values, placement_of
 from sal_height.messages.basics import (
     BODY_FRAME,
@@ -79,6 +88,7 @@ __all__ = [
     "AIR_LATENCY_NS",
     "AIR_TYPES",
     "BODY_FRAME",
+    "HEARD_AIR",
     "LONGEST_DWELL",
     "MAP_FRAME",
     "POINT_FIELDS",
@@ -89,6 +99,7 @@ __all__ = [
     "Pose",
     "ReceivedFrame",
     "ReceivedImage",
+    "air_to_messages",
     "aperture_from_message",
     "autofocus_values",
     "bad_pixel_warning",

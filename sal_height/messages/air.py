@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+from builtin_interfaces.msg import Time
 from sensor_msgs.msg import FluidPressure, RelativeHumidity, Temperature
+from std_msgs.msg import Header
 
 from sal_height.errors import Rejected
 from sal_height.geometry import RADIO_M
@@ -54,6 +56,9 @@ AIR: Mapping[str, AirQuantity] = {
 }
 """The quantities by the topic that they come on."""
 
+HEARD_AIR = "heard"
+"""Value of the parameter air of the compression: the air is as messages say."""
+
 AIR_TYPES = {quantity.type_name for quantity in AIR.values()}
 
 AIR_LATENCY_NS = 1_000_000_000
@@ -64,6 +69,19 @@ probe to node has come then, so that a replay uses the same messages as the flig
 def needed_air(wavelength: float) -> list[str]:
     """The topics that tell the air for a wavelength (m): the humidity delays and bends radio waves only."""
     return [topic for topic in AIR if topic != "air/humidity" or wavelength >= RADIO_M]
+
+
+def air_to_messages(values: Mapping[str, float], stamp: Time) -> dict[str, Any]:
+    """Messages on the air, by topic.
+
+    Args:
+        values: of all quantities, by the names of their parameters.
+        stamp: when they were measured.
+    """
+    return {
+        topic: one.message_type(header=Header(stamp=stamp), **{one.field: values[one.parameter] - one.offset})
+        for topic, one in AIR.items()
+    }
 
 
 def read_air(topic: str, message: Any) -> AirSample:

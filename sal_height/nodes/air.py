@@ -8,13 +8,10 @@ from collections.abc import Mapping
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Atmosphere, PlatformState, height_of
 from sal_height.imaging import CorrectionSettings
-from sal_height.messages import AIR, AIR_LATENCY_NS, AirSample, ReceivedFrame, needed_air
+from sal_height.messages import AIR, AIR_LATENCY_NS, HEARD_AIR, AirSample, ReceivedFrame, needed_air
 from sal_height.nodes.role import Topics
 from sal_height.sensor import Sensor
 from sal_height.settings import setting, settings_of
-
-HEARD_AIR = "heard"
-"""Value of the parameter air: the air is as messages say."""
 
 USED_AIR = "heard_air"
 """Beginning of the names, beside the node's parameters, of the air of a dwell in its provenance."""

@@ -24,7 +24,6 @@ from sal_height.messages import Pose, ReceivedFrame
 from sal_height.nodes.account import CALIBRATIONS
 from sal_height.nodes.air import (
     AIR_TOPICS,
-    HEARD_AIR,
     OTHER_CLOCK_S,
     USED_AIR,
     AirHistory,
@@ -176,7 +175,7 @@ class SarCompression(DwellStage):
     @property
     def is_ready(self) -> bool:
         """Whether it can work on a dwell, also as to the air if that is to be heard."""
-        if not super().is_ready or self.current_parameters().air != HEARD_AIR:
+        if not super().is_ready or self.current_parameters().air != messages.HEARD_AIR:
             return super().is_ready
         sensors = map(self._sensors.get, self._sensors)
         needed = {topic for sensor in sensors if sensor for topic in messages.needed_air(sensor.wavelength)}

@@ -49,7 +49,11 @@ class Simulator(Stage):
     """
 
     parameters = Parameters
-    outputs: ClassVar[Topics] = {**SENSOR_TOPICS, **ORIGIN}
+    outputs: ClassVar[Topics] = {
+        **SENSOR_TOPICS,
+        **ORIGIN,
+        **dict.fromkeys(messages.AIR, "what a probe on the platform measures, if the preset has air"),
+    }
     answers: ClassVar[Topics] = {**RESET, "~/step": "simulate and publish the next dwell"}
 
     def __init__(self, **node_arguments: Any) -> None:
@@ -70,6 +74,7 @@ class Simulator(Stage):
         map_origin = self.offer(NavSatFix, MAP_ORIGIN, LATCHED_QOS)
         if origin := self.flight.scene.origin:
             map_origin.publish(messages.origin_to_message(origin, self._stamp(0), messages.MAP_FRAME))
+        self._air = {topic: self.offer(one.message_type, topic, ODOMETRY_QOS) for topic, one in messages.AIR.items()}
         self.serve("~/step", self._step)
         if parameters.period_s > 0:
             self.every(parameters.period_s, self._begin_dwell, self.get_clock())
@@ -94,6 +99,9 @@ class Simulator(Stage):
         return dwell
 
     def _publish_dwell(self, dwell: int) -> int:
+        for air in self.flight.probed_air(dwell):
+            for topic, message in messages.air_to_messages(air.values, self._stamp(air.stamp_ns)).items():
+                self._air[topic].publish(message)
         for state in self.flight.platform_states(dwell):
             self._odometry.publish(messages.state_to_message(state, self._stamp(state.stamp_ns)))
         history = self.flight.phase_history(dwell)

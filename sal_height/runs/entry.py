@@ -16,7 +16,7 @@ from sal_height.bag.topics import FIX_TYPE
 from sal_height.elevation import ESTIMATORS
 from sal_height.errors import UserError
 from sal_height.geometry import Origin
-from sal_height.nodes.air import HEARD_AIR, NOT_IN_STRIPS
+from sal_height.nodes.air import NOT_IN_STRIPS
 from sal_height.nodes.cues import DwellKey
 from sal_height.nodes.dwell_stage import CONTRADICTION
 from sal_height.nodes.played import ALL, IMAGES, LATEST_NS, MOST, SENSOR, DwellRange
@@ -192,7 +192,7 @@ def check_air(parameters: NodeParameters, sensors: Iterable[Sensor], topics: Col
     Raises:
         UserError: something is missing.
     """
-    if parameters.get("sar_compression", {}).get("air") != HEARD_AIR:
+    if parameters.get("sar_compression", {}).get("air") != messages.HEARD_AIR:
         return
     for sensor in sensors:
         if sensor.mode == "stripmap":

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from sal_height.nodes.air import HEARD_AIR
+from sal_height.messages import HEARD_AIR
 from sal_height.nodes.dwell_stage import DwellParameters
 from sal_height.nodes.height import CROWD
 from sal_height.nodes.stage import FRAMES_QOS

@@ -109,15 +109,8 @@ def record_sensor(preset: Preset, seed: int, folder: Path) -> Path:
     flight = flight_of(preset, seed)
     start_ns = time.time_ns()
     stamp = messages.to_stamp(start_ns)
-    topics: dict[str, tuple[str, QoSProfile]] = {
-        SENSOR_INFO: (SENSOR_TYPE, LATCHED_QOS),
-        ODOMETRY: (ODOMETRY_TYPE, ODOMETRY_QOS),
-        FRAMES: (FRAME_TYPE, FRAMES_QOS),
-    }
-    if flight.scene.origin:
-        topics[MAP_ORIGIN] = FIX_TYPE, LATCHED_QOS
     with BagWriter(folder, _custom_data(flight)) as bag:
-        for name, (kind, qos) in topics.items():
+        for name, (kind, qos) in _topics_of(flight).items():
             bag.add_topic(f"/{name}", kind, [qos])
 
         def write(topic: str, message: Any, stamp_ns: int) -> None:
@@ -127,6 +120,10 @@ def record_sensor(preset: Preset, seed: int, folder: Path) -> Path:
         if flight.scene.origin:
             write(MAP_ORIGIN, messages.origin_to_message(flight.scene.origin, stamp, messages.MAP_FRAME), start_ns)
         for dwell in tqdm(range(preset.dwells), unit="dwell", desc="simulating"):
+            for air in flight.probed_air(dwell):
+                at_ns = start_ns + air.stamp_ns
+                for topic, message in messages.air_to_messages(air.values, messages.to_stamp(at_ns)).items():
+                    write(topic, message, at_ns)
             for state in flight.platform_states(dwell):
                 at_ns = start_ns + state.stamp_ns
                 write(ODOMETRY, messages.state_to_message(state, messages.to_stamp(at_ns)), at_ns)
@@ -135,6 +132,20 @@ def record_sensor(preset: Preset, seed: int, folder: Path) -> Path:
             for frame in messages.history_to_messages(history, flight.sensor, dwell, messages.to_stamp(at_ns)):
                 write(FRAMES, frame, at_ns)
     return folder
+
+
+def _topics_of(flight: SimulatedFlight) -> dict[str, tuple[str, QoSProfile]]:
+    """Type and quality of service of the topics of a simulated sensor."""
+    topics = {
+        SENSOR_INFO: (SENSOR_TYPE, LATCHED_QOS),
+        ODOMETRY: (ODOMETRY_TYPE, ODOMETRY_QOS),
+        FRAMES: (FRAME_TYPE, FRAMES_QOS),
+    }
+    if flight.scene.origin:
+        topics[MAP_ORIGIN] = FIX_TYPE, LATCHED_QOS
+    if flight.preset.impairments.air:
+        topics |= {topic: (one.type_name, ODOMETRY_QOS) for topic, one in messages.AIR.items()}
+    return topics
 
 
 def _custom_data(flight: SimulatedFlight) -> dict[str, str]:

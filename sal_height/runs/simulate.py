@@ -12,6 +12,7 @@ from typing import Any
 import yaml
 
 from sal_height.io import new_folder, write_text, writing
+from sal_height.messages import AIR
 from sal_height.nodes.stage import MAP_ORIGIN
 from sal_height.runs.accuracy import Accuracy, read_accuracy, read_images
 from sal_height.runs.catalogue import (
@@ -81,7 +82,8 @@ def fly(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
     parameters = check_parameters(merged(preset.processing, parameters))
     flight = flight_of(preset, seed)
     estimators = suited(flight.sensor, preset.estimators)
-    check_air(parameters, [flight.sensor], (), "A simulated flight")
+    air = list(AIR) if preset.impairments.air else []
+    check_air(parameters, [flight.sensor], air, "A simulated flight without air (impairments)")
     flight.surface(0)  # refuses a flight beside the scene before anything is started
     folder = new_folder(out)
     settings = folder / "preset.yaml"
@@ -97,7 +99,7 @@ def fly(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
         custom_data = {PARAMETERS: json.dumps(values), PRESET: flown, SEED: str(seed)}
         nodes = merged({"simulator": simulator, "relief_mapper": relief}, values)
         topics, lead = recorded_topics(stages, values), lead_of(flight.sensor, stages, nodes)
-        topics += [MAP_ORIGIN] if flight.scene.origin else []
+        topics += [*air, *([MAP_ORIGIN] if flight.scene.origin else [])]
         plan = Plan("simulator", stages, topics, bag, nodes, preset.dwells, custom_data, lead=lead)
         outcome = perform(plan, execution)
         conclude(outcome, values, report)

@@ -13,11 +13,13 @@ from scipy.spatial.transform import Rotation
 
 from sal_height.errors import UserError
 from sal_height.geometry import (
+    AirPath,
     ApertureState,
     Origin,
     PlatformState,
     Trajectory,
     aperture_at,
+    height_of,
     look_direction,
     sphere_coordinates,
     sphere_point,
@@ -33,6 +35,7 @@ from sal_height.sensor import (
     lit_doppler,
     spectrum_sensor,
 )
+from sal_height.simulation.air import INTERVAL_NS, ProbedAir
 from sal_height.simulation.gust import GustMotion, gust_motion
 from sal_height.simulation.harmonics import Harmonics
 from sal_height.simulation.impairments import MOST_SWING_BEAMWIDTHS, pointing_rotation, through_receivers
@@ -161,14 +164,24 @@ class SimulatedFlight:
         return turbulence.drawn(structure, flight.speed_mps, rng)
 
     def pulse_phase(self, dwell: int) -> F64:
-        """Phase (rad) of the echoes of each pulse of a dwell by vibration, laser and air, shape (pulses,)."""
+        """Phase (rad) of the echoes of each pulse of a dwell by vibration, laser and air, shape (pulses,).
+
+        That of a laser that walks within pulses is left out: see `sample_phase`.
+        """
         times = self.dwell_start_ns(dwell) * 1e-9 + self.pulse_times
         farther = self._vibration.displacement(times)[:, 0]
-        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(LASER, dwell)))
-        linewidth = self.preset.impairments.laser_linewidth_hz
-        walk = laser_phase(linewidth, self.pulse_times, self.preset.flight.slant_range_m, rng)
+        walk = 0.0 if self.preset.impairments.laser_within_pulse else self._laser_phase(dwell, self.pulse_times)
         air = self._air.displacement(times)[:, 0] if self._air else 0.0
         return np.asarray(walk + air - 4 * np.pi / self.sensor.wavelength * farther)
+
+    def sample_phase(self, dwell: int) -> F64:
+        """Phase (rad) of the raw samples of a dwell by a laser that walks within pulses, shape (pulses, samples)."""
+        numbers = np.arange(self.sensor.sample_count) - (self.sensor.sample_count - 1) / 2
+        return self._laser_phase(dwell, self.pulse_times[:, None] + numbers / self.sensor.sampling_rate)
+
+    def _laser_phase(self, dwell: int, seconds: F64) -> F64:
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(LASER, dwell)))
+        return laser_phase(self.preset.impairments.laser_linewidth_hz, seconds, self.preset.flight.slant_range_m, rng)
 
     @cached_property
     def spectrum(self) -> Sensor:
@@ -313,6 +326,26 @@ class SimulatedFlight:
         speed = np.where(above, wind.drawn(len(above), rng), 0.0)
         return replace(surface, velocity=surface.velocity + speed[:, None] * sight)
 
+    def probed_air(self, dwell: int) -> list[ProbedAir]:
+        """What a probe on the platform measures, each second, in all from one before the first dwell on.
+
+        They are published with a dwell and meant for the next one, which so has them whatever comes first. Stamps count
+        from the start. None: there is no air.
+        """
+        if not (air := self.preset.impairments.air):
+            return []
+        first, end = (self.dwell_start_ns(number) // INTERVAL_NS for number in (dwell, dwell + 1))
+        stamps = [number * INTERVAL_NS for number in range(first if dwell else first - 1, end)]
+        return [air.probed(stamp_ns, float(height_of(self.position(stamp_ns * 1e-9)))) for stamp_ns in stamps]
+
+    @cached_property
+    def _way(self) -> AirPath:
+        """What the air does to echoes from the middle of the scene."""
+        if not (air := self.preset.impairments.air):
+            return AirPath(0.0, 0.0)
+        flight = self.preset.flight
+        return air.way(self.sensor.wavelength, flight.slant_range_m, flight.look_angle_rad, self.scene.reference_height)
+
     @property
     def _cnr(self) -> float:
         return float(10 ** (self.preset.cnr_db / 10))
@@ -321,7 +354,7 @@ class SimulatedFlight:
         self, aperture: ApertureState, east_extent: tuple[float, float], strips_per_cell: int = SAMPLES_PER_CELL
     ) -> VisibleSurface:
         """What an aperture sees in the range window between two arc distances east (m)."""
-        reach = self.preset.flight.slant_range_m
+        reach = self.preset.flight.slant_range_m - self._way.delay
         half_window = self.spectrum.range_window / 2
         azimuth_cell = self.sensor.wavelength * reach / (2 * aperture.length)
         return visible_surface(
@@ -348,21 +381,25 @@ class SimulatedFlight:
         times, since = start_ns * 1e-9 + self.pulse_times, self.pulse_times - self._middle_of_dwell
         ahead, off_nadir = self.pointing(times)
         sensor, surface, antenna = echo_sensor(self.built), self.surface(dwell), self.position(times)
+        within, off_nadir = reference - self._way.delay, off_nadir - self._way.bend
         if self.sensor.mode == "stripmap":
             amplitudes = np.concatenate([self._ground(tile)[1] for tile in self._tiles(dwell)])
             rotation = self.attitude(times).as_matrix() @ pointing_rotation(ahead, off_nadir, self.sensor)
             quartic = impairments.quartic_phase_rad
-            echoes = simulate_block(sensor, surface, amplitudes, antenna, rotation, reference, since, quartic)
+            echoes = simulate_block(sensor, surface, amplitudes, antenna, rotation, within, since, quartic)
         else:
             power = cell_power(self._cnr, self.spectrum, self.sensor.pulse_count)
             amplitudes = draw_amplitudes(surface, power, rng)
-            echoes = simulate_dwell(sensor, surface, amplitudes, antenna, reference, since, ahead, off_nadir)
+            echoes = simulate_dwell(sensor, surface, amplitudes, antenna, within, since, ahead, off_nadir)
             if impairments.quartic_phase_rad:
                 echoes *= np.exp(1j * impairments.dwell_phase(len(times)))[:, None]
         if impairments.turns_pulses:
             echoes *= np.exp(1j * self.pulse_phase(dwell))[:, None]
         clean = through_receivers(echoes, self.sensor, impairments)
-        samples = received(from_spectrum(clean, self.sensor), self.sensor, rng, impairments.adc_bits)
+        raw = from_spectrum(clean, self.sensor)
+        if impairments.laser_within_pulse:
+            raw *= np.exp(1j * self.sample_phase(dwell)).astype(np.complex64)
+        samples = received(raw, self.sensor, rng, impairments.adc_bits)
         samples = blanked(samples, self.sensor, self.preset.flight.slant_range_m)
         return PhaseHistory(start_ns, self.pulse_times, reference, samples)
 

@@ -26,6 +26,7 @@ from sal_height.configuration import Float, Int, StrictKeys
 from sal_height.geometry import look_direction
 from sal_height.numeric import C128, F64, Complex, taylor
 from sal_height.sensor import Sensor, echo_sensor, spectrum_sensor
+from sal_height.simulation.air import SimulatedAir
 from sal_height.simulation.harmonics import Harmonics
 from sal_height.simulation.odometry_errors import EXACT, OdometryErrors
 from sal_height.simulation.phase_errors import AT_REST, Vibration
@@ -195,6 +196,9 @@ class Impairments(StrictKeys):
         odometry: errors of the odometry, and of where the sensor is said to be.
         vibration: of the antenna along the line of sight; the odometry does not contain it.
         laser_linewidth_hz: full width at half maximum of the line of the laser.
+        laser_within_pulse: whether its phase walks within a pulse, too; not with waveform "spectrum", whose samples are
+            no times.
+        air: between platform and ground, which delays and bends echoes; None: there is none.
         turbulence: of the air; None: it is at rest.
         vegetation_wind: moves what is above the terrain; None: it stands still.
         adc_bits: of the converters of real and imaginary parts, over the full scale that the sensor must have; 0: as
@@ -215,6 +219,8 @@ class Impairments(StrictKeys):
     odometry: OdometryErrors = EXACT
     vibration: Vibration = AT_REST
     laser_linewidth_hz: Annotated[Float, Ge(0), Le(1e9)] = 0.0
+    laser_within_pulse: bool = False
+    air: SimulatedAir | None = None
     turbulence: Turbulence | None = None
     vegetation_wind: VegetationWind | None = None
     adc_bits: Annotated[Int, Ge(0), Le(24)] = 0

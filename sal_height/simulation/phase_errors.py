@@ -1,8 +1,9 @@
 """Phase of the echoes of a pulse that neither odometry nor sensor description tells of: vibration, and the laser's own.
 
-Both turn all samples of a pulse alike in all detectors. A vibration moves the antenna along the line of sight by far
-less than a range cell, and by the same for all that the beams light. The phase of a laser of finite linewidth walks at
-random, and an echo is mixed with what the laser sends when it comes back; within a pulse it is taken to stay the same.
+Both are the same in all detectors. A vibration moves the antenna along the line of sight by far less than a range cell,
+by the same for all that the beams light, and stays the same within a pulse. The phase of a laser of finite linewidth
+walks at random, and an echo is mixed with what the laser sends when it comes back. Within a pulse it is taken to stay
+the same as well, or else (`laser_within_pulse`) to walk from sample to sample, as of the middle of the range window.
 """
 
 from __future__ import annotations
@@ -95,21 +96,23 @@ AT_REST = Vibration()
 
 
 def laser_phase(linewidth_hz: float, seconds: F64, slant_range_m: float, rng: np.random.Generator) -> F64:
-    """Phase (rad) of echoes of a laser mixed with the laser itself, shape (pulses,).
+    """Phase (rad) of echoes of a laser mixed with the laser itself, in the shape of `seconds`.
 
-    The phase of a Lorentzian line is a Wiener process, whose variance grows by 2 pi linewidth in a second. Over the
-    time t between two pulses the phase of the echoes changes with a variance of 4 pi linewidth min(t, 2 R / c).
+    The phase of a Lorentzian line is a Wiener process, whose variance grows by 2 pi linewidth in a second. Over a time
+    t the phase of the echoes changes with a variance of 4 pi linewidth min(t, 2 R / c). A beat note so keeps the share
+    exp(-4 pi linewidth R / c) of its power, and the rest is spread (Richter, Mandelberg, Kruger and McGrath, IEEE J.
+    Quantum Electron. 22, 1986); in pulses shorter than 2 R / c more of it is still in the resolution cell.
 
     Args:
         linewidth_hz: full width at half maximum.
-        seconds: times at which the pulses return, increasing, shape (pulses,).
+        seconds: times at which echoes return, of any shape.
         slant_range_m: of the scene, R.
         rng: of the walk.
     """
     if not linewidth_hz:
-        return np.zeros(len(seconds))
+        return np.zeros(seconds.shape)
     sent = seconds - 2 * slant_range_m / constants.speed_of_light
-    times, place = np.unique(np.concatenate([seconds, sent]), return_inverse=True)
+    times, place = np.unique(np.stack([seconds, sent]), return_inverse=True)
     steps = rng.standard_normal(len(times) - 1) * np.sqrt(2 * np.pi * linewidth_hz * np.diff(times))
-    walk = np.concatenate([[0.0], np.cumsum(steps)])[place]
-    return walk[len(seconds) :] - walk[: len(seconds)]
+    back, out = np.concatenate([[0.0], np.cumsum(steps)])[place.reshape(2, *seconds.shape)]
+    return np.asarray(out - back)

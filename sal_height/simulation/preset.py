@@ -361,6 +361,11 @@ def _impairment_misfits(preset: Preset) -> Iterator[str]:
             f"impairments.nyquist_spur_over_noise is {impairments.nyquist_spur_over_noise:g}; with a sensor.waveform "
             "other than 'spectrum', or an odd sensor.sample_count, it must be 0"
         )
+    if impairments.laser_within_pulse and sensor.waveform == "spectrum":
+        yield (
+            "impairments.laser_within_pulse is true; with sensor.waveform 'spectrum', whose samples are no times, it "
+            "must be false"
+        )
     if impairments.adc_bits and sensor.full_scale_over_noise_db is None:
         yield (
             f"impairments.adc_bits is {impairments.adc_bits}; converters need sensor.full_scale_over_noise_db, or "

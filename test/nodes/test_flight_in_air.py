@@ -221,7 +221,10 @@ def test_sensors_whose_air_cannot_be_heard_are_refused_before_anything_is_starte
         check_air(heard, [lidar, replace(lidar, mode="stripmap")], light, "Bag x")
     with pytest.raises(UserError) as simulated:
         fly(load_preset("small"), 1, tmp_path / "out", heard)
-    assert_one_sentence(str(simulated.value), "A simulated flight has no messages on air/pressure, air/temperature")
+    assert_one_sentence(
+        str(simulated.value),
+        "A simulated flight without air (impairments) has no messages on air/pressure, air/temperature",
+    )
     assert not (tmp_path / "out").exists()
 
 

@@ -1,0 +1,76 @@
+"""The air between a simulated platform and the ground: what it does to echoes, and what a probe measures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from annotated_types import Ge, Le
+
+from sal_height.configuration import Float, StrictKeys
+from sal_height.geometry import AirPath, Atmosphere, path_through_air
+
+INTERVAL_NS = 1_000_000_000
+"""Between two measurements, ns; a dwell has the last one that is so much older than its first pulse."""
+
+
+class ProbedAir(NamedTuple):
+    """What a probe measures at a time.
+
+    Attributes:
+        stamp_ns: time, ns.
+        values: by the names of the parameters of the compression that state the same: air_temperature_k (K),
+            air_pressure_pa (Pa) and air_humidity (relative, from 0 to 1).
+    """
+
+    stamp_ns: int
+    values: dict[str, float]
+
+
+@dataclass(frozen=True)
+class SimulatedAir(StrictKeys):
+    """Air in hydrostatic equilibrium, by its values at one height; by default those of the standard atmosphere.
+
+    Attributes:
+        temperature_k: at that height.
+        pressure_pa: at that height.
+        humidity: relative, at that height.
+        height_m: that height, above sea level.
+        map_height_m: of the origin of map above sea level.
+    """
+
+    temperature_k: Annotated[Float, Ge(180), Le(340)] = 288.15
+    pressure_pa: Annotated[Float, Ge(1000), Le(120_000)] = 101_325.0
+    humidity: Annotated[Float, Ge(0), Le(1)] = 0.0
+    height_m: Annotated[Float, Ge(-1000), Le(32_000)] = 0.0
+    map_height_m: Annotated[Float, Ge(-1000), Le(10_000)] = 0.0
+
+    @property
+    def atmosphere(self) -> Atmosphere:
+        """The air at all heights."""
+        return Atmosphere.measured(self.height_m, self.temperature_k, self.pressure_pa, self.humidity)
+
+    def way(self, wavelength: float, slant_range: float, off_nadir: float, ground: float) -> AirPath:
+        """Delay and bend of the way to ground at a height in map.
+
+        Args:
+            wavelength: m.
+            slant_range: of the ground, m.
+            off_nadir: of the straight line to it, rad.
+            ground: its height in map, m.
+
+        Raises:
+            UserError: the air is not known for this wavelength or height.
+        """
+        below = self.map_height_m + ground
+        above = below + float(slant_range * np.cos(off_nadir))
+        return path_through_air(wavelength, above, below, off_nadir, self.atmosphere)
+
+    def probed(self, stamp_ns: int, height: float) -> ProbedAir:
+        """What a probe at a height in map (m) measures."""
+        air, above = self.atmosphere, np.array([self.map_height_m + height])
+        temperature, pressure, _ = (float(values[0]) for values in air.at(above))
+        humidity = min(1.0, air.humidity(float(above[0])))
+        values = {"air_temperature_k": temperature, "air_pressure_pa": pressure, "air_humidity": humidity}
+        return ProbedAir(stamp_ns, values)

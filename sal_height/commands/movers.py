@@ -21,6 +21,7 @@ EXAMPLES = """
   sal-height run --preset sal_stripmap
   sal-height movers out/sal_stripmap/bag
   sal-height movers BAG --set false_alarm_rate=1e-5 --set prominence_db=15
+  sal-height movers BAG --set fastest_mps=0
 """
 
 app = command("movers", PROCESSING, EXAMPLES)
@@ -32,9 +33,11 @@ def movers(bag: Bag, /, *, set_: Settings = (), param: NodeParameters = (), out:
 
     A mover's image lies beside it along the flight, by range times radial velocity
     over speed. Where in the beam it was seen tells its velocity, and with it place
-    and height, up to half of the velocity that pulses cannot tell from none. What
-    stands still is taken for a mover in at most false_alarm_rate of what is looked
-    at. The output folder holds report.json.
+    and height, but for multiples of the velocity that pulses cannot tell from none.
+    What moves at metres per second, up to fastest_mps, walks through rows of the
+    image while the beam passes, which tells its speed without ambiguity. What stands
+    still is taken for a mover in at most false_alarm_rate of what is looked at. The
+    output folder holds report.json.
 
     Args:
         out: Output folder, new or empty. Default: out/movers_BAG, or the next free of out/movers_BAG_2, ….

@@ -5,6 +5,9 @@ lag (`likelihood`) are estimated together. Twice the logarithm of the likelihood
 is what tells that it moves. With what stands still, each other lag has a ratio beyond t in less than exp(-t / 2) of all
 cases (Markov's inequality, if power and width were known), and the best of the lags that can be told apart in about as
 many times more: HYPOTHESES, measured with pairs of points in one cell, the worst of what was tried.
+
+What moves by rows while the beam passes it is brightest with that walk undone (`walk`). Its likelihood ratio is that
+against what does not walk, whatever its lag, and there are as many times more hypotheses as walks that are undone.
 """
 
 from __future__ import annotations
@@ -16,21 +19,18 @@ from scipy.ndimage import maximum_filter
 
 from sal_height.beams import Beams
 from sal_height.errors import Rejected, UserError
-from sal_height.geometry import aperture_at, locate_at_elevation
 from sal_height.imaging import Slc
 from sal_height.movers.ground import ground_lag, lag_by_odometry
-from sal_height.movers.search import Search, Seen, vertex
+from sal_height.movers.mover import Mover, mover_of, peak_of
+from sal_height.movers.search import Search, Seen
 from sal_height.movers.settings import MoverSettings
 from sal_height.movers.spectrum import Bins
+from sal_height.movers.walk import Walked, Walks, about_ranges
 from sal_height.numeric import C64, C128, F64, Bool
-from sal_height.relief import Surface, measured_covariance
 from sal_height.sensor import Sensor
 
 HYPOTHESES = 10.0
 """Lags that can be told apart."""
-
-ROW_ERROR = 0.15
-"""Standard deviation of a target's place in range, in rows: neighbours shift the peak of its power."""
 
 LEAST_COLUMNS = 16
 """Of an image, along the flight."""
@@ -38,39 +38,14 @@ LEAST_COLUMNS = 16
 SIDELOBES = 10**-2.5
 """Power, over that of the brightest in the same rows or columns, up to which a pixel may be its sidelobe."""
 
+WALKING = 5.0
+"""Standard deviations of the walk's velocity from which what moves is taken to walk."""
+
+WALK_ROWS = 2.0
+"""Beside the walk, within which the image of a target that walks lies."""
+
 MARGIN = 4
 """Pixels from the edge of an image within which nothing is looked at: its response is cut off."""
-
-
-@dataclass(frozen=True, eq=False)
-class Mover:
-    """Something that moves.
-
-    Attributes:
-        position: in map when it was abeam, m, shape (3,).
-        covariance: of that, with what the pose adds, m^2, shape (3, 3).
-        height: above the sphere, m.
-        sigma: of the height, m.
-        radial_velocity: m/s, positive if it recedes; known but for multiples of `ambiguity`.
-        velocity_sigma: its standard deviation, m/s.
-        ambiguity: radial velocity that pulses cannot tell from none, m/s.
-        likelihood_ratio: twice its logarithm, against the ground's.
-        cnr_db: power of its brightest pixel over noise and ground around it.
-        row: of that pixel.
-        col: of that pixel.
-    """
-
-    position: F64
-    covariance: F64
-    height: float
-    sigma: float
-    radial_velocity: float
-    velocity_sigma: float
-    ambiguity: float
-    likelihood_ratio: float
-    cnr_db: float
-    row: int
-    col: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,13 +54,15 @@ class Looked:
 
     Attributes:
         movers: that were found, the surest first.
-        candidates: number of pixels that were looked at.
+        candidates: number of pixels that were looked at, for a lag or for a walk.
         ground_lag: of what stands still, rad, and its standard deviation.
+        fastest: radial velocity up to which walks were looked for, m/s.
     """
 
     movers: tuple[Mover, ...]
     candidates: int
     ground_lag: tuple[float, float]
+    fastest: float
 
 
 def check_sensor(sensor: Sensor) -> None:
@@ -125,23 +102,21 @@ def find_movers(images: C64 | C128, beams: Beams, slc: Slc, sensor: Sensor, sett
             f"An image of a strip has {images.shape[-1]} columns; {LEAST_COLUMNS} are needed to tell movers (parameter "
             "cols of sar_compression).",
         )
-    images = np.where(np.isfinite(images), images, 0)
+    images = about_ranges(np.where(np.isfinite(images), images, 0), slc, sensor)
     search = Search(images, beams, Bins.of(slc, sensor, min(settings.chip_pixels, images.shape[-1] // 2 * 2)))
     whole = Bins.of(slc, sensor, images.shape[-1])
     ground = ground_lag(images, beams, whole, search.lags, lag_by_odometry(slc, sensor))
-    candidates = _bright(images, settings.prominence_db)
-    threshold = 2 * np.log(HYPOTHESES / settings.false_alarm_rate)
-    found = []
-    for seen in search.at(np.argwhere(candidates)):
-        ratio = 2 * (seen.told.max() - _at(ground[0], search.lags, seen.told))
-        if ratio > threshold and 0 < seen.told.argmax() < len(search.lags) - 1:
-            found += _mover(seen, ratio, search, ground, slc, sensor)
-    return Looked(_without_ambiguities(found), int(candidates.sum()), ground)
+    walks = Walks.of(search, slc, sensor, settings.fastest_mps, ground[0])
+    looking = _Looking(search, walks, ground, slc, sensor)
+    walking, looked_at = looking.for_walks(settings)
+    lagging, candidates = looking.for_lags(settings)
+    apart = [one for one in lagging if not any(_in_image_of(one, other, walks) for other in walking)]
+    fastest = min(settings.fastest_mps, float(walks.speeds[-1]))
+    return Looked(_without_ambiguities([*walking, *apart]), looked_at + candidates, ground, fastest)
 
 
-def _bright(images: C64 | C128, prominence_db: float) -> Bool:
+def _bright(power: F64, prominence_db: float) -> Bool:
     """Pixels that are brighter than all around, than most of their row, and than sidelobes of what is brighter."""
-    power = np.sum(np.abs(images) ** 2, axis=0)
     around = maximum_filter(power, size=(3, 2 * MARGIN + 1))
     bright = (power == around) & (power > 10 ** (prominence_db / 10) * np.median(power, axis=1, keepdims=True))
     beside = np.maximum(
@@ -153,39 +128,71 @@ def _bright(images: C64 | C128, prominence_db: float) -> Bool:
     return np.asarray(bright)
 
 
-def _mover(
-    seen: Seen, ratio: float, search: Search, ground: tuple[float, float], slc: Slc, sensor: Sensor
-) -> list[Mover]:
-    """What was seen at a pixel, as a mover; none: it is at an end of the array."""
-    found = search.elevation(seen.spectra, float(search.lags[seen.told.argmax()]))
-    if found is None:
-        return []
-    elevation, elevation_sigma = found
-    lag, sigma = _peak(seen.told, search.lags)
-    lag, sigma = lag - ground[0], float(np.hypot(sigma, ground[1]))
-    point = slc.grid.points(seen.row, seen.col)
-    aperture = aperture_at(point, slc.aperture)
-    sight = point - aperture.position
-    slant_range, speed = float(np.linalg.norm(sight)), float(np.linalg.norm(aperture.velocity))
-    along = float(sight @ aperture.direction) + slant_range * lag
-    position = locate_at_elevation(elevation, slant_range, along, aperture, sensor.look_side)
-    depth = ROW_ERROR * slc.grid.row_spacing
-    own, _ = measured_covariance(position, aperture, np.array(elevation_sigma), depth, slant_range * sigma)
-    surface = Surface.seen_from(aperture, position[None, None], own[None, None], np.zeros((1, 1)))
-    mover = Mover(
-        position=position,
-        covariance=surface.covariance[0, 0],
-        height=float(surface.height[0, 0]),
-        sigma=float(surface.sigma[0, 0]),
-        radial_velocity=lag * speed,
-        velocity_sigma=sigma * speed,
-        ambiguity=sensor.wavelength * sensor.pulse_repetition_frequency / 2,
-        likelihood_ratio=float(ratio),
-        cnr_db=float(10 * np.log10(seen.cnr)),
-        row=round(seen.row),
-        col=round(seen.col),
-    )
-    return [mover]
+@dataclass(frozen=True, eq=False)
+class _Looking:
+    """The search in an image."""
+
+    search: Search
+    walks: Walks
+    ground: tuple[float, float]
+    slc: Slc
+    sensor: Sensor
+
+    def for_lags(self, settings: MoverSettings) -> tuple[list[Mover], int]:
+        """What is seen in another part of the beam than the ground, and the number of pixels that were looked at."""
+        candidates = np.argwhere(_bright(np.sum(np.abs(self.search.images) ** 2, axis=0), settings.prominence_db))
+        threshold = 2 * np.log(HYPOTHESES / settings.false_alarm_rate)
+        found = []
+        for seen in self.search.at(candidates):
+            ratio = self._ratio(seen)
+            if ratio < threshold or not self._is_inside(seen.told):
+                continue
+            row, col = round(seen.row), round(seen.col)
+            walked = self.walks.look(row, col, len(self.walks.speeds) // 2)
+            if walked is None:
+                continue
+            if abs(walked.speed) < WALKING * walked.sigma:
+                found += self._mover(seen, ratio, walked)
+                continue
+            # One row has it in a part of the bins, and so another lag.
+            for along in self.search.of(walked.spectra[None], np.array([row]), np.array([col])):
+                if (ratio := self._ratio(along)) > threshold and self._is_inside(along.told):
+                    found += self._mover(along, ratio, walked, walks=True)
+        return found, len(candidates)
+
+    def _ratio(self, seen: Seen) -> float:
+        """Twice the logarithm of the likelihood ratio of the best lag against that of the ground."""
+        return float(2 * (seen.told.max() - _at(self.ground[0], self.search.lags, seen.told)))
+
+    def for_walks(self, settings: MoverSettings) -> tuple[list[Mover], int]:
+        """What walks through rows while the beam passes it, and the number of pixels that were looked at."""
+        if settings.fastest_mps == 0:
+            return [], 0
+        powers = np.array(list(self.walks.powers()))
+        candidates = np.argwhere(_bright(powers.max(axis=0), settings.prominence_db))
+        threshold = 2 * np.log(HYPOTHESES * len(powers) / settings.false_alarm_rate)
+        found = []
+        for row, col in candidates.tolist():
+            walked = self.walks.look(row, col, int(powers[:, row, col].argmax()), threshold)
+            if walked is None or abs(walked.speed) < WALKING * walked.sigma:
+                continue
+            for seen in self.search.of(walked.spectra[None], np.array([row]), np.array([col])):
+                if self._is_inside(seen.told):
+                    found += self._mover(seen, walked.likelihood_ratio, walked, walks=True)
+        return found, len(candidates)
+
+    def _mover(self, seen: Seen, ratio: float, walked: Walked, walks: bool = False) -> list[Mover]:
+        """What was seen, as a mover; none: it is at an end of the array."""
+        elevation = self.search.elevation(seen.spectra, float(self.search.lags[seen.told.argmax()]))
+        if elevation is None:
+            return []
+        lag, sigma = peak_of(seen.told, self.search.lags)
+        own = lag - self.ground[0], float(np.hypot(sigma, self.ground[1]))
+        return [mover_of(seen, elevation, own, ratio, walked, walks, self.slc, self.sensor)]
+
+    def _is_inside(self, told: F64) -> bool:
+        """Whether the best lag is none of the outermost."""
+        return bool(0 < told.argmax() < len(told) - 1)
 
 
 def _at(lag: float, lags: F64, told: F64) -> float:
@@ -194,13 +201,6 @@ def _at(lag: float, lags: F64, told: F64) -> float:
     before, there, after = told[best - 1 : best + 2].tolist()
     off = float(np.clip((lag - lags[best]) / (lags[1] - lags[0]), -1, 1))
     return float(there + off * (after - before) / 2 + off**2 * (after + before - 2 * there) / 2)
-
-
-def _peak(told: F64, lags: F64) -> tuple[float, float]:
-    """The most likely lag, and its standard deviation by the bend of the likelihood there."""
-    best = int(np.clip(told.argmax(), 1, len(lags) - 2))
-    (offset, bend), step = vertex(told[best - 1 : best + 2]), lags[1] - lags[0]
-    return float(lags[best] + step * offset), float(step / np.sqrt(bend))
 
 
 def _without_ambiguities(found: list[Mover]) -> tuple[Mover, ...]:
@@ -212,3 +212,9 @@ def _without_ambiguities(found: list[Mover]) -> tuple[Mover, ...]:
         if all(distance > 3 * error for distance, error in zip(apart, errors, strict=True)):
             kept.append(one)
     return tuple(kept)
+
+
+def _in_image_of(one: Mover, other: Mover, walks: Walks) -> bool:
+    """Whether what was seen without its walk may be part of the image of what walks."""
+    rows = abs(other.walk_velocity) / walks.speed_of_row / 2 + WALK_ROWS
+    return abs(one.row - other.row) <= rows and abs(one.col - other.col) <= 2 * MARGIN

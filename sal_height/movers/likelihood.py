@@ -71,11 +71,12 @@ class LagLikelihood:
         return gains, np.concatenate([self.known, self.known[beside]])
 
     @cached_property
-    def _modes(self) -> tuple[F32, F32, F32]:
+    def _modes(self) -> tuple[F32, F32, F32, F32]:
         """What spectra are multiplied by.
 
         Returns:
-            The modes of each case and width, shape (cases, widths, modes, bins); one over the power that each has with
+            The modes of each case and width, shape (cases, widths, modes, bins); their powers in a cloud of power 1,
+            shape (cases, widths, modes); one over the power that each has with
             the background for each power of the cloud, shape (cases, widths, powers, modes); and the sum over the modes
             of the logarithm of that power, shape (cases, widths, powers).
         """
@@ -84,10 +85,13 @@ class LagLikelihood:
         together = (known[:, None, :, None] & known[:, None, None, :]) | (apart == 0)
         alike = np.where(together, np.exp(-2 * (np.pi * WIDTHS[:, None, None] * apart) ** 2), 0.0)
         powers, modes = np.linalg.eigh(gains[:, None, :, None] * alike * gains[:, None, None, :])
-        with_background = 1 + POWERS[:, None] * np.maximum(powers, 0.0)[:, :, None, :]
+        powers = np.maximum(powers, 0.0)
+        with_background = 1 + POWERS[:, None] * powers[:, :, None, :]
         volumes = np.sum(np.log(with_background), axis=-1)
         as_rows = np.ascontiguousarray(np.swapaxes(modes, -1, -2))
-        return as_rows.astype(np.float32), (1 / with_background).astype(np.float32), volumes.astype(np.float32)
+        found = (as_rows, powers, 1 / with_background, volumes)
+        modes, powers, weights, volumes = (each.astype(np.float32) for each in found)
+        return modes, powers, weights, volumes
 
     def of(self, spectra: C128) -> F64:
         """Logarithm of the likelihood of each lag, shape (targets, lags).
@@ -95,7 +99,7 @@ class LagLikelihood:
         Args:
             spectra: of targets about their centres, background 1, for each lag, shape (targets, lags, bins).
         """
-        modes, weights, volumes = self._modes
+        modes, _, weights, volumes = self._modes
         beside = ~np.all(self.known, axis=-1)
         both = np.concatenate([spectra.real, spectra.imag]).astype(np.float32)
         columns = np.moveaxis(np.concatenate([both, both[:, beside]], axis=1), 0, -1)
@@ -106,6 +110,27 @@ class LagLikelihood:
         told, without = -misfits[:, : len(self.gains)], -misfits[:, len(self.gains) :]
         told[:, beside] = np.maximum(told[:, beside], without)
         return told
+
+    def of_rows(self, spectra: C128, lag: int, covariances: F64) -> float:
+        """Logarithm of the likelihood of clouds that are spread over range; its greatest.
+
+        Args:
+            spectra: of rows about the centre of a target, background 1, shape (bins, rows).
+            lag: its number.
+            covariances: of rows for some spreads of clouds of power 1, shape (spreads, rows, rows).
+        """
+        modes, powers, _, _ = self._modes
+        beside = ~np.all(self.known, axis=-1)
+        cases = [lag, len(self.known) + int(np.sum(beside[:lag]))] if beside[lag] else [lag]
+        shares, parts = np.linalg.eigh(covariances)
+        both = powers[cases, :, None, :, None] * np.maximum(shares, 0.0)[:, None, :]
+        amplitudes = (modes[cases] @ spectra)[:, :, None] @ parts
+        seen = np.abs(amplitudes) ** 2
+        misfits = []
+        for power in POWERS[::2]:
+            with_background = 1 + power * both
+            misfits.append(np.sum(np.log(with_background) + seen / with_background, axis=(-2, -1)).min())
+        return -float(min(misfits))
 
 
 @lru_cache(maxsize=HELD)

@@ -79,18 +79,19 @@ class Search:
     def at(self, pixels: Index) -> Iterator[Seen]:
         """The targets at pixels, shape (targets, 2), row and column; without those at an end of the array."""
         rows, cols = pixels.T
-        half, last = self.bins.pixels // 2, self.images.shape[-1] - self.bins.pixels
-        firsts = np.clip(cols - half, 0, last)
-        chips = self.images[:, rows[:, None], firsts[:, None] + np.arange(self.bins.pixels)]
-        spectra = np.moveaxis(self.bins.spectra(chips), 0, -1)
+        yield from self.of(self.spectra(rows, cols), rows, cols)
+
+    def of(self, spectra: C128, rows: Index, cols: Index) -> Iterator[Seen]:
+        """The targets at pixels that have spectra of the shape (targets, bins, channels)."""
         # The elevation of what stands still; where beams do not separate, a lag changes it a little.
-        elevations = self._elevations(spectra)
+        elevations = self.elevations(spectra)
         inside = np.flatnonzero(np.isfinite(elevations))
         spectra, elevations = spectra[inside], elevations[inside]
-        backgrounds = self._backgrounds(rows[inside], elevations)
+        backgrounds = self.backgrounds(rows[inside], elevations)
         powers = np.mean(np.sum(np.abs(spectra) ** 2, axis=-1), axis=-1)
-        told, centres = self._told(spectra, elevations, np.maximum(backgrounds, MODEL_ERROR * powers))
-        middles = firsts[inside] + half + centres * self.bins.pixels / len(self.bins.numbers)
+        told, centres = self.likelihoods(spectra, elevations, np.maximum(backgrounds, MODEL_ERROR * powers))
+        first = self._firsts(cols[inside])
+        middles = first + self.bins.pixels // 2 + centres * self.bins.pixels / len(self.bins.numbers)
         for number, pixel in enumerate(inside):
             yield Seen(
                 self._row(int(rows[pixel]), int(cols[pixel])),
@@ -101,7 +102,16 @@ class Search:
                 spectra[number],
             )
 
-    def _told(self, spectra: C128, elevations: F64, backgrounds: F64) -> tuple[F64, F64]:
+    def spectra(self, rows: Index, cols: Index) -> C128:
+        """Of the pixels along the flight around some, shape (targets, bins, channels)."""
+        chips = self.images[:, rows[:, None], self._firsts(cols)[:, None] + np.arange(self.bins.pixels)]
+        return np.moveaxis(self.bins.spectra(chips), 0, -1)
+
+    def _firsts(self, cols: Index) -> Index:
+        """The first of the pixels around some."""
+        return np.clip(cols - self.bins.pixels // 2, 0, self.images.shape[-1] - self.bins.pixels)
+
+    def likelihoods(self, spectra: C128, elevations: F64, backgrounds: F64) -> tuple[F64, F64]:
         """Likelihoods of the lags of targets, shape (targets, lags), and how many cells they lie off the middle.
 
         What a target is a cloud about may be its brightest place or the centre of its power; the likelier one counts.
@@ -113,7 +123,7 @@ class Search:
         matched = np.einsum("tlbc,tbc->tlb", amplitudes.conj(), spectra)
         matched /= np.maximum(gains, 1e-12) * np.sqrt(backgrounds)[:, None, None]
         for likelihood, targets in self._alike(elevations, gains):
-            peaks, middles = _centres(matched[targets, len(self.lags) // 2], frequencies)
+            peaks, middles = centres_of(matched[targets, len(self.lags) // 2], frequencies)
             turned = np.exp(2j * np.pi * frequencies * np.concatenate([peaks, middles])[:, None])
             both = likelihood.of(np.concatenate([matched[targets]] * 2) * turned[:, None])
             told[targets] = np.maximum(*np.split(both, 2))
@@ -134,6 +144,12 @@ class Search:
         for number in np.unique(steps):
             shape = self._shape(middle + number * step) if number else common
             yield LagLikelihood.held(self._nominal.frequencies, shape, self._known), np.flatnonzero(steps == number)
+
+    def likelihood_at(self, elevation: float) -> LagLikelihood:
+        """That of targets at an elevation."""
+        elevations = np.array([elevation])
+        gains = np.linalg.norm(self.bins.amplitudes(self.beams, elevations[:, None, None], self.lags), axis=-1)
+        return next(self._alike(elevations, gains))[0]
 
     def _shape(self, elevation: float) -> F64:
         """Gains for each lag at an elevation, over the greatest."""
@@ -170,7 +186,7 @@ class Search:
         low, high = self.beams.domain(0.0)
         return np.arange(low, high, ELEVATION_STEP * self.beams.beamwidth)
 
-    def _elevations(self, spectra: C128) -> F64:
+    def elevations(self, spectra: C128) -> F64:
         """The most likely elevations of what stands still, shape (targets,); NaN: that of an outer beam."""
         grid = self._elevation_grid
         amplitudes = self.beams.response(grid[:, None], self.bins.aspects)
@@ -206,7 +222,7 @@ class Search:
         spread = np.sum((shares * (grid[parts.argmax(axis=0)] - grid[best])) ** 2)
         return float(grid[best] + step * offset), float(np.sqrt(max(variance, spread)))
 
-    def _backgrounds(self, rows: Index, elevations: F64) -> F64:
+    def backgrounds(self, rows: Index, elevations: F64) -> F64:
         """Power of noise and ground that targets at elevations have in their rows and those beside them."""
         beams = self.beams.response(elevations, float(np.mean(self.bins.aspects)))
         found = np.empty(len(rows))
@@ -224,7 +240,7 @@ def vertex(values: F64) -> tuple[float, float]:
     return float(np.clip((after - before) / (2 * bend), -1, 1)), bend
 
 
-def _centres(spectra: C128, frequencies: F64) -> tuple[F64, F64]:
+def centres_of(spectra: C128, frequencies: F64) -> tuple[F64, F64]:
     """Where targets lie off the middle, in cells: their brightest places, and the centres of the power around these."""
     step = 0.125
     places = np.arange(-len(frequencies) / 2, len(frequencies) / 2, step)

@@ -22,6 +22,14 @@ class MoverSettings(Settings):
         minimum=1e-9,
         maximum=0.1,
     )
+    fastest_mps: float = setting(
+        20.0,
+        "greatest radial velocity whose walk through rows is looked for, if that is no more than 6 rows while the "
+        "beam passes; 0: none",
+        unit="m/s",
+        minimum=0.0,
+        maximum=1000.0,
+    )
     chip_pixels: int = setting(
         32, "pixels along the flight from which the spectrum of a bright pixel is taken", minimum=16, maximum=256
     )

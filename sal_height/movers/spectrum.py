@@ -42,18 +42,10 @@ class Bins:
     @classmethod
     def of(cls, slc: Slc, sensor: Sensor, pixels: int) -> Self:
         """The bins of so many pixels of a row of an image."""
-        grid, angle = slc.grid, processed_angle(sensor)
-        middle = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2)
-        aperture = aperture_at(middle, slc.aperture)
-        sight = middle - aperture.position
-        abeam = float(sight @ grid.col_direction / np.linalg.norm(sight))
-        # A pixel's phase turns by 4 pi / wavelength per metre of range, so that its frequency is that of the line of
-        # sight; around that of the body's abeam, bins are the aspects, for small angles.
-        whole = sensor.wavelength / (2 * grid.col_spacing)
-        off: F64 = np.asarray(np.fft.fftfreq(pixels) * whole - abeam, np.float64)
-        off -= whole * np.rint(off / whole)
+        angle = processed_angle(sensor)
+        off = column_aspects(slc, sensor, pixels)
         taper = Processing(azimuth_window=slc.azimuth_window, angle=angle)
-        weights = taper.angle_weights(off, np.full(pixels, whole / pixels))
+        weights = taper.angle_weights(off, np.full(pixels, sensor.wavelength / (2 * slc.grid.col_spacing * pixels)))
         used = np.flatnonzero((weights > LEAST_WEIGHT * weights.max()) & (np.abs(off) <= angle / 2))
         used = used[np.argsort(off[used])]
         weights = weights[used] / np.sqrt(np.mean(weights[used] ** 2))
@@ -93,3 +85,16 @@ class Bins:
         The elevation (rad) is a number, or an array that broadcasts with (..., lags, bins).
         """
         return np.asarray(beams.response(elevation, self.aspects + lags[:, None]))
+
+
+def column_aspects(slc: Slc, sensor: Sensor, pixels: int) -> F64:
+    """Aspects of all bins of so many pixels of a row in the order of `numpy.fft.fft`, as squints, rad."""
+    grid = slc.grid
+    middle = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2)
+    sight = middle - aperture_at(middle, slc.aperture).position
+    abeam = float(sight @ grid.col_direction / np.linalg.norm(sight))
+    # A pixel's phase turns by 4 pi / wavelength per metre of range, so that its frequency is that of the line of
+    # sight; around that of the body's abeam, bins are the aspects, for small angles.
+    whole = sensor.wavelength / (2 * grid.col_spacing)
+    off: F64 = np.asarray(np.fft.fftfreq(pixels) * whole - abeam, np.float64)
+    return off - whole * np.rint(off / whole)

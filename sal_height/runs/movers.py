@@ -51,6 +51,10 @@ class SeenMover:
             "radial_velocity_mps": one.radial_velocity,
             "radial_velocity_sigma_mps": one.velocity_sigma,
             "ambiguity_mps": one.ambiguity,
+            "ambiguity_resolved": one.resolved,
+            "walk_velocity_mps": one.walk_velocity,
+            "walk_velocity_sigma_mps": one.walk_sigma,
+            "found_by_walk": one.walks,
             "likelihood_ratio": one.likelihood_ratio,
             "cnr_db": one.cnr_db,
         }
@@ -76,15 +80,20 @@ class FoundMovers:
         """A line for each mover."""
         lines = [f"{len(self.movers)} movers; {self.candidates} bright pixels of {self.images} images were looked at"]
         if self.movers:
-            lines.append(f"{'dwell':>6}{'east m':>11}{'north m':>11}{'height m':>10}{'+-':>7}{'mm/s':>9}{'+-':>7}")
+            place = f"{'east m':>11}{'north m':>11}{'height m':>10}{'+-':>7}"
+            lines.append(f"{'dwell':>6}{place}{'mm/s':>11}{'+-':>7}{'by walk m/s':>13}{'+-':>7}")
         for seen in self.movers:
             one = seen.summary()
             place = f"{one['east_m']:11.3f}{one['north_m']:11.3f}{one['height_m']:10.3f}{one['height_sigma_m']:7.3f}"
-            speed = f"{1e3 * one['radial_velocity_mps']:9.2f}{1e3 * one['radial_velocity_sigma_mps']:7.2f}"
-            lines.append(f"{seen.dwell:6d}{place}{speed}")
-        if self.movers:
+            speed = f"{1e3 * one['radial_velocity_mps']:11.2f}{1e3 * one['radial_velocity_sigma_mps']:7.2f}"
+            walk = f"{one['walk_velocity_mps']:13.2f}{one['walk_velocity_sigma_mps']:7.2f}"
+            lines.append(f"{seen.dwell:6d}{place}{speed}{walk}")
+        if not all(seen.mover.resolved for seen in self.movers):
             period = 1e3 * self.movers[0].mover.ambiguity
-            lines.append(f"Velocities that differ by multiples of {period:.4g} mm/s look the same.")
+            lines.append(
+                f"Velocities in mm/s that differ by multiples of {period:.4g} mm/s look the same; those by the walk "
+                "through rows do not."
+            )
         return "\n".join(lines)
 
 
@@ -117,6 +126,7 @@ def find_in_bag(
             "images": len(looking.images),
             "candidates": candidates,
             "expected_false_alarms_at_most": settings.false_alarm_rate * candidates,
+            "fastest_mps": min((one.fastest for one in looking.images), default=0.0),
             "ground_lag_rad": [list(one.ground_lag) for one in looking.images],
             "movers": [one.summary() for one in looking.seen],
             "dropped": looking.losses.dropped,

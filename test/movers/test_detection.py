@@ -205,7 +205,9 @@ def test_what_is_too_fast_for_the_beam_gets_no_wrong_place() -> None:
 def test_the_same_place_counts_once() -> None:
     def at(east: float, ratio: float) -> Mover:
         covariance = 1e-4 * np.eye(3)
-        return Mover(np.array([east, 0, 0]), covariance, 0.0, 0.01, 0.005, 1e-4, 0.0155, ratio, 20.0, 1, 1)
+        return Mover(
+            np.array([east, 0, 0]), covariance, 0.0, 0.01, 0.005, 1e-4, 0.0155, 0.0, 0.5, False, ratio, 20.0, 1, 1
+        )
 
     kept = _without_ambiguities([at(0.0, 20.0), at(0.05, 30.0), at(0.5, 25.0)])
     assert [one.likelihood_ratio for one in kept] == [30.0, 25.0]

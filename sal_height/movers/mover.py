@@ -1,0 +1,128 @@
+"""What a mover is, and what follows from its elevation, lag and walk."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sal_height.geometry import aperture_at, locate_at_elevation
+from sal_height.imaging import Slc
+from sal_height.movers.search import Seen, vertex
+from sal_height.movers.walk import Walked
+from sal_height.numeric import F64
+from sal_height.relief import Surface, measured_covariance
+from sal_height.sensor import Sensor
+
+ROW_ERROR = 0.15
+"""Standard deviation of a target's place in range, in rows: neighbours shift the peak of its power."""
+
+RESOLVED = 10.0
+"""Standard deviations of the walk's velocity in an ambiguity of the lag's, from which others are beyond 5 of them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mover:
+    """Something that moves.
+
+    Attributes:
+        position: in map when it was abeam, m, shape (3,).
+        covariance: of that, with what the pose adds, m^2, shape (3, 3).
+        height: above the sphere, m.
+        sigma: of the height, m.
+        radial_velocity: m/s, positive if it recedes; known but for multiples of `ambiguity`, unless it is `resolved`.
+        velocity_sigma: its standard deviation, m/s.
+        ambiguity: radial velocity that pulses cannot tell from none, m/s.
+        walk_velocity: radial velocity by the walk through rows, m/s: it has no ambiguity.
+        walk_sigma: its standard deviation, m/s.
+        walks: whether it was found by its walk, and else by its lag.
+        likelihood_ratio: twice its logarithm, against that of what does not walk, or against the ground's.
+        cnr_db: power of its brightest pixel over noise and ground around it.
+        row: of that pixel.
+        col: of that pixel.
+    """
+
+    position: F64
+    covariance: F64
+    height: float
+    sigma: float
+    radial_velocity: float
+    velocity_sigma: float
+    ambiguity: float
+    walk_velocity: float
+    walk_sigma: float
+    walks: bool
+    likelihood_ratio: float
+    cnr_db: float
+    row: int
+    col: int
+
+    @property
+    def resolved(self) -> bool:
+        """Whether the walk tells which of the velocities that look the same it is: others are beyond 5 sigma."""
+        return RESOLVED * self.walk_sigma < self.ambiguity
+
+    def without_ambiguity(self) -> Mover:
+        """The mover with that of the radial velocities that look the same which is nearest to the walk's."""
+        periods = round((self.walk_velocity - self.radial_velocity) / self.ambiguity)
+        return replace(self, radial_velocity=self.radial_velocity + periods * self.ambiguity)
+
+
+def mover_of(
+    seen: Seen,
+    elevation: tuple[float, float],
+    lag: tuple[float, float],
+    ratio: float,
+    walked: Walked,
+    walks: bool,
+    slc: Slc,
+    sensor: Sensor,
+) -> Mover:
+    """A mover from what was seen of it.
+
+    Args:
+        seen: at which pixel.
+        elevation: and its standard deviation, rad.
+        lag: over that of the ground, and its standard deviation, rad.
+        ratio: twice the logarithm of the likelihood ratio.
+        walked: its walk.
+        walks: whether it was found by that.
+        slc: the image.
+        sensor: that took it.
+    """
+    point = slc.grid.points(walked.row if walks else seen.row, seen.col)
+    aperture = aperture_at(point, slc.aperture)
+    sight = point - aperture.position
+    slant_range, speed = float(np.linalg.norm(sight)), float(np.linalg.norm(aperture.velocity))
+    along = float(sight @ aperture.direction) + slant_range * lag[0]
+    # The row is that at the aspect 0 of the image; the target is abeam, at the aspect minus the lag, that much later.
+    later = slant_range * lag[0] / speed
+    farther, unsure = (walked.speed, walked.sigma) if walks else (0.0, float(np.hypot(walked.speed, walked.sigma)))
+    position = locate_at_elevation(elevation[0], slant_range + farther * later, along, aperture, sensor.look_side)
+    depth = np.hypot(ROW_ERROR * slc.grid.row_spacing, unsure * later)
+    own, _ = measured_covariance(position, aperture, np.array(elevation[1]), float(depth), slant_range * lag[1])
+    surface = Surface.seen_from(aperture, position[None, None], own[None, None], np.zeros((1, 1)))
+    mover = Mover(
+        position=position,
+        covariance=surface.covariance[0, 0],
+        height=float(surface.height[0, 0]),
+        sigma=float(surface.sigma[0, 0]),
+        radial_velocity=lag[0] * speed,
+        velocity_sigma=lag[1] * speed,
+        ambiguity=sensor.wavelength * sensor.pulse_repetition_frequency / 2,
+        walk_velocity=walked.speed,
+        walk_sigma=walked.sigma,
+        walks=walks,
+        likelihood_ratio=float(ratio),
+        cnr_db=float(10 * np.log10(seen.cnr)),
+        row=round(walked.row if walks else seen.row),
+        col=round(seen.col),
+    )
+    return mover.without_ambiguity() if mover.resolved else mover
+
+
+def peak_of(told: F64, lags: F64) -> tuple[float, float]:
+    """The most likely lag, and its standard deviation by the bend of the likelihood there."""
+    best = int(np.clip(told.argmax(), 1, len(lags) - 2))
+    (offset, bend), step = vertex(told[best - 1 : best + 2]), lags[1] - lags[0]
+    return float(lags[best] + step * offset), float(step / np.sqrt(bend))

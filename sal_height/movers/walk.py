@@ -1,0 +1,330 @@
+"""Targets that move by range cells while the beam passes them: found by undoing the walk of their range.
+
+A target that recedes with v_r is seen under the aspect alpha (squint) at the time -alpha rho / v after it is abeam, rho
+being its range and v the speed of the platform. Its image has in the Doppler bin of that aspect the range
+
+    r = r_0 - v_r alpha rho / v
+
+with r_0 that of the image at the aspect 0. What the pulses cannot tell of v_r, multiples of wavelength * PRF / 2, the
+walk does: it has no period, but is some thousand times less precise.
+
+For a walk, the samples of each bin are weighted by the response in range about the place where the walk has it. That is
+all that there is of a target that is thin in range, so that its likelihood is that of `likelihood` for this spectrum,
+and what is left is noise. What stands still, or hardly moves, may be a cloud that is spread over range as well: for the
+same samples, bins of some rows, the covariance is that of `likelihood` times that of the rows. The likelihood ratio of
+these two tells that something walks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Self
+
+import numpy as np
+import scipy.fft
+
+from sal_height.geometry import aperture_at
+from sal_height.imaging import Slc
+from sal_height.movers.search import MODEL_ERROR, Search, centres_of, vertex
+from sal_height.movers.spectrum import column_aspects
+from sal_height.numeric import C64, C128, F64, Index, fast_length, window
+from sal_height.sensor import Sensor
+
+MOST_ROWS = 6.0
+"""Greatest walk over the bins that is looked for, in rows."""
+
+WALK_STEP = 1.5
+"""Greatest step between the walks that are undone in the whole image, in rows: half of it costs 0.5 dB."""
+
+REACH = 3
+"""Rows beyond the walk in which the response of a target is looked at."""
+
+SPEED_STEP = 0.125
+"""Of the search around a bright pixel, in rows over the bins."""
+
+ROW_STEP = 0.25
+"""Of the same in range, in rows."""
+
+FINE_STEP = 0.05
+"""Of its last step, and of what stands still, in rows."""
+
+NEIGHBOURS = 3
+"""Targets that stand still in the rows that are looked at, which may look like one that walks."""
+
+LEAST_PART = 0.5
+"""Of the amplitude of a target's response that those before it do not have."""
+
+BESIDE = 1.0
+"""Rows beside a walk in which they may lie."""
+
+DEPTHS = (0.35, 0.7, 1.4, 2.8)
+"""Rms widths in range of the clouds that stand still, in rows; beside those that are thin."""
+
+WINDOW_SAMPLES = 256
+"""Of the band, from which the response in range is computed."""
+
+PLACES = np.linspace(-24, 24, 1921)
+"""Rows off a target for which its response is tabulated."""
+
+
+@dataclass(frozen=True, eq=False)
+class Walked:
+    """The walk of a target.
+
+    Attributes:
+        speed: radial velocity, m/s, positive if it recedes.
+        sigma: its standard deviation, m/s.
+        row: of the target at the aspect 0, in fractions.
+        likelihood_ratio: twice its logarithm, against what does not walk; infinite where it was not asked for.
+        spectra: of the channels along the walk, shape (bins, channels).
+    """
+
+    speed: float
+    sigma: float
+    row: float
+    likelihood_ratio: float
+    spectra: C128
+
+
+@dataclass(frozen=True, eq=False)
+class Walks:
+    """What walks in an image.
+
+    Attributes:
+        search: of lags in the same image.
+        slope: rows by which 1 m/s shifts a target for each radian of the aspect.
+        spacing: of rows in range resolutions.
+        window: over the band, a name of `windows.WINDOWS`.
+        aspects: of all bins of whole rows, in the order of `numpy.fft.fft`, rad, shape (cols,).
+        fastest: greatest speed that is looked for, m/s.
+        ground_lag: lag of what stands still, rad.
+    """
+
+    search: Search
+    slope: float
+    spacing: float
+    window: str
+    aspects: F64
+    fastest: float
+    ground_lag: float
+
+    @classmethod
+    def of(cls, search: Search, slc: Slc, sensor: Sensor, fastest: float, ground_lag: float) -> Self:
+        """Those of an image, whose pixels `search` has about the phase of their range (`about_ranges`)."""
+        grid = slc.grid
+        middle = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2)
+        aperture = aperture_at(middle, slc.aperture)
+        sight = middle - aperture.position
+        slant_range, speed = float(np.linalg.norm(sight)), float(np.linalg.norm(aperture.velocity))
+        spacing = grid.row_spacing * float(grid.row_direction @ sight) / slant_range
+        aspects = column_aspects(slc, sensor, grid.cols)
+        slope, cells = slant_range / (speed * spacing), abs(spacing) / sensor.range_resolution
+        return cls(search, slope, cells, slc.range_window, aspects, fastest, ground_lag)
+
+    @property
+    def speed_of_row(self) -> float:
+        """Speed of a target that walks by one row from the first bin to the last, m/s."""
+        aspects = self.search.bins.aspects
+        return float(1 / abs(self.slope * (aspects[-1] - aspects[0])))
+
+    @cached_property
+    def speeds(self) -> F64:
+        """Speeds whose walks are undone in the whole image, m/s: 0 is in their middle."""
+        fastest = min(self.fastest, MOST_ROWS * self.speed_of_row)
+        count = int(np.ceil(fastest / (WALK_STEP * self.speed_of_row)))
+        return fastest / max(1, count) * np.arange(-count, count + 1, dtype=np.float64)
+
+    def powers(self) -> Iterator[F64]:
+        """Power of the image, the sum over channels, with the walk of each of the speeds undone, shape (rows, cols)."""
+        images = self.search.images
+        rows, cols = images.shape[1:]
+        length = fast_length(rows + 2 * int(np.ceil(abs(self.speeds[0]) / self.speed_of_row)) + 2)
+        spectrum = scipy.fft.fft2(images.astype(np.complex64), s=(length, cols), axes=(1, 2))
+        turns = np.fft.fftfreq(length)[:, None] * (self.slope * self.aspects)
+        for speed in self.speeds:
+            ramp = np.exp(-2j * np.pi * speed * turns).astype(np.complex64)
+            undone = scipy.fft.ifft2(spectrum * ramp, axes=(1, 2), overwrite_x=True)[:, :rows]
+            yield np.sum(undone.real**2 + undone.imag**2, axis=0)
+
+    def response(self, rows: F64) -> F64:
+        """Amplitude of a point so many rows away, 1 in the middle."""
+        return np.interp(rows, PLACES, _response(self.window, round(self.spacing, 3)))
+
+    def look(self, row: int, col: int, number: int, threshold: float | None = None) -> Walked | None:
+        """The walk of what is bright at a pixel with the walk of a speed undone.
+
+        Args:
+            row: of the pixel.
+            col: of the pixel.
+            number: of the speed in `speeds`.
+            threshold: that the likelihood ratio must exceed; None: it is known to move, and has no ratio.
+
+        Returns:
+            None: it is at an end of the array, or the ratio is less.
+        """
+        search, speed = self.search, float(self.speeds[number])
+        spread = REACH + int(np.ceil(0.5 * abs(speed) / self.speed_of_row))
+        numbers = np.arange(max(0, row - spread), min(search.images.shape[1], row + spread + 1))
+        spectra = search.spectra(numbers, np.full(len(numbers), col))
+        coarse = self._along(spectra, numbers, np.array([float(row)]), np.array([speed]))
+        elevations = search.elevations(coarse)
+        if not np.isfinite(elevations[0]):
+            return None
+        power = float(np.mean(np.sum(np.abs(coarse[0]) ** 2, axis=-1)))
+        background = max(float(search.backgrounds(np.array([row]), elevations)[0]), MODEL_ERROR * power)
+        beam = search.beams.response(elevations[0], search.bins.aspects)
+        matched = np.einsum("bc,rbc->rb", beam.conj(), spectra) / np.linalg.norm(beam, axis=-1) / np.sqrt(background)
+        target = _Rows(numbers, spectra, matched, float(elevations[0]), background)
+        return self._judged(target, row, speed, threshold)
+
+    def _judged(self, target: _Rows, row: int, about: float, threshold: float | None) -> Walked | None:
+        """The walk of a target about a row and a speed; None: it does not walk."""
+        step = SPEED_STEP * self.speed_of_row
+        speeds: F64 = about + step * np.arange(-11, 12, dtype=np.float64)
+        rows: F64 = row + ROW_STEP * np.arange(-4, 5, dtype=np.float64)
+        energy = self._energy(target, rows, speeds)
+        fast, place = np.unravel_index(energy.argmax(), energy.shape)
+        still = self._still(target, float(rows[place]), float(speeds[fast]))
+        if threshold is not None and 2 * (energy.max() - np.sum(np.abs(still[0] @ target.matched) ** 2)) < threshold:
+            return None
+        speeds = speeds[fast] + step * np.arange(-3, 4)
+        fine: F64 = rows[place] + FINE_STEP * np.arange(-10, 11, dtype=np.float64)
+        energy = self._energy(target, fine, speeds)
+        best = int(np.clip(energy.max(axis=1).argmax(), 1, len(speeds) - 2))
+        speeds, energy = speeds[best - 1 : best + 2], energy[best - 1 : best + 2]
+        places = energy.argmax(axis=1)
+        spectra = self._along(target.spectra, target.numbers, fine[places], speeds)
+        walking = self._told(target, spectra).max(axis=1) + energy.max(axis=1)
+        ratio = np.inf
+        if threshold is not None:
+            ratio = float(2 * (walking[1] - self._at_rest(target, still)))
+            if ratio < threshold:
+                return None
+        offset, bend = vertex(walking)
+        speed, sigma = float(speeds[1] + step * offset), float(step / np.sqrt(bend))
+        return Walked(speed, sigma, float(fine[places[1]]), ratio, spectra[1])
+
+    def _at_rest(self, target: _Rows, still: F64) -> float:
+        """Logarithm of the greatest likelihood of what does not walk.
+
+        It is one target of any lag, some that stand still in different rows, or one that is spread over range.
+        """
+        told = self._told(target, np.einsum("tr,rbc->tbc", still, target.spectra))
+        explained = np.sum(np.abs(still @ target.matched) ** 2, axis=-1)
+        one = told[0].max() + explained[0]
+        several = np.cumsum(told[:, self._ground] + explained).max()
+        return max(float(one), float(several), self._deep(target, still[0], int(told[0].argmax())))
+
+    @cached_property
+    def _ground(self) -> int:
+        """Number of the lag of what stands still."""
+        return int(np.abs(self.search.lags - self.ground_lag).argmin())
+
+    def _told(self, target: _Rows, spectra: C128) -> F64:
+        """Logarithm of the likelihoods of all lags of spectra made of a target's rows, shape (spectra, lags)."""
+        count = len(spectra)
+        elevations, backgrounds = np.full(count, target.elevation), np.full(count, target.background)
+        return self.search.likelihoods(spectra, elevations, backgrounds)[0]
+
+    def _still(self, target: _Rows, row: float, speed: float) -> F64:
+        """Weights of rows in the spectra of the brightest targets that stand still, one after the other.
+
+        They lie in the rows through which a target about a row walks with a speed.
+
+        Returns:
+            Shape (targets, rows), each orthogonal to the others: what of a target those before do not have.
+        """
+        numbers = target.numbers
+        beside = abs(speed) / self.speed_of_row / 2 + BESIDE
+        places: F64 = row + np.arange(-beside, beside + FINE_STEP / 2, FINE_STEP, dtype=np.float64)
+        responses = self.response(numbers - places[:, None])
+        found = np.zeros((0, len(numbers)))
+        for _ in range(NEIGHBOURS):
+            left = responses - responses @ found.T @ found
+            norms = np.linalg.norm(left, axis=1)
+            left = left[norms > LEAST_PART] / norms[norms > LEAST_PART, None]
+            if not len(left):
+                break
+            energy = np.sum(np.abs(left @ target.matched) ** 2, axis=-1)
+            found = np.concatenate([found, left[energy.argmax()][None]])
+        return found
+
+    def _deep(self, target: _Rows, brightest: F64, lag: int) -> float:
+        """Logarithm of the likelihood of a cloud about a row that is spread over range, at rest or with a lag."""
+        likelihood = self.search.likelihood_at(target.elevation)
+        power = np.sum(np.abs(target.matched) ** 2, axis=-1)
+        row = float(np.sum(target.numbers * brightest**2))
+        near = np.abs(target.numbers - row) < REACH
+        centroid = float(np.sum((target.numbers * power)[near]) / np.sum(power[near]))
+        covariances = np.concatenate(
+            [self._covariances(np.asarray(target.numbers - place, np.float64)) for place in (row, centroid)]
+        )
+        centres = np.concatenate(centres_of((brightest @ target.matched)[None], self.search.bins.frequencies))
+        turned = np.exp(2j * np.pi * self.search.bins.frequencies * centres[:, None])
+        lags = {lag, self._ground}
+        return max(likelihood.of_rows((target.matched * turn).T, one, covariances) for turn in turned for one in lags)
+
+    def _covariances(self, rows: F64) -> F64:
+        """Of the amplitudes of rows, so many from the middle of clouds of the power 1, for each of DEPTHS."""
+        places = np.linspace(-3, 3, 49)
+        weights = np.exp(-(places**2) / 2)
+        responses = self.response(rows - np.multiply.outer(DEPTHS, places)[..., None])
+        return np.einsum("p,dpr,dps->drs", weights / weights.sum(), responses, responses)
+
+    def _energy(self, target: _Rows, rows: F64, speeds: F64) -> F64:
+        """Power along walks, the sum over bins, shape (speeds, rows)."""
+        weights = self._weights(target.numbers, rows, speeds[:, None])
+        return np.asarray(np.sum(np.abs(np.einsum("vtrb,rb->vtb", weights, target.matched)) ** 2, axis=-1))
+
+    def _along(self, spectra: C128, numbers: Index, rows: F64, speeds: F64) -> C128:
+        """Spectra of walks, from those of numbered rows, (rows, bins, channels): shape (walks, bins, channels)."""
+        return np.asarray(np.einsum("trb,rbc->tbc", self._weights(numbers, rows, speeds), spectra))
+
+    def _weights(self, numbers: Index, rows: F64, speeds: F64) -> F64:
+        """Of numbered rows in the spectra of walks, sum of squares 1, shape (..., rows, bins).
+
+        The rows of the targets at the aspect 0 and the speeds broadcast.
+        """
+        rows, speeds = np.broadcast_arrays(np.asarray(rows, np.float64), speeds)
+        there = rows[..., None] - self.slope * speeds[..., None] * self.search.bins.aspects
+        responses = self.response(numbers[:, None] - there[..., None, :])
+        return np.asarray(responses / np.linalg.norm(responses, axis=-2, keepdims=True))
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Spectra of rows around a target.
+
+    Attributes:
+        numbers: of the rows.
+        spectra: shape (rows, bins, channels).
+        matched: those of the beam at the elevation, with the background 1, shape (rows, bins).
+        elevation: of the target, rad.
+        background: power of noise and ground.
+    """
+
+    numbers: Index
+    spectra: C128
+    matched: C128
+    elevation: float
+    background: float
+
+
+@lru_cache(maxsize=8)
+def _response(name: str, spacing: float) -> F64:
+    """Amplitude of a point at PLACES, by the window over the band and the spacing of rows in range resolutions."""
+    weights = window(name, WINDOW_SAMPLES)
+    turns = (np.arange(WINDOW_SAMPLES) - (WINDOW_SAMPLES - 1) / 2) / WINDOW_SAMPLES * spacing
+    return np.asarray(np.cos(2 * np.pi * PLACES[:, None] * turns) @ weights / np.sum(weights))
+
+
+def about_ranges(images: C64 | C128, slc: Slc, sensor: Sensor) -> C128:
+    """Images without the phase of the range of their rows, 4 pi / wavelength per metre."""
+    grid = slc.grid
+    points = grid.points(np.arange(grid.rows), (grid.cols - 1) / 2)
+    abeam = aperture_at(points[grid.rows // 2], slc.aperture).position
+    ranges = np.linalg.norm(points - abeam, axis=-1)
+    turns = 2 * (ranges - ranges[grid.rows // 2]) / sensor.wavelength
+    return np.asarray(images * np.exp(-2j * np.pi * turns)[:, None])

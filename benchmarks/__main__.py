@@ -33,6 +33,7 @@ GROUPS = {
     "honest": "honest:coverage",
     "platform": "imperfect_platform:coverage",
     "adjustment": "adjusting:brought_together",
+    "passes": "several_passes:coverage",
     "movers": "moving:found_without_being_told",
     "psf-targets": "psf:target_route",
     "psf-both": "psf:both_routes",

@@ -94,6 +94,10 @@ def heights_from_passes(
         seen = registered(array, settings)
         candidates, _ = _with_references(Candidates.of(seen, settings), seen, references, settings)
     tie = tie_passes(candidates, seen.lattice.array, settings)
+    if tie.references < (given := int(np.isfinite(candidates.known).sum())):
+        warnings.append(
+            f"Of {given} reference points that were found {tie.references} agree with the other points, and tie them."
+        )
     # Heights of what is bright, in the whole volume.
     array, tie = tie.placed(seen.lattice.array)
     lattice, least = Lattice.of(array, settings), 10 ** (settings.least_power_db / 10)

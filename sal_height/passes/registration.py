@@ -16,7 +16,7 @@ from sal_height.passes.array import PassArray
 from sal_height.passes.boxes import Box, Lattice, background
 from sal_height.passes.settings import PassSettings
 
-WORTH_MOVING = 0.1
+WORTH_MOVING = 0.25
 """Least shift, in pixels, that is taken out; what is less, phases tell better."""
 
 ROUNDS = 2

@@ -1,0 +1,161 @@
+"""Whether heights from several passes keep what their sigma promises, and how near they come to the bound.
+
+The eight passes of AFRL's Gotcha set, simulated over reflectors with errors of phase and position; three reflectors are
+reference points, known to 2 cm. `python -m benchmarks.several_passes` prints the scenes one by one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from benchmarks.row import Row, load, medians, sized
+from sal_height.elevation import ESTIMATORS, conditional_crb
+from sal_height.numeric import F64
+from sal_height.passes import (
+    GOTCHA_ELEVATIONS,
+    Circle,
+    PassHeights,
+    PassSettings,
+    ReferencePoint,
+    heights_from_passes,
+    simulated_passes,
+)
+
+SCENES = sized(30, 1)
+REFLECTORS = 20
+"""Of a scene; a third of them 0 to 4 m above the ground."""
+
+CIRCLE = Circle(pulses=60, frequencies=112)
+SIDE = 14.0
+"""Of the square with reflectors, m: what so many pulses and frequencies sample."""
+
+POSITION_SIGMA = 0.03
+"""Errors of position of a pass each way, m, as the settings say."""
+
+REFERENCE_SIGMA = 0.02
+"""Error of the height of reference points, m, as the settings say."""
+
+CNR_DB = 22.0
+"""Of a reflector in an image without windows: 20 dB and less in the pixels of windowed ones."""
+
+AMPLITUDE_ERROR = 0.1
+"""Of reflectors from pass to pass, in half of the scenes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Flown:
+    """A scene and what was found in it.
+
+    Attributes:
+        reflectors: places, m, (reflectors, 3).
+        result: the heights.
+        errors: of the height of each point, m; NaN: no reflector is within .5 m.
+        over_bound: errors across range and flight over the Cramer-Rao bound of a single look, without their plane.
+    """
+
+    reflectors: F64
+    result: PassHeights
+    errors: F64
+    over_bound: F64
+
+
+def flown(seed: int) -> Flown:
+    """A scene, with errors of amplitudes if its number is odd."""
+    rng = np.random.default_rng(seed)
+    places = reflectors(rng)
+    power = 10 ** (CNR_DB / 10) / (CIRCLE.pulses * CIRCLE.frequencies)
+    amplitudes = np.sqrt(power) * np.exp(2j * np.pi * rng.uniform(size=REFLECTORS))
+    if seed % 2:
+        error = rng.standard_normal((8, REFLECTORS, 2)) @ np.array([1.0, 1j])
+        amplitudes = amplitudes * (1 + AMPLITUDE_ERROR * error / np.sqrt(2))
+    turns, off = rng.uniform(-np.pi, np.pi, 8), rng.normal(0, POSITION_SIGMA, (8, 3))
+    passes = simulated_passes(CIRCLE, places, amplitudes, 1.0, rng, turns, off)
+    known = [
+        ReferencePoint(place + np.array([0.0, 0.0, rng.normal(0, REFERENCE_SIGMA)]), ties=True) for place in places[:3]
+    ]
+    settings = PassSettings(
+        side_m=SIDE + 2,
+        lowest_m=-1.0,
+        highest_m=4.5,
+        position_sigma_m=POSITION_SIGMA,
+        reference_sigma_m=REFERENCE_SIGMA,
+    )
+    ml = ESTIMATORS["ml"]
+    result = heights_from_passes(passes, np.zeros(3), ml, ml.settings(range_looks=1, azimuth_looks=1), settings, known)
+    apart, nearest = cKDTree(places).query(result.found.points.positions)
+    off_by = result.found.points.positions - places[nearest]
+    errors = np.where(apart < 0.5, off_by[:, 2], np.nan)
+    return Flown(places, result, errors, _over_bound(result, off_by, apart < 0.1))
+
+
+def _over_bound(result: PassHeights, off_by: F64, here: F64) -> F64:
+    points, array = result.found.points, result.array
+    across = off_by @ array.axes[2]
+    steering = array.steering(array.centre, -2.0, 2.0)
+    cnr = 10 ** (points.cnr_db / 10)
+    bound = steering.metres * conditional_crb(steering.beams(), steering.elevation, 0.0, cnr, 1)
+    plane = np.column_stack([np.ones(len(across)), points.positions[:, :2]])[here]
+    left = across[here] - plane @ np.linalg.lstsq(plane, across[here], rcond=None)[0]
+    return np.asarray(left / bound[here] * np.sqrt(len(left) / (len(left) - 3)))
+
+
+def reflectors(rng: np.random.Generator) -> F64:
+    """Places of reflectors, none in the cell of another."""
+    tangent = np.tan(np.mean(GOTCHA_ELEVATIONS))
+    places: list[F64] = []
+    shown: list[F64] = []
+    while len(places) < REFLECTORS:
+        height = rng.normal(0, 0.3) if rng.uniform() < 2 / 3 else rng.uniform(0, 4)
+        place = np.array([*rng.uniform(-SIDE / 2, SIDE / 2, 2), height])
+        here = place[:2] + np.array([tangent * height, 0.0])
+        if all(np.linalg.norm(here - other) > 1.2 for other in shown):
+            places.append(place)
+            shown.append(here)
+    return np.array(places)
+
+
+def coverage() -> Iterator[Row]:
+    """Rows of the scenes, and of the time of one."""
+    scenes = [flown(seed) for seed in range(SCENES)]
+    errors = np.concatenate([one.errors for one in scenes])
+    sigmas = np.concatenate([one.result.found.points.total_sigma for one in scenes])
+    known = np.isfinite(errors)
+    ratios = np.abs(errors[known] / sigmas[known])
+    total = SCENES * REFLECTORS
+    source = f"{known.sum()} points of {total} reflectors in {SCENES} scenes, eight passes as of Gotcha, {CNR_DB:g} dB"
+    error = np.sqrt(0.68 * 0.32 / len(ratios))
+    yield Row(
+        "passes: c1, share within sigma",
+        float(np.mean(ratios < 1)),
+        "1",
+        ">= 0.6",
+        f"{source}; standard error {error:.2f}",
+        {"c2": float(np.mean(ratios < 2)), "rms_m": float(np.sqrt(np.mean(errors[known] ** 2)))},
+    )
+    yield Row("passes: o5, share beyond five sigma", float(np.mean(ratios > 5)), "1", "<= 0.01", source)
+    yield Row("passes: heights where nothing is", float(np.mean(~known)), "1", "<= 0.01", source)
+    yield Row("passes: reflectors with a height", known.sum() / total, "1", ">= 0.9", source)
+    clean = np.concatenate([one.over_bound for one in scenes[::2]])
+    yield Row(
+        "passes: error across over the Cramer-Rao bound",
+        float(np.sqrt(np.mean(clean**2))),
+        "1",
+        "<= 1.15",
+        f"{len(clean)} points of equal amplitude in all passes; standard error {1 / np.sqrt(2 * len(clean)):.2f}",
+    )
+    (seconds,) = medians(lambda: flown(0), repeats=sized(3, 1))
+    yield Row("passes: a scene of 16 m, simulation included", seconds, "s", "<= 10", load())
+
+
+if __name__ == "__main__":
+    for number in range(SCENES):
+        one = flown(number)
+        ratio = one.errors / one.result.found.points.total_sigma
+        print(  # noqa: T201
+            f"scene {number}: {len(one.errors)} points, rms {np.sqrt(np.nanmean(one.errors**2)):.4f} m, "
+            f"over sigma {np.sqrt(np.nanmean(ratio**2)):.2f}, over bound {np.sqrt(np.mean(one.over_bound**2)):.2f}"
+        )

@@ -90,6 +90,25 @@ def looks(slcs: Sequence[Slc]) -> Array:
     return level - level.mean(axis=1, keepdims=True)
 
 
+def by_place(slcs: Sequence[Slc], edges: Array) -> Array:
+    """Power of all channels between places along the flight (m, in map), as a logarithm over that of its row."""
+    power = np.concatenate([np.sum(np.abs(slc.images) ** 2, axis=0) for slc in slcs], axis=-1)
+    place = np.concatenate([slc.grid.points(0.0, np.arange(slc.grid.cols))[:, 0] for slc in slcs])
+    which = np.digitize(place, edges) - 1
+    level = np.log([[row[which == part].mean() for part in range(len(edges) - 1)] for row in power])
+    return np.asarray(level - level.mean(axis=1, keepdims=True))
+
+
+def likeness(slcs: Sequence[Slc]) -> float:
+    """Correlation of 12 cm wide looks with those of a flight without errors, at the same places in map."""
+    exact, _ = images(flight_with(Impairments()), Stated(), SETTINGS.changed(autofocus="never"))
+    ends = [slc.grid.points(0.0, np.array([0.0, slc.grid.cols]))[:, 0] for some in (exact, slcs) for slc in some]
+    first = max(exact[0].grid.points(0.0, 0.0)[0], slcs[0].grid.points(0.0, 0.0)[0])
+    edges = np.arange(first, min(np.max(ends[: len(exact)]), np.max(ends[len(exact) :])), 0.12)
+    assert len(edges) > 8
+    return float(np.corrcoef(by_place(exact, edges).ravel(), by_place(slcs, edges).ravel())[0, 1])
+
+
 UNSURE = Stated(speed_sigma=0.005, attitude_sigma=2e-6)
 
 
@@ -106,9 +125,10 @@ def test_images_of_a_platform_that_vibrates_are_those_of_one_that_does_not() -> 
 
 @pytest.mark.parametrize("speed", [-0.006, 0.004])
 def test_error_of_the_velocity_is_found_and_the_image_placed_by_it(speed: float) -> None:
-    """To .19 mm/s, 1.9 cm along the flight, of which the covariance tells."""
+    """To .19 mm/s, 1.9 cm along the flight, of which the covariance tells; without, it lies 40 to 60 cm off."""
     found, refused = images(flight_with(Impairments()), replace(UNSURE, sinking=speed))
     assert not refused
+    assert likeness(found) > 0.9
     for slc in found:
         assert slc.placement.speed == pytest.approx(speed, abs=3 * slc.placement.speed_error)
         assert slc.placement.speed_error == pytest.approx(0.00019, rel=0.15)
@@ -117,10 +137,14 @@ def test_error_of_the_velocity_is_found_and_the_image_placed_by_it(speed: float)
 
 
 def test_error_of_the_attitude_turns_the_beams_and_not_the_image() -> None:
-    """A yaw of half a beam, beside an exact velocity: 45 degrees down, .35 of a beam, which is found to .05 of it."""
+    """A yaw of half a beam, beside an exact velocity: 45 degrees down, .35 of a beam, which is found to .05 of it.
+
+    The ground is where it was: an image that was moved by .35 of a beam would lie 27 cm off.
+    """
     yaw = 0.5 * 1.55e-4
     found, refused = images(flight_with(Impairments()), Stated(yaw=-yaw, speed_sigma=1e-5, attitude_sigma=1e-4))
     assert not refused
+    assert likeness(found) > 0.9
     for slc in found:
         assert slc.placement.pointing == pytest.approx(yaw / np.sqrt(2), abs=0.05 * 1.55e-4)
         assert abs(slc.placement.speed) < 1e-4

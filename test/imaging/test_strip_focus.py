@@ -150,6 +150,17 @@ def test_error_of_the_attitude_turns_the_beams_and_not_the_image() -> None:
         assert abs(slc.placement.speed) < 1e-4
 
 
+def test_where_the_phase_steps_at_random_the_attitude_places_the_image() -> None:
+    """By a laser line of 100 kHz, of which no trend tells a velocity: 2e-5 rad of attitude are 10 cm."""
+    found, refused = images(flight_with(Impairments(laser_linewidth_hz=1e5)), replace(UNSURE, attitude_sigma=2e-5))
+    assert not refused
+    assert likeness(found) > 0.9
+    for slc in found:
+        assert slc.placement.by_beams
+        assert slc.placement.speed == 0.0
+        assert slc.placement.speed_error * 5000.0 / 50.0 == pytest.approx(0.1, rel=0.1)
+
+
 def test_blocks_are_all_focused_the_same_way_or_the_strip_begins_anew() -> None:
     """A block without echoes in a strip that needs autofocus is refused with the reason; the next begins a strip."""
     found, refused = images(flight_with(SHAKEN, BLOCKS + 1), UNSURE, dark=(1,))

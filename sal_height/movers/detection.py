@@ -26,7 +26,7 @@ from sal_height.movers.search import Search, Seen
 from sal_height.movers.settings import MoverSettings
 from sal_height.movers.spectrum import Bins
 from sal_height.movers.walk import Walked, Walks, about_ranges
-from sal_height.numeric import C64, C128, F64, Bool
+from sal_height.numeric import C64, C128, F64, Bool, Index
 from sal_height.sensor import Sensor
 
 HYPOTHESES = 10.0
@@ -37,6 +37,14 @@ LEAST_COLUMNS = 16
 
 SIDELOBES = 10**-2.5
 """Power, over that of the brightest in the same rows or columns, up to which a pixel may be its sidelobe."""
+
+COARSE_STEP = 0.08
+"""Between the lags of a first search, in beamwidths."""
+
+BETWEEN_LAGS = 8.0
+"""Likelihood ratio that a lag between two of these may have over theirs.
+
+A target whose lag has the standard deviation of 0.015 beamwidths, the least that MODEL_ERROR leaves, loses 7."""
 
 WALKING = 5.0
 """Standard deviations of the walk's velocity from which what moves is taken to walk."""
@@ -103,10 +111,11 @@ def find_movers(images: C64 | C128, beams: Beams, slc: Slc, sensor: Sensor, sett
             "cols of sar_compression).",
         )
     images = about_ranges(np.where(np.isfinite(images), images, 0), slc, sensor)
-    search = Search(images, beams, Bins.of(slc, sensor, min(settings.chip_pixels, images.shape[-1] // 2 * 2)))
+    bins = Bins.of(slc, sensor, min(settings.chip_pixels, images.shape[-1] // 2 * 2))
+    search, coarse = Search(images, beams, bins), Search(images, beams, bins, COARSE_STEP)
     whole = Bins.of(slc, sensor, images.shape[-1])
     ground = ground_lag(images, beams, whole, search.lags, lag_by_odometry(slc, sensor))
-    walks = Walks.of(search, slc, sensor, settings.fastest_mps, ground[0])
+    walks = Walks.of(coarse, slc, sensor, settings.fastest_mps, ground[0])
     looking = _Looking(search, walks, ground, slc, sensor)
     walking, looked_at = looking.for_walks(settings)
     lagging, candidates = looking.for_lags(settings)
@@ -120,8 +129,7 @@ def _bright(power: F64, prominence_db: float) -> Bool:
     around = maximum_filter(power, size=(3, 2 * MARGIN + 1))
     bright = (power == around) & (power > 10 ** (prominence_db / 10) * np.median(power, axis=1, keepdims=True))
     beside = np.maximum(
-        maximum_filter(power, size=(2 * len(power) + 1, 2 * MARGIN + 1)),
-        maximum_filter(power, size=(3, 2 * power.shape[1] + 1)),
+        maximum_filter(power.max(axis=0), size=2 * MARGIN + 1), maximum_filter(power.max(axis=1), size=3)[:, None]
     )
     bright &= power > SIDELOBES * beside
     bright[:, :MARGIN] = bright[:, power.shape[1] - MARGIN :] = False
@@ -143,7 +151,7 @@ class _Looking:
         candidates = np.argwhere(_bright(np.sum(np.abs(self.search.images) ** 2, axis=0), settings.prominence_db))
         threshold = 2 * np.log(HYPOTHESES / settings.false_alarm_rate)
         found = []
-        for seen in self.search.at(candidates):
+        for seen in self.search.at(self._screened(candidates, threshold)):
             ratio = self._ratio(seen)
             if ratio < threshold or not self._is_inside(seen.told):
                 continue
@@ -159,6 +167,16 @@ class _Looking:
                 if (ratio := self._ratio(along)) > threshold and self._is_inside(along.told):
                     found += self._mover(along, ratio, walked, walks=True)
         return found, len(candidates)
+
+    def _screened(self, pixels: Index, threshold: float) -> Index:
+        """The pixels whose ratio may exceed the threshold, by a few lags."""
+        coarse = self.walks.search
+        maybe = [
+            seen.pixel
+            for seen in coarse.at(pixels)
+            if 2 * (seen.told.max() - _at(self.ground[0], coarse.lags, seen.told)) > threshold - BETWEEN_LAGS
+        ]
+        return np.array(maybe, np.intp).reshape(-1, 2)
 
     def _ratio(self, seen: Seen) -> float:
         """Twice the logarithm of the likelihood ratio of the best lag against that of the ground."""

@@ -42,13 +42,15 @@ class Seen:
     """A bright pixel.
 
     Attributes:
-        row, col: of the pixel, in fractions.
+        pixel: row and column that were looked at.
+        row, col: of the target, in fractions.
         elevation: of what stands still, rad.
         told: logarithm of the likelihood of each lag.
         cnr: power over the background.
         spectra: of the channels, shape (bins, channels).
     """
 
+    pixel: tuple[int, int]
     row: float
     col: float
     elevation: float
@@ -65,11 +67,13 @@ class Search:
         images: of channels of independent noise of one power, shape (channels, rows, cols).
         beams: of these channels, in one direction.
         bins: of the spectra.
+        step: from one lag to the next, in beamwidths along the flight.
     """
 
     images: C64 | C128
     beams: Beams
     bins: Bins
+    step: float = STEP
 
     @cached_property
     def lags(self) -> F64:
@@ -94,6 +98,7 @@ class Search:
         middles = first + self.bins.pixels // 2 + centres * self.bins.pixels / len(self.bins.numbers)
         for number, pixel in enumerate(inside):
             yield Seen(
+                (int(rows[pixel]), int(cols[pixel])),
                 self._row(int(rows[pixel]), int(cols[pixel])),
                 float(middles[number]),
                 float(elevations[number]),
@@ -165,8 +170,8 @@ class Search:
     @cached_property
     def _lags(self) -> F64:
         """Lags of the nominal bins, rad."""
-        steps = round(FARTHEST / STEP)
-        return self.beams.track_beamwidth * STEP * np.arange(-steps, steps + 1, dtype=np.float64)
+        steps = round(FARTHEST / self.step)
+        return self.beams.track_beamwidth * self.step * np.arange(-steps, steps + 1, dtype=np.float64)
 
     @cached_property
     def _known(self) -> Bool:
@@ -186,10 +191,14 @@ class Search:
         low, high = self.beams.domain(0.0)
         return np.arange(low, high, ELEVATION_STEP * self.beams.beamwidth)
 
+    @cached_property
+    def _elevation_beams(self) -> F64 | C128:
+        """Of what stands still at each of the elevations, shape (elevations, bins, channels)."""
+        return self.beams.response(self._elevation_grid[:, None], self.bins.aspects)
+
     def elevations(self, spectra: C128) -> F64:
         """The most likely elevations of what stands still, shape (targets,); NaN: that of an outer beam."""
-        grid = self._elevation_grid
-        amplitudes = self.beams.response(grid[:, None], self.bins.aspects)
+        grid, amplitudes = self._elevation_grid, self._elevation_beams
         gains = np.mean(np.sum(np.abs(amplitudes) ** 2, axis=-1), axis=-1)
         in_bins = np.einsum("ebc,tbc->etb", amplitudes.conj(), spectra, optimize=True)
         explained = np.sum(np.abs(in_bins) ** 2, axis=-1) / gains[:, None]

@@ -143,10 +143,13 @@ class Walks:
         length = fast_length(rows + 2 * int(np.ceil(abs(self.speeds[0]) / self.speed_of_row)) + 2)
         spectrum = scipy.fft.fft2(images.astype(np.complex64), s=(length, cols), axes=(1, 2))
         turns = np.fft.fftfreq(length)[:, None] * (self.slope * self.aspects)
-        for speed in self.speeds:
-            ramp = np.exp(-2j * np.pi * speed * turns).astype(np.complex64)
-            undone = scipy.fft.ifft2(spectrum * ramp, axes=(1, 2), overwrite_x=True)[:, :rows]
+        step = self.speeds[1] - self.speeds[0]
+        undoing = np.exp(-2j * np.pi * step * turns).astype(np.complex64)
+        spectrum *= np.exp(-2j * np.pi * self.speeds[0] * turns).astype(np.complex64)
+        for _ in self.speeds:
+            undone = scipy.fft.ifft2(spectrum, axes=(1, 2))[:, :rows]
             yield np.sum(undone.real**2 + undone.imag**2, axis=0)
+            spectrum *= undoing
 
     def response(self, rows: F64) -> F64:
         """Amplitude of a point so many rows away, 1 in the middle."""

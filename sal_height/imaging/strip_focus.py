@@ -180,7 +180,7 @@ def _in_focus(
     if slow:
         course, trend = course_of(phase)
         apart = replace(focus, phase=course, trend=trend, trend_error=error)
-        centroid = centroid_of(apart, times, sensor.wavelength, prior, placement.pointing if placement else 0.0)
+        centroid = centroid_of(apart, times, sensor.wavelength, prior)
     if placement is None:
         if slow:
             placement = placed_by_centroid(centroid, prior, 2 * np.pi * of_a_radian)

@@ -228,9 +228,7 @@ def place_image(focus: Focus, pulse_times: F64, wavelength: float, prior: Naviga
     return focus, placed_by_centroid(centroid, prior, 2 * np.pi * of_a_radian)
 
 
-def centroid_of(
-    focus: Focus, pulse_times: F64, wavelength: float, prior: NavigationPrior, known_pointing: float = 0.0
-) -> Centroid:
+def centroid_of(focus: Focus, pulse_times: F64, wavelength: float, prior: NavigationPrior) -> Centroid:
     """The Doppler centroid by the trend of a phase that is smooth.
 
     Args:
@@ -238,13 +236,12 @@ def centroid_of(
         pulse_times: s, shape (pulses,).
         wavelength: m.
         prior: what navigation knows.
-        known_pointing: by which the beams look farther ahead than navigation says, and less by the trend, rad.
 
     Raises:
         Rejected: the Doppler centroid contradicts navigation.
     """
     of_a_radian = speed_of_a_radian(pulse_times, wavelength)
-    found, error = of_a_radian * focus.trend + prior.flight_speed * known_pointing, of_a_radian * focus.trend_error
+    found, error = of_a_radian * focus.trend, of_a_radian * focus.trend_error
     vibration = vibration_speed(focus.phase, pulse_times, wavelength) if prior.spread else 0.0
     known = prior.beside(vibration)
     if not known.allows(found, error):

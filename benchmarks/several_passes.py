@@ -145,7 +145,8 @@ def coverage() -> Iterator[Row]:
         float(np.sqrt(np.mean(clean**2))),
         "1",
         "<= 1.15",
-        f"{len(clean)} points of equal amplitude in all passes; standard error {1 / np.sqrt(2 * len(clean)):.2f}",
+        f"{len(clean)} points of equal amplitude in all passes, CNR over the measured background; standard error "
+        f"{1 / np.sqrt(2 * len(clean)):.2f}",
     )
     (seconds,) = medians(lambda: flown(0), repeats=sized(3, 1))
     yield Row("passes: a scene of 16 m, simulation included", seconds, "s", "<= 10", load())

@@ -83,9 +83,10 @@ def together(passes: Sequence[Pass], centre: F64) -> tuple[tuple[Pass, ...], tup
         UserError: fewer than LEAST_PASSES are left.
     """
     if len(passes) < LEAST_PASSES:
+        given = "1 pass was" if len(passes) == 1 else f"{len(passes)} passes were"
         raise UserError(
-            f"{len(passes)} passes were given; heights need {LEAST_PASSES} or more, as two leave nothing that could "
-            "show a wrong phase between them."
+            f"{given} given; heights need {LEAST_PASSES} or more, as two leave nothing that could show a wrong phase "
+            "between them."
         )
     refused: list[str] = []
     kept: Sequence[Pass] = passes

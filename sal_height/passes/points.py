@@ -49,6 +49,12 @@ SAME_PLACE = 0.5
 INSIDE = 0.55
 """Distance across from the middle of a box up to which it keeps points, over its size: boxes overlap a little."""
 
+SHARED = 0.05
+"""Standard deviation, beamwidths, that several scatterers in a pixel have besides: the others are out of register.
+
+By Monte Carlo of pairs .4 to 3.5 m apart at 26 dB: without it 57 % of their errors are within sigma.
+"""
+
 COLUMNS_AT_ONCE = 32
 
 APART = 6
@@ -273,10 +279,12 @@ class Peaks:
             variance = tie.variance(position, steering.slope(offset), array)
             way = array.axes_at(position)[2] * steering.beamwidth * steering.metres
             common[number] = variance * np.outer(way, way)
+        shared = (scatterer_count(validity[some]) > 1) * (SHARED * steering.beamwidth * steering.metres) ** 2
+        across = array.axes[2]
         return Points(
             positions,
             surface.height[0, some],
-            surface.own_covariance[0, some],
+            surface.own_covariance[0, some] + shared[:, None, None] * np.outer(across, across),
             common,
             surface.cnr_db[0, some],
             validity[some],

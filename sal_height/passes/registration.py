@@ -65,6 +65,7 @@ def registered(array: PassArray, settings: PassSettings) -> Registered:
         shifts += found
         # What appears too far was seen from farther back, and what appears ahead from farther behind.
         lattice = Lattice.of(array.moved(-shifts @ array.axes[:2]), settings)
+        boxes = lattice.on_ground(settings)
     return Registered(lattice, boxes, images, level, shifts)
 
 

@@ -43,8 +43,9 @@ ROUNDS = 25  # of adjusting phases and elevations by turns
 LEAST_AGREEMENT = 0.7  # share of the power of a point in phase, from which on it ties
 LEAST_PHASE_ERROR = 0.02  # rad, that points have beside noise at least: none is a point exactly
 FIXED = 1e9  # weight by which what nothing determines is held
+FIRST_PHASE_ERROR = 0.3  # rad, of the first solution
 LEAST_SHARE = 0.4  # the same, of points that tell whether a pass is in phase with the others
-OUTLIER = 3.5  # standard deviations from which on a point is left out
+OUTLIER = 3.0  # mean square of residuals over their variance, from which on a point is left out
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,31 +258,7 @@ def tie_passes(points: Candidates, array: PassArray, settings: PassSettings) -> 
     if np.any(np.isfinite(points.known)):
         state = _levelled(state, points, sensitive, reach)
     _, share = points.best_offsets(state.turned(points, sensitive), reach)
-    agree = share >= LEAST_AGREEMENT
-    error = LEAST_PHASE_ERROR
-    for _ in range(4):
-        if agree.sum() < LEAST_TIES:
-            break
-        kept, of_kept = points.of_points(agree), sensitive[agree]
-        part = replace(state, elevation=state.elevation[agree])
-        for _ in range(4):
-            part, covariance, residual, weight = _solved(part, kept, of_kept, error, settings)
-        # What points err beside their noise, so that residuals are as large as they should be.
-        free = max(1.0, kept.samples.size - 2 * len(kept.samples) - 3 * (points.samples.shape[1] - 1))
-        error = float(np.sqrt(max(LEAST_PHASE_ERROR**2, _excess(residual, kept, free))))
-        elevation = state.elevation.copy()
-        elevation[agree] = part.elevation
-        state = replace(part, elevation=elevation)
-        rms = np.sqrt(np.mean(weight * residual**2, axis=1))
-        good = rms < OUTLIER / np.sqrt(2)
-        if good.all():
-            break
-        agree[np.flatnonzero(agree)[~good]] = False
-    if agree.sum() < LEAST_TIES:
-        raise UserError(
-            f"Of {len(points.samples)} bright points {int(agree.sum())} agree on the phases of the passes; "
-            f"{LEAST_TIES} are needed."
-        )
+    state, covariance, agree = _agreed(state, points, sensitive, share >= LEAST_AGREEMENT, settings)
     kept, references = points.of_points(agree), np.isfinite(points.known[agree])
     turned = state.turned(points, sensitive)[agree] * np.exp(-1j * kept.phases(state.elevation[agree]))
     if not references.any():
@@ -296,6 +273,45 @@ def tie_passes(points: Candidates, array: PassArray, settings: PassSettings) -> 
         int(references.sum()),
         kept.positions,
     )
+
+
+def _agreed(
+    state: _Adjusted, points: Candidates, sensitive: F64, agree: Bool, settings: PassSettings
+) -> tuple[_Adjusted, F64, Bool]:
+    """The solution of least squares by the points that agree, its covariance, and which points these are.
+
+    Two scatterers in a pixel can be nearly in phase as one; what points usually err beside noise tells them by their
+    residuals, as long as most are single.
+
+    Raises:
+        UserError: too few agree.
+    """
+    agree, error = agree.copy(), FIRST_PHASE_ERROR
+    for _ in range(ROUNDS):
+        if agree.sum() < LEAST_TIES:
+            raise UserError(
+                f"Of {len(points.samples)} bright points {int(agree.sum())} agree on the phases of the passes; "
+                f"{LEAST_TIES} are needed."
+            )
+        kept, of_kept = points.of_points(agree), sensitive[agree]
+        part = replace(state, elevation=state.elevation[agree])
+        for _ in range(3):
+            part, covariance, residual, _ = _solved(part, kept, of_kept, error, settings)
+        elevation = state.elevation.copy()
+        elevation[agree] = part.elevation
+        state = replace(part, elevation=elevation)
+        # What points err beside their noise, in the median.
+        passes = residual.shape[1]
+        free = passes - 2 - 3 * (passes - 1) / len(residual)
+        noise = 0.5 / np.maximum(np.abs(kept.samples) ** 2, 1e-6)
+        excess = np.sum(residual**2, axis=1) / max(free, 0.5) - noise.mean(axis=1)
+        settled = np.sqrt(max(LEAST_PHASE_ERROR**2, float(np.median(excess))))
+        off = np.mean(residual**2 / (noise + settled**2), axis=1) > OUTLIER
+        if not off.any() and abs(settled - error) < 0.1 * error:
+            break
+        error = settled
+        agree[np.flatnonzero(agree)[off]] = False
+    return state, covariance, agree
 
 
 def _anchored(points: Candidates, reach: F64) -> _Adjusted:
@@ -422,12 +438,6 @@ def _on_ground(
     heights = points.positions[:, 2] + state.elevation * metres
     lift = settings.ground_m - float(np.median(heights[agree]))
     return _lifted(state, points, lift / float(np.median(metres)))
-
-
-def _excess(residual: F64, points: Candidates, free: float) -> float:
-    """Variance of phases beside that of noise, rad^2, from residuals that have `free` degrees of freedom."""
-    noise = 0.5 / np.maximum(np.abs(points.samples) ** 2, 1e-6)
-    return float(np.sum(residual**2) / free - np.mean(noise))
 
 
 def _uncertainty(turned: C128) -> float:

@@ -67,7 +67,7 @@ def test_a_pass_that_does_not_fit_is_left_out(passes: list[Pass], spoil: object,
 
 
 def test_too_few_passes_are_refused(passes: list[Pass]) -> None:
-    with pytest.raises(UserError, match=r"^1 passes were given; heights need 3 or more"):
+    with pytest.raises(UserError, match=r"^1 pass was given; heights need 3 or more"):
         together(passes[:1], ORIGIN)
     with pytest.raises(UserError, match=r"Of 3 passes 2 can be used; 3 are needed. Pass pass_1 is left out"):
         together([turned(passes[0], 10.0), *passes[1:3]], ORIGIN)

@@ -9,7 +9,7 @@ import pytest
 from pass_scenes import SETTINGS, SMALL, TANGENT, amplitudes, flown, reflectors, shown
 from scipy.spatial import cKDTree
 
-from sal_height.elevation import ESTIMATORS
+from sal_height.elevation import ESTIMATORS, Validity
 from sal_height.errors import UserError
 from sal_height.passes import Pass, PassHeights, PassSettings, ReferencePoint, heights_from_passes, simulated_passes
 
@@ -103,6 +103,23 @@ def test_points_that_differ_from_pass_to_pass_are_less_certain() -> None:
     ratios = errors_of(result, points) / result.found.points.total_sigma
     assert np.isfinite(ratios).sum() >= 18
     assert np.nanstd(ratios) < 1.6
+
+
+def test_pairs_in_a_cell_do_not_spoil_the_tie() -> None:
+    """Five of thirteen bright pixels hold two reflectors, some of them nearly in phase as one."""
+    rng = np.random.default_rng(100)
+    points = reflectors(rng, 13, side=12.0)
+    apart = rng.uniform(0.4, 3.0, 5)
+    above = points[8:] + apart[:, None] * [-TANGENT, 0.0, 1.0]
+    passes = flown(rng, np.concatenate([points, above]), cnr_db=26.0, phases=rng.uniform(-np.pi, np.pi, 8))
+    result = made(passes, [ReferencePoint(place, ties=True) for place in points[:3]])
+    assert result.tie.points >= 7
+    assert result.tie.coherence.min() > 0.95
+    single = result.found.points.of(np.flatnonzero(result.found.points.validity == Validity.OK))
+    off, nearest = cKDTree(points[:8]).query(single.positions)
+    errors = (single.height - points[nearest, 2])[off < 0.5]
+    assert len(errors) >= 7
+    assert np.abs(errors).max() < 0.05
 
 
 def test_two_reflectors_in_a_cell_are_told_apart() -> None:

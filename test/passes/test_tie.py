@@ -104,6 +104,20 @@ def test_an_error_of_position_adds_what_it_should() -> None:
         assert 0.1 * sensitivity(array, place[None])[0][:, axis] == pytest.approx(exact, rel=1e-2, abs=1e-5)
 
 
+def test_antennas_in_place_leave_constant_phases() -> None:
+    """What a displaced antenna adds to the middle of the scene is in the phases before, and not after."""
+    rng = np.random.default_rng(10)
+    array = array_of(flown(rng, np.zeros((1, 3))))
+    phases, offset = rng.uniform(-np.pi, np.pi, 8), rng.normal(0, 0.2, (8, 2))
+    moved = offset @ array.axes[1:]
+    nearer = np.linalg.norm(array.middles, axis=1) - np.linalg.norm(array.middles + moved, axis=1)
+    nothing = np.zeros((24, 24))
+    tie = Tie(phases + array.wavenumbers * nearer, offset, nothing, 0.0, np.ones(8), 5, 0, np.zeros((5, 3)))
+    placed, left = tie.placed(array)
+    assert placed.middles == pytest.approx(array.middles + moved)
+    assert left.phase == pytest.approx(phases, abs=0.02)  # waves are curved over .4 m
+
+
 def test_images_are_brought_onto_each_other() -> None:
     """By 70 and 40 cm: what is left is below a quarter of a cell, in range and along the flight."""
     rng = np.random.default_rng(8)

@@ -94,9 +94,11 @@ def test_the_command_says_what_it_did(
 
 
 def test_what_cannot_be_used_is_one_sentence(bags: list[Path], tmp_path: Path) -> None:
-    with pytest.raises(UserError, match=r"^1 passes were given; heights need 3 or more"):
+    with pytest.raises(UserError, match=r"^1 pass was given; heights need 3 or more"):
         heights_of_bags(bags[:1], tmp_path / "one", wanted=WANTED)
-    assert json.loads((tmp_path / "one" / "report.json").read_text(encoding="utf-8"))["failed"].startswith("1 passes")
+    assert json.loads((tmp_path / "one" / "report.json").read_text(encoding="utf-8"))["failed"].startswith(
+        "1 pass was given"
+    )
     with pytest.raises(UserError, match="is named twice"):
         heights_of_bags([bags[0], bags[1], bags[0]], tmp_path / "twice", wanted=WANTED)
     with pytest.raises(UserError, match="is 'music'; of passes allowed are ml, capon"):

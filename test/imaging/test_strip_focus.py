@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -23,8 +24,14 @@ BLOCKS = 4
 SHAKEN = Impairments(vibration=Vibration(lines=(VibrationLine(10e-6, 50.0), VibrationLine(3e-6, 200.0))))
 
 
+@cache
 def flight_with(impairments: Impairments, blocks: int = BLOCKS) -> SimulatedFlight:
     return flight_of(replace(load_preset("sal_stripmap"), dwells=blocks, impairments=impairments), seed=6)
+
+
+@cache
+def history_of(impairments: Impairments, blocks: int, dwell: int) -> PhaseHistory:
+    return flight_with(impairments, blocks).phase_history(dwell)
 
 
 @dataclass(frozen=True)
@@ -59,12 +66,16 @@ class Stated:
 
 
 def images(
-    flight: SimulatedFlight, stated: Stated, settings: ImageSettings = SETTINGS, dark: Sequence[int] = ()
+    impairments: Impairments,
+    stated: Stated,
+    settings: ImageSettings = SETTINGS,
+    dark: Sequence[int] = (),
+    blocks: int = BLOCKS,
 ) -> tuple[list[Slc], list[Rejected]]:
     """All images of a strip, and what was refused."""
-    focuser, found, refused = StripFocuser(), [], []
-    for dwell in range(flight.dwells):
-        history = flight.phase_history(dwell)
+    focuser, found, refused, flight = StripFocuser(), [], [], flight_with(impairments, blocks)
+    for dwell in range(blocks):
+        history = history_of(impairments, blocks, dwell)
         if dwell in dark:
             history = without_echoes(history, flight.sensor)
         track = Trajectory([stated.said(state) for state in flight.track(dwell).states])
@@ -99,9 +110,15 @@ def by_place(slcs: Sequence[Slc], edges: Array) -> Array:
     return np.asarray(level - level.mean(axis=1, keepdims=True))
 
 
+@cache
+def exact_images() -> list[Slc]:
+    """Of a flight without errors."""
+    return images(Impairments(), Stated(), SETTINGS.changed(autofocus="never"))[0]
+
+
 def likeness(slcs: Sequence[Slc]) -> float:
     """Correlation of 12 cm wide looks with those of a flight without errors, at the same places in map."""
-    exact, _ = images(flight_with(Impairments()), Stated(), SETTINGS.changed(autofocus="never"))
+    exact = exact_images()
     ends = [slc.grid.points(0.0, np.array([0.0, slc.grid.cols]))[:, 0] for some in (exact, slcs) for slc in some]
     first = max(exact[0].grid.points(0.0, 0.0)[0], slcs[0].grid.points(0.0, 0.0)[0])
     edges = np.arange(first, min(np.max(ends[: len(exact)]), np.max(ends[len(exact) :])), 0.12)
@@ -114,9 +131,9 @@ UNSURE = Stated(speed_sigma=0.005, attitude_sigma=2e-6)
 
 def test_images_of_a_platform_that_vibrates_are_those_of_one_that_does_not() -> None:
     """Powers of looks of 8 cm correlate by .95, blurred by half a centimetre; without autofocus hardly at all."""
-    exact, _ = images(flight_with(Impairments()), Stated(), SETTINGS.changed(autofocus="never"))
-    focused, refused = images(flight_with(SHAKEN), UNSURE)
-    blurred, _ = images(flight_with(SHAKEN), UNSURE, SETTINGS.changed(autofocus="never"))
+    exact = exact_images()
+    focused, refused = images(SHAKEN, UNSURE)
+    blurred, _ = images(SHAKEN, UNSURE, SETTINGS.changed(autofocus="never"))
     assert not refused
     alike, unlike = (np.corrcoef(looks(exact).ravel(), looks(some).ravel())[0, 1] for some in (focused, blurred))
     assert (alike, unlike) == (pytest.approx(0.95, abs=0.04), pytest.approx(0.1, abs=0.2))
@@ -126,7 +143,7 @@ def test_images_of_a_platform_that_vibrates_are_those_of_one_that_does_not() -> 
 @pytest.mark.parametrize("speed", [-0.006, 0.004])
 def test_error_of_the_velocity_is_found_and_the_image_placed_by_it(speed: float) -> None:
     """To .19 mm/s, 1.9 cm along the flight, of which the covariance tells; without, it lies 40 to 60 cm off."""
-    found, refused = images(flight_with(Impairments()), replace(UNSURE, sinking=speed))
+    found, refused = images(Impairments(), replace(UNSURE, sinking=speed))
     assert not refused
     assert likeness(found) > 0.9
     for slc in found:
@@ -142,7 +159,7 @@ def test_error_of_the_attitude_turns_the_beams_and_not_the_image() -> None:
     The ground is where it was: an image that was moved by .35 of a beam would lie 27 cm off.
     """
     yaw = 0.5 * 1.55e-4
-    found, refused = images(flight_with(Impairments()), Stated(yaw=-yaw, speed_sigma=1e-5, attitude_sigma=1e-4))
+    found, refused = images(Impairments(), Stated(yaw=-yaw, speed_sigma=1e-5, attitude_sigma=1e-4))
     assert not refused
     assert likeness(found) > 0.9
     for slc in found:
@@ -152,7 +169,7 @@ def test_error_of_the_attitude_turns_the_beams_and_not_the_image() -> None:
 
 def test_where_the_phase_steps_at_random_the_attitude_places_the_image() -> None:
     """By a laser line of 100 kHz, of which no trend tells a velocity: 2e-5 rad of attitude are 10 cm."""
-    found, refused = images(flight_with(Impairments(laser_linewidth_hz=1e5)), replace(UNSURE, attitude_sigma=2e-5))
+    found, refused = images(Impairments(laser_linewidth_hz=1e5), replace(UNSURE, attitude_sigma=2e-5))
     assert not refused
     assert likeness(found) > 0.9
     for slc in found:
@@ -163,7 +180,7 @@ def test_where_the_phase_steps_at_random_the_attitude_places_the_image() -> None
 
 def test_blocks_are_all_focused_the_same_way_or_the_strip_begins_anew() -> None:
     """A block without echoes in a strip that needs autofocus is refused with the reason; the next begins a strip."""
-    found, refused = images(flight_with(SHAKEN, BLOCKS + 1), UNSURE, dark=(1,))
+    found, refused = images(SHAKEN, UNSURE, dark=(1,), blocks=BLOCKS + 1)
     assert [refusal.reason for refusal in refused] == ["autofocus"]
     assert_one_sentence(str(refused[0]), "0.005 m/s", "autofocus")
     assert found
@@ -172,7 +189,7 @@ def test_blocks_are_all_focused_the_same_way_or_the_strip_begins_anew() -> None:
 def test_velocity_that_contradicts_what_odometry_states_is_refused() -> None:
     """6 mm/s where .1 mm/s is stated, 5 sigma being 1.2 mm/s: in every block."""
     stated = Stated(sinking=0.006, speed_sigma=1e-4, attitude_sigma=4e-6)
-    found, refused = images(flight_with(Impairments()), stated)
+    found, refused = images(Impairments(), stated)
     assert not found
     assert {refusal.reason for refusal in refused} == {"Doppler centroid contradicts navigation"}
     assert len(refused) == BLOCKS
@@ -184,13 +201,13 @@ def test_velocity_that_contradicts_what_odometry_states_is_refused() -> None:
 )
 def test_autofocus_is_asked_for_or_needed(autofocus: str, sigma: float, looked: bool) -> None:
     stated = Stated(speed_sigma=sigma)
-    found, _ = images(flight_with(Impairments()), stated, SETTINGS.changed(autofocus=autofocus))
+    found, _ = images(Impairments(), stated, SETTINGS.changed(autofocus=autofocus))
     assert all((slc.focus is not None) == looked for slc in found)
     assert found
 
 
 def test_always_leaves_a_block_without_echoes_as_it_is_where_odometry_is_exact() -> None:
-    found, refused = images(flight_with(Impairments()), Stated(), SETTINGS.changed(autofocus="always"), dark=(2,))
+    found, refused = images(Impairments(), Stated(), SETTINGS.changed(autofocus="always"), dark=(2,))
     assert not refused
     assert [bool(slc.focus and slc.focus.trusted) for slc in found].count(False) == 1
     assert all(np.all(np.isfinite(slc.images)) for slc in found)

@@ -206,6 +206,20 @@ def test_autofocus_is_asked_for_or_needed(autofocus: str, sigma: float, looked: 
     assert found
 
 
+def test_boresights_that_are_not_known_make_the_beams_uncertain() -> None:
+    found, _ = images(Impairments(), Stated(), SETTINGS.changed(boresight_sigma_rad=1e-4))
+    assert all(slc.focus for slc in found)
+    assert found
+
+
+def test_a_covariance_that_is_none_is_said() -> None:
+    found, refused = images(Impairments(), Stated(speed_sigma=float("nan")))
+    assert not refused
+    for slc in found:
+        assert_one_sentence(slc.doubt, "twist", "not finite")
+    assert found
+
+
 def test_always_leaves_a_block_without_echoes_as_it_is_where_odometry_is_exact() -> None:
     found, refused = images(Impairments(), Stated(), SETTINGS.changed(autofocus="always"), dark=(2,))
     assert not refused

@@ -327,7 +327,8 @@ def shares(name: str, result: Flown) -> Iterator[Row]:
 
 def autofocus_time(name: str) -> Row:
     """Time of the dwells of a short flight with autofocus, less that without it, over the latter."""
-    preset = replace(load_preset(name), dwells=BLOCKS, impairments=_case("", 0.005).preset.impairments)
+    odometry = OdometryErrors(velocity_mps=0.005, attitude_rad=POINTING)
+    preset = replace(load_preset(name), dwells=BLOCKS, impairments=Impairments(odometry=odometry))
     flight = flight_of(preset, 1)
     dwells = [(flight.phase_history(dwell), flight.track(dwell)) for dwell in range(BLOCKS)]
 

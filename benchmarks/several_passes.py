@@ -6,7 +6,7 @@ reference points, known to 2 cm. `python -m benchmarks.several_passes` prints th
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,7 @@ from sal_height.numeric import F64
 from sal_height.passes import (
     GOTCHA_ELEVATIONS,
     Circle,
+    Pass,
     PassHeights,
     PassSettings,
     ReferencePoint,
@@ -41,6 +42,9 @@ REFERENCE_SIGMA = 0.02
 
 CNR_DB = 22.0
 """Of a reflector in an image without windows: 20 dB and less in the pixels of windowed ones."""
+
+PAIRS, PAIR_SCENES, PAIR_CNR_DB = 5, sized(12, 1), 26.0
+"""Reflectors of a scene that have another one in their cell, such scenes, and the CNR of each, dB."""
 
 AMPLITUDE_ERROR = 0.1
 """Of reflectors from pass to pass, in half of the scenes."""
@@ -77,6 +81,14 @@ def flown(seed: int) -> Flown:
     known = [
         ReferencePoint(place + np.array([0.0, 0.0, rng.normal(0, REFERENCE_SIGMA)]), ties=True) for place in places[:3]
     ]
+    result = _heights(passes, known)
+    apart, nearest = cKDTree(places).query(result.found.points.positions)
+    off_by = result.found.points.positions - places[nearest]
+    errors = np.where(apart < 0.5, off_by[:, 2], np.nan)
+    return Flown(places, result, errors, _over_bound(result, off_by, apart < 0.1))
+
+
+def _heights(passes: Sequence[Pass], known: Sequence[ReferencePoint]) -> PassHeights:
     settings = PassSettings(
         side_m=SIDE + 2,
         lowest_m=-1.0,
@@ -85,11 +97,8 @@ def flown(seed: int) -> Flown:
         reference_sigma_m=REFERENCE_SIGMA,
     )
     ml = ESTIMATORS["ml"]
-    result = heights_from_passes(passes, np.zeros(3), ml, ml.settings(range_looks=1, azimuth_looks=1), settings, known)
-    apart, nearest = cKDTree(places).query(result.found.points.positions)
-    off_by = result.found.points.positions - places[nearest]
-    errors = np.where(apart < 0.5, off_by[:, 2], np.nan)
-    return Flown(places, result, errors, _over_bound(result, off_by, apart < 0.1))
+    looks = ml.settings(range_looks=1, azimuth_looks=1)
+    return heights_from_passes(passes, np.zeros(3), ml, looks, settings, known)
 
 
 def _over_bound(result: PassHeights, off_by: F64, here: F64) -> F64:
@@ -118,8 +127,45 @@ def reflectors(rng: np.random.Generator) -> F64:
     return np.array(places)
 
 
+def flown_pairs(seed: int) -> Flown:
+    """A scene of which PAIRS of the reflectors, on the ground, have another one in their cell of range and Doppler."""
+    rng = np.random.default_rng([seed, PAIRS])
+    tangent = float(np.tan(np.mean(GOTCHA_ELEVATIONS)))
+    alone, upwards = reflectors(rng), np.array([-tangent, 0.0, 1.0])
+    alone[-PAIRS:] -= alone[-PAIRS:, 2:] * upwards
+    places = np.concatenate([alone, alone[-PAIRS:] + rng.uniform(0.4, 3.5, PAIRS)[:, None] * upwards])
+    power = 10 ** (PAIR_CNR_DB / 10) / (CIRCLE.pulses * CIRCLE.frequencies)
+    amplitudes = np.sqrt(power) * np.exp(2j * np.pi * rng.uniform(size=len(places)))
+    turns, off = rng.uniform(-np.pi, np.pi, 8), rng.normal(0, POSITION_SIGMA, (8, 3))
+    passes = simulated_passes(CIRCLE, places, amplitudes, 1.0, rng, turns, off)
+    result = _heights(passes, [ReferencePoint(place, ties=True) for place in alone[:3]])
+    apart, nearest = cKDTree(places).query(result.found.points.positions)
+    errors = np.where(apart < 0.5, result.found.points.height - places[nearest, 2], np.nan)
+    return Flown(places, result, errors, np.zeros(0))
+
+
+def pairs_in_a_cell() -> Iterator[Row]:
+    """Rows of scenes in which a quarter of the bright pixels hold two reflectors."""
+    scenes = [flown_pairs(seed) for seed in range(PAIR_SCENES)]
+    errors = np.concatenate([one.errors for one in scenes])
+    sigmas = np.concatenate([one.result.found.points.total_sigma for one in scenes])
+    single = (REFLECTORS - PAIRS) * PAIR_SCENES
+    source = f"{len(errors)} heights; {single} reflectors alone and {PAIRS * PAIR_SCENES} pairs, {PAIR_CNR_DB:g} dB"
+    good = np.abs(errors) <= 5 * sigmas
+    yield Row("passes: beside pairs, heights", len(errors) / single, "1", ">= 0.8", source)
+    yield Row("passes: beside pairs, wrong heights", float(np.mean(~good)), "1", "<= 0.01", source)
+
+
 def coverage() -> Iterator[Row]:
     """Rows of the scenes, and of the time of one."""
+    yield from single_points()
+    yield from pairs_in_a_cell()
+    (seconds,) = medians(lambda: flown(0), repeats=sized(3, 1))
+    yield Row("passes: a scene of 16 m, simulation included", seconds, "s", "<= 10", load())
+
+
+def single_points() -> Iterator[Row]:
+    """Rows of reflectors that have their cell for themselves."""
     scenes = [flown(seed) for seed in range(SCENES)]
     errors = np.concatenate([one.errors for one in scenes])
     sigmas = np.concatenate([one.result.found.points.total_sigma for one in scenes])
@@ -148,8 +194,6 @@ def coverage() -> Iterator[Row]:
         f"{len(clean)} points of equal amplitude in all passes, CNR over the measured background; standard error "
         f"{1 / np.sqrt(2 * len(clean)):.2f}",
     )
-    (seconds,) = medians(lambda: flown(0), repeats=sized(3, 1))
-    yield Row("passes: a scene of 16 m, simulation included", seconds, "s", "<= 10", load())
 
 
 if __name__ == "__main__":

@@ -139,6 +139,36 @@ Place: TypeAlias = Annotated[
     ),
 ]
 
+
+def _places(_type: type, tokens: Sequence[Token]) -> tuple[tuple[float, float, float], ...]:
+    places = []
+    for token in tokens:
+        try:
+            east, north, height = map(float, token.value.split(","))
+        except ValueError:
+            raise UserError(
+                f"Option {token.keyword} is {token.value!r}; it must be EAST,NORTH,HEIGHT in m, for example "
+                "12.5,-3,1.2."
+            ) from None
+        places.append((east, north, height))
+    return tuple(places)
+
+
+Places: TypeAlias = Annotated[
+    tuple[tuple[float, float, float], ...],
+    Parameter(
+        metavar="EAST,NORTH,HEIGHT",
+        n_tokens=1,
+        accepts_keys=False,
+        allow_leading_hyphen=True,
+        converter=_places,
+        consume_multiple=False,
+        show_default=False,
+        negative=(),
+    ),
+]
+"""Places in map, of an option that may be repeated."""
+
 PixelPosition: TypeAlias = Annotated[
     tuple[int, int] | None,
     Parameter(

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
-from cyclopts import Parameter, Token
+from cyclopts import Parameter
 
 from sal_height.commands._options import (
     DONE,
@@ -14,6 +13,7 @@ from sal_height.commands._options import (
     Bag,
     NodeParameters,
     OutputFolder,
+    Places,
     Settings,
     command,
     complain,
@@ -21,7 +21,6 @@ from sal_height.commands._options import (
     output_folder,
     settings_values,
 )
-from sal_height.errors import UserError
 from sal_height.io import bag_name
 
 EXAMPLES = """
@@ -35,38 +34,13 @@ EXAMPLES = """
 app = command("adjust", PROCESSING, EXAMPLES)
 
 
-def _places(_type: type, tokens: Sequence[Token]) -> tuple[tuple[float, float, float], ...]:
-    places = []
-    for token in tokens:
-        try:
-            east, north, height = map(float, token.value.split(","))
-        except ValueError:
-            raise UserError(
-                f"Option --target is {token.value!r}; it must be EAST,NORTH,HEIGHT in m, for example 12.5,-3,1.2."
-            ) from None
-        places.append((east, north, height))
-    return tuple(places)
-
-
 @app.default
 def adjust(
     bag: Bag,
     /,
     *,
     estimator: Annotated[str, Parameter(metavar="NAME")] = "ml",
-    target: Annotated[
-        tuple[tuple[float, float, float], ...],
-        Parameter(
-            metavar="EAST,NORTH,HEIGHT",
-            n_tokens=1,
-            accepts_keys=False,
-            allow_leading_hyphen=True,
-            converter=_places,
-            consume_multiple=False,
-            show_default=False,
-            negative=(),
-        ),
-    ] = (),
+    target: Places = (),
     targets: Annotated[Path | None, Parameter(metavar="FILE")] = None,
     terrain: Annotated[Path | None, Parameter(metavar="FILE")] = None,
     terrain_sigma: Annotated[float, Parameter(metavar="M")] = 0.1,

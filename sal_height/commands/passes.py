@@ -13,6 +13,7 @@ from sal_height.commands._options import (
     PROCESSING,
     NodeParameters,
     OutputFolder,
+    Places,
     Settings,
     command,
     complain,
@@ -32,31 +33,6 @@ EXAMPLES = """
 app = command("passes", PROCESSING, EXAMPLES)
 
 
-def _places(_type: type, tokens: Sequence[Token]) -> tuple[tuple[float, float, float], ...]:
-    places = []
-    for token in tokens:
-        try:
-            east, north, height = map(float, token.value.split(","))
-        except ValueError:
-            raise UserError(
-                f"A reference point is {token.value!r}; it must be EAST,NORTH,HEIGHT in m, for example 12.5,-3,1.2."
-            ) from None
-        places.append((east, north, height))
-    return tuple(places)
-
-
-PLACES = Parameter(
-    metavar="EAST,NORTH,HEIGHT",
-    n_tokens=1,
-    accepts_keys=False,
-    allow_leading_hyphen=True,
-    converter=_places,
-    consume_multiple=False,
-    show_default=False,
-    negative=(),
-)
-
-
 def _centre(_type: type, tokens: Sequence[Token]) -> tuple[float, float]:
     try:
         east, north = map(float, tokens[0].value.split(","))
@@ -73,8 +49,8 @@ def passes(
     /,
     *,
     estimator: Annotated[str, Parameter(metavar="NAME")] = "ml",
-    tie: Annotated[tuple[tuple[float, float, float], ...], PLACES] = (),
-    compare: Annotated[tuple[tuple[float, float, float], ...], PLACES] = (),
+    tie: Places = (),
+    compare: Places = (),
     centre: Annotated[
         tuple[float, float] | None,
         Parameter(

@@ -76,9 +76,9 @@ class LagLikelihood:
 
         Returns:
             The modes of each case and width, shape (cases, widths, modes, bins); their powers in a cloud of power 1,
-            shape (cases, widths, modes); one over the power that each has with
-            the background for each power of the cloud, shape (cases, widths, powers, modes); and the sum over the modes
-            of the logarithm of that power, shape (cases, widths, powers).
+            shape (cases, widths, modes); one over the power that each has with the background for each power of the
+            cloud, shape (cases, widths, powers, modes); and the sum over the modes of the logarithm of that power,
+            shape (cases, widths, powers).
         """
         gains, known = self._cases
         apart = self.frequencies[:, None] - self.frequencies

@@ -8,9 +8,9 @@ import numpy as np
 
 from sal_height.geometry import aperture_at, locate_at_elevation
 from sal_height.imaging import Slc
-from sal_height.movers.search import Seen, vertex
+from sal_height.movers.search import Seen
 from sal_height.movers.walk import Walked
-from sal_height.numeric import F64
+from sal_height.numeric import F64, vertex
 from sal_height.relief import Surface, measured_covariance
 from sal_height.sensor import Sensor
 
@@ -124,5 +124,5 @@ def mover_of(
 def peak_of(told: F64, lags: F64) -> tuple[float, float]:
     """The most likely lag, and its standard deviation by the bend of the likelihood there."""
     best = int(np.clip(told.argmax(), 1, len(lags) - 2))
-    (offset, bend), step = vertex(told[best - 1 : best + 2]), lags[1] - lags[0]
+    (offset, bend), step = vertex(*told[best - 1 : best + 2]), lags[1] - lags[0]
     return float(lags[best] + step * offset), float(step / np.sqrt(bend))

@@ -11,7 +11,7 @@ import numpy as np
 from sal_height.beams import Beams
 from sal_height.movers.likelihood import LagLikelihood
 from sal_height.movers.spectrum import Bins
-from sal_height.numeric import C64, C128, F64, Bool, Index
+from sal_height.numeric import C64, C128, F64, Bool, Index, vertex
 
 MODEL_ERROR = 0.01
 """Power by which spectra differ from what the beams let expect, over their own."""
@@ -184,7 +184,7 @@ class Search:
         if not 0 < row < self.images.shape[1] - 1:
             return float(row)
         power = np.sum(np.abs(self.images[:, row - 1 : row + 2, col]) ** 2, axis=0)
-        return row + 0.5 * float(np.clip(2 * vertex(np.log(power + 1e-300))[0], -1, 1))
+        return row + 0.5 * float(np.clip(2 * vertex(*np.log(power + 1e-300))[0], -1, 1))
 
     @cached_property
     def _elevation_grid(self) -> F64:
@@ -205,7 +205,7 @@ class Search:
         found = np.full(len(spectra), np.nan)
         for target, (values, best) in enumerate(zip(explained.T, explained.argmax(axis=0), strict=True)):
             if 0 < best < len(grid) - 1:
-                found[target] = grid[best] + (grid[1] - grid[0]) * vertex(values[best - 1 : best + 2])[0]
+                found[target] = grid[best] + (grid[1] - grid[0]) * vertex(*values[best - 1 : best + 2])[0]
         return found
 
     def elevation(self, spectra: C128, lag: float) -> tuple[float, float] | None:
@@ -223,7 +223,7 @@ class Search:
         best = int(explained.argmax())
         if not 0 < best < len(grid) - 1:
             return None
-        offset, bend = vertex(explained[best - 1 : best + 2])
+        offset, bend = vertex(*explained[best - 1 : best + 2])
         left = (np.sum(np.abs(spectra) ** 2) - explained[best]) / (len(spectra) * (spectra.shape[1] - 1))
         variance = max(left, MODEL_ERROR * explained[best] / len(spectra)) * step**2 / bend
         parts = np.add.reduceat(in_bins, np.arange(PARTS) * len(spectra) // PARTS, axis=-1)
@@ -242,13 +242,6 @@ class Search:
         return found
 
 
-def vertex(values: F64) -> tuple[float, float]:
-    """Of the parabola through three values: how many steps it lies off the middle one, at most 1, and its bend."""
-    before, there, after = values.tolist()
-    bend = max(2 * there - before - after, 1e-12 * (1 + abs(there)))
-    return float(np.clip((after - before) / (2 * bend), -1, 1)), bend
-
-
 def centres_of(spectra: C128, frequencies: F64) -> tuple[F64, F64]:
     """Where targets lie off the middle, in cells: their brightest places, and the centres of the power around these."""
     step = 0.125
@@ -258,7 +251,7 @@ def centres_of(spectra: C128, frequencies: F64) -> tuple[F64, F64]:
     peaks, middles = np.empty((2, len(spectra)))
     for target, values in enumerate(power):
         best = int(np.clip(values.argmax(), 1, len(places) - 2))
-        peaks[target] = places[best] + step * vertex(values[best - 1 : best + 2])[0]
+        peaks[target] = places[best] + step * vertex(*values[best - 1 : best + 2])[0]
         near = np.abs(places - peaks[target]) < MARGIN
         middles[target] = np.sum(places[near] * values[near]) / np.sum(values[near])
     return peaks, middles

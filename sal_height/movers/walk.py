@@ -27,9 +27,9 @@ import scipy.fft
 
 from sal_height.geometry import aperture_at
 from sal_height.imaging import Slc
-from sal_height.movers.search import MODEL_ERROR, Search, centres_of, vertex
+from sal_height.movers.search import MODEL_ERROR, Search, centres_of
 from sal_height.movers.spectrum import column_aspects
-from sal_height.numeric import C64, C128, F64, Index, fast_length, window
+from sal_height.numeric import C64, C128, F64, Index, fast_length, vertex, window
 from sal_height.sensor import Sensor
 
 MOST_ROWS = 6.0
@@ -205,7 +205,7 @@ class Walks:
             ratio = float(2 * (walking[1] - self._at_rest(target, still)))
             if ratio < threshold:
                 return None
-        offset, bend = vertex(walking)
+        offset, bend = vertex(*walking)
         speed, sigma = float(speeds[1] + step * offset), float(step / np.sqrt(bend))
         return Walked(speed, sigma, float(fine[places[1]]), ratio, spectra[1])
 

@@ -19,7 +19,7 @@ from sal_height.elevation import AxisResponse, CellResponse
 from sal_height.errors import UserError
 from sal_height.geometry import Grid
 from sal_height.imaging import Processing, backproject_points
-from sal_height.numeric import C64, F64, Bool
+from sal_height.numeric import C64, F64, Bool, vertex
 from sal_height.passes.array import PassArray, Steering, resolution
 from sal_height.passes.settings import PassSettings
 
@@ -231,12 +231,6 @@ def brightest(power: F64, box: Box, least: float) -> tuple[F64, F64]:
     row, col = row + MARGIN, col + MARGIN
     with np.errstate(divide="ignore"):
         level = np.log(np.maximum(power, np.finfo(np.float32).tiny))
-    down = _vertex(level[row - 1, col], level[row, col], level[row + 1, col])
-    across = _vertex(level[row, col - 1], level[row, col], level[row, col + 1])
-    return row + down, col + across
-
-
-def _vertex(before: F64, here: F64, after: F64) -> F64:
-    """Place of the vertex of parabolas through three values at -1, 0 and 1."""
-    bend = 2 * here - before - after
-    return np.clip(np.divide(after - before, 2 * bend, where=bend > 0, out=np.zeros_like(here)), -0.5, 0.5)
+    down, _ = vertex(level[row - 1, col], level[row, col], level[row + 1, col])
+    across, _ = vertex(level[row, col - 1], level[row, col], level[row, col + 1])
+    return np.clip(down, -0.5, 0.5) + row, np.clip(across, -0.5, 0.5) + col

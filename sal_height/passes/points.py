@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Self
 
@@ -16,17 +16,17 @@ from sal_height.elevation import (
     ElevationEstimator,
     HeightSettings,
     Looks,
+    Validity,
     Window,
-    scatterer_count,
     windowed_looks,
     with_foreign_power,
     without_imprecise,
 )
-from sal_height.numeric import C64, F32, F64, U8, Bool, Index
-from sal_height.passes.array import PassArray, resolution
+from sal_height.numeric import C64, F32, F64, Bool, Index
+from sal_height.passes.array import resolution
 from sal_height.passes.boxes import MARGIN, Box, Lattice, brightest
 from sal_height.passes.tie import Tie
-from sal_height.relief import Surface, height_field
+from sal_height.relief import height_field
 from sal_height.sensor import Channels
 
 ONE_LOOK = Window.named("boxcar", 1, 0)
@@ -49,12 +49,6 @@ SAME_PLACE = 0.5
 INSIDE = 0.55
 """Distance across from the middle of a box up to which it keeps points, over its size: boxes overlap a little."""
 
-SHARED = 0.05
-"""Standard deviation, beamwidths, that several scatterers in a pixel have besides: the others are out of register.
-
-By Monte Carlo of pairs .4 to 3.5 m apart at 26 dB: without it 57 % of their errors are within sigma.
-"""
-
 COLUMNS_AT_ONCE = 32
 
 APART = 6
@@ -74,7 +68,6 @@ class Points:
         own_covariance: of the position, m^2, (points, 3, 3).
         common_covariance: what the phases of the passes add, which points near each other share, m^2.
         cnr_db: of one pass.
-        validity: `Validity`: how many scatterers the pixel holds.
         power: mean over the passes, over the background.
     """
 
@@ -83,7 +76,6 @@ class Points:
     own_covariance: F64
     common_covariance: F64
     cnr_db: F64
-    validity: U8
     power: F64
 
     @property
@@ -114,7 +106,7 @@ class Points:
     def none(cls) -> Self:
         """No points."""
         flat, matrices = np.zeros(0), np.zeros((0, 3, 3))
-        return cls(np.zeros((0, 3)), flat, matrices, matrices, flat, np.zeros(0, np.uint8), flat)
+        return cls(np.zeros((0, 3)), flat, matrices, matrices, flat, flat)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +151,7 @@ def find_points(
             if seen is None:
                 continue
             estimate = seen.estimate(tie.uncertainty, estimator, settings)
-            several += list(seen.placed(estimate, tie, lattice))
+            several.append(seen.placed(estimate, tie, lattice))
             reasons += np.bincount(estimate.validity.ravel(), minlength=256)
             peaks += estimate.validity.size
     counts = {number: int(count) for number, count in enumerate(reasons.tolist()) if count}
@@ -259,35 +251,29 @@ class Peaks:
         found = with_foreign_power(found, found.sigma**2 * (self.looks.floor - 1))
         return without_imprecise(found, settings.max_sigma_beamwidths * beams.beamwidth)
 
-    def placed(self, estimate: ElevationEstimate, tie: Tie, lattice: Lattice) -> Iterator[Points]:
-        """The scatterers of peaks with a height, by their order of strength."""
-        array, grid = lattice.array, self.box.grid
-        field = height_field(estimate, self.looks, grid, grid, array.reference, array.look_side)
-        held = scatterer_count(field.validity)[0]
-        for number, surface in enumerate(field.surfaces):
-            off = np.abs(estimate.scatterers[number].elevation[0] - self.box.steering.elevation)
-            inside = off <= INSIDE * lattice.size[2] / self.box.steering.metres
-            some = np.flatnonzero((held > number) & inside)
-            if some.size:
-                yield self._points(surface, some, field.validity[0], tie, array)
+    def placed(self, estimate: ElevationEstimate, tie: Tie, lattice: Lattice) -> Points:
+        """The peaks that hold one scatterer, within the box.
 
-    def _points(self, surface: Surface, some: Index, validity: U8, tie: Tie, array: PassArray) -> Points:
-        positions, steering = surface.positions[0, some], self.box.steering
-        common = np.zeros((len(some), 3, 3))
+        Of several in a cell, one look of a sparse array finds wrong heights too often: they get none.
+        """
+        array, grid, steering = lattice.array, self.box.grid, self.box.steering
+        field = height_field(estimate, self.looks, grid, grid, array.reference, array.look_side)
+        off = np.abs(estimate.scatterers[0].elevation[0] - steering.elevation)
+        inside = off <= INSIDE * lattice.size[2] / steering.metres
+        some = np.flatnonzero((field.validity[0] == Validity.OK) & inside)
+        surface = field.first
+        positions, common = surface.positions[0, some], np.zeros((len(some), 3, 3))
         for number, position in enumerate(positions):
             offset = (array.seen(position)[2] - steering.elevation) / steering.beamwidth
             variance = tie.variance(position, steering.slope(offset), array)
             way = array.axes_at(position)[2] * steering.beamwidth * steering.metres
             common[number] = variance * np.outer(way, way)
-        shared = (scatterer_count(validity[some]) > 1) * (SHARED * steering.beamwidth * steering.metres) ** 2
-        across = array.axes[2]
         return Points(
             positions,
             surface.height[0, some],
-            surface.own_covariance[0, some] + shared[:, None, None] * np.outer(across, across),
+            surface.own_covariance[0, some],
             common,
             surface.cnr_db[0, some],
-            validity[some],
             self.power[some],
         )
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sal_height.numeric import C64, F64
+from sal_height.numeric import C64, F64, vertex
 from sal_height.passes.array import PassArray
 from sal_height.passes.boxes import Box, Lattice, background
 from sal_height.passes.settings import PassSettings
@@ -96,6 +96,5 @@ def _peak(values: F64) -> F64:
     for axis in (0, 1):
         if 0 < at[axis] < values.shape[axis] - 1:
             line = np.take(values, at[1 - axis], axis=1 - axis)
-            before, here, after = line[at[axis] - 1 : at[axis] + 2]
-            place[axis] += (after - before) / (2 * (2 * here - before - after))
+            place[axis] += vertex(*line[at[axis] - 1 : at[axis] + 2])[0]
     return place

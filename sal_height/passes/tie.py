@@ -22,7 +22,7 @@ from typing import Self
 import numpy as np
 
 from sal_height.errors import UserError
-from sal_height.numeric import C64, C128, F64, Bool
+from sal_height.numeric import C64, C128, F64, Bool, vertex
 from sal_height.passes.array import PassArray, Steering
 from sal_height.passes.boxes import Box, brightest
 from sal_height.passes.registration import Registered
@@ -138,9 +138,8 @@ class Candidates:
         share /= turned.shape[1] * np.sum(np.abs(turned) ** 2, axis=1)[:, None]
         at = np.clip(np.argmax(share, axis=1), 1, len(steps) - 2)
         every = np.arange(len(at))
-        before, here, after = (share[every, at + k] for k in (-1, 0, 1))
-        bend = np.maximum(2 * here - before - after, 1e-12)
-        return offsets[every, at] + np.clip((after - before) / (2 * bend), -1, 1) * reach * (steps[1] - steps[0]), here
+        off, _ = vertex(share[every, at - 1], share[every, at], share[every, at + 1])
+        return offsets[every, at] + off * reach * (steps[1] - steps[0]), share[every, at]
 
 
 def _bright_in(box: Box, image: C64, settings: PassSettings) -> list[tuple[float, C128, F64, Steering]]:

@@ -16,6 +16,8 @@ FREE_GAUGE = (
     "No reference point ties the passes: heights count from the median of the bright points that tie them, which is "
     "put at ground_m; a common offset of all heights is not determined and not in their sigmas."
 )
+SEVERAL = (Validity.TWO_SCATTERERS, Validity.THREE_SCATTERERS)
+
 SIDELOBE_OF_NOTE = 0.25
 """Share of the power from which on the greatest sidelobe is warned of."""
 
@@ -148,7 +150,6 @@ def summary_of(result: PassHeights, comparisons: Sequence[Comparison], settings:
                 "sigma_m": float(points.sigma[n]),
                 "common_sigma_m": float(points.common_sigma[n]),
                 "cnr_db": float(points.cnr_db[n]),
-                "scatterers": Validity(int(points.validity[n])).name,
             }
             for n in np.argsort(-points.power)
         ],
@@ -172,6 +173,9 @@ def passes_table(summary: dict[str, Any]) -> str:
     sigmas = [float(np.hypot(one["sigma_m"], one["common_sigma_m"])) for one in summary["points"]]
     middle = f", sigma {np.median(sigmas):.3g} m in the median" if sigmas else ""
     lines.append(f"{len(sigmas)} points with a height{middle}")
+    reasons = summary["bright_pixels_by_reason"]
+    if several := sum(reasons.get(kind.name, 0) for kind in SEVERAL):
+        lines.append(f"{several} of {summary['bright_pixels']} bright pixels hold several points, which get no height")
     if summary["references"]:
         lines.append(f"{'reference east':>15}{'north':>10}{'height':>9}{'error m':>9}{'+-':>8}")
     for one in summary["references"]:

@@ -99,6 +99,22 @@ def test_what_is_left_of_a_phase_error_is_small_whatever_it_was(name: str, gust:
     assert np.sqrt(np.mean(of_blocks**2)) < 2 * error
 
 
+@pytest.mark.parametrize(("cnr_db", "least_m", "most_m"), [(20.0, 0.003, 0.007), (0.0, 0.005, 0.015)])
+def test_images_are_blurred_by_a_little(cnr_db: float, least_m: float, most_m: float) -> None:
+    """By half a centimetre, and in weak echoes by up to one and a half: trends of the error over an aperture's pulses.
+
+    They are those of 12 apertures that overlap, in 1024 pulses, so that they are known to 40 %.
+    """
+    left, _ = linked(ERRORS["none"](), PULSES, cnr_db=cnr_db)
+    course, aperture = np.unwrap(left), 310
+    time = np.arange(aperture) - (aperture - 1) / 2
+    starts = range(0, len(course) - aperture, 64)
+    trends = np.array([time @ course[first : first + aperture] for first in starts]) / (time @ time)
+    sensor = flown(cnr_db=cnr_db)[0].sensor
+    speed = trends * sensor.wavelength * sensor.pulse_repetition_frequency / (4 * np.pi)
+    assert least_m < np.std(speed) * 5000.0 / 50.0 < most_m
+
+
 @pytest.mark.parametrize("block", [40, 100, 341, 1024])
 def test_blocks_of_any_length_join(block: int) -> None:
     """No step at a seam is beyond 5 of the others, where a phase that is not joined would step by up to 3 rad."""

@@ -1,1 +1,4 @@
-"""Autofocus: read `gradient` first, then `phase_linking`; `phase_error` says which part of a phase may be removed."""
+"""Autofocus: read `gradient` first, then `coherence` and `phase_linking`, and `strip_phase` for stripmap.
+
+`phase_error` says which part of a phase may be removed, `placement` where the image then lies.
+"""

@@ -28,16 +28,16 @@ from scipy.constants import speed_of_light
 from sal_height.errors import UserError
 from sal_height.geometry import ApertureState, Grid
 from sal_height.imaging.autofocus.bright_targets import focus_targets, sharpness, turned
+from sal_height.imaging.autofocus.coherence import Coherence, beam_coherence
 from sal_height.imaging.autofocus.phase_error import is_smooth, phase_gradient, without_shift
 from sal_height.imaging.autofocus.phase_linking import (
-    azimuth_waves,
-    coherence_of,
+    Likelihood,
     find_trend,
-    fit_profile,
     link_phases,
     signal_modes,
     speckle_classes,
     standard_error,
+    with_fitted_profile,
 )
 from sal_height.imaging.pixels import azimuth_resolution
 from sal_height.numeric import C64, C128, F64, Complex
@@ -151,7 +151,7 @@ def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64,
         middle = patches[len(patches) // 2, patches.shape[1] // 2]
         cells = cell_responses(history, antenna, sensor, middle)
         modes, snr = signal_modes(cells, sensor.sample_count * sensor.noise_covariance)
-        focus, responses = focus_speckle(modes, snr, *azimuth_waves(sensor, antenna, middle)), modes[None]
+        focus, responses = focus_speckle(modes, snr, beam_coherence(sensor, antenna)), modes[None]
         uneven = uneven_trend(sensor, antenna, settings)
         focus = replace(focus, trend_error=float(np.hypot(focus.trend_error, uneven)))
     if focus.standard_error > settings.autofocus_max_error_rad:
@@ -238,26 +238,25 @@ def pulse_responses(history: PhaseHistory, antenna: F64, sensor: Sensor, weights
     return responses
 
 
-def focus_speckle(modes: Complex, snr: F64, waves: C128, profile: F64) -> Focus:
+def focus_speckle(modes: Complex, snr: F64, by_beam: Coherence) -> Focus:
     """Phase error from all that the beam lights: gradient of neighbours, then all pairs of pulses, twice.
 
     Args:
         modes: what the channels' responses at the beam's middle hold in every range cell, and the signal-to-noise ratio
             of each (`signal_modes`).
         snr: see there.
-        waves: from each azimuth (`azimuth_waves`).
-        profile: share of the power that the beam sends to each azimuth.
+        by_beam: coherence of even ground (`beam_coherence`).
     """
     if not len(modes):
         return Focus(np.zeros(modes.shape[-1]), "none", np.inf)
-    classes, by_beam = speckle_classes(modes, snr), coherence_of(waves, profile)
-    phase, information = link_phases(classes, by_beam, phase_gradient(modes))
+    classes = speckle_classes(modes, snr)
+    likelihood = Likelihood.of(classes, by_beam)
+    phase = link_phases(likelihood, phase_gradient(modes))
     # A fitted profile takes some noise for echo: the phases gain by it, but the error that it predicts is too small.
-    fitted = fit_profile(classes, waves, profile, by_beam, phase)
-    phase, _ = link_phases(classes, coherence_of(waves, fitted), phase)
-    phase = without_shift(phase)
-    trend, trend_error = find_trend(turned(modes, phase), snr, by_beam)
-    return Focus(phase, "speckle", standard_error(information), trend=trend, trend_error=trend_error)
+    fitted = with_fitted_profile(by_beam, classes, phase)
+    phase = without_shift(link_phases(Likelihood.of(classes, fitted), phase))
+    trend, trend_error = find_trend(modes, snr, by_beam, likelihood, phase)
+    return Focus(phase, "speckle", standard_error(likelihood.information), trend=trend, trend_error=trend_error)
 
 
 def patch_half_width(sensor: Sensor) -> int:

@@ -16,22 +16,22 @@ beam that is round and not a product, and ground of uneven brightness spread the
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
+from typing import Self
 
 import numpy as np
 import scipy.linalg
 
+from sal_height.imaging.autofocus.coherence import Coherence
 from sal_height.numeric import C128, F64, Bool, Complex
-from sal_height.sensor import Sensor
 
 WEAKEST_MODE = 0.1  # least share of the strongest mode's signal-to-noise ratio in a range cell
 LIKE_ROWS = 5  # range cells over which channels are correlated: terrain takes more to cross a beam
 NOISE_MARGIN = 1.1  # on the greatest eigenvalue of noise for many samples: a few hundred exceed it in 1 % of the cells
 CLASS_RATIO = 2.0  # of the greatest to the least signal-to-noise ratio of responses that share one covariance
-DARKEST = 1e-3  # least power of the first profile over its greatest, so that it may grow where the beam has a null
 ITERATIONS = 50  # maximum number of steps of Fisher scoring
-CONVERGED = 1e-4  # rms change of the phases (rad) below which Fisher scoring has converged
+CONVERGED = 1e-3  # rms change of the phases (rad) below which Fisher scoring has converged
 BLOCKS = 12  # of neighbouring range cells, whose differences tell how uneven ground moves the Doppler centroid
 FINELY = 16  # trends on which the likelihood is looked at, over the number of pulses
 FIRMLY = 1e6  # by which mean and trend are held, over the information on a phase
@@ -43,7 +43,7 @@ class Speckle:
     """Responses of about the same signal-to-noise ratio.
 
     Attributes:
-        total: sum over the responses of g_t conj(g_s), noise of power 1, shape (pulses, pulses).
+        total: sum over the responses of conj(g_t) g_s, noise of power 1, shape (pulses, pulses).
         snr: power of the echo in a pulse, as is usual in the class.
         count: number of responses.
     """
@@ -51,62 +51,6 @@ class Speckle:
     total: C128
     snr: float
     count: int
-
-
-@dataclass(frozen=True, eq=False)
-class Coherence:
-    """Of the echo between every two pulses; 1 on the diagonal.
-
-    Attributes:
-        matrix: shape (pulses, pulses).
-    """
-
-    matrix: C128
-    _inverses: dict[float, C128] = field(default_factory=dict, repr=False)
-    _informations: dict[float, F64] = field(default_factory=dict, repr=False)
-
-    def covariance(self, snr: float) -> C128:
-        """Of an echo of power `snr` with noise of power 1."""
-        return snr * self.matrix + np.eye(len(self.matrix))
-
-    def inverse_covariance(self, snr: float) -> C128:
-        """The inverse of `covariance`, made once for each `snr`."""
-        if snr not in self._inverses:
-            self._inverses[snr] = np.asarray(np.linalg.inv(self.covariance(snr)), dtype=np.complex128)
-        return self._inverses[snr]
-
-    def information(self, snr: float) -> F64:
-        """Fisher information of one response on the phases, made once for each `snr`."""
-        if snr not in self._informations:
-            product = (self.covariance(snr) * self.inverse_covariance(snr).T).real
-            self._informations[snr] = 2 * (product - np.eye(len(product)))
-        return self._informations[snr]
-
-
-def azimuth_waves(sensor: Sensor, antenna: F64, centre: F64) -> tuple[C128, F64]:
-    """Waves from all azimuths that the pulses can tell apart, and the share of the power that the beam sends there.
-
-    Azimuths are points on a line through `centre` along the flight, half a resolution cell apart.
-
-    Args:
-        sensor: wavelength and beams.
-        antenna: position at each pulse, m, shape (pulses, 3).
-        centre: point in the middle of the beam, m, shape (3,).
-
-    Returns:
-        Waves relative to that from the centre, shape (pulses, azimuths), and shares of sum 1, shape (azimuths,).
-    """
-    pulses, flight = len(antenna), antenna[-1] - antenna[0]
-    length = np.linalg.norm(flight)
-    slant_range = np.linalg.norm(centre - antenna.mean(axis=0))
-    unambiguous = sensor.wavelength * slant_range * (pulses - 1) / (4 * length)
-    offset = (np.arange(2 * pulses) / pulses - 1) * unambiguous
-    beamwidths = offset / (slant_range * sensor.beams.track_beamwidth)
-    power = np.abs(sensor.beams.patterns[0].amplitude(np.zeros_like(beamwidths), beamwidths)) ** 2
-    power += DARKEST * power.max()
-    points = centre + offset[:, None] * (flight / length)
-    farther = np.linalg.norm(points - antenna[:, None], axis=-1) - np.linalg.norm(centre - antenna, axis=-1)[:, None]
-    return np.exp(-1j * sensor.centre_wavenumber * farther), power / power.sum()
 
 
 def signal_modes(responses: Complex, noise_covariance: F64 | C128) -> tuple[Complex, F64]:
@@ -142,7 +86,7 @@ def signal_modes(responses: Complex, noise_covariance: F64 | C128) -> tuple[Comp
 def speckle_classes(modes: Complex, snr: F64) -> list[Speckle]:
     """The modes in classes of signal-to-noise ratio."""
     return [
-        Speckle(modes[members].T @ modes[members].conj(), middle, int(members.sum()))
+        Speckle(modes[members].conj().T @ modes[members], middle, int(members.sum()))
         for middle, members in _class_members(snr)
     ]
 
@@ -156,35 +100,52 @@ def _class_members(snr: F64) -> list[tuple[float, Bool]]:
     return [(float(CLASS_RATIO ** (step + 0.5)), steps == step) for step in np.unique(steps)]
 
 
-def link_phases(classes: list[Speckle], coherence: Coherence, start: F64) -> tuple[F64, F64]:
-    """Phases of maximum likelihood by Fisher scoring; their mean and linear trend are those of the start.
+@dataclass(frozen=True, eq=False)
+class Likelihood:
+    """Logarithm of the likelihood of phases: sum over t, s of turn_t weighted(t, s) conj(turn_s), turn = exp(j phase).
+
+    Attributes:
+        weighted: Hermitian, shape (pulses, pulses).
+        information: Fisher information on the phases, rad^-2, shape (pulses, pulses).
+    """
+
+    weighted: C128
+    information: F64
+
+    @classmethod
+    def of(cls, classes: list[Speckle], coherence: Coherence) -> Self:
+        """Of responses (`speckle_classes`) whose echo has this coherence between every two pulses."""
+        weighted, information = np.zeros_like(coherence.matrix), np.zeros(coherence.matrix.shape)
+        for speckle in classes:
+            weighted -= coherence.inverse_covariance(speckle.snr) * speckle.total
+            information += speckle.count * coherence.information(speckle.snr)
+        return cls(weighted, information)
+
+    def slope(self, phase: F64) -> F64:
+        """Derivative by each phase, rad^-1."""
+        turn = np.exp(1j * phase)
+        return -2 * (turn * (self.weighted @ turn.conj())).imag
+
+
+def link_phases(likelihood: Likelihood, start: F64) -> F64:
+    """Phases of maximum likelihood by Fisher scoring, rad; their mean and linear trend are those of the start.
 
     Args:
-        classes: responses (`speckle_classes`).
-        coherence: of the echo between every two pulses (`coherence_of`).
+        likelihood: of the phases.
         start: first estimate, rad, shape (pulses,).
-
-    Returns:
-        The phases, rad, and the Fisher information on them, rad^-2, shape (pulses, pulses).
     """
-    pulses = len(start)
-    weighted, information = np.zeros((pulses, pulses), np.complex128), np.zeros((pulses, pulses))
-    for speckle in classes:
-        weighted -= coherence.inverse_covariance(speckle.snr) * speckle.total.T
-        information += speckle.count * coherence.information(speckle.snr)
     # The likelihood knows nothing of mean and linear trend, which steps therefore do not have.
-    trend = _trend(pulses)
-    fixed = scipy.linalg.cho_factor(information + FIRMLY * information.diagonal().max() * trend @ trend.T)
+    trend = _trend(len(start))
+    firmly = FIRMLY * likelihood.information.diagonal().max()
+    fixed = scipy.linalg.cho_factor(likelihood.information + firmly * trend @ trend.T)
     phase = start.copy()
     for _ in range(ITERATIONS):
-        turn = np.exp(1j * phase)
-        pull = 2 * np.sum((weighted * turn[:, None] * turn.conj()).imag, axis=0)
-        step = scipy.linalg.cho_solve(fixed, pull)
+        step = scipy.linalg.cho_solve(fixed, likelihood.slope(phase), check_finite=False)
         step *= LONGEST_STEP / max(np.abs(step).max(), LONGEST_STEP)
         phase += step
         if np.sqrt(np.mean(step**2)) < CONVERGED:
             break
-    return phase, information
+    return phase
 
 
 def standard_error(information: F64) -> float:
@@ -199,46 +160,56 @@ def _trend(pulses: int) -> F64:
     return np.linalg.qr(np.stack([np.ones(pulses), np.linspace(-1.0, 1.0, pulses)], axis=1))[0]
 
 
-def find_trend(modes: Complex, snr: F64, coherence: Coherence) -> tuple[float, float]:
+def find_trend(
+    modes: Complex, snr: F64, coherence: Coherence, likelihood: Likelihood, phase: F64
+) -> tuple[float, float]:
     """Phase from pulse to pulse by which the echoes are off the middle of the beam, and its standard error, rad.
 
-    The likelihood of `link_phases` of the phases s t: a sum over the lags d between pulses of exp(-j s d) times what
-    the responses say of them. Ground of uneven brightness moves its maximum more than speckle does, so the error is
-    that which BLOCKS of neighbouring range cells show by what each of them would move it (Huber's sandwich).
+    The likelihood of `phase` and a trend s, s t: a sum over the lags d between pulses of exp(-j s d) times what the
+    responses say of them. Ground of uneven brightness moves its maximum more than speckle does, so the error is that
+    which BLOCKS of neighbouring range cells show by what each of them would move it (Huber's sandwich).
 
     Args:
-        modes: responses without any other phase error, shape (responses, pulses), in the order of their range cells.
+        modes: responses, shape (responses, pulses), in the order of their range cells.
         snr: of each response, shape (responses,).
         coherence: of the echo of even ground (`coherence_of` the beam's profile).
+        likelihood: of the phases of these responses by that coherence.
+        phase: of the pulses besides the trend, rad, shape (pulses,).
     """
     pulses = modes.shape[-1]
-    product = np.zeros((pulses, pulses), np.complex128)  # R^-1(t, s) total(s, t)
-    classes = [
-        (modes[members], coherence.inverse_covariance(middle), members) for middle, members in _class_members(snr)
-    ]
-    for some, inverse, _ in classes:
-        product += inverse * (some.conj().T @ some)
-    # Sums over the pairs of each lag.
+    turn = np.exp(1j * phase)
     lag = np.arange(-pulses + 1, pulses)
-    of_lags = np.array([np.trace(product, offset) for offset in lag])
+    of_lags = _diagonal_sums(likelihood.weighted * turn[:, None] * turn.conj())
     waves = np.zeros(FINELY * pulses, np.complex128)
     waves[lag] = of_lags
-    trend = float(2 * np.pi * np.fft.fftfreq(len(waves))[np.argmin(np.fft.fft(waves).real)])
+    trend = float(2 * np.pi * np.fft.fftfreq(len(waves))[np.argmax(np.fft.fft(waves).real)])
     information = 1.0
     for _ in range(2):  # Newton: the grid is within a hundredth of the beam
         turned = of_lags * np.exp(-1j * trend * lag)
-        information = -float(np.sum(lag**2 * turned).real)
-        trend += float(np.sum(1j * lag * turned).real) / information
+        information = float(np.sum(lag**2 * turned).real)
+        trend += float(np.sum(-1j * lag * turned).real) / information
     time, scores = np.arange(pulses) - (pulses - 1) / 2, np.zeros(len(modes))
-    for some, inverse, members in classes:
-        turned = some * np.exp(-1j * trend * time)
-        scores[members] = 2 * np.sum(time * turned.conj() * (turned @ inverse.T), axis=1).imag
+    level = (turn * np.exp(1j * trend * time)).conj().astype(modes.dtype)
+    for middle, members in _class_members(snr):
+        known = modes[members] * level
+        weighted = known @ coherence.inverse_covariance(middle).T.astype(modes.dtype)
+        scores[members] = 2 * np.sum(time * known.conj() * weighted, axis=1).imag
     of_blocks = np.bincount(np.arange(len(modes)) * BLOCKS // len(modes), scores, BLOCKS)
     return trend, float(np.sqrt(np.sum(of_blocks**2)) / information)
 
 
-def fit_profile(classes: list[Speckle], waves: C128, profile: F64, coherence: Coherence, phase: F64) -> F64:
-    """A profile of greater likelihood than `profile`, whose coherence is given, and the phases (rad, shape (pulses,)).
+def _diagonal_sums(matrix: C128) -> C128:
+    """Sum of every diagonal of a square matrix, from that of the last row's first element, shape (2 rows - 1,)."""
+    rows = len(matrix)
+    padded = np.zeros((rows, 2 * rows), np.complex128)
+    padded[:, :rows] = matrix[::-1]
+    # Read in rows that are one shorter, each row begins one farther on than that before.
+    sums: C128 = padded.ravel()[:-rows].reshape(rows, -1).sum(axis=0)
+    return sums
+
+
+def with_fitted_profile(coherence: Coherence, classes: list[Speckle], phase: F64) -> Coherence:
+    """The coherence of a profile of greater likelihood, the phases (rad, shape (pulses,)) given.
 
     One step p <- p (w^H R^-1 S R^-1 w) / (n w^H R^-1 w) towards the maximum, its fixed point: S is the sum over n
     responses, and the classes add to numerator and denominator by their signal-to-noise ratio. More steps fit noise.
@@ -247,13 +218,8 @@ def fit_profile(classes: list[Speckle], waves: C128, profile: F64, coherence: Co
     found, expected = np.zeros_like(coherence.matrix), np.zeros_like(coherence.matrix)
     for speckle in classes:
         inverse = coherence.inverse_covariance(speckle.snr)
-        total = speckle.total * turn[:, None] * turn.conj()
+        total = speckle.total.T * turn[:, None] * turn.conj()
         found += speckle.snr * (inverse @ total @ inverse)
         expected += speckle.snr * speckle.count * inverse
-    along = [np.sum(waves.conj() * (matrix @ waves), axis=0).real for matrix in (found, expected)]
-    return profile * along[0] / along[1]
-
-
-def coherence_of(waves: C128, profile: F64) -> Coherence:
-    """Coherence of the echo between every two pulses, of a profile whose sum is 1."""
-    return Coherence((waves * profile) @ waves.conj().T)
+    along = [np.sum(coherence.waves.conj() * (matrix @ coherence.waves), axis=0).real for matrix in (found, expected)]
+    return Coherence(coherence.waves, coherence.profile * along[0] / along[1])

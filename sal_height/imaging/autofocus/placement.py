@@ -19,6 +19,7 @@ from typing import Self
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from scipy.special import spherical_jn
 
 from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState
@@ -190,16 +191,17 @@ def vibration_speed(phase: F64, seconds: F64, wavelength: float) -> float:
         seconds: times of the pulses, s.
         wavelength: m.
     """
-    shapes = np.polynomial.legendre.legvander(np.linspace(-1, 1, len(phase)), 3)
-    orthogonal = np.linalg.qr(shapes)[0]
-    middle = seconds - seconds.mean()
+    duration = float(seconds[-1] - seconds[0])
     omega = 2 * np.pi * np.geomspace(LOWEST_HZ, HIGHEST_HZ, FREQUENCIES)
-    waves = np.exp(1j * omega[:, None] * middle) / omega[:, None]  # displacement of a velocity of amplitude 1
-    power = np.mean(np.abs(waves @ orthogonal) ** 2, axis=0)
-    curvature = (orthogonal[:, 2:].T @ phase) ** 2 / power[2:]
-    trend = np.sqrt(power[1] * curvature.mean())  # as the coefficient of the linear shape
-    rise = orthogonal[-1, 1] - orthogonal[0, 1]
-    return float(trend * rise / (middle[-1] - middle[0]) * wavelength / (4 * np.pi))
+    # A displacement exp(j omega t) / omega, whose velocity has the amplitude 1, by Legendre's polynomials over the
+    # dwell: (2 k + 1) j^k j_k(omega T / 2) (Abramowitz & Stegun, 10.1.47).
+    order = np.arange(1, 4)
+    waves = (2 * order + 1)[:, None] * spherical_jn(order[:, None], omega * duration / 2) / omega
+    of_trend, *of_curvature = np.mean(waves**2, axis=1)
+    shapes = np.polynomial.legendre.legvander(np.linspace(-1, 1, len(phase)), 3)
+    curvature = np.linalg.lstsq(shapes, phase)[0][2:] ** 2 / of_curvature
+    trend = np.sqrt(of_trend * curvature.mean())  # at the ends of the dwell, rad
+    return float(trend * 2 / duration * wavelength / (4 * np.pi))
 
 
 def place_image(focus: Focus, pulse_times: F64, wavelength: float, prior: NavigationPrior) -> tuple[Focus, Placement]:

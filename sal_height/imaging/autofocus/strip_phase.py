@@ -10,18 +10,15 @@ flight, by centimetres in lidar.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
+from sal_height.imaging.autofocus.coherence import Coherence, beam_coherence
 from sal_height.imaging.autofocus.gradient import AutofocusSettings, Focus, cell_responses
 from sal_height.imaging.autofocus.phase_error import phase_gradient
 from sal_height.imaging.autofocus.phase_linking import (
-    Coherence,
-    azimuth_waves,
-    coherence_of,
+    Likelihood,
     find_trend,
     link_phases,
     signal_modes,
@@ -32,8 +29,6 @@ from sal_height.sensor import PhaseHistory, Sensor, aperture_length
 
 WINDOW = 256  # pulses that are linked at a time, if there are that many: time grows with the cube, errors shrink little
 OVERLAP = 32  # of them at least that have been linked before
-FAR = 1e4  # range over the length of a window, at which ground is seen under one angle by all pulses
-STEP_DIGITS = 0.01  # relative difference of the ways from pulse to pulse that have the same coherence
 
 
 def stays_in_range_cell(sensor: Sensor, slant_range: float) -> bool:
@@ -80,7 +75,7 @@ def link_block(
         modes, snr = signal_modes(seen, sensor.sample_count * sensor.noise_covariance)
         if not len(modes):
             return Focus(np.zeros(new_ones), "none", np.inf)
-        found, trend_error = _link(modes, snr, _coherence_along(antenna[begin:end], sensor))
+        found, trend_error = _link(modes, snr, beam_coherence(sensor, antenna[begin:end]))
         phase[first:end] = found[first - begin :] - (found[first - begin - 1] if first > begin else 0.0)
         known = modes * np.exp(-1j * found).astype(modes.dtype)
         errors.append((_step_error(known[:, max(0, first - begin - 1) :]), trend_error))
@@ -119,8 +114,9 @@ class _Line:
 
 def _link(modes: Complex, snr: F64, coherence: Coherence) -> tuple[F64, float]:
     """The phase of a window but for a constant, and the standard error of its trend, rad."""
-    phase, _ = link_phases(speckle_classes(modes, snr), coherence, phase_gradient(modes))
-    trend, trend_error = find_trend(modes * np.exp(-1j * phase).astype(modes.dtype), snr, coherence)
+    likelihood = Likelihood.of(speckle_classes(modes, snr), coherence)
+    phase = link_phases(likelihood, phase_gradient(modes))
+    trend, trend_error = find_trend(modes, snr, coherence, likelihood, phase)
     return phase + trend * np.arange(len(phase)), trend_error
 
 
@@ -136,18 +132,3 @@ def _step_error(modes: Complex) -> float:
     coherence = np.add.reduceat(together, pieces) / np.diff(np.append(pieces, len(together)))
     least = float(np.clip(coherence.min(), 1e-6, 1.0))
     return float(np.sqrt((1 - least) / (2 * len(modes) * least)))
-
-
-def _coherence_along(antenna: F64, sensor: Sensor) -> Coherence:
-    """Coherence of the echo between positions (m, shape (pulses, 3)), as if they were evenly apart."""
-    way = float(np.linalg.norm(antenna[-1] - antenna[0])) / (len(antenna) - 1)
-    return _coherence(sensor, len(antenna), round(math.log(way) / STEP_DIGITS))
-
-
-@lru_cache(maxsize=4)
-def _coherence(sensor: Sensor, pulses: int, step: int) -> Coherence:
-    """The same, of ways from pulse to pulse whose logarithm is `step` times STEP_DIGITS."""
-    antenna = np.zeros((pulses, 3))
-    antenna[:, 0] = math.exp(step * STEP_DIGITS) * np.arange(pulses)
-    centre = antenna.mean(axis=0) + FAR * np.linalg.norm(antenna[-1]) * np.array([0.0, 1.0, 0.0])
-    return coherence_of(*azimuth_waves(sensor, antenna, centre))

@@ -1,0 +1,94 @@
+"""Coherence of the echo between the pulses of a flight, from where the beam sends its power."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from sal_height.numeric import C128, F64
+from sal_height.sensor import Sensor
+
+DARKEST = 1e-3  # least power of a beam's profile over its greatest, so that it may grow where the beam has a null
+STEP_DIGITS = 0.01  # relative difference of the ways from pulse to pulse that have the same coherence
+
+
+@dataclass(frozen=True, eq=False)
+class Coherence:
+    """Of the echo between every two pulses; 1 on the diagonal where the profile's sum is 1.
+
+    Attributes:
+        waves: from each azimuth, shape (pulses, azimuths).
+        profile: share of the power that comes from each, shape (azimuths,).
+    """
+
+    waves: C128
+    profile: F64
+    _inverses: dict[float, C128] = field(default_factory=dict, repr=False)
+    _informations: dict[float, F64] = field(default_factory=dict, repr=False)
+
+    @cached_property
+    def matrix(self) -> C128:
+        """Shape (pulses, pulses)."""
+        return (self.waves * self.profile) @ self.waves.conj().T
+
+    @cached_property
+    def _modes(self) -> tuple[F64, C128]:
+        """Eigenvalues and eigenvectors of the matrix."""
+        values, vectors = np.linalg.eigh(self.matrix)
+        return values, vectors
+
+    def covariance(self, snr: float) -> C128:
+        """Of an echo of power `snr` with noise of power 1."""
+        return snr * self.matrix + np.eye(len(self.matrix))
+
+    def inverse_covariance(self, snr: float) -> C128:
+        """The inverse of `covariance`, made once for each `snr`."""
+        if snr not in self._inverses:
+            values, vectors = self._modes
+            self._inverses[snr] = (vectors / (1 + snr * values)) @ vectors.conj().T
+        return self._inverses[snr]
+
+    def information(self, snr: float) -> F64:
+        """Fisher information of one response on the phases, made once for each `snr`."""
+        if snr not in self._informations:
+            product = (self.covariance(snr) * self.inverse_covariance(snr).T).real
+            self._informations[snr] = 2 * (product - np.eye(len(product)))
+        return self._informations[snr]
+
+
+def beam_coherence(sensor: Sensor, antenna: F64) -> Coherence:
+    """Of even ground in the beam, between the positions of the antenna (m, shape (pulses, 3)).
+
+    Positions are taken as evenly apart on a line, and ways from pulse to pulse that differ by less than STEP_DIGITS as
+    the same, so that dwells of a flight share what is made of them once.
+    """
+    way = float(np.linalg.norm(antenna[-1] - antenna[0])) / (len(antenna) - 1)
+    return _beam_coherence(sensor, len(antenna), round(math.log(way) / STEP_DIGITS))
+
+
+@lru_cache(maxsize=2)
+def _beam_coherence(sensor: Sensor, pulses: int, step: int) -> Coherence:
+    """The same, of ways from pulse to pulse whose logarithm is `step` times STEP_DIGITS."""
+    way = math.exp(step * STEP_DIGITS)
+    azimuths = half_turns(pulses)
+    angle = azimuths * sensor.wavelength / (4 * way)  # at which the phase turns by that from pulse to pulse
+    beamwidths = angle / sensor.beams.track_beamwidth
+    power = np.abs(sensor.beams.patterns[0].amplitude(np.zeros_like(beamwidths), beamwidths)) ** 2
+    power += DARKEST * power.max()
+    return Coherence(azimuth_waves(pulses), power / power.sum())
+
+
+def half_turns(pulses: int) -> F64:
+    """All azimuths that pulses can tell apart, half a resolution cell from one to the next, shape (2 pulses,).
+
+    Stated as half turns by which the phase of the echo grows from pulse to pulse, from -1 to 1; 0 is the middle.
+    """
+    return np.arange(2 * pulses) / pulses - 1
+
+
+def azimuth_waves(pulses: int) -> C128:
+    """Waves from these azimuths, shape (pulses, 2 pulses)."""
+    return np.exp(1j * np.pi * np.arange(pulses)[:, None] * half_turns(pulses))

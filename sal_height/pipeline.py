@@ -38,13 +38,14 @@ from sal_height.elevation import (
 from sal_height.errors import Rejected
 from sal_height.geometry import Grid, Trajectory, aperture_at
 from sal_height.imaging import (
+    Corrected,
     CorrectionSettings,
     ImageSettings,
     Slc,
+    StripDelay,
     StripFocuser,
     cell_response,
     correct_dwell,
-    correct_track,
     focus_dwell,
     image_beams,
     with_known_errors,
@@ -69,6 +70,7 @@ class Compressor:
         """Begin without a strip."""
         self._strip = StripFocuser()
         self._strip_of = ("", "")
+        self._strip_delay = StripDelay()
 
     def add(
         self,
@@ -93,14 +95,15 @@ class Compressor:
                 the calibration of another sensor.
         """
         # Samples over frequency, without the errors that are known.
-        spectrum, track, sensor = corrected_spectrum(history, track, sensor, settings, calibration)
+        spectrum, track, sensor, delay = corrected_spectrum(history, track, sensor, settings, calibration)
         # Azimuth compression, with one and the same filter for all channels.
         if sensor.mode == "spotlight":
             slc: Slc | None = focus_dwell(spectrum, track, sensor, settings)
         else:
             strip_of = (sensor.config_hash, calibration.id if calibration else "")
             if strip_of != self._strip_of:
-                self._strip, self._strip_of = StripFocuser(), strip_of
+                self._strip, self._strip_of, self._strip_delay = StripFocuser(), strip_of, StripDelay()
+            spectrum = self._strip_delay.joined(spectrum, delay, sensor)
             slc = self._strip.focus_block(spectrum, track, sensor, settings)
         # What the corrections leave is an error that all pixels share.
         if slc:
@@ -122,7 +125,7 @@ def corrected_spectrum(
     sensor: Sensor,
     settings: CorrectionSettings,
     calibration: Calibration | None = None,
-) -> tuple[PhaseHistory, Trajectory, Sensor]:
+) -> Corrected:
     """Samples over fast-time frequency, the track, and the sensor that has such samples; without known errors.
 
     Arguments are those of `Compressor.add`.
@@ -139,9 +142,7 @@ def corrected_spectrum(
         calibration.check(sensor)
         spectrum = calibration.equalised(spectrum)
     # Errors that are known: clocks, delays, and air.
-    track = correct_track(track, settings)
-    spectrum, sensor = correct_dwell(spectrum, track, sensor, settings)
-    return spectrum, track, sensor
+    return correct_dwell(spectrum, track, sensor, settings)
 
 
 def heights(

@@ -9,7 +9,14 @@ refused), `formers` (backprojection and the fast ones), `autofocus` (phase error
 from sal_height.imaging.autofocus.gradient import apply_phase
 from sal_height.imaging.autofocus.placement import Centroid, NavigationPrior, Placement
 from sal_height.imaging.beams import image_beams
-from sal_height.imaging.corrections import CorrectionSettings, correct_dwell, correct_track, with_known_errors
+from sal_height.imaging.corrections import (
+    Corrected,
+    CorrectionSettings,
+    StripDelay,
+    correct_dwell,
+    correct_track,
+    with_known_errors,
+)
 from sal_height.imaging.focus import ImageSettings, Slc, cell_response, focus_dwell
 from sal_height.imaging.formers.backprojection import backproject, backproject_points
 from sal_height.imaging.formers.choice import FORMERS, FormImages
@@ -20,6 +27,7 @@ from sal_height.imaging.weighting import Processing
 __all__ = [
     "FORMERS",
     "Centroid",
+    "Corrected",
     "CorrectionSettings",
     "FormImages",
     "ImageSettings",
@@ -27,6 +35,7 @@ __all__ = [
     "Placement",
     "Processing",
     "Slc",
+    "StripDelay",
     "StripFocuser",
     "apply_phase",
     "azimuth_resolution",

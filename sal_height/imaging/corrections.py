@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -24,10 +25,40 @@ from sal_height.geometry import (
     path_through_air,
 )
 from sal_height.imaging.pixels import aim_point, line_of_sight
+from sal_height.numeric import F64
 from sal_height.sensor import PhaseHistory, Sensor
 from sal_height.settings import Settings, setting
 
-NO_AIR = AirPath(0.0, 0.0)
+MEASURED_AIR = "air_temperature_k", "air_pressure_pa", "air_humidity", "air_height_m"
+"""Settings that say what was measured of the air, and where."""
+
+
+class Corrected(NamedTuple):
+    """A dwell without the errors that are known.
+
+    Attributes:
+        history: at the ranges that it ought to have had.
+        track: with the stamps that it ought to have had.
+        sensor: with a mounting that knows of the bend of the way.
+        delay: by which ranges were too long, m, shape (pulses,).
+    """
+
+    history: PhaseHistory
+    track: Trajectory
+    sensor: Sensor
+    delay: F64
+
+
+class _Way(NamedTuple):
+    """What the air does to echoes.
+
+    Attributes:
+        delay: range added at each pulse, m, shape (pulses,).
+        bend: by which they come from farther off nadir, rad.
+    """
+
+    delay: F64
+    bend: float
 
 
 class CorrectionSettings(Settings):
@@ -113,29 +144,53 @@ def correct_track(track: Trajectory, settings: CorrectionSettings) -> Trajectory
     return Trajectory(states, track.mounting, track.motion)
 
 
-def correct_dwell(
-    history: PhaseHistory, track: Trajectory, sensor: Sensor, settings: CorrectionSettings
-) -> tuple[PhaseHistory, Sensor]:
+def correct_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settings: CorrectionSettings) -> Corrected:
     """The phase history at ranges, and the sensor with a mounting, that know of delays and of the bend of the way.
 
+    The track is that of `correct_track`.
+
     A delay is that of the middle of all beams at the reference range. Over the swath it changes by the share that the
-    range does: for light and a window of 8 m at 5 km, by 2 mm.
+    range does: for light and a window of 8 m at 5 km, by 2 mm. From pulse to pulse it changes as the antenna comes
+    closer, or images of one that climbs would move along the flight.
 
     Args:
         history: of all detectors, as fast-time frequencies.
-        track: of the platform, corrected.
+        track: of the platform.
         sensor: with waveform "spectrum".
         settings: what is known.
 
     Raises:
         UserError: the air is not known for this wavelength or height.
     """
+    track = correct_track(track, settings)
     air = _air(history, track, sensor, settings)
-    if delay := settings.range_offset_m + air.delay:
+    delay = settings.range_offset_m + air.delay
+    if delay.any():
         history = replace(history, reference_range=history.reference_range - delay)
     if bend := settings.elevation_offset_rad + air.bend:
         sensor = replace(sensor, mounting=_turned(sensor.mounting, bend * sensor.look_side))
-    return history, sensor
+    return Corrected(history, track, sensor, delay)
+
+
+class StripDelay:
+    """The delay of a strip as its phase has it, which goes on from block to block.
+
+    That of each block is worked out for the ground that it lights, under the air of its time, and so jumps from one to
+    the next: by less than ranges can tell, and by more than a wavelength.
+    """
+
+    def __init__(self) -> None:
+        """Begin with any block."""
+        self._next: float | None = None
+
+    def joined(self, history: PhaseHistory, delay: F64, sensor: Sensor) -> PhaseHistory:
+        """The next block, corrected by a delay (m, shape (pulses,)), with the phase that joins on to the last one's."""
+        jump = 0.0 if self._next is None else float(delay[0]) - self._next
+        self._next = 2 * float(delay[-1]) - float(delay[-2]) - jump
+        if not jump:
+            return history
+        turn = np.complex64(np.exp(-1j * sensor.centre_wavenumber * jump))
+        return replace(history, samples=history.samples * turn)
 
 
 def with_known_errors(aperture: ApertureState, sensor: Sensor, settings: CorrectionSettings) -> ApertureState:
@@ -154,15 +209,23 @@ def with_known_errors(aperture: ApertureState, sensor: Sensor, settings: Correct
     return replace(aperture, covariance=covariance)
 
 
-def _air(history: PhaseHistory, track: Trajectory, sensor: Sensor, settings: CorrectionSettings) -> AirPath:
+def _air(history: PhaseHistory, track: Trajectory, sensor: Sensor, settings: CorrectionSettings) -> _Way:
     """What the air does to echoes from the middle of all beams at the reference range."""
+    pulses = len(history.reference_range)
     if (atmosphere := settings.atmosphere) is None:
-        return NO_AIR
-    aperture = track.mounted(sensor.mounting).aperture(history.stamp_ns, history.pulse_times)
-    reference = float(history.reference_range[len(history.reference_range) // 2])
-    aim = aim_point(sensor, aperture, reference)
-    above, ground = (settings.map_height_m + float(height_of(point)) for point in (aperture.position, aim))
-    off_nadir = math.acos(min(1.0, (above - ground) / reference))
+        return _Way(np.zeros(pulses), 0.0)
+    mounted = track.mounted(sensor.mounting)
+    aperture = mounted.aperture(history.stamp_ns, history.pulse_times)
+    aim = aim_point(sensor, aperture, float(history.reference_range[pulses // 2]))
+    ends = mounted.positions(history.stamp_ns, history.pulse_times[[0, -1]])
+    first, last = (_way_from(antenna, aim, sensor, settings.map_height_m, atmosphere) for antenna in ends)
+    return _Way(np.linspace(first.delay, last.delay, pulses), (first.bend + last.bend) / 2)
+
+
+def _way_from(antenna: F64, aim: F64, sensor: Sensor, map_height: float, atmosphere: Atmosphere) -> AirPath:
+    """The way from the antenna to a point of the ground (m, map axes)."""
+    above, ground = (map_height + float(height_of(point)) for point in (antenna, aim))
+    off_nadir = math.acos(min(1.0, (above - ground) / float(np.linalg.norm(aim - antenna))))
     return path_through_air(sensor.wavelength, above, ground, off_nadir, atmosphere)
 
 

@@ -32,7 +32,7 @@ from sal_height.imaging.checks import (
     describe_covariances,
     describe_unverified_squint,
 )
-from sal_height.imaging.corrections import CorrectionSettings, with_known_errors
+from sal_height.imaging.corrections import MEASURED_AIR, CorrectionSettings, with_known_errors
 from sal_height.imaging.formers.choice import FORMERS, choose_former
 from sal_height.imaging.pixels import (
     azimuth_resolution,
@@ -96,8 +96,12 @@ class ImageSettings(AutofocusSettings, CorrectionSettings):
         return prior.spread > allowed
 
     def describes_pixels_of(self, other: ImageSettings) -> bool:
-        """Whether images with the other settings join on to these: all are equal but the former that makes them."""
-        names = ImageSettings.model_fields.keys() - {"former"}
+        """Whether images with the other settings join on to these.
+
+        All are equal but the former that makes them, and what was measured of the air, whose delay goes on from block
+        to block (`StripDelay`).
+        """
+        names = ImageSettings.model_fields.keys() - {"former", *MEASURED_AIR}
         return all(getattr(self, name) == getattr(other, name) for name in names)
 
 

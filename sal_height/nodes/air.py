@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 
-from sal_height.errors import Rejected, UserError
+from sal_height.errors import Rejected
 from sal_height.geometry import Atmosphere, PlatformState, height_of
 from sal_height.imaging import CorrectionSettings
 from sal_height.messages import AIR, AIR_LATENCY_NS, HEARD_AIR, AirSample, ReceivedFrame, needed_air
@@ -24,11 +24,6 @@ PLAUSIBLE_PA = 70_000.0, 130_000.0
 
 OTHER_CLOCK_S = 86400.0
 """What is a day from the frames has another clock."""
-
-NOT_IN_STRIPS = (
-    "A strip must be focused in one and the same air, and messages change it from block to block (air is heard); set "
-    "air to standard or measured."
-)
 
 AIR_TOPICS: Topics = {
     "air/pressure": "pressure of the air, sensor_msgs/FluidPressure in Pa, used if the parameter air is heard",
@@ -100,12 +95,9 @@ def heard_air(
 
     Raises:
         Rejected: a quantity has not come, or too long ago; or there is no such air.
-        UserError: the dwell is a block of a strip.
     """
     if parameters.air != HEARD_AIR:
         return None
-    if sensor.mode == "stripmap":
-        raise UserError(NOT_IN_STRIPS)
     found = {topic: history.at(topic, frame.stamp_ns) for topic in needed_air(sensor.wavelength)}
     values = {"air_height_m": _probe_height(states[0], parameters)}
     for topic, sample in found.items():

@@ -192,7 +192,7 @@ class SarCompression(DwellStage):
         Raises:
             Rejected: the odometry does not cover the pulses yet, or has a gap; the sensor's frame, or the air, is not
                 known yet.
-            UserError: the sensor's frame is nowhere on a platform, or the air of messages is wanted for a strip.
+            UserError: the sensor's frame is nowhere on a platform.
         """
         frame = dwell[0]
         delay_ns = self.current_parameters().odometry_delay_ns

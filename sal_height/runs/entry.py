@@ -16,7 +16,6 @@ from sal_height.bag.topics import FIX_TYPE
 from sal_height.elevation import ESTIMATORS
 from sal_height.errors import UserError
 from sal_height.geometry import Origin
-from sal_height.nodes.air import NOT_IN_STRIPS
 from sal_height.nodes.cues import DwellKey
 from sal_height.nodes.dwell_stage import CONTRADICTION
 from sal_height.nodes.played import ALL, IMAGES, LATEST_NS, MOST, SENSOR, DwellRange
@@ -195,8 +194,6 @@ def check_air(parameters: NodeParameters, sensors: Iterable[Sensor], topics: Col
     if parameters.get("sar_compression", {}).get("air") != messages.HEARD_AIR:
         return
     for sensor in sensors:
-        if sensor.mode == "stripmap":
-            raise UserError(NOT_IN_STRIPS)
         if missing := [topic for topic in messages.needed_air(sensor.wavelength) if topic not in topics]:
             raise UserError(
                 f"{source} has no messages on {', '.join(missing)}, which sar_compression takes the air from (its "

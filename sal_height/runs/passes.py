@@ -172,7 +172,7 @@ class _Flown(RecordedDwells):
             self.losses.drop("passes", UserError(f"Dwell {frame.dwell} is one of a strip; passes must be spotlight."))
             return
         track = Trajectory(compressed.supplies.states, compressed.supplies.mounting, settings.motion)
-        history, track, sensor = corrected_spectrum(
+        history, track, sensor, _ = corrected_spectrum(
             messages.history_from_messages(compressed.frames),
             track,
             compressed.sensor,

@@ -81,7 +81,7 @@ def test_an_elevation_offset_turns_all_beams_towards_nadir(look_side: int) -> No
     flight, history = flown()
     sensor = replace(flight.sensor, look_side=look_side)
     aperture = flight.track(0).aperture(history.stamp_ns, history.pulse_times)
-    _, turned = correct_dwell(history, flight.track(0), sensor, CorrectionSettings(elevation_offset_rad=1e-3))
+    turned = correct_dwell(history, flight.track(0), sensor, CorrectionSettings(elevation_offset_rad=1e-3)).sensor
     seen = flight.track(0).mounted(turned.mounting).aperture(history.stamp_ns, history.pulse_times)
     before, after = (np.arccos(-line_of_sight(sensor, state)[2]) for state in (aperture, seen))
     assert after - before == pytest.approx(-1e-3, abs=1e-9)
@@ -132,7 +132,7 @@ def test_without_corrections_nothing_is_touched() -> None:
     none, track = CorrectionSettings(), flight.track(0)
     aperture = track.aperture(history.stamp_ns, history.pulse_times)
     assert correct_track(track, none) is track
-    assert correct_dwell(history, track, flight.sensor, none) == (history, flight.sensor)
+    assert correct_dwell(history, track, flight.sensor, none)[:3] == (history, track, flight.sensor)
     assert with_known_errors(aperture, flight.sensor, none) is aperture
 
 

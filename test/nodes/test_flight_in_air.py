@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import made_offline
@@ -210,15 +209,13 @@ def test_a_bag_without_the_air_is_refused_in_one_sentence(flown: Path, tmp_path:
 
 
 def test_sensors_whose_air_cannot_be_heard_are_refused_before_anything_is_started(tmp_path: Path) -> None:
-    """Strips; radio waves without humidity; simulated ones, whose air nobody tells."""
+    """Radio waves without humidity; simulated ones, whose air nobody tells."""
     heard = {"sar_compression": {"air": "heard"}}
     lidar, light = make_sensor(), [topic[1:] for topic in AIR]
     check_air(heard, [lidar], light, "Bag x")
     check_air({"sar_compression": {"air": "standard"}}, [lidar], [], "Bag x")
     with pytest.raises(UserError, match="no messages on air/humidity, which"):
         check_air(heard, [make_sensor(wavelength=0.03)], light, "Bag x")
-    with pytest.raises(UserError, match="one and the same air"):
-        check_air(heard, [lidar, replace(lidar, mode="stripmap")], light, "Bag x")
     with pytest.raises(UserError) as simulated:
         fly(load_preset("small"), 1, tmp_path / "out", heard)
     assert_one_sentence(

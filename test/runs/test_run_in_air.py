@@ -24,6 +24,10 @@ AIR = SimulatedAir(temperature_k=300.0, pressure_pa=99_000.0, humidity=0.5, heig
 HEARD = {"sar_compression": {"air": "heard", "map_height_m": 150.0}}
 SMALL = load_preset("small")
 PRESET = replace(SMALL, dwells=3, estimators=("ml",), processing=HEARD, impairments=replace(SMALL.impairments, air=AIR))
+STRIP = load_preset("sal_stripmap")
+STRIP_IN_AIR = replace(
+    STRIP, dwells=4, estimators=("ml",), processing=HEARD, impairments=replace(STRIP.impairments, air=AIR)
+)
 TOPICS = [f"/{topic}" for topic in messages.AIR]
 
 
@@ -52,6 +56,15 @@ def test_the_compression_hears_the_air_of_a_run(flown: Flown, folder: Path) -> N
 @pytest.mark.usefixtures("flown")
 def test_a_replay_hears_it_again(folder: Path) -> None:
     found = replay(folder / "run" / "bag", folder / "replay", {})
+    assert found.outcome.losses == []
+    assert {one.verdict for one in found.compared.values()} == {EQUAL}
+
+
+def test_a_strip_and_its_replay_hear_it(folder: Path) -> None:
+    flown = fly(STRIP_IN_AIR, 2, folder / "strip", {})
+    assert flown.outcome.losses == []
+    assert abs(flown.accuracy.statistics["ml"]["bias_m"]) < 0.02
+    found = replay(folder / "strip" / "bag", folder / "strip replay", {})
     assert found.outcome.losses == []
     assert {one.verdict for one in found.compared.values()} == {EQUAL}
 

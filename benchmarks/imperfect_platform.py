@@ -58,6 +58,9 @@ BLOCKS = 6
 COMBINATIONS = sized(1000, 2)
 """Of levels of everything, each of them a flight of one dwell."""
 
+STRIP_COMBINATIONS = sized(200, 1)
+"""The same, each of them a short strip."""
+
 WINDS = {2: 0.12, 10: 0.25}
 """Rms velocity of leaves, m/s, by the speed of the wind, m/s: light air and wind of `vegetation_wind`."""
 
@@ -256,14 +259,14 @@ def all_flown(case: Case, autofocus: str = "auto") -> Flown:
     return together(list(in_processes(fly, range(case.flights))))
 
 
-def combined(number: int) -> Preset:
-    """One of both lidars, with errors of everything at levels that are drawn evenly in their logarithms."""
+def combined(number: int, *names: str) -> Preset:
+    """One of these presets, with errors of everything at levels that are drawn evenly in their logarithms."""
     rng = np.random.default_rng([20, number])
 
     def level(least: float, most: float) -> float:
         return float(np.exp(rng.uniform(np.log(least), np.log(most))))
 
-    preset = load_preset(str(rng.choice([PRESET, "sal_realistic"])))
+    preset = load_preset(str(rng.choice(names)))
     lines = tuple(VibrationLine(level(1e-6, 30e-6), level(10, 2000)) for _ in range(rng.integers(0, 4)))
     # What processing is told of the mounting and the clock; nothing where it is told nothing.
     told = ImageSettings(**preset.processing.get("sar_compression", {}))
@@ -288,8 +291,13 @@ def combined(number: int) -> Preset:
 
 
 def flown_combination(number: int) -> Flown:
-    """Fly a combination once."""
-    return flown(1000 + number, combined(number), "auto")
+    """Fly a combination for one of both lidars in spotlight once."""
+    return flown(1000 + number, combined(number, PRESET, "sal_realistic"), "auto")
+
+
+def flown_strip(number: int) -> Flown:
+    """Fly a combination for a short strip once."""
+    return flown(1000 + number, replace(combined(number, "sal_stripmap"), dwells=BLOCKS), "auto")
 
 
 def together(parts: Sequence[Flown]) -> Flown:
@@ -310,10 +318,14 @@ def coverage() -> Iterator[Row]:
     """Rows of the group: of every case how far c1 is off, and o5, of what is published; and the time of autofocus."""
     for case in sized(CASES, CASES[:2] + CASES[-2:]):
         yield from shares(case.name, all_flown(case))
-    combinations = together(list(in_processes(flown_combination, range(COMBINATIONS))))
-    yield from shares("combinations", combinations)
-    refused = 100 * sum(combinations.refused.values()) / combinations.dwells
-    yield Row("combinations: refused", refused, "%", "<= 5", f"{COMBINATIONS} random levels of everything")
+    for name, fly, count in (
+        ("combinations", flown_combination, COMBINATIONS),
+        ("strip, combinations", flown_strip, STRIP_COMBINATIONS),
+    ):
+        combinations = together(list(in_processes(fly, range(count))))
+        yield from shares(name, combinations)
+        refused = 100 * sum(combinations.refused.values()) / combinations.dwells
+        yield Row(f"{name}: refused", refused, "%", "<= 5", f"{count} random levels of everything")
     yield from (autofocus_time(name) for name in (PRESET, "sal_stripmap"))
 
 

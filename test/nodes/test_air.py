@@ -15,7 +15,7 @@ from helpers import assert_one_sentence, make_sensor
 from sal_height_msgs.msg import HeightImage, Provenance
 
 from sal_height import messages
-from sal_height.errors import Rejected, UserError
+from sal_height.errors import Rejected
 from sal_height.geometry import PlatformState
 from sal_height.messages import AirSample, needed_air, read_air
 from sal_height.nodes.air import MOST_SAMPLES, AirHistory, heard_air
@@ -147,10 +147,8 @@ def test_pressures_that_were_measured_on_earth_are_used(pascal: float, height: f
     assert air_of(history_of(pascal), height=height)["air_pressure_pa"] == pascal
 
 
-def test_a_strip_is_refused() -> None:
-    with pytest.raises(UserError) as strip:
-        air_of(history_of(), replace(make_sensor(), mode="stripmap"))
-    assert_one_sentence(str(strip.value), "one and the same air", "standard or measured")
+def test_a_block_of_a_strip_has_the_air_of_a_dwell() -> None:
+    assert air_of(history_of(), replace(make_sensor(), mode="stripmap")) == air_of(history_of(), make_sensor())
 
 
 def test_values_come_in_the_units_of_the_parameters() -> None:

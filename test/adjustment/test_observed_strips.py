@@ -85,12 +85,11 @@ def imaged(strip: int, name: str | None, autofocus: str, stated: str = "nothing"
     return Image(slc, field, seen, foretold(displaced(0, seen, sensor.mounting, LAYOUT), unknowns))
 
 
-def shift_along(one: Image, other: Image) -> float:
+def shift_along(one: Slc, other: Slc) -> float:
     """How far one image lies from another along the flight, m: where the powers of their pixels are most alike."""
-    along = other.slc.aperture.direction
-    powers = [np.sum(np.abs(image.slc.images) ** 2, axis=0) for image in (one, other)]
+    powers = [np.sum(np.abs(slc.images) ** 2, axis=0) for slc in (one, other)]
     powers = [power / power.mean() - 1 for power in powers]
-    cols, spacing = powers[0].shape[1], other.slc.grid.col_spacing
+    cols, spacing = powers[0].shape[1], other.grid.col_spacing
     alike = [
         np.mean(powers[0][:, max(0, lag) : cols + min(0, lag)] * powers[1][:, max(0, -lag) : cols - max(0, lag)])
         for lag in range(-cols // 2, cols // 2 + 1)
@@ -98,7 +97,7 @@ def shift_along(one: Image, other: Image) -> float:
     top = int(np.argmax(alike[1:-1])) + 1
     before, middle, after = alike[top - 1 : top + 2]
     lag = top - cols // 2 + (before - after) / (2 * (before - 2 * middle + after))
-    return float((one.slc.grid.origin - other.slc.grid.origin) @ along + lag * spacing)
+    return float((one.grid.origin - other.grid.origin) @ other.aperture.direction + lag * spacing)
 
 
 def test_strips_are_seen_when_the_antenna_was_abeam() -> None:
@@ -132,7 +131,7 @@ def test_images_move_along_the_flight_as_foretold(name: str, heading: str) -> No
     """Within 4 mm, by errors of the velocity, and not at all by where the beams look."""
     exact, wrong = (imaged(HEADING[heading], one, "never") for one in (None, name))
     along = exact.slc.aperture.direction
-    assert shift_along(wrong, exact) == pytest.approx(float(wrong.off @ along), abs=0.004)
+    assert shift_along(wrong.slc, exact.slc) == pytest.approx(float(wrong.off @ along), abs=0.004)
     if name in {"velocity y", "velocity z"}:
         assert abs(wrong.off @ along) > 0.1
 
@@ -144,7 +143,7 @@ def test_images_without_phase_errors_follow_their_beams(name: str, stated: str) 
     exact, wrong = (imaged(1, one, "always", stated) for one in (None, name))
     along = exact.slc.aperture.direction
     expected = float((wrong.off - exact.off) @ along)
-    assert shift_along(wrong, exact) == pytest.approx(expected, abs=0.004, rel=0.02)
+    assert shift_along(wrong.slc, exact.slc) == pytest.approx(expected, abs=0.004, rel=0.02)
     assert wrong.seen.placement.by_beams
 
 

@@ -5,6 +5,10 @@ with what that told, each dwell by itself. Every comparison gives an equation be
 that met (`observed.displacement`), every Doppler centroid another, and what navigation and mounting are known to be are
 the others: a sparse linear least-squares problem. Comparisons that contradict the others lose weight (`network.solve`),
 so that a wrong one does no harm.
+
+Images of a strip lie to each other as they were made: joined, they tell where they are, and one by one only how high.
+By itself, an image that ends where a wall or a car begins fits any shift away from it, and all that show the same edge
+err to the same side.
 """
 
 from __future__ import annotations
@@ -15,7 +19,18 @@ from operator import attrgetter
 
 import numpy as np
 
-from sal_height.adjustment.comparing import FINE_POINTS, ROUGH_POINTS, Chain, compared, joined, sighted
+from sal_height.adjustment.comparing import (
+    ALL,
+    FINE_POINTS,
+    LEVEL,
+    ROUGH_POINTS,
+    STRIP_POINTS,
+    UP,
+    Chain,
+    compared,
+    joined,
+    sighted,
+)
 from sal_height.adjustment.equations import Form, Solution, mean_form
 from sal_height.adjustment.network import Comparison, Network
 from sal_height.adjustment.observed import COMMON, Layout, ObservedDwell
@@ -100,7 +115,12 @@ def adjust(
     # them, of single ones; and of targets.
     solution = network.solved(chains)
     solution = network.solved(chains, _all_compared(chains, network, solution, references, ROUGH_POINTS))
-    found = _all_compared(chains, network, solution, references, FINE_POINTS, single=True)
+    if any(dwell.aperture.sliding for dwell in dwells):
+        found = _all_compared(chains, network, solution, references, STRIP_POINTS, LEVEL)
+        solution = network.solved(chains, found)
+        found += _all_compared(chains, network, solution, references, FINE_POINTS, UP, single=True)
+    else:
+        found = _all_compared(chains, network, solution, references, FINE_POINTS, single=True)
     found += sighted(network, network.dwells, solution, references)
     return Adjustment(network.layout, network.solved(chains, found), list(network.displacements.values()), found)
 
@@ -111,6 +131,7 @@ def _all_compared(
     known: Solution,
     references: References,
     most_points: int,
+    axes: slice = ALL,
     *,
     single: bool = False,
 ) -> list[Comparison]:
@@ -120,5 +141,5 @@ def _all_compared(
     found: list[Comparison] = []
     for number, chain in enumerate(chains):
         parts = [Chain.of(range(n, n + 1), network, known) for n in chain.shifts] if single else [chain]
-        found += compared(chain, parts, chains[:number], network, known, references, most_points)
+        found += compared(chain, parts, chains[:number], network, known, references, most_points, axes)
     return found

@@ -25,8 +25,12 @@ REACH_SIGMAS = 4.0
 SURPLUS_SPACINGS = 2.0
 """By which it is looked for farther than that, in spacings of points."""
 
-ROUGH_POINTS, FINE_POINTS = 300, 800
-"""Most points that are compared of joined dwells, whose search is far and rough, and of single ones."""
+ROUGH_POINTS, FINE_POINTS, STRIP_POINTS = 300, 800, 3000
+"""Most points that are compared of joined dwells, whose search is far and rough, of single ones, and of joined images
+of strips."""
+
+ALL, LEVEL, UP = slice(0, 3), slice(0, 2), slice(2, 3)
+"""Axes of a shift of which a comparison tells: all, east and north, or the height."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +89,7 @@ def compared(
     known: Solution,
     references: References,
     most_points: int,
+    axes: slice = ALL,
 ) -> Iterator[Comparison]:
     """Compare the parts of a chain with chains that were flown before, and with the terrain.
 
@@ -96,6 +101,7 @@ def compared(
         known: of the displacements.
         references: known ground.
         most_points: of a part that are compared.
+        axes: of which they tell.
     """
     middle, near = network.displacements[chain.middle], _near(chain, earlier, network.settings)
     relative = [middle.minus([(1.0, network.displacements[other.middle])]) for other in near]
@@ -114,7 +120,7 @@ def compared(
         found = [(other, one) for other in met if (one := next(matches)) is not None]
         for other, one in found:
             # The noise of the dwell itself is in all its comparisons: half of the variance of each.
-            yield _told(one, part, other, network, 2 / (len(found) + 1))
+            yield _told(one.only(axes) if axes != ALL else one, part, other, network, 2 / (len(found) + 1))
 
 
 @dataclass(frozen=True, eq=False)

@@ -217,6 +217,12 @@ class Match:
     information: F64
     dwells: tuple[dict[int, float], dict[int, float]]
 
+    def only(self, axes: slice) -> Match:
+        """What it says of some of the three axes, whatever the shift along the others is."""
+        information = LEAST_INFORMATION * np.eye(3)
+        information[axes, axes] = np.linalg.inv(np.linalg.inv(self.information)[axes, axes])
+        return replace(self, information=information)
+
 
 def match(points: Points, surface: Surface, reach: F64) -> Match | None:
     """How far points lie from a surface.

@@ -114,28 +114,10 @@ class ObservedDwell:
         Raises:
             Rejected: it has too few points, or nothing says where it lies.
         """
-        pulses, removed = Pulses(track, history.stamp_ns, history.pulse_times, epoch_ns), slc.autofocus_phase.size > 0
-        return cls.made_of(pulses, slc.aperture, field, slc.placement, sensor, phase_removed=removed)
-
-    @classmethod
-    def made_of(
-        cls,
-        pulses: Pulses,
-        aperture: ApertureState,
-        field: HeightField,
-        placement: Placement,
-        sensor: Sensor,
-        *,
-        phase_removed: bool,
-    ) -> Self:
-        """The same, with what its images were made with, and whether autofocus has removed a phase from these pulses.
-
-        Raises:
-            Rejected: as of `of`.
-        """
+        pulses, aperture = Pulses(track, history.stamp_ns, history.pulse_times, epoch_ns), slc.aperture
         if not aperture.sliding:
-            return cls.seen_from(aperture, field, placement, pulses.stated, sensor)
-        placement = placement_in_strip(placement, phase_removed=phase_removed)
+            return cls.seen_from(aperture, field, slc.placement, pulses.stated, sensor)
+        placement = placement_in_strip(slc.placement, phase_removed=slc.autofocus_phase.size > 0)
         return cls.seen_from(aperture, field, placement, pulses.stated_abeam(aperture, sensor.mounting), sensor)
 
     @classmethod

@@ -197,7 +197,7 @@ class Adjuster:
         stage = messages.held_stages(image.provenance).get("sar_compression", {})
         settings = _settings_of(parameters, stage)
         aperture, stamp_ns = messages.aperture_from_message(image.aperture), messages.to_ns(image.header.stamp)
-        _check_mode(aperture, sensor)
+        _check_mode(sensor)
         _check_mounting(stage)
         limits = parameters.window_dwells, parameters.window_points
         made_for = sensor.digest, settings, limits
@@ -211,10 +211,8 @@ class Adjuster:
                 f"Dwell {image.dwell} is {late_s:.3g} s older than one before it; dwells must be in order.",
             )
         self._latest_ns = stamp_ns
-        times = np.array([0.0, _duration_s(image, sensor)])
-        pulses, placement = Pulses(Trajectory(states), stamp_ns, times, self._epoch_ns), messages.placement_of(stage)
-        removed = len(image.provenance.autofocus_phase) > 0
-        dwell = ObservedDwell.made_of(pulses, aperture, field, placement, sensor, phase_removed=removed)
+        pulses = Pulses(Trajectory(states), stamp_ns, np.array([0.0, _length_s(image)]), self._epoch_ns)
+        dwell = ObservedDwell.seen_from(aperture, field, messages.placement_of(stage), pulses.stated, sensor)
         try:
             off = self._window.add(dwell)
         except Exception:
@@ -256,27 +254,22 @@ def _check_mounting(stage: Mapping[str, Any]) -> None:
         )
 
 
-def _check_mode(aperture: ApertureState, sensor: Sensor) -> None:
-    """Make sure that heights are those of a sensor of this mode.
+def _check_mode(sensor: Sensor) -> None:
+    """Make sure that heights can be adjusted as they come.
 
     Raises:
-        Rejected: they are not.
+        Rejected: they are those of a strip.
     """
-    if aperture.sliding != (sensor.mode == "stripmap"):
+    if sensor.mode != "spotlight":
         raise Rejected(
             "wrong mode",
-            f"Sensor {sensor.name} is of mode {sensor.mode}, and aperture.sliding of the heights is "
-            f"{aperture.sliding}; it must be true in stripmap, and only there.",
+            f"Sensor {sensor.name} is of mode {sensor.mode}, whose images fit several places as long as few have come; "
+            "record a bag, and adjust its strips together by `sal-height adjust`.",
         )
 
 
-def _duration_s(image: HeightImage, sensor: Sensor) -> float:
-    """Time from the first pulse of a dwell, or of the block that completed a strip's image, to one past its last, s."""
-    return sensor.pulse_count / sensor.pulse_repetition_frequency if image.aperture.sliding else _length_s(image)
-
-
 def _length_s(image: HeightImage) -> float:
-    """Time in which the platform flies over the synthetic aperture, s; of a dwell to one pulse past its last."""
+    """Time from the first pulse of a dwell to one pulse spacing past its last, s."""
     velocity = image.aperture.velocity
     return float(image.aperture.length) / math.hypot(velocity.x, velocity.y, velocity.z)
 
@@ -348,7 +341,7 @@ class HeightAdjuster(DwellStage):
                 f"{messages.LONGEST_DWELL:g} s are allowed.",
             )
 
-    def supplies(self, dwell: list[ReceivedHeights], sensor: Sensor) -> list[PlatformState]:
+    def supplies(self, dwell: list[ReceivedHeights], sensor: Sensor) -> list[PlatformState]:  # noqa: ARG002 (of any)
         """Odometry, without the delay of its stamps, from before the dwell to after it.
 
         It begins before the end of the dwell that this one follows.
@@ -358,7 +351,7 @@ class HeightAdjuster(DwellStage):
         """
         image, start_ns = dwell[0].image, dwell[0].stamp_ns
         delay_ns = _delay_ns(image)
-        end_ns = start_ns + round(1e9 * _duration_s(image, sensor))
+        end_ns = start_ns + round(1e9 * _length_s(image))
         since_ns = self._supplied_ns if 0 <= start_ns - self._supplied_ns <= BETWEEN_NS else start_ns
         states = self._history.around(since_ns + delay_ns, end_ns + delay_ns)
         if states:

@@ -39,6 +39,10 @@ from sal_height.adjustment.settings import AdjustmentSettings
 from sal_height.geometry import Mounting
 from sal_height.numeric import F64, in_threads
 
+CONTRADICTION = 30.0
+"""Square of the error of a comparison, of three numbers, over its variance, from which it contradicts the others: by
+chance one of a million."""
+
 
 @dataclass(frozen=True, eq=False)
 class Adjustment:
@@ -86,6 +90,11 @@ class Adjustment:
         ]
         before, after = np.array(apart).reshape(-1, 2, 3).swapaxes(0, 1)
         return before, after
+
+    @property
+    def contradictions(self) -> int:
+        """Number of comparisons that contradict the others: a part of the dwells was taken for another place."""
+        return sum(self.solution.mismatch(one.equation) > CONTRADICTION for one in self.comparisons)
 
     @property
     def knots(self) -> F64:

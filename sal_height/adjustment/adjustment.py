@@ -13,25 +13,24 @@ err to the same side.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 
 import numpy as np
 
 from sal_height.adjustment.comparing import (
-    ALL,
     FINE_POINTS,
-    LEVEL,
     ROUGH_POINTS,
     STRIP_POINTS,
-    UP,
     Chain,
     compared,
     joined,
     sighted,
+    whole,
 )
 from sal_height.adjustment.equations import Form, Solution, mean_form
+from sal_height.adjustment.matching import Match
 from sal_height.adjustment.network import Comparison, Network
 from sal_height.adjustment.observed import COMMON, Layout, ObservedDwell
 from sal_height.adjustment.reference import UNKNOWN_GROUND, References
@@ -125,9 +124,9 @@ def adjust(
     solution = network.solved(chains)
     solution = network.solved(chains, _all_compared(chains, network, solution, references, ROUGH_POINTS))
     if any(dwell.aperture.sliding for dwell in dwells):
-        found = _all_compared(chains, network, solution, references, STRIP_POINTS, LEVEL)
+        found = _all_compared(chains, network, solution, references, STRIP_POINTS, Match.of_place)
         solution = network.solved(chains, found)
-        found += _all_compared(chains, network, solution, references, FINE_POINTS, UP, single=True)
+        found += _all_compared(chains, network, solution, references, FINE_POINTS, Match.of_height, single=True)
     else:
         found = _all_compared(chains, network, solution, references, FINE_POINTS, single=True)
     found += sighted(network, network.dwells, solution, references)
@@ -140,7 +139,7 @@ def _all_compared(
     known: Solution,
     references: References,
     most_points: int,
-    axes: slice = ALL,
+    of: Callable[[Match], Match] = whole,
     *,
     single: bool = False,
 ) -> list[Comparison]:
@@ -150,5 +149,5 @@ def _all_compared(
     found: list[Comparison] = []
     for number, chain in enumerate(chains):
         parts = [Chain.of(range(n, n + 1), network, known) for n in chain.shifts] if single else [chain]
-        found += compared(chain, parts, chains[:number], network, known, references, most_points, axes)
+        found += compared(chain, parts, chains[:number], network, known, references, most_points, of)
     return found

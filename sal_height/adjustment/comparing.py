@@ -6,7 +6,7 @@ are compared with those of earlier chains.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,9 +28,6 @@ SURPLUS_SPACINGS = 2.0
 ROUGH_POINTS, FINE_POINTS, STRIP_POINTS = 300, 800, 3000
 """Most points that are compared of joined dwells, whose search is far and rough, of single ones, and of joined images
 of strips."""
-
-ALL, LEVEL, UP = slice(0, 3), slice(0, 2), slice(2, 3)
-"""Axes of a shift of which a comparison tells: all, east and north, or the height."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +78,11 @@ def continues(first: ObservedDwell, count: int, dwell: ObservedDwell, settings: 
     return count < settings.strip_dwells and dwell.seconds - first.seconds <= settings.strip_s
 
 
+def whole(found: Match) -> Match:
+    """All that a match says."""
+    return found
+
+
 def compared(
     chain: Chain,
     parts: Sequence[Chain],
@@ -89,7 +91,7 @@ def compared(
     known: Solution,
     references: References,
     most_points: int,
-    axes: slice = ALL,
+    of: Callable[[Match], Match] = whole,
 ) -> Iterator[Comparison]:
     """Compare the parts of a chain with chains that were flown before, and with the terrain.
 
@@ -101,9 +103,10 @@ def compared(
         known: of the displacements.
         references: known ground.
         most_points: of a part that are compared.
-        axes: of which they tell.
+        of: what a match says that is to be told.
     """
-    middle, near = network.displacements[chain.middle], _near(chain, earlier, network.settings)
+    before = [other for other in earlier if not _goes_on(other, chain, network)]
+    middle, near = network.displacements[chain.middle], _near(chain, before, network.settings)
     relative = [middle.minus([(1.0, network.displacements[other.middle])]) for other in near]
     reach, *reaches = _reaches(known, [middle, *relative], chain.points.spacing, network.settings)
     met = [_Met.of(other, network, known) for other in near]
@@ -120,7 +123,7 @@ def compared(
         found = [(other, one) for other in met if (one := next(matches)) is not None]
         for other, one in found:
             # The noise of the dwell itself is in all its comparisons: half of the variance of each.
-            yield _told(one.only(axes) if axes != ALL else one, part, other, network, 2 / (len(found) + 1))
+            yield _told(of(one), part, other, network, 2 / (len(found) + 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,6 +189,12 @@ def _reaches(known: Solution, forms: Sequence[Form], spacing: float, settings: A
     most, surplus = settings.reach_spacings * spacing, SURPLUS_SPACINGS * spacing
     deviations = (np.sqrt(np.diag(covariance)) for covariance in known.covariance(forms))
     return [np.minimum(REACH_SIGMAS * deviation + surplus, most) for deviation in deviations]
+
+
+def _goes_on(other: Chain, chain: Chain, network: Network) -> bool:
+    """Whether images of a strip go on with those of another chain, beside whose ground they show other ground."""
+    last, first = (network.dwells[choose(one.shifts)] for one, choose in ((other, max), (chain, min)))
+    return first.aperture.sliding and first.seconds - last.seconds <= network.settings.strip_s
 
 
 def _near(chain: Chain, earlier: Sequence[Chain], settings: AdjustmentSettings) -> list[Chain]:

@@ -184,7 +184,7 @@ def test_the_loop_is_what_its_description_says() -> None:
 
 
 def test_what_a_match_says_of_place_and_of_height_is_all_that_it_says() -> None:
-    """Of the place whatever the height is; of the height about the most likely ones, which are a plane over the places."""
+    """Of the place whatever the height is; of the height about the most likely ones, a plane over the places."""
     root = np.random.default_rng(3).standard_normal((3, 3))
     found = Match(np.arange(3.0), root @ root.T + np.eye(3), ({0: 1.0}, {1: 1.0}))
     place, height = found.of_place(), found.of_height()

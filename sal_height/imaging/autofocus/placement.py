@@ -110,8 +110,8 @@ class Placement:
         centroid: from which these follow; None: it was not measured.
         by_beams: whether the image is in the middle of the beams, wherever its Doppler frequency is: what is left is an
             error of the attitude, not of the velocity.
-        beams_error: standard error of the beams' middle in an image, as a velocity along the line of sight, m/s; 0: it
-            was not measured.
+        beams_error: of a strip, standard error of the beams' middle in each of its images, as a velocity along the line
+            of sight, m/s; 0: it was not measured.
     """
 
     speed: float
@@ -159,7 +159,7 @@ def placed_by_centroid(centroid: Centroid, prior: NavigationPrior, ambiguity: fl
     """
     found, error = centroid.speed, centroid.error
     if not prior.spread:
-        return Placement(0.0, found / prior.flight_speed, 0.0, centroid, beams_error=error)
+        return Placement(0.0, found / prior.flight_speed, 0.0, centroid)
     prior = prior.beside(centroid.vibration)
     variance = prior.spread**2 + error**2
     of_speed, of_pointing = prior.speed**2 / variance, (prior.flight_speed * prior.pointing) ** 2 / variance
@@ -168,8 +168,7 @@ def placed_by_centroid(centroid: Centroid, prior: NavigationPrior, ambiguity: fl
     wrapped = np.sum(weights * (WRAPS * ambiguity) ** 2) / weights.sum()
     # A wrap more moves image and beams together, and so the image off the beams' middle by what is not its part.
     left = prior.speed**2 * (1 - of_speed) + (1 - of_speed) ** 2 * wrapped
-    speed, pointing = of_speed * found, of_pointing * found / prior.flight_speed
-    return Placement(speed, pointing, float(np.sqrt(left)), centroid, beams_error=error)
+    return Placement(of_speed * found, of_pointing * found / prior.flight_speed, float(np.sqrt(left)), centroid)
 
 
 def placed_by_beams(prior: NavigationPrior, error: float) -> Placement:
@@ -179,8 +178,7 @@ def placed_by_beams(prior: NavigationPrior, error: float) -> Placement:
         prior: what navigation knows.
         error: standard error of the beams' middle in the image, as a velocity along the line of sight, m/s.
     """
-    left = float(np.hypot(prior.flight_speed * prior.pointing, error))
-    return Placement(0.0, 0.0, left, by_beams=True, beams_error=error)
+    return Placement(0.0, 0.0, float(np.hypot(prior.flight_speed * prior.pointing, error)), by_beams=True)
 
 
 def vibration_speed(phase: F64, seconds: F64, wavelength: float) -> float:

@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from benchmarks.passes import FlownPasses, observed
+from benchmarks.passes import FlownPasses, observed, observed_strip
 from benchmarks.row import Row, load, sized
 from benchmarks.spread import in_processes
 from sal_height.adjustment import (
@@ -30,8 +30,8 @@ from sal_height.adjustment.observed import pose_jacobian
 from sal_height.numeric import F64
 from sal_height.simulation import Preset, flight_of, load_preset
 
-PRESET = "sal_passes"
-FLIGHTS = sized(6, 1)
+PRESET, STRIPS = "sal_passes", "sal_strips"
+FLIGHTS, FLIGHTS_OF_STRIPS = sized(6, 1), sized(3, 1)
 COPIES = sized(10, 2)
 """Times that a flight is taken, one after the other, to measure the time that many dwells take."""
 
@@ -43,9 +43,13 @@ PAUSE_S = 4000.0
 
 
 def _preset() -> Preset:
-    preset = load_preset(PRESET)
+    return _shortened(load_preset(PRESET), 4)
+
+
+def _shortened(preset: Preset, dwells: int) -> Preset:
+    """A preset, or only two passes of it with so many dwells together to try it."""
     passes = sized(preset.flight.passes, replace(preset.flight.passes, count=2))
-    return replace(preset, flight=replace(preset.flight, passes=passes), dwells=sized(preset.dwells, 4))
+    return replace(preset, flight=replace(preset.flight, passes=passes), dwells=sized(preset.dwells, dwells))
 
 
 def _settings(preset: Preset) -> AdjustmentSettings:
@@ -95,8 +99,27 @@ def brought_together() -> Iterator[Row]:
         "<= 10",
         f"{text}; stated {sigma:.1f}",
     )
+    yield from of_strips()
     yield from as_they_come(flights, settings)
     yield from times(flights[0], settings)
+
+
+def of_strips() -> Iterator[Row]:
+    """Rows on strips: heights, and places along the flight, between their images."""
+    preset, apart, over = _shortened(load_preset(STRIPS), 8), [], []
+    settings, strips = _settings(preset), range(preset.flight.passes.count)
+    for seed in range(1, 1 + FLIGHTS_OF_STRIPS):
+        made = in_processes(partial(observed_strip, preset=preset, seed=seed), strips)
+        passes = FlownPasses.of(flight_of(preset, seed), [image for strip in made for image in strip])
+        adjustment = adjust(passes.dwells, passes.flight.sensor.mounting, settings)
+        errors, sigmas = _between(adjustment, passes)
+        apart.append(errors[:, [0, 2]])
+        over.append(np.mean((errors / sigmas) ** 2, axis=0))
+    along, height = 1e3 * _rms(np.concatenate(apart))
+    text = f"{FLIGHTS_OF_STRIPS} flights of {len(strips)} strips"
+    yield Row("heights between images of strips", height, "mm", "<= 10", text)
+    yield Row("places along the flight between images of strips", along, "mm", "<= 50", text)
+    yield Row("errors between images of strips over what is stated", float(np.sqrt(np.mean(over))), "1", "<= 1.2", text)
 
 
 def as_they_come(flights: list[FlownPasses], settings: AdjustmentSettings) -> Iterator[Row]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sal_height.adjustment import ObservedDwell
 from sal_height.elevation import ESTIMATORS
+from sal_height.geometry import ApertureState
 from sal_height.imaging import ImageSettings
 from sal_height.numeric import F64
 from sal_height.pipeline import Compressor, heights
@@ -45,19 +46,66 @@ def observed(number: int, preset: Preset, seed: int) -> tuple[ObservedDwell, F64
     return dwell, _true_shift(dwell, flight, number)
 
 
+def observed_strip(number: int, preset: Preset, seed: int) -> list[tuple[ObservedDwell, F64]]:
+    """The images of a strip, which is the pass of that number of a preset, each with how far its surfaces lie off.
+
+    What autofocus leaves along the flight, a centimetre with sal_strips, is not in that.
+    """
+    flight, ml, compressor = flight_of(preset, seed), ESTIMATORS["ml"], Compressor()
+    sensor, given = flight.sensor, preset.processing.get("sar_compression", {})
+    settings = ImageSettings(rows=preset.image.rows, cols=preset.image.cols, **given)
+    looks = ml.settings(range_looks=preset.looks[0], azimuth_looks=preset.looks[1])
+    blocks, found = preset.flight.passes.dwells_each(preset.dwells), []
+    for block in range(blocks * number, blocks * (number + 1)):
+        history, track = flight.phase_history(block), flight.track(block)
+        slc = compressor.add(history, track, sensor, settings)
+        if slc:
+            image = ObservedDwell.of(heights(slc, sensor, ml, looks), slc, sensor, track, history)
+            found.append((image, _true_shift_of_strip(image, flight)))
+    return found
+
+
+def _true_shift_of_strip(image: ObservedDwell, flight: SimulatedFlight) -> F64:
+    """By the aperture that was published, and the true one and the jitter while the image's middle was lit."""
+    stated, seconds = image.aperture, image.seconds
+    true = replace(
+        stated,
+        position=flight.position(seconds),
+        velocity=flight.velocity(seconds),
+        rotation=flight.attitude(seconds).as_matrix(),
+    )
+    lit = stated.length / image.speed
+    return _shift(image, true, seconds + np.linspace(-lit / 2, lit / 2, 64), flight)
+
+
 def _true_shift(dwell: ObservedDwell, flight: SimulatedFlight, number: int) -> F64:
     """By the aperture that was published and the true one, vibration and jitter; velocities modulo the ambiguity."""
-    stated, true, sensor = dwell.aperture, flight.aperture(number), flight.sensor
-    u, climb = dwell.sight, position_jacobian(dwell.middle, stated)[:, 0]
-    times = flight.dwell_start_ns(number) * 1e-9 + flight.pulse_times
+    stated, true, times = dwell.aperture, flight.aperture(number), flight.pulse_times
+    shift = _shift(dwell, true, flight.dwell_start_ns(number) * 1e-9 + times, flight)
+    if dwell.placement.by_beams:
+        return shift
+    trend = np.polyfit(times, flight.pulse_phase(number), 1)[0]
+    speed = float((stated.velocity - true.velocity) @ dwell.sight) - trend * flight.sensor.wavelength / (4 * np.pi)
+    speed -= dwell.ambiguity * np.rint(speed / dwell.ambiguity)
+    return shift - dwell.lever * speed * stated.direction
+
+
+def _shift(image: ObservedDwell, true: ApertureState, times: F64, flight: SimulatedFlight) -> F64:
+    """How far the surfaces of an image lie off that was seen from a true aperture; along the flight if it is by beams.
+
+    Args:
+        image: as published.
+        true: from which it was seen.
+        times: at which beams lit it, s after the start of the flight.
+        flight: whose beams jitter.
+    """
+    stated = image.aperture
+    climb = position_jacobian(image.middle, stated)[:, 0]
     ahead, off_nadir = (float(np.mean(angle)) for angle in flight.pointing(times))
     turn = Rotation.from_matrix(stated.rotation @ true.rotation.T).as_rotvec()
-    turned = turn_jacobian(dwell.middle, stated) @ turn + sensor.look_side * off_nadir * climb
-    if dwell.placement.by_beams:
-        along = dwell.slant_range * (float(np.cross(u, stated.direction) @ turn) - ahead)
-    else:
-        trend = np.polyfit(flight.pulse_times, flight.pulse_phase(number), 1)[0]
-        speed = float((stated.velocity - true.velocity) @ u) - trend * sensor.wavelength / (4 * np.pi)
-        speed -= dwell.ambiguity * np.rint(speed / dwell.ambiguity)
-        along = -dwell.lever * speed
-    return stated.position - true.position + turned + along * stated.direction
+    turned = turn_jacobian(image.middle, stated) @ turn + flight.sensor.look_side * off_nadir * climb
+    shift = stated.position - true.position + turned
+    if image.placement.by_beams:
+        along = image.slant_range * (float(np.cross(image.sight, stated.direction) @ turn) - ahead)
+        shift += along * stated.direction
+    return shift

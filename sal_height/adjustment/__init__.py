@@ -9,7 +9,7 @@ trajectory that results). `window` and `corrected_heights` are the same for a fl
 from sal_height.adjustment.adjustment import Adjustment, adjust
 from sal_height.adjustment.corrected import corrected_mounting, corrected_states, mounting_covariance
 from sal_height.adjustment.corrected_heights import corrected_aperture, corrected_heights
-from sal_height.adjustment.drift import Stated
+from sal_height.adjustment.drift import Pulses, Stated
 from sal_height.adjustment.matching import LEAST_POINTS, Points
 from sal_height.adjustment.observed import (
     BORESIGHT,
@@ -17,7 +17,6 @@ from sal_height.adjustment.observed import (
     LEVER_ARM,
     PITCH,
     ObservedDwell,
-    check_sensor,
     stated_sigmas,
 )
 from sal_height.adjustment.reference import UNKNOWN_GROUND, References, Target, Terrain
@@ -38,13 +37,13 @@ __all__ = [
     "ObservedDwell",
     "Points",
     "PoseError",
+    "Pulses",
     "References",
     "Stated",
     "Target",
     "Terrain",
     "Window",
     "adjust",
-    "check_sensor",
     "corrected_aperture",
     "corrected_heights",
     "corrected_mounting",

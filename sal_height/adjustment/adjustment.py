@@ -5,24 +5,42 @@ with what that told, each dwell by itself. Every comparison gives an equation be
 that met (`observed.displacement`), every Doppler centroid another, and what navigation and mounting are known to be are
 the others: a sparse linear least-squares problem. Comparisons that contradict the others lose weight (`network.solve`),
 so that a wrong one does no harm.
+
+Images of a strip lie to each other as they were made: joined, they tell where they are, and one by one only how high.
+By itself, an image that ends where a wall or a car begins fits any shift away from it, and all that show the same edge
+err to the same side.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 
 import numpy as np
 
-from sal_height.adjustment.comparing import FINE_POINTS, ROUGH_POINTS, Strip, compared, joined, sighted
+from sal_height.adjustment.comparing import (
+    FINE_POINTS,
+    ROUGH_POINTS,
+    STRIP_POINTS,
+    Chain,
+    compared,
+    joined,
+    sighted,
+    whole,
+)
 from sal_height.adjustment.equations import Form, Solution, mean_form
+from sal_height.adjustment.matching import Match
 from sal_height.adjustment.network import Comparison, Network
 from sal_height.adjustment.observed import COMMON, Layout, ObservedDwell
 from sal_height.adjustment.reference import UNKNOWN_GROUND, References
 from sal_height.adjustment.settings import AdjustmentSettings
 from sal_height.geometry import Mounting
 from sal_height.numeric import F64, in_threads
+
+CONTRADICTION = 30.0
+"""Square of the error of a comparison, of three numbers, over its variance, from which it contradicts the others: by
+chance one of a million."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +91,11 @@ class Adjustment:
         return before, after
 
     @property
+    def contradictions(self) -> int:
+        """Number of comparisons that contradict the others: a part of the dwells was taken for another place."""
+        return sum(self.solution.mismatch(one.equation) > CONTRADICTION for one in self.comparisons)
+
+    @property
     def knots(self) -> F64:
         """Errors of the navigation at the knots of `layout.drift`, shape (knots, STATE)."""
         return np.array([self.solution.of(knot.columns) for knot in self.layout.drift.knots])
@@ -95,14 +118,19 @@ def adjust(
     network = Network(mounting, settings)
     for dwell in dwells:
         network.add(dwell)
-    strips = joined(network.dwells, settings)
+    chains = joined(network.dwells, settings)
     # Navigation, mounting and Doppler centroids; then comparisons: first of joined dwells, then, where these have put
     # them, of single ones; and of targets.
-    solution = network.solved(strips)
-    solution = network.solved(strips, _all_compared(strips, network, solution, references, ROUGH_POINTS))
-    found = _all_compared(strips, network, solution, references, FINE_POINTS, single=True)
+    solution = network.solved(chains)
+    solution = network.solved(chains, _all_compared(chains, network, solution, references, ROUGH_POINTS))
+    if any(dwell.aperture.sliding for dwell in dwells):
+        found = _all_compared(chains, network, solution, references, STRIP_POINTS, Match.of_place)
+        solution = network.solved(chains, found)
+        found += _all_compared(chains, network, solution, references, FINE_POINTS, Match.of_height, single=True)
+    else:
+        found = _all_compared(chains, network, solution, references, FINE_POINTS, single=True)
     found += sighted(network, network.dwells, solution, references)
-    return Adjustment(network.layout, network.solved(strips, found), list(network.displacements.values()), found)
+    return Adjustment(network.layout, network.solved(chains, found), list(network.displacements.values()), found)
 
 
 def _all_compared(
@@ -111,14 +139,15 @@ def _all_compared(
     known: Solution,
     references: References,
     most_points: int,
+    of: Callable[[Match], Match] = whole,
     *,
     single: bool = False,
 ) -> list[Comparison]:
-    """Compare each strip, or each of its dwells by itself, with strips that were flown before."""
-    strips = [Strip.of(dwells, network, known) for dwells in numbers]
-    in_threads(attrgetter("points.surface"), [strip for strip in strips if strip.points.place.size])  # kept for later
+    """Compare each chain, or each of its dwells by itself, with chains that were flown before."""
+    chains = [Chain.of(dwells, network, known) for dwells in numbers]
+    in_threads(attrgetter("points.surface"), [chain for chain in chains if chain.points.place.size])  # kept for later
     found: list[Comparison] = []
-    for number, strip in enumerate(strips):
-        parts = [Strip.of(range(n, n + 1), network, known) for n in strip.shifts] if single else [strip]
-        found += compared(strip, parts, strips[:number], network, known, references, most_points)
+    for number, chain in enumerate(chains):
+        parts = [Chain.of(range(n, n + 1), network, known) for n in chain.shifts] if single else [chain]
+        found += compared(chain, parts, chains[:number], network, known, references, most_points, of)
     return found

@@ -1,12 +1,12 @@
 """Which images of dwells are compared, and what each comparison tells of their displacements.
 
-Dwells that follow each other are joined to a strip: its image has more to recognise than that of a dwell, and dwells
-are compared with those of earlier strips.
+Dwells that follow each other are joined to a chain: its image has more to recognise than that of a dwell, and dwells
+are compared with those of earlier chains.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,12 +25,13 @@ REACH_SIGMAS = 4.0
 SURPLUS_SPACINGS = 2.0
 """By which it is looked for farther than that, in spacings of points."""
 
-ROUGH_POINTS, FINE_POINTS = 300, 800
-"""Most points that are compared of joined dwells, whose search is far and rough, and of single ones."""
+ROUGH_POINTS, FINE_POINTS, STRIP_POINTS = 300, 800, 3000
+"""Most points that are compared of joined dwells, whose search is far and rough, of single ones, and of joined images
+of strips."""
 
 
 @dataclass(frozen=True, eq=False)
-class Strip:
+class Chain:
     """Dwells that follow each other, joined.
 
     Attributes:
@@ -51,7 +52,7 @@ class Strip:
         return list(self.shifts)[len(self.shifts) // 2]
 
     @classmethod
-    def of(cls, dwells: range, network: Network, known: Solution) -> Strip:
+    def of(cls, dwells: range, network: Network, known: Solution) -> Chain:
         """Dwells of a network by their numbers, each without the shift that is known."""
         shifts = {number: known.at(network.displacements[number]) for number in dwells}
         points = Points.joined([network.dwells[n].points.connected.moved(shift) for n, shift in shifts.items()])
@@ -73,35 +74,43 @@ def joined(dwells: Mapping[int, ObservedDwell], settings: AdjustmentSettings) ->
 
 
 def continues(first: ObservedDwell, count: int, dwell: ObservedDwell, settings: AdjustmentSettings) -> bool:
-    """Whether a dwell belongs to the same strip as its first one, which has so many dwells by now."""
+    """Whether a dwell belongs to the same chain as its first one, which has so many dwells by now."""
     return count < settings.strip_dwells and dwell.seconds - first.seconds <= settings.strip_s
 
 
+def whole(found: Match) -> Match:
+    """All that a match says."""
+    return found
+
+
 def compared(
-    strip: Strip,
-    parts: Sequence[Strip],
-    earlier: Sequence[Strip],
+    chain: Chain,
+    parts: Sequence[Chain],
+    earlier: Sequence[Chain],
     network: Network,
     known: Solution,
     references: References,
     most_points: int,
+    of: Callable[[Match], Match] = whole,
 ) -> Iterator[Comparison]:
-    """Compare the parts of a strip with strips that were flown before, and with the terrain.
+    """Compare the parts of a chain with chains that were flown before, and with the terrain.
 
     Args:
-        strip: all dwells.
+        chain: all dwells.
         parts: of them.
-        earlier: strips in the order of time.
+        earlier: chains in the order of time.
         network: of all dwells.
         known: of the displacements.
         references: known ground.
         most_points: of a part that are compared.
+        of: what a match says that is to be told.
     """
-    middle, near = network.displacements[strip.middle], _near(strip, earlier, network.settings)
+    before = [other for other in earlier if not _goes_on(other, chain, network)]
+    middle, near = network.displacements[chain.middle], _near(chain, before, network.settings)
     relative = [middle.minus([(1.0, network.displacements[other.middle])]) for other in near]
-    reach, *reaches = _reaches(known, [middle, *relative], strip.points.spacing, network.settings)
+    reach, *reaches = _reaches(known, [middle, *relative], chain.points.spacing, network.settings)
     met = [_Met.of(other, network, known) for other in near]
-    if references.terrain and strip.points.place.size and (ground := references.terrain.around(strip.points, reach)):
+    if references.terrain and chain.points.place.size and (ground := references.terrain.around(chain.points, reach)):
         met, reaches = [_Met(ground, {}, np.zeros(3)), *met], [reach, *reaches]
     thinned = [part.points.thinned(most_points) for part in parts]
     pairs = [
@@ -114,7 +123,7 @@ def compared(
         found = [(other, one) for other in met if (one := next(matches)) is not None]
         for other, one in found:
             # The noise of the dwell itself is in all its comparisons: half of the variance of each.
-            yield _told(one, part, other, network, 2 / (len(found) + 1))
+            yield _told(of(one), part, other, network, 2 / (len(found) + 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,8 +131,8 @@ class _Met:
     """A surface that points are compared with.
 
     Attributes:
-        surface: of a strip, or of known ground.
-        shifts: that were taken out of it, as of a strip; none: known ground.
+        surface: of a chain, or of known ground.
+        shifts: that were taken out of it, as of a chain; none: known ground.
         since: how much farther off it is known to lie by now, m, shape (3,).
     """
 
@@ -132,12 +141,12 @@ class _Met:
     since: F64
 
     @classmethod
-    def of(cls, strip: Strip, network: Network, known: Solution) -> _Met:
-        now = known.at(network.displacements[strip.middle])
-        return cls(strip.points.surface, strip.shifts, now - strip.shifts[strip.middle])
+    def of(cls, chain: Chain, network: Network, known: Solution) -> _Met:
+        now = known.at(network.displacements[chain.middle])
+        return cls(chain.points.surface, chain.shifts, now - chain.shifts[chain.middle])
 
 
-def _told(found: Match, part: Strip, other: _Met, network: Network, share: float) -> Comparison:
+def _told(found: Match, part: Chain, other: _Met, network: Network, share: float) -> Comparison:
     """What a match tells, with a share of its information."""
     one, two = found.dwells
     taken_out = _mean(one, part.shifts) - _mean(two, other.shifts) - other.since
@@ -182,12 +191,18 @@ def _reaches(known: Solution, forms: Sequence[Form], spacing: float, settings: A
     return [np.minimum(REACH_SIGMAS * deviation + surplus, most) for deviation in deviations]
 
 
-def _near(strip: Strip, earlier: Sequence[Strip], settings: AdjustmentSettings) -> list[Strip]:
-    """The latest of earlier strips that may have seen the same ground."""
-    reach = settings.reach_spacings * strip.points.spacing
+def _goes_on(other: Chain, chain: Chain, network: Network) -> bool:
+    """Whether images of a strip go on with those of another chain, beside whose ground they show other ground."""
+    last, first = (network.dwells[choose(one.shifts)] for one, choose in ((other, max), (chain, min)))
+    return first.aperture.sliding and first.seconds - last.seconds <= network.settings.strip_s
+
+
+def _near(chain: Chain, earlier: Sequence[Chain], settings: AdjustmentSettings) -> list[Chain]:
+    """The latest of earlier chains that may have seen the same ground."""
+    reach = settings.reach_spacings * chain.points.spacing
     near = [
         other
         for other in earlier
-        if np.all(other.low <= strip.high + reach) and np.all(other.high >= strip.low - reach)
+        if np.all(other.low <= chain.high + reach) and np.all(other.high >= chain.low - reach)
     ]
     return near[-settings.partners :]

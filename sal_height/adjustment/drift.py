@@ -14,14 +14,13 @@ than these let it become, as with satellites, the difference is taken as a fix; 
 from __future__ import annotations
 
 import bisect
-from dataclasses import dataclass
-from typing import Self
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from sal_height.adjustment.equations import Equation
-from sal_height.geometry import Trajectory
+from sal_height.geometry import ApertureState, Mounting, Trajectory
 from sal_height.numeric import F64, Index
 
 STATE = 9
@@ -50,14 +49,44 @@ class Stated:
     pose: F64
     velocity: F64
 
-    @classmethod
-    def of(cls, track: Trajectory, begin_ns: int, times: F64, epoch_ns: int) -> Self:
-        """Of a dwell, in its middle, by the track of base_link; `times` of pulses from its begin, s."""
-        return cls(
-            (begin_ns - epoch_ns) * 1e-9 + float(times.mean()),
-            track.aperture(begin_ns, times).covariance,
-            track.velocity_covariance(begin_ns, times),
+
+@dataclass(frozen=True, eq=False)
+class Pulses:
+    """When the pulses of a dwell, or of a block of a strip, were sent, and where odometry had the platform meanwhile.
+
+    Attributes:
+        track: of base_link.
+        begin_ns: of the dwell.
+        times: of the pulses, s from there, two or more.
+        epoch_ns: from which seconds count.
+    """
+
+    track: Trajectory
+    begin_ns: int
+    times: F64
+    epoch_ns: int = 0
+
+    @property
+    def stated(self) -> Stated:
+        """What odometry states in their middle."""
+        begin_ns, times = self.begin_ns, self.times
+        return Stated(
+            (begin_ns - self.epoch_ns) * 1e-9 + float(times.mean()),
+            self.track.aperture(begin_ns, times).covariance,
+            self.track.velocity_covariance(begin_ns, times),
         )
+
+    def stated_abeam(self, aperture: ApertureState, mounting: Mounting) -> Stated:
+        """What it states of an image of a strip that they completed, as of when the antenna was abeam of its middle.
+
+        Args:
+            aperture: of the image, whose position is that of the antenna then.
+            mounting: of the sensor.
+        """
+        last = self.times[-1:]
+        (antenna,) = self.track.mounted(mounting).positions(self.begin_ns, last)
+        since = float((antenna - aperture.position) @ aperture.direction) / float(np.linalg.norm(aperture.velocity))
+        return replace(self.stated, seconds=(self.begin_ns - self.epoch_ns) * 1e-9 + float(last[0]) - since)
 
 
 @dataclass(frozen=True, eq=False)

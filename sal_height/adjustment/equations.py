@@ -151,6 +151,11 @@ class Solution:
         """The numbers of a form."""
         return np.asarray(form.values @ self.of(form.columns) + form.constant)
 
+    def mismatch(self, equation: Equation) -> float:
+        """Square of the error of an equation over what is expected."""
+        error = equation.values @ self.of(equation.columns) - equation.right
+        return float(error @ equation.information @ error)
+
     def covariance(self, forms: Sequence[Form]) -> list[F64]:
         """Covariance of the numbers of each form, all of which have as many."""
         found: list[F64] = []

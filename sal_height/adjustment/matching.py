@@ -217,6 +217,20 @@ class Match:
     information: F64
     dwells: tuple[dict[int, float], dict[int, float]]
 
+    def of_place(self) -> Match:
+        """What it says of the shift east and north, whatever that in height is."""
+        return replace(self, information=self.information - self._of_height + LEAST_INFORMATION * np.eye(3))
+
+    def of_height(self) -> Match:
+        """What it says of the shift in height once that east and north is known."""
+        return replace(self, information=self._of_height + LEAST_INFORMATION * np.eye(3))
+
+    @property
+    def _of_height(self) -> F64:
+        """The part of the information that depends on the height; the rest is a function of east and north alone."""
+        along = self.information[2]
+        return np.outer(along, along) / along[2]
+
 
 def match(points: Points, surface: Surface, reach: F64) -> Match | None:
     """How far points lie from a surface.

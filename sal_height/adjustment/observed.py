@@ -8,20 +8,25 @@ the range R lies off by
 
 where A turns the body and S the sensor into map, l is the error of the lever arm, b that of the boresight (about the
 axes of the sensor), d that of the odometry's delay, f the direction of flight, and c and w are those of
-`relief.position_error`. If the image was put into the middle of the beams, the last term is R f (t (e + S b)) instead,
-with t = u x f.
+`relief.position_error`. If the image was put into the middle of the beams, the last term is R f (t (e + S b) + q)
+instead, with t = u x f and the angle q by which the beams were taken to look farther ahead than the attitude says.
+
+An image of a strip is seen from where the antenna was abeam of its middle. Where nothing was removed from the phase of
+its pulses, it lies as a dwell does. Autofocus removes all of the phase but what the beams turn it, as the first block
+has found them to point (`imaging.strip_focus`): all images are in the middle of the beams then, with one q, and no
+velocity moves them. The Doppler centroid of the first block is in q; it says nothing more of where images lie.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
 
 import numpy as np
 
-from sal_height.adjustment.drift import EXACT_M, STATE, Drift, Knot, Stated
+from sal_height.adjustment.drift import EXACT_M, STATE, Drift, Knot, Pulses, Stated
 from sal_height.adjustment.equations import Equation, Form, Solution
 from sal_height.adjustment.matching import LEAST_POINTS, Points
 from sal_height.adjustment.settings import AdjustmentSettings
@@ -50,14 +55,24 @@ PLACE, TURN, STRETCH, POSE = slice(0, 3), slice(3, 6), 6, 7
 between its beams (share)."""
 
 
-def check_sensor(sensor: Sensor) -> None:
-    """Make sure that dwells of a sensor can be adjusted.
+def placement_in_strip(placement: Placement, *, phase_removed: bool) -> Placement:
+    """How an image of a strip lies.
+
+    Args:
+        placement: of the strip, as its first block has it.
+        phase_removed: whether autofocus has removed the phase error of the block that completed the image.
 
     Raises:
-        Rejected: it is not in spotlight.
+        Rejected: it was removed in some blocks of the strip only, so that these lie by the beams and others do not.
     """
-    if sensor.mode != "spotlight":
-        raise Rejected("wrong mode", f"Sensor {sensor.name} is of mode {sensor.mode}; only spotlight can be adjusted.")
+    by_beams = placement.centroid is not None or placement.by_beams
+    if by_beams != phase_removed:
+        raise Rejected(
+            "autofocus",
+            "Autofocus trusts the phase of some blocks of a strip and not of others, so that nothing says where its "
+            "images lie; set autofocus to auto.",
+        )
+    return replace(placement, centroid=None, by_beams=by_beams)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +82,8 @@ class ObservedDwell:
     Attributes:
         points: its surfaces.
         aperture: from which it is seen, as published.
-        placement: where it lies other than odometry says.
-        stated: what odometry states, of base_link, in the middle of the dwell.
+        placement: where it lies other than odometry says; of an image of a strip as of `placement_in_strip`.
+        stated: what odometry states, of base_link, in the middle of the dwell, or abeam of that of the image.
         axis_middle: elevation of the middle of all beams, rad.
         look_side: +1 right, -1 left.
         ambiguity: velocity along the line of sight that pulses cannot tell from none, wavelength PRF / 2, m/s.
@@ -94,13 +109,16 @@ class ObservedDwell:
     ) -> Self:
         """The heights of a dwell, with its images, its sensor, the track of base_link, and its pulses.
 
-        Seconds count from the epoch.
+        Of a strip the heights of an image, and the pulses of the block that completed it. Seconds count from the epoch.
 
         Raises:
-            Rejected: it has too few points.
+            Rejected: it has too few points, or nothing says where it lies.
         """
-        stated = Stated.of(track, history.stamp_ns, history.pulse_times, epoch_ns)
-        return cls.seen_from(slc.aperture, field, slc.placement, stated, sensor)
+        pulses, aperture = Pulses(track, history.stamp_ns, history.pulse_times, epoch_ns), slc.aperture
+        if not aperture.sliding:
+            return cls.seen_from(aperture, field, slc.placement, pulses.stated, sensor)
+        placement = placement_in_strip(slc.placement, phase_removed=slc.autofocus_phase.size > 0)
+        return cls.seen_from(aperture, field, placement, pulses.stated_abeam(aperture, sensor.mounting), sensor)
 
     @classmethod
     def seen_from(
@@ -220,6 +238,7 @@ def pose(number: int, dwell: ObservedDwell, layout: Layout, mounting: Mounting) 
     values[PLACE, -2] = f
     if dwell.placement.by_beams:
         values[PLACE, :-OWN] += dwell.slant_range * np.outer(f, np.cross(u, f)) @ values[TURN, :-OWN]
+        constant[PLACE] = dwell.slant_range * dwell.placement.pointing * f
     else:
         values[PLACE, 3:6] -= dwell.lever * np.outer(f, u)
         constant[PLACE] = -dwell.lever * dwell.placement.speed * f
@@ -312,7 +331,7 @@ def own_priors(
     vibration: float,
     ambiguities: Mapping[int, float],
 ) -> list[Equation]:
-    """What is known beforehand of each dwell's own errors: of vibration and of the jitter of its beams.
+    """What is known beforehand of each dwell's own errors: of vibration, or of the middle of its beams; and of jitter.
 
     Args:
         dwells: all of them, by number.
@@ -325,7 +344,7 @@ def own_priors(
     for number, dwell in dwells.items():
         along = max(dwell.lever * vibration, EXACT_M)
         if dwell.placement.by_beams:
-            along = dwell.slant_range * settings.jitter_rad
+            along = float(np.hypot(dwell.slant_range * settings.jitter_rad, dwell.lever * dwell.placement.beams_error))
         middle = np.array([ambiguities.get(number, 0.0) * dwell.lever * dwell.ambiguity, 0.0])
         information = np.diag([along**-2, settings.jitter_rad**-2])
         equations.append(Equation(layout.own(number), np.eye(OWN), middle, information))

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from sal_height.adjustment.adjustment import Adjustment
-from sal_height.adjustment.comparing import FINE_POINTS, ROUGH_POINTS, Strip, compared, continues, sighted
+from sal_height.adjustment.comparing import FINE_POINTS, ROUGH_POINTS, Chain, compared, continues, sighted
 from sal_height.adjustment.equations import Solution
 from sal_height.adjustment.network import Comparison, Network
 from sal_height.adjustment.observed import ObservedDwell
@@ -53,13 +53,13 @@ class Window:
         Args:
             mounting: of the sensor, as described.
             settings: what is known beforehand.
-            most_dwells: that are held; a strip is held as a whole or not at all, and one that is over always is.
+            most_dwells: that are held; a chain is held as a whole or not at all, and one that is over always is.
             most_points: of all dwells that are held, likewise.
             references: targets, and an elevation model.
         """
         self._network = Network(mounting, settings)
         self._references, self._most_dwells, self._most_points = references, most_dwells, most_points
-        self._over: list[Strip] = []
+        self._over: list[Chain] = []
         self._growing = range(0)
         self._compared: list[Comparison] = []
         self._solution: Solution | None = None
@@ -67,19 +67,19 @@ class Window:
     def add(self, dwell: ObservedDwell) -> PoseError:
         """Add a dwell, not earlier than all others, and tell how it is off."""
         network = self._network
-        self._begin_strip_with(dwell)
+        self._begin_chain_with(dwell)
         number = network.add(dwell)
         self._growing = range(self._growing.start if self._growing else number, number + 1)
-        known = network.solved(self._strips(), self._compared)
-        # Where the strip is, by all its dwells together; and then, from there, where this dwell is.
-        strip = Strip.of(self._growing, network, known)
-        rough = compared(strip, [strip], self._over, network, known, self._references, ROUGH_POINTS)
-        known = network.solved(self._strips(), [*self._compared, *rough])
-        alone = [Strip.of(range(number, number + 1), network, known)]
-        strip = Strip.of(self._growing, network, known)
-        self._compared += compared(strip, alone, self._over, network, known, self._references, FINE_POINTS)
+        known = network.solved(self._chains(), self._compared)
+        # Where the chain is, by all its dwells together; and then, from there, where this dwell is.
+        chain = Chain.of(self._growing, network, known)
+        rough = compared(chain, [chain], self._over, network, known, self._references, ROUGH_POINTS)
+        known = network.solved(self._chains(), [*self._compared, *rough])
+        alone = [Chain.of(range(number, number + 1), network, known)]
+        chain = Chain.of(self._growing, network, known)
+        self._compared += compared(chain, alone, self._over, network, known, self._references, FINE_POINTS)
         self._compared += sighted(network, [number], known, self._references)
-        self._solution = known = network.solved(self._strips(), self._compared)
+        self._solution = known = network.solved(self._chains(), self._compared)
         pose = network.poses[number]
         return PoseError(known.at(pose), known.covariance([pose])[0])
 
@@ -105,20 +105,20 @@ class Window:
         forms = list(self._network.displacements.values())
         return Adjustment(self._network.layout, self._solution, forms, self._compared)
 
-    def _begin_strip_with(self, dwell: ObservedDwell) -> None:
-        """End the strip that grows if a dwell does not continue it, and forget strips that are too many."""
+    def _begin_chain_with(self, dwell: ObservedDwell) -> None:
+        """End the chain that grows if a dwell does not continue it, and forget chains that are too many."""
         network, growing = self._network, self._growing
         if not growing or self._solution is None:
             return
         if continues(network.dwells[growing.start], len(growing), dwell, network.settings):
             return
-        self._over.append(Strip.of(growing, network, self._solution))
+        self._over.append(Chain.of(growing, network, self._solution))
         self._growing = range(0)
         while len(self._over) > 1 and (self.dwells >= self._most_dwells or self.points >= self._most_points):
             self._compared = network.forget(list(self._over.pop(0).shifts))
 
-    def _strips(self) -> Iterator[range]:
-        for strip in self._over:
-            yield range(min(strip.shifts), max(strip.shifts) + 1)
+    def _chains(self) -> Iterator[range]:
+        for chain in self._over:
+            yield range(min(chain.shifts), max(chain.shifts) + 1)
         if self._growing:
             yield self._growing

@@ -50,10 +50,10 @@ def adjust(
 ) -> int:
     """Find errors of navigation and mounting, so that heights of overlapping dwells agree.
 
-    The heights of all dwells are made again and compared where they show the same
-    ground: best in passes flown to and fro, which see it from both sides. From
-    that, the Doppler centroids and what odometry and mounting are stated to be,
-    are estimated
+    The heights of all dwells, or of all images of strips, are made again and
+    compared where they show the same ground: best in passes flown to and fro,
+    which see it from both sides. From that, the Doppler centroids and what
+    odometry and mounting are stated to be, are estimated
       navigation   errors of position, velocity and attitude over time
       mounting     boresight, lever arm and delay, and the pitch of the beams
     with their covariance. What stays open is said: without known ground all

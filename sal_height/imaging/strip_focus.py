@@ -186,6 +186,7 @@ def _in_focus(
             placement = placed_by_centroid(centroid, prior, 2 * np.pi * of_a_radian)
         else:
             placement = placed_by_beams(prior, of_a_radian * error)
+        placement = replace(placement, beams_error=of_a_radian * error)
         phase = phase - prior.flight_speed * placement.pointing / of_a_radian * np.arange(len(phase))
     return apply_phase(history, phase), replace(focus, phase=phase), placement
 

@@ -25,11 +25,10 @@ from sal_height.adjustment import (
     AdjustmentSettings,
     ObservedDwell,
     PoseError,
+    Pulses,
     References,
-    Stated,
     Terrain,
     Window,
-    check_sensor,
     corrected_aperture,
     corrected_heights,
     corrected_mounting,
@@ -198,7 +197,7 @@ class Adjuster:
         stage = messages.held_stages(image.provenance).get("sar_compression", {})
         settings = _settings_of(parameters, stage)
         aperture, stamp_ns = messages.aperture_from_message(image.aperture), messages.to_ns(image.header.stamp)
-        check_sensor(sensor)
+        _check_mode(sensor)
         _check_mounting(stage)
         limits = parameters.window_dwells, parameters.window_points
         made_for = sensor.digest, settings, limits
@@ -212,8 +211,8 @@ class Adjuster:
                 f"Dwell {image.dwell} is {late_s:.3g} s older than one before it; dwells must be in order.",
             )
         self._latest_ns = stamp_ns
-        stated = Stated.of(Trajectory(states), stamp_ns, np.array([0.0, _length_s(image)]), self._epoch_ns)
-        dwell = ObservedDwell.seen_from(aperture, field, messages.placement_of(stage), stated, sensor)
+        pulses = Pulses(Trajectory(states), stamp_ns, np.array([0.0, _length_s(image)]), self._epoch_ns)
+        dwell = ObservedDwell.seen_from(aperture, field, messages.placement_of(stage), pulses.stated, sensor)
         try:
             off = self._window.add(dwell)
         except Exception:
@@ -252,6 +251,20 @@ def _check_mounting(stage: Mapping[str, Any]) -> None:
             "mounting from tf",
             "The mounting of the sensor is that on /tf_static (sar_compression.mounting_from_tf); heights are adjusted "
             "with that in sensor_info only.",
+        )
+
+
+def _check_mode(sensor: Sensor) -> None:
+    """Make sure that heights can be adjusted as they come.
+
+    Raises:
+        Rejected: they are those of a strip.
+    """
+    if sensor.mode != "spotlight":
+        raise Rejected(
+            "wrong mode",
+            f"Sensor {sensor.name} is of mode {sensor.mode}, whose images fit several places as long as few have come; "
+            "record a bag, and adjust its strips together by `sal-height adjust`.",
         )
 
 

@@ -17,7 +17,6 @@ from sal_height.adjustment import (
     ObservedDwell,
     References,
     adjust,
-    check_sensor,
     corrected_states,
 )
 from sal_height.bag.copies import kept_packing
@@ -130,14 +129,12 @@ class _Observing(RecordedDwells):
         """Take the heights of an estimator.
 
         Raises:
-            UserError: as its base; or the bag describes several sensors, or one that is not in spotlight.
+            UserError: as its base; or the bag describes several sensors.
         """
         super().__init__(work, reader)
         if len(self.sensors) > 1:
             names = ", ".join(sensor.name for sensor in self.sensors.values())
             raise UserError(f"Bag {work.bag} describes several sensors ({names}); cut it by `sal-height bag cut`.")
-        for sensor in self.sensors.values():
-            check_sensor(sensor)
         self._estimator = ESTIMATORS[estimator]
         self.dwells: list[ObservedDwell] = []
 

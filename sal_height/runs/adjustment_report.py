@@ -60,6 +60,7 @@ def summary_of(
         "mounting": {"lever_arm_m": list(better.lever_arm), "rotation": list(better.rotation)},
         "comparisons": len(adjustment.comparisons) - absolute,
         "comparisons_with_known_ground": absolute,
+        "comparisons_that_contradict": adjustment.contradictions,
         "dwells_without_comparison": len(dwells) - len(met),
         "shifts_rms_m": np.sqrt(np.mean(shifts**2, axis=0)).tolist(),
         "sigma_between_dwells_m": np.sqrt(np.mean(between, axis=0).diagonal()).tolist(),
@@ -91,6 +92,12 @@ def _sentences(summary: dict[str, Any], references: References, adjustment: Adju
     elif lonely := summary["dwells_without_comparison"]:
         sentences.append(
             f"{lonely} dwells overlap with no other, and lie where odometry and their neighbours put them."
+        )
+    if against := summary["comparisons_that_contradict"]:
+        sentences.append(
+            f"{against} of {len(adjustment.comparisons)} comparisons contradict the others: some dwells were taken for "
+            "another place, and may be off by more than is stated; fly longer passes, or give targets or an elevation "
+            "model."
         )
     loose = [name for name, one in summary["parameters"].items() if one["sigma"] > DETERMINED * one["known_to"]]
     if loose:

@@ -204,10 +204,17 @@ class SimulatedFlight:
 
     def dwell_start_ns(self, dwell: int) -> int:
         """Start of a dwell after the start of the first, ns."""
-        passes = self.preset.flight.passes
-        number = min(max(0, dwell // self._dwells_per_pass), passes.count - 1)  # strips ask for tiles beyond both ends
-        seconds = (dwell - number * self._dwells_per_pass) * self.preset.dwell_spacing_m / self.preset.flight.speed_mps
-        return round((number * passes.interval_s + seconds) * 1e9)
+        return self._start_ns(*self._place_of(dwell))
+
+    def _place_of(self, dwell: int) -> tuple[int, int]:
+        """The pass of a dwell, and its number in that; dwells before the first and after the last continue theirs."""
+        number = min(max(0, dwell // self._dwells_per_pass), self.preset.flight.passes.count - 1)
+        return number, dwell - number * self._dwells_per_pass
+
+    def _start_ns(self, number: int, dwell: int) -> int:
+        """Start of a dwell of a pass after the start of the first, ns."""
+        seconds = dwell * self.preset.dwell_spacing_m / self.preset.flight.speed_mps
+        return round((number * self.preset.flight.passes.interval_s + seconds) * 1e9)
 
     def _dwell_end_ns(self, dwell: int) -> int:
         return self.dwell_start_ns(dwell) + round(float(self.pulse_times[-1]) * 1e9)
@@ -255,7 +262,11 @@ class SimulatedFlight:
 
     def aperture(self, dwell: int) -> ApertureState:
         """State in the middle of a dwell; in stripmap of the aperture that slides with the ground abeam of it."""
-        middle = self.dwell_start_ns(dwell) * 1e-9 + self._middle_of_dwell
+        return self._aperture_of(self.dwell_start_ns(dwell))
+
+    def _aperture_of(self, start_ns: int) -> ApertureState:
+        """The same of a dwell that starts then."""
+        middle = start_ns * 1e-9 + self._middle_of_dwell
         velocity = self.velocity(middle)
         sliding = self.sensor.mode == "stripmap"
         spotlight = float(np.linalg.norm(velocity)) * self.sensor.pulse_count / self.sensor.pulse_repetition_frequency
@@ -280,7 +291,7 @@ class SimulatedFlight:
         """
         if self.sensor.mode == "stripmap":
             start_ns = self.dwell_start_ns(dwell)
-            seconds = {tile: (start_ns - self.dwell_start_ns(tile)) * 1e-9 for tile in self._tiles(dwell)}
+            seconds = {tile: (start_ns - self._start_ns(*tile)) * 1e-9 for tile in self._tiles(dwell)}
             return joined([self._ground(tile)[0].after(since) for tile, since in seconds.items()])
         aperture, reach = self.aperture(dwell), self._swept_angle * self.preset.flight.slant_range_m
         seen = self._visible(aperture, (aperture.position[0] - reach, aperture.position[0] + reach))
@@ -291,24 +302,32 @@ class SimulatedFlight:
         """Angle along the flight, to each side, that main lobes light up in any position of their swing, rad."""
         return lit_angle(self.built.beams) + self.preset.impairments.greatest_swing
 
-    def _tiles(self, dwell: int) -> range:
-        """The tiles of ground that a stripmap block lights up; tile n is what lies abeam of block n without gusts."""
+    def _tiles(self, dwell: int) -> list[tuple[int, int]]:
+        """The tiles of ground that a stripmap block lights up, each by its pass and its number there.
+
+        Tile n is what lies abeam of block n of the pass without gusts.
+        """
         angle = self._swept_angle + TURN_BEAMWIDTHS * self.sensor.beams.track_beamwidth
         neighbours = math.ceil(angle * self.preset.flight.slant_range_m / self.preset.dwell_spacing_m)
-        abeam = math.floor(self.aperture(dwell).position[0] / self.preset.dwell_spacing_m + self.dwells / 2)
-        return range(abeam - neighbours, abeam + neighbours + 1)
+        aperture, (number, _) = self.aperture(dwell), self._place_of(dwell)
+        forward = aperture.position[0] * np.sign(aperture.direction[0])
+        abeam = math.floor(forward / self.preset.dwell_spacing_m + self._dwells_per_pass / 2)
+        return [(number, tile) for tile in range(abeam - neighbours, abeam + neighbours + 1)]
 
     @cached_property
-    def _ground(self) -> Callable[[int], tuple[VisibleSurface, Complex]]:
-        """Surface and amplitudes of a tile by its number, the same for all blocks; those of one block are kept."""
+    def _ground(self) -> Callable[[tuple[int, int]], tuple[VisibleSurface, Complex]]:
+        """Surface and amplitudes of a tile, the same for all blocks of a pass; those of one block are kept."""
         return lru_cache(len(self._tiles(0)))(self._make_ground)
 
-    def _make_ground(self, tile: int) -> tuple[VisibleSurface, Complex]:
-        edges = (tile - self.dwells / 2 + np.arange(2)) * self.preset.dwell_spacing_m
-        aperture = self.aperture(tile)
-        ground = self._visible(aperture, (float(edges[0]), float(edges[1])), strips_per_cell=1)
-        ground = self._in_wind(ground, aperture, (LEAVES, abs(tile), int(tile < 0)))
-        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(GROUND, abs(tile), int(tile < 0))))
+    def _make_ground(self, tile: tuple[int, int]) -> tuple[VisibleSurface, Complex]:
+        number, place = tile
+        aperture = self._aperture_of(self._start_ns(*tile))
+        ends = (place - self._dwells_per_pass / 2 + np.arange(2)) * self.preset.dwell_spacing_m
+        west, east = sorted((ends * np.sign(aperture.direction[0])).tolist())
+        ground = self._visible(aperture, (west, east), strips_per_cell=1)
+        key = (abs(place), int(place < 0), *([number] if number else []))
+        ground = self._in_wind(ground, aperture, (LEAVES, *key))
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(GROUND, *key)))
         flight, sensor = self.preset.flight, self.spectrum
         pulses = aperture_length(sensor, flight.slant_range_m) * sensor.pulse_repetition_frequency / flight.speed_mps
         power = cell_power(self._cnr, sensor, pulses, mean_square_gain(sensor.beams))

@@ -397,12 +397,10 @@ PAUSE_S = 1.0
 
 
 def _pass_misfits(preset: Preset) -> Iterator[str]:
-    """Of passes that do not follow each other, or are no spotlight."""
-    passes, sensor = preset.flight.passes, preset.sensor
+    """Of passes that do not follow each other."""
+    passes = preset.flight.passes
     if passes.count == 1:
         return
-    if sensor.mode == "stripmap":
-        yield f"flight.passes.count is {passes.count}; in stripmap it must be 1"
     if passes.count > preset.dwells:
         yield f"flight.passes.count is {passes.count}; it must be at most dwells, {preset.dwells}"
     least = passes.dwells_each(preset.dwells) * preset.dwell_spacing_m / preset.flight.speed_mps + PAUSE_S

@@ -15,6 +15,7 @@ from sal_height.adjustment.observed import BORESIGHT as TURN
 from sal_height.adjustment.observed import vibration_of
 from sal_height.imaging import Centroid, Placement
 from sal_height.numeric import F64
+from sal_height.runs.adjustment_report import summary_of
 from sal_height.simulation.phase_errors import Vibration, VibrationLine
 from sal_height.simulation.preset import TargetSettings
 
@@ -160,6 +161,22 @@ def test_one_dwell_with_wrong_heights_does_not_move_the_others() -> None:
     errors = np.delete(adjustment.shifts[0] - passes.shifts, broken, axis=0)
     apart = np.sqrt(np.mean((errors - errors.mean(axis=0)) ** 2, axis=0))
     assert np.all(apart < [0.06, 0.06, 0.01]), apart
+
+
+def test_comparisons_that_contradict_the_others_are_said() -> None:
+    """Those of a dwell that is 15 cm too high among its neighbours."""
+    passes = flown()
+    mounting, dwells = passes.flight.sensor.mounting, list(passes.dwells)
+    points = dwells[7].points
+    dwells[7] = replace(dwells[7], points=replace(points, place=points.place + np.array([0.0, 0.0, 0.15])))
+    for some, contradict in ((passes.dwells, False), (dwells, True)):
+        adjustment = adjust(some, mounting, SETTINGS)
+        assert (adjustment.contradictions > 0) == contradict
+        summary, said = summary_of(adjustment, some, mounting, SETTINGS, References())
+        assert summary["comparisons_that_contradict"] == adjustment.contradictions
+        assert (
+            any("contradict the others: some dwells were taken for another place" in one for one in said) == contradict
+        )
 
 
 def test_dwells_that_vibrate_are_brought_together() -> None:

@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from sal_height.adjustment._kernels import average_said, compare_shifts, sum_said
-from sal_height.adjustment.matching import Match, Points, match
+from sal_height.adjustment.matching import LEAST_INFORMATION, Match, Points, match
 
 SPACING = 0.1
 REACH = np.array([0.6, 0.6, 0.5])
@@ -181,3 +181,15 @@ def test_the_loop_is_what_its_description_says() -> None:
     expected = np.nan_to_num(np.nansum(said, axis=0) / np.maximum(1, np.isfinite(said).sum(axis=0)))
     np.testing.assert_allclose(usual, expected, rtol=1e-12)
     np.testing.assert_allclose(score, np.nansum(said - expected, axis=1), rtol=1e-9)
+
+
+def test_what_a_match_says_of_place_and_of_height_is_all_that_it_says() -> None:
+    """Of the place whatever the height is; of the height about the most likely ones, a plane over the places."""
+    root = np.random.default_rng(3).standard_normal((3, 3))
+    found = Match(np.arange(3.0), root @ root.T + np.eye(3), ({0: 1.0}, {1: 1.0}))
+    place, height = found.of_place(), found.of_height()
+    np.testing.assert_allclose(place.information + height.information, found.information, atol=3 * LEAST_INFORMATION)
+    covariance = np.linalg.inv(found.information)
+    np.testing.assert_allclose(np.linalg.inv(place.information[:2, :2]), covariance[:2, :2], rtol=1e-4)
+    np.testing.assert_allclose(place.information[2], 0.0, atol=2 * LEAST_INFORMATION)
+    np.testing.assert_array_equal(place.shift, height.shift)

@@ -2,32 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from stated_errors import ERRORS, Error, S, displaced, foretold, layout_of, squeezed
 
-from sal_height.adjustment.drift import STATE, Stated
-from sal_height.adjustment.equations import Form
-from sal_height.adjustment.observed import (
-    BORESIGHT,
-    COMMON,
-    DELAY,
-    LEVER_ARM,
-    OWN,
-    PITCH,
-    Layout,
-    ObservedDwell,
-    centroid,
-    displacement,
-    pose,
-)
-from sal_height.adjustment.settings import AdjustmentSettings
+from sal_height.adjustment import AdjustmentSettings, ObservedDwell
+from sal_height.adjustment.observed import BORESIGHT, COMMON, DELAY, LEVER_ARM, PITCH, centroid
 from sal_height.elevation import ESTIMATORS
-from sal_height.geometry import Mounting, PlatformState, Trajectory, sphere_coordinates
+from sal_height.geometry import Trajectory, sphere_coordinates
 from sal_height.imaging import ImageSettings, Slc
 from sal_height.numeric import F64
 from sal_height.pipeline import Compressor, heights
@@ -37,16 +22,7 @@ from sal_height.simulation import SimulatedFlight, flight_of, load_preset
 from sal_height.simulation.preset import MountingSettings, Passes, TargetSettings
 
 DWELL = {"east": 0, "west": 1}
-COLUMNS = {"position": slice(0, 3), "velocity": slice(3, 6), "attitude": slice(6, 9)}
-
-
-@dataclass(frozen=True)
-class Error:
-    """What is stated beyond what is true."""
-
-    unknowns: tuple[tuple[int, float], ...]
-    states: Callable[[list[PlatformState]], list[PlatformState]]
-    sensor: Callable[[Sensor], Sensor] = lambda sensor: sensor
+LAYOUT = layout_of(0.0, 60.0)
 
 
 @cache
@@ -75,95 +51,6 @@ def observed(dwell: int, slc: Slc, field: HeightField) -> ObservedDwell:
     return ObservedDwell.of(field, slc, flight.sensor, flight.track(dwell), flight.phase_history(dwell))
 
 
-def turned(states: list[PlatformState], turn: F64) -> list[PlatformState]:
-    by = Rotation.from_rotvec(turn)
-    return [replace(s, orientation=(by * Rotation.from_quat(s.orientation)).as_quat()) for s in states]
-
-
-def mounted(sensor: Sensor, arm: F64, turn: F64) -> Sensor:
-    mounting = sensor.mounting
-    x, y, z, w = (mounting.axes * Rotation.from_rotvec(turn)).as_quat().tolist()
-    lever_arm = tuple((np.array(mounting.lever_arm) + arm).tolist())
-    return replace(sensor, mounting=Mounting("sensor", lever_arm, (x, y, z, w)), config_hash=sensor.config_hash)
-
-
-def squeezed(sensor: Sensor, share: float) -> Sensor:
-    boresights = np.array(sensor.elevation_boresights)
-    wider = boresights.mean() + (1 + share) * (boresights - boresights.mean())
-    return replace(sensor, elevation_boresights=tuple(wider.tolist()))
-
-
-def drifted(states: list[PlatformState], velocity: F64) -> list[PlatformState]:
-    """As navigation has it whose velocity is off, and whose position is right in the middle."""
-    middle = (states[0].stamp_ns + states[-1].stamp_ns) / 2
-    return [
-        replace(s, velocity=s.velocity + velocity, position=s.position + (s.stamp_ns - middle) * 1e-9 * velocity)
-        for s in states
-    ]
-
-
-def axis(number: int, size: float) -> F64:
-    return size * np.eye(3)[number]
-
-
-S = STATE
-
-
-def layout_of(*times: float) -> Layout:
-    """Of dwells at these times, s."""
-    layout = Layout(100.0)
-    for number, seconds in enumerate(times):
-        layout.add(number, Stated(seconds, np.eye(6), np.eye(3)))
-    return layout
-
-
-LAYOUT = layout_of(0.0, 60.0)
-
-
-def displaced(number: int, dwell: ObservedDwell, mounting: Mounting, layout: Layout = LAYOUT) -> Form:
-    return displacement(pose(number, dwell, layout, mounting), dwell)
-
-
-ERRORS = {
-    **{
-        f"position {name}": Error(
-            ((n, 0.3),), lambda states, n=n: [replace(s, position=s.position + axis(n, 0.3)) for s in states]
-        )
-        for n, name in enumerate("xyz")
-    },
-    **{
-        f"velocity {name}": Error(((3 + n, 0.002),), lambda states, n=n: drifted(states, axis(n, 0.002)))
-        for n, name in enumerate("xyz")
-    },
-    **{
-        f"attitude {name}": Error(((6 + n, 5e-5),), lambda states, n=n: turned(states, axis(n, 5e-5)))
-        for n, name in enumerate("xyz")
-    },
-    **{
-        f"boresight {name}": Error(
-            ((S + n, 5e-5),), lambda states: states, lambda sensor, n=n: mounted(sensor, np.zeros(3), axis(n, 5e-5))
-        )
-        for n, name in enumerate("xyz")
-    },
-    **{
-        f"lever arm {name}": Error(
-            ((S + 3 + n, 0.2),), lambda states: states, lambda sensor, n=n: mounted(sensor, axis(n, 0.2), np.zeros(3))
-        )
-        for n, name in enumerate("xyz")
-    },
-    "delay": Error(
-        ((S + DELAY, 0.004),), lambda states: [replace(s, position=s.position - 0.004 * s.velocity) for s in states]
-    ),
-}
-
-
-def foretold(form: Form, unknowns: tuple[tuple[int, float], ...]) -> F64:
-    values = np.zeros(S + COMMON + OWN)
-    for number, size in unknowns:
-        values[number] = size
-    return form.values @ values + form.constant
-
-
 MOVING = [name for name in ERRORS if not name.startswith(("velocity", "attitude", "boresight")) or name.endswith("x")]
 
 
@@ -174,7 +61,7 @@ def test_surfaces_move_as_foretold(name: str, heading: str) -> None:
     dwell, error = DWELL[heading], ERRORS[name]
     slc, exact, sensor = imaged(dwell, None)
     _, wrong, _ = imaged(dwell, error)
-    form = displaced(dwell, observed(dwell, slc, exact), sensor.mounting)
+    form = displaced(dwell, observed(dwell, slc, exact), sensor.mounting, LAYOUT)
     moved = (wrong.first.positions - exact.first.positions).reshape(-1, 3)
     expected = foretold(form, error.unknowns)
     assert np.linalg.norm(expected) > 0.1
@@ -187,7 +74,7 @@ def test_a_target_moves_along_the_flight_as_foretold(name: str, heading: str) ->
     """Within 4 mm, by errors of the velocity, and not at all by where the beams look."""
     dwell, error = DWELL[heading], ERRORS[name]
     (slc, exact, sensor), (wrong, _, _) = imaged(dwell, None), imaged(dwell, error)
-    form = displaced(dwell, observed(dwell, slc, exact), sensor.mounting)
+    form = displaced(dwell, observed(dwell, slc, exact), sensor.mounting, LAYOUT)
     moved = (peak_of(wrong) - peak_of(slc)) @ slc.aperture.direction
     expected = foretold(form, error.unknowns) @ slc.aperture.direction
     if name in {"velocity y", "velocity z"}:
@@ -218,7 +105,7 @@ def test_pitch_of_beams_stretches_what_is_seen() -> None:
         numbers = np.flatnonzero(there)[half]
         place = exact.first.positions.reshape(-1, 3)[numbers]
         part = replace(middle.points, place=np.stack(sphere_coordinates(place), axis=-1))
-        form = displaced(0, replace(middle, points=part), sensor.mounting)
+        form = displaced(0, replace(middle, points=part), sensor.mounting, LAYOUT)
         expected = foretold(form, ((S + PITCH, 0.02),))
         assert np.linalg.norm(expected) > 0.01
         np.testing.assert_allclose(np.median(moved[numbers], axis=0), expected, atol=0.006)
@@ -250,7 +137,7 @@ def test_velocity_of_a_knot_moves_the_dwells_after_it() -> None:
     """By what the knot's position changes until the dwell."""
     dwell, mounting = one_dwell(), flown().sensor.mounting
     at, later = (
-        displaced(0, replace(dwell, stated=replace(dwell.stated, seconds=seconds)), mounting).values
+        displaced(0, replace(dwell, stated=replace(dwell.stated, seconds=seconds)), mounting, LAYOUT).values
         for seconds in (0.0, 2.5)
     )
     np.testing.assert_allclose((later - at)[:, 3:6], 2.5 * np.eye(3), atol=1e-12)
@@ -259,7 +146,8 @@ def test_velocity_of_a_knot_moves_the_dwells_after_it() -> None:
 def test_an_attitude_swings_the_antenna_on_its_arm() -> None:
     dwell, mounting = one_dwell(), flown().sensor.mounting
     with_arm, without = (
-        displaced(0, dwell, one).values[:, 6:9] for one in (mounting, replace(mounting, lever_arm=(0.0, 0.0, 0.0)))
+        displaced(0, dwell, one, LAYOUT).values[:, 6:9]
+        for one in (mounting, replace(mounting, lever_arm=(0.0, 0.0, 0.0)))
     )
     body = dwell.aperture.rotation @ mounting.axes.inv().as_matrix()
     arm = body @ np.array(mounting.lever_arm)
@@ -271,7 +159,7 @@ def test_images_that_lie_where_the_beams_are_turn_with_them() -> None:
     """Along the flight by the range times the turn of the line of sight; velocity does not move them."""
     dwell, mounting = one_dwell(), replace(flown().sensor.mounting, lever_arm=(0.0, 0.0, 0.0))
     dwell = replace(dwell, placement=replace(dwell.placement, by_beams=True))
-    values, f = displaced(0, dwell, mounting).values, dwell.aperture.direction
+    values, f = displaced(0, dwell, mounting, LAYOUT).values, dwell.aperture.direction
     expected = [dwell.slant_range * f @ np.cross(turn, dwell.sight) for turn in np.eye(3)]
     np.testing.assert_allclose(f @ values[:, 6:9], expected, atol=1e-6 * dwell.slant_range)
     assert max(np.abs(expected)) > 0.5 * dwell.slant_range

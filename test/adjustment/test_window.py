@@ -10,7 +10,7 @@ from flown_passes import flown, flown_as, preset_of
 
 from benchmarks.passes import FlownPasses
 from sal_height.adjustment import AdjustmentSettings, References, Target, Terrain, Window, adjust
-from sal_height.adjustment.comparing import FINE_POINTS, Strip, compared, joined
+from sal_height.adjustment.comparing import FINE_POINTS, Chain, compared, joined
 from sal_height.adjustment.equations import Solution
 from sal_height.adjustment.network import Network
 from sal_height.adjustment.observed import pose_jacobian
@@ -81,7 +81,7 @@ def test_dwells_that_left_have_told_what_they_knew() -> None:
     """With half of the dwells held, the last ones lie where they do with all; without their memory they would not."""
     passes = flown()
     whole, short = told_of(passes, 1000), told_of(passes, 6)
-    assert short.held <= 9, "six, and a strip that begins"
+    assert short.held <= 9, "six, and a chain that begins"
     sigmas = np.sqrt([one.diagonal() for one in whole.covariances])
     apart = np.abs(short.shifts - whole.shifts) / sigmas
     assert np.sqrt(np.mean(apart**2)) < 0.5
@@ -93,25 +93,25 @@ def test_dwells_that_left_have_told_what_they_knew() -> None:
 
 
 def test_no_more_points_are_held_than_wanted() -> None:
-    """But for a strip that is over, and one that grows."""
+    """But for a chain that is over, and one that grows."""
     passes = flown()
-    strip = sum(len(dwell.points.place) for dwell in passes.dwells[:3])
-    window = Window(passes.flight.sensor.mounting, SETTINGS, 1000, 2 * strip)
+    chain = sum(len(dwell.points.place) for dwell in passes.dwells[:3])
+    window = Window(passes.flight.sensor.mounting, SETTINGS, 1000, 2 * chain)
     held = []
     for dwell in passes.dwells:
         window.add(dwell)
         held.append(window.points)
-    assert 2 * strip < max(held) < 3.5 * strip
+    assert 2 * chain < max(held) < 3.5 * chain
 
 
-def strips_of(passes: FlownPasses) -> tuple[Network, Solution, list[Strip]]:
-    """A network of all dwells, what is known of it without comparisons, and its strips."""
+def chains_of(passes: FlownPasses) -> tuple[Network, Solution, list[Chain]]:
+    """A network of all dwells, what is known of it without comparisons, and its chains."""
     network = Network(passes.flight.sensor.mounting, SETTINGS)
     for dwell in passes.dwells:
         network.add(dwell)
-    strips = joined(network.dwells, SETTINGS)
-    known = network.solved(strips)
-    return network, known, [Strip.of(numbers, network, known) for numbers in strips]
+    chains = joined(network.dwells, SETTINGS)
+    known = network.solved(chains)
+    return network, known, [Chain.of(numbers, network, known) for numbers in chains]
 
 
 @pytest.mark.parametrize("wrong_m", [0.0, 20.0])
@@ -121,21 +121,21 @@ def test_what_dwells_leave_says_the_same_of_the_others(wrong_m: float) -> None:
     So they do if one of those that leave is wrong, and has lost its weight.
     """
     passes = flown()
-    network, known, joint = strips_of(passes)
-    strips = joined(network.dwells, SETTINGS)
+    network, known, joint = chains_of(passes)
+    chains = joined(network.dwells, SETTINGS)
     found = []
-    for number, strip in enumerate(joint):
-        found += compared(strip, [strip], joint[:number], network, known, UNKNOWN_GROUND, FINE_POINTS)
+    for number, chain in enumerate(joint):
+        found += compared(chain, [chain], joint[:number], network, known, UNKNOWN_GROUND, FINE_POINTS)
     found[0] = replace(found[0], equation=replace(found[0].equation, right=found[0].equation.right + wrong_m))
     for _ in range(3):
-        before = network.solved(strips, found)
+        before = network.solved(chains, found)
     stay = found
     for number in range(2):  # one after the other
         fewer = network.forget(list(joint[number].shifts))
         assert 0 < len(fewer) < len(stay)
         stay = fewer
-    assert list(network.dwells) == [number for strip in joint[2:] for number in strip.shifts]
-    after = network.solved(strips[2:], stay)
+    assert list(network.dwells) == [number for chain in joint[2:] for number in chain.shifts]
+    after = network.solved(chains[2:], stay)
     forms = list(network.poses.values())
     for form, one, other in zip(forms, before.covariance(forms), after.covariance(forms), strict=True):
         sigmas = np.sqrt(one.diagonal())
@@ -145,7 +145,7 @@ def test_what_dwells_leave_says_the_same_of_the_others(wrong_m: float) -> None:
 
 def test_a_strip_that_is_known_to_lie_elsewhere_by_now_is_compared_as_before() -> None:
     """Whatever was taken out of it when it was over: the same comparison, to a tenth of a pixel."""
-    network, known, (first, second, *_) = strips_of(flown())
+    network, known, (first, second, *_) = chains_of(flown())
     off = np.array([0.24, -0.16, 0.11])
     held = replace(
         first,
@@ -155,8 +155,8 @@ def test_a_strip_that_is_known_to_lie_elsewhere_by_now_is_compared_as_before() -
         high=first.high + off[:2],
     )
     one, other = (
-        next(compared(second, [second], [strip], network, known, UNKNOWN_GROUND, FINE_POINTS))
-        for strip in (first, held)
+        next(compared(second, [second], [chain], network, known, UNKNOWN_GROUND, FINE_POINTS))
+        for chain in (first, held)
     )
     np.testing.assert_allclose(one.equation.right, other.equation.right, atol=0.1 * first.points.spacing)
 

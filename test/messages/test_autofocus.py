@@ -15,7 +15,7 @@ from sal_height.messages.autofocus import residual_phase_of
 
 PLACED = [
     Placement(0.001, -2e-5, 0.0005, Centroid(0.0023, 1e-4, 3e-4)),
-    Placement(0.0, 0.0, 0.01, by_beams=True),
+    Placement(0.0, 0.0, 0.01, by_beams=True, beams_error=2e-4),
 ]
 
 
@@ -51,6 +51,7 @@ def test_what_data_did_not_tell_is_not_told() -> None:
         ("speed", float("nan")),
         ("pointing", float("inf")),
         ("speed_error", -1.0),
+        ("beams_error", -1e-9),
         ("centroid.error", -1e-9),
         ("centroid.vibration", "much"),
     ],

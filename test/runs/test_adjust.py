@@ -141,7 +141,6 @@ def test_passes_that_do_not_overlap_are_said(tmp_path: Path, capsys: pytest.Capt
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ([str(BAGS / "sal_stripmap")], "only spotlight can be adjusted"),
         ([str(BAGS / "sal_spotlight"), "--target", "1,2"], "Option --target is '1,2'; it must be EAST,NORTH,HEIGHT"),
         ([str(BAGS / "sal_spotlight"), "--set", "boresight=1"], "boresight"),
         ([str(BAGS / "sal_spotlight"), "--set", "correlation_s=0"], "correlation_s"),

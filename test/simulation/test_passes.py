@@ -83,11 +83,40 @@ def test_passes_that_cannot_be_flown_are_refused(changes: dict[str, float], says
         parse_preset(content, "test")
 
 
-def test_a_strip_has_one_pass() -> None:
-    content = asdict(load_preset("sal_stripmap"))
-    content["flight"]["passes"] = {"count": 2}
-    with pytest.raises(UserError, match=r"flight\.passes\.count is 2; in stripmap it must be 1"):
-        parse_preset(content, "test")
+def strips_to_and_fro() -> Preset:
+    """Four blocks of stripmap in each of two passes."""
+    preset = load_preset("sal_stripmap")
+    return replace(preset, dwells=8, flight=replace(preset.flight, passes=Passes(2, 60.0)))
+
+
+def test_a_strip_westwards_gives_the_heights_of_the_street_in_places_that_the_other_has_seen() -> None:
+    flight, ml, places = flight_of(strips_to_and_fro(), 3), ESTIMATORS["ml"], []
+    settings = ImageSettings(rows=46, cols=128)
+    for number in range(2):
+        compressor = Compressor()
+        for dwell in range(4 * number, 4 * number + 4):
+            slc = compressor.add(flight.phase_history(dwell), flight.track(dwell), flight.sensor, settings)
+        assert slc
+        field = heights(slc, flight.sensor, ml, ml.settings(range_looks=1, azimuth_looks=16))
+        there = np.isfinite(field.first.height)
+        found, place = field.first.height[there], field.first.positions[there]
+        assert len(found) > 150
+        assert np.median(np.abs(found - flight.scene.heights(place[:, 0], place[:, 1]))) < 0.02
+        places.append(place[:, 0])
+    np.testing.assert_allclose(np.median(places[1]), -np.median(places[0]), atol=0.1)
+
+
+def test_the_first_pass_of_strips_is_that_of_a_flight_of_one_pass() -> None:
+    """To the last bit; the second one sees other speckle."""
+    preset = strips_to_and_fro()
+    alone = replace(preset, dwells=4, flight=replace(preset.flight, passes=Passes()))
+    one, two = (flight_of(some, 3).phase_history(1).samples for some in (alone, preset))
+    np.testing.assert_array_equal(one, two)
+    flight = flight_of(preset, 3)
+    grounds = [flight._ground((number, 1))[1] for number in range(2)]
+    shared = min(len(ground) for ground in grounds)
+    alike = np.vdot(*(ground[:shared] for ground in grounds))
+    assert abs(alike) < 0.05 * np.prod([np.linalg.norm(ground) for ground in grounds])
 
 
 def test_dwells_beyond_a_flight_continue_it() -> None:

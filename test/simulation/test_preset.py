@@ -33,6 +33,7 @@ SHIPPED = (
     "sal_realistic",
     "sal_spotlight",
     "sal_stripmap",
+    "sal_strips",
     "small",
     "woods",
     "xband_realistic",

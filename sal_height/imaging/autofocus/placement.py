@@ -111,6 +111,8 @@ class Placement:
         centroid: from which these follow; None: it was not measured.
         by_beams: whether the image is in the middle of the beams, wherever its Doppler frequency is: what is left is an
             error of the attitude, not of the velocity.
+        beams_error: of a strip, standard error of the beams' middle in each of its images, as a velocity along the line
+            of sight, m/s; 0: it was not measured.
     """
 
     speed: float
@@ -118,6 +120,7 @@ class Placement:
     speed_error: float
     centroid: Centroid | None = None
     by_beams: bool = False
+    beams_error: float = 0.0
 
     def moved(self, antenna: F64, seconds: F64, sight: F64) -> F64:
         """Positions of the antenna (m), shape (pulses, 3), at times in s from the middle of the dwell."""

@@ -22,8 +22,8 @@ from sal_height.simulation.double_bounce import find_walls
 class PointScatterer:
     """A single scatterer, at rest or on a straight path at constant speed.
 
-    It is at `east`, `north` and `height` when the antenna is abeam of that place, in every pass anew. Its radial velocity
-    is along the line of sight from there (SAL paper, section 4), in spotlight from the middle of the dwell.
+    It is at `east`, `north` and `height` when the antenna is abeam of that place, in every pass anew. Its radial
+    velocity is along the line of sight from there (SAL paper, section 4), in spotlight from the middle of the dwell.
 
     Attributes:
         east: arc distance from the map origin, m.

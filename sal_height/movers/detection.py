@@ -60,13 +60,8 @@ def check_sensor(sensor: Sensor) -> None:
     """Movers can be told with a sensor.
 
     Raises:
-        UserError: it is in spotlight, where the beam follows a target whatever its velocity, or channels are blanked.
+        UserError: channels are blanked.
     """
-    if sensor.mode != "stripmap":
-        raise UserError(
-            f"Sensor {sensor.name} is of mode {sensor.mode}; movers are found in stripmap only, where the beam passes "
-            "them and so tells their direction."
-        )
     if sensor.blanked_ranges:
         raise UserError(
             f"Sensor {sensor.name} has channels that do not receive over some ranges (channels.blanked_ranges); movers "

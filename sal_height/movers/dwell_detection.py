@@ -1,7 +1,8 @@
 """Movers over spotlight dwells: their place, height and radial velocity, without being told the velocity.
 
-The beam is held on the scene, so that one dwell does not tell in which direction it saw a target. Those before and after
-do: their beams are a part of a beamwidth farther along the flight, and what moves lies in another row of their images.
+The beam is held on the scene, so that one dwell does not tell in which direction it saw a target. Those before and
+after do: their beams are a part of a beamwidth farther along the flight, and what moves lies in another row of their
+images.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ from sal_height.beams import Beams
 from sal_height.imaging import Slc
 from sal_height.movers.detection import HYPOTHESES, MARGIN, SIDELOBES
 from sal_height.movers.dwell_images import COLUMN_STEPS, DwellImage
-from sal_height.movers.dwell_search import FARTHEST, DwellSearch, Found
+from sal_height.movers.dwell_lobes import FARTHEST
+from sal_height.movers.dwell_search import DwellSearch, Found
 from sal_height.movers.ground import lag_by_odometry
 from sal_height.movers.mover import Looked, Mover, Sighting, mover_of, without_ambiguities
 from sal_height.movers.settings import MoverSettings
@@ -73,7 +75,9 @@ class ShownDwell:
     def apart(self, other: ShownDwell) -> float:
         """How far the beams of two dwells are apart along the flight, in beamwidths."""
         grid = self.image.grid
-        reach = float(np.linalg.norm(grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2) - self.image.aperture.position))
+        reach = float(
+            np.linalg.norm(grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2) - self.image.aperture.position)
+        )
         way = float(np.linalg.norm(self.image.aperture.position - other.image.aperture.position))
         return way / (reach * self.beams.track_beamwidth)
 
@@ -103,14 +107,14 @@ class Track:
         row, step = dwell.shows(self.place)
         away = abs(row + self.rows * (dwell.seconds - self.seconds) - other.mover.row)
         cols, beside = dwell.steps // COLUMN_STEPS, abs(step / COLUMN_STEPS - other.mover.col)
-        return step >= 0 and away <= SAME_ROWS and min(beside, cols - beside) <= MARGIN
+        return away <= SAME_ROWS and min(beside, cols - beside) <= MARGIN
 
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """What was found in a dwell, and where others show it."""
+    """What was found in a dwell, and where others show it; None: no other overlaps with it."""
 
-    looked: Looked
+    looked: Looked | None
     tracks: Sequence[Track]
 
 
@@ -131,8 +135,11 @@ class DwellMovers:
         self._found: list[_Found] = []
         self._told = 0
 
-    def add(self, dwell: ShownDwell) -> list[Looked]:
-        """Take in a dwell; what was found in those that are done, one for each in their order."""
+    def add(self, dwell: ShownDwell) -> list[Looked | None]:
+        """Take in a dwell; what was found in those that are done, one for each in their order.
+
+        None: it overlaps with no dwell before or after it, and so tells no movers.
+        """
         done = [] if not self._held or dwell.follows(self._held[-1]) else self.end()
         self._held.append(dwell)
         while self._held[len(self._found)].apart(dwell) > OVERLAP:
@@ -144,7 +151,7 @@ class DwellMovers:
             self._told -= 1
         return done
 
-    def end(self) -> list[Looked]:
+    def end(self) -> list[Looked | None]:
         """No more dwells follow these: what was found in those that are left, in their order."""
         self._found += [self._search(number) for number in range(len(self._found), len(self._held))]
         done = [self._tell() for _ in range(self._told, len(self._held))]
@@ -161,18 +168,18 @@ class DwellMovers:
         thin = -(-len(group) // MOST_DWELLS)
         group = [other for other in group if (other - number) % thin == 0]
         if len(group) < LEAST_DWELLS:
-            return _Found(Looked((), 0, (0.0, 0.0), 0.0), [])
+            return _Found(None, [])
         shown, images = self._held[number], [self._held[other].image for other in group]
         return find_over_dwells(images, group.index(number), shown, self._settings)
 
-    def _tell(self) -> Looked:
+    def _tell(self) -> Looked | None:
         """What was found in the next dwell, without what others show better, or have told."""
         number, dwell, found = self._told, self._held[self._told].image, self._found[self._told]
         rivals = [one for other, each in enumerate(self._found) if other != number for one in each.tracks]
         kept = [one for one in found.tracks if not any(rival.covers(one, dwell) for rival in rivals)]
         self._found[number] = replace(found, tracks=kept)
         self._told += 1
-        return replace(found.looked, movers=tuple(one.mover for one in kept))
+        return replace(found.looked, movers=tuple(one.mover for one in kept)) if found.looked else None
 
 
 def find_over_dwells(dwells: Sequence[DwellImage], middle: int, shown: ShownDwell, settings: MoverSettings) -> _Found:
@@ -231,10 +238,9 @@ def _sighting(seen: Found, col: float, off: float, search: DwellSearch, pointing
 def _bright(dwell: DwellImage, prominence_db: float) -> Bool:
     """Pixels that are brighter than all around, than most beside them, and than sidelobes of what is brighter."""
     power = dwell.power
-    mode = "wrap" if np.isfinite(dwell.period) else "nearest"
-    bright = power == maximum_filter(power, size=(3, 2 * MARGIN + 1), mode=mode)
-    bright &= power > 10 ** (prominence_db / 10) * median_filter(power, AROUND, mode=mode)
-    columns = maximum_filter(power.max(axis=0), size=2 * MARGIN + 1, mode=mode)
+    bright = power == maximum_filter(power, size=(3, 2 * MARGIN + 1), mode="wrap")
+    bright &= power > 10 ** (prominence_db / 10) * median_filter(power, AROUND, mode="wrap")
+    columns = maximum_filter(power.max(axis=0), size=2 * MARGIN + 1, mode="wrap")
     rows = maximum_filter(power.max(axis=1), size=3)
     bright &= power > SIDELOBES * np.maximum(columns, rows[:, None])
     return np.asarray(bright)

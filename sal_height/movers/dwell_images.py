@@ -1,7 +1,7 @@
 """Images of spotlight dwells that follow each other: where each shows one and the same place.
 
-An image of a dwell has a column for each Doppler frequency. If it is as wide as the pulse repetition frequency, it goes
-on at its other edge, and everything that the beam lights is somewhere in it, whatever its radial velocity is.
+An image of a dwell has a column for each Doppler frequency. As wide as the pulse repetition frequency, it goes on at
+its other edge, and everything that the beam lights is somewhere in it, whatever its radial velocity is.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import Self
 import numpy as np
 import scipy.fft
 
+from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Grid, angles_of, pixels_at, ranges_of_phase
 from sal_height.imaging import Slc
 from sal_height.numeric import C64, C128, F64, Bool, Index
@@ -21,7 +22,10 @@ COLUMN_STEPS = 4
 """Steps to which columns are interpolated, in a column: half of one costs 0.1 dB."""
 
 WHOLE = 0.02
-"""By how much the width of an image may differ from that of all Doppler frequencies, as a share."""
+"""Greatest difference of the width of an image from that of all Doppler frequencies, over that."""
+
+SLANT = 0.99
+"""Least cosine of the angle between the rows of an image and the line of sight."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,8 +38,7 @@ class DwellImage:
         grid: of the image.
         aperture: state of the platform in the middle of the dwell.
         seconds: time of that, after any.
-        period: way along the flight after which Doppler frequencies come again, m; infinite: the image does not have
-            all of them.
+        period: way along the flight after which Doppler frequencies come again, m: the width of the image.
         look_side: +1 right, -1 left.
     """
 
@@ -48,15 +51,31 @@ class DwellImage:
 
     @classmethod
     def of(cls, images: C64 | C128, slc: Slc, seconds: float, sensor: Sensor) -> Self:
-        """The image of an `Slc`, whose channels are combined to `images`, shape (channels, rows, cols)."""
+        """The image of an `Slc`, whose channels are combined to `images`, shape (channels, rows, cols).
+
+        Raises:
+            Rejected: it does not have all Doppler frequencies, or is in another plane than range and Doppler.
+        """
         grid, aperture = slc.grid, slc.aperture
+        sight = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2) - aperture.position
+        slant_range = float(np.linalg.norm(sight))
+        doppler = sensor.wavelength * sensor.pulse_repetition_frequency / 2 / float(np.linalg.norm(aperture.velocity))
+        period = slant_range * doppler
+        if float(grid.row_direction @ sight) < SLANT * slant_range:
+            raise Rejected(
+                "image plane",
+                "Movers are told in the plane of range and Doppler; set parameter image_plane of sar_compression to "
+                "slant.",
+            )
+        if abs(grid.cols * grid.col_spacing / period - 1) > WHOLE:
+            raise Rejected(
+                "Doppler of images",
+                f"An image of a dwell has {grid.cols} columns; to tell movers it needs all Doppler frequencies, "
+                f"{period / grid.col_spacing:.0f} columns (parameter cols of sar_compression).",
+            )
         phases = np.exp(-4j * np.pi / sensor.wavelength * ranges_of_phase(grid, aperture))
         flat = (np.where(np.isfinite(images), images, 0) * phases).astype(np.complex64)
-        sight = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2) - aperture.position
-        doppler = sensor.wavelength * sensor.pulse_repetition_frequency / 2 / float(np.linalg.norm(aperture.velocity))
-        period = float(np.linalg.norm(sight)) * doppler
-        whole = abs(grid.cols * grid.col_spacing / period - 1) < WHOLE
-        return cls(_interpolated(flat), grid, aperture, seconds, period if whole else np.inf, sensor.look_side)
+        return cls(_interpolated(flat), grid, aperture, seconds, period, sensor.look_side)
 
     @property
     def steps(self) -> int:
@@ -69,17 +88,16 @@ class DwellImage:
         return np.asarray(np.sum(np.abs(self.pixels[..., ::COLUMN_STEPS]) ** 2, axis=0), np.float64)
 
     def shows(self, place: F64) -> tuple[float, int]:
-        """Row, in fractions, and step at which the image has what stands still at a place (m, map); -1: at none."""
+        """Row, in fractions, and step at which the image has what stands still at a place (m, map)."""
         sight = place - self.aperture.position
         along, reach = float(sight @ self.aperture.direction), float(np.linalg.norm(sight))
         grid = self.grid
         middle = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2) - self.aperture.position
         off = along - float(middle @ self.aperture.direction)
-        wrapped = along - (self.period * np.rint(off / self.period) if np.isfinite(self.period) else 0.0)
-        row, col = pixels_at(np.sqrt(reach**2 - wrapped**2), wrapped, self.aperture, grid)
-        step = round(float(col) * COLUMN_STEPS)
-        inside = np.isfinite(self.period) or 0 <= step < self.steps
-        return float(row), step % self.steps if inside else -1
+        wrapped = along - self.period * float(np.rint(off / self.period))
+        across = np.sqrt(np.asarray(reach**2 - wrapped**2, np.float64))
+        row, col = pixels_at(across, np.asarray(wrapped, np.float64), self.aperture, grid)
+        return float(row), round(float(col) * COLUMN_STEPS) % self.steps
 
     def angles(self, place: F64) -> tuple[float, float]:
         """Elevation and squint under which a place (m, map) is seen, rad."""
@@ -96,8 +114,7 @@ class DwellImage:
         """Pixels so many rows and columns to each side, shape (channels, pixels)."""
         rows = np.arange(max(0, row - size[0]), min(self.grid.rows, row + size[0] + 1))
         steps = step + COLUMN_STEPS * np.arange(-size[1], size[1] + 1)
-        steps = steps % self.steps if np.isfinite(self.period) else np.unique(np.clip(steps, 0, self.steps - 1))
-        return self.pixels[:, rows[:, None], steps].reshape(len(self.pixels), -1)
+        return self.pixels[:, rows[:, None], steps % self.steps].reshape(len(self.pixels), -1)
 
 
 def _interpolated(images: C64) -> C64:

@@ -10,9 +10,9 @@ for a point, as bright in every dwell but for errors of the beam, and
 
     |m_n|^2 q_n / (1 + q_n) - ln(1 + q_n)
 
-for speckle, which every dwell draws anew, of the power q_n = P g_n^2 (Kay, Fundamentals of Statistical Signal Processing
-II, 1998, sections 7.6 and 5.3). The likelihood is the greatest over P and these two, so that a target that fades by
-chance is not taken for one that has gone elsewhere.
+for speckle, which every dwell draws anew, of the power q_n = P g_n^2 (Kay, Fundamentals of Statistical Signal
+Processing II, 1998, sections 7.6 and 5.3). The likelihood is the greatest over P and these two, so that a target that
+fades by chance is not taken for one that has gone elsewhere.
 """
 
 from __future__ import annotations

@@ -21,22 +21,14 @@ from sal_height.geometry import locate_at_elevation
 from sal_height.imaging import Slc
 from sal_height.movers.dwell_images import DwellImage
 from sal_height.movers.dwell_likelihood import POWERS, told, told_of_cloud
+from sal_height.movers.dwell_lobes import Lobes
 from sal_height.movers.response import point_response
 from sal_height.movers.search import MODEL_ERROR
 from sal_height.numeric import C64, C128, F64, Bool, Index, vertex
 from sal_height.sensor import Sensor
 
-SQUINT_STEP, FARTHEST = 0.05, 3.2
-"""Step of the squints in the middle dwell, and the greatest, in beamwidths along the flight."""
-
 FINE_SQUINTS = 5
 """Steps of the squint of what is found, in one of these."""
-
-ELEVATION_STEP = 0.05
-"""Of the search, in beamwidths."""
-
-BESIDE = 0.15
-"""By how much farther than half way to the next dwell a mover may be from the middle of the beam, in beamwidths."""
 
 REACH = 3
 """Rows beyond the walk in which the response of a target is looked at."""
@@ -67,49 +59,6 @@ LEAST_BACKGROUND = 10**-3.5
 
 
 @dataclass(frozen=True, eq=False)
-class Lobes:
-    """Amplitudes of the channels in each dwell for targets in all directions.
-
-    Attributes:
-        squints: in the middle dwell, rad, shape (squints,).
-        elevations: in the middle dwell, rad, shape (elevations,).
-        amplitudes: shape (squints, dwells, elevations, channels).
-        ahead: how much greater the squint of one place is in each dwell than in the middle one, rad, shape (dwells,).
-        higher: the same of the elevation.
-        known: whether the squint in a dwell is in the main lobe, shape (squints, dwells).
-        near: numbers of the squints that a mover of the middle dwell may have.
-    """
-
-    squints: F64
-    elevations: F64
-    amplitudes: F64 | C128
-    ahead: F64
-    higher: F64
-    known: Bool
-    near: Index
-
-    @classmethod
-    def of(cls, beams: Beams, ahead: F64, higher: F64) -> Self:
-        """Those of dwells whose squints and elevations of one place are so much greater than in the middle one, rad."""
-        width = beams.track_beamwidth
-        count = round(FARTHEST / SQUINT_STEP)
-        squints = width * SQUINT_STEP * np.arange(-count, count + 1, dtype=np.float64)
-        elevations = np.arange(*beams.domain(0.0), ELEVATION_STEP * beams.beamwidth, dtype=np.float64)
-        under = squints[:, None, None] + ahead[:, None]
-        amplitudes = beams.response(elevations + higher[:, None], under)
-        lobe = max(pattern.main_lobe for pattern in beams.patterns) * width
-        others = np.abs(ahead[ahead != 0])
-        reach = (others.min() / 2 if len(others) else 0.0) + BESIDE * width
-        known, near = np.abs(under[..., 0]) < lobe, np.flatnonzero(np.abs(squints) <= reach)
-        return cls(squints, elevations, amplitudes, ahead, higher, known, near)
-
-    def nearest(self, squints: F64) -> Index:
-        """Numbers of the squints nearest to some, without those that are beyond all."""
-        numbers = np.rint((squints - self.squints[0]) / (self.squints[1] - self.squints[0])).astype(np.intp)
-        return numbers[(numbers >= 0) & (numbers < len(self.squints))]
-
-
-@dataclass(frozen=True, eq=False)
 class Sight:
     """Pixels around the place of a bright one, in all dwells.
 
@@ -118,7 +67,7 @@ class Sight:
         inside: whether they are in the image, same shape.
         still: row at which each dwell has what stands still at that place, shape (dwells,).
         spectra: pixels, shape (dwells, rows, channels).
-        backgrounds: power of noise and ground, shape (dwells,); infinite: the dwell does not show the place.
+        backgrounds: power of noise and ground, shape (dwells,); infinite: the dwell does not have these rows.
         elevation: number of the elevation.
         squint: of what stands still in the middle dwell, rad.
         place: of what stands still, in map, m, shape (3,).
@@ -268,7 +217,7 @@ class DwellSearch:
         matched, gains = self._matched(sight, everywhere)
         path = self._along(sight, fine, np.array([speed]))
         own = self._told(matched, gains, *path, everywhere)[0]
-        powers = np.abs(self._on_path(matched, *path)[0, int(own.argmax())]) ** 2 * (self.seconds != 0)
+        powers = np.abs(self._on_path(matched, path[0])[0, int(own.argmax())]) ** 2 * (self.seconds != 0)
         tied = self.seconds[int(powers.argmax())]
         speeds = np.append(self.speeds, speed)
         rows: F64 = fine + (speed - speeds) * tied / self.depth
@@ -287,17 +236,17 @@ class DwellSearch:
         elevation = self._elevation(sight, along, squint[0]) if squint else None
         if squint is None or elevation is None:
             return None
-        power = float(np.abs(self._on_path(moving, *path)[0, best, self.middle]) ** 2)
+        power = float(np.abs(self._on_path(moving, path[0])[0, best, self.middle]) ** 2)
         return Found(row, squint, walk, walks, ratio, elevation, power, sight.squint, sight.place)
 
     def _squint(self, sight: Sight, path: tuple[F64, F64], elevation: float) -> tuple[float, float] | None:
-        """Mean and standard deviation of the squints that are likely in the middle dwell; None: those of another dwell."""
+        """Mean and standard deviation of the likely squints in the middle dwell; None: those of another dwell."""
         near = self.lobes.squints[self.lobes.near]
         fine = np.linspace(near[0], near[-1], FINE_SQUINTS * (len(near) - 1) + 1)
         under = fine[:, None] + self.lobes.ahead
         matched, gains = self._matching(sight, self.beams.response(elevation + self.lobes.higher, under))
         weights, parts = path
-        logarithms = told(np.abs(self._on_path(matched, weights, parts))[0], gains * parts[0])
+        logarithms = told(np.abs(self._on_path(matched, weights))[0], gains * parts[0])
         if logarithms.argmax() in (0, len(fine) - 1):
             return None
         weight = np.exp(logarithms - logsumexp(logarithms))
@@ -323,29 +272,37 @@ class DwellSearch:
         place = locate_at_elevation(lobes.elevations[number], reach, along, there.aperture, there.look_side)
         spread = int(np.ceil(self.fastest * np.abs(self.seconds).max() / abs(self.depth))) + REACH
         numbers, inside, still, spectra, backgrounds = [], [], [], [], []
-        for dwell, one in enumerate(self.dwells):
+        for one in self.dwells:
             at, column = one.shows(place)
             rows = round(at) + np.arange(-spread, spread + 1)
-            pixels, within = one.column(rows, max(column, 0))
+            pixels, within = one.column(rows, column)
             beam = lobes.amplitudes[len(lobes.squints) // 2, self.middle, number]
             beam = beam / np.linalg.norm(beam)
-            around = np.abs(beam.conj() @ one.around(round(at), max(column, 0), BACKGROUND)) ** 2
+            around = np.abs(beam.conj() @ one.around(round(at), column, BACKGROUND)) ** 2
             level = float(np.median(around)) / np.log(2) if around.size else np.inf
             brightest = float(np.max(np.abs(pixels @ beam.conj()) ** 2))
             numbers.append(rows)
             inside.append(within)
             still.append(at)
             spectra.append(pixels)
-            backgrounds.append(max(level, LEAST_BACKGROUND * brightest, 1e-300) if column >= 0 else np.inf)
+            backgrounds.append(max(level, LEAST_BACKGROUND * brightest, 1e-300))
         _, squint = there.angles(place)
-        each = (np.array(one) for one in (numbers, inside, still, spectra, backgrounds))
-        return Sight(*each, number, squint, place)
+        return Sight(
+            numbers=np.array(numbers),
+            inside=np.array(inside),
+            still=np.array(still),
+            spectra=np.array(spectra),
+            backgrounds=np.array(backgrounds),
+            elevation=number,
+            squint=squint,
+            place=place,
+        )
 
     def _ambiguous(self, sight: Sight) -> Index:
         """Numbers of the squints of what stands still about the place in the image, and at its azimuth ambiguities."""
         there = self.dwells[self.middle]
         reach = float(np.linalg.norm(there.grid.points(sight.still[self.middle], 0) - there.aperture.position))
-        turns = np.arange(-2, 3) * (there.period / reach) if np.isfinite(there.period) else np.zeros(1)
+        turns = np.arange(-2, 3) * (there.period / reach)
         step = self.lobes.squints[1] - self.lobes.squints[0]
         return np.unique(self.lobes.nearest(np.add.outer(sight.squint + turns, step * np.arange(-1, 2)).ravel()))
 
@@ -394,18 +351,16 @@ class DwellSearch:
         parts = np.where(parts > LEAST_PART, parts, 0.0)
         return weights * (parts[..., None] > 0), parts
 
-    def _on_path(self, matched: C128, weights: F64, parts: F64) -> C128:
+    def _on_path(self, matched: C128, weights: F64) -> C128:
         """Amplitudes along walks, shape (walks, squints, dwells)."""
         return np.asarray(np.einsum("wnr,snr->wsn", weights, matched))
 
-    def _told(
-        self, matched: C128, gains: F64, weights: F64, parts: F64, squints: Index, powers: F64 = POWERS
-    ) -> F64:
+    def _told(self, matched: C128, gains: F64, weights: F64, parts: F64, squints: Index, powers: F64 = POWERS) -> F64:
         """Logarithm of the likelihoods of walks and numbered squints, shape (walks, squints).
 
         Beyond its main lobe the antenna may see nothing.
         """
-        along = np.abs(self._on_path(matched, weights, parts))
+        along = np.abs(self._on_path(matched, weights))
         strength = gains * parts[:, None]
         known = self.lobes.known[squints]
         both = told(along, strength, powers)
@@ -429,13 +384,13 @@ class DwellSearch:
         walk = float(speeds[best] + step * offset), sigma
         return sight.still[self.middle] + float(rows[place]), walk, int(each[place, best].argmax())
 
-    def _several(
-        self, sight: Sight, standing: C128, gains: F64, still: Index, row: float, speed: float
-    ) -> float:
+    def _several(self, sight: Sight, standing: C128, gains: F64, still: Index, row: float, speed: float) -> float:
         """Logarithm of the likelihood of targets that stand still in different rows of the walk."""
         beside = abs(speed) * float(np.abs(self.seconds).max()) / abs(self.depth) + 1.0
         places: F64 = row + np.arange(-beside, beside + FINE_STEP / 2, 2 * FINE_STEP, dtype=np.float64)
-        return max(self._greedy(sight, standing[[one]], gains[[one]], still[[one]], places) for one in range(len(still)))
+        return max(
+            self._greedy(sight, standing[[one]], gains[[one]], still[[one]], places) for one in range(len(still))
+        )
 
     def _greedy(self, sight: Sight, standing: C128, gains: F64, still: Index, places: F64) -> float:
         """The same for one squint: the brightest first, each without what those before it have."""
@@ -446,7 +401,7 @@ class DwellSearch:
             left = weights - np.einsum("wnk,nkr->wnr", np.einsum("wnr,nkr->wnk", weights, found), found)
             norms = np.linalg.norm(left, axis=-1)
             left = np.where((norms > LEAST_PART)[..., None], left / np.maximum(norms, 1e-12)[..., None], 0.0)
-            energy = np.sum(np.abs(self._on_path(standing, left, parts)[:, 0]) ** 2, axis=-1)
+            energy = np.sum(np.abs(self._on_path(standing, left)[:, 0]) ** 2, axis=-1)
             one = int(energy.argmax())
             if not energy[one] > 0:
                 break

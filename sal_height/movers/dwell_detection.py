@@ -19,7 +19,6 @@ from sal_height.movers.detection import HYPOTHESES, MARGIN, SIDELOBES
 from sal_height.movers.dwell_images import COLUMN_STEPS, DwellImage
 from sal_height.movers.dwell_lobes import FARTHEST
 from sal_height.movers.dwell_search import DwellSearch, Found
-from sal_height.movers.ground import lag_by_odometry
 from sal_height.movers.mover import Looked, Mover, Sighting, mover_of, without_ambiguities
 from sal_height.movers.settings import MoverSettings
 from sal_height.numeric import F64, Bool, vertex
@@ -196,17 +195,16 @@ def find_over_dwells(dwells: Sequence[DwellImage], middle: int, shown: ShownDwel
     candidates = np.argwhere(_bright(dwell, settings.prominence_db))
     rate = settings.false_alarm_rate
     thresholds = (2 * np.log(HYPOTHESES * len(search.speeds) / rate), 2 * np.log(HYPOTHESES / rate))
-    ground = 0.0, lag_by_odometry(slc, sensor)
     tracks = []
     for row, col in candidates.tolist():
         step, off = _brightest(dwell, row, col)
         seen = search.look(row, step, thresholds)
         if seen and (not seen.walks or abs(seen.walk[0]) > WALKING * seen.walk[1]):
-            sighting = _sighting(seen, (step + off) / COLUMN_STEPS, off, search, ground[1])
+            sighting = _sighting(seen, (step + off) / COLUMN_STEPS, off, search)
             walk = seen.walk[0] if seen.walks else 0.0
             tracks.append(Track(mover_of(sighting, slc, sensor), seen.place, walk / search.depth, dwell.seconds))
     surest = without_ambiguities(one.mover for one in tracks)
-    looked = Looked(surest, len(candidates), ground, float(search.speeds[-1]))
+    looked = Looked(surest, len(candidates), search.ground, float(search.speeds[-1]))
     return _Found(looked, [one for one in tracks if any(one.mover is mover for mover in surest)])
 
 
@@ -218,7 +216,7 @@ def _brightest(dwell: DwellImage, row: int, col: int) -> tuple[int, float]:
     return int(steps[best] % dwell.steps), float(vertex(*power[best - 1 : best + 2])[0])
 
 
-def _sighting(seen: Found, col: float, off: float, search: DwellSearch, pointing: float) -> Sighting:
+def _sighting(seen: Found, col: float, off: float, search: DwellSearch) -> Sighting:
     """What was seen of a mover in the middle dwell.
 
     Args:
@@ -226,13 +224,15 @@ def _sighting(seen: Found, col: float, off: float, search: DwellSearch, pointing
         col: of its pixel, in fractions.
         off: by which that is off the step that was looked at, in steps.
         search: that found it.
-        pointing: standard deviation of the place of the beam along the flight, rad.
     """
     grid, aperture = search.dwells[search.middle].grid, search.dwells[search.middle].aperture
     column = grid.col_spacing / float(np.linalg.norm(grid.points(seen.row, col) - aperture.position))
     lag = seen.squint[0] - seen.still_squint - off / COLUMN_STEPS * column
-    sigma = float(np.linalg.norm([seen.squint[1], COLUMN_ERROR * column, pointing]))
-    return Sighting(seen.row, col, seen.cnr, seen.elevation, (lag, sigma), seen.walk, seen.walks, seen.ratio)
+    sigma = float(np.linalg.norm([seen.squint[1], COLUMN_ERROR * column, search.ground[1]]))
+    # Rows are those of what stands still at the place in the image: its range rate comes on top of the walk.
+    speed = float(np.linalg.norm(aperture.velocity))
+    walk = seen.walk[0] + lag * speed, float(np.hypot(seen.walk[1], sigma * speed))
+    return Sighting(seen.row, col, seen.cnr, seen.elevation, (lag, sigma), walk, seen.walks, seen.ratio)
 
 
 def _bright(dwell: DwellImage, prominence_db: float) -> Bool:

@@ -16,12 +16,13 @@ from typing import Self
 import numpy as np
 from scipy.special import logsumexp
 
-from sal_height.beams import Beams
+from sal_height.beams import Beams, column_squint
 from sal_height.geometry import locate_at_elevation
 from sal_height.imaging import Slc
 from sal_height.movers.dwell_images import DwellImage
 from sal_height.movers.dwell_likelihood import POWERS, told, told_of_cloud
 from sal_height.movers.dwell_lobes import Lobes
+from sal_height.movers.ground import lag_by_odometry, lag_of_spectra
 from sal_height.movers.response import point_response
 from sal_height.movers.search import MODEL_ERROR
 from sal_height.numeric import C64, C128, F64, Bool, Index, vertex
@@ -38,6 +39,12 @@ WALK_STEP, FINE_STEP = 0.25, 0.05
 
 WALK_ERROR = 0.01
 """Standard deviation of the walk from dwell to dwell that the response leaves, in rows."""
+
+MOST_OFF = 1.6
+"""By how much what stands still may be seen ahead of its place in the image, in beamwidths."""
+
+POINTING_ERRORS = 3.0
+"""Standard deviations of the place of the beam by which what stands still may seem to lag."""
 
 NEIGHBOURS = 3
 """Targets that stand still in the rows that are looked at, which may look like one that walks."""
@@ -124,6 +131,7 @@ class DwellSearch:
         spacing: the same in range resolutions.
         window: over the band, a name of `windows.WINDOWS`.
         fastest: greatest velocity that is looked for, m/s.
+        ground: by how much what stands still is seen ahead of its place in the image, rad, and its standard deviation.
     """
 
     dwells: Sequence[DwellImage]
@@ -135,12 +143,13 @@ class DwellSearch:
     spacing: float
     window: str
     fastest: float
+    ground: tuple[float, float]
 
     @classmethod
     def of(
         cls, dwells: Sequence[DwellImage], middle: int, beams: Beams, slc: Slc, sensor: Sensor, fastest: float
     ) -> Self:
-        """The search about the `middle` one of some dwells, which was made from `slc`."""
+        """The search about the `middle` one of some dwells, which was made from `slc`, up to a velocity (m/s)."""
         there = dwells[middle]
         grid = there.grid
         place = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2)
@@ -151,7 +160,12 @@ class DwellSearch:
         depth = grid.row_spacing * float(grid.row_direction @ sight) / float(np.linalg.norm(sight))
         seconds = np.array([one.seconds - there.seconds for one in dwells])
         cells = abs(depth) / sensor.range_resolution
-        return cls(dwells, middle, beams, lobes, seconds, depth, cells, slc.range_window, fastest)
+        prior = lag_by_odometry(slc, sensor)
+        aspects = column_squint(grid, there.aperture, beams, sensor.look_side)
+        lags = lobes.squints[np.abs(lobes.squints) <= MOST_OFF * beams.track_beamwidth]
+        gains = beams.power(float(np.mean(beams.span)), aspects + lags[:, None]) if prior else np.zeros((len(lags), 1))
+        ground = lag_of_spectra(there.power, gains, lags, prior)
+        return cls(dwells, middle, beams, lobes, seconds, depth, cells, slc.range_window, fastest, ground)
 
     @cached_property
     def speed_of_row(self) -> float:
@@ -237,7 +251,7 @@ class DwellSearch:
         if squint is None or elevation is None:
             return None
         power = float(np.abs(self._on_path(moving, path[0])[0, best, self.middle]) ** 2)
-        return Found(row, squint, walk, walks, ratio, elevation, power, sight.squint, sight.place)
+        return Found(row, squint, walk, walks, ratio, elevation, power, sight.squint + self.ground[0], sight.place)
 
     def _squint(self, sight: Sight, path: tuple[F64, F64], elevation: float) -> tuple[float, float] | None:
         """Mean and standard deviation of the likely squints in the middle dwell; None: those of another dwell."""
@@ -299,12 +313,14 @@ class DwellSearch:
         )
 
     def _ambiguous(self, sight: Sight) -> Index:
-        """Numbers of the squints of what stands still about the place in the image, and at its azimuth ambiguities."""
+        """Numbers of the squints that what stands still in the image may have, there and at its azimuth ambiguities."""
         there = self.dwells[self.middle]
         reach = float(np.linalg.norm(there.grid.points(sight.still[self.middle], 0) - there.aperture.position))
         turns = np.arange(-2, 3) * (there.period / reach)
         step = self.lobes.squints[1] - self.lobes.squints[0]
-        return np.unique(self.lobes.nearest(np.add.outer(sight.squint + turns, step * np.arange(-1, 2)).ravel()))
+        unsure = int(np.ceil(POINTING_ERRORS * self.ground[1] / step)) + 1
+        about = step * np.arange(-unsure, unsure + 1, dtype=np.float64)
+        return np.unique(self.lobes.nearest(np.add.outer(sight.squint + self.ground[0] + turns, about).ravel()))
 
     def _matched(self, sight: Sight, squints: Index) -> tuple[C128, F64]:
         """Amplitudes that match targets under numbered squints, and gains of the beam, over the background's.

@@ -61,6 +61,9 @@ DEPTHS = (0.35, 0.7, 1.4, 2.8)
 BACKGROUND = (8, 2)
 """Rows and columns to each side of a target from which its background is taken."""
 
+ROUNDING = 1e-6
+"""By how much two logarithms of one likelihood may differ."""
+
 LEAST_BACKGROUND = 10**-3.5
 """Power of the background over that of the brightest row: sidelobes of the image."""
 
@@ -195,7 +198,7 @@ class DwellSearch:
             return None
         moving, gains = self._matched(sight, self.lobes.near)
         still = self._ambiguous(sight)
-        standing, ground_gains = self._matched(sight, still)
+        standing, ground_gains = self._matched_each(sight, still)
         fine = self._brightest(sight, moving)
         # Without a walk: under any squint, and under that of what stands still.
         at_rest = self._along(sight, fine, np.zeros(1))
@@ -227,16 +230,17 @@ class DwellSearch:
         A bright pixel that stands still would otherwise be tied to a mover that the next dwell shows beside it, and a
         mover be told in each dwell that sees it through a sidelobe.
         """
-        everywhere = np.arange(len(self.lobes.squints))
-        matched, gains = self._matched(sight, everywhere)
+        near, everywhere = self.lobes.near, np.arange(len(self.lobes.squints))
+        matched, gains = self._matched_each(sight, everywhere)
+        matched[near], gains[near] = self._matched(sight, near)
         path = self._along(sight, fine, np.array([speed]))
-        own = self._told(matched, gains, *path, everywhere)[0]
-        powers = np.abs(self._on_path(matched, path[0])[0, int(own.argmax())]) ** 2 * (self.seconds != 0)
+        own = self._told(matched[near], gains[near], *path, near)[0]
+        powers = np.abs(self._on_path(matched[near], path[0])[0, int(own.argmax())]) ** 2 * (self.seconds != 0)
         tied = self.seconds[int(powers.argmax())]
         speeds = np.append(self.speeds, speed)
         rows: F64 = fine + (speed - speeds) * tied / self.depth
         rivals = self._told(matched, gains, *self._along(sight, rows, speeds), everywhere)
-        return bool(rivals.max() > own[self.lobes.near].max())
+        return bool(rivals.max() > own.max() + ROUNDING)
 
     def _described(
         self, sight: Sight, moving: C128, gains: F64, fine: float, speed: float, ratio: float, walks: bool
@@ -329,6 +333,19 @@ class DwellSearch:
             Shapes (squints, dwells, rows) and (squints, dwells).
         """
         return self._matching(sight, self.lobes.amplitudes[squints, :, sight.elevation])
+
+    def _matched_each(self, sight: Sight, squints: Index) -> tuple[C128, F64]:
+        """The same, each squint with the elevation that explains the bright pixel best.
+
+        In a sidelobe that is another one than in the main lobe.
+        """
+        amplitudes = self.lobes.amplitudes[squints, self.middle]
+        gains = np.sum(np.abs(amplitudes) ** 2, axis=-1)
+        there = sight.spectra[self.middle, sight.spectra.shape[1] // 2]
+        seen = np.abs(amplitudes.conj() @ there) ** 2 / (gains + MODEL_ERROR * gains.max())
+        elevations = seen.argmax(axis=-1)
+        chosen = np.moveaxis(self.lobes.amplitudes[squints], 2, 1)[np.arange(len(squints)), elevations]
+        return self._matching(sight, chosen)
 
     def _matching(self, sight: Sight, amplitudes: F64 | C128) -> tuple[C128, F64]:
         """The same for beams of the shape (squints, dwells, channels); what is not known of them is in their gains."""

@@ -38,17 +38,14 @@ def told(matched: F64, gains: F64, powers: F64 = POWERS) -> F64:
     Returns:
         Shape (...); not less than 0, as there may be no target.
     """
-    best = np.zeros(np.broadcast_shapes(matched.shape, gains.shape)[:-1])
-    square, gain_square = matched**2, gains**2
-    for power in powers:
-        q = power * gain_square
-        v = 1 + MODEL_ERROR * q
-        # ln I_0(x) is x and the logarithm of i0e, which does not overflow.
-        x = 2 * np.sqrt(q) * matched / v
-        point = np.sum(square - (square + q) / v + x + np.log(i0e(x)) - np.log(v), axis=-1)
-        speckle = np.sum(square * (q / (1 + q)) - np.log1p(q), axis=-1)
-        best = np.maximum(best, np.maximum(point, speckle))
-    return best
+    square, amplitude = matched**2, np.abs(matched)
+    q = np.multiply.outer(powers, gains**2)
+    v = 1 + MODEL_ERROR * q
+    # ln I_0(x) is x and the logarithm of i0e, which does not overflow.
+    x = 2 * np.sqrt(q) * amplitude / v
+    point = np.sum(square - (square + q) / v + x + np.log(i0e(x) / v), axis=-1)
+    speckle = np.sum(square * (q / (1 + q)) - np.log1p(q), axis=-1)
+    return np.maximum(np.maximum(point, speckle).max(axis=0), 0.0)
 
 
 def told_of_cloud(matched: F64, gains: F64, shares: F64) -> float:
@@ -61,9 +58,5 @@ def told_of_cloud(matched: F64, gains: F64, shares: F64) -> float:
     """
     square = matched**2
     powers = np.broadcast_to(shares if shares.ndim == 3 else shares[:, None], (len(shares), *square.shape))
-    spread = powers * gains[:, None] ** 2
-    best = 0.0
-    for power in POWERS:
-        q = power * spread
-        best = max(best, float(np.max(np.sum(square * (q / (1 + q)) - np.log1p(q), axis=(-2, -1)))))
-    return best
+    q = np.multiply.outer(POWERS, powers * gains[:, None] ** 2)
+    return max(0.0, float(np.max(np.sum(square * (q / (1 + q)) - np.log1p(q), axis=(-2, -1)))))

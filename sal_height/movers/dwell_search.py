@@ -209,13 +209,11 @@ class DwellSearch:
         each = self._told(moving[1::2], gains[1::2], *self._along(sight, fine, self.speeds), few, POWERS[::2])
         speed = float(self.speeds[each.max(axis=-1).argmax()])
         walking = float(self._told(moving, gains, *self._along(sight, fine, np.array([speed])), self.lobes.near).max())
-        resting = max(
-            lagging,
-            ground,
-            self._several(sight, standing, ground_gains, still, fine, speed),
-            self._deep(sight, standing, ground_gains, fine),
-        )
-        ratio, walks = 2 * (walking - resting), True
+        ratio, walks = 2 * (walking - max(lagging, ground)), True
+        if ratio > thresholds[0]:
+            several = self._several(sight, standing, ground_gains, still, fine, speed)
+            deep = self._deep(sight, standing, ground_gains, fine)
+            ratio = 2 * (walking - max(lagging, ground, several, deep))
         if ratio < thresholds[0]:
             ratio, walks, speed = 2 * (lagging - ground), False, 0.0
             if ratio < thresholds[1]:

@@ -25,7 +25,7 @@ PERIOD = 23.25e-3
 """Radial velocity that the pulses of preset small do not tell from none, m/s."""
 
 NORTH, HEIGHT = 0.5, 0.8
-DWELLS = 6
+DWELLS = 5
 
 
 @lru_cache(maxsize=8)
@@ -93,12 +93,13 @@ def test_what_moves_by_millimetres_is_told_by_the_beam(radial: float) -> None:
 
 
 def test_errors_are_those_that_are_stated() -> None:
-    """The rms over sigma of 8 targets, whose own standard error is a quarter of it; sigmas may be too great."""
+    """The rms over sigma of 5 targets, whose own standard error is a third of it; sigmas may be too great."""
     over = []
-    for seed in range(8):
+    for seed in range(5):
         rng = np.random.default_rng([3, seed])
         radial, east = (-1) ** seed * rng.uniform(3.0, 15.0), rng.uniform(-0.5, 0.5)
-        (one,) = movers_of(seed, target(radial, power_db=25.0, east=east))
+        found = movers_of(seed, target(radial, power_db=25.0, east=east))
+        (one,) = [mover for mover in found if mover.cnr_db > 25]  # a bright pixel of the street may be a false alarm
         over.append(
             (
                 (one.position[0] - east) / np.sqrt(one.covariance[0, 0]),
@@ -168,7 +169,7 @@ def test_a_dwell_that_overlaps_with_none_tells_nothing() -> None:
     apart = found_in(flight, images, settings, later)
     assert len(apart) == DWELLS
     assert all(one is not None for one in apart)
-    alone = found_in(flight, images[::5], settings, [0.0, 5 * 0.011625])
+    alone = found_in(flight, images[::4], settings, [0.0, 4 * 0.011625])
     assert alone == [None, None]
 
 
@@ -187,16 +188,19 @@ def test_what_cannot_be_used_is_refused() -> None:
 
 
 def test_a_place_is_where_the_image_shows_it_whatever_its_doppler_is() -> None:
-    """At its row in all dwells, and a period away at the same column."""
+    """A period, 2 m, away it has the same column, and is farther as it is beside the middle of the dwell."""
     aperture = ApertureState(np.array([0.0, 0, 3e3]), np.array([50.0, 0, 0]), np.eye(3), 0.1, np.zeros((6, 6)))
     grid = Grid(np.array([-1.0, -4e3, 0.0]), np.array([0.0, -0.8, -0.6]), np.array([1.0, 0, 0]), 0.1, 0.05, 20, 40)
     image = DwellImage(np.zeros((2, 20, 40 * COLUMN_STEPS), np.complex64), grid, aperture, 0.0, 2.0, 1)
     for row, col in ((3.0, 4.0), (16.0, 31.5)):
         place = grid.points(row, col)
         assert image.shows(place) == (pytest.approx(row, abs=1e-6), round(col * COLUMN_STEPS))
-        beyond, step = image.shows(place + np.array([2.0, 0.0, 0.0]))
-        assert step == round(col * COLUMN_STEPS)
-        assert beyond == pytest.approx(row, abs=0.01)
+        along = -1.0 + 0.05 * col
+        farther = ((along + 2.0) ** 2 - along**2) / (2 * 5000.0 * 0.1)
+        assert image.shows(place + np.array([2.0, 0.0, 0.0])) == (
+            pytest.approx(row + farther, abs=1e-4),
+            round(col * COLUMN_STEPS),
+        )
 
 
 def test_it_is_the_likelihood_of_a_point_or_of_speckle() -> None:

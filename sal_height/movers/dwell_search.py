@@ -201,26 +201,31 @@ class DwellSearch:
         standing, ground_gains = self._matched_each(sight, still)
         fine = self._brightest(sight, moving)
         # Without a walk: under any squint, and under that of what stands still.
-        at_rest = self._along(sight, fine, np.zeros(1))
-        lagging = float(self._told(moving, gains, *at_rest, self.lobes.near).max())
-        ground = float(self._told(standing, ground_gains, *at_rest, still).max())
+        near, at_rest = self.lobes.near, self._along(sight, fine, np.zeros(1))
+        lagging = float(self._told(moving, gains, at_rest, near).max())
+        ground = max(
+            float(self._told(standing, ground_gains, at_rest, still).max()), self._glinting(sight, at_rest, still)
+        )
         # With the best of the walks, which a few squints and powers tell, against all that does not walk.
-        few = self.lobes.near[1::2]
-        each = self._told(moving[1::2], gains[1::2], *self._along(sight, fine, self.speeds), few, POWERS[::2])
+        walks = self._along(sight, fine, self.speeds)
+        each = self._told(moving[1::2], gains[1::2], walks, near[1::2], POWERS[::2], points=False)
         speed = float(self.speeds[each.max(axis=-1).argmax()])
-        walking = float(self._told(moving, gains, *self._along(sight, fine, np.array([speed])), self.lobes.near).max())
-        ratio, walks = 2 * (walking - max(lagging, ground)), True
+        path = self._along(sight, fine, np.array([speed]))
+        walking = float(self._told(moving, gains, path, near, points=False).max())
+        ratio = 2 * (walking - max(lagging, ground))
         if ratio > thresholds[0]:
             several = self._several(sight, standing, ground_gains, still, fine, speed)
             deep = self._deep(sight, standing, ground_gains, fine)
             ratio = 2 * (walking - max(lagging, ground, several, deep))
-        if ratio < thresholds[0]:
-            ratio, walks, speed = 2 * (lagging - ground), False, 0.0
+        is_walk = ratio >= thresholds[0]
+        if not is_walk:
+            lagging = float(self._told(moving, gains, at_rest, near, points=False).max())
+            ratio, speed = 2 * (lagging - ground), 0.0
             if ratio < thresholds[1]:
                 return None
         if self._belongs_elsewhere(sight, fine, speed):
             return None
-        return self._described(sight, moving, gains, fine, speed, ratio, walks)
+        return self._described(sight, moving, gains, fine, speed, ratio, is_walk)
 
     def _belongs_elsewhere(self, sight: Sight, fine: float, speed: float) -> bool:
         """Whether what another dwell shows of a walk is likelier with another row of the middle one, or another squint.
@@ -232,12 +237,12 @@ class DwellSearch:
         matched, gains = self._matched_each(sight, everywhere)
         matched[near], gains[near] = self._matched(sight, near)
         path = self._along(sight, fine, np.array([speed]))
-        own = self._told(matched[near], gains[near], *path, near)[0]
+        own = self._told(matched[near], gains[near], path, near)[0]
         powers = np.abs(self._on_path(matched[near], path[0])[0, int(own.argmax())]) ** 2 * (self.seconds != 0)
         tied = self.seconds[int(powers.argmax())]
         speeds = np.append(self.speeds, speed)
         rows: F64 = fine + (speed - speeds) * tied / self.depth
-        rivals = self._told(matched, gains, *self._along(sight, rows, speeds), everywhere)
+        rivals = self._told(matched, gains, self._along(sight, rows, speeds), everywhere)
         return bool(rivals.max() > own.max() + ROUNDING)
 
     def _described(
@@ -386,18 +391,27 @@ class DwellSearch:
         """Amplitudes along walks, shape (walks, squints, dwells)."""
         return np.asarray(np.einsum("wnr,snr->wsn", weights, matched))
 
-    def _told(self, matched: C128, gains: F64, weights: F64, parts: F64, squints: Index, powers: F64 = POWERS) -> F64:
+    def _told(
+        self,
+        matched: C128,
+        gains: F64,
+        path: tuple[F64, F64],
+        squints: Index,
+        powers: F64 = POWERS,
+        points: bool = True,
+    ) -> F64:
         """Logarithm of the likelihoods of walks and numbered squints, shape (walks, squints).
 
         Beyond its main lobe the antenna may see nothing.
         """
+        weights, parts = path
         along = np.abs(self._on_path(matched, weights))
         strength = gains * parts[:, None]
         known = self.lobes.known[squints]
-        both = told(along, strength, powers)
+        both = told(along, strength, powers, points)
         if np.all(known):
             return both
-        return np.maximum(both, told(along, np.where(known, strength, 0.0), powers))
+        return np.maximum(both, told(along, np.where(known, strength, 0.0), powers, points))
 
     def _refined(
         self, sight: Sight, moving: C128, gains: F64, row: float, speed: float
@@ -406,7 +420,7 @@ class DwellSearch:
         step = FINE_STEP * self.speed_of_row
         speeds = speed + step * np.arange(-6, 7, dtype=np.float64)
         rows = row + FINE_STEP * np.arange(-4, 5, dtype=np.float64)
-        each = np.array([self._told(moving, gains, *self._along(sight, one, speeds), self.lobes.near) for one in rows])
+        each = np.array([self._told(moving, gains, self._along(sight, one, speeds), self.lobes.near) for one in rows])
         profile = each.max(axis=(0, 2))
         best = int(np.clip(profile.argmax(), 1, len(speeds) - 2))
         offset, bend = vertex(*profile[best - 1 : best + 2])
@@ -437,10 +451,24 @@ class DwellSearch:
             if not energy[one] > 0:
                 break
             shown = parts * np.where(norms > LEAST_PART, norms, 0.0)
-            total += float(self._told(standing, gains, left[[one]], shown[[one]], still)[0, 0])
+            total += float(self._told(standing, gains, (left[[one]], shown[[one]]), still)[0, 0])
             best = max(best, total)
             found = np.concatenate([found, left[one][:, None]], axis=1)
         return best
+
+    def _glinting(self, sight: Sight, path: tuple[F64, F64], still: Index) -> float:
+        """Logarithm of the likelihood of what stands still and has its centre at another elevation in each dwell.
+
+        That is what several scatterers in one cell do, as speckle.
+        """
+        along = np.einsum("nr,nrc->nc", path[0][0], sight.spectra)
+        amplitudes = self.lobes.amplitudes[still]
+        squares = np.sum(np.abs(amplitudes) ** 2, axis=-1)
+        floor = MODEL_ERROR * squares.max()
+        seen = np.abs(np.sum(amplitudes.conj() * along[:, None], axis=-1)) ** 2 / (squares + floor)
+        best = seen.argmax(axis=-1)[..., None]
+        matched, gains = (np.take_along_axis(one, best, -1)[..., 0] for one in (seen, squares + floor))
+        return float(told(np.sqrt(matched / sight.backgrounds), path[1][0] * np.sqrt(gains / sight.backgrounds)).max())
 
     def _deep(self, sight: Sight, standing: C128, gains: F64, row: float) -> float:
         """Logarithm of the likelihood of a cloud that stands still and is spread over range."""

@@ -217,7 +217,7 @@ class DwellSearch:
             several = self._several(sight, standing, ground_gains, still, fine, speed)
             deep = self._deep(sight, standing, ground_gains, fine)
             ratio = 2 * (walking - max(lagging, ground, several, deep))
-        is_walk = ratio >= thresholds[0]
+        is_walk = bool(ratio >= thresholds[0])
         if not is_walk:
             lagging = float(self._told(moving, gains, at_rest, near, points=False).max())
             ratio, speed = 2 * (lagging - ground), 0.0

@@ -77,6 +77,7 @@ setup(
             "paced_player = sal_height.nodes.paced_player:main",
             "player = sal_height.nodes.player:main",
             "recorder = sal_height.nodes.recorder:main",
+            "mover_detection = sal_height.nodes.mover_detection:main",
             "psf_calibration = sal_height.nodes.psf_calibration:main",
             "relief_mapper = sal_height.nodes.relief_mapper:main",
             "ground_mapper = sal_height.nodes.ground_mapper:main",

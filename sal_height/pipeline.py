@@ -35,7 +35,7 @@ from sal_height.elevation import (
     without_imprecise,
     without_saturated,
 )
-from sal_height.errors import Rejected
+from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Grid, Trajectory, aperture_at
 from sal_height.imaging import (
     Corrected,
@@ -50,8 +50,8 @@ from sal_height.imaging import (
     image_beams,
     with_known_errors,
 )
-from sal_height.movers import Looked, MoverSettings, check_sensor, find_movers
-from sal_height.numeric import C64, Bool, Index
+from sal_height.movers import DwellImage, Looked, MoverSettings, ShownDwell, check_sensor, find_movers
+from sal_height.numeric import C64, C128, Bool, Index
 from sal_height.relief import HeightField, height_field, joined_rows, level_turn
 from sal_height.sensor import Channels, PhaseHistory, Sensor, count_saturated, range_compressed, with_powers
 
@@ -310,8 +310,42 @@ def movers(slc: Slc, sensor: Sensor, settings: MoverSettings, calibration: Calib
 
     Raises:
         Rejected: too few channels have a signal, too many samples are clipped, or the image has too few columns.
-        UserError: the sensor cannot tell movers (`movers.check_sensor`), or noise powers are not known.
+        UserError: the sensor is in spotlight (`dwell_with_movers`) or cannot tell movers (`movers.check_sensor`), or
+            noise powers are not known.
     """
+    if sensor.mode != "stripmap":
+        raise UserError(
+            f"Sensor {sensor.name} is of mode {sensor.mode}; one image tells movers in stripmap only, where the beam "
+            "passes them. In spotlight the dwells before and after tell (pipeline.dwell_with_movers)."
+        )
+    images, beams = _images_for_movers(slc, sensor, settings, calibration)
+    return find_movers(images, beams, slc, sensor, settings)
+
+
+def dwell_with_movers(
+    slc: Slc, seconds: float, sensor: Sensor, settings: MoverSettings, calibration: Calibration | None = None
+) -> ShownDwell:
+    """A spotlight dwell as `movers.DwellMovers` takes it, which finds what moves over dwells that follow each other.
+
+    Args:
+        slc: images of all channels, of all Doppler frequencies.
+        seconds: time of the dwell.
+        sensor: whose phase history they were made from.
+        settings: of the search.
+        calibration: as of `movers`.
+
+    Raises:
+        Rejected: as `movers`; or the images do not have all Doppler frequencies.
+        UserError: as `movers`.
+    """
+    images, beams = _images_for_movers(slc, sensor, settings, calibration)
+    return ShownDwell(DwellImage.of(images, slc, seconds, sensor), slc, beams, sensor)
+
+
+def _images_for_movers(
+    slc: Slc, sensor: Sensor, settings: MoverSettings, calibration: Calibration | None
+) -> tuple[C128, Beams]:
+    """Images of channels of independent noise of one power, and their beams in one direction."""
     check_sensor(sensor)
     live = live_channels(slc.images, sensor)
     if (clipped := float(slc.saturated_share[live].max())) > settings.max_saturated_share:
@@ -323,8 +357,7 @@ def movers(slc: Slc, sensor: Sensor, settings: MoverSettings, calibration: Calib
     channels, beams = channels_and_beams(slc, sensor, ESTIMATORS["ml"], calibration, live)
     images = np.tensordot(channels.transform, slc.images[live], 1)
     # In one direction at a time, not averaged over those that an image is made from.
-    beams = replace(beams, aspects=np.zeros(1), weights=np.ones(1))
-    return find_movers(images, beams, slc, sensor, settings)
+    return images, replace(beams, aspects=np.zeros(1), weights=np.ones(1))
 
 
 def channels_and_beams(

@@ -237,7 +237,7 @@ Estimators: TypeAlias = Annotated[
         show_default=False,
         converter=_names,
         help="Height estimators, for example ml,capon,music; adjusted is those of ml, or of the first, moved to where "
-        "earlier dwells saw the same ground. Default: the standard ones that suit the sensor.",
+        "earlier dwells saw the same ground; movers adds what moves. Default: the standard ones that suit the sensor.",
     ),
 ]
 

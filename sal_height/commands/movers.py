@@ -1,4 +1,4 @@
-"""`sal-height movers`: what moves in the strips of a bag."""
+"""`sal-height movers`: what moves in the strips or dwells of a bag."""
 
 from __future__ import annotations
 
@@ -20,6 +20,8 @@ from sal_height.io import bag_name
 EXAMPLES = """
   sal-height run --preset sal_stripmap
   sal-height movers out/sal_stripmap/bag
+  sal-height run --preset sal_spotlight
+  sal-height movers out/sal_spotlight/bag
   sal-height movers BAG --set false_alarm_rate=1e-5 --set prominence_db=15
   sal-height movers BAG --set fastest_mps=0
 """
@@ -29,13 +31,16 @@ app = command("movers", PROCESSING, EXAMPLES)
 
 @app.default
 def movers(bag: Bag, /, *, set_: Settings = (), param: NodeParameters = (), out: OutputFolder = None) -> int:
-    """Find what moves in the strips of a bag: place, height and radial velocity.
+    """Find what moves in the strips or dwells of a bag: place, height and radial velocity.
 
     A mover's image lies beside it along the flight, by range times radial velocity
     over speed. Where in the beam it was seen tells its velocity, and with it place
     and height, but for multiples of the velocity that pulses cannot tell from none.
     What moves at metres per second, up to fastest_mps, walks through rows of the
-    image while the beam passes, which tells its speed without ambiguity. What stands
+    image while the beam passes, or from one spotlight dwell to the next, which tells
+    its speed without ambiguity. Spotlight dwells must overlap; they are compressed
+    anew with all Doppler frequencies, unless --param sar_compression.cols says
+    otherwise. What stands
     still is taken for a mover in at most false_alarm_rate of what is looked at. The
     output folder holds report.json.
 

@@ -52,6 +52,7 @@ from sal_height.messages.heights import (
     height_to_message,
 )
 from sal_height.messages.images import check_slc, recorded_window, slc_from_messages, slc_to_messages
+from sal_height.messages.movers import MOVER_FIELDS, mover_points
 from sal_height.messages.navigation import (
     mounting_to_pose,
     origin_to_message,
@@ -91,6 +92,7 @@ __all__ = [
     "HEARD_AIR",
     "LONGEST_DWELL",
     "MAP_FRAME",
+    "MOVER_FIELDS",
     "POINT_FIELDS",
     "RELIEF_POINT_FIELDS",
     "AirSample",
@@ -123,6 +125,7 @@ __all__ = [
     "history_from_messages",
     "history_to_messages",
     "mounting_to_pose",
+    "mover_points",
     "needed_air",
     "origin_to_message",
     "placement_of",

@@ -1,7 +1,22 @@
-"""What moves in the images of a strip: read `detection`, then `likelihood`, `spectrum` and `walk`."""
+"""What moves in the images of a strip, or of dwells that follow each other.
 
-from sal_height.movers.detection import Looked, check_sensor, find_movers
-from sal_height.movers.mover import Mover
+In a strip read `detection`, then `likelihood`, `spectrum` and `walk`. For dwells read `dwell_detection`, then
+`dwell_search`, `dwell_likelihood` and `dwell_images`.
+"""
+
+from sal_height.movers.detection import check_sensor, find_movers
+from sal_height.movers.dwell_detection import DwellMovers, ShownDwell
+from sal_height.movers.dwell_images import DwellImage
+from sal_height.movers.mover import Looked, Mover
 from sal_height.movers.settings import MoverSettings
 
-__all__ = ["Looked", "Mover", "MoverSettings", "check_sensor", "find_movers"]
+__all__ = [
+    "DwellImage",
+    "DwellMovers",
+    "Looked",
+    "Mover",
+    "MoverSettings",
+    "ShownDwell",
+    "check_sensor",
+    "find_movers",
+]

@@ -21,7 +21,7 @@ from sal_height.beams import Beams
 from sal_height.errors import Rejected, UserError
 from sal_height.imaging import Slc
 from sal_height.movers.ground import ground_lag, lag_by_odometry
-from sal_height.movers.mover import Mover, mover_of, peak_of
+from sal_height.movers.mover import Looked, Mover, Sighting, mover_of, peak_of, without_ambiguities
 from sal_height.movers.search import Search, Seen
 from sal_height.movers.settings import MoverSettings
 from sal_height.movers.spectrum import Bins
@@ -56,34 +56,12 @@ MARGIN = 4
 """Pixels from the edge of an image within which nothing is looked at: its response is cut off."""
 
 
-@dataclass(frozen=True, eq=False)
-class Looked:
-    """What was found in an image.
-
-    Attributes:
-        movers: that were found, the surest first.
-        candidates: number of pixels that were looked at, for a lag or for a walk.
-        ground_lag: of what stands still, rad, and its standard deviation.
-        fastest: radial velocity up to which walks were looked for, m/s.
-    """
-
-    movers: tuple[Mover, ...]
-    candidates: int
-    ground_lag: tuple[float, float]
-    fastest: float
-
-
 def check_sensor(sensor: Sensor) -> None:
     """Movers can be told with a sensor.
 
     Raises:
-        UserError: it is in spotlight, where the beam follows a target whatever its velocity, or channels are blanked.
+        UserError: channels are blanked.
     """
-    if sensor.mode != "stripmap":
-        raise UserError(
-            f"Sensor {sensor.name} is of mode {sensor.mode}; movers are found in stripmap only, where the beam passes "
-            "them and so tells their direction."
-        )
     if sensor.blanked_ranges:
         raise UserError(
             f"Sensor {sensor.name} has channels that do not receive over some ranges (channels.blanked_ranges); movers "
@@ -121,7 +99,7 @@ def find_movers(images: C64 | C128, beams: Beams, slc: Slc, sensor: Sensor, sett
     lagging, candidates = looking.for_lags(settings)
     apart = [one for one in lagging if not any(_in_image_of(one, other, walks) for other in walking)]
     fastest = min(settings.fastest_mps, float(walks.speeds[-1]))
-    return Looked(_without_ambiguities([*walking, *apart]), looked_at + candidates, ground, fastest)
+    return Looked(without_ambiguities([*walking, *apart]), looked_at + candidates, ground, fastest)
 
 
 def _bright(power: F64, prominence_db: float) -> Bool:
@@ -206,7 +184,9 @@ class _Looking:
             return []
         lag, sigma = peak_of(seen.told, self.search.lags)
         own = lag - self.ground[0], float(np.hypot(sigma, self.ground[1]))
-        return [mover_of(seen, elevation, own, ratio, walked, walks, self.slc, self.sensor)]
+        row, walk = walked.row if walks else seen.row, (walked.speed, walked.sigma)
+        sighting = Sighting(row, seen.col, seen.cnr, elevation, own, walk, walks, ratio)
+        return [mover_of(sighting, self.slc, self.sensor)]
 
     def _is_inside(self, told: F64) -> bool:
         """Whether the best lag is none of the outermost."""
@@ -219,17 +199,6 @@ def _at(lag: float, lags: F64, told: F64) -> float:
     before, there, after = told[best - 1 : best + 2].tolist()
     off = float(np.clip((lag - lags[best]) / (lags[1] - lags[0]), -1, 1))
     return float(there + off * (after - before) / 2 + off**2 * (after + before - 2 * there) / 2)
-
-
-def _without_ambiguities(found: list[Mover]) -> tuple[Mover, ...]:
-    """The surest first, without those that are at the place of a surer one: its azimuth ambiguities and sidelobes."""
-    kept: list[Mover] = []
-    for one in sorted(found, key=lambda mover: -mover.likelihood_ratio):
-        apart = [np.linalg.norm(one.position - other.position) for other in kept]
-        errors = [np.sqrt(np.trace(one.covariance + other.covariance)) for other in kept]
-        if all(distance > 3 * error for distance, error in zip(apart, errors, strict=True)):
-            kept.append(one)
-    return tuple(kept)
 
 
 def _in_image_of(one: Mover, other: Mover, walks: Walks) -> bool:

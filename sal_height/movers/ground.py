@@ -33,12 +33,19 @@ def ground_lag(images: C64 | C128, beams: Beams, bins: Bins, lags: F64, prior: f
     if prior == 0:
         return 0.0, 0.0
     power = np.sum(np.abs(bins.spectra(images * np.hanning(images.shape[-1]))) ** 2, axis=0)
+    gains = np.sum(np.abs(bins.amplitudes(beams, float(np.mean(beams.span)), lags)) ** 2, axis=-1)
+    return lag_of_spectra(power, gains, lags, prior)
+
+
+def lag_of_spectra(power: F64, gains: F64, lags: F64, prior: float) -> tuple[float, float]:
+    """The same by the power of rows in Doppler bins, shape (rows, bins), and the beam's gains, shape (lags, bins)."""
+    if prior == 0:
+        return 0.0, 0.0
     power = power[np.all(power > 0, axis=-1)]
     if not len(power):
         return 0.0, prior
     power = power / np.mean(power, axis=-1, keepdims=True)
     level, error = np.median(power, axis=0), MEDIAN_ERROR * np.std(power) / np.sqrt(len(power))
-    gains = np.sum(np.abs(bins.amplitudes(beams, float(np.mean(beams.span)), lags)) ** 2, axis=-1)
     misfits = []
     for gain in gains:
         columns = np.stack([gain, np.ones_like(gain)], axis=-1)

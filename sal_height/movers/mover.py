@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sal_height.geometry import aperture_at, locate_at_elevation
 from sal_height.imaging import Slc
-from sal_height.movers.search import Seen
-from sal_height.movers.walk import Walked
 from sal_height.numeric import F64, vertex
 from sal_height.relief import Surface, measured_covariance
 from sal_height.sensor import Sensor
@@ -68,57 +67,94 @@ class Mover:
         return replace(self, radial_velocity=self.radial_velocity + periods * self.ambiguity)
 
 
-def mover_of(
-    seen: Seen,
-    elevation: tuple[float, float],
-    lag: tuple[float, float],
-    ratio: float,
-    walked: Walked,
-    walks: bool,
-    slc: Slc,
-    sensor: Sensor,
-) -> Mover:
-    """A mover from what was seen of it.
+@dataclass(frozen=True, eq=False)
+class Looked:
+    """What was found in an image.
 
-    Args:
-        seen: at which pixel.
-        elevation: and its standard deviation, rad.
-        lag: over that of the ground, and its standard deviation, rad.
-        ratio: twice the logarithm of the likelihood ratio.
-        walked: its walk.
-        walks: whether it was found by that.
-        slc: the image.
-        sensor: that took it.
+    Attributes:
+        movers: that were found, the surest first.
+        candidates: number of pixels that were looked at, for a lag or for a walk.
+        ground_lag: of what stands still, rad, and its standard deviation.
+        fastest: radial velocity up to which walks were looked for, m/s.
     """
-    point = slc.grid.points(walked.row if walks else seen.row, seen.col)
+
+    movers: tuple[Mover, ...]
+    candidates: int
+    ground_lag: tuple[float, float]
+    fastest: float
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """What was seen of a mover, and in which pixel of an image.
+
+    Attributes:
+        row, col: of its brightest pixel, in fractions.
+        cnr: power over the background.
+        elevation: and its standard deviation, rad.
+        lag: angle along the flight by which it lies ahead of its image, over that of the ground, and its standard
+            deviation, rad.
+        walk: radial velocity by its walk through rows, and its standard deviation, m/s.
+        walks: whether it was found by that.
+        ratio: twice the logarithm of the likelihood ratio.
+    """
+
+    row: float
+    col: float
+    cnr: float
+    elevation: tuple[float, float]
+    lag: tuple[float, float]
+    walk: tuple[float, float]
+    walks: bool
+    ratio: float
+
+
+def mover_of(seen: Sighting, slc: Slc, sensor: Sensor) -> Mover:
+    """A mover from what was seen of it in an image, and the sensor that took that."""
+    point = slc.grid.points(seen.row, seen.col)
     aperture = aperture_at(point, slc.aperture)
     sight = point - aperture.position
     slant_range, speed = float(np.linalg.norm(sight)), float(np.linalg.norm(aperture.velocity))
-    along = float(sight @ aperture.direction) + slant_range * lag[0]
-    # The row is that at the aspect 0 of the image; the target is abeam, at the aspect minus the lag, that much later.
-    later = slant_range * lag[0] / speed
-    farther, unsure = (walked.speed, walked.sigma) if walks else (0.0, float(np.hypot(walked.speed, walked.sigma)))
-    position = locate_at_elevation(elevation[0], slant_range + farther * later, along, aperture, sensor.look_side)
+    along = float(sight @ aperture.direction) + slant_range * seen.lag[0]
+    # The row of a strip is that at the aspect 0 of the image, that of a dwell in its middle. In a strip the target is
+    # abeam at the aspect minus the lag.
+    later = (slant_range * seen.lag[0] if slc.aperture.sliding else along) / speed
+    walk, walk_sigma = seen.walk
+    farther, unsure = (walk, walk_sigma) if seen.walks else (0.0, float(np.hypot(walk, walk_sigma)))
+    position = locate_at_elevation(seen.elevation[0], slant_range + farther * later, along, aperture, sensor.look_side)
     depth = np.hypot(ROW_ERROR * slc.grid.row_spacing, unsure * later)
-    own, _ = measured_covariance(position, aperture, np.array(elevation[1]), float(depth), slant_range * lag[1])
+    own, _ = measured_covariance(
+        position, aperture, np.array(seen.elevation[1]), float(depth), slant_range * seen.lag[1]
+    )
     surface = Surface.seen_from(aperture, position[None, None], own[None, None], np.zeros((1, 1)))
     mover = Mover(
         position=position,
         covariance=surface.covariance[0, 0],
         height=float(surface.height[0, 0]),
         sigma=float(surface.sigma[0, 0]),
-        radial_velocity=lag[0] * speed,
-        velocity_sigma=lag[1] * speed,
+        radial_velocity=seen.lag[0] * speed,
+        velocity_sigma=seen.lag[1] * speed,
         ambiguity=sensor.wavelength * sensor.pulse_repetition_frequency / 2,
-        walk_velocity=walked.speed,
-        walk_sigma=walked.sigma,
-        walks=walks,
-        likelihood_ratio=float(ratio),
+        walk_velocity=walk,
+        walk_sigma=walk_sigma,
+        walks=seen.walks,
+        likelihood_ratio=float(seen.ratio),
         cnr_db=float(10 * np.log10(seen.cnr)),
-        row=round(walked.row if walks else seen.row),
+        row=round(seen.row),
         col=round(seen.col),
     )
     return mover.without_ambiguity() if mover.resolved else mover
+
+
+def without_ambiguities(found: Iterable[Mover]) -> tuple[Mover, ...]:
+    """The surest first, without those that are at the place of a surer one: its azimuth ambiguities and sidelobes."""
+    kept: list[Mover] = []
+    for one in sorted(found, key=lambda mover: -mover.likelihood_ratio):
+        apart = [np.linalg.norm(one.position - other.position) for other in kept]
+        errors = [np.sqrt(np.trace(one.covariance + other.covariance)) for other in kept]
+        if all(distance > 3 * error for distance, error in zip(apart, errors, strict=True)):
+            kept.append(one)
+    return tuple(kept)
 
 
 def peak_of(told: F64, lags: F64) -> tuple[float, float]:

@@ -11,7 +11,7 @@ class MoverSettings(Settings):
 
     prominence_db: float = setting(
         10.0,
-        "power of a pixel over the median of its row, from which it is looked at",
+        "power of a pixel over the median of its row, in spotlight of what is around it, from which it is looked at",
         unit="dB",
         minimum=3.0,
         maximum=60.0,
@@ -24,14 +24,17 @@ class MoverSettings(Settings):
     )
     fastest_mps: float = setting(
         20.0,
-        "greatest radial velocity whose walk through rows is looked for, if that is no more than 6 rows while the "
+        "greatest radial velocity whose walk through rows is looked for; in stripmap no more than 6 rows while the "
         "beam passes; 0: none",
         unit="m/s",
         minimum=0.0,
         maximum=1000.0,
     )
     chip_pixels: int = setting(
-        32, "pixels along the flight from which the spectrum of a bright pixel is taken", minimum=16, maximum=256
+        32,
+        "pixels along the flight of a strip from which the spectrum of a bright pixel is taken",
+        minimum=16,
+        maximum=256,
     )
     max_saturated_share: float = setting(
         MAX_SHARE,

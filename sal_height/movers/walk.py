@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -27,9 +27,10 @@ import scipy.fft
 
 from sal_height.geometry import aperture_at
 from sal_height.imaging import Slc
+from sal_height.movers.response import point_response
 from sal_height.movers.search import MODEL_ERROR, Search, centres_of
 from sal_height.movers.spectrum import column_aspects
-from sal_height.numeric import C64, C128, F64, Index, fast_length, vertex, window
+from sal_height.numeric import C64, C128, F64, Index, fast_length, vertex
 from sal_height.sensor import Sensor
 
 MOST_ROWS = 6.0
@@ -61,12 +62,6 @@ BESIDE = 1.0
 
 DEPTHS = (0.35, 0.7, 1.4, 2.8)
 """Rms widths in range of the clouds that stand still, in rows; beside those that are thin."""
-
-WINDOW_SAMPLES = 256
-"""Of the band, from which the response in range is computed."""
-
-PLACES = np.linspace(-24, 24, 1921)
-"""Rows off a target for which its response is tabulated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +148,7 @@ class Walks:
 
     def response(self, rows: F64) -> F64:
         """Amplitude of a point so many rows away, 1 in the middle."""
-        return np.interp(rows, PLACES, _response(self.window, round(self.spacing, 3)))
+        return point_response(self.window, self.spacing, rows)
 
     def look(self, row: int, col: int, number: int, threshold: float | None = None) -> Walked | None:
         """The walk of what is bright at a pixel with the walk of a speed undone.
@@ -313,14 +308,6 @@ class _Rows:
     matched: C128
     elevation: float
     background: float
-
-
-@lru_cache(maxsize=8)
-def _response(name: str, spacing: float) -> F64:
-    """Amplitude of a point at PLACES, by the window over the band and the spacing of rows in range resolutions."""
-    weights = window(name, WINDOW_SAMPLES)
-    turns = (np.arange(WINDOW_SAMPLES) - (WINDOW_SAMPLES - 1) / 2) / WINDOW_SAMPLES * spacing
-    return np.asarray(np.cos(2 * np.pi * PLACES[:, None] * turns) @ weights / np.sum(weights))
 
 
 def about_ranges(images: C64 | C128, slc: Slc, sensor: Sensor) -> C128:

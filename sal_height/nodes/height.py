@@ -6,26 +6,23 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import create_model
-from sal_height_msgs.msg import Calibration as CalibrationMessage
-from sal_height_msgs.msg import ComplexImage, HeightImage
+from sal_height_msgs.msg import HeightImage
 
 from sal_height import messages
 from sal_height.calibration import Calibration
 from sal_height.elevation import ESTIMATORS, ElevationEstimator, Validity
-from sal_height.errors import Rejected, UserError
+from sal_height.errors import UserError
 from sal_height.imaging import ImageSettings, Slc
 from sal_height.messages import ReceivedImage
-from sal_height.nodes.account import CALIBRATIONS
-from sal_height.nodes.dwell_stage import ChannelParameters, DwellStage, WholeDwell
+from sal_height.nodes.dwell_stage import ChannelParameters, WholeDwell
 from sal_height.nodes.height_outlets import HeightOutlets
-from sal_height.nodes.held import HELD_CALIBRATIONS, Held
+from sal_height.nodes.image_stage import ImageStage
 from sal_height.nodes.program import run_node
-from sal_height.nodes.role import Topics
-from sal_height.nodes.stage import CALIBRATION, IMAGES, LATCHED_QOS, SENSOR_TOPICS, height_topics
+from sal_height.nodes.stage import height_topics
 from sal_height.pipeline import heights_of_dwells, live_channels
 from sal_height.rehearsal import rehearse_heights
 from sal_height.relief import HeightField
@@ -50,7 +47,7 @@ class Made(NamedTuple):
     field: HeightField
 
 
-class HeightNode(DwellStage):
+class HeightNode(ImageStage):
     """Turns the images of all channels of a dwell into one height image.
 
     Heights of small dwells that wait are made at once, which is faster, and published when their turn comes.
@@ -59,9 +56,6 @@ class HeightNode(DwellStage):
     """
 
     estimator: ElevationEstimator
-    inputs: ClassVar[Topics] = {"sensor_info": SENSOR_TOPICS["sensor_info"], **IMAGES, **CALIBRATION}
-    takes_images = True
-    settable = True
 
     def __init__(self, **node_arguments: Any) -> None:
         """Make the node; `node_arguments` go to rclpy's Node.
@@ -69,19 +63,9 @@ class HeightNode(DwellStage):
         Raises:
             UserError: a parameter has a value that is not allowed.
         """
-        super().__init__(self.estimator.node, ComplexImage, "slc", **node_arguments)
-        self._calibrations = Held[Calibration](HELD_CALIBRATIONS)
+        super().__init__(self.estimator.node, **node_arguments)
         self._made: dict[int, Made] = {}
-        self.listen(CalibrationMessage, "calibration", self._on_calibration, LATCHED_QOS, optional=True)
         self._heights = HeightOutlets(self, self.product)
-
-    def check(self, message: ReceivedImage, sensor: Sensor) -> None:
-        """Size of an image; single bad pixels are marked as such."""
-        messages.check_slc(message, sensor)
-
-    def supplies(self, dwell: list[ReceivedImage], sensor: Sensor) -> Calibration | None:
-        """The calibration that the images were made with: it may have changed the beams."""
-        return self._calibration_of(dwell[0], sensor)
 
     def rehearse(self, sensor: Sensor) -> None:
         """Estimate the heights of made-up images."""
@@ -131,37 +115,6 @@ class HeightNode(DwellStage):
                 raise
             return self._made_at_once({id(dwell.messages): slcs[id(dwell.messages)]}, dwell, parameters)
         return {key: Made(parameters, slc, field) for (key, slc), field in zip(slcs.items(), found, strict=True)}
-
-    def _calibration_of(self, image: ReceivedImage, sensor: Sensor) -> Calibration | None:
-        """The calibration that an image was made with; None: the sensor's own, or none.
-
-        Raises:
-            Rejected: it has not come.
-        """
-        applied = applied_calibration(image, sensor)
-        calibration = self._calibrations.use(applied) if applied else None
-        if applied and calibration is None:
-            raise Rejected(
-                "no calibration",
-                f"Dwell {image.dwell}: its images were made with calibration {applied!r}, which has not come on topic "
-                "calibration (transient local).",
-            )
-        return calibration
-
-    def _on_calibration(self, message: CalibrationMessage) -> None:
-        try:
-            calibration = messages.calibration_from_message(message)
-        except UserError as error:
-            self.ignore("calibration", error)
-        else:
-            self._calibrations.put(calibration.id, calibration)
-        self.tell(CALIBRATIONS)
-
-
-def applied_calibration(image: ReceivedImage, sensor: Sensor) -> str:
-    """Identity of the calibration that an image was made with; empty: none but that in its sensor's description."""
-    applied = image.provenance.calibration_id
-    return "" if applied == sensor.calibration_id else applied
 
 
 def height_image(

@@ -26,7 +26,7 @@ from sal_height.io import write_text
 from sal_height.nodes.cues import Cue
 from sal_height.nodes.playlist import FRAMES
 from sal_height.runs.accuracy import read_accuracy, read_images
-from sal_height.runs.catalogue import ADJUSTER, HEIGHTS, NodeParameters, consumers
+from sal_height.runs.catalogue import ADJUSTER, DETECTOR, HEIGHTS, NodeParameters, consumers
 from sal_height.runs.entry import Part, chain_of, sensors_of
 from sal_height.runs.judge import verdict_of
 from sal_height.runs.offline import process, track
@@ -90,7 +90,9 @@ def plan(case: Case, most_dwells: int, *, for_heights: bool = True) -> Scheme:
     part = Part()
     reader = part.open(case.bag)
     chain = chain_of(reader, FRAMES, case.estimators)
-    makers, stages = ([name for name in names if name != ADJUSTER] for names in (chain.makers, chain.stages))
+    makers, stages = (
+        [name for name in names if name not in (ADJUSTER, DETECTOR)] for names in (chain.makers, chain.stages)
+    )
     if HEIGHTS[ADJUSTER] in case.estimators:
         raise UserError(
             "Adjusted heights need the dwells in their order; make them by `sal-height replay`, or by `sal-height "

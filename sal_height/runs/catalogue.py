@@ -12,6 +12,7 @@ from sal_height.geometry import Origin
 from sal_height.nodes.ground_mapper import GroundMapper
 from sal_height.nodes.height import HEIGHT_NODES
 from sal_height.nodes.height_adjuster import ADJUSTED_ODOMETRY, HeightAdjuster
+from sal_height.nodes.mover_detection import MOVERS, MoverDetection
 from sal_height.nodes.navigation import NavigationNode
 from sal_height.nodes.paced_player import PacedPlayer
 from sal_height.nodes.played import SENSOR
@@ -33,6 +34,7 @@ NODES: dict[str, type[Any]] = {
     "sar_compression": SarCompression,
     **HEIGHT_NODES,
     "psf_calibration": PsfCalibration,
+    "mover_detection": MoverDetection,
     "relief_mapper": ReliefMapper,
     "ground_mapper": GroundMapper,
     "relief_tracker": ReliefTracker,
@@ -52,6 +54,9 @@ TRACKER = "relief_tracker"
 
 ADJUSTER = "height_adjuster"
 """Node that adjusts the heights of one estimator to those of earlier dwells; asked for as if it were an estimator."""
+
+DETECTOR = "mover_detection"
+"""Node that finds movers; asked for as if it were an estimator, by the name of its topic."""
 
 MAPPERS = ("relief_mapper", "ground_mapper")
 """Nodes that make maps."""
@@ -100,11 +105,14 @@ def suited(sensor: Sensor, asked: Collection[str] = ()) -> list[str]:
     Args:
         sensor: whose channels the estimators take.
         asked: names of estimators; none: those that suit the sensor and need not be asked for. With the name of the
-            adjuster's product that node is the last one; it needs heights of an estimator.
+            adjuster's product that node comes after them; it needs heights of an estimator. With that of the topic of
+            movers the node that finds these is the last one.
 
     Raises:
         UserError: there is no estimator of that name, or it does not suit the sensor.
     """
+    if MOVERS in asked:
+        return [*suited(sensor, [name for name in asked if name != MOVERS]), DETECTOR]
     if HEIGHTS[ADJUSTER] in asked:
         return [*suited(sensor, [name for name in asked if name != HEIGHTS[ADJUSTER]]), ADJUSTER]
     suiting = {name: estimator for name, estimator in ESTIMATORS.items() if estimator.suits(sensor)}
@@ -112,7 +120,7 @@ def suited(sensor: Sensor, asked: Collection[str] = ()) -> list[str]:
         return [estimator.node for estimator in suiting.values() if estimator.by_default]
     if wrong := [name for name in asked if name not in suiting]:
         reason = "does not suit the sensor's channels" if wrong[0] in ESTIMATORS else "does not exist"
-        allowed = ", ".join([*suiting, HEIGHTS[ADJUSTER]]) if suiting else "none"
+        allowed = ", ".join([*suiting, HEIGHTS[ADJUSTER], MOVERS]) if suiting else "none"
         raise UserError(f"Estimator {wrong[0]!r} {reason}; allowed are {allowed}.")
     return [estimator.node for name, estimator in suiting.items() if name in asked]
 
@@ -152,7 +160,8 @@ def recorded_topics(stages: list[str], parameters: NodeParameters, played: Seque
     applied = parameters.get("sar_compression", {}).get("calibration", "") not in {"", HEARD}
     calibration = ["calibration"] if applied else []
     odometry = [ADJUSTED_ODOMETRY] if ADJUSTER in stages else []
-    return [*played, "diagnostics", *calibration, *(heights or ["slc"]), *odometry]
+    found = [MOVERS] if DETECTOR in stages else []
+    return [*played, "diagnostics", *calibration, *(heights or ["slc"]), *odometry, *found]
 
 
 def height_sources(stages: list[str], parameters: NodeParameters, played: Sequence[str] = SENSOR) -> dict[str, str]:

@@ -18,6 +18,7 @@ from sal_height.errors import UserError
 from sal_height.geometry import Origin
 from sal_height.nodes.cues import DwellKey
 from sal_height.nodes.dwell_stage import CONTRADICTION
+from sal_height.nodes.mover_detection import MOVERS
 from sal_height.nodes.played import ALL, IMAGES, LATEST_NS, MOST, SENSOR, DwellRange
 from sal_height.nodes.playlist import FRAMES, SENSOR_INFO
 from sal_height.nodes.stage import MAP_ORIGIN
@@ -158,6 +159,8 @@ def chain_of(reader: BagReader, entry: str, estimators: Collection[str]) -> Chai
         makers = [makers_of[name] for name in held]
         return Chain(entry, makers, [TRACKER, MAPPER], max(_count(reader, topic) for topic in topics), topics)
     sensor, dwells = contents(reader, entry)
+    if held and _count(reader, f"/{MOVERS}"):
+        held.append(MOVERS)
     height_nodes = suited(sensor, estimators or held)
     if entry == IMAGES and not height_nodes:
         raise UserError(f"Bag {reader.path} is of a sensor with one detector: of its images no heights can be made.")

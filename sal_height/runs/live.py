@@ -23,10 +23,11 @@ from sal_height.messages import AIR
 from sal_height.nodes.account import CPU, Account
 from sal_height.nodes.domain import ros_domain
 from sal_height.nodes.middleware import provide_shared_memory
+from sal_height.nodes.mover_detection import MOVERS
 from sal_height.nodes.playlist import ODOMETRY, SENSOR_INFO, Playlist
 from sal_height.numeric import available_processors
 from sal_height.runs.account_book import AccountBook
-from sal_height.runs.catalogue import HEIGHTS, TRACKER, check_parameters, consumers
+from sal_height.runs.catalogue import DETECTOR, HEIGHTS, TRACKER, check_parameters, consumers
 from sal_height.runs.conductor import RECORDER, Conductor, Execution, Interruption, Plan, members_of
 from sal_height.runs.ensemble import Ensemble
 from sal_height.runs.entry import check_air
@@ -166,6 +167,7 @@ def live(
     source = {"bag": str(feed.bag), "rate": how.rate, "max_memory_mb": 1 + int(playlist.size / 1e6) * 2}
     folder = new_folder(out)
     topics = [f"{HEIGHTS[name]}/height" for name in stages if name in HEIGHTS]
+    topics += [MOVERS] if DETECTOR in stages else []
     recorded = [SENSOR_INFO, ODOMETRY, *air, "diagnostics", *topics, *(t.removeprefix("/") for t in execution.record)]
     custom_data = {**feed.custom_data, PARAMETERS: json.dumps(values)}
     nodes = {**values, SOURCE: source, RECORDER: {"node_parameters": True}}  # which may be changed in flight

@@ -1,7 +1,8 @@
-"""`sal-height movers`: what moves in the strips of a bag, with its place, height and radial velocity."""
+"""`sal-height movers`: what moves in the strips or dwells of a bag, with its place, height and radial velocity."""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,14 +12,16 @@ import numpy as np
 
 from sal_height.bag.namespace import NamespacedReader
 from sal_height.bag.reader import BagReader
-from sal_height.errors import UserError
+from sal_height.errors import Rejected, UserError
 from sal_height.geometry import sphere_coordinates
 from sal_height.io import new_folder
-from sal_height.movers import Looked, Mover, MoverSettings, check_sensor
-from sal_height.pipeline import movers
+from sal_height.messages import ReceivedFrame
+from sal_height.movers import DwellMovers, Looked, Mover, MoverSettings, check_sensor
+from sal_height.nodes.dwell import Dwell
+from sal_height.pipeline import dwell_with_movers, movers
 from sal_height.runs.campaign import Case, plan
 from sal_height.runs.catalogue import NodeParameters
-from sal_height.runs.recorded_dwells import MOST_DWELLS, Compressed, RecordedDwells, Work
+from sal_height.runs.recorded_dwells import COMPRESSION, MOST_DWELLS, Compressed, RecordedDwells, Work
 from sal_height.runs.reporting import reporting
 
 
@@ -100,7 +103,7 @@ class FoundMovers:
 def find_in_bag(
     bag: Path, out: Path, given: NodeParameters | None = None, wanted: Mapping[str, Any] | None = None
 ) -> FoundMovers:
-    """Compress the strips of a bag and find what moves; leaves report.json in `out`.
+    """Compress the strips or dwells of a bag and find what moves; leaves report.json in `out`.
 
     Args:
         bag: folder of the recorded bag, or its .mcap file.
@@ -109,14 +112,15 @@ def find_in_bag(
         wanted: settings of the search by name.
 
     Raises:
-        UserError: the bag cannot be used or has no strips, or a parameter or a setting is not allowed.
+        UserError: the bag cannot be used or has no image in which movers could be told, or a parameter or a setting is
+            not allowed.
     """
     settings = MoverSettings(**(wanted or {}))
     scheme = plan(Case(bag, out, {}, given or {}, ("ml",)), MOST_DWELLS)
     with reporting(new_folder(out), {"bag": bag.name, "settings": settings.model_dump()}) as report:
         work = scheme.works[0]
         reader = NamespacedReader(work.bag, work.namespace)
-        looking = _Looking(work, reader, settings)
+        looking = _Looking(work, reader, settings, "cols" in (given or {}).get(COMPRESSION, {}))
         looking.read(reader, "images")
         warnings = [*scheme.warnings, *looking.losses.sentences.values()]
         if not looking.images:
@@ -136,28 +140,72 @@ def find_in_bag(
 
 
 class _Looking(RecordedDwells):
-    """The strips of a bag, in which movers are looked for."""
+    """The strips or dwells of a bag, in which movers are looked for."""
 
-    def __init__(self, work: Work, reader: BagReader, settings: MoverSettings) -> None:
-        """Look with these settings.
+    def __init__(self, work: Work, reader: BagReader, settings: MoverSettings, cols_given: bool) -> None:
+        """Look with these settings; images of dwells have all Doppler frequencies, unless their columns are given.
 
         Raises:
             UserError: as its base; or a sensor of the bag cannot tell movers.
         """
+        self._cols = 0
         super().__init__(work, reader)
         for sensor in self.sensors.values():
             check_sensor(sensor)
         self._settings = settings
+        self._cols_given = cols_given
+        self._dwells = DwellMovers(settings)
+        self._waiting: deque[Compressed] = deque()
         self.images: list[Looked] = []
         self.seen: list[SeenMover] = []
 
+    @property
+    def _compression(self) -> Any:
+        """Parameters of the compression, with the columns that movers need."""
+        parameters = super()._compression
+        return parameters.changed(cols=self._cols) if self._cols else parameters
+
+    def _process(self, dwell: Dwell[ReceivedFrame]) -> None:
+        """Compress a dwell with a column for each Doppler frequency, which are as many as pulses."""
+        wanted = dwell.sensor.mode == "spotlight" and not self._cols_given
+        self._cols = dwell.sensor.pulse_count if wanted else 0
+        super()._process(dwell)
+
     def made(self, compressed: Compressed) -> None:
         """Look for movers in an image."""
+        slc, sensor, calibration = compressed.slc, compressed.sensor, compressed.calibration
         try:
-            found = movers(compressed.slc, compressed.sensor, self._settings, compressed.calibration)
+            if sensor.mode == "stripmap":
+                self._take(compressed, movers(slc, sensor, self._settings, calibration))
+                return
+            seconds = 1e-9 * compressed.frames[0].stamp_ns
+            dwell = dwell_with_movers(slc, seconds, sensor, self._settings, calibration)
         except UserError as error:
             self.losses.drop("movers", error)
             return
+        self._waiting.append(compressed)
+        self._tell(self._dwells.add(dwell))
+
+    def end(self) -> None:
+        """Process the dwells that are left, and tell what moves in the last ones."""
+        super().end()
+        self._tell(self._dwells.end())
+
+    def _tell(self, found: Sequence[Looked | None]) -> None:
+        """Take what was found in the dwells that have waited longest."""
+        for one in found:
+            compressed = self._waiting.popleft()
+            if one:
+                self._take(compressed, one)
+                continue
+            number = compressed.frames[0].dwell
+            self.losses.drop(
+                "movers",
+                Rejected("no overlap", f"Dwell {number} overlaps with none before or after it, which tell movers."),
+            )
+
+    def _take(self, compressed: Compressed, found: Looked) -> None:
+        """Keep what was found in an image."""
         frame = compressed.frames[0]
         self.images.append(found)
         in_order = sorted(found.movers, key=lambda one: float(np.dot(one.position, compressed.slc.aperture.direction)))

@@ -21,7 +21,7 @@ from sal_height.nodes.air import AirHistory, heard_air
 from sal_height.nodes.cues import Cue, DwellKey
 from sal_height.nodes.dwell import Dwell, DwellAssembler, Key
 from sal_height.nodes.dwell_stage import with_blanks
-from sal_height.nodes.height import applied_calibration
+from sal_height.nodes.image_stage import applied_calibration
 from sal_height.nodes.odometry import OdometryHistory
 from sal_height.nodes.player import CALIBRATION_TOPIC
 from sal_height.nodes.playlist import FRAMES, ODOMETRY

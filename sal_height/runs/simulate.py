@@ -16,6 +16,7 @@ from sal_height.messages import AIR
 from sal_height.nodes.stage import MAP_ORIGIN
 from sal_height.runs.accuracy import Accuracy, read_accuracy, read_images
 from sal_height.runs.catalogue import (
+    HEIGHTS,
     NODES,
     TRACKER,
     NodeParameters,
@@ -120,7 +121,7 @@ def processing_of(flight: SimulatedFlight, estimators: list[str]) -> dict[str, d
     looks = {"range_looks": preset.looks[0], "azimuth_looks": preset.looks[1]}
     own = {
         "sar_compression": {"rows": preset.image.rows, "cols": preset.image.cols},
-        **{name: dict(looks) for name in estimators if NODES[name].takes_images},
+        **{name: dict(looks) for name in estimators if name in HEIGHTS and NODES[name].takes_images},
     }
     return merged(merged(own, consumers(estimators)), placed(flight.scene.origin))
 

@@ -22,8 +22,8 @@ from sal_height.simulation.double_bounce import find_walls
 class PointScatterer:
     """A single scatterer, at rest or on a straight path at constant speed.
 
-    It is at `east`, `north` and `height` in the middle of every spotlight dwell; in stripmap, when it is abeam of the
-    antenna. Its radial velocity is along the line of sight from there (SAL paper, section 4).
+    It is at `east`, `north` and `height` when the antenna is abeam of that place, in every pass anew. Its radial
+    velocity is along the line of sight from there (SAL paper, section 4), in spotlight from the middle of the dwell.
 
     Attributes:
         east: arc distance from the map origin, m.
@@ -265,16 +265,23 @@ def _within(values: F64, extent: tuple[float, float]) -> Bool:
 
 
 def _targets(points: tuple[PointScatterer, ...], aperture: ApertureState, look_side: int) -> VisibleSurface:
-    """Point targets, lit or not, with their positions in the middle of the aperture's time."""
+    """Point targets, lit or not, with their positions in the middle of the aperture's time.
+
+    Each is where its point is when the antenna is abeam of that: a target that moves lies elsewhere in every dwell.
+    """
     numbers = [(p.east, p.north, p.height, p.power, p.radial_velocity, p.along_velocity) for p in points]
     east, north, height, power, radial, along = np.array(numbers).reshape(-1, 6).T
-    abeam = sphere_point(east, north, height)  # positions when a sliding aperture has come abeam of them
+    abeam = sphere_point(east, north, height)
     seen_from = np.broadcast_to(aperture_at(abeam, aperture).position, abeam.shape)
     sight = (abeam - seen_from) / np.linalg.norm(abeam - seen_from, axis=-1, keepdims=True)
     velocity = radial[:, None] * sight + along[:, None] * aperture.direction
-    seconds = (seen_from - aperture.position) @ aperture.velocity / (aperture.velocity @ aperture.velocity)
-    angles = angles_of(abeam, aperture_at(abeam, aperture), look_side)
+    if aperture.sliding:
+        seconds = (seen_from - aperture.position) @ aperture.velocity / (aperture.velocity @ aperture.velocity)
+    else:
+        seconds = (abeam - aperture.position)[:, 0] / aperture.velocity[0]
     positions = abeam - seconds[:, None] * velocity
+    seen = abeam if aperture.sliding else positions
+    angles = angles_of(seen, aperture_at(seen, aperture), look_side)
     return VisibleSurface(positions, height, power, *angles, np.ones(len(points), dtype=bool), velocity)
 
 

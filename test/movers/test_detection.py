@@ -12,8 +12,8 @@ from sal_height.errors import UserError
 from sal_height.geometry import PlatformState, Trajectory
 from sal_height.imaging import ImageSettings, Slc
 from sal_height.movers import Looked, Mover, MoverSettings, find_movers
-from sal_height.movers.detection import _without_ambiguities
 from sal_height.movers.likelihood import _held
+from sal_height.movers.mover import without_ambiguities
 from sal_height.movers.search import Search
 from sal_height.movers.spectrum import Bins
 from sal_height.pipeline import Compressor, movers
@@ -209,7 +209,7 @@ def test_the_same_place_counts_once() -> None:
             np.array([east, 0, 0]), covariance, 0.0, 0.01, 0.005, 1e-4, 0.0155, 0.0, 0.5, False, ratio, 20.0, 1, 1
         )
 
-    kept = _without_ambiguities([at(0.0, 20.0), at(0.05, 30.0), at(0.5, 25.0)])
+    kept = without_ambiguities([at(0.0, 20.0), at(0.05, 30.0), at(0.5, 25.0)])
     assert [one.likelihood_ratio for one in kept] == [30.0, 25.0]
 
 

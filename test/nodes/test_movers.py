@@ -194,3 +194,21 @@ def test_target_passes_its_place_when_the_antenna_is_abeam_of_it() -> None:
     np.testing.assert_allclose(moving.velocity, expected, atol=1e-6)
     np.testing.assert_array_equal((moving.slant_range, moving.elevation), (still.slant_range, still.elevation))
     np.testing.assert_array_equal(still.after(1.0).positions, still.positions)
+
+
+@pytest.mark.parametrize("heading", [1, -1])
+def test_a_target_goes_on_from_dwell_to_dwell(heading: int) -> None:
+    """In spotlight, too, it is at its place when the antenna is abeam of that, on passes to and fro."""
+    turn = (0.0, 0.0, 0.0 if heading > 0 else np.pi)
+    aperture = make_aperture(angles=turn, velocity=(heading * SPEED, 0.0, 0.0))
+    seconds = np.array([-0.01, 0.0, 0.02])
+
+    def ranges(radial: float) -> Array:
+        scene = scene_of(mover(radial, east=0.5))
+        places = (replace(aperture, position=aperture.position + later * aperture.velocity) for later in seconds)
+        extent = (0.075, 0.05), (-2.0, 2.0), (4998.0, 5002.0)
+        seen = [visible_surface(scene, there, heading, *extent) for there in places]
+        return np.array([surface.slant_range[surface.deterministic][0] for surface in seen])
+
+    expected = 8.0 * (seconds - heading * 0.5 / SPEED)
+    np.testing.assert_allclose(ranges(8.0) - ranges(0.0), expected, atol=1e-5)

@@ -34,7 +34,24 @@ def test_a_mover_is_in_the_report(tmp_path: Path) -> None:
     assert f"{1e3 * one['radial_velocity_mps']:.2f}" in found.table()
 
 
-def test_a_bag_without_strips_is_refused(tmp_path: Path) -> None:
-    bag = recorded(tmp_path / "bag", "small", dwells=2)
-    with pytest.raises(UserError, match="stripmap only"):
+def test_a_mover_over_spotlight_dwells_is_in_the_report(tmp_path: Path) -> None:
+    """The images have a column for each Doppler frequency, though the flight's have 12."""
+    target = TargetSettings(0.1, 0.5, 0.8, 30.0, radial_velocity_mps=8.003)
+    bag = recorded(tmp_path / "bag", "small", targets=(target,), dwells=5)
+    found = find_in_bag(bag, tmp_path / "out")
+    report = json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8"))
+    (one,) = report["movers"]
+    assert one["dwell"] == 2
+    assert one["east_m"] == pytest.approx(0.1, abs=0.03)
+    assert one["height_m"] == pytest.approx(0.8, abs=0.03)
+    assert one["walk_velocity_mps"] == pytest.approx(8.003, abs=4 * one["walk_velocity_sigma_mps"])
+    assert one["found_by_walk"]
+    assert report["images"] == found.images == 5
+
+
+def test_a_bag_whose_dwells_tell_no_movers_is_refused(tmp_path: Path) -> None:
+    bag = recorded(tmp_path / "bag", "small", dwells=1)
+    with pytest.raises(UserError, match="overlaps with none"):
         find_in_bag(bag, tmp_path / "out")
+    with pytest.raises(UserError, match=r"12 columns; .* 48 columns"):
+        find_in_bag(bag, tmp_path / "narrow", given={"sar_compression": {"cols": 12}})

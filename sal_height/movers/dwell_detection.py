@@ -33,6 +33,9 @@ LEAST_DWELLS, MOST_DWELLS = 2, 9
 STRAY = 0.1
 """Greatest part of the way from a dwell to the next by which that is not where the first one flew to."""
 
+MOST_BYTES = 1_000_000_000
+"""Of images that are held: a platform that hovers would fill the memory."""
+
 SAME_ROWS = 3.0
 """Within which two pixels are those of one target: its response in range is as wide."""
 
@@ -137,9 +140,12 @@ class DwellMovers:
     def add(self, dwell: ShownDwell) -> list[Looked | None]:
         """Take in a dwell; what was found in those that are done, one for each in their order.
 
-        None: it overlaps with no dwell before or after it, and so tells no movers.
+        None: it overlaps with no dwell before or after it, and so tells no movers. Where those that are held have more
+        than MOST_BYTES, the next begins anew, as does one of another flight.
         """
-        done = [] if not self._held or dwell.follows(self._held[-1]) else self.end()
+        held = sum(one.image.pixels.nbytes for one in self._held)
+        goes_on = not self._held or (held <= MOST_BYTES and dwell.follows(self._held[-1]))
+        done = [] if goes_on else self.end()
         self._held.append(dwell)
         while self._held[len(self._found)].apart(dwell) > OVERLAP:
             self._found.append(self._search(len(self._found)))

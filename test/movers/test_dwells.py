@@ -12,7 +12,8 @@ import pytest
 from sal_height.errors import UserError
 from sal_height.geometry import ApertureState, Grid, sphere_point
 from sal_height.imaging import ImageSettings, Slc
-from sal_height.movers import DwellMovers, Looked, Mover, MoverSettings
+from sal_height.movers import DwellMovers, Looked, Mover, MoverSettings, dwell_detection
+from sal_height.movers.dwell_detection import ShownDwell
 from sal_height.movers.dwell_images import COLUMN_STEPS, DwellImage
 from sal_height.movers.dwell_likelihood import told, told_of_cloud
 from sal_height.movers.search import MODEL_ERROR
@@ -247,3 +248,22 @@ def test_it_is_the_likelihood_of_a_cloud_that_is_spread_over_rows() -> None:
         power = 10 ** (decibels / 10) * gains[:, None] ** 2 * shares
         best = max(best, float(np.sum(matched**2 - matched**2 / (1 + power) - np.log(1 + power))))
     assert told_of_cloud(matched, gains, shares) == pytest.approx(best)
+
+
+def test_images_that_are_held_have_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dwells that all overlap, as of a platform that hovers: those that fill it are told, and the next begins anew."""
+    flight, images = flown(0, target(9.0))
+    dwells = [dwell_with_movers(images[0], 1e-4 * n, flight.sensor, MoverSettings()) for n in range(4)]
+    crawling = [_moved(dwell, 1e-4 * n) for n, dwell in enumerate(dwells)]
+    without, limited = DwellMovers(MoverSettings()), DwellMovers(MoverSettings())
+    assert [len(without.add(dwell)) for dwell in crawling] == [0, 0, 0, 0]
+    monkeypatch.setattr(dwell_detection, "MOST_BYTES", 2 * dwells[0].image.pixels.nbytes)
+    assert [len(limited.add(dwell)) for dwell in crawling] == [0, 0, 0, 3]
+    assert len(limited.end()) == 1
+
+
+def _moved(dwell: ShownDwell, seconds: float) -> ShownDwell:
+    """The dwell from where the antenna is so much later."""
+    aperture = dwell.image.aperture
+    later = replace(aperture, position=aperture.position + seconds * aperture.velocity)
+    return replace(dwell, image=replace(dwell.image, aperture=later))

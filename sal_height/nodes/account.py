@@ -34,6 +34,8 @@ LATENCY_P50, LATENCY_P95 = NodeAccount.LATENCY_P50, NodeAccount.LATENCY_P95
 CPU, MEMORY, PID = NodeAccount.CPU, NodeAccount.MEMORY, NodeAccount.PID
 """Names of numbers, or what they begin with; NodeAccount says of what."""
 
+UNTOLD = "untold"
+"""Name of the number of dwells that a node has processed, and tells of when later ones have come, or none for long."""
 LAST_DROP = "last_drop"
 """Name of the sentence of an account on /diagnostics."""
 LOST_WITH_PROCESS = "lost with its process"
@@ -41,7 +43,7 @@ LOST_WITH_PROCESS = "lost with its process"
 ON_THE_WAY = "lost on the way"
 """Why messages that were published have not come: the middleware has lost them."""
 
-STATES = {WAITING, JOBS, READY, OFFERED, ACHIEVED, MEMORY, PID, LATENCY_P50, LATENCY_P95}
+STATES = {WAITING, JOBS, READY, OFFERED, ACHIEVED, MEMORY, PID, LATENCY_P50, LATENCY_P95, UNTOLD}
 STATES_UNDER = (SUBSCRIBERS, MISSED, LAST_MINUTE)
 """Numbers that tell how a node is now, by name and by the beginning of their names; all others count from its start."""
 

@@ -20,6 +20,7 @@ from sal_height.calibration import Calibration
 from sal_height.errors import Rejected, UserError
 from sal_height.messages import ReceivedImage
 from sal_height.movers import DwellMovers, Looked, MoverSettings, check_sensor
+from sal_height.nodes.account import UNTOLD, Account
 from sal_height.nodes.dwell_stage import ChannelParameters
 from sal_height.nodes.image_stage import ImageStage
 from sal_height.nodes.program import run_node
@@ -107,6 +108,11 @@ class MoverDetection(ImageStage):
         if self._untold and not self.jobs and self._waiting.waited_s > self.current_parameters().timeout_s:
             self._waiting.restart()
             self.submit(0, lambda: self._tell(self._dwells.end()))
+
+    def _counts(self) -> Account:
+        """Besides what all nodes count, the dwells that wait for later ones: a run ends when they have been told."""
+        account = super()._counts()
+        return Account({**account.numbers, UNTOLD: len(self._untold)}, account.last_drop)
 
     def forget_results(self) -> int:
         """Begin anew with the next dwell, without what has not been told."""

@@ -30,6 +30,7 @@ from sal_height.nodes.account import (
     PROGRESS,
     READY,
     RECEIVED,
+    UNTOLD,
     UNWRITTEN,
     WAITING,
     Account,
@@ -318,6 +319,11 @@ class Conductor(Node):
         topics = [topic for topic in self._recorded if topic in published]
         return all(topic in recorded and not self._unrecorded(topic, published) for topic in topics)
 
+    @property
+    def told(self) -> bool:
+        """Whether no stage holds back what it will tell once no more dwells come."""
+        return not any(self.accounts[name].count(UNTOLD) for name in self._inputs)
+
     def _open(self, name: str, topic: str, published: Mapping[str, int]) -> int:
         """Messages of a topic, or steps of the source, that a node has not accounted for."""
         account, expected = self.accounts[name], published[topic] if topic else self._steps
@@ -430,7 +436,7 @@ def perform(plan: Plan, execution: Execution) -> Outcome:
                     while conductor.step(wait):
                         wait(lambda: reached(lead), f"what was played from dwell {progress.n} on to be processed")
                         progress.set_postfix_str(conductor.drops())
-                    wait(lambda: reached(IN_STEP), "the last dwells to be processed")
+                    wait(lambda: reached(IN_STEP) and conductor.told, "the last dwells to be processed")
                 except KeyboardInterrupt:
                     interrupted = True
                 except UserError as error:

@@ -8,9 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
 from sal_height.runs.movers import find_in_bag
+from sal_height.runs.replay import replay
 from sal_height.runs.sensor_bag import record_sensor
+from sal_height.runs.simulate import fly
 from sal_height.simulation.preset import TargetSettings, load_preset
 
 
@@ -55,3 +58,20 @@ def test_a_bag_whose_dwells_tell_no_movers_is_refused(tmp_path: Path) -> None:
         find_in_bag(bag, tmp_path / "out")
     with pytest.raises(UserError, match=r"12 columns; .* 48 columns"):
         find_in_bag(bag, tmp_path / "narrow", given={"sar_compression": {"cols": 12}})
+
+
+def test_a_run_records_the_movers_of_its_last_dwells_and_a_replay_repeats_them(tmp_path: Path) -> None:
+    """Which the node tells when no more have come for timeout_s."""
+    target = TargetSettings(0.1, 0.5, 0.8, 30.0, radial_velocity_mps=8.003)
+    preset = replace(load_preset("small"), targets=(target,), dwells=5, estimators=("movers",))
+    values = {"sar_compression": {"cols": 48}, "mover_detection": {"timeout_s": 4.0}}
+    flown = fly(preset, 3, tmp_path / "run", values)
+    assert flown.outcome.losses == []
+    again = replay(tmp_path / "run" / "bag", tmp_path / "replay", {}, estimators=["movers"])
+    assert again.outcome.losses == []
+    clouds = [
+        [one.cdr for one in BagReader(tmp_path / folder / "bag").messages() if one.topic == "/movers"]
+        for folder in ("run", "replay")
+    ]
+    assert len(clouds[0]) == 5
+    assert clouds[0] == clouds[1]

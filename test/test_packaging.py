@@ -85,6 +85,7 @@ def test_every_program_can_be_started() -> None:
         *(estimator.node for estimator in ESTIMATORS.values()),
         "relief_tracker",
         "height_adjuster",
+        "mover_detection",
         "relief_mapper",
         "ground_mapper",
         "psf_calibration",

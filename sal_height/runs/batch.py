@@ -237,7 +237,8 @@ def _client(workers: Workers) -> Iterator[Any]:
         from distributed import Client, LocalCluster  # noqa: PLC0415 (an extra)
     except ImportError as error:
         raise UserError(EXTRA.format("distributed")) from error
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters of its cluster is in the results
+    for name in ("distributed", "tornado.application"):  # what matters of its cluster is in the results
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     if workers.scheduler:
         try:
             client = Client(workers.scheduler, timeout=CONNECT_S)

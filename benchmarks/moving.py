@@ -6,7 +6,7 @@ python -m benchmarks movers
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -97,30 +97,6 @@ def flown(seed: int, kind: str, settings: MoverSettings) -> Flown:
     return Flown(errors, over, sum(one.candidates for one in seen), (searched - focused, focused - begun))
 
 
-def found_without_being_told() -> Iterator[Row]:
-    """Rows of the group."""
-    settings = MoverSettings(false_alarm_rate=RATE)
-    texts = {
-        "slow": f"{FLIGHTS} flights over the street, each with a point of 3.5 to 7 mm/s, 24 to 34 dB",
-        "fast": f"{FLIGHTS} flights over the street, each with a point of 5 to 15 m/s, 24 to 34 dB",
-    }
-    searched, focused = 0.0, 0.0
-    for kind, text in texts.items():
-        moving = list(in_processes(partial(flown, kind=kind, settings=settings), range(FLIGHTS)))
-        yield from rows_of(kind, text, moving)
-        if kind == "slow":
-            searched, focused = np.sum([one.seconds for one in moving[WARM:]], axis=0)
-    bright = settings.model_copy(update={"prominence_db": sized(5.0, 10.0)})
-    still = list(in_processes(partial(flown, kind="still", settings=bright), range(FLIGHTS, FLIGHTS + STILL)))
-    candidates, alarms = sum(one.candidates for one in still), sum(len(one.errors) for one in still)
-    share = alarms / max(1, candidates) / RATE
-    yield Row("false alarms over their stated rate", share, "1", "<= 1", f"{candidates} bright pixels that stand still")
-    yield Row(
-        "time of the search over that of the images", searched / focused, "1", "<= 1", f"processor time; {load()}"
-    )
-    yield from found_over_dwells()
-
-
 def over_dwells(seed: int, kind: str, settings: MoverSettings) -> Flown:
     """Six spotlight dwells of the street with a point of 24 to 34 dB over a cell of the road.
 
@@ -144,13 +120,14 @@ def over_dwells(seed: int, kind: str, settings: MoverSettings) -> Flown:
     begun = time.process_time()
     images = [Compressor().add(one, flight.track(dwell), sensor, wanted) for dwell, one in enumerate(histories)]
     focused = time.process_time()
-    search, seen = DwellMovers(settings), []
+    search, seen = DwellMovers[None](settings), []
     for slc, history in zip(images, histories, strict=True):
         if slc is not None:
-            seen += search.add(dwell_with_movers(slc, 1e-9 * history.stamp_ns, sensor, settings))
+            seen += search.add(dwell_with_movers(slc, 1e-9 * history.stamp_ns, sensor, settings), None)
     seen += search.end()
     searched = time.process_time()
-    found = [mover for one in seen if one for mover in one.movers]
+    looked = [one for _, one in seen if one]
+    found = [mover for one in looked for mover in one.movers]
 
     def error(mover: Mover) -> np.ndarray:
         off = mover.radial_velocity - radial
@@ -160,34 +137,51 @@ def over_dwells(seed: int, kind: str, settings: MoverSettings) -> Flown:
     sigmas = [np.array([np.sqrt(one.covariance[0, 0]), one.sigma, one.velocity_sigma, one.walk_sigma]) for one in found]
     errors = [error(one) for one in found]
     over = [e / s for e, s in zip(errors, sigmas, strict=True)]
-    candidates = sum(one.candidates for one in seen if one)
-    return Flown(errors, over, candidates, (searched - focused, focused - begun))
+    return Flown(errors, over, sum(one.candidates for one in looked), (searched - focused, focused - begun))
 
 
-def found_over_dwells() -> Iterator[Row]:
-    """Rows of movers over spotlight dwells.
+def found_without_being_told() -> Iterator[Row]:
+    """Rows of the group: of strips, and of spotlight dwells.
 
-    Those that move are told at the rate of the settings, so that hardly any false alarm is among them; a hundred times
-    as many pixels stand still as move.
+    Those that move over dwells are told at the rate of the settings, so that hardly any false alarm is among them; a
+    hundred times as many pixels stand still as move.
     """
-    settings = MoverSettings()
-    texts = {
-        "slow": f"{FLIGHTS} flights over the street, each with a point of 5 to 15 mm/s, 24 to 34 dB",
-        "fast": f"{FLIGHTS} flights over the street, each with a point of 1 to 15 m/s, 24 to 34 dB",
-    }
-    searched, focused = 0.0, 0.0
-    for kind, text in texts.items():
-        moving = list(in_processes(partial(over_dwells, kind=kind, settings=settings), range(FLIGHTS)))
-        yield from rows_of(f"dwells, {kind}", text, moving)
-        searched, focused = np.sum([one.seconds for one in moving[WARM:]], axis=0)
+    often = MoverSettings(false_alarm_rate=RATE)
+    yield from rows_with("", flown, often, {"slow": "3.5 to 7 mm/s", "fast": "5 to 15 m/s"}, "<= 1")
+    yield from rows_with(
+        "dwells, ", over_dwells, MoverSettings(), {"slow": "5 to 15 mm/s", "fast": "1 to 15 m/s"}, "<= 10"
+    )
+
+
+def rows_with(
+    name: str,
+    fly: Callable[..., Flown],
+    settings: MoverSettings,
+    speeds: dict[str, str],
+    target: str,
+) -> Iterator[Row]:
+    """Rows of movers of each kind, of what stands still, and of the time.
+
+    Args:
+        name: with which those of the rows begin.
+        fly: a flight of a seed, a kind and settings.
+        settings: with which movers are looked for.
+        speeds: of each kind, for people.
+        target: of the time.
+    """
+    timed = np.zeros(2)
+    for kind, speed in speeds.items():
+        moving = list(in_processes(partial(fly, kind=kind, settings=settings), range(FLIGHTS)))
+        text = f"{FLIGHTS} flights over the street, each with a point of {speed}, 24 to 34 dB"
+        yield from rows_of(f"{name}{kind}", text, moving)
+        timed += np.sum([one.seconds for one in moving[WARM:]], axis=0)
     bright = MoverSettings(false_alarm_rate=RATE, prominence_db=sized(5.0, 10.0))
-    still = list(in_processes(partial(over_dwells, kind="still", settings=bright), range(FLIGHTS, FLIGHTS + STILL)))
+    still = list(in_processes(partial(fly, kind="still", settings=bright), range(FLIGHTS, FLIGHTS + STILL)))
     candidates, alarms = sum(one.candidates for one in still), sum(len(one.errors) for one in still)
-    share = alarms / max(1, candidates) / RATE
-    text = f"{candidates} bright pixels that stand still"
-    yield Row("dwells: false alarms over their stated rate", share, "1", "<= 1", text)
-    ratio = searched / focused
-    yield Row("dwells: time of the search over that of the images", ratio, "1", "<= 10", f"processor time; {load()}")
+    share, text = alarms / max(1, candidates) / RATE, f"{candidates} bright pixels that stand still"
+    yield Row(f"{name}false alarms over their stated rate", share, "1", "<= 1", text)
+    ratio = timed[0] / timed[1]
+    yield Row(f"{name}time of the search over that of the images", ratio, "1", target, f"processor time; {load()}")
 
 
 def rows_of(kind: str, text: str, moving: Sequence[Flown]) -> Iterator[Row]:

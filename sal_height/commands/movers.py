@@ -40,9 +40,8 @@ def movers(bag: Bag, /, *, set_: Settings = (), param: NodeParameters = (), out:
     image while the beam passes, or from one spotlight dwell to the next, which tells
     its speed without ambiguity. Spotlight dwells must overlap; they are compressed
     anew with all Doppler frequencies, unless --param sar_compression.cols says
-    otherwise. What stands
-    still is taken for a mover in at most false_alarm_rate of what is looked at. The
-    output folder holds report.json.
+    otherwise. What stands still is taken for a mover in at most false_alarm_rate of
+    what is looked at. The output folder holds report.json.
 
     Args:
         out: Output folder, new or empty. Default: out/movers_BAG, or the next free of out/movers_BAG_2, ….

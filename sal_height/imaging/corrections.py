@@ -24,6 +24,7 @@ from sal_height.geometry import (
     height_of,
     path_through_air,
 )
+from sal_height.imaging.autofocus.gradient import apply_phase
 from sal_height.imaging.pixels import aim_point, line_of_sight
 from sal_height.numeric import F64
 from sal_height.sensor import PhaseHistory, Sensor
@@ -47,18 +48,6 @@ class Corrected(NamedTuple):
     track: Trajectory
     sensor: Sensor
     delay: F64
-
-
-class _Way(NamedTuple):
-    """What the air does to echoes.
-
-    Attributes:
-        delay: range added at each pulse, m, shape (pulses,).
-        bend: by which they come from farther off nadir, rad.
-    """
-
-    delay: F64
-    bend: float
 
 
 class CorrectionSettings(Settings):
@@ -163,11 +152,11 @@ def correct_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, sett
         UserError: the air is not known for this wavelength or height.
     """
     track = correct_track(track, settings)
-    air = _air(history, track, sensor, settings)
-    delay = settings.range_offset_m + air.delay
+    of_air, bend = _air(history, track, sensor, settings)
+    delay = settings.range_offset_m + of_air
     if delay.any():
         history = replace(history, reference_range=history.reference_range - delay)
-    if bend := settings.elevation_offset_rad + air.bend:
+    if bend := settings.elevation_offset_rad + bend:
         sensor = replace(sensor, mounting=_turned(sensor.mounting, bend * sensor.look_side))
     return Corrected(history, track, sensor, delay)
 
@@ -189,8 +178,7 @@ class StripDelay:
         self._next = 2 * float(delay[-1]) - float(delay[-2]) - jump
         if not jump:
             return history
-        turn = np.complex64(np.exp(-1j * sensor.centre_wavenumber * jump))
-        return replace(history, samples=history.samples * turn)
+        return apply_phase(history, np.full(len(delay), sensor.centre_wavenumber * jump))
 
 
 def with_known_errors(aperture: ApertureState, sensor: Sensor, settings: CorrectionSettings) -> ApertureState:
@@ -209,17 +197,21 @@ def with_known_errors(aperture: ApertureState, sensor: Sensor, settings: Correct
     return replace(aperture, covariance=covariance)
 
 
-def _air(history: PhaseHistory, track: Trajectory, sensor: Sensor, settings: CorrectionSettings) -> _Way:
-    """What the air does to echoes from the middle of all beams at the reference range."""
+def _air(history: PhaseHistory, track: Trajectory, sensor: Sensor, settings: CorrectionSettings) -> tuple[F64, float]:
+    """What the air does to echoes from the middle of all beams at the reference range.
+
+    Returns:
+        Range that it adds at each pulse, m, and the angle by which they come from farther off nadir, rad.
+    """
     pulses = len(history.reference_range)
     if (atmosphere := settings.atmosphere) is None:
-        return _Way(np.zeros(pulses), 0.0)
+        return np.zeros(pulses), 0.0
     mounted = track.mounted(sensor.mounting)
     aperture = mounted.aperture(history.stamp_ns, history.pulse_times)
     aim = aim_point(sensor, aperture, float(history.reference_range[pulses // 2]))
     ends = mounted.positions(history.stamp_ns, history.pulse_times[[0, -1]])
     first, last = (_way_from(antenna, aim, sensor, settings.map_height_m, atmosphere) for antenna in ends)
-    return _Way(np.linspace(first.delay, last.delay, pulses), (first.bend + last.bend) / 2)
+    return np.linspace(first.delay, last.delay, pulses), (first.bend + last.bend) / 2
 
 
 def _way_from(antenna: F64, aim: F64, sensor: Sensor, map_height: float, atmosphere: Atmosphere) -> AirPath:

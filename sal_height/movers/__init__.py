@@ -5,12 +5,13 @@ In a strip read `detection`, then `likelihood`, `spectrum` and `walk`. For dwell
 """
 
 from sal_height.movers.detection import check_sensor, find_movers
-from sal_height.movers.dwell_detection import DwellMovers, ShownDwell
+from sal_height.movers.dwell_detection import ALONE, DwellMovers, ShownDwell
 from sal_height.movers.dwell_images import DwellImage
 from sal_height.movers.mover import Looked, Mover
 from sal_height.movers.settings import MoverSettings
 
 __all__ = [
+    "ALONE",
     "DwellImage",
     "DwellMovers",
     "Looked",

@@ -7,8 +7,10 @@ images.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
 
 import numpy as np
 from scipy.ndimage import maximum_filter, median_filter
@@ -47,6 +49,9 @@ COLUMN_ERROR = 0.1
 
 WALKING = 5.0
 """Standard deviations of the walk's velocity from which what moves is taken to walk."""
+
+ALONE = "Dwell {} overlaps with none before or after it, and so tells no movers."
+"""What to say of a dwell in which no movers could be looked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,8 +125,11 @@ class _Found:
     tracks: Sequence[Track]
 
 
-class DwellMovers:
-    """Movers in dwells that follow each other, as they come.
+Of = TypeVar("Of")
+
+
+class DwellMovers(Generic[Of]):
+    """Movers in dwells that follow each other, as they come; each is told with what it was handed over with.
 
     A dwell is searched when all have come whose beams overlap with its own, and told when all that it may have seen
     through sidelobes has been searched in the dwells that see it better.
@@ -136,9 +144,15 @@ class DwellMovers:
         self._held: list[ShownDwell] = []
         self._found: list[_Found] = []
         self._told = 0
+        self._of: deque[Of] = deque()
 
-    def add(self, dwell: ShownDwell) -> list[Looked | None]:
-        """Take in a dwell; what was found in those that are done, one for each in their order.
+    @property
+    def untold(self) -> int:
+        """Number of dwells that have not been told yet."""
+        return len(self._of)
+
+    def add(self, dwell: ShownDwell, of: Of) -> list[tuple[Of, Looked | None]]:
+        """Take in a dwell, and whatever it is of; what was found in those that are done, in their order.
 
         None: it overlaps with no dwell before or after it, and so tells no movers. Where those that are held have more
         than MOST_BYTES, the next begins anew, as does one of another flight.
@@ -147,6 +161,7 @@ class DwellMovers:
         goes_on = not self._held or (held <= MOST_BYTES and dwell.follows(self._held[-1]))
         done = [] if goes_on else self.end()
         self._held.append(dwell)
+        self._of.append(of)
         while self._held[len(self._found)].apart(dwell) > OVERLAP:
             self._found.append(self._search(len(self._found)))
         while self._told < len(self._found) and self._apart(self._told, len(self._found) - 1) > FARTHEST:
@@ -156,7 +171,7 @@ class DwellMovers:
             self._told -= 1
         return done
 
-    def end(self) -> list[Looked | None]:
+    def end(self) -> list[tuple[Of, Looked | None]]:
         """No more dwells follow these: what was found in those that are left, in their order."""
         self._found += [self._search(number) for number in range(len(self._found), len(self._held))]
         done = [self._tell() for _ in range(self._told, len(self._held))]
@@ -177,14 +192,15 @@ class DwellMovers:
         shown, images = self._held[number], [self._held[other].image for other in group]
         return find_over_dwells(images, group.index(number), shown, self._settings)
 
-    def _tell(self) -> Looked | None:
+    def _tell(self) -> tuple[Of, Looked | None]:
         """What was found in the next dwell, without what others show better, or have told."""
         number, dwell, found = self._told, self._held[self._told].image, self._found[self._told]
         rivals = [one for other, each in enumerate(self._found) if other != number for one in each.tracks]
         kept = [one for one in found.tracks if not any(rival.covers(one, dwell) for rival in rivals)]
         self._found[number] = replace(found, tracks=kept)
         self._told += 1
-        return replace(found.looked, movers=tuple(one.mover for one in kept)) if found.looked else None
+        looked = replace(found.looked, movers=tuple(one.mover for one in kept)) if found.looked else None
+        return self._of.popleft(), looked
 
 
 def find_over_dwells(dwells: Sequence[DwellImage], middle: int, shown: ShownDwell, settings: MoverSettings) -> _Found:

@@ -25,17 +25,15 @@ from sal_height.movers.dwell_lobes import Lobes
 from sal_height.movers.ground import lag_by_odometry, lag_of_spectra
 from sal_height.movers.response import point_response
 from sal_height.movers.search import MODEL_ERROR
+from sal_height.movers.walk import DEPTHS, FINE_STEP, LEAST_PART, NEIGHBOURS, REACH
 from sal_height.numeric import C64, C128, F64, Bool, Index, vertex
 from sal_height.sensor import Sensor
 
 FINE_SQUINTS = 5
 """Steps of the squint of what is found, in one of these."""
 
-REACH = 3
-"""Rows beyond the walk in which the response of a target is looked at."""
-
-WALK_STEP, FINE_STEP = 0.25, 0.05
-"""Of the walk from dwell to dwell in the search, and of its last step, in rows."""
+WALK_STEP = 0.25
+"""Of the walk from dwell to dwell in the search, in rows."""
 
 WALK_ERROR = 0.01
 """Standard deviation of the walk from dwell to dwell that the response leaves, in rows."""
@@ -46,17 +44,8 @@ MOST_OFF = 1.6
 POINTING_ERRORS = 3.0
 """Standard deviations of the place of the beam by which what stands still may seem to lag."""
 
-NEIGHBOURS = 3
-"""Targets that stand still in the rows that are looked at, which may look like one that walks."""
-
 LEAST_GAIN = 0.1
 """Of the beam over the greatest, as a power, with which a dwell counts in the elevation."""
-
-LEAST_PART = 0.5
-"""Of the amplitude of a target's response that those before it, or rows beyond the image, do not have."""
-
-DEPTHS = (0.35, 0.7, 1.4, 2.8)
-"""Rms widths in range of the clouds that stand still, in rows."""
 
 BACKGROUND = (8, 2)
 """Rows and columns to each side of a target from which its background is taken."""
@@ -164,10 +153,12 @@ class DwellSearch:
         seconds = np.array([one.seconds - there.seconds for one in dwells])
         cells = abs(depth) / sensor.range_resolution
         prior = lag_by_odometry(slc, sensor)
-        aspects = column_squint(grid, there.aperture, beams, sensor.look_side)
-        lags = lobes.squints[np.abs(lobes.squints) <= MOST_OFF * beams.track_beamwidth]
-        gains = beams.power(float(np.mean(beams.span)), aspects + lags[:, None]) if prior else np.zeros((len(lags), 1))
-        ground = lag_of_spectra(there.power, gains, lags, prior)
+        ground = 0.0, 0.0
+        if prior:
+            aspects = column_squint(grid, there.aperture, beams, sensor.look_side)
+            lags = lobes.squints[np.abs(lobes.squints) <= MOST_OFF * beams.track_beamwidth]
+            gains = beams.power(float(np.mean(beams.span)), aspects + lags[:, None])
+            ground = lag_of_spectra(there.power, gains, lags, prior)
         return cls(dwells, middle, beams, lobes, seconds, depth, cells, slc.range_window, fastest, ground)
 
     @cached_property

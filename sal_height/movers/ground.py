@@ -39,8 +39,6 @@ def ground_lag(images: C64 | C128, beams: Beams, bins: Bins, lags: F64, prior: f
 
 def lag_of_spectra(power: F64, gains: F64, lags: F64, prior: float) -> tuple[float, float]:
     """The same by the power of rows in Doppler bins, shape (rows, bins), and the beam's gains, shape (lags, bins)."""
-    if prior == 0:
-        return 0.0, 0.0
     power = power[np.all(power > 0, axis=-1)]
     if not len(power):
         return 0.0, prior

@@ -55,7 +55,7 @@ NEIGHBOURS = 3
 """Targets that stand still in the rows that are looked at, which may look like one that walks."""
 
 LEAST_PART = 0.5
-"""Of the amplitude of a target's response that those before it do not have."""
+"""Of the amplitude of a target's response that those before it, or rows beyond the image, do not have."""
 
 BESIDE = 1.0
 """Rows beside a walk in which they may lie."""

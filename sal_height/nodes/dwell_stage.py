@@ -11,9 +11,11 @@ from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
+from sal_height_msgs.msg import Calibration as CalibrationMessage
 from sal_height_msgs.msg import ChannelFrame, ComplexImage, SensorInfo
 
 from sal_height import messages
+from sal_height.calibration import Calibration
 from sal_height.errors import Rejected, UserError
 from sal_height.nodes.dwell import Dwell, DwellAssembler, Key, WaitingClock
 from sal_height.nodes.held import Held
@@ -179,6 +181,14 @@ class DwellStage(Stage):
             RuntimeError: they are none.
         """
         return READERS[self._message_type](cdr)
+
+    def read_calibration(self, message: CalibrationMessage) -> Calibration | None:
+        """The calibration of a message; None: it cannot be used, which is counted."""
+        try:
+            return messages.calibration_from_message(message)
+        except UserError as error:
+            self.ignore("calibration", error)
+            return None
 
     def rehearse(self, sensor: Sensor) -> None:
         """Process a made-up dwell of `sensor`, and publish nothing (on the worker thread)."""

@@ -9,7 +9,7 @@ from sal_height_msgs.msg import ComplexImage
 
 from sal_height import messages
 from sal_height.calibration import Calibration
-from sal_height.errors import Rejected, UserError
+from sal_height.errors import Rejected
 from sal_height.messages import ReceivedImage
 from sal_height.nodes.account import CALIBRATIONS
 from sal_height.nodes.dwell_stage import DwellStage
@@ -61,11 +61,7 @@ class ImageStage(DwellStage):
         return calibration
 
     def _on_calibration(self, message: CalibrationMessage) -> None:
-        try:
-            calibration = messages.calibration_from_message(message)
-        except UserError as error:
-            self.ignore("calibration", error)
-        else:
+        if calibration := self.read_calibration(message):
             self._calibrations.put(calibration.id, calibration)
         self.tell(CALIBRATIONS)
 

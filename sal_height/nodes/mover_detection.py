@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections import deque
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -19,7 +18,7 @@ from sal_height import messages
 from sal_height.calibration import Calibration
 from sal_height.errors import Rejected, UserError
 from sal_height.messages import ReceivedImage
-from sal_height.movers import DwellMovers, Looked, MoverSettings, check_sensor
+from sal_height.movers import ALONE, DwellMovers, Looked, MoverSettings, check_sensor
 from sal_height.nodes.account import UNTOLD, Account
 from sal_height.nodes.dwell_stage import ChannelParameters
 from sal_height.nodes.image_stage import ImageStage
@@ -51,8 +50,7 @@ class MoverDetection(ImageStage):
         super().__init__("mover_detection", **node_arguments)
         self._points = self.offer(PointCloud2, MOVERS)
         self._settings = MoverSettings()
-        self._dwells = DwellMovers(self._settings)
-        self._untold: deque[ReceivedImage] = deque()
+        self._dwells = DwellMovers[ReceivedImage](self._settings)
         self._ending = threading.Lock()  # the context may be shut down in another thread than the executor's
         self.context.on_shutdown(self.conclude)
 
@@ -73,8 +71,7 @@ class MoverDetection(ImageStage):
             return published + 1
         seconds = 1e-9 * images[0].stamp_ns
         dwell = dwell_with_movers(slc, seconds, sensor, self._settings, calibration)
-        self._untold.append(images[0])
-        return published + self._tell(self._dwells.add(dwell))
+        return published + self._tell(self._dwells.add(dwell, images[0]))
 
     def _follow_parameters(self) -> int:
         """Begin anew if settings have changed; returns the number of messages published."""
@@ -83,17 +80,15 @@ class MoverDetection(ImageStage):
         if settings == self._settings:
             return 0
         published = self._tell(self._dwells.end())
-        self._settings, self._dwells = settings, DwellMovers(settings)
+        self._settings, self._dwells = settings, DwellMovers[ReceivedImage](settings)
         return published
 
-    def _tell(self, found: Sequence[Looked | None]) -> int:
-        """Publish what was found in the dwells that have waited longest; returns the number of messages."""
+    def _tell(self, found: Sequence[tuple[ReceivedImage, Looked | None]]) -> int:
+        """Publish what was found in dwells; returns the number of messages."""
         told = 0
-        for looked in found:
-            image = self._untold.popleft()
+        for image, looked in found:
             if looked is None:
-                sentence = f"Dwell {image.dwell} overlaps with none before or after it, and so tells no movers."
-                self.ignore("no overlap", UserError(sentence))
+                self.ignore("no overlap", UserError(ALONE.format(image.dwell)))
                 continue
             self._publish(image, looked)
             told += 1
@@ -105,19 +100,18 @@ class MoverDetection(ImageStage):
     def advance(self) -> None:
         """Besides what dwells do: tell the last ones once no other has come for timeout_s."""
         super().advance()
-        if self._untold and not self.jobs and self._waiting.waited_s > self.current_parameters().timeout_s:
+        if self._dwells.untold and not self.jobs and self._waiting.waited_s > self.current_parameters().timeout_s:
             self._waiting.restart()
             self.submit(0, lambda: self._tell(self._dwells.end()))
 
     def _counts(self) -> Account:
         """Besides what all nodes count, the dwells that wait for later ones: a run ends when they have been told."""
         account = super()._counts()
-        return Account({**account.numbers, UNTOLD: len(self._untold)}, account.last_drop)
+        return Account({**account.numbers, UNTOLD: self._dwells.untold}, account.last_drop)
 
     def forget_results(self) -> int:
         """Begin anew with the next dwell, without what has not been told."""
-        self._dwells.end()
-        self._untold.clear()
+        self._dwells = DwellMovers[ReceivedImage](self._settings)
         return 0
 
     def conclude(self) -> None:

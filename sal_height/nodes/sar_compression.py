@@ -309,11 +309,7 @@ class SarCompression(DwellStage):
         return self._calibration or self._heard.use(sensor.config_hash)
 
     def _on_calibration(self, message: CalibrationMessage) -> None:
-        try:
-            calibration = messages.calibration_from_message(message)
-        except UserError as error:
-            self.ignore("calibration", error)
-        else:
+        if calibration := self.read_calibration(message):
             self._heard.put(calibration.config_hash, calibration)
         self.tell(CALIBRATIONS)
 

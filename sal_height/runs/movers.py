@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,14 +14,13 @@ from sal_height.bag.reader import BagReader
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import sphere_coordinates
 from sal_height.io import new_folder
-from sal_height.messages import ReceivedFrame
-from sal_height.movers import DwellMovers, Looked, Mover, MoverSettings, check_sensor
-from sal_height.nodes.dwell import Dwell
+from sal_height.movers import ALONE, DwellMovers, Looked, Mover, MoverSettings, check_sensor
 from sal_height.pipeline import dwell_with_movers, movers
 from sal_height.runs.campaign import Case, plan
 from sal_height.runs.catalogue import NodeParameters
 from sal_height.runs.recorded_dwells import COMPRESSION, MOST_DWELLS, Compressed, RecordedDwells, Work
 from sal_height.runs.reporting import reporting
+from sal_height.sensor import Sensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,28 +146,21 @@ class _Looking(RecordedDwells):
         Raises:
             UserError: as its base; or a sensor of the bag cannot tell movers.
         """
-        self._cols = 0
         super().__init__(work, reader)
         for sensor in self.sensors.values():
             check_sensor(sensor)
         self._settings = settings
         self._cols_given = cols_given
-        self._dwells = DwellMovers(settings)
-        self._waiting: deque[Compressed] = deque()
+        self._dwells = DwellMovers[Compressed](settings)
         self.images: list[Looked] = []
         self.seen: list[SeenMover] = []
 
-    @property
-    def _compression(self) -> Any:
-        """Parameters of the compression, with the columns that movers need."""
-        parameters = super()._compression
-        return parameters.changed(cols=self._cols) if self._cols else parameters
-
-    def _process(self, dwell: Dwell[ReceivedFrame]) -> None:
-        """Compress a dwell with a column for each Doppler frequency, which are as many as pulses."""
-        wanted = dwell.sensor.mode == "spotlight" and not self._cols_given
-        self._cols = dwell.sensor.pulse_count if wanted else 0
-        super()._process(dwell)
+    def compression_of(self, sensor: Sensor) -> Any:
+        """Parameters of the compression: of dwells with a column for each Doppler frequency, as many as pulses."""
+        parameters = super().compression_of(sensor)
+        if sensor.mode != "spotlight" or self._cols_given:
+            return parameters
+        return parameters.changed(cols=sensor.pulse_count)
 
     def made(self, compressed: Compressed) -> None:
         """Look for movers in an image."""
@@ -183,26 +174,20 @@ class _Looking(RecordedDwells):
         except UserError as error:
             self.losses.drop("movers", error)
             return
-        self._waiting.append(compressed)
-        self._tell(self._dwells.add(dwell))
+        self._tell(self._dwells.add(dwell, compressed))
 
     def end(self) -> None:
         """Process the dwells that are left, and tell what moves in the last ones."""
         super().end()
         self._tell(self._dwells.end())
 
-    def _tell(self, found: Sequence[Looked | None]) -> None:
-        """Take what was found in the dwells that have waited longest."""
-        for one in found:
-            compressed = self._waiting.popleft()
+    def _tell(self, found: Sequence[tuple[Compressed, Looked | None]]) -> None:
+        """Take what was found in dwells."""
+        for compressed, one in found:
             if one:
                 self._take(compressed, one)
-                continue
-            number = compressed.frames[0].dwell
-            self.losses.drop(
-                "movers",
-                Rejected("no overlap", f"Dwell {number} overlaps with none before or after it, which tell movers."),
-            )
+            else:
+                self.losses.drop("movers", Rejected("no overlap", ALONE.format(compressed.frames[0].dwell)))
 
     def _take(self, compressed: Compressed, found: Looked) -> None:
         """Keep what was found in an image."""

@@ -192,6 +192,10 @@ class RecordedDwells:
         """Parameters of the compression."""
         return self.in_force.of(COMPRESSION)
 
+    def compression_of(self, sensor: Sensor) -> Any:  # noqa: ARG002 (subclasses use it)
+        """The same for the dwells of a sensor."""
+        return self._compression
+
     def read(self, reader: BagReader, doing: str) -> None:
         """Take in all frames, odometry and air of a bag, with a progress bar that says what is done."""
         count = sum(reader.topics[topic].count for topic in TAKEN if topic in reader.topics)
@@ -275,7 +279,8 @@ class RecordedDwells:
         try:
             frames = self._frames_of(dwell)
             supplies = self._supplies(frames, dwell.sensor)
-            found = compress_dwell(frames, dwell.sensor, supplies, self._compressor, self._compression)
+            parameters = self.compression_of(dwell.sensor)
+            found = compress_dwell(frames, dwell.sensor, supplies, self._compressor, parameters)
         except UserError as error:
             self.losses.drop(COMPRESSION, error)
             return

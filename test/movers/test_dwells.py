@@ -53,8 +53,10 @@ def found_in(
     movers, found = DwellMovers(settings), []
     for dwell, slc in enumerate(images):
         at = seconds[dwell] if seconds else 1e-9 * flight.dwell_start_ns(dwell)
-        found += movers.add(dwell_with_movers(slc, at, flight.sensor, settings))
-    return found + movers.end()
+        found += movers.add(dwell_with_movers(slc, at, flight.sensor, settings), dwell)
+    found += movers.end()
+    assert [number for number, _ in found] == list(range(len(images)))
+    return [looked for _, looked in found]
 
 
 def movers_of(seed: int, *points: PointScatterer, rate: float = 1e-3) -> list[Mover]:
@@ -256,9 +258,9 @@ def test_images_that_are_held_have_a_limit(monkeypatch: pytest.MonkeyPatch) -> N
     dwells = [dwell_with_movers(images[0], 1e-4 * n, flight.sensor, MoverSettings()) for n in range(4)]
     crawling = [_moved(dwell, 1e-4 * n) for n, dwell in enumerate(dwells)]
     without, limited = DwellMovers(MoverSettings()), DwellMovers(MoverSettings())
-    assert [len(without.add(dwell)) for dwell in crawling] == [0, 0, 0, 0]
+    assert [len(without.add(dwell, None)) for dwell in crawling] == [0, 0, 0, 0]
     monkeypatch.setattr(dwell_detection, "MOST_BYTES", 2 * dwells[0].image.pixels.nbytes)
-    assert [len(limited.add(dwell)) for dwell in crawling] == [0, 0, 0, 3]
+    assert [len(limited.add(dwell, None)) for dwell in crawling] == [0, 0, 0, 3]
     assert len(limited.end()) == 1
 
 

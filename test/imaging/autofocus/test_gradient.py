@@ -25,7 +25,7 @@ from sal_height.imaging.autofocus.gradient import (
     patch_half_width,
     pulse_responses,
 )
-from sal_height.imaging.autofocus.phase_error import phase_gradient
+from sal_height.imaging.autofocus.phase_error import detrended, phase_gradient
 from sal_height.imaging.autofocus.phase_linking import (
     Likelihood,
     link_phases,
@@ -274,6 +274,18 @@ def test_phase_linking_reaches_its_bound() -> None:
         phase = link_phases(likelihood, phase_gradient(modes))
         left.append(rms(residual_phase(phase, error)))
     assert rms(np.array(left)) == pytest.approx(standard_error(likelihood.information), rel=0.1)
+
+
+def test_phases_do_not_depend_on_where_the_scoring_begins() -> None:
+    """But for the last steps of both, a milliradian each."""
+    rng = np.random.default_rng(15)
+    dwell = dwell_of("small", 1)
+    by_beam = beam_coherence(dwell.sensor, dwell.antenna)
+    factor = np.linalg.cholesky(by_beam.matrix + 1e-9 * np.eye(48))
+    speckle = np.sqrt(20) * circular(rng, (200, 48)) @ factor.T + circular(rng, (200, 48))
+    likelihood = Likelihood.of(speckle_classes(speckle, np.full(200, 20.0)), by_beam)
+    found = [link_phases(likelihood, start) for start in (np.zeros(48), detrended(white_phase(48, 0.5, rng)))]
+    assert rms(found[0] - found[1]) < 0.005
 
 
 def test_profile_of_the_echo_is_found_where_the_beam_is_not_as_described() -> None:

@@ -195,6 +195,20 @@ def test_mean_velocity_of_a_vibration_is_told_from_the_rest_of_its_phase(lowest_
     assert np.mean(np.array(ratios) > 10) < 0.25
 
 
+def test_shapes_of_vibrations_are_those_of_sampled_waves() -> None:
+    """The powers of 200 frequencies in a dwell, each projected on its polynomials by many pulses, within 1 %."""
+    wavelength, seconds = 1.55e-6, np.linspace(0.0, 1.6e-3, 2001)
+    shapes = np.polynomial.legendre.legvander(np.linspace(-1, 1, 2001), 3)
+    omega = 2 * np.pi * np.geomspace(10.0, 2000.0, 200)
+    waves = np.exp(1j * omega * (seconds - seconds.mean())[:, None]) / omega
+    of_mean, of_trend, *of_curvature = np.mean(np.abs(np.linalg.lstsq(shapes, waves)[0]) ** 2, axis=1)
+    assert of_mean > of_trend
+    for order, power in zip((2, 3), of_curvature, strict=True):
+        # A curvature of one order alone counts half, as the mean of both.
+        told = np.sqrt(of_trend / power / 2) * 2 / 1.6e-3 * wavelength / (4 * np.pi)
+        assert vibration_speed(shapes[:, order], seconds, wavelength) == pytest.approx(told, rel=0.01)
+
+
 def test_beams_that_speckle_cannot_tell_the_place_of_need_no_autofocus() -> None:
     """Those of a radar whose echoes migrate by range cells, and those of a sensor whose noise is not known."""
     flight = flight_of(load_preset("xband_relief"), seed=1)

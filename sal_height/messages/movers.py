@@ -23,12 +23,14 @@ MOVER_FIELDS = (
     "ambiguity",
     "walk_velocity",
     "walk_sigma",
+    "along_velocity",
+    "along_sigma",
     "walks",
     "cnr_db",
     "likelihood_ratio",
 )
 """Fields of the points, float32: place in map (m), height above the sphere with its standard deviation (m), and what
-`movers.Mover` says of the rest (m/s, 0 or 1 for walks, dB)."""
+`movers.Mover` says of the rest (m/s, NaN where nothing tells it; 0 or 1 for walks; dB)."""
 
 
 def mover_points(movers: Sequence[Mover], header: Header) -> PointCloud2:
@@ -43,6 +45,8 @@ def mover_points(movers: Sequence[Mover], header: Header) -> PointCloud2:
             one.ambiguity,
             one.walk_velocity,
             one.walk_sigma,
+            one.along_velocity,
+            one.along_sigma,
             float(one.walks),
             one.cnr_db,
             one.likelihood_ratio,

@@ -17,13 +17,14 @@ from scipy.ndimage import maximum_filter, median_filter
 
 from sal_height.beams import Beams
 from sal_height.imaging import Slc
-from sal_height.movers.detection import HYPOTHESES, MARGIN, SIDELOBES
+from sal_height.movers.detection import MARGIN, SIDELOBES
 from sal_height.movers.dwell_images import COLUMN_STEPS, DwellImage
 from sal_height.movers.dwell_lobes import FARTHEST
+from sal_height.movers.dwell_paths import DwellPaths
 from sal_height.movers.dwell_search import DwellSearch, Found
 from sal_height.movers.mover import Looked, Mover, Sighting, mover_of, without_ambiguities
 from sal_height.movers.settings import MoverSettings
-from sal_height.numeric import F64, Bool, vertex
+from sal_height.numeric import F64, Index, vertex
 from sal_height.sensor import Sensor
 
 OVERLAP = 1.6
@@ -97,12 +98,14 @@ class Track:
         mover: that was found.
         place: of what stands still in its pixel, in map, m, shape (3,).
         rows: by which it walks, 1/s.
+        drift: by which its image advances along the flight, m/s.
         seconds: time of its dwell.
     """
 
     mover: Mover
     place: F64
     rows: float
+    drift: float
     seconds: float
 
     def covers(self, other: Track, dwell: DwellImage) -> bool:
@@ -111,8 +114,9 @@ class Track:
             return False
         if len(without_ambiguities([self.mover, other.mover])) == 1:
             return True
-        row, step = dwell.shows(self.place)
-        away = abs(row + self.rows * (dwell.seconds - self.seconds) - other.mover.row)
+        later = dwell.seconds - self.seconds
+        row, step = dwell.shows(self.place + self.drift * later * dwell.aperture.direction)
+        away = abs(row + self.rows * later - other.mover.row)
         cols, beside = dwell.steps // COLUMN_STEPS, abs(step / COLUMN_STEPS - other.mover.col)
         return away <= SAME_ROWS and min(beside, cols - beside) <= MARGIN
 
@@ -213,20 +217,21 @@ def find_over_dwells(dwells: Sequence[DwellImage], middle: int, shown: ShownDwel
         settings: of the search.
     """
     slc, sensor, dwell = shown.slc, shown.sensor, dwells[middle]
-    search = DwellSearch.of(dwells, middle, shown.beams, slc, sensor, settings.fastest_mps)
-    candidates = np.argwhere(_bright(dwell, settings.prominence_db))
-    rate = settings.false_alarm_rate
-    thresholds = (2 * np.log(HYPOTHESES * len(search.speeds) / rate), 2 * np.log(HYPOTHESES / rate))
+    paths = DwellPaths.of(dwells, middle, shown.beams, slc, sensor, settings.fastest_mps)
+    search, candidates = DwellSearch(paths), _bright(dwell, settings.prominence_db)
+    beside = [n for n in (middle - 1, middle + 1) if 0 <= n < len(dwells)]
+    bright = {n: _bright(dwells[n], settings.prominence_db) for n in beside}
     tracks = []
     for row, col in candidates.tolist():
         step, off = _brightest(dwell, row, col)
-        seen = search.look(row, step, thresholds)
-        if seen and (not seen.walks or abs(seen.walk[0]) > WALKING * seen.walk[1]):
-            sighting = _sighting(seen, (step + off) / COLUMN_STEPS, off, search)
+        seen = search.look(row, step, bright, settings.false_alarm_rate)
+        if seen and (not seen.walks or max(abs(v) / sigma for v, sigma in (seen.walk, seen.along)) > WALKING):
+            sighting = _sighting(seen, (step + off) / COLUMN_STEPS, off, paths)
             walk = seen.walk[0] if seen.walks else 0.0
-            tracks.append(Track(mover_of(sighting, slc, sensor), seen.place, walk / search.depth, dwell.seconds))
+            drift = paths.driving(seen.along[0]).drift
+            tracks.append(Track(mover_of(sighting, slc, sensor), seen.place, walk / paths.depth, drift, dwell.seconds))
     surest = without_ambiguities(one.mover for one in tracks)
-    looked = Looked(surest, len(candidates), search.ground, float(search.speeds[-1]))
+    looked = Looked(surest, len(candidates), paths.ground, float(search.speeds[-1]))
     return _Found(looked, [one for one in tracks if any(one.mover is mover for mover in surest)])
 
 
@@ -238,31 +243,34 @@ def _brightest(dwell: DwellImage, row: int, col: int) -> tuple[int, float]:
     return int(steps[best] % dwell.steps), float(vertex(*power[best - 1 : best + 2])[0])
 
 
-def _sighting(seen: Found, col: float, off: float, search: DwellSearch) -> Sighting:
+def _sighting(seen: Found, col: float, off: float, paths: DwellPaths) -> Sighting:
     """What was seen of a mover in the middle dwell.
 
     Args:
         seen: of it.
         col: of its pixel, in fractions.
         off: by which that is off the step that was looked at, in steps.
-        search: that found it.
+        paths: of the dwells.
     """
-    grid, aperture = search.dwells[search.middle].grid, search.dwells[search.middle].aperture
+    grid, aperture = paths.dwells[paths.middle].grid, paths.dwells[paths.middle].aperture
     column = grid.col_spacing / float(np.linalg.norm(grid.points(seen.row, col) - aperture.position))
     lag = seen.squint[0] - seen.still_squint - off / COLUMN_STEPS * column
-    sigma = float(np.linalg.norm([seen.squint[1], COLUMN_ERROR * column, search.ground[1]]))
+    sigma = float(np.linalg.norm([seen.squint[1], COLUMN_ERROR * column, paths.ground[1]]))
     # Rows are those of what stands still at the place in the image: its range rate comes on top of the walk.
     speed = float(np.linalg.norm(aperture.velocity))
     walk = seen.walk[0] + lag * speed, float(np.hypot(seen.walk[1], sigma * speed))
-    return Sighting(seen.row, col, seen.cnr, seen.elevation, (lag, sigma), walk, seen.walks, seen.ratio)
+    return Sighting(seen.row, col, seen.cnr, seen.elevation, (lag, sigma), walk, seen.walks, seen.ratio, seen.along)
 
 
-def _bright(dwell: DwellImage, prominence_db: float) -> Bool:
-    """Pixels that are brighter than all around, than most beside them, and than sidelobes of what is brighter."""
+def _bright(dwell: DwellImage, prominence_db: float) -> Index:
+    """Pixels that are brighter than all around, than most beside them, and than sidelobes of what is brighter.
+
+    Their rows and columns, shape (pixels, 2).
+    """
     power = dwell.power
     bright = power == maximum_filter(power, size=(3, 2 * MARGIN + 1), mode="wrap")
     bright &= power > 10 ** (prominence_db / 10) * median_filter(power, AROUND, mode="wrap")
     columns = maximum_filter(power.max(axis=0), size=2 * MARGIN + 1, mode="wrap")
     rows = maximum_filter(power.max(axis=1), size=3)
     bright &= power > SIDELOBES * np.maximum(columns, rows[:, None])
-    return np.asarray(bright)
+    return np.argwhere(bright)

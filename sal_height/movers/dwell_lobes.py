@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -56,6 +56,18 @@ class Lobes:
         reach = (others.min() / 2 if len(others) else 0.0) + BESIDE * width
         known, near = np.abs(under[..., 0]) < lobe, np.flatnonzero(np.abs(squints) <= reach)
         return cls(squints, elevations, amplitudes, ahead, higher, known, near)
+
+    def turned(self, ahead: F64) -> Self:
+        """Those of targets that each dwell sees farther ahead by so much, rad, shape (dwells,), to the nearest step.
+
+        The farthest squints have the amplitude of those beside them.
+        """
+        step, last = self.squints[1] - self.squints[0], len(self.squints) - 1
+        numbers = np.arange(len(self.squints))[:, None] + np.rint(ahead / step).astype(np.intp)
+        numbers = np.clip(numbers, 0, last)
+        dwells = np.arange(len(ahead))
+        amplitudes, known = self.amplitudes[numbers, dwells], self.known[numbers, dwells]
+        return replace(self, amplitudes=amplitudes, known=known, ahead=self.ahead + ahead)
 
     def nearest(self, squints: F64) -> Index:
         """Numbers of the squints nearest to some, without those that are beyond all."""

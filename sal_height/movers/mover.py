@@ -34,7 +34,9 @@ class Mover:
         ambiguity: radial velocity that pulses cannot tell from none, m/s.
         walk_velocity: radial velocity by the walk through rows, m/s: it has no ambiguity.
         walk_sigma: its standard deviation, m/s.
-        walks: whether it was found by its walk, and else by its lag.
+        along_velocity: along the flight, m/s; NaN: nothing tells it, and it is taken as none.
+        along_sigma: its standard deviation, m/s; NaN likewise.
+        walks: whether it was found by its walk, through rows or along the flight, and else by its lag.
         likelihood_ratio: twice its logarithm, against that of what does not walk, or against the ground's.
         cnr_db: power of its brightest pixel over noise and ground around it.
         row: of that pixel.
@@ -50,6 +52,8 @@ class Mover:
     ambiguity: float
     walk_velocity: float
     walk_sigma: float
+    along_velocity: float
+    along_sigma: float
     walks: bool
     likelihood_ratio: float
     cnr_db: float
@@ -97,6 +101,7 @@ class Sighting:
         walk: radial velocity by its walk through rows, and its standard deviation, m/s.
         walks: whether it was found by that.
         ratio: twice the logarithm of the likelihood ratio.
+        along: velocity along the flight, and its standard deviation, m/s; None: nothing tells it.
     """
 
     row: float
@@ -107,6 +112,7 @@ class Sighting:
     walk: tuple[float, float]
     walks: bool
     ratio: float
+    along: tuple[float, float] | None = None
 
 
 def mover_of(seen: Sighting, slc: Slc, sensor: Sensor) -> Mover:
@@ -116,27 +122,33 @@ def mover_of(seen: Sighting, slc: Slc, sensor: Sensor) -> Mover:
     sight = point - aperture.position
     slant_range, speed = float(np.linalg.norm(sight)), float(np.linalg.norm(aperture.velocity))
     along = float(sight @ aperture.direction) + slant_range * seen.lag[0]
+    driving, driving_sigma = seen.along or (0.0, 0.0)
     # The row of a strip is that at the aspect 0 of the image, that of a dwell in its middle. In a strip the target is
     # abeam at the aspect minus the lag.
-    later = (slant_range * seen.lag[0] if slc.aperture.sliding else along) / speed
+    later = (slant_range * seen.lag[0] if slc.aperture.sliding else along) / (speed - driving)
     walk, walk_sigma = seen.walk
     farther, unsure = (walk, walk_sigma) if seen.walks else (0.0, float(np.hypot(walk, walk_sigma)))
-    position = locate_at_elevation(seen.elevation[0], slant_range + farther * later, along, aperture, sensor.look_side)
+    moved = along + driving * later
+    reach = float(np.sqrt((slant_range + farther * later) ** 2 - along**2 + moved**2))
+    position = locate_at_elevation(seen.elevation[0], reach, moved, aperture, sensor.look_side)
     depth = np.hypot(ROW_ERROR * slc.grid.row_spacing, unsure * later)
-    own, _ = measured_covariance(
-        position, aperture, np.array(seen.elevation[1]), float(depth), slant_range * seen.lag[1]
-    )
+    beside = float(np.hypot(slant_range * seen.lag[1], driving_sigma * later))
+    own, _ = measured_covariance(position, aperture, np.array(seen.elevation[1]), float(depth), beside)
+    # From where it is abeam, what it drives along the flight is not radial.
+    ahead = along / slant_range
     surface = Surface.seen_from(aperture, position[None, None], own[None, None], np.zeros((1, 1)))
     mover = Mover(
         position=position,
         covariance=surface.covariance[0, 0],
         height=float(surface.height[0, 0]),
         sigma=float(surface.sigma[0, 0]),
-        radial_velocity=seen.lag[0] * speed,
-        velocity_sigma=seen.lag[1] * speed,
+        radial_velocity=seen.lag[0] * speed - driving * ahead,
+        velocity_sigma=float(np.hypot(seen.lag[1] * speed, driving_sigma * ahead)),
         ambiguity=sensor.wavelength * sensor.pulse_repetition_frequency / 2,
-        walk_velocity=walk,
+        walk_velocity=walk - driving * ahead,
         walk_sigma=walk_sigma,
+        along_velocity=driving if seen.along else np.nan,
+        along_sigma=driving_sigma if seen.along else np.nan,
         walks=seen.walks,
         likelihood_ratio=float(seen.ratio),
         cnr_db=float(10 * np.log10(seen.cnr)),

@@ -24,8 +24,8 @@ class MoverSettings(Settings):
     )
     fastest_mps: float = setting(
         20.0,
-        "greatest radial velocity whose walk through rows is looked for; in stripmap no more than 6 rows while the "
-        "beam passes; 0: none",
+        "greatest radial velocity whose walk through rows is looked for, in spotlight along the flight, too; in "
+        "stripmap no more than 6 rows while the beam passes; 0: none",
         unit="m/s",
         minimum=0.0,
         maximum=1000.0,

@@ -55,10 +55,18 @@ class SeenMover:
             "ambiguity_resolved": one.resolved,
             "walk_velocity_mps": one.walk_velocity,
             "walk_velocity_sigma_mps": one.walk_sigma,
+            **_along(one),
             "found_by_walk": one.walks,
             "likelihood_ratio": one.likelihood_ratio,
             "cnr_db": one.cnr_db,
         }
+
+
+def _along(one: Mover) -> dict[str, float]:
+    """What the report says of the velocity along the flight; nothing if nothing tells it."""
+    if np.isnan(one.along_sigma):
+        return {}
+    return {"along_velocity_mps": one.along_velocity, "along_velocity_sigma_mps": one.along_sigma}
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,13 +90,17 @@ class FoundMovers:
         lines = [f"{len(self.movers)} movers; {self.candidates} bright pixels of {self.images} images were looked at"]
         if self.movers:
             place = f"{'east m':>11}{'north m':>11}{'height m':>10}{'+-':>7}"
-            lines.append(f"{'dwell':>6}{place}{'mm/s':>11}{'+-':>7}{'by walk m/s':>13}{'+-':>7}")
+            along = f"{'along m/s':>11}{'+-':>7}" if any(_along(seen.mover) for seen in self.movers) else ""
+            lines.append(f"{'dwell':>6}{place}{'mm/s':>11}{'+-':>7}{'by walk m/s':>13}{'+-':>7}{along}")
         for seen in self.movers:
             one = seen.summary()
             place = f"{one['east_m']:11.3f}{one['north_m']:11.3f}{one['height_m']:10.3f}{one['height_sigma_m']:7.3f}"
             speed = f"{1e3 * one['radial_velocity_mps']:11.2f}{1e3 * one['radial_velocity_sigma_mps']:7.2f}"
             walk = f"{one['walk_velocity_mps']:13.2f}{one['walk_velocity_sigma_mps']:7.2f}"
-            lines.append(f"{seen.dwell:6d}{place}{speed}{walk}")
+            along = "".join(
+                f"{value:{width}.2f}" for value, width in zip(_along(seen.mover).values(), (11, 7), strict=False)
+            )
+            lines.append(f"{seen.dwell:6d}{place}{speed}{walk}{along}")
         if not all(seen.mover.resolved for seen in self.movers):
             period = 1e3 * self.movers[0].mover.ambiguity
             lines.append(

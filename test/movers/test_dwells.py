@@ -16,6 +16,8 @@ from sal_height.movers import DwellMovers, Looked, Mover, MoverSettings, dwell_d
 from sal_height.movers.dwell_detection import ShownDwell
 from sal_height.movers.dwell_images import COLUMN_STEPS, DwellImage
 from sal_height.movers.dwell_likelihood import told, told_of_cloud
+from sal_height.movers.dwell_lobes import Lobes
+from sal_height.movers.dwell_paths import DwellPaths
 from sal_height.movers.search import MODEL_ERROR
 from sal_height.pipeline import Compressor, dwell_with_movers
 from sal_height.simulation.flight import SimulatedFlight, flight_of
@@ -65,8 +67,8 @@ def movers_of(seed: int, *points: PointScatterer, rate: float = 1e-3) -> list[Mo
     return [one for looked in found if looked for one in looked.movers]
 
 
-def target(radial: float, power_db: float = 30.0, east: float = 0.1) -> PointScatterer:
-    return PointScatterer(east, NORTH, HEIGHT, 10 ** (power_db / 10), radial_velocity=radial)
+def target(radial: float, power_db: float = 30.0, east: float = 0.1, along: float = 0.0) -> PointScatterer:
+    return PointScatterer(east, NORTH, HEIGHT, 10 ** (power_db / 10), radial, along)
 
 
 @pytest.mark.parametrize(
@@ -95,6 +97,65 @@ def test_what_moves_by_millimetres_is_told_by_the_beam(radial: float) -> None:
     assert abs(one.radial_velocity - radial) < 4 * one.velocity_sigma < 1e-3
     assert one.position[0] == pytest.approx(0.1, abs=0.03)
     assert one.height == pytest.approx(HEIGHT, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("radial", "along", "east"),
+    [(6.003, 10.0, 0.1), (9e-3, -13.0, 0.25), (-3.0, 2.3, -0.2), (0.0, 7.0, 0.2)],
+    ids=lambda value: f"{value:g}",
+)
+def test_a_car_may_drive_along_the_flight(radial: float, along: float, east: float) -> None:
+    """Its image lies 1 to 6 columns farther in each dwell; where it was abeam, and what is radial there, are told."""
+    (one,) = movers_of(0, target(radial, east=east, along=along))
+    assert one.walks
+    assert abs(one.along_velocity - along) < 4 * one.along_sigma < 2.0
+    assert abs(one.walk_velocity - radial) < 4 * one.walk_sigma < 1.0
+    off = one.radial_velocity - radial
+    assert abs(off - PERIOD * round(off / PERIOD)) < 4 * one.velocity_sigma < 1e-3
+    truth = sphere_point(east, NORTH, HEIGHT)
+    assert np.all(np.abs(one.position - truth) < 4 * np.sqrt(np.diag(one.covariance)))
+    assert np.sqrt(one.covariance[0, 0]) < 0.1
+    assert one.height == pytest.approx(HEIGHT, abs=0.03)
+
+
+def test_what_drives_along_the_flight_is_not_told_if_that_is_not_looked_for() -> None:
+    flight, images = flown(0, target(9e-3, east=0.25, along=-13.0))
+    found = found_in(flight, images, MoverSettings(fastest_mps=0.0))
+    assert not [mover for one in found if one for mover in one.movers if mover.walks]
+
+
+def test_an_image_drifts_by_what_the_velocity_along_the_flight_says() -> None:
+    """Against the place of the image written out: where what stands still has the same Doppler frequency."""
+    flight, images = flown(0)
+    dwells = [dwell_with_movers(slc, 0.0, flight.sensor, MoverSettings()) for slc in images]
+    shown = [replace(one.image, seconds=1e-9 * flight.dwell_start_ns(number)) for number, one in enumerate(dwells)]
+    paths = DwellPaths.of(shown, 2, dwells[2].beams, images[2], flight.sensor, 20.0)
+    speed, reach, start = 50.0, paths.reach, 0.3
+    for along in (-12.0, 5.0):
+        driving = paths.driving(along)
+        ahead = start + (along - speed) * paths.seconds  # of the antenna
+        doppler = -ahead / reach * (along - speed)  # radial velocity towards it
+        still = doppler * reach / speed + speed * paths.seconds  # in map, but for where the antenna was at first
+        assert driving.drifts == pytest.approx(still - still[2], abs=1e-9)
+        assert driving.along_of(driving.drift) == pytest.approx(along)
+        squints = ahead / reach + np.array([speed * t / reach for t in paths.seconds])
+        extra = driving.lobes.ahead - paths.lobes.ahead
+        assert extra == pytest.approx(squints - squints[2], abs=1e-9)
+    assert np.isnan(paths.along_of(51.0))
+
+
+def test_beams_that_are_turned_are_those_of_the_direction() -> None:
+    """To the nearest of the squints, which is half a step off."""
+    flight, images = flown(0)
+    dwell = dwell_with_movers(images[0], 0.0, flight.sensor, MoverSettings())
+    width = dwell.beams.track_beamwidth
+    ahead, turn = width * np.array([-0.7, 0.0, 0.7]), width * np.array([-0.2, 0.0, 0.15])
+    lobes = Lobes.of(dwell.beams, ahead, np.zeros(3)).turned(turn)
+    exact = Lobes.of(dwell.beams, ahead + turn, np.zeros(3))
+    inner = np.abs(exact.squints) < 2 * width
+    assert lobes.amplitudes[inner] == pytest.approx(exact.amplitudes[inner], abs=1e-6)
+    assert np.array_equal(lobes.known[inner], exact.known[inner])
+    assert lobes.ahead == pytest.approx(exact.ahead)
 
 
 def test_errors_are_those_that_are_stated() -> None:

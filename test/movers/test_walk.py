@@ -99,7 +99,7 @@ def test_speeds_that_are_not_looked_for() -> None:
 
 
 def test_the_walk_resolves_an_ambiguity_that_is_longer_than_its_error() -> None:
-    at = Mover(np.zeros(3), np.eye(3), 0.0, 0.01, 2.0, 0.1, 15.0, 33.0, 1.0, True, 50.0, 20.0, 1, 1)
+    at = Mover(np.zeros(3), np.eye(3), 0.0, 0.01, 2.0, 0.1, 15.0, 33.0, 1.0, 0.0, 1.0, True, 50.0, 20.0, 1, 1)
     assert at.resolved
     assert at.without_ambiguity().radial_velocity == pytest.approx(32.0)
     assert replace(at, walk_velocity=-12.0).without_ambiguity().radial_velocity == pytest.approx(-13.0)

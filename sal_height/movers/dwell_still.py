@@ -1,0 +1,134 @@
+"""How likely pixels along the path of a target are, if what they show stands still after all."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from sal_height.movers.dwell_likelihood import told, told_of_cloud
+from sal_height.movers.dwell_paths import DwellPaths, Sight
+from sal_height.movers.search import MODEL_ERROR
+from sal_height.movers.walk import DEPTHS, FINE_STEP, LEAST_PART, NEIGHBOURS
+from sal_height.numeric import C128, F64, Index
+
+APART = 0.75
+"""Columns by which the places of images differ that may show different targets."""
+
+
+def standing_instead(
+    paths: DwellPaths, driving: DwellPaths, bright: tuple[F64, int], row: float, speed: float
+) -> list[float]:
+    """Logarithms of the likelihoods of targets that stand still where one would be that drives along the flight.
+
+    There is one at each place, that of the middle dwell first, as the dwell shows it that has the driving one there. In
+    the other dwells these columns are without what they have of the response of what is bright there.
+
+    Args:
+        paths: of what does not drive along the flight.
+        driving: of what does.
+        bright: place (m) in the middle dwell, and number of its elevation.
+        row: in the middle dwell, over that of what stands still.
+        speed: of the walk, m/s.
+    """
+    column = paths.dwells[paths.middle].grid.col_spacing
+    places, taken, told = driving.places(bright[0]), list[int](), list[float]()
+    for dwell in np.argsort(np.abs(paths.seconds), kind="stable").tolist():
+        apart = np.abs(driving.drifts - driving.drifts[dwell]) / column
+        sight = paths.sight(places[dwell], bright[1])
+        if np.all(apart[taken] >= APART) and np.isfinite(sight.backgrounds[dwell]):
+            sight, shares = _cleared(paths, sight, places, np.where(apart >= APART, apart, np.inf))
+            there = row + speed * float(paths.seconds[dwell]) / paths.depth
+            told.append(_standing(paths, sight, dwell, there, shares))
+            taken.append(dwell)
+    return told
+
+
+def _cleared(paths: DwellPaths, sight: Sight, places: F64, apart: F64) -> tuple[Sight, F64]:
+    """Pixels without the response of what is so many columns beside them, at a place (m) in each dwell.
+
+    Returns:
+        The pixels, with noise of the same power; the part of the amplitude of what is there that they have.
+    """
+    near = np.isfinite(apart)
+    shared = np.where(near, paths.response_along(np.where(near, apart, 0.0)), 0.0)
+    shares = np.sqrt(1 - shared**2)
+    beside = np.array(
+        [
+            one.column(rows, one.shows(place)[1])[0]
+            for one, rows, place in zip(paths.dwells, sight.numbers, places, strict=True)
+        ]
+    )
+    spectra = (sight.spectra - shared[:, None, None] * beside) / shares[:, None, None]
+    return replace(sight, spectra=spectra.astype(np.complex64)), shares
+
+
+def _standing(paths: DwellPaths, sight: Sight, dwell: int, row: float, shares: F64) -> float:
+    """Logarithm of the likelihood of what stands still at a place, as a dwell shows it in a row.
+
+    Args:
+        paths: of what does not drive along the flight.
+        sight: pixels around the place.
+        dwell: number of the one that shows it.
+        row: over that of what stands still at the place.
+        shares: of the amplitude of what is there that the pixels have, shape (dwells,).
+    """
+    squints = paths.ambiguous(sight)
+    matched, gains = paths.matched_each(sight, squints, dwell, row)
+    path = paths.path(sight, row, np.zeros(1))
+    told = paths.told(matched, shares * gains, path, squints)
+    return max(float(told.max()), glinting(paths, sight, path, squints, shares))
+
+
+def glinting(paths: DwellPaths, sight: Sight, path: tuple[F64, F64], still: Index, shares: F64 | float = 1.0) -> float:
+    """Logarithm of the likelihood of what stands still and has its centre at another elevation in each dwell.
+
+    That is what several scatterers in one cell do, as speckle.
+    """
+    along = np.einsum("nr,nrc->nc", path[0][0], sight.spectra)
+    amplitudes = paths.lobes.amplitudes[still]
+    squares = np.sum(np.abs(amplitudes) ** 2, axis=-1)
+    floor = MODEL_ERROR * squares.max()
+    seen = np.abs(np.sum(amplitudes.conj() * along[:, None], axis=-1)) ** 2 / (squares + floor)
+    best = seen.argmax(axis=-1)[..., None]
+    matched, gains = (np.take_along_axis(one, best, -1)[..., 0] for one in (seen, squares + floor))
+    return float(
+        told(np.sqrt(matched / sight.backgrounds), shares * path[1][0] * np.sqrt(gains / sight.backgrounds)).max()
+    )
+
+
+def several(
+    paths: DwellPaths, sight: Sight, standing: C128, gains: F64, still: Index, row: float, speed: float
+) -> float:
+    """Logarithm of the likelihood of targets that stand still in different rows of the walk."""
+    beside = abs(speed) * float(np.abs(paths.seconds).max()) / abs(paths.depth) + 1.0
+    places: F64 = row + np.arange(-beside, beside + FINE_STEP / 2, 2 * FINE_STEP, dtype=np.float64)
+    return max(_greedy(paths, sight, standing[[one]], gains[[one]], still[[one]], places) for one in range(len(still)))
+
+
+def _greedy(paths: DwellPaths, sight: Sight, standing: C128, gains: F64, still: Index, places: F64) -> float:
+    """The same for one squint: the brightest first, each without what those before it have."""
+    weights, parts = paths.path(sight, places, np.zeros(1))
+    found = np.zeros((len(paths.dwells), 0, weights.shape[-1]))
+    total = best = 0.0
+    for _ in range(NEIGHBOURS):
+        left = weights - np.einsum("wnk,nkr->wnr", np.einsum("wnr,nkr->wnk", weights, found), found)
+        norms = np.linalg.norm(left, axis=-1)
+        left = np.where((norms > LEAST_PART)[..., None], left / np.maximum(norms, 1e-12)[..., None], 0.0)
+        energy = np.sum(np.abs(paths.on_path(standing, left)[:, 0]) ** 2, axis=-1)
+        one = int(energy.argmax())
+        if not energy[one] > 0:
+            break
+        shown = parts * np.where(norms > LEAST_PART, norms, 0.0)
+        total += float(paths.told(standing, gains, (left[[one]], shown[[one]]), still)[0, 0])
+        best = max(best, total)
+        found = np.concatenate([found, left[one][:, None]], axis=1)
+    return best
+
+
+def deep(sight: Sight, standing: C128, gains: F64, row: float) -> float:
+    """Logarithm of the likelihood of a cloud that stands still and is spread over range."""
+    there = sight.numbers - (sight.still + row)[:, None]
+    shares = np.exp(-(there**2) / (2 * np.square(DEPTHS)[:, None, None])) * sight.inside
+    shares = shares / np.maximum(shares.sum(axis=-1, keepdims=True), 1e-12)
+    return max(told_of_cloud(np.abs(one), gain, shares) for one, gain in zip(standing, gains, strict=True))

@@ -12,7 +12,7 @@ against what does not walk, whatever its lag, and there are as many times more h
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import maximum_filter
@@ -20,6 +20,7 @@ from scipy.ndimage import maximum_filter
 from sal_height.beams import Beams
 from sal_height.errors import Rejected, UserError
 from sal_height.imaging import Slc
+from sal_height.movers.drive import Drive, Drives
 from sal_height.movers.ground import ground_lag, lag_by_odometry
 from sal_height.movers.mover import Looked, Mover, Sighting, mover_of, peak_of, without_ambiguities
 from sal_height.movers.search import Search, Seen
@@ -94,7 +95,8 @@ def find_movers(images: C64 | C128, beams: Beams, slc: Slc, sensor: Sensor, sett
     whole = Bins.of(slc, sensor, images.shape[-1])
     ground = ground_lag(images, beams, whole, search.lags, lag_by_odometry(slc, sensor))
     walks = Walks.of(coarse, slc, sensor, settings.fastest_mps, ground[0])
-    looking = _Looking(search, walks, ground, slc, sensor)
+    of_rows = Walks.of(Search(images, beams, whole, COARSE_STEP), slc, sensor, settings.fastest_mps, ground[0])
+    looking = _Looking(search, walks, of_rows, ground, slc, sensor)
     walking, looked_at = looking.for_walks(settings)
     lagging, candidates = looking.for_lags(settings)
     apart = [one for one in lagging if not any(_in_image_of(one, other, walks) for other in walking)]
@@ -116,10 +118,11 @@ def _bright(power: F64, prominence_db: float) -> Bool:
 
 @dataclass(frozen=True, eq=False)
 class _Looking:
-    """The search in an image."""
+    """The search in an image; `of_rows` has walks through it as spectra of whole rows."""
 
     search: Search
     walks: Walks
+    of_rows: Walks
     ground: tuple[float, float]
     slc: Slc
     sensor: Sensor
@@ -182,11 +185,36 @@ class _Looking:
         elevation = self.search.elevation(seen.spectra, float(self.search.lags[seen.told.argmax()]))
         if elevation is None:
             return []
-        lag, sigma = peak_of(seen.told, self.search.lags)
-        own = lag - self.ground[0], float(np.hypot(sigma, self.ground[1]))
         row, walk = walked.row if walks else seen.row, (walked.speed, walked.sigma)
-        sighting = Sighting(row, seen.col, seen.cnr, elevation, own, walk, walks, ratio)
+        search, along = self.search, None
+        drive = self._drive(row, elevation[0], walked.speed if walks else 0.0)
+        if drive:
+            # A Doppler frequency is that of a greater aspect, and of a time that is later, than of what stands still.
+            search = replace(search, bins=search.bins.slowed(float(np.sqrt(drive.slowing[0]))))
+            focused = self._in_focus(search, seen, drive)
+            if focused is None:
+                return []
+            (seen, elevation), along = focused, drive.along
+            walk = walk[0] * drive.slowing[0], float(np.hypot(walk[1], walk[0] * drive.slowing[1]))
+        lag, sigma = peak_of(seen.told, search.lags)
+        own = lag - self.ground[0], float(np.hypot(sigma, self.ground[1]))
+        sighting = Sighting(row, seen.col, seen.cnr, elevation, own, walk, walks, ratio, along)
         return [mover_of(sighting, self.slc, self.sensor)]
+
+    def _in_focus(self, search: Search, seen: Seen, drive: Drive) -> tuple[Seen, tuple[float, float]] | None:
+        """The same and its elevation by its image in focus; None: it is at an end of the array or of the lags."""
+        cols = np.array([drive.col])
+        chip = drive.row[:, search.first(cols)[0] + np.arange(search.bins.pixels)]
+        for one in search.of(search.bins.spectra(chip).T[None], np.array([seen.pixel[0]]), cols):
+            elevation = search.elevation(one.spectra, float(search.lags[one.told.argmax()]))
+            if elevation and self._is_inside(one.told):
+                return one, elevation
+        return None
+
+    def _drive(self, row: float, elevation: float, speed: float) -> Drive | None:
+        """How what was seen in a row at an elevation (rad), walking with a speed (m/s), drives along the flight."""
+        drives = Drives.of(self.of_rows.search, self.slc, self.sensor)
+        return drives.look(self.of_rows.spectra(row, speed), elevation)
 
     def _is_inside(self, told: F64) -> bool:
         """Whether the best lag is none of the outermost."""

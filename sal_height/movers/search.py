@@ -94,7 +94,7 @@ class Search:
         backgrounds = self.backgrounds(rows[inside], elevations)
         powers = np.mean(np.sum(np.abs(spectra) ** 2, axis=-1), axis=-1)
         told, centres = self.likelihoods(spectra, elevations, np.maximum(backgrounds, MODEL_ERROR * powers))
-        first = self._firsts(cols[inside])
+        first = self.first(cols[inside])
         middles = first + self.bins.pixels // 2 + centres * self.bins.pixels / len(self.bins.numbers)
         for number, pixel in enumerate(inside):
             yield Seen(
@@ -109,10 +109,10 @@ class Search:
 
     def spectra(self, rows: Index, cols: Index) -> C128:
         """Of the pixels along the flight around some, shape (targets, bins, channels)."""
-        chips = self.images[:, rows[:, None], self._firsts(cols)[:, None] + np.arange(self.bins.pixels)]
+        chips = self.images[:, rows[:, None], self.first(cols)[:, None] + np.arange(self.bins.pixels)]
         return np.moveaxis(self.bins.spectra(chips), 0, -1)
 
-    def _firsts(self, cols: Index) -> Index:
+    def first(self, cols: Index) -> Index:
         """The first of the pixels around some."""
         return np.clip(cols - self.bins.pixels // 2, 0, self.images.shape[-1] - self.bins.pixels)
 

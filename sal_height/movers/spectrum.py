@@ -57,6 +57,12 @@ class Bins:
         return self.aspects / self.angle
 
     @property
+    def cell(self) -> float:
+        """Pixels in a resolution cell."""
+        spacing = (self.aspects[-1] - self.aspects[0]) / (len(self.aspects) - 1)
+        return float(self.pixels * spacing / self.angle)
+
+    @property
     def middle(self) -> int:
         """Number of the bin whose aspect is nearest to 0."""
         return int(np.abs(self.aspects).argmin())
@@ -66,6 +72,10 @@ class Bins:
         spacing = (self.aspects[-1] - self.aspects[0]) / (len(self.aspects) - 1)
         rounded = self.angle * np.exp(SPACING_STEP * np.rint(np.log(spacing / self.angle) / SPACING_STEP))
         return replace(self, aspects=rounded * (np.arange(len(self.aspects)) - self.middle))
+
+    def slowed(self, share: float) -> Self:
+        """The same for what passes the antenna at a share of the speed of the platform: its aspects are greater."""
+        return replace(self, aspects=self.aspects / share, angle=self.angle / share)
 
     def spectra(self, pixels: C64 | C128) -> C128:
         """Spectra of pixels about the middle one without the window; noise has in each bin the power that pixels have.
@@ -78,6 +88,12 @@ class Bins:
         """
         turned = np.fft.fft(np.fft.ifftshift(pixels, axes=-1), axis=-1)[..., self.numbers]
         return np.asarray(turned * np.sqrt(len(self.numbers)) / (self.weights * self.pixels))
+
+    def image(self, spectra: C128) -> C128:
+        """Pixels that have these spectra, shape (..., bins), and nothing in other bins, shape (..., pixels)."""
+        whole = np.zeros((*spectra.shape[:-1], self.pixels), np.complex128)
+        whole[..., self.numbers] = spectra * (self.weights * self.pixels / np.sqrt(len(self.numbers)))
+        return np.asarray(np.fft.fftshift(np.fft.ifft(whole, axis=-1), axes=-1))
 
     def amplitudes(self, beams: Beams, elevation: npt.ArrayLike, lags: F64) -> C128:
         """Of all channels for a target with each of the lags (rad), shape (..., lags, bins, channels).

@@ -150,6 +150,17 @@ class Walks:
         """Amplitude of a point so many rows away, 1 in the middle."""
         return point_response(self.window, self.spacing, rows)
 
+    def spectra(self, row: float, speed: float) -> C128:
+        """Of the middle pixels along the walk of a target with a speed (m/s), shape (bins, channels).
+
+        Its row is that at the aspect 0.
+        """
+        rows, cols = self.search.images.shape[1:]
+        spread = REACH + int(np.ceil(0.5 * abs(speed) / self.speed_of_row))
+        numbers = np.arange(max(0, round(row) - spread), min(rows, round(row) + spread + 1))
+        spectra = self.search.spectra(numbers, np.full(len(numbers), cols // 2))
+        return self._along(spectra, numbers, np.array([row]), np.array([speed]))[0]
+
     def look(self, row: int, col: int, number: int, threshold: float | None = None) -> Walked | None:
         """The walk of what is bright at a pixel with the walk of a speed undone.
 

@@ -12,6 +12,7 @@ from sal_height.errors import UserError
 from sal_height.geometry import PlatformState, Trajectory
 from sal_height.imaging import ImageSettings, Slc
 from sal_height.movers import Looked, Mover, MoverSettings, find_movers
+from sal_height.movers.drive import Drives
 from sal_height.movers.likelihood import _held
 from sal_height.movers.mover import without_ambiguities
 from sal_height.movers.search import Search
@@ -206,7 +207,22 @@ def test_the_same_place_counts_once() -> None:
     def at(east: float, ratio: float) -> Mover:
         covariance = 1e-4 * np.eye(3)
         return Mover(
-            np.array([east, 0, 0]), covariance, 0.0, 0.01, 0.005, 1e-4, 0.0155, 0.0, 0.5, False, ratio, 20.0, 1, 1
+            np.array([east, 0, 0]),
+            covariance,
+            0.0,
+            0.01,
+            0.005,
+            1e-4,
+            0.0155,
+            0.0,
+            0.5,
+            np.nan,
+            np.nan,
+            False,
+            ratio,
+            20.0,
+            1,
+            1,
         )
 
     kept = without_ambiguities([at(0.0, 20.0), at(0.05, 30.0), at(0.5, 25.0)])
@@ -238,3 +254,47 @@ def test_what_cannot_be_used_is_refused() -> None:
     ):
         with pytest.raises(UserError, match=said):
             movers(image, sensor, MoverSettings())
+
+
+@pytest.mark.parametrize(("radial", "along"), [(5e-3, 2.0), (-6e-3, -3.0), (8.003, 4.0)])
+def test_what_drives_along_the_flight_is_focused(radial: float, along: float) -> None:
+    """Its image is smeared over 13 to 27 cells; unfocused, velocities were off by up to 1 mm/s, and walks by 3 m/s."""
+    period = 15.5e-3
+    remainder = radial - period * round(radial / period)
+    point = PointScatterer(EAST + 100 * remainder, NORTH, HEIGHT, 10**3.4, radial, along)
+    (one,) = [mover for seen in looked(0, point, rate=1e-3) for mover in seen.movers]
+    assert abs(one.along_velocity - along) < 4 * one.along_sigma < 1.0
+    off = one.radial_velocity - radial
+    assert abs(off - period * round(off / period)) < 4 * one.velocity_sigma < 1.2e-3
+    assert abs(one.position[0] - point.east) < 4 * np.sqrt(one.covariance[0, 0]) < 0.2
+    assert one.height == pytest.approx(HEIGHT, abs=0.05)
+    if one.walks:
+        assert abs(one.walk_velocity - radial) < 4 * one.walk_sigma
+
+
+def test_what_recedes_only_has_no_velocity_along_the_flight() -> None:
+    (one,) = [seen for each in looked(0, mover(6e-3, 34.0, EAST + 0.6)) for seen in each.movers]
+    assert np.isnan(one.along_velocity)
+    assert np.isnan(one.along_sigma)
+
+
+@pytest.mark.parametrize("smear", [-20.0, 7.0])
+def test_the_smear_of_a_point_is_found(smear: float) -> None:
+    """Against the phase written out, of a point 9 cells off the middle; noise alone has no focus."""
+    flight, (slc, *_) = strip(0)
+    images = np.zeros((8, slc.grid.rows, slc.grid.cols), np.complex128)
+    bins = Bins.of(slc, flight.sensor, slc.grid.cols)
+    drives = Drives.of(Search(images, flight.sensor.beams, bins), slc, flight.sensor)
+    elevation = float(np.mean(flight.sensor.beams.span))
+    beam = flight.sensor.beams.response(elevation, bins.aspects)
+    point = np.exp(1j * np.pi * smear * bins.frequencies**2 - 2j * np.pi * 9 * bins.frequencies)
+    found = drives.look(point[:, None] * beam, elevation)
+    assert found is not None
+    speed = 50.0 * (1 - (1 + smear / drives.cells) ** -0.5)
+    assert found.along[0] == pytest.approx(speed, abs=0.05)
+    assert found.col == bins.pixels // 2 + round(9 * bins.cell)
+    power = np.sum(np.abs(found.row) ** 2, axis=0)
+    assert power.argmax() == pytest.approx(found.col, abs=1)
+    assert drives.cells == pytest.approx(155, abs=5)
+    rng = np.random.default_rng(5)
+    assert drives.look(rng.standard_normal(beam.shape) + 1j * rng.standard_normal(beam.shape), elevation) is None

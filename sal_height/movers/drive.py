@@ -1,0 +1,111 @@
+"""Velocity along the flight of targets in strips, by which their images are out of focus.
+
+What drives along the flight with u passes the beam more slowly: its Doppler frequency f changes at the rate
+(1 - u / v)^2 of what stands still, v being the speed of the platform. Its image has the spectrum of a point times
+exp(j pi q f^2), f from -1/2 to 1/2 over the angle that is processed, and is smeared over
+
+    q = n ((1 - u / v)^-2 - 1),  n = 2 angle^2 rho / wavelength
+
+cells along the flight, rho being the range (Raney, IEEE Trans. AES 7, 1971). The q with which the image is sharpest
+tells u, and where the image is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from sal_height.geometry import aperture_at
+from sal_height.imaging import Slc
+from sal_height.movers.search import Search
+from sal_height.numeric import C128, vertex
+from sal_height.sensor import Sensor
+
+SMEAR_STEP, PLACE_STEP = 1.0, 0.25
+"""Of the search for the sharpest image, in cells."""
+
+LEAST_SHARPER = 10**0.05
+"""Power of an image in focus over that out of focus from which its target is said to drive along the flight."""
+
+IN_FOCUS = 0.7
+"""Power of its brightest pixel over that of a point in focus from which an image is one.
+
+Points of 24 to 34 dB over the cells of a street reach 0.85."""
+
+SMEAR_ERROR = 1.0
+"""Standard deviation of the smear that other targets leave, in cells."""
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """How a target drives along the flight.
+
+    Attributes:
+        along: velocity along the flight, and its standard deviation, m/s.
+        col: of its image in focus.
+        row: the row, or what the walk makes of it, in focus, shape (channels, cols).
+        slowing: 1 - u / v squared, by which its Doppler frequency changes more slowly, and its standard deviation.
+    """
+
+    along: tuple[float, float]
+    col: int
+    row: C128
+    slowing: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Drives:
+    """What drives along the flight in an image.
+
+    Attributes:
+        search: whose spectra are those of whole rows.
+        cells: n, see above.
+        speed: of the platform, m/s.
+    """
+
+    search: Search
+    cells: float
+    speed: float
+
+    @classmethod
+    def of(cls, search: Search, slc: Slc, sensor: Sensor) -> Self:
+        """Those of an image, whose rows `search` looks at as a whole."""
+        grid = slc.grid
+        middle = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2)
+        slant_range = float(np.linalg.norm(middle - aperture_at(middle, slc.aperture).position))
+        cells = 2 * search.bins.angle**2 * slant_range / sensor.wavelength
+        return cls(search, cells, float(np.linalg.norm(slc.aperture.velocity)))
+
+    def look(self, spectra: C128, elevation: float) -> Drive | None:
+        """How a target drives; None: not at all, as far as its image tells.
+
+        Args:
+            spectra: of the channels in its row, or along its walk, shape (bins, channels).
+            elevation: rad.
+        """
+        bins = self.search.bins
+        beam = self.search.beams.response(elevation, bins.aspects)
+        line = np.sum(beam.conj() * spectra, axis=-1) / np.linalg.norm(beam, axis=-1) * np.hanning(len(spectra))
+        most = len(line) // 2
+        smears = np.arange(-most, most + SMEAR_STEP / 2, SMEAR_STEP)
+        places = np.arange(-len(line) / 2, len(line) / 2, PLACE_STEP)
+        waves = np.exp(2j * np.pi * bins.frequencies[:, None] * places)
+        focused = line * np.exp(-1j * np.pi * smears[:, None] * bins.frequencies**2)
+        power = np.abs(focused @ waves) ** 2
+        brightest = power.max(axis=1)
+        best = int(np.clip(brightest.argmax(), 1, len(smears) - 2))
+        least = max(LEAST_SHARPER * brightest[len(smears) // 2], IN_FOCUS * np.sum(np.abs(line)) ** 2)
+        if brightest[best] < least:
+            return None
+        smear = float(smears[best] + SMEAR_STEP * vertex(*brightest[best - 1 : best + 2])[0])
+        place = float(places[power[best].argmax()])
+        rate = 1 + smear / self.cells
+        if rate <= 0:
+            return None
+        slowing = 1 / rate, SMEAR_ERROR / self.cells / rate**2
+        along = self.speed * (1 - slowing[0] ** 0.5), self.speed * slowing[1] / (2 * slowing[0] ** 0.5)
+        col = bins.pixels // 2 + round(place * bins.cell)
+        focused = spectra.T * np.exp(-1j * np.pi * smear * bins.frequencies**2)
+        return Drive(along, col, bins.image(focused), slowing)

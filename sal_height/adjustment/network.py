@@ -67,10 +67,10 @@ class Network:
         seen: how far these are seen to lie off by their edges, by number.
     """
 
-    def __init__(self, mounting: Mounting, settings: AdjustmentSettings) -> None:
-        """Begin without dwells."""
+    def __init__(self, mounting: Mounting, settings: AdjustmentSettings, position_step: float = 0.0) -> None:
+        """Begin without dwells; the stated position steps from one to the next by `position_step` (m, 1 sigma)."""
         self.mounting, self.settings = mounting, settings
-        self.layout = Layout(settings.correlation_s)
+        self.layout = Layout(settings.correlation_s, position_step)
         self.dwells: dict[int, ObservedDwell] = {}
         self.poses: dict[int, Form] = {}
         self.displacements: dict[int, Form] = {}
@@ -86,7 +86,7 @@ class Network:
         """Add a dwell, not earlier than all others; returns its number."""
         number, self._count = self._count, self._count + 1
         if not number:
-            self._known.append(common_prior(dwell.points.spacing, self.layout, self.settings))
+            self._known.append(common_prior(dwell.edges_sigma, self.layout, self.settings))
         self._known += self.layout.add(number, dwell.stated)
         self.dwells[number] = dwell = replace(dwell, points=dwell.points.numbered(number))
         self.poses[number] = pose(number, dwell, self.layout, self.mounting)

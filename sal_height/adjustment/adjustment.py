@@ -150,7 +150,7 @@ def adjust_images(
         settings: what is known beforehand.
         targets: that stand out in the images.
     """
-    network = Network(mounting, settings, settings.position_step_m)
+    network = Network(mounting, settings, settings.position_step_m, most_weight=1.0)
     images = {network.add(dwell): dwell for dwell in dwells}
     found = list(compared_images(images, network, network.solved([]), settings))
     found += targets_in_images(images, network, network.solved([], found), targets)

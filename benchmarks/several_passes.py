@@ -17,6 +17,7 @@ from sal_height.elevation import ESTIMATORS, conditional_crb
 from sal_height.numeric import F64
 from sal_height.passes import (
     GOTCHA_ELEVATIONS,
+    OF_POINTS,
     Circle,
     Pass,
     PassHeights,
@@ -97,7 +98,7 @@ def _heights(passes: Sequence[Pass], known: Sequence[ReferencePoint]) -> PassHei
         reference_sigma_m=REFERENCE_SIGMA,
     )
     ml = ESTIMATORS["ml"]
-    looks = ml.settings(range_looks=1, azimuth_looks=1)
+    looks = ml.settings(**OF_POINTS)
     return heights_from_passes(passes, np.zeros(3), ml, looks, settings, known)
 
 

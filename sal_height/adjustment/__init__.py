@@ -3,13 +3,15 @@
 Read `adjustment` first (the way through), then `observed` (how errors move what a dwell shows), `comparing` and
 `matching` (which images of the same ground are compared, and how far they lie apart), `drift` (how errors of navigation
 develop), `network` and `equations` (least squares), `reference` and `targets` (known ground) and `corrected` (the
-trajectory that results). `window` and `corrected_heights` are the same for a flight that goes on.
+trajectory that results). `window` and `corrected_heights` are the same for a flight that goes on;
+`observed_image` and `ground_image` are the same for images of one detector, which have no heights.
 """
 
-from sal_height.adjustment.adjustment import Adjustment, adjust
+from sal_height.adjustment.adjustment import Adjustment, adjust, adjust_images
 from sal_height.adjustment.corrected import corrected_mounting, corrected_states, mounting_covariance
 from sal_height.adjustment.corrected_heights import corrected_aperture, corrected_heights
 from sal_height.adjustment.drift import Pulses, Stated
+from sal_height.adjustment.ground_image import cell_size
 from sal_height.adjustment.matching import LEAST_POINTS, Points
 from sal_height.adjustment.observed import (
     BORESIGHT,
@@ -19,8 +21,9 @@ from sal_height.adjustment.observed import (
     ObservedDwell,
     stated_sigmas,
 )
+from sal_height.adjustment.observed_image import ObservedImage
 from sal_height.adjustment.reference import UNKNOWN_GROUND, References, Target, Terrain
-from sal_height.adjustment.settings import AdjustmentSettings
+from sal_height.adjustment.settings import AdjustmentSettings, ImageAdjustmentSettings
 from sal_height.adjustment.targets import read_targets
 from sal_height.adjustment.window import MOST_POINTS, PoseError, Window
 
@@ -34,7 +37,9 @@ __all__ = [
     "UNKNOWN_GROUND",
     "Adjustment",
     "AdjustmentSettings",
+    "ImageAdjustmentSettings",
     "ObservedDwell",
+    "ObservedImage",
     "Points",
     "PoseError",
     "Pulses",
@@ -44,6 +49,8 @@ __all__ = [
     "Terrain",
     "Window",
     "adjust",
+    "adjust_images",
+    "cell_size",
     "corrected_aperture",
     "corrected_heights",
     "corrected_mounting",

@@ -108,7 +108,7 @@ def compared(
     before = [other for other in earlier if not _goes_on(other, chain, network)]
     middle, near = network.displacements[chain.middle], _near(chain, before, network.settings)
     relative = [middle.minus([(1.0, network.displacements[other.middle])]) for other in near]
-    reach, *reaches = _reaches(known, [middle, *relative], chain.points.spacing, network.settings)
+    reach, *reaches = search_reaches(known, [middle, *relative], chain.points.spacing, network.settings)
     met = [_Met.of(other, network, known) for other in near]
     if references.terrain and chain.points.place.size and (ground := references.terrain.around(chain.points, reach)):
         met, reaches = [_Met(ground, {}, np.zeros(3)), *met], [reach, *reaches]
@@ -177,14 +177,14 @@ def sighted(network: Network, numbers: Iterable[int], known: Solution, reference
         return
     for number in numbers:
         points, form = network.dwells[number].points, network.displacements[number]
-        (reach,) = _reaches(known, [form], points.spacing, network.settings)
+        (reach,) = search_reaches(known, [form], points.spacing, network.settings)
         for target in references.targets:
             equation = target.sighted(points, form, known.at(form), reach)
             if equation is not None:
                 yield Comparison(({number: 1.0}, {REFERENCE: 1.0}), equation, form, is_target=True)
 
 
-def _reaches(known: Solution, forms: Sequence[Form], spacing: float, settings: AdjustmentSettings) -> list[F64]:
+def search_reaches(known: Solution, forms: Sequence[Form], spacing: float, settings: AdjustmentSettings) -> list[F64]:
     """How far displacements, or differences of them, may be from what is known, m, shape (3,) each."""
     most, surplus = settings.reach_spacings * spacing, SURPLUS_SPACINGS * spacing
     deviations = (np.sqrt(np.diag(covariance)) for covariance in known.covariance(forms))

@@ -28,6 +28,9 @@ from sal_height.numeric import F64
 FREEDOM = 4.0
 """Of Student's t: the fewer, the sooner a comparison loses weight."""
 
+MOST_WEIGHT = (FREEDOM + 3) / FREEDOM
+"""Weight of a comparison without an error."""
+
 ROUNDS, SETTLED = 6, 0.02
 """Solutions after which the weights hardly change, at most, and the greatest change of a weight that is none."""
 
@@ -67,10 +70,24 @@ class Network:
         seen: how far these are seen to lie off by their edges, by number.
     """
 
-    def __init__(self, mounting: Mounting, settings: AdjustmentSettings) -> None:
-        """Begin without dwells."""
-        self.mounting, self.settings = mounting, settings
-        self.layout = Layout(settings.correlation_s)
+    def __init__(
+        self,
+        mounting: Mounting,
+        settings: AdjustmentSettings,
+        position_step: float = 0.0,
+        most_weight: float = MOST_WEIGHT,
+    ) -> None:
+        """Begin without dwells.
+
+        Args:
+            mounting: of the sensor, as described.
+            settings: what is known beforehand.
+            position_step: standard deviation by which the stated position steps from dwell to dwell, m.
+            most_weight: of a comparison that agrees with the others: 1 where so few dwells are compared that they
+                agree by being fitted to each other.
+        """
+        self.mounting, self.settings, self._most_weight = mounting, settings, most_weight
+        self.layout = Layout(settings.correlation_s, position_step)
         self.dwells: dict[int, ObservedDwell] = {}
         self.poses: dict[int, Form] = {}
         self.displacements: dict[int, Form] = {}
@@ -86,7 +103,7 @@ class Network:
         """Add a dwell, not earlier than all others; returns its number."""
         number, self._count = self._count, self._count + 1
         if not number:
-            self._known.append(common_prior(dwell.points.spacing, self.layout, self.settings))
+            self._known.append(common_prior(dwell.edges_sigma, self.layout, self.settings))
         self._known += self.layout.add(number, dwell.stated)
         self.dwells[number] = dwell = replace(dwell, points=dwell.points.numbered(number))
         self.poses[number] = pose(number, dwell, self.layout, self.mounting)
@@ -110,7 +127,7 @@ class Network:
         self._own = dict(zip(self.dwells, own, strict=True))
         known = [*self._known, *self._own.values()]
         weights = np.array([self._weights.get(one, 1.0) for one in compared])
-        solution, weights = solve(known, [one.equation for one in compared], weights)
+        solution, weights = solve(known, [one.equation for one in compared], weights, self._most_weight)
         self._weights = dict(zip(compared, weights.tolist(), strict=True))
         self._ambiguities = ambiguities_of(self.dwells, self.layout, solution)
         return solution
@@ -132,13 +149,16 @@ class Network:
         return list(self._weights)
 
 
-def solve(known: Sequence[Equation], compared: Sequence[Equation], weights: F64) -> tuple[Solution, F64]:
+def solve(
+    known: Sequence[Equation], compared: Sequence[Equation], weights: F64, most_weight: float = MOST_WEIGHT
+) -> tuple[Solution, F64]:
     """The unknowns that fit all equations best; those in `compared` lose weight if they contradict the others.
 
     Args:
         known: equations whose weight is 1.
         compared: the others.
         weights: of these, to begin with, shape (comparisons,).
+        most_weight: of each of them.
 
     Returns:
         The unknowns, and the weights.
@@ -147,6 +167,7 @@ def solve(known: Sequence[Equation], compared: Sequence[Equation], weights: F64)
     solution = system.solved(np.append(ones, weights))
     for _ in range(ROUNDS if compared else 0):
         before, weights = weights, (FREEDOM + 3) / (FREEDOM + system.mismatches(solution)[len(known) :])
+        weights = np.minimum(weights, most_weight)
         if np.all(np.abs(weights - before) < SETTLED):
             break
         solution = system.solved(np.append(ones, weights))

@@ -38,7 +38,7 @@ from sal_height.relief import HeightField, position_jacobian, turn_jacobian
 from sal_height.sensor import PhaseHistory, Sensor
 
 BORESIGHT, LEVER_ARM, DELAY, PITCH, EDGES, COMMON = slice(0, 3), slice(3, 6), 6, 7, 8, 9
-"""Among the unknowns that all dwells share."""
+"""Among the unknowns that all dwells share; EDGES is what surfaces are seen to lie off by (`by_edges`)."""
 
 EXACT = np.array([1e-9] * 3 + [1e-5] * 3 + [1e-9, 1e-8, 1e-6])
 """Standard deviations of those that are exact."""
@@ -143,6 +143,21 @@ class ObservedDwell:
         )
 
     @property
+    def jacobian(self) -> F64:
+        """How its surfaces lie off at their middle, east, north and up, by the POSE numbers, shape (3, POSE)."""
+        return pose_jacobian(self.middle, self)
+
+    @property
+    def by_edges(self) -> F64:
+        """How far it is seen to lie off by a metre of the unknown EDGES, shape (3,): outwards."""
+        return np.array([*self.sight[:2], 0.0]) / np.linalg.norm(self.sight[:2])
+
+    @property
+    def edges_sigma(self) -> float:
+        """Standard deviation of that unknown, m."""
+        return EDGES_SPACINGS * self.points.spacing
+
+    @property
     def seconds(self) -> float:
         """Its middle in time, s."""
         return self.stated.seconds
@@ -178,9 +193,9 @@ class Layout:
 
     common = np.arange(COMMON)
 
-    def __init__(self, correlation: float) -> None:
-        """Begin without dwells; `correlation` of the navigation's errors, s."""
-        self.drift = Drift(correlation)
+    def __init__(self, correlation: float, position_step: float = 0.0) -> None:
+        """Begin without dwells; `correlation` of the navigation's errors, s, and steps of its position (`Drift`), m."""
+        self.drift = Drift(correlation, position_step)
         self._count = COMMON
         self._own: dict[int, Index] = {}
 
@@ -259,15 +274,14 @@ def pose_jacobian(positions: F64, dwell: ObservedDwell) -> F64:
 
 def displacement(pose_error: Form, dwell: ObservedDwell) -> Form:
     """How far east, north and up (m) the surfaces of a dwell lie off, at their middle, by the error of its pose."""
-    jacobian = pose_jacobian(dwell.middle, dwell)
+    jacobian = dwell.jacobian
     return Form(pose_error.columns, jacobian @ pose_error.values, jacobian @ pose_error.constant)
 
 
 def seen(dwell: ObservedDwell, off: Form, layout: Layout) -> Form:
     """How far a dwell is seen to lie off by its edges, where it lies off by so much."""
-    outwards = np.array([*dwell.sight[:2], 0.0]) / np.linalg.norm(dwell.sight[:2])
     columns = np.append(off.columns, layout.common[EDGES])
-    return Form(columns, np.column_stack([off.values, outwards]), off.constant)
+    return Form(columns, np.column_stack([off.values, dwell.by_edges]), off.constant)
 
 
 def centroid(number: int, dwell: ObservedDwell, layout: Layout, settings: AdjustmentSettings) -> Equation | None:
@@ -359,13 +373,13 @@ def stated_sigmas(settings: AdjustmentSettings) -> F64:
     return sigmas
 
 
-def common_prior(spacing: float, layout: Layout, settings: AdjustmentSettings) -> Equation:
+def common_prior(edges_sigma: float, layout: Layout, settings: AdjustmentSettings) -> Equation:
     """What is known beforehand of the mounting, the delay, the pitch of the beams, and the edges in images.
 
     Args:
-        spacing: of the points of images on the ground, m.
+        edges_sigma: standard deviation of what edges are seen to lie off, m.
         layout: of the unknowns.
         settings: of the adjustment.
     """
-    sigmas = np.maximum(np.append(stated_sigmas(settings), EDGES_SPACINGS * spacing), EXACT)
+    sigmas = np.maximum(np.append(stated_sigmas(settings), edges_sigma), EXACT)
     return Equation(layout.common, np.eye(COMMON), np.zeros(COMMON), np.diag(sigmas**-2))

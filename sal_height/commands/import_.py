@@ -40,6 +40,7 @@ GOTCHA_EXAMPLES = """
   sal-height import gotcha pass1/HH/data_3dsar_pass1_az00*_HH.mat \\
     --out out/gotcha
   sal-height replay out/gotcha
+  sal-height import gotcha pass1/HH/*.mat --dwells 3 --out out/gotcha_dwells
 """
 
 SLC_EXAMPLES = """
@@ -147,18 +148,23 @@ def crsd(
 
 @gotcha_app.default
 def gotcha(
-    files: Annotated[tuple[Path, ...], Parameter(name="FILE", required=True)] = (), /, *, out: OutputFolder = None
+    files: Annotated[tuple[Path, ...], Parameter(name="FILE", required=True)] = (),
+    /,
+    *,
+    dwells: Annotated[int, Parameter(metavar="N")] = 1,
+    out: OutputFolder = None,
 ) -> int:
     """Convert AFRL Gotcha phase history to a bag, which sal-height replay focuses.
 
     Args:
         files: Consecutive files data_3dsar_*.mat of one pass and polarisation.
+        dwells: Number of dwells into which the pulses are split, for sal-height adjust; pulses left over are left out.
         out: Folder of the new bag, new or empty. Default: out/gotcha, or the next free of out/gotcha_2, ….
     """
     from sal_height.imports import import_gotcha
 
     folder = output_folder(out, "gotcha")
-    pulses = import_gotcha(list(files), folder)
+    pulses = import_gotcha(list(files), folder, dwells)
     print(f"{pulses} pulses in {folder}; focus them with: sal-height replay {folder}")
     return DONE
 

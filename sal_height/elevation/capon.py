@@ -7,6 +7,9 @@ detectors near the ends of the array see a scatterer with less power: with a its
 
 To be invertible with few looks K, the mean covariance R / K is loaded with LOADING noise powers (Carlson, IEEE
 Trans. AES 24, 1988). Much loading gives maximum likelihood, little a noisier estimate that separates scatterers better.
+
+It does not look for a second scatterer. A weak one within the resolution leaves the pixel a single one, and draws its
+peak aside; what it leaves along the slope of the response says by how much (`misfit_factor`).
 """
 
 from __future__ import annotations
@@ -14,9 +17,11 @@ from __future__ import annotations
 import numpy as np
 
 from sal_height.beams import Beams
-from sal_height.elevation.estimate import ElevationEstimate
-from sal_height.elevation.likelihood import ArraySettings, estimate_by_spectrum
+from sal_height.elevation.estimate import ElevationEstimate, noise_limit, sidelobe_limit
+from sal_height.elevation.extended import free_looks
+from sal_height.elevation.likelihood import ArraySettings, SinglePeaks, estimate_of, peaks_by_spectrum
 from sal_height.elevation.looks import Covariance, Looks
+from sal_height.elevation.single import PixelNoise
 from sal_height.numeric import F64
 from sal_height.settings import setting
 
@@ -40,17 +45,42 @@ class CaponSettings(ArraySettings):
 
 
 def capon_elevation(looks: Looks, beams: Beams, settings: CaponSettings) -> ElevationEstimate:
-    """Elevation of the peak of Capon's spectrum; sigma is that of maximum likelihood times `deviation_factor`.
+    """Elevation of the peak of Capon's spectrum.
 
-    Arguments and errors as of `ml_elevation`.
+    Sigma is that of maximum likelihood times `deviation_factor`, and `misfit_factor` where a pixel holds more than one
+    scatterer. Arguments and errors as of `ml_elevation`.
     """
 
     def spectrum(covariance: Covariance, count: F64) -> Covariance:
         mean = covariance / (count * looks.receiver_noise)[:, None, None]
         return -np.linalg.inv(mean + (settings.loading * np.eye(beams.count)).astype(covariance.dtype))
 
-    estimate = estimate_by_spectrum(spectrum, looks, beams, settings)
-    return estimate.with_sigma(estimate.sigma * deviation_factor(looks.count, beams, settings.loading))
+    peaks = peaks_by_spectrum(spectrum, looks, beams, settings)
+    estimate = estimate_of(peaks, looks, beams, settings)
+    factor = deviation_factor(looks.count, beams, settings.loading) * misfit_factor(peaks, looks, beams, settings)
+    return estimate.with_sigma(estimate.sigma * factor)
+
+
+def misfit_factor(peaks: SinglePeaks, looks: Looks, beams: Beams, settings: CaponSettings) -> F64:
+    """Standard deviation of an estimate where a pixel holds more than one scatterer, over that by noise alone.
+
+    With the derivative s_k of the response along its slope in look k, the estimate is off by sum_k Re(A_k* s_k) over
+    sum_k |A_k|^2 D / |a|^2. Whatever s_k is made of, if its phase is not that of A_k, the real part has half of its
+    power, so that the variance grows by the power along the slope over that of noise, of which K - 1/2 complex
+    dimensions are left (the variance of a misspecified likelihood: White, Econometrica 50, 1982). Power that noise,
+    beams and level ground rarely exceed leaves the factor at 1. A single look does not tell the part in phase, which
+    moves the peak as another elevation does.
+
+    Args:
+        peaks: where the estimates are.
+        looks: of the pixels.
+        beams: of the channels.
+        settings: how rarely that is.
+    """
+    noise, free = PixelNoise.of(peaks, looks, beams), np.maximum(free_looks(looks.count), 0.5)
+    over = peaks.along_slope / (noise.raised * noise.along_slope)
+    rare = noise_limit(free, settings.false_alarm_rate) + sidelobe_limit(looks.leaked, settings.sidelobe_rate)
+    return np.sqrt(np.where(over > rare, over / free, 1.0))
 
 
 def deviation_factor(count: F64, beams: Beams, loading: float) -> F64:

@@ -189,17 +189,22 @@ def estimate_by_spectrum(spectrum: Spectrum, looks: Looks, beams: Beams, setting
     A pixel is AMBIGUOUS where its likelihood is less than `ambiguous_ratio` times that of another peak. Errors are
     those of `highest_peaks`.
     """
+    return estimate_of(peaks_by_spectrum(spectrum, looks, beams, settings), looks, beams, settings)
+
+
+def peaks_by_spectrum(spectrum: Spectrum, looks: Looks, beams: Beams, settings: ArraySettings) -> SinglePeaks:
+    """Where another spectrum is greatest, and the likelihood there; arguments and errors of `estimate_by_spectrum`."""
 
     def find(search: PeakSearch, pixels: Covariance, here: Pixels) -> F64:
         found = search.peaks(spectrum(pixels, looks.count[here])).elevation
-        likely = search.peaks(pixels, settings.margin * looks.receiver_noise)
+        values = search.on_grid(pixels)
+        likely = search.peaks_of(pixels, values, settings.margin * looks.receiver_noise)
         at_it = np.abs(likely.elevation - found) < SAME_PEAK * beams.beamwidth
         fit = search.fit(pixels, found)
         lead = fit[0] - np.where(at_it, np.maximum(likely.second, 0.0), likely.height)
-        return np.vstack([found, lead, fit, np.zeros((2, len(pixels)))])
+        return np.vstack([found, lead, fit, search.gain_beside(pixels, values, found)])
 
-    peaks = SinglePeaks.found_by(find, OBJECTIVES["normalised"], looks, beams)
-    return estimate_of(peaks, looks, beams, settings)
+    return SinglePeaks.found_by(find, OBJECTIVES["normalised"], looks, beams)
 
 
 def _with_lead(search: PeakSearch, pixels: Covariance, peaks: Peaks) -> F64:

@@ -1,4 +1,4 @@
-"""AFRL Gotcha phase history (MATLAB files) becomes a bag of one dwell."""
+"""AFRL Gotcha phase history (MATLAB files) becomes a bag of one dwell, or of several that follow each other."""
 
 from __future__ import annotations
 
@@ -41,38 +41,40 @@ PULSE_STEP = (0.5, 1.5)
 """Distance from the last pulse of a file to the first of the next, over the median distance between pulses."""
 
 
-def import_gotcha(files: list[Path], out: Path) -> int:
-    """Write sensor info, odometry and phase history of files, in the order of flight, as one dwell of a bag.
+def import_gotcha(files: list[Path], out: Path, dwells: int = 1) -> int:
+    """Write sensor info, odometry and phase history of files, in the order of flight, as dwells of a bag.
 
     The bag has the parameters that focus the scene.
 
     Args:
         files: of one pass and polarisation, in any order.
         out: folder of the bag.
+        dwells: into which the pulses are split.
 
     Returns:
-        The number of pulses.
+        The number of pulses of all dwells.
 
     Raises:
         UserError: as of `read_gotcha`, or the bag cannot be written.
     """
-    collection = read_gotcha(files)
+    collection = read_gotcha(files, dwells)
     write_collection(collection, out)
-    return collection.sensor.pulse_count
+    return dwells * collection.sensor.pulse_count
 
 
-def read_gotcha(files: list[Path]) -> Collection:
-    """Read sensor, track and phase history of files, in the order of flight, as one dwell.
+def read_gotcha(files: list[Path], dwells: int = 1) -> Collection:
+    """Read sensor, track and phase history of files, in the order of flight, as dwells of the same number of pulses.
 
     Pulse times follow from the recorded antenna positions at constant SPEED; base_link is level and looks at the
     scene's centre, which is the map's origin. The parameters are those that focus the scene.
 
     Args:
         files: of one pass and polarisation, in any order.
+        dwells: into which the pulses are split; fewer than that may be left over, which are left out at the end.
 
     Raises:
         UserError: a file is not Gotcha phase history, or the files differ in frequency or polarisation, overlap or have
-            a gap between them.
+            a gap between them; or there are too few pulses for so many dwells.
     """
     polarisation = _common_polarisation(files)
     parts = {path: _load(path) for path in files}
@@ -90,11 +92,31 @@ def read_gotcha(files: list[Path]) -> Collection:
     times: F64 = times_ns * np.float64(1e-9)
     velocity = np.asarray(np.gradient(antenna, times, axis=0), dtype=np.float64)
     reference = np.concatenate([part["r0"].ravel() for part in ordered])
-    sensor = _sensor(frequency, antenna, velocity, times, polarisation)
-    history = PhaseHistory(0, times, reference, samples)
+    count = _pulses_of_a_dwell(len(antenna), dwells)
+    sensor = _sensor(frequency, antenna, velocity, times, polarisation, count)
+    histories = []
+    for first in range(0, dwells * count, count):
+        own = slice(first, first + count)
+        since = (times_ns[own] - times_ns[first]) * np.float64(1e-9)
+        histories.append(PhaseHistory(int(times_ns[first]), since, reference[own], samples[:, own]))
     states = states_towards(times_ns, antenna, velocity, np.zeros(3), sensor.look_side)
-    image = focusing(sensor, antenna, float(np.linalg.norm(antenna[len(antenna) // 2])), SCENE, WIDEST_SPACING)
-    return Collection(sensor, [history], states, parameters=image)
+    middle = antenna[len(antenna) // 2]
+    image = focusing(sensor, antenna[:count], float(np.linalg.norm(middle)), SCENE, WIDEST_SPACING)
+    return Collection(sensor, histories, states, parameters=image)
+
+
+def _pulses_of_a_dwell(pulses: int, dwells: int) -> int:
+    """The number of pulses of each of so many dwells.
+
+    Raises:
+        UserError: there are too few pulses for so many dwells, or no dwell is wanted.
+    """
+    if not 1 <= dwells <= pulses // 2:
+        raise UserError(
+            f"The files have {pulses} pulses, which cannot be split into {dwells} dwells; allowed are 1 to "
+            f"{pulses // 2} dwells."
+        )
+    return pulses // dwells
 
 
 def _common_polarisation(files: list[Path]) -> str:
@@ -204,7 +226,7 @@ def _check_units(path: Path, part: dict[str, Any]) -> None:
         )
 
 
-def _sensor(frequency: F64, antenna: F64, velocity: F64, times: F64, polarisation: str) -> Sensor:
+def _sensor(frequency: F64, antenna: F64, velocity: F64, times: F64, polarisation: str, pulses_of_dwell: int) -> Sensor:
     """One receiver with its boresight on the map's origin, seen from the middle of the track."""
     middle = len(antenna) // 2
     wavelength = speed_of_light / float(np.mean(frequency))
@@ -214,7 +236,7 @@ def _sensor(frequency: F64, antenna: F64, velocity: F64, times: F64, polarisatio
         wavelength=wavelength,
         bandwidth=float(frequency[-1] - frequency[0]) * len(frequency) / (len(frequency) - 1),
         sample_count=len(frequency),
-        pulse_count=len(antenna),
+        pulse_count=pulses_of_dwell,
         pulse_repetition_frequency=(len(times) - 1) / float(times[-1]),
         elevation_diameter=wavelength / BEAM,
         azimuth_diameter=wavelength / BEAM,

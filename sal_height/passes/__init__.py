@@ -3,14 +3,15 @@
 Read `flown` first (the phase history of a pass, and which passes go together), then `array` (ranges become phases: the
 response of the passes to a point at any elevation, as `Beams` that all estimators take), `boxes` (the volume in pieces
 that one response holds for), `registration` and `tie` (errors of position and phase between passes, from bright
-points), `points` (heights of what is bright) and `ambiguity` (heights that the passes confuse).
+points), `chance` (whether these are more than chance), `points` (heights of what is bright) and `ambiguity` (heights
+that the passes confuse).
 """
 
 from sal_height.passes.ambiguity import Ambiguity, ambiguity_of
 from sal_height.passes.array import PassArray, Steering
 from sal_height.passes.boxes import Box, Lattice
 from sal_height.passes.flown import LEAST_PASSES, Pass, together
-from sal_height.passes.heights import ESTIMATORS_OF_PASSES, PassHeights, ReferencePoint, heights_from_passes
+from sal_height.passes.heights import ESTIMATORS_OF_PASSES, OF_POINTS, PassHeights, ReferencePoint, heights_from_passes
 from sal_height.passes.points import Points
 from sal_height.passes.registration import registered
 from sal_height.passes.settings import PassSettings
@@ -21,6 +22,7 @@ __all__ = [
     "ESTIMATORS_OF_PASSES",
     "GOTCHA_ELEVATIONS",
     "LEAST_PASSES",
+    "OF_POINTS",
     "Ambiguity",
     "Box",
     "Circle",

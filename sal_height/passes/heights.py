@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from sal_height.numeric import F64, Bool
 from sal_height.passes.ambiguity import Ambiguity, ambiguity_of
 from sal_height.passes.array import PassArray
 from sal_height.passes.boxes import Lattice
+from sal_height.passes.chance import check_tie
 from sal_height.passes.flown import LEAST_PASSES, Pass, together
 from sal_height.passes.points import Found, find_points
 from sal_height.passes.registration import Registered, registered
@@ -21,6 +23,13 @@ from sal_height.passes.tie import Candidates, Tie, loosest, tie_passes
 
 ESTIMATORS_OF_PASSES = ("ml", "capon")
 """Estimators of elevation that take complex beams and tell of a single look whether a scatterer explains it."""
+
+OF_POINTS: Mapping[str, Any] = {"range_looks": 1, "azimuth_looks": 1, "misfit_share": 0.0}
+"""Settings of the estimators that suit points: one look, which leaves nothing but noise and what the passes err by.
+
+Of the power of ground some may be left, as parts of a pixel differ in elevation; points that have changed between the
+passes would get heights by it.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +85,7 @@ def heights_from_passes(
         references: points of known place.
 
     Raises:
-        UserError: too few passes go together, or too few points tie them.
+        UserError: too few passes go together, too few points tie them, or these agree no better than by chance.
     """
     # The passes that see the same ground, from the same azimuths and in the same band.
     flown, refused = together(passes, centre)
@@ -94,6 +103,7 @@ def heights_from_passes(
         seen = registered(array, settings)
         candidates, _ = _with_references(Candidates.of(seen, settings), seen, references, settings)
     tie = tie_passes(candidates, seen.lattice.array, settings)
+    warnings += check_tie(tie, candidates, seen.lattice.array, settings)
     if tie.references < (given := int(np.isfinite(candidates.known).sum())):
         warnings.append(
             f"Of {given} reference points that were found {tie.references} agree with the other points, and tie them."

@@ -6,17 +6,22 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from rclpy.serialization import serialize_message
 
 from sal_height import messages
 from sal_height.adjustment import (
     UNKNOWN_GROUND,
+    Adjustment,
     AdjustmentSettings,
+    ImageAdjustmentSettings,
     ObservedDwell,
+    ObservedImage,
     References,
     adjust,
+    adjust_images,
+    cell_size,
     corrected_states,
 )
 from sal_height.bag.copies import kept_packing
@@ -26,14 +31,15 @@ from sal_height.bag.topics import CALIBRATION_TYPE, FIX_TYPE, FRAME_TYPE, SENSOR
 from sal_height.bag.writer import BagWriter
 from sal_height.elevation import ESTIMATORS
 from sal_height.errors import Rejected, UserError
-from sal_height.geometry import PlatformState, Trajectory
-from sal_height.imaging import correct_track
+from sal_height.geometry import Mounting, PlatformState, Trajectory
+from sal_height.imaging import Slc, correct_track
 from sal_height.io import bag_name, new_folder, writing
 from sal_height.pipeline import heights
 from sal_height.runs.adjustment_picture import draw_adjustment
-from sal_height.runs.adjustment_report import summary_of
+from sal_height.runs.adjustment_report import summary_of, summary_of_images
 from sal_height.runs.campaign import Case, plan
-from sal_height.runs.catalogue import NodeParameters, parameters_of
+from sal_height.runs.catalogue import NodeParameters, parameters_of, suited
+from sal_height.runs.entry import Part, sensors_of
 from sal_height.runs.recorded_dwells import (
     COMPRESSION,
     MOST_DWELLS,
@@ -44,7 +50,9 @@ from sal_height.runs.recorded_dwells import (
     Work,
 )
 from sal_height.runs.reporting import PARAMETERS, reporting
-from sal_height.sensor import Sensor
+from sal_height.sensor import PhaseHistory, Sensor
+
+Observed = TypeVar("Observed", bound=ObservedDwell)
 
 ADJUSTED_FROM = "adjusted_from"
 """Name of the bag that was adjusted in the custom data of a new one."""
@@ -91,26 +99,32 @@ def adjust_bag(
     Raises:
         UserError: the bag cannot be used, or a parameter or a setting is not allowed.
     """
-    scheme = plan(Case(bag, out, {}, given or {}, (estimator,)), MOST_DWELLS)
+    by_images = not any(map(suited, sensors_of(Part().open(bag))[0].values()))
+    if by_images and references.terrain:
+        raise UserError(
+            f"Bag {bag} is of a sensor with one detector, whose images have no heights to compare with an elevation "
+            "model; give targets, and the height of the ground by --set ground_m."
+        )
+    estimators = () if by_images else (estimator,)
+    scheme = plan(Case(bag, out, {}, given or {}, estimators), MOST_DWELLS, for_heights=not by_images)
     compression = scheme.parameters.get(COMPRESSION, {})
     stated = {name: compression[name] for name in KNOWN if compression.get(name)}
-    settings = AdjustmentSettings(**{**stated, **(wanted or {})})
+    settings = (ImageAdjustmentSettings if by_images else AdjustmentSettings)(**{**stated, **(wanted or {})})
     folder = new_folder(out)
     with reporting(folder, {"bag": bag.name, "settings": settings.model_dump()}) as report:
         work = scheme.works[0]
         reader = NamespacedReader(work.bag, work.namespace)
-        dwells, sensor, losses = _observe(work, reader, estimator)
-        report |= {"dwells": len(dwells), "dropped": losses.dropped}
-        adjustment = adjust(dwells, sensor.mounting, settings, references)
-        summary, warnings = summary_of(adjustment, dwells, sensor.mounting, settings, references)
-        warnings = [*scheme.warnings, *losses.sentences.values(), *warnings]
+        found = _adjusted(work, reader, estimator, settings, references)
+        adjustment, mounting, summary = found.adjustment, found.mounting, found.summary
+        report |= {"dwells": len(adjustment.displacements), "dropped": found.losses.dropped}
+        warnings = [*scheme.warnings, *found.losses.sentences.values(), *found.sentences]
         report |= {**summary, "warnings": warnings}
         with writing(folder / "adjustment.png"):
             draw_adjustment(adjustment, folder / "adjustment.png")
 
         def corrected(states: Sequence[PlatformState]) -> list[PlatformState]:
             seconds = [(state.stamp_ns - epoch_of(work)) * 1e-9 for state in states]
-            return corrected_states(states, seconds, adjustment, sensor.mounting, settings)
+            return corrected_states(states, seconds, adjustment, mounting, settings)
 
         if adjustment.comparisons:
             odometry = _corrected_odometry(work, reader, corrected)
@@ -122,11 +136,48 @@ def adjust_bag(
     return Adjusted(summary, warnings, folder / "bag")
 
 
-class _Observing(RecordedDwells):
-    """The dwells of a bag as an adjustment takes them."""
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """What was found in a bag: the adjustment, the mounting as described, what was left out, and what a report says."""
 
-    def __init__(self, work: Work, reader: BagReader, estimator: str) -> None:
-        """Take the heights of an estimator.
+    adjustment: Adjustment
+    mounting: Mounting
+    losses: Losses
+    summary: dict[str, Any]
+    sentences: list[str]
+
+
+def _adjusted(
+    work: Work, reader: BagReader, estimator: str, settings: AdjustmentSettings, references: References
+) -> _Found:
+    """Adjust the dwells of a bag by their heights, or by their images where the settings are those of images.
+
+    Raises:
+        UserError: there is none, or nothing that could be wrong with images.
+    """
+    if not isinstance(settings, ImageAdjustmentSettings):
+        dwells, sensor, losses = _observe(_Observing(work, reader, estimator), reader)
+        adjustment = adjust(dwells, sensor.mounting, settings, references)
+        summary, sentences = summary_of(adjustment, dwells, sensor.mounting, settings, references)
+        return _Found(adjustment, sensor.mounting, losses, summary, sentences)
+    images, sensor, losses = _observe(_ObservingImages(work, reader, settings), reader)
+    if not any(image.stated.pose[:3, :3].any() for image in images):
+        raise UserError(
+            f"The odometry of bag {work.bag} states no errors of position, so that there is nothing to find; say how "
+            "large they may be by --set position_sigma_m=0.3 and, if they change from dwell to dwell, "
+            "velocity_sigma_mps and position_step_m."
+        )
+    adjustment = adjust_images(images, sensor.mounting, settings, references.targets)
+    summary, sentences = summary_of(adjustment, images, sensor.mounting, settings, references)
+    of_images, on_images = summary_of_images(adjustment, images)
+    return _Found(adjustment, sensor.mounting, losses, summary | of_images, [*sentences, *on_images])
+
+
+class _Gathering(RecordedDwells, Generic[Observed]):
+    """The dwells of a bag of one sensor as an adjustment takes them."""
+
+    def __init__(self, work: Work, reader: BagReader) -> None:
+        """Begin without dwells.
 
         Raises:
             UserError: as its base; or the bag describes several sensors.
@@ -135,24 +186,53 @@ class _Observing(RecordedDwells):
         if len(self.sensors) > 1:
             names = ", ".join(sensor.name for sensor in self.sensors.values())
             raise UserError(f"Bag {work.bag} describes several sensors ({names}); cut it by `sal-height bag cut`.")
+        self.dwells: list[Observed] = []
+
+    def of_pulses(self, compressed: Compressed) -> tuple[Slc, Sensor, Trajectory, PhaseHistory]:
+        """Images of a dwell, their sensor, the track of base_link, and the pulses."""
+        settings = self.in_force.of(COMPRESSION)
+        track = correct_track(Trajectory(compressed.supplies.states, motion=settings.motion), settings)
+        return compressed.slc, compressed.sensor, track, messages.history_from_messages(compressed.frames)
+
+
+class _Observing(_Gathering[ObservedDwell]):
+    """Dwells with heights of an estimator."""
+
+    def __init__(self, work: Work, reader: BagReader, estimator: str) -> None:
+        super().__init__(work, reader)
         self._estimator = ESTIMATORS[estimator]
-        self.dwells: list[ObservedDwell] = []
 
     def made(self, compressed: Compressed) -> None:
         """Make the heights of a dwell, and keep their points."""
-        settings, parameters = self.in_force.of(COMPRESSION), self.in_force.of(self._estimator.node)
-        slc, sensor = compressed.slc, compressed.sensor
+        parameters = self.in_force.of(self._estimator.node)
         try:
-            field = heights(slc, sensor, self._estimator, parameters, compressed.calibration)
+            field = heights(compressed.slc, compressed.sensor, self._estimator, parameters, compressed.calibration)
         except UserError as error:
             self.losses.drop(self._estimator.node, error)
             return
-        track = correct_track(Trajectory(compressed.supplies.states, motion=settings.motion), settings)
-        history = messages.history_from_messages(compressed.frames)
         try:
-            self.dwells.append(ObservedDwell.of(field, slc, sensor, track, history, epoch_of(self.work)))
+            self.dwells.append(ObservedDwell.of(field, *self.of_pulses(compressed), epoch_of(self.work)))
         except Rejected as few:
             self.losses.drop(self._estimator.node, few)
+
+
+class _ObservingImages(_Gathering[ObservedImage]):
+    """Images of one detector."""
+
+    def __init__(self, work: Work, reader: BagReader, settings: ImageAdjustmentSettings) -> None:
+        super().__init__(work, reader)
+        self._settings, self._cell = settings, 0.0
+
+    def made(self, compressed: Compressed) -> None:
+        """Keep what a dwell shows of the ground, on cells as of the first one."""
+        slc, sensor, track, history = self.of_pulses(compressed)
+        self._cell = self._cell or cell_size(slc)
+        try:
+            self.dwells.append(
+                ObservedImage.of_image(slc, sensor, track, history, self._settings, self._cell, epoch_of(self.work))
+            )
+        except Rejected as strip:
+            self.losses.drop(COMPRESSION, strip)
 
 
 def epoch_of(work: Work) -> int:
@@ -160,17 +240,16 @@ def epoch_of(work: Work) -> int:
     return min(dwell.stamp_ns for dwell in work.dwells)
 
 
-def _observe(work: Work, reader: BagReader, estimator: str) -> tuple[list[ObservedDwell], Sensor, Losses]:
+def _observe(observing: _Gathering[Observed], reader: BagReader) -> tuple[list[Observed], Sensor, Losses]:
     """The dwells of a bag in the order of time, their sensor, and what was left out.
 
     Raises:
         UserError: there is none.
     """
-    observing = _Observing(work, reader, estimator)
-    observing.read(reader, "heights")
+    observing.read(reader, "dwells")
     if not observing.dwells:
         why = next(iter(observing.losses.sentences.values()), "No dwell could be compressed.")
-        raise UserError(f"Bag {work.bag} has no dwell that can be adjusted. {why}")
+        raise UserError(f"Bag {observing.work.bag} has no dwell that can be adjusted. {why}")
     (sensor,) = observing.sensors.values()
     return sorted(observing.dwells, key=lambda dwell: dwell.seconds), sensor, observing.losses
 

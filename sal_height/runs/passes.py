@@ -25,6 +25,7 @@ from sal_height.io import new_folder, writing
 from sal_height.numeric import F64
 from sal_height.passes import (
     ESTIMATORS_OF_PASSES,
+    OF_POINTS,
     Pass,
     PassHeights,
     PassSettings,
@@ -85,7 +86,7 @@ def heights_of_bags(
     of_passes = {name: value for name, value in (wanted or {}).items() if name in PassSettings.model_fields}
     of_estimator = {name: value for name, value in (wanted or {}).items() if name not in of_passes}
     settings = PassSettings(**of_passes)
-    height_settings = maker.settings(**{"range_looks": 1, "azimuth_looks": 1, **of_estimator})
+    height_settings = maker.settings(**{**OF_POINTS, **of_estimator})
     _check_one_look(height_settings)
     folder = new_folder(out)
     known = {"bags": [bag.name for bag in bags], "estimator": estimator, "settings": settings.model_dump()}

@@ -167,3 +167,26 @@ def test_pixels_are_as_close_as_the_aperture_resolves(tmp_path: Path) -> None:
         assert image["ground_spacing_m"] == pytest.approx(spacing or resolution, rel=1e-4)
         assert image["rows"] == image["cols"] == 2 * round(50 / image["ground_spacing_m"]) + 1
         assert image["ground_spacing_m"] < 1.0001 * resolution
+
+
+def test_pulses_are_split_into_dwells(tmp_path: Path) -> None:
+    """Ten pulses as three dwells of three, one after the other on the same track; the last one is left out."""
+    files = [write_mat(tmp_path / f"{number}.mat", 0.05 * number) for number in range(2)]
+    whole, split = read_gotcha(files), read_gotcha(files, 3)
+    split.check()
+    (history,) = whole.histories
+    assert split.sensor.pulse_count == 3
+    for number, dwell in enumerate(split.histories):
+        own = slice(3 * number, 3 * number + 3)
+        np.testing.assert_array_equal(dwell.samples, history.samples[:, own])
+        np.testing.assert_array_equal(dwell.reference_range, history.reference_range[own])
+        assert dwell.stamp_ns == whole.states[own.start].stamp_ns
+        np.testing.assert_allclose(dwell.pulse_times + dwell.stamp_ns * 1e-9, history.pulse_times[own], atol=1e-9)
+    assert [state.stamp_ns for state in split.states] == [state.stamp_ns for state in whole.states]
+
+
+@pytest.mark.parametrize("dwells", [-1, 0, 3])
+def test_dwells_without_pulses_are_refused(tmp_path: Path, dwells: int) -> None:
+    with pytest.raises(UserError) as refusal:
+        import_gotcha([write_mat(tmp_path / "a.mat")], tmp_path / "bag", dwells)
+    assert_one_sentence(str(refusal.value), f"5 pulses, which cannot be split into {dwells} dwells; allowed are 1 to 2")

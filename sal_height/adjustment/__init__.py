@@ -17,6 +17,7 @@ from sal_height.adjustment.observed import (
     LEVER_ARM,
     PITCH,
     ObservedDwell,
+    placement_in_strip,
     stated_sigmas,
 )
 from sal_height.adjustment.reference import UNKNOWN_GROUND, References, Target, Terrain
@@ -49,6 +50,7 @@ __all__ = [
     "corrected_mounting",
     "corrected_states",
     "mounting_covariance",
+    "placement_in_strip",
     "read_targets",
     "stated_sigmas",
 ]

@@ -8,7 +8,7 @@ so that a wrong one does no harm.
 
 Images of a strip lie to each other as they were made: joined, they tell where they are, and one by one only how high.
 By itself, an image that ends where a wall or a car begins fits any shift away from it, and all that show the same edge
-err to the same side.
+err to the same side. A strip of which too little fits (`comparing.compared`) stays where it is known to be.
 """
 
 from __future__ import annotations

@@ -123,7 +123,7 @@ def compared(
             points.moved(-other.since),
             other.surface,
             other.reach(spacing, network.settings),
-            2 if sliding and not parts else 1,
+            2 if sliding else 1,
         )
         for _, points in by_part
         for other in met

@@ -10,6 +10,12 @@ density of all heights of the image. What a shift says is the sum of this over i
 shifts: that a point meets the image at all says nothing. On level ground that is 0, which tells the shift in height
 only, and so it is along the contours of a slope. The result is the mean and the covariance of the likelihood over all
 shifts of the window, less what the window alone says.
+
+Heights that are rare in the image fit for nothing where little of it meets the other: a roof fits any level ground, and
+is common in what meets. With the density of the heights that meet for p it says nothing there; but on a slope that
+density is greater the less of the image meets, which tells of shifts along the contour what nobody knows. Where a match
+must be sure, both likelihoods are made, and their mean is what is known: it is wide unless both find the same place.
+What a point says is then less its mean over the likely shifts: only what tells these apart counts.
 """
 
 from __future__ import annotations
@@ -241,8 +247,8 @@ def match(points: Points, surface: Surface, reach: F64, kinds: int = 1) -> Match
         points: of one image.
         surface: of the other.
         reach: greatest shift east, north and up that is looked for, m, shape (3,).
-        kinds: 1: what fits is as likely as its heights are rare in the image; 2: also as they are rare where the images
-            overlap, and what either says is all that is known.
+        kinds: 1: by the density of all heights; 2, where a match must be sure: by the mean of that likelihood and of
+            the one by the density of the heights that meet.
 
     Returns:
         None: too few points meet the surface.
@@ -252,14 +258,18 @@ def match(points: Points, surface: Surface, reach: F64, kinds: int = 1) -> Match
     wide = np.maximum(np.ceil(reach[:2] / surface.step), COARSE).astype(int)
     # All shifts in coarse steps, and all around those that are likely.
     cells, step = _lattice(wide, COARSE), COARSE * surface.step
-    scores, up = _scored(points, surface, cells, reach[2], kinds)
+    said, up = _compared(points, surface, cells, reach[2], kinds)
+    usual = _means(said)
+    scores = _scores(said, usual, up, reach[2])
     if not np.isfinite(scores).any():
         return None
     likely = cells[np.any(scores > scores.max(axis=1, keepdims=True) - LIKELY, axis=0)]
     if len(likely) <= MOST_LIKELY:
         around = (likely[:, None] + _lattice(np.full(2, COARSE // 2), 1)).reshape(-1, 2)
         cells, step = np.unique(around[np.all(np.abs(around) <= wide, axis=1)], axis=0), surface.step
-        scores, up = _scored(points, surface, cells, reach[2], kinds)
+        said, up = _compared(points, surface, cells, reach[2], kinds)
+        usual = usual if kinds == 1 else _means(said)
+        scores = _scores(said, usual, up, reach[2])
         if not np.isfinite(scores).any():
             return None
     # Mean and covariance of the likelihood, less what the window says by itself.
@@ -284,31 +294,31 @@ def _lattice(half: Index, step: int) -> Index:
     return np.stack(np.meshgrid(east, north, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
-def _scored(points: Points, surface: Surface, cells: Index, reach: float, kinds: int) -> tuple[F64, F64]:
-    """Logarithm of the likelihood of each shift, tempered, and shifts in height with the sums of their weights.
-
-    Args:
-        points: of one image.
-        surface: of the other.
-        cells: shifts, in its cells, shape (shifts, 2).
-        reach: greatest shift in height, m.
-        kinds: 1: by the density of all heights; 2: also by that of the points that meet.
-
-    Returns:
-        Likelihoods, shape (kinds, shifts), minus infinity where too few points meet, or too high or low; and the
-        shifts in height with the weights, shape (shifts, 2) (`_kernels.compare_shifts`).
-    """
+def _compared(points: Points, surface: Surface, cells: Index, reach: float, kinds: int) -> tuple[F64, F64]:
+    """What each point says of each shift, and shifts in height with their weights (`_kernels.compare_shifts`)."""
     place = np.column_stack([(points.place[:, :2] - surface.origin) / surface.step, points.place[:, 2]])
     sigma = np.hypot(points.sigma, points.roughness)
     numbers = np.array([reach + RANGE_SPACINGS * points.spacing, OUTLIERS, LEAST_POINTS])
     said, up = np.empty((kinds, len(cells), len(place))), np.empty((len(cells), 2))
     shifts = cells.astype(np.int64)
     compare_shifts(place, sigma, *points.binned, shifts, surface.height, surface.sigma, numbers, said, up)
-    scores, usual = np.empty((kinds, len(cells))), np.empty(len(place))
-    for one, score in zip(said, scores, strict=True):
-        average_said(one, usual)
-        sum_said(one, usual, score)
-    return np.where(np.abs(up[:, 0]) <= reach, TEMPER * scores, -np.inf), up
+    return said, up
+
+
+def _means(said: F64) -> F64:
+    """What each point says on the average over all shifts at which it meets the surface; 0: at none."""
+    usual = np.empty((len(said), said.shape[2]))
+    for one, mean in zip(said, usual, strict=True):
+        average_said(one, mean)
+    return usual
+
+
+def _scores(said: F64, usual: F64, up: F64, reach: float) -> F64:
+    """Logarithm of the likelihoods of each shift, tempered; none where too few points meet, or too high or low."""
+    scores = np.empty(said.shape[:2])
+    for one, mean, score in zip(said, usual, scores, strict=True):
+        sum_said(one, mean, score)
+    return np.where(np.abs(up[:, 0]) <= reach, TEMPER * scores, -np.inf)
 
 
 def _met(points: Points, surface: Surface, shift: F64) -> tuple[Index, Index]:

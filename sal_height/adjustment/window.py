@@ -18,7 +18,6 @@ from sal_height.adjustment.adjustment import Adjustment
 from sal_height.adjustment.comparing import (
     FINE_POINTS,
     ROUGH_POINTS,
-    STRIP_POINTS,
     Chain,
     compared,
     continues,
@@ -107,7 +106,7 @@ class Window:
         if self._has_grown():
             self._grown, fresh = len(self._growing), self._growing
             self._of_growing = []
-            self._of_growing = self._compare(self._solved(), STRIP_POINTS)
+            self._of_growing = self._compare(self._solved(), FINE_POINTS)
         known = self._solved()
         self._of_growing += self._compare(known, FINE_POINTS, fresh)
         return known

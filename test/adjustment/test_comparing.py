@@ -100,7 +100,7 @@ def test_images_of_strips_tell_no_height_where_their_place_is_not_known(position
 
 
 def test_of_a_strip_is_said_what_either_density_says(monkeypatch: pytest.MonkeyPatch) -> None:
-    """But not of its images, whose place is known, nor of dwells."""
+    """And of its images, but not of dwells."""
     kinds = []
 
     def noted(points: Points, surface: Surface, reach: F64, kind: int) -> Match | None:
@@ -110,7 +110,7 @@ def test_of_a_strip_is_said_what_either_density_says(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("sal_height.adjustment.comparing.match", noted)
     for sliding, alone in ((True, False), (True, True), (False, False), (False, True)):
         assert compared_after(60.0, sliding=sliding, alone=alone)
-    assert kinds == [2, 1, 1, 1]
+    assert kinds == [2, 2, 1, 1]
 
 
 def test_images_of_strips_tell_only_how_high_they_are_and_dwells_all_that_they_say() -> None:

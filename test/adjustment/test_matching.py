@@ -110,8 +110,8 @@ def test_images_that_do_not_overlap_do_not_match() -> None:
     assert match(high, other.surface, REACH) is None
 
 
-@pytest.mark.parametrize(("ground", "least", "most"), [(steps, 0.5, 1.2), (slope, 0.5, 1.2)])
-def test_what_either_density_says_is_much_the_same_where_they_agree(ground: object, least: float, most: float) -> None:
+@pytest.mark.parametrize("ground", [steps, slope])
+def test_a_match_that_must_be_sure_says_no_more_than_twice_what_others_say(ground: object) -> None:
     """Of 6 pairs: standard deviations are the half at least, also along the contour of a slope."""
     for seed in range(6):
         rng = np.random.default_rng(seed)
@@ -122,7 +122,7 @@ def test_what_either_density_says_is_much_the_same_where_they_agree(ground: obje
             if (found := match(one, other.surface, REACH, kinds))
         )
         shares = np.sqrt(by_either / by_all)
-        assert np.all((shares > least) & (shares < most)), shares
+        assert np.all(shares > 0.5), shares
 
 
 def test_few_points_and_points_on_a_line_do_no_harm() -> None:

@@ -19,6 +19,7 @@ from sal_height.adjustment.observed import (
     LEVER_ARM,
     PITCH,
     ObservedDwell,
+    placement_in_strip,
     stated_sigmas,
 )
 from sal_height.adjustment.observed_image import ObservedImage
@@ -56,6 +57,7 @@ __all__ = [
     "corrected_mounting",
     "corrected_states",
     "mounting_covariance",
+    "placement_in_strip",
     "read_targets",
     "stated_sigmas",
 ]

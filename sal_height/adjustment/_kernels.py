@@ -55,41 +55,77 @@ def _robust_mean(differences: F64, weights: F64) -> tuple[float, float]:
 
 
 @compiled_with_nan
+def _fill_density(bins: I64, kernel: F64, counts: F64, density: F64) -> None:
+    """Fill `density` (1/m) at the bins of some points by how many are in the bins around; elsewhere it stays as it is.
+
+    `counts` is all 0 before and after.
+    """
+    half = len(kernel) // 2
+    for middle in bins:
+        counts[middle] += 1.0
+        density[middle] = -1.0
+    for middle in bins:
+        if density[middle] < 0:
+            density[middle] = 0.0
+            for tap in range(len(kernel)):
+                density[middle] += kernel[tap] * counts[middle + tap - half] / len(bins)
+    for middle in bins:
+        counts[middle] = 0.0
+
+
+@compiled_with_nan
 def compare_shifts(
-    place: F64, sigma: F64, log_density: F64, cells: I64, height: F64, cell_sigma: F64, numbers: F64, said: F64, up: F64
+    place: F64,
+    sigma: F64,
+    bins: I64,
+    kernel: F64,
+    cells: I64,
+    height: F64,
+    cell_sigma: F64,
+    numbers: F64,
+    said: F64,
+    up: F64,
 ) -> None:
     """Compare points with a surface for some horizontal shifts.
 
     Args:
         place: of the points, in cells of the surface east and north, and their height, m, shape (points, 3).
         sigma: of the heights, m, shape (points,).
-        log_density: of the heights, shape (points,).
+        bins: number of the bin of each height, half of the kernel or more, shape (points,).
+        kernel: what a point adds to the density of heights (1/m) in the bins around its own, an odd number of them.
         cells: shifts in cells, shape (shifts, 2).
         height: of the surface, m, NaN where it is not known, shape (east, north).
         cell_sigma: its sigma, m, same shape.
         numbers: greatest difference in height at which points meet, m, the share of outliers, and the least number of
             points.
-        said: filled with what each point says, NaN where it does not meet the surface, shape (shifts, points).
+        said: filled with what each point says, NaN where it does not meet the surface, shape (1, shifts, points), or
+            (2, shifts, points): by the density of all heights, and by that of the points that meet.
         up: filled with the shift in height, and the sum of the weights of the points that fit, 1/m^2; NaN and 0 where
             too few points meet; shape (shifts, 2).
     """
     farthest, outliers, least = numbers[0], numbers[1], numbers[2]
-    met = np.empty((3, len(place)))
+    met, met_bins = np.empty((3, len(place))), np.empty(len(place), np.int64)
+    density, counts = np.empty((2, bins.max() + len(kernel))), np.zeros(bins.max() + len(kernel))
+    _fill_density(bins, kernel, counts, density[0])
+    said[:] = np.nan
     for shift in range(len(cells)):
         count = _gather(place, sigma, cells[shift], height, cell_sigma, farthest, met)
         up[shift, 0], up[shift, 1] = np.nan, 0.0
-        for point in range(len(place)):
-            said[shift, point] = np.nan
         if count < least:
             continue
         differences, weights = met[0, :count], met[1, :count]
         found, total = _robust_mean(differences, weights)
         up[shift, 0], up[shift, 1] = found, total
+        if len(said) > 1:
+            for number in range(count):
+                met_bins[number] = bins[int(met[2, number])]
+            _fill_density(met_bins[:count], kernel, counts, density[1])
         for number in range(count):
             point = int(met[2, number])
             off = squared(differences[number] - found) * weights[number] / 2
-            density = np.exp(-off - log_density[point]) * np.sqrt(weights[number] / (2 * np.pi))
-            said[shift, point] = np.log((1 - outliers) * density + outliers)
+            fits = np.exp(-off) * np.sqrt(weights[number] / (2 * np.pi))
+            for kind in range(len(said)):
+                said[kind, shift, point] = np.log((1 - outliers) * fits / density[kind, bins[point]] + outliers)
 
 
 @compiled_with_nan

@@ -8,12 +8,12 @@ so that a wrong one does no harm.
 
 Images of a strip lie to each other as they were made: joined, they tell where they are, and one by one only how high.
 By itself, an image that ends where a wall or a car begins fits any shift away from it, and all that show the same edge
-err to the same side.
+err to the same side. A strip of which too little fits (`comparing.compared`) stays where it is known to be.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 
@@ -27,10 +27,8 @@ from sal_height.adjustment.comparing import (
     compared,
     joined,
     sighted,
-    whole,
 )
 from sal_height.adjustment.equations import Form, Solution, mean_form
-from sal_height.adjustment.matching import Match
 from sal_height.adjustment.network import Comparison, Network
 from sal_height.adjustment.observed import COMMON, Layout, ObservedDwell
 from sal_height.adjustment.observed_image import ObservedImage, compared_images, targets_in_images
@@ -124,12 +122,11 @@ def adjust(
     # them, of single ones; and of targets.
     solution = network.solved(chains)
     solution = network.solved(chains, _all_compared(chains, network, solution, references, ROUGH_POINTS))
+    found: list[Comparison] = []
     if any(dwell.aperture.sliding for dwell in dwells):
-        found = _all_compared(chains, network, solution, references, STRIP_POINTS, Match.of_place)
+        found = _all_compared(chains, network, solution, references, STRIP_POINTS)
         solution = network.solved(chains, found)
-        found += _all_compared(chains, network, solution, references, FINE_POINTS, Match.of_height, single=True)
-    else:
-        found = _all_compared(chains, network, solution, references, FINE_POINTS, single=True)
+    found += _all_compared(chains, network, solution, references, FINE_POINTS, single=True)
     found += sighted(network, network.dwells, solution, references)
     return Adjustment(network.layout, network.solved(chains, found), list(network.displacements.values()), found)
 
@@ -163,7 +160,6 @@ def _all_compared(
     known: Solution,
     references: References,
     most_points: int,
-    of: Callable[[Match], Match] = whole,
     *,
     single: bool = False,
 ) -> list[Comparison]:
@@ -172,6 +168,6 @@ def _all_compared(
     in_threads(attrgetter("points.surface"), [chain for chain in chains if chain.points.place.size])  # kept for later
     found: list[Comparison] = []
     for number, chain in enumerate(chains):
-        parts = [Chain.of(range(n, n + 1), network, known) for n in chain.shifts] if single else [chain]
-        found += compared(chain, parts, chains[:number], network, known, references, most_points, of)
+        parts = [Chain.of(range(n, n + 1), network, known) for n in chain.shifts] if single else []
+        found += compared(chain, chains[:number], network, known, references, most_points, parts)
     return found

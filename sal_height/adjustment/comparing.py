@@ -6,7 +6,7 @@ are compared with those of earlier chains.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +28,19 @@ SURPLUS_SPACINGS = 2.0
 ROUGH_POINTS, FINE_POINTS, STRIP_POINTS = 300, 800, 3000
 """Most points that are compared of joined dwells, whose search is far and rough, of single ones, and of joined images
 of strips."""
+
+
+CLEAR_SHARE, CLEAR_POINTS = 0.4, 150
+"""Of the smaller one of two images of strips, and points of it, that must meet the other: the roof of a car fits any
+level ground if all around it falls beside the other image, and little of a strip has nothing to be recognised by."""
+
+FAR_OFF = 16.3
+"""Square of the shift of a strip over its variance as it was known before, from which it is not believed: by chance one
+of a thousand."""
+
+PLACED_SPACINGS = 3.0
+"""Standard deviation east or north of how far images of strips lie apart, in spacings of points, up to which they are
+compared one by one: they do not tell where they are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,52 +91,53 @@ def continues(first: ObservedDwell, count: int, dwell: ObservedDwell, settings: 
     return count < settings.strip_dwells and dwell.seconds - first.seconds <= settings.strip_s
 
 
-def whole(found: Match) -> Match:
-    """All that a match says."""
-    return found
-
-
 def compared(
     chain: Chain,
-    parts: Sequence[Chain],
     earlier: Sequence[Chain],
     network: Network,
     known: Solution,
     references: References,
     most_points: int,
-    of: Callable[[Match], Match] = whole,
+    parts: Sequence[Chain] = (),
 ) -> Iterator[Comparison]:
-    """Compare the parts of a chain with chains that were flown before, and with the terrain.
+    """Compare a chain with chains that were flown before, and with the terrain.
+
+    Of a strip the chain as a whole tells where it is, and the parts tell how high they are where that is known.
 
     Args:
         chain: all dwells.
-        parts: of them.
         earlier: chains in the order of time.
         network: of all dwells.
         known: of the displacements.
         references: known ground.
-        most_points: of a part that are compared.
-        of: what a match says that is to be told.
+        most_points: that are compared of the chain or of a part.
+        parts: of the chain, which are compared one by one; none: it is compared as a whole.
     """
-    before = [other for other in earlier if not _goes_on(other, chain, network)]
-    middle, near = network.displacements[chain.middle], _near(chain, before, network.settings)
-    relative = [middle.minus([(1.0, network.displacements[other.middle])]) for other in near]
-    reach, *reaches = search_reaches(known, [middle, *relative], chain.points.spacing, network.settings)
-    met = [_Met.of(other, network, known) for other in near]
-    if references.terrain and chain.points.place.size and (ground := references.terrain.around(chain.points, reach)):
-        met, reaches = [_Met(ground, {}, np.zeros(3)), *met], [reach, *reaches]
-    thinned = [part.points.thinned(most_points) for part in parts]
+    spacing, sliding = chain.points.spacing, network.dwells[chain.middle].aperture.sliding
+    met = _all_met(chain, earlier, network, known, references)
+    if sliding and parts:
+        met = [other for other in met if other.is_placed(spacing)]
+    by_part = [(part, part.points.thinned(most_points)) for part in parts or [chain]]
     pairs = [
-        (points.moved(-other.since), other.surface, reach)
-        for points in thinned
-        for other, reach in zip(met, reaches, strict=True)
+        (
+            points.moved(-other.since),
+            other.surface,
+            other.reach(spacing, network.settings),
+            2 if sliding else 1,
+        )
+        for _, points in by_part
+        for other in met
     ]
     matches = iter(in_threads(match, *zip(*pairs, strict=True)) if pairs else [])
-    for part in parts:
+    for part, _ in by_part:
         found = [(other, one) for other in met if (one := next(matches)) is not None]
+        if sliding and not parts:
+            found = [(other, one.of_place()) for other, one in found if other.is_clear(one, part)]
+        elif sliding:
+            found = [(other, one.of_height()) for other, one in found]
         for other, one in found:
             # The noise of the dwell itself is in all its comparisons: half of the variance of each.
-            yield _told(of(one), part, other, network, 2 / (len(found) + 1))
+            yield _told(one, part, other, network, 2 / (len(found) + 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,18 +146,56 @@ class _Met:
 
     Attributes:
         surface: of a chain, or of known ground.
+        count: number of points that it is made of; infinite: known ground.
         shifts: that were taken out of it, as of a chain; none: known ground.
         since: how much farther off it is known to lie by now, m, shape (3,).
+        covariance: of how far the points lie off from it, m^2, shape (3, 3).
     """
 
     surface: Surface
+    count: float
     shifts: Mapping[int, F64]
     since: F64
+    covariance: F64
 
     @classmethod
-    def of(cls, chain: Chain, network: Network, known: Solution) -> _Met:
+    def of(cls, chain: Chain, network: Network, known: Solution, covariance: F64) -> _Met:
         now = known.at(network.displacements[chain.middle])
-        return cls(chain.points.surface, chain.shifts, now - chain.shifts[chain.middle])
+        since = now - chain.shifts[chain.middle]
+        return cls(chain.points.surface, len(chain.points.place), chain.shifts, since, covariance)
+
+    def reach(self, spacing: float, settings: AdjustmentSettings) -> F64:
+        """How far the points may be from where they are known to be, m, shape (3,)."""
+        return _reach(self.covariance, spacing, settings)
+
+    def is_placed(self, spacing: float) -> bool:
+        """Whether the points are known to be beside it well enough to tell how high they are."""
+        return float(np.linalg.eigvalsh(self.covariance[:2, :2])[-1]) <= (PLACED_SPACINGS * spacing) ** 2
+
+    def is_clear(self, found: Match, part: Chain) -> bool:
+        """Whether enough of a strip meets it, not farther off than may be."""
+        count = len(part.points.place)
+        variance = self.covariance + np.linalg.inv(found.information)
+        return (
+            found.share * count >= max(CLEAR_POINTS, CLEAR_SHARE * min(count, self.count))
+            and float(found.shift @ np.linalg.solve(variance, found.shift)) <= FAR_OFF
+        )
+
+
+def _all_met(
+    chain: Chain, earlier: Sequence[Chain], network: Network, known: Solution, references: References
+) -> list[_Met]:
+    """Known ground about a chain, and earlier chains that may have seen the same ground."""
+    before = [other for other in earlier if not _goes_on(other, chain, network)]
+    middle, near = network.displacements[chain.middle], _near(chain, before, network.settings)
+    relative = [middle.minus([(1.0, network.displacements[other.middle])]) for other in near]
+    own, *covariances = known.covariance([middle, *relative])
+    met = [_Met.of(other, network, known, one) for other, one in zip(near, covariances, strict=True)]
+    if references.terrain and chain.points.place.size:
+        ground = references.terrain.around(chain.points, _reach(own, chain.points.spacing, network.settings))
+        if ground:
+            met.insert(0, _Met(ground, np.inf, {}, np.zeros(3), own))
+    return met
 
 
 def _told(found: Match, part: Chain, other: _Met, network: Network, share: float) -> Comparison:
@@ -186,9 +238,13 @@ def sighted(network: Network, numbers: Iterable[int], known: Solution, reference
 
 def search_reaches(known: Solution, forms: Sequence[Form], spacing: float, settings: AdjustmentSettings) -> list[F64]:
     """How far displacements, or differences of them, may be from what is known, m, shape (3,) each."""
-    most, surplus = settings.reach_spacings * spacing, SURPLUS_SPACINGS * spacing
-    deviations = (np.sqrt(np.diag(covariance)) for covariance in known.covariance(forms))
-    return [np.minimum(REACH_SIGMAS * deviation + surplus, most) for deviation in deviations]
+    return [_reach(covariance, spacing, settings) for covariance in known.covariance(forms)]
+
+
+def _reach(covariance: F64, spacing: float, settings: AdjustmentSettings) -> F64:
+    """How far a displacement of this covariance (m^2) may be from what is known, m, shape (3,)."""
+    farthest = REACH_SIGMAS * np.sqrt(np.diag(covariance)) + SURPLUS_SPACINGS * spacing
+    return np.minimum(farthest, settings.reach_spacings * spacing)
 
 
 def _goes_on(other: Chain, chain: Chain, network: Network) -> bool:

@@ -10,6 +10,12 @@ density of all heights of the image. What a shift says is the sum of this over i
 shifts: that a point meets the image at all says nothing. On level ground that is 0, which tells the shift in height
 only, and so it is along the contours of a slope. The result is the mean and the covariance of the likelihood over all
 shifts of the window, less what the window alone says.
+
+Heights that are rare in the image fit for nothing where little of it meets the other: a roof fits any level ground, and
+is common in what meets. With the density of the heights that meet for p it says nothing there; but on a slope that
+density is greater the less of the image meets, which tells of shifts along the contour what nobody knows. Where a match
+must be sure, both likelihoods are made, and their mean is what is known: it is wide unless both find the same place.
+What a point says is then less its mean over the likely shifts: only what tells these apart counts.
 """
 
 from __future__ import annotations
@@ -20,7 +26,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator
-from scipy.ndimage import distance_transform_edt, gaussian_filter1d
+from scipy.ndimage import distance_transform_edt
 from scipy.spatial import QhullError, cKDTree
 from scipy.special import logsumexp
 
@@ -36,8 +42,8 @@ OUTLIERS = 0.2
 RANGE_SPACINGS = 50.0
 """Difference of heights, beyond the shift that is looked for, up to which points meet, in spacings of the points."""
 
-LEAST_DENSITY = 1e-3
-"""Density of heights that is not undercut, 1/m."""
+BINS_PER_SIGMA = 4
+"""Bins of heights in a standard deviation of the kernel that makes a density of them."""
 
 ROUGHNESS_SPACINGS = 0.2
 """Standard deviation of heights of the same ground seen at another time, and of its sampling, in spacings."""
@@ -144,14 +150,14 @@ class Points:
         return np.asarray(np.median(self.place, axis=0))
 
     @cached_property
-    def log_density(self) -> F64:
-        """Logarithm of the density of heights (1/m) at each point, shape (points,)."""
-        height, rough, step = self.place[:, 2], self.roughness, self.roughness / 2
-        edges = np.arange(height.min() - 10 * rough, height.max() + 10 * rough, step)
-        counts, _ = np.histogram(height, edges)
-        width = float(np.median(np.hypot(self.sigma, rough)))
-        density = gaussian_filter1d(counts / len(height) / step, width / step)
-        return np.log(np.interp(height, edges[:-1] + step / 2, density) + LEAST_DENSITY)
+    def binned(self) -> tuple[Index, F64]:
+        """The bin of each height, shape (points,), and what a point adds to the density (1/m) in the bins around it."""
+        width = float(np.median(np.hypot(self.sigma, self.roughness)))
+        step, half = width / BINS_PER_SIGMA, 4 * BINS_PER_SIGMA
+        height = self.place[:, 2]
+        bins = np.rint((height - height.min()) / step).astype(np.int64) + half
+        off = np.arange(-half, half + 1) / BINS_PER_SIGMA
+        return bins, np.exp(-(off**2) / 2) / (np.sqrt(2 * np.pi) * width)
 
     @cached_property
     def surface(self) -> Surface:
@@ -211,11 +217,13 @@ class Match:
         shift: m, shape (3,).
         information: inverse of its covariance, 1/m^2, shape (3, 3).
         dwells: shares of the dwells of the one image among the points that met the other, and of those of the other.
+        share: of the points of the one image, those that met the other.
     """
 
     shift: F64
     information: F64
     dwells: tuple[dict[int, float], dict[int, float]]
+    share: float
 
     def of_place(self) -> Match:
         """What it says of the shift east and north, whatever that in height is."""
@@ -232,13 +240,15 @@ class Match:
         return np.outer(along, along) / along[2]
 
 
-def match(points: Points, surface: Surface, reach: F64) -> Match | None:
+def match(points: Points, surface: Surface, reach: F64, kinds: int = 1) -> Match | None:
     """How far points lie from a surface.
 
     Args:
         points: of one image.
         surface: of the other.
         reach: greatest shift east, north and up that is looked for, m, shape (3,).
+        kinds: 1: by the density of all heights; 2, where a match must be sure: by the mean of that likelihood and of
+            the one by the density of the heights that meet.
 
     Returns:
         None: too few points meet the surface.
@@ -248,21 +258,22 @@ def match(points: Points, surface: Surface, reach: F64) -> Match | None:
     wide = np.maximum(np.ceil(reach[:2] / surface.step), COARSE).astype(int)
     # All shifts in coarse steps, and all around those that are likely.
     cells, step = _lattice(wide, COARSE), COARSE * surface.step
-    said, up = _compared(points, surface, cells, reach[2])
+    said, up = _compared(points, surface, cells, reach[2], kinds)
     usual = _means(said)
-    score = _scores(said, usual, up, reach[2])
-    if not np.isfinite(score).any():
+    scores = _scores(said, usual, up, reach[2])
+    if not np.isfinite(scores).any():
         return None
-    likely = cells[score > score.max() - LIKELY]
+    likely = cells[np.any(scores > scores.max(axis=1, keepdims=True) - LIKELY, axis=0)]
     if len(likely) <= MOST_LIKELY:
         around = (likely[:, None] + _lattice(np.full(2, COARSE // 2), 1)).reshape(-1, 2)
         cells, step = np.unique(around[np.all(np.abs(around) <= wide, axis=1)], axis=0), surface.step
-        said, up = _compared(points, surface, cells, reach[2])
-        score = _scores(said, usual, up, reach[2])
-        if not np.isfinite(score).any():
+        said, up = _compared(points, surface, cells, reach[2], kinds)
+        usual = usual if kinds == 1 else _means(said)
+        scores = _scores(said, usual, up, reach[2])
+        if not np.isfinite(scores).any():
             return None
     # Mean and covariance of the likelihood, less what the window says by itself.
-    weight = np.exp(score - logsumexp(score))
+    weight = np.exp(scores - logsumexp(scores, axis=1, keepdims=True)).mean(axis=0)
     shifts = np.column_stack([cells * surface.step, np.nan_to_num(up[:, 0])])
     mean = weight @ shifts
     off = shifts - mean
@@ -274,7 +285,7 @@ def match(points: Points, surface: Surface, reach: F64) -> Match | None:
     values, vectors = np.linalg.eigh(np.linalg.inv(covariance) - window)
     information = (vectors * np.maximum(values, LEAST_INFORMATION)) @ vectors.T
     one, other = _met(points, surface, mean)
-    return Match(mean, information, (_shares(one), _shares(other)))
+    return Match(mean, information, (_shares(one), _shares(other)), len(one) / len(points.place))
 
 
 def _lattice(half: Index, step: int) -> Index:
@@ -283,29 +294,31 @@ def _lattice(half: Index, step: int) -> Index:
     return np.stack(np.meshgrid(east, north, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
-def _compared(points: Points, surface: Surface, cells: Index, reach: float) -> tuple[F64, F64]:
+def _compared(points: Points, surface: Surface, cells: Index, reach: float, kinds: int) -> tuple[F64, F64]:
     """What each point says of each shift, and shifts in height with their weights (`_kernels.compare_shifts`)."""
     place = np.column_stack([(points.place[:, :2] - surface.origin) / surface.step, points.place[:, 2]])
     sigma = np.hypot(points.sigma, points.roughness)
     numbers = np.array([reach + RANGE_SPACINGS * points.spacing, OUTLIERS, LEAST_POINTS])
-    said, up = np.empty((len(cells), len(place))), np.empty((len(cells), 2))
+    said, up = np.empty((kinds, len(cells), len(place))), np.empty((len(cells), 2))
     shifts = cells.astype(np.int64)
-    compare_shifts(place, sigma, points.log_density, shifts, surface.height, surface.sigma, numbers, said, up)
+    compare_shifts(place, sigma, *points.binned, shifts, surface.height, surface.sigma, numbers, said, up)
     return said, up
 
 
 def _means(said: F64) -> F64:
     """What each point says on the average over all shifts at which it meets the surface; 0: at none."""
-    usual = np.empty(said.shape[1])
-    average_said(said, usual)
+    usual = np.empty((len(said), said.shape[2]))
+    for one, mean in zip(said, usual, strict=True):
+        average_said(one, mean)
     return usual
 
 
 def _scores(said: F64, usual: F64, up: F64, reach: float) -> F64:
-    """Logarithm of the likelihood of each shift, tempered; none where too few points meet, or too high or low."""
-    score = np.empty(len(said))
-    sum_said(said, usual, score)
-    return np.where(np.abs(up[:, 0]) <= reach, TEMPER * score, -np.inf)
+    """Logarithm of the likelihoods of each shift, tempered; none where too few points meet, or too high or low."""
+    scores = np.empty(said.shape[:2])
+    for one, mean, score in zip(said, usual, scores, strict=True):
+        sum_said(one, mean, score)
+    return np.where(np.abs(up[:, 0]) <= reach, TEMPER * scores, -np.inf)
 
 
 def _met(points: Points, surface: Surface, shift: F64) -> tuple[Index, Index]:

@@ -3,15 +3,26 @@
 A dwell is compared with earlier ones that saw the same ground: first joined with those that it follows, then by itself,
 as in `adjustment`. Only the latest dwells are held; what the others have told of navigation and mounting stays
 (`Network.forget`), with the weights that their comparisons had when they left.
+
+Images of a strip are joined as they come. Whenever they are half as many again, all of them are compared anew, from
+what is known without them: what fitted when the strip was short is not believed because it fitted then. Until enough
+of the strip fits (`comparing.compared`), its images are where navigation and earlier strips put them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from sal_height.adjustment.adjustment import Adjustment
-from sal_height.adjustment.comparing import FINE_POINTS, ROUGH_POINTS, Chain, compared, continues, sighted
+from sal_height.adjustment.comparing import (
+    FINE_POINTS,
+    ROUGH_POINTS,
+    Chain,
+    compared,
+    continues,
+    sighted,
+)
 from sal_height.adjustment.equations import Solution
 from sal_height.adjustment.network import Comparison, Network
 from sal_height.adjustment.observed import ObservedDwell
@@ -19,6 +30,9 @@ from sal_height.adjustment.reference import UNKNOWN_GROUND, References
 from sal_height.adjustment.settings import AdjustmentSettings
 from sal_height.geometry import Mounting
 from sal_height.numeric import F64
+
+GROWTH = 1.5
+"""Growth of a strip from which all of it is compared anew."""
 
 MOST_POINTS = 5_000_000
 """Points of all dwells that are held, 1 GB: with the surfaces between them each takes 200 bytes."""
@@ -61,7 +75,10 @@ class Window:
         self._references, self._most_dwells, self._most_points = references, most_dwells, most_points
         self._over: list[Chain] = []
         self._growing = range(0)
+        # Comparisons of chains that are over, and of the one that grows; of how many of its images all were compared.
         self._compared: list[Comparison] = []
+        self._of_growing: list[Comparison] = []
+        self._grown = 0
         self._solution: Solution | None = None
 
     def add(self, dwell: ObservedDwell) -> PoseError:
@@ -70,18 +87,45 @@ class Window:
         self._begin_chain_with(dwell)
         number = network.add(dwell)
         self._growing = range(self._growing.start if self._growing else number, number + 1)
-        known = network.solved(self._chains(), self._compared)
-        # Where the chain is, by all its dwells together; and then, from there, where this dwell is.
-        chain = Chain.of(self._growing, network, known)
-        rough = compared(chain, [chain], self._over, network, known, self._references, ROUGH_POINTS)
-        known = network.solved(self._chains(), [*self._compared, *rough])
-        alone = [Chain.of(range(number, number + 1), network, known)]
-        chain = Chain.of(self._growing, network, known)
-        self._compared += compared(chain, alone, self._over, network, known, self._references, FINE_POINTS)
-        self._compared += sighted(network, [number], known, self._references)
-        self._solution = known = network.solved(self._chains(), self._compared)
+        known = self._place_strip() if dwell.aperture.sliding else self._place(number)
+        self._of_growing += sighted(network, [number], known, self._references)
+        self._solution = known = self._solved()
         pose = network.poses[number]
         return PoseError(known.at(pose), known.covariance([pose])[0])
+
+    def _place(self, number: int) -> Solution:
+        """Compare the chain that grows as a whole, and then, from where that puts it, its last dwell."""
+        rough = self._compare(self._solved(), ROUGH_POINTS)
+        known = self._solved(rough)
+        self._of_growing += self._compare(known, FINE_POINTS, [number])
+        return known
+
+    def _place_strip(self) -> Solution:
+        """Compare the last image of the strip that grows, or all of them, and the strip as a whole, if it has grown."""
+        fresh: Sequence[int] = self._growing[-1:]
+        if self._has_grown():
+            self._grown, fresh = len(self._growing), self._growing
+            self._of_growing = []
+            self._of_growing = self._compare(self._solved(), FINE_POINTS)
+        known = self._solved()
+        self._of_growing += self._compare(known, FINE_POINTS, fresh)
+        return known
+
+    def _has_grown(self) -> bool:
+        """Whether the strip has grown so much since all of it was compared, or is as long as one may be."""
+        count = len(self._growing)
+        return count >= GROWTH * self._grown or count == self._network.settings.strip_dwells
+
+    def _solved(self, besides: Sequence[Comparison] = ()) -> Solution:
+        """What all comparisons tell, and some others."""
+        return self._network.solved(self._chains(), [*self._compared, *self._of_growing, *besides])
+
+    def _compare(self, known: Solution, most_points: int, alone: Sequence[int] = ()) -> list[Comparison]:
+        """Compare the chain that grows with those that are over, or some of its dwells by themselves."""
+        network = self._network
+        chain = Chain.of(self._growing, network, known)
+        parts = [Chain.of(range(number, number + 1), network, known) for number in alone]
+        return list(compared(chain, self._over, network, known, self._references, most_points, parts))
 
     @property
     def dwells(self) -> int:
@@ -103,7 +147,7 @@ class Window:
         if self._solution is None:
             raise ValueError("no dwell has come")
         forms = list(self._network.displacements.values())
-        return Adjustment(self._network.layout, self._solution, forms, self._compared)
+        return Adjustment(self._network.layout, self._solution, forms, [*self._compared, *self._of_growing])
 
     def _begin_chain_with(self, dwell: ObservedDwell) -> None:
         """End the chain that grows if a dwell does not continue it, and forget chains that are too many."""
@@ -113,7 +157,8 @@ class Window:
         if continues(network.dwells[growing.start], len(growing), dwell, network.settings):
             return
         self._over.append(Chain.of(growing, network, self._solution))
-        self._growing = range(0)
+        self._compared += self._of_growing
+        self._growing, self._of_growing, self._grown = range(0), [], 0
         while len(self._over) > 1 and (self.dwells >= self._most_dwells or self.points >= self._most_points):
             self._compared = network.forget(list(self._over.pop(0).shifts))
 

@@ -34,6 +34,7 @@ from sal_height.adjustment import (
     corrected_mounting,
     corrected_states,
     mounting_covariance,
+    placement_in_strip,
     read_targets,
 )
 from sal_height.elevation import ESTIMATORS
@@ -196,8 +197,7 @@ class Adjuster:
         """
         stage = messages.held_stages(image.provenance).get("sar_compression", {})
         settings = _settings_of(parameters, stage)
-        aperture, stamp_ns = messages.aperture_from_message(image.aperture), messages.to_ns(image.header.stamp)
-        _check_mode(sensor)
+        stamp_ns = messages.to_ns(image.header.stamp)
         _check_mounting(stage)
         limits = parameters.window_dwells, parameters.window_points
         made_for = sensor.digest, settings, limits
@@ -211,8 +211,8 @@ class Adjuster:
                 f"Dwell {image.dwell} is {late_s:.3g} s older than one before it; dwells must be in order.",
             )
         self._latest_ns = stamp_ns
-        pulses = Pulses(Trajectory(states), stamp_ns, np.array([0.0, _length_s(image)]), self._epoch_ns)
-        dwell = ObservedDwell.seen_from(aperture, field, messages.placement_of(stage), pulses.stated, sensor)
+        pulses = Pulses(Trajectory(states), stamp_ns, np.array([0.0, _length_s(image, sensor)]), self._epoch_ns)
+        dwell = _observed(image, field, stage, pulses, sensor)
         try:
             off = self._window.add(dwell)
         except Exception:
@@ -254,22 +254,32 @@ def _check_mounting(stage: Mapping[str, Any]) -> None:
         )
 
 
-def _check_mode(sensor: Sensor) -> None:
-    """Make sure that heights can be adjusted as they come.
+def _observed(
+    image: HeightImage, field: HeightField, stage: Mapping[str, Any], pulses: Pulses, sensor: Sensor
+) -> ObservedDwell:
+    """The heights of a dwell, or of an image of a strip, as an adjustment takes them.
+
+    Args:
+        image: the heights.
+        field: the same as arrays.
+        stage: what their provenance says of sar_compression.
+        pulses: of the dwell, or of the block that completed the image.
+        sensor: that took them.
 
     Raises:
-        Rejected: they are those of a strip.
+        Rejected: there are too few, or nothing says where they lie.
     """
-    if sensor.mode != "spotlight":
-        raise Rejected(
-            "wrong mode",
-            f"Sensor {sensor.name} is of mode {sensor.mode}, whose images fit several places as long as few have come; "
-            "record a bag, and adjust its strips together by `sal-height adjust`.",
-        )
+    aperture, placement = messages.aperture_from_message(image.aperture), messages.placement_of(stage)
+    if not aperture.sliding:
+        return ObservedDwell.seen_from(aperture, field, placement, pulses.stated, sensor)
+    placement = placement_in_strip(placement, phase_removed=len(image.provenance.autofocus_phase) > 0)
+    return ObservedDwell.seen_from(aperture, field, placement, pulses.stated_abeam(aperture, sensor.mounting), sensor)
 
 
-def _length_s(image: HeightImage) -> float:
-    """Time from the first pulse of a dwell to one pulse spacing past its last, s."""
+def _length_s(image: HeightImage, sensor: Sensor) -> float:
+    """Time from the first pulse of a dwell to one pulse spacing past its last, s; of a strip that of a block."""
+    if sensor.mode == "stripmap":
+        return sensor.pulse_count / sensor.pulse_repetition_frequency
     velocity = image.aperture.velocity
     return float(image.aperture.length) / math.hypot(velocity.x, velocity.y, velocity.z)
 
@@ -330,18 +340,18 @@ class HeightAdjuster(DwellStage):
         """One message is a dwell."""
         return 1
 
-    def check(self, message: ReceivedHeights, sensor: Sensor) -> None:  # noqa: ARG002 (of any sensor)
+    def check(self, message: ReceivedHeights, sensor: Sensor) -> None:
         """Geometry of a height image; the pixels are read when its turn comes."""
         image, where = message.image, f"HeightImage of dwell {message.dwell}"
         messages.check_geometry(image.grid, image.aperture, where)
-        if not 0 < (length_s := _length_s(image)) <= messages.LONGEST_DWELL:
+        if not 0 < (length_s := _length_s(image, sensor)) <= messages.LONGEST_DWELL:
             raise Rejected(
                 "wrong geometry",
                 f"{where}: at its velocity aperture.length takes {length_s:g} s; more than 0 and at most "
                 f"{messages.LONGEST_DWELL:g} s are allowed.",
             )
 
-    def supplies(self, dwell: list[ReceivedHeights], sensor: Sensor) -> list[PlatformState]:  # noqa: ARG002 (of any)
+    def supplies(self, dwell: list[ReceivedHeights], sensor: Sensor) -> list[PlatformState]:
         """Odometry, without the delay of its stamps, from before the dwell to after it.
 
         It begins before the end of the dwell that this one follows.
@@ -351,7 +361,7 @@ class HeightAdjuster(DwellStage):
         """
         image, start_ns = dwell[0].image, dwell[0].stamp_ns
         delay_ns = _delay_ns(image)
-        end_ns = start_ns + round(1e9 * _length_s(image))
+        end_ns = start_ns + round(1e9 * _length_s(image, sensor))
         since_ns = self._supplied_ns if 0 <= start_ns - self._supplied_ns <= BETWEEN_NS else start_ns
         states = self._history.around(since_ns + delay_ns, end_ns + delay_ns)
         if states:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from sal_height.adjustment import UNKNOWN_GROUND, AdjustmentSettings, ObservedDwell, Stated, adjust
-from sal_height.adjustment.comparing import ROUGH_POINTS, Chain, compared, joined, whole
-from sal_height.adjustment.matching import Match
+from sal_height.adjustment import UNKNOWN_GROUND, AdjustmentSettings, ObservedDwell, Points, Stated, adjust
+from sal_height.adjustment.comparing import STRIP_POINTS, Chain, _Met, compared, joined
+from sal_height.adjustment.matching import Match, Surface, match
 from sal_height.adjustment.network import Comparison, Network
 from sal_height.imaging import Placement
 from sal_height.numeric import F64
@@ -34,15 +33,21 @@ def images_after(seconds: float, *, sliding: bool) -> list[ObservedDwell]:
     return images
 
 
-def compared_after(seconds: float, *, sliding: bool, of: Callable[[Match], Match] = whole) -> list[Comparison]:
-    """Comparisons of them."""
+def compared_after(
+    seconds: float, *, sliding: bool, alone: bool = False, only: slice = slice(None), position_m: float = 0.01
+) -> list[Comparison]:
+    """Comparisons of them, of the second image by itself, or of some of its points, whose place is known so well."""
     network = Network(SENSOR.mounting, SETTINGS)
-    for image in images_after(seconds, sliding=sliding):
-        network.add(image)
+    first, second = images_after(seconds, sliding=sliding)
+    points = second.points
+    points = Points(*(one[only] for one in (points.place, points.sigma, points.cnr_db, points.dwell)), points.spacing)
+    for image, sigma in ((first, 0.01), (replace(second, points=points), position_m)):
+        pose = np.diag([sigma**2] * 3 + [1e-12] * 3)
+        network.add(replace(image, stated=replace(image.stated, pose=pose, velocity=1e-8 * np.eye(3))))
     chains = joined(network.dwells, SETTINGS)
     known = network.solved(chains)
     first, second = (Chain.of(chain, network, known) for chain in chains)
-    return list(compared(second, [second], [first], network, known, UNKNOWN_GROUND, ROUGH_POINTS, of))
+    return list(compared(second, [first], network, known, UNKNOWN_GROUND, STRIP_POINTS, [second] if alone else []))
 
 
 @pytest.mark.parametrize(("seconds", "sliding", "count"), [(0.9, True, 0), (1.1, True, 1), (0.9, False, 1)])
@@ -51,19 +56,61 @@ def test_a_strip_is_not_compared_with_what_it_goes_on_from(seconds: float, slidi
     assert len(compared_after(seconds, sliding=sliding)) == count
 
 
+def points_of(count: int) -> Points:
+    """Level ground."""
+    place = np.column_stack([np.arange(count) % 30, np.arange(count) // 30, np.zeros(count)])
+    return Points(place, np.full(count, 0.1), np.zeros(count), np.zeros(count, int), 1.0)
+
+
 def rank_one(information: F64) -> bool:
     values = np.linalg.eigvalsh(information)
     return bool(values[1] < 1e-4 * values[2])
 
 
-def test_comparisons_tell_what_of_a_match_is_wanted() -> None:
-    every, place, height = (
-        compared_after(60.0, sliding=True, of=of)[0].equation for of in (whole, Match.of_place, Match.of_height)
-    )
-    np.testing.assert_allclose(place.right, every.right)
-    np.testing.assert_allclose(place.information + height.information, every.information, atol=1e-4)
-    assert not rank_one(every.information)
-    assert rank_one(height.information)
+def test_a_strip_as_a_whole_tells_its_place_and_its_images_their_height() -> None:
+    (place,), (height,) = (compared_after(60.0, sliding=True, alone=alone) for alone in (False, True))
+    assert place.equation.information[2, 2] < 1e-3
+    assert place.equation.information[1, 1] > 100
+    assert rank_one(height.equation.information)
+    assert height.equation.information[2, 2] > 100
+
+
+@pytest.mark.parametrize(("only", "count"), [(slice(None), 1), (slice(0, None, 4), 0)])
+def test_a_strip_is_placed_where_enough_of_it_fits(only: slice, count: int) -> None:
+    """Not by 90 of its 360 points; a dwell is compared all the same."""
+    assert len(compared_after(60.0, sliding=True, only=only)) == count
+    assert len(compared_after(60.0, sliding=False, only=only)) == 1
+
+
+@pytest.mark.parametrize(("share", "clear"), [(0.39, False), (0.41, True)])
+def test_a_match_of_a_strip_is_clear_from_a_share_of_the_smaller_image_on(share: float, clear: bool) -> None:
+    """And if it is within what was known: 3.5 standard deviations, of 10 cm and 1 cm, and not 4.5."""
+    chain = Chain({}, points_of(1000), np.zeros(2), np.zeros(2))
+    met = _Met(chain.points.surface, 2000, {}, np.zeros(3), 0.01 * np.eye(3))
+    found = Match(np.array([0.3, 0.0, 0.0]), 1e4 * np.eye(3), ({0: 1.0}, {1: 1.0}), share)
+    assert met.is_clear(found, chain) == clear
+    assert replace(met, count=500).is_clear(replace(found, share=share / 2), chain) == clear
+    far = (replace(found, shift=np.array([0.0, sigmas * np.hypot(0.1, 0.01), 0.0]), share=0.5) for sigmas in (3.5, 4.5))
+    assert [met.is_clear(one, chain) for one in far] == [True, False]
+
+
+@pytest.mark.parametrize(("position_m", "count"), [(0.05, 1), (1.0, 0)])
+def test_images_of_strips_tell_no_height_where_their_place_is_not_known(position_m: float, count: int) -> None:
+    assert len(compared_after(60.0, sliding=True, alone=True, position_m=position_m)) == count
+
+
+def test_of_a_strip_is_said_what_either_density_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And of its images, but not of dwells."""
+    kinds = []
+
+    def noted(points: Points, surface: Surface, reach: F64, kind: int) -> Match | None:
+        kinds.append(kind)
+        return match(points, surface, reach, kind)
+
+    monkeypatch.setattr("sal_height.adjustment.comparing.match", noted)
+    for sliding, alone in ((True, False), (True, True), (False, False), (False, True)):
+        assert compared_after(60.0, sliding=sliding, alone=alone)
+    assert kinds == [2, 2, 1, 1]
 
 
 def test_images_of_strips_tell_only_how_high_they_are_and_dwells_all_that_they_say() -> None:

@@ -110,6 +110,21 @@ def test_images_that_do_not_overlap_do_not_match() -> None:
     assert match(high, other.surface, REACH) is None
 
 
+@pytest.mark.parametrize("ground", [steps, slope])
+def test_a_match_that_must_be_sure_says_no_more_than_twice_what_others_say(ground: object) -> None:
+    """Of 6 pairs: standard deviations are the half at least, also along the contour of a slope."""
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        one, other = seen(ground, np.zeros(3), rng), seen(ground, np.zeros(3), rng)
+        by_all, by_either = (
+            np.minimum(np.linalg.inv(found.information).diagonal(), REACH**2 / 3)
+            for kinds in (1, 2)
+            if (found := match(one, other.surface, REACH, kinds))
+        )
+        shares = np.sqrt(by_either / by_all)
+        assert np.all(shares > 0.5), shares
+
+
 def test_few_points_and_points_on_a_line_do_no_harm() -> None:
     rng = np.random.default_rng(9)
     whole = seen(steps, np.zeros(3), rng)
@@ -151,11 +166,10 @@ def test_the_loop_is_what_its_description_says() -> None:
     surface, sigma = other.surface, np.hypot(one.sigma, one.roughness)
     place = np.column_stack([(one.place[:, :2] - surface.origin) / surface.step, one.place[:, 2]])
     cells = np.array([[0, 0], [3, -2], [-40, 11], [900, 0]])
-    said, up = np.empty((4, len(place))), np.empty((4, 2))
-    compare_shifts(
-        place, sigma, one.log_density, cells, surface.height, surface.sigma, np.array([2.0, 0.2, 1]), said, up
-    )
-    for told, (mean, weights), shift in zip(said, up, cells, strict=True):
+    said, up = np.empty((2, 4, len(place))), np.empty((4, 2))
+    bins, kernel = one.binned
+    compare_shifts(place, sigma, bins, kernel, cells, surface.height, surface.sigma, np.array([2.0, 0.2, 1]), said, up)
+    for told, (mean, weights), shift in zip(said.swapaxes(0, 1), up, cells, strict=True):
         at = place[:, :2] - shift
         there = map_coordinates(surface.height, at.T, order=1, mode="constant", cval=np.nan)
         cell = np.floor(at).astype(int)
@@ -163,7 +177,7 @@ def test_the_loop_is_what_its_description_says() -> None:
         east, north = np.where(met[:, None], cell, 0).T
         difference = place[:, 2] - there
         met &= np.abs(difference) <= 2.0
-        np.testing.assert_array_equal(np.isfinite(told), met)
+        np.testing.assert_array_equal(np.isfinite(told), [met, met])
         if not met.any():
             assert np.isnan(mean)
             continue
@@ -173,9 +187,13 @@ def test_the_loop_is_what_its_description_says() -> None:
             fits = (difference - expected) ** 2 < 9 * variance
             expected = np.sum(difference[fits] / variance[fits]) / np.sum(1 / variance[fits])
         normal = np.exp(-((difference - expected) ** 2) / (2 * variance)) / np.sqrt(2 * np.pi * variance)
-        np.testing.assert_allclose(told[met], np.log(0.8 * normal / np.exp(one.log_density[met]) + 0.2), rtol=1e-9)
+        for said_there, others in zip(told, (bins, bins[met]), strict=True):
+            taps = bins[met][:, None] - others + len(kernel) // 2
+            near = (taps >= 0) & (taps < len(kernel))
+            density = np.where(near, kernel[np.clip(taps, 0, len(kernel) - 1)], 0.0).mean(axis=1)
+            np.testing.assert_allclose(said_there[met], np.log(0.8 * normal / density + 0.2), rtol=1e-9)
         np.testing.assert_allclose([mean, weights], [expected, np.sum(1 / variance[fits])], rtol=1e-10)
-    usual, score = np.empty(len(place)), np.empty(4)
+    usual, score, said = np.empty(len(place)), np.empty(4), said[0]
     average_said(said, usual)
     sum_said(said, usual, score)
     expected = np.nan_to_num(np.nansum(said, axis=0) / np.maximum(1, np.isfinite(said).sum(axis=0)))
@@ -186,7 +204,7 @@ def test_the_loop_is_what_its_description_says() -> None:
 def test_what_a_match_says_of_place_and_of_height_is_all_that_it_says() -> None:
     """Of the place whatever the height is; of the height about the most likely ones, a plane over the places."""
     root = np.random.default_rng(3).standard_normal((3, 3))
-    found = Match(np.arange(3.0), root @ root.T + np.eye(3), ({0: 1.0}, {1: 1.0}))
+    found = Match(np.arange(3.0), root @ root.T + np.eye(3), ({0: 1.0}, {1: 1.0}), 1.0)
     place, height = found.of_place(), found.of_height()
     np.testing.assert_allclose(place.information + height.information, found.information, atol=3 * LEAST_INFORMATION)
     covariance = np.linalg.inv(found.information)

@@ -125,7 +125,7 @@ def test_what_dwells_leave_says_the_same_of_the_others(wrong_m: float) -> None:
     chains = joined(network.dwells, SETTINGS)
     found = []
     for number, chain in enumerate(joint):
-        found += compared(chain, [chain], joint[:number], network, known, UNKNOWN_GROUND, FINE_POINTS)
+        found += compared(chain, joint[:number], network, known, UNKNOWN_GROUND, FINE_POINTS)
     found[0] = replace(found[0], equation=replace(found[0].equation, right=found[0].equation.right + wrong_m))
     for _ in range(3):
         before = network.solved(chains, found)
@@ -155,8 +155,7 @@ def test_a_strip_that_is_known_to_lie_elsewhere_by_now_is_compared_as_before() -
         high=first.high + off[:2],
     )
     one, other = (
-        next(compared(second, [second], [chain], network, known, UNKNOWN_GROUND, FINE_POINTS))
-        for chain in (first, held)
+        next(compared(second, [chain], network, known, UNKNOWN_GROUND, FINE_POINTS)) for chain in (first, held)
     )
     np.testing.assert_allclose(one.equation.right, other.equation.right, atol=0.1 * first.points.spacing)
 

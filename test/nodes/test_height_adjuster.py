@@ -270,11 +270,18 @@ def undisturbed(flown: FlownHeights, dwells: Sequence[int]) -> list[HeightImage]
         return Adjusting(graph, flown.sensor_info).fly(flown, dwells)
 
 
-def test_a_strip_is_passed_on_as_it_is(graph: Graph, flown: FlownHeights) -> None:
+def test_an_image_of_a_strip_that_lies_nowhere_is_passed_on_as_it_is(graph: Graph, flown: FlownHeights) -> None:
+    """Autofocus has removed the phase of the first block, and not its own; the next one is adjusted."""
     adjusting = Adjusting(graph, stripmap(flown.sensor))
-    passed = adjusting.fly(flown, [0])
-    assert same_heights(passed[0], flown.images[0])
-    assert adjusting.counted("ignored.") == {"wrong mode": 1}
+    image, after = (copy.deepcopy(flown.images[number]) for number in (0, 1))
+    after.provenance.autofocus_phase = [0.1]
+    for one in (image, after):
+        one.aperture.sliding = True
+    passed = adjusting.feed(image, flown.odometry[0])
+    assert same_heights(passed, image)
+    assert adjusting.counted("ignored.") == {"autofocus": 1}
+    moved = adjusting.feed(after, flown.odometry[1])
+    assert "pose_error" in messages.stages_of(moved.provenance.parameters)["height_adjuster"]
 
 
 @pytest.mark.parametrize("length", [0.0, -1.0, math.nan, math.inf, 1e9])

@@ -91,9 +91,9 @@ def test_single_scatterers_reach_the_bound(array: PassArray) -> None:
 
 
 def errors_of(
-    name: str, array: PassArray, looks: int, cnr_db: float, second: tuple[float, float] | None
+    name: str, array: PassArray, looks: int, cnr_db: float, second: tuple[float, float] | None, trials: int = 600
 ) -> tuple[np.ndarray, float]:
-    """Errors of 600 elevations over their sigma, where they are valid, and the share of these.
+    """Errors of some elevations over their sigma, where they are valid, and the share of these.
 
     Args:
         name: of the estimator.
@@ -102,9 +102,10 @@ def errors_of(
         cnr_db: of one look in a pass.
         second: distance of a second scatterer, beamwidths, and its power over that of the first, dB; None: there is
             none.
+        trials: number of the elevations.
     """
     rng = np.random.default_rng([7, looks])
-    beams, trials = array.steering(np.zeros(3), -2.0, 2.0).beams(), 600
+    beams = array.steering(np.zeros(3), -2.0, 2.0).beams()
     low, high = beams.span
     elevation = rng.uniform(low + 0.2 * (high - low), high - 0.2 * (high - low), trials)
     samples = rng.standard_normal((trials, looks, beams.count, 2)) @ np.array([1.0, 1j]) / np.sqrt(2)
@@ -140,10 +141,13 @@ def test_sigma_of_capon_holds_what_a_weak_neighbour_does(
 
 
 def test_maximum_likelihood_leaves_out_more_of_two_close_scatterers_than_capon() -> None:
-    """One look at 20 dB, the second 0.4 beamwidths away, 10 dB weaker: 20 % have a height, of Capon's method 60 %."""
+    """One look at 20 dB, the second 0.4 beamwidths away, 10 dB weaker: 20 % have a height, of Capon's method 60 %.
+
+    A share of 150 trials has a standard error of 4 %.
+    """
     array = array_of(flown(np.random.default_rng(0), np.zeros((1, 3))))
-    shares = [errors_of(name, array, 1, 20.0, (0.4, -10.0))[1] for name in ("ml", "capon")]
-    np.testing.assert_allclose(shares, [0.2, 0.6], atol=0.07)
+    shares = [errors_of(name, array, 1, 20.0, (0.4, -10.0), 150)[1] for name in ("ml", "capon")]
+    np.testing.assert_allclose(shares, [0.2, 0.6], atol=0.1)
 
 
 def test_even_passes_have_a_grating_lobe() -> None:

@@ -208,7 +208,8 @@ def rows_of(kind: str, text: str, moving: Sequence[Flown]) -> Iterator[Row]:
     """Rows of movers of a kind."""
     errors = np.array([one for each in moving for one in each.errors] or np.zeros((0, 5)))
     over = np.abs(np.array([one for each in moving for one in each.over] or np.zeros((0, 5))))
-    rms = np.sqrt(np.mean(errors**2, axis=0)) if len(errors) else np.full(errors.shape[1], np.nan)
+    # Along the flight not all are told a velocity in a strip.
+    rms = np.sqrt(np.nanmean(errors**2, axis=0)) if len(errors) else np.full(errors.shape[1], np.nan)
     share = sum(bool(len(one.errors)) for one in moving) / len(moving)
     # What drives is smeared in a strip, over 13 to 27 cells.
     least = ">= 0.4" if kind == "driving" else ">= 0.8"

@@ -362,7 +362,7 @@ def load_gotcha(files: list[Path]) -> tuple[PhaseHistory, np.ndarray, Sensor, Gr
     steps = np.linalg.norm(np.diff(antenna, axis=0), axis=-1)
     times = np.concatenate([[0.0], np.cumsum(steps)]) / gotcha.SPEED
     velocity = np.gradient(antenna, times, axis=0)
-    sensor = gotcha._sensor(parts[0]["freq"].ravel(), antenna, velocity, times, "HH")
+    sensor = gotcha._sensor(parts[0]["freq"].ravel(), antenna, velocity, times, "HH", len(antenna))
     samples = np.concatenate([p["fp"].T for p in parts]).astype(np.complex64)[None]
     history = PhaseHistory(0, times, np.concatenate([p["r0"].ravel() for p in parts]), samples)
     middle = len(times) // 2

@@ -196,6 +196,18 @@ def test_phase_that_was_taken_off_is_what_autofocus_says_of_the_slant_plane_grid
     np.testing.assert_allclose(slc.images, again.images, atol=1e-5 * np.abs(slc.images).max())
 
 
+def test_a_wider_image_lies_where_a_narrow_one_does() -> None:
+    """With a column for each Doppler frequency it is wider than what stays in a range cell, and has two patches."""
+    flight = flight_of("sal_spotlight")
+    settings = {"rows": 60, "autofocus": "always"}
+    narrow, wide = (focused("sal_spotlight", cols=cols, **settings) for cols in (12, 64))
+    patches = patch_centres(flight.spectrum, wide.aperture, wide.grid)
+    assert patches.shape[1] == 2
+    beside = (64 - 12) // 2
+    middle = np.abs(wide.images[..., beside : beside + 12])
+    assert np.max(np.abs(middle - np.abs(narrow.images))) < 1e-2 * np.sqrt(power(narrow.images))
+
+
 def test_autofocus_of_noise_is_not_trusted_and_leaves_the_image() -> None:
     flight, history = flight_of("small"), dwell_of("small")
     rng = np.random.default_rng(92)

@@ -148,8 +148,7 @@ def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64,
     half = patch_half_width(sensor)
     focus = Focus(np.zeros(sensor.pulse_count), "none", np.inf)
     if on_speckle:
-        middle = patches[len(patches) // 2, patches.shape[1] // 2]
-        cells = cell_responses(history, antenna, sensor, middle)
+        cells = cell_responses(history, antenna, sensor, patches.mean(axis=(0, 1)))
         modes, snr = signal_modes(cells, sensor.sample_count * sensor.noise_covariance)
         focus, responses = focus_speckle(modes, snr, beam_coherence(sensor, antenna)), modes[None]
         uneven = uneven_trend(sensor, antenna, settings)

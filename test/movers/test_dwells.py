@@ -213,6 +213,23 @@ def test_a_car_is_told_where_the_beam_sees_it_and_not_through_a_sidelobe() -> No
     assert abs(one.walk_velocity + 5.092) < 4 * one.walk_sigma < 0.2
 
 
+@pytest.mark.parametrize(
+    ("seed", "car"),
+    [
+        (3, PointScatterer(0.0949745, -2.147305, 0.4875123, 2036.68, -13.601267, -5.782986)),
+        (6, PointScatterer(-0.3131008, 1.5778904, 1.3460518, 656.705, 0.0061409, 14.622081)),
+    ],
+    ids=["beside bright ground", "between two columns"],
+)
+def test_a_car_that_drives_is_told_once_and_by_what_is_its_own(seed: int, car: PointScatterer) -> None:
+    """A bright pixel of the ground, paired with the car in another dwell, is none; nor do its sidelobes steer it."""
+    found = [one for one in found_in(*flown(seed, car, name="sal_spotlight", dwells=6), MoverSettings()) if one]
+    (one,) = [mover for looked in found for mover in looked.movers]
+    assert one.position[0] == pytest.approx(car.east, abs=0.03)
+    assert one.along_velocity == pytest.approx(car.along_velocity, abs=0.5)
+    assert abs(one.walk_velocity - car.radial_velocity) < 4 * one.walk_sigma < 0.3
+
+
 def test_sigmas_count_what_beams_are_not_known_by() -> None:
     """However bright a car is: its place along the flight is known to a tenth of a column, 5.2 cm, and more."""
     (one,) = movers_of(3, target(6.0, power_db=55.0))

@@ -139,7 +139,7 @@ class GroundImage:
 def cell_size(slc: Slc) -> float:
     """Size of the cells on the ground that suit the pixels of an image, m."""
     grid = slc.grid
-    sight = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2) - slc.aperture.position
+    sight = grid.middle - slc.aperture.position
     level = float(np.linalg.norm(sight[:2]))
     down = grid.row_spacing * abs(float(grid.row_direction @ sight)) / level
     return min(down, grid.col_spacing) / CELLS_PER_PIXEL

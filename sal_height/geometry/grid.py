@@ -43,6 +43,11 @@ class Grid:
         """Way from a column to the next, m, shape (3,)."""
         return self.col_spacing * self.col_direction
 
+    @property
+    def middle(self) -> F64:
+        """Its middle, m, shape (3,)."""
+        return self.points((self.rows - 1) / 2, (self.cols - 1) / 2)
+
     def points(self, row: npt.ArrayLike, col: npt.ArrayLike) -> F64:
         """Return the positions (m) of fractional pixel indices, shape (..., 3)."""
         down = np.asarray(row, dtype=np.float64)[..., None] * (self.row_spacing * self.row_direction)

@@ -153,7 +153,7 @@ def cell_response(slc: Slc, sensor: Sensor) -> CellResponse:
         sensor: that they are of.
     """
     grid, aperture = slc.grid, slc.aperture
-    sight = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2) - aperture.position
+    sight = grid.middle - aperture.position
     slant_range = float(np.linalg.norm(sight))
     down = grid.row_spacing * abs(float(grid.row_direction @ sight)) / slant_range / sensor.range_resolution
     across = grid.col_spacing / azimuth_resolution(sensor, aperture, slant_range)

@@ -96,7 +96,8 @@ def find_movers(images: C64 | C128, beams: Beams, slc: Slc, sensor: Sensor, sett
     ground = ground_lag(images, beams, whole, search.lags, lag_by_odometry(slc, sensor))
     walks = Walks.of(coarse, slc, sensor, settings.fastest_mps, ground[0])
     of_rows = Walks.of(Search(images, beams, whole, COARSE_STEP), slc, sensor, settings.fastest_mps, ground[0])
-    looking = _Looking(search, walks, of_rows, ground, slc, sensor)
+    drives = Drives.of(of_rows.search, slc, sensor)
+    looking = _Looking(search, walks, of_rows, drives, ground, slc, sensor)
     walking, looked_at = looking.for_walks(settings)
     lagging, candidates = looking.for_lags(settings)
     apart = [one for one in lagging if not any(_in_image_of(one, other, walks) for other in walking)]
@@ -118,11 +119,12 @@ def _bright(power: F64, prominence_db: float) -> Bool:
 
 @dataclass(frozen=True, eq=False)
 class _Looking:
-    """The search in an image; `of_rows` has walks through it as spectra of whole rows."""
+    """The search in an image; `of_rows` has walks through it as spectra of whole rows, from which `drives` tells."""
 
     search: Search
     walks: Walks
     of_rows: Walks
+    drives: Drives
     ground: tuple[float, float]
     slc: Slc
     sensor: Sensor
@@ -187,15 +189,15 @@ class _Looking:
             return []
         row, walk = walked.row if walks else seen.row, (walked.speed, walked.sigma)
         search, along = self.search, None
-        drive = self._drive(row, elevation[0], walked.speed if walks else 0.0)
+        drive = self.drives.look(self.of_rows.spectra(row, walked.speed if walks else 0.0), elevation[0])
         if drive:
             # A Doppler frequency is that of a greater aspect, and of a time that is later, than of what stands still.
-            search = replace(search, bins=search.bins.slowed(float(np.sqrt(drive.slowing[0]))))
+            search = replace(search, bins=search.bins.slowed(drive.share))
             focused = self._in_focus(search, seen, drive)
             if focused is None:
                 return []
             (seen, elevation), along = focused, drive.along
-            walk = walk[0] * drive.slowing[0], float(np.hypot(walk[1], walk[0] * drive.slowing[1]))
+            walk = drive.slowed(walk)
         lag, sigma = peak_of(seen.told, search.lags)
         own = lag - self.ground[0], float(np.hypot(sigma, self.ground[1]))
         sighting = Sighting(row, seen.col, seen.cnr, elevation, own, walk, walks, ratio, along)
@@ -210,11 +212,6 @@ class _Looking:
             if elevation and self._is_inside(one.told):
                 return one, elevation
         return None
-
-    def _drive(self, row: float, elevation: float, speed: float) -> Drive | None:
-        """How what was seen in a row at an elevation (rad), walking with a speed (m/s), drives along the flight."""
-        drives = Drives.of(self.of_rows.search, self.slc, self.sensor)
-        return drives.look(self.of_rows.spectra(row, speed), elevation)
 
     def _is_inside(self, told: F64) -> bool:
         """Whether the best lag is none of the outermost."""

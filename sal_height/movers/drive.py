@@ -44,15 +44,25 @@ class Drive:
 
     Attributes:
         along: velocity along the flight, and its standard deviation, m/s.
+        speed: of the platform, m/s.
         col: of its image in focus.
         row: the row, or what the walk makes of it, in focus, shape (channels, cols).
-        slowing: 1 - u / v squared, by which its Doppler frequency changes more slowly, and its standard deviation.
     """
 
     along: tuple[float, float]
+    speed: float
     col: int
     row: C128
-    slowing: tuple[float, float]
+
+    @property
+    def share(self) -> float:
+        """1 - u / v: speed with which the target passes the beam, over that of the platform."""
+        return 1 - self.along[0] / self.speed
+
+    def slowed(self, walk: tuple[float, float]) -> tuple[float, float]:
+        """The walk and its standard deviation, m/s, that look so where Doppler frequencies change with the platform."""
+        unsure = 2 * self.share * self.along[1] / self.speed
+        return self.share**2 * walk[0], float(np.hypot(self.share**2 * walk[1], unsure * walk[0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +83,7 @@ class Drives:
     def of(cls, search: Search, slc: Slc, sensor: Sensor) -> Self:
         """Those of an image, whose rows `search` looks at as a whole."""
         grid = slc.grid
-        middle = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2)
+        middle = grid.middle
         slant_range = float(np.linalg.norm(middle - aperture_at(middle, slc.aperture).position))
         cells = 2 * search.bins.angle**2 * slant_range / sensor.wavelength
         return cls(search, cells, float(np.linalg.norm(slc.aperture.velocity)))
@@ -104,8 +114,7 @@ class Drives:
         rate = 1 + smear / self.cells
         if rate <= 0:
             return None
-        slowing = 1 / rate, SMEAR_ERROR / self.cells / rate**2
-        along = self.speed * (1 - slowing[0] ** 0.5), self.speed * slowing[1] / (2 * slowing[0] ** 0.5)
+        along, per_cell = self.speed * (1 - rate**-0.5), self.speed * rate**-1.5 / (2 * self.cells)
         col = bins.pixels // 2 + round(place * bins.cell)
-        focused = spectra.T * np.exp(-1j * np.pi * smear * bins.frequencies**2)
-        return Drive(along, col, bins.image(focused), slowing)
+        in_focus = spectra.T * np.exp(-1j * np.pi * smear * bins.frequencies**2)
+        return Drive((along, per_cell * SMEAR_ERROR), self.speed, col, bins.image(in_focus))

@@ -83,9 +83,7 @@ class ShownDwell:
     def apart(self, other: ShownDwell) -> float:
         """How far the beams of two dwells are apart along the flight, in beamwidths."""
         grid = self.image.grid
-        reach = float(
-            np.linalg.norm(grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2) - self.image.aperture.position)
-        )
+        reach = float(np.linalg.norm(grid.middle - self.image.aperture.position))
         way = float(np.linalg.norm(self.image.aperture.position - other.image.aperture.position))
         return way / (reach * self.beams.track_beamwidth)
 

@@ -57,7 +57,7 @@ class DwellImage:
             Rejected: it does not have all Doppler frequencies, or is in another plane than range and Doppler.
         """
         grid, aperture = slc.grid, slc.aperture
-        sight = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2) - aperture.position
+        sight = grid.middle - aperture.position
         slant_range = float(np.linalg.norm(sight))
         doppler = sensor.wavelength * sensor.pulse_repetition_frequency / 2 / float(np.linalg.norm(aperture.velocity))
         period = slant_range * doppler
@@ -92,7 +92,7 @@ class DwellImage:
         sight = place - self.aperture.position
         along, reach = float(sight @ self.aperture.direction), float(np.linalg.norm(sight))
         grid = self.grid
-        middle = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2) - self.aperture.position
+        middle = grid.middle - self.aperture.position
         off = along - float(middle @ self.aperture.direction)
         wrapped = along - self.period * float(np.rint(off / self.period))
         across = np.sqrt(np.asarray(reach**2 - wrapped**2, np.float64))

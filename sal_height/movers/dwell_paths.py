@@ -110,7 +110,7 @@ class DwellPaths:
         """Paths through the `middle` one of some dwells, which was made from `slc`, up to a velocity (m/s)."""
         there = dwells[middle]
         grid = there.grid
-        place = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2)
+        place = grid.middle
         sight = place - there.aperture.position
         angles = np.array([one.angles(place) for one in dwells])
         higher, ahead = (angles - angles[middle]).T
@@ -200,13 +200,13 @@ class DwellPaths:
         """Pixels around the image of what has it at a place (m) in the middle dwell, by the number of its elevation."""
         lobes = self.lobes
         spread = int(np.ceil(self.fastest * np.abs(self.seconds).max() / abs(self.depth))) + REACH
+        beam = lobes.amplitudes[len(lobes.squints) // 2, self.middle, elevation]
+        beam = beam / np.linalg.norm(beam)
         numbers, inside, still, spectra, backgrounds = [], [], [], [], []
         for one, there in zip(self.dwells, self.places(place), strict=True):
             at, column = one.shows(there)
             rows = round(at) + np.arange(-spread, spread + 1)
             pixels, within = one.column(rows, column)
-            beam = lobes.amplitudes[len(lobes.squints) // 2, self.middle, elevation]
-            beam = beam / np.linalg.norm(beam)
             around = np.abs(beam.conj() @ one.around(round(at), column, BACKGROUND)) ** 2
             level = float(np.median(around)) / np.log(2) if around.size else np.inf
             brightest = float(max(np.max(np.abs(pixels @ beam.conj()) ** 2), np.max(around, initial=0.0)))

@@ -125,10 +125,13 @@ class _Course:
 
     @classmethod
     def of(cls, paths: DwellPaths, sight: Sight, row: float, speeds: F64) -> Self:
-        """The one with the likeliest of some walks from a row; if there are many, few squints and powers tell which."""
-        near = paths.lobes.near
-        moving, gains = paths.matched(sight, near)
-        speed = float(speeds[0])
+        """The one with the likeliest of some walks from a row."""
+        return cls.matched_by(paths, sight, paths.matched(sight, paths.lobes.near), row, speeds)
+
+    @classmethod
+    def matched_by(cls, paths: DwellPaths, sight: Sight, matched: tuple[C128, F64], row: float, speeds: F64) -> Self:
+        """The same with the amplitudes and gains of the near squints; if walks are many, few of these tell which."""
+        near, (moving, gains), speed = paths.lobes.near, matched, float(speeds[0])
         if len(speeds) > 1:
             walks = paths.path(sight, row, speeds)
             each = paths.told(moving[1::2], gains[1::2], walks, near[1::2], POWERS[::2], points=False)
@@ -203,29 +206,24 @@ class DwellSearch:
         if place is None:
             return None
         sight = paths.sight(*place)
-        moving, gains = paths.matched(sight, near)
+        matched = paths.matched(sight, near)
         still = paths.ambiguous(sight)
         standing, ground_gains = paths.matched_each(sight, still)
-        fine = self._brightest(sight, moving)
+        fine = self._brightest(sight, matched[0])
         # Without a walk: under any squint, and under that of what stands still.
         at_rest = paths.path(sight, fine, np.zeros(1))
-        lagging = float(paths.told(moving, gains, at_rest, near).max())
+        lagging = float(paths.told(*matched, at_rest, near).max())
         ground = max(
             float(paths.told(standing, ground_gains, at_rest, still).max()), glinting(paths, sight, at_rest, still)
         )
-        walking = _Course.of(paths, sight, fine, self.speeds)
+        walking = _Course.matched_by(paths, sight, matched, fine, self.speeds)
+        # What drives along the flight, against one that stands still at each place where it would be.
         driving = self._driving(place, fine, bright)
         if driving and driving.likelihood > walking.likelihood:
-            # What drives along the flight, against one that stands still at each place where it would be.
-            driving, _ = self._steered(driving)
-            here, *elsewhere = standing_instead(paths, driving.paths, place, fine, driving.speed)
-            beside = sum(max(0.0, one - _rarity(paths, bright)) for one in elsewhere)
+            driving, unsure = self._steered(driving)
             needed = 2 * np.log(HYPOTHESES * len(self.speeds) * self.drifts / rate)
-            ratio = 2 * (driving.likelihood - here - beside)
-            own = driving.likelihood - driving.likelihood_of_others
-            told = ratio >= needed and driving.likelihood - lagging > KNOWN_PART * beside
-            if told and own > LEAST_SHARE * driving.likelihood:
-                return self._described(driving, ratio, walks=True)
+            if (ratio := self._ratio_of_driving(driving, place, lagging)) >= needed:
+                return self._described(driving, unsure, ratio, walks=True)
             if 2 * (driving.likelihood - lagging) > needed:
                 return None  # it may be one or the other
         # The best of the walks, against all that does not walk.
@@ -236,11 +234,30 @@ class DwellSearch:
             cloud = deep(sight, standing, ground_gains, fine)
             ratio = 2 * (walking.likelihood - max(lagging, ground, rows, cloud))
         if ratio >= needed:
-            return self._described(walking, ratio, walks=True)
+            return self._described(*self._steered(walking), ratio, walks=True)
         # What only lags.
-        lags = _Course.of(paths, sight, fine, np.zeros(1))
+        lags = _Course.matched_by(paths, sight, matched, fine, np.zeros(1))
         ratio = 2 * (lags.likelihood - ground)
-        return self._described(lags, ratio, walks=False) if ratio >= 2 * np.log(HYPOTHESES / rate) else None
+        if ratio >= 2 * np.log(HYPOTHESES / rate):
+            return self._described(*self._steered(lags), ratio, walks=False)
+        return None
+
+    def _ratio_of_driving(self, driving: _Course, place: tuple[F64, int], lagging: float) -> float:
+        """Twice the logarithm of the likelihood ratio of what drives along the flight against what stands still.
+
+        Args:
+            driving: the course.
+            place: of what stands still, m, and number of its elevation.
+            lagging: logarithm of the likelihood of what only lags.
+
+        Returns:
+            0: others may be bright where it would be, or most of it is in other dwells, which see it better.
+        """
+        here, *elsewhere = standing_instead(self.paths, driving.paths, place, driving.row, driving.speed)
+        own = driving.likelihood - driving.likelihood_of_others
+        if driving.likelihood - lagging <= KNOWN_PART * sum(elsewhere) or own <= LEAST_SHARE * driving.likelihood:
+            return 0.0
+        return 2 * (driving.likelihood - here - sum(elsewhere))
 
     def _driving(self, place: tuple[F64, int], row: float, bright: Mapping[int, Index]) -> _Course | None:
         """The likeliest course along the flight from a place and a row; None: there is none.
@@ -320,11 +337,17 @@ class DwellSearch:
         sight = likeliest.sight(course.sight.place, course.sight.elevation)
         return _Course.of(likeliest, sight, course.row, speeds), sigma
 
-    def _described(self, course: _Course, ratio: float, walks: bool) -> Found | None:
-        """A target on a course; None: it is at an end of the array, of another row or of another dwell."""
+    def _described(self, course: _Course, unsure: float, ratio: float, walks: bool) -> Found | None:
+        """A target on a course; None: it is at an end of the array, of another row or of another dwell.
+
+        Args:
+            course: of the target.
+            unsure: standard deviation of its velocity along the flight, m/s.
+            ratio: twice the logarithm of its likelihood ratio.
+            walks: whether it was found by its walk.
+        """
         if self._belongs_elsewhere(course):
             return None
-        course, unsure = self._steered(course)
         row, walk, best = self._refined(course)
         course = replace(course, row=row, speed=walk[0])
         squint = self._squint(course, best)
@@ -424,11 +447,3 @@ class DwellSearch:
         error = max(left / (weight.sum() * (along.shape[-1] - 1)), MODEL_ERROR * explained[best] / along.shape[-1])
         step = grid[1] - grid[0]
         return float(grid[best] + step * offset), float(np.sqrt(error * step**2 / bend))
-
-
-def _rarity(paths: DwellPaths, bright: Mapping[int, Index]) -> float:
-    """Logarithm of one over the chance that something bright is by chance at a place, or in a pixel beside it."""
-    image = paths.dwells[paths.middle]
-    pixels = image.grid.rows * image.grid.cols
-    share = 9 * float(np.mean([len(one) for one in bright.values()])) / pixels
-    return max(0.0, -float(np.log(share))) if share else 0.0

@@ -63,7 +63,7 @@ def lag_by_odometry(slc: Slc, sensor: Sensor) -> float:
     An error of the velocity is in that of the position along the flight (`Placement.seen_from`).
     """
     grid, aperture = slc.grid, slc.aperture
-    middle = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2)
+    middle = grid.middle
     slant_range = float(np.linalg.norm(middle - aperture_at(middle, aperture).position))
     pointing = NavigationPrior.of(aperture, np.zeros((3, 3)), line_of_sight(sensor, aperture)).pointing
     along = aperture.direction @ aperture.covariance[:3, :3] @ aperture.direction

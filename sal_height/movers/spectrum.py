@@ -106,7 +106,7 @@ class Bins:
 def column_aspects(slc: Slc, sensor: Sensor, pixels: int) -> F64:
     """Aspects of all bins of so many pixels of a row in the order of `numpy.fft.fft`, as squints, rad."""
     grid = slc.grid
-    middle = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2)
+    middle = grid.middle
     sight = middle - aperture_at(middle, slc.aperture).position
     abeam = float(sight @ grid.col_direction / np.linalg.norm(sight))
     # A pixel's phase turns by 4 pi / wavelength per metre of range, so that its frequency is that of the line of

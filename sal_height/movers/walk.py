@@ -109,7 +109,7 @@ class Walks:
     def of(cls, search: Search, slc: Slc, sensor: Sensor, fastest: float, ground_lag: float) -> Self:
         """Those of an image, whose pixels `search` has about the phase of their range (`about_ranges`)."""
         grid = slc.grid
-        middle = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2)
+        middle = grid.middle
         aperture = aperture_at(middle, slc.aperture)
         sight = middle - aperture.position
         slant_range, speed = float(np.linalg.norm(sight)), float(np.linalg.norm(aperture.velocity))

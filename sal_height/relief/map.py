@@ -167,7 +167,7 @@ def fitting_cell_size(grid: Grid, aperture: ApertureState) -> float:
     Raises:
         Rejected: the grid is seen from straight above, where a pixel has no length across.
     """
-    sight = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2) - aperture.position
+    sight = grid.middle - aperture.position
     sight /= np.linalg.norm(sight)
     across = float(np.hypot(sight[0], sight[1]))
     if across < 1e-3:

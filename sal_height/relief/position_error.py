@@ -83,7 +83,7 @@ def level_turn(elevation: float, grid: Grid, aperture: ApertureState, look_side:
         aperture: from which it was seen.
         look_side: +1 right, -1 left.
     """
-    point = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2)
+    point = grid.middle
     aperture = aperture_at(point, aperture)
     sight = point - aperture.position
     slant_range = np.linalg.norm(sight)

@@ -53,7 +53,7 @@ class ProjectedAxes:
     def field(self, field: HeightField, aperture: ApertureState) -> tuple[HeightField, ApertureState]:
         """The heights of a dwell, and the aperture that it was seen from, in these axes."""
         grid = field.grid
-        middle = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2)
+        middle = grid.middle
         turn = self.turn(middle)
         both = np.kron(np.eye(2), turn)
         # What is farther away stays where it is seen from the middle of the dwell.

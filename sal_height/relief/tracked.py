@@ -23,7 +23,7 @@ def ground_spacings(grid: Grid) -> tuple[float, float]:
 
 def look_side_of(grid: Grid, aperture: ApertureState) -> int:
     """Look side of the middle of the image: +1 right of the track, -1 left."""
-    sight = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2) - aperture.position
+    sight = grid.middle - aperture.position
     return 1 if np.cross(aperture.direction, [0.0, 0.0, 1.0]) @ sight > 0 else -1
 
 

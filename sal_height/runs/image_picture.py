@@ -52,7 +52,7 @@ def ground_steps(grid: Grid) -> tuple[F64, F64]:
 def corners(grid: Grid) -> F64:
     """East and north of the outer corners of an image on the ground, m, shape (4, 2)."""
     down, across = ground_steps(grid)
-    middle = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2)[:2]
+    middle = grid.middle[:2]
     sides = np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5], [0.5, 0.5]]) * np.array(grid.shape)
     return np.asarray(middle + sides @ np.stack([down, across]))
 
@@ -60,6 +60,6 @@ def corners(grid: Grid) -> F64:
 def _to_ground(grid: Grid) -> Affine2D:
     """From column and row of an image to east and north, m."""
     down, across = ground_steps(grid)
-    middle = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2)[:2]
+    middle = grid.middle[:2]
     first = middle - (grid.rows - 1) / 2 * down - (grid.cols - 1) / 2 * across
     return Affine2D.from_values(*across, *down, *first)

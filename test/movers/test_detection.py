@@ -272,6 +272,16 @@ def test_what_drives_along_the_flight_is_focused(radial: float, along: float) ->
         assert abs(one.walk_velocity - radial) < 4 * one.walk_sigma
 
 
+def test_what_passes_more_slowly_has_greater_aspects() -> None:
+    """The beam sees it under the angle that the Doppler frequency has at the speed with which they pass each other."""
+    flight, (slc, *_) = strip(0)
+    bins = Bins.of(slc, flight.sensor, 32)
+    slowed = bins.slowed(0.9)
+    assert slowed.aspects == pytest.approx(bins.aspects / 0.9)
+    assert slowed.frequencies == pytest.approx(bins.frequencies)
+    assert slowed.cell == pytest.approx(bins.cell)
+
+
 def test_what_recedes_only_has_no_velocity_along_the_flight() -> None:
     (one,) = [seen for each in looked(0, mover(6e-3, 34.0, EAST + 0.6)) for seen in each.movers]
     assert np.isnan(one.along_velocity)
@@ -292,6 +302,10 @@ def test_the_smear_of_a_point_is_found(smear: float) -> None:
     assert found is not None
     speed = 50.0 * (1 - (1 + smear / drives.cells) ** -0.5)
     assert found.along[0] == pytest.approx(speed, abs=0.05)
+    assert found.share == pytest.approx((1 + smear / drives.cells) ** -0.5, abs=1e-3)
+    walk, sigma = found.slowed((10.0, 0.1))
+    assert walk == pytest.approx(10.0 / (1 + smear / drives.cells), abs=0.02)
+    assert sigma == pytest.approx(np.hypot(0.1 * found.share**2, 20.0 * found.share * found.along[1] / 50.0))
     assert found.col == bins.pixels // 2 + round(9 * bins.cell)
     power = np.sum(np.abs(found.row) ** 2, axis=0)
     assert power.argmax() == pytest.approx(found.col, abs=1)

@@ -13,7 +13,7 @@ from sal_height.errors import UserError
 from sal_height.geometry import ApertureState, Grid, sphere_point
 from sal_height.imaging import ImageSettings, Slc
 from sal_height.movers import DwellMovers, Looked, Mover, MoverSettings, dwell_detection
-from sal_height.movers.dwell_detection import ShownDwell
+from sal_height.movers.dwell_detection import ShownDwell, Track
 from sal_height.movers.dwell_images import COLUMN_STEPS, DwellImage
 from sal_height.movers.dwell_likelihood import told, told_of_cloud
 from sal_height.movers.dwell_lobes import Lobes
@@ -237,6 +237,21 @@ def test_sigmas_count_what_beams_are_not_known_by() -> None:
     assert np.sqrt(one.covariance[0, 0]) > 0.005
     assert 0.0125 < one.sigma < 0.03
     assert 0.08 < one.walk_sigma < 0.3
+
+
+def test_a_track_covers_what_other_dwells_show_where_it_drives() -> None:
+    """Eight columns farther than its place in the image in the second dwell; and what does not drive covers it not."""
+    flight, images = flown(0, target(6.003, along=10.0))
+    (seen,) = [one for looked in found_in(flight, images, MoverSettings()) if looked for one in looked.movers]
+    dwell = dwell_with_movers(images[2], 1e-9 * flight.dwell_start_ns(2), flight.sensor, MoverSettings()).image
+    place, drift = np.asarray(dwell.grid.middle), 8 * dwell.grid.col_spacing / 0.011625
+    row, step = dwell.shows(place + drift * 0.011625 * dwell.aperture.direction)
+    far = replace(seen, position=seen.position + 100.0, likelihood_ratio=1.0, row=round(row), col=step // COLUMN_STEPS)
+    other = Track(far, place, 0.0, 0.0, dwell.seconds)
+    for velocity, covered in ((drift, True), (0.0, False)):
+        track = Track(seen, place, 0.0, velocity, dwell.seconds - 0.011625)
+        assert track.covers(other, dwell) is covered
+        assert not other.covers(track, dwell)
 
 
 def test_two_cars_are_two() -> None:

@@ -271,7 +271,7 @@ def patch_centres(sensor: Sensor, aperture: ApertureState, grid: Grid) -> F64:
 
     They are in m, shape (rows, patches, 3).
     """
-    sight = grid.points((grid.rows - 1) / 2, (grid.cols - 1) / 2) - aperture.position
+    sight = grid.middle - aperture.position
     slant_range = float(np.linalg.norm(sight))
     row_step = sensor.range_resolution / abs(float(grid.row_direction @ sight) / slant_range)
     width = 2 * patch_half_width(sensor) * azimuth_resolution(sensor, aperture, slant_range)

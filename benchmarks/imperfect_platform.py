@@ -38,6 +38,8 @@ from sal_height.simulation import Preset, Scene, SimulatedFlight, flight_of, loa
 from sal_height.simulation.impairments import Impairments, PointingJitter
 from sal_height.simulation.odometry_errors import OdometryErrors
 from sal_height.simulation.phase_errors import Vibration, VibrationBand, VibrationLine
+from sal_height.simulation.scene import PointScatterer
+from sal_height.simulation.scenes import load_scene
 from sal_height.simulation.turbulence import Turbulence
 from sal_height.simulation.vegetation_wind import VegetationWind
 
@@ -117,10 +119,20 @@ def _cases() -> Iterator[Case]:
     for cnr_db in (20.0, 10.0, 3.0):
         name = f"all together, {cnr_db:g} dB"
         yield _case(name, 0.01, cnr_db=cnr_db, vibration=helicopter, laser_linewidth_hz=1e4)
+    yield from _cars(helicopter)
     yield from _strips()
     yield from _leaves()
     yield from _walls()
     yield from (Case(name, load_preset(name), MANY * FLIGHTS) for name in ("sal_realistic", "xband_realistic"))
+
+
+def _cars(vibration: Vibration) -> Iterator[Case]:
+    """The street with a car of 30 dB over the ground, at rest and driving, under a helicopter that vibrates."""
+    for name, radial in (("at rest", 0.0), ("at 8 mm/s", 8e-3), ("at 11 m/s", -11.37)):
+        case = _case(f"bright car {name}", vibration=vibration)
+        street = load_scene(case.preset.scene)
+        car = PointScatterer(-0.3, 1.0, 1.0, 1e3, radial, 0.0)
+        yield replace(case, preset=replace(case.preset, dwells=1), scene=replace(street, points=(car,)))
 
 
 def _strips() -> Iterator[Case]:

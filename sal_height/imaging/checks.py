@@ -6,6 +6,7 @@ What the data cannot tell is not refused but said (`describe_unverified_squint`,
 from __future__ import annotations
 
 import numpy as np
+import scipy.fft
 
 from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Grid
@@ -189,14 +190,16 @@ def check_doppler_centroid(
     slant_range = float(np.linalg.norm(aim - aperture.position))
     speed = float(np.linalg.norm(aperture.velocity))
     width = max(grid.cols * grid.col_spacing / slant_range, sensor.beams.track_beamwidth)
-    found, allowed = _centroid_offset(history, np.diff(delay), sensor), speed * width / sensor.wavelength
+    of_a_beamwidth = 2 * speed * sensor.beams.track_beamwidth / sensor.wavelength
+    found = _centroid_offset(history, np.diff(delay), sensor, OFF_MIDDLE * of_a_beamwidth)
+    allowed = speed * width / sensor.wavelength
     if abs(found) > allowed:
         raise Rejected(
             "Doppler centroid outside the band",
             f"The Doppler centroid is {found:+.4g} Hz off that of the beams' middle, image and beam make up "
             f"{allowed:.4g} Hz to each side; attitude, boresights or odometry must be wrong.",
         )
-    beamwidths = found * sensor.wavelength / (2 * speed * sensor.beams.track_beamwidth)
+    beamwidths = found / of_a_beamwidth
     if abs(beamwidths) <= OFF_MIDDLE:
         return ""
     return (
@@ -215,7 +218,8 @@ def describe_strip_centroid(history: PhaseHistory, antenna: F64, sensor: Sensor,
     steps = -np.diff(antenna, axis=0) @ line_of_sight(sensor, aperture) - np.diff(history.reference_range)
     speed = float(np.linalg.norm(aperture.velocity))
     width = sensor.beams.track_beamwidth + 2 * look_ahead_angle(sensor.beams)
-    found, expected = _centroid_offset(history, steps, sensor), speed * width / sensor.wavelength
+    expected = speed * width / sensor.wavelength
+    found = _centroid_offset(history, steps, sensor, expected)
     if abs(found) <= expected:
         return ""
     return (
@@ -225,17 +229,26 @@ def describe_strip_centroid(history: PhaseHistory, antenna: F64, sensor: Sensor,
     )
 
 
-def _centroid_offset(history: PhaseHistory, steps: F64, sensor: Sensor) -> float:
+def _centroid_offset(history: PhaseHistory, steps: F64, sensor: Sensor, expected: float) -> float:
     """Doppler centroid (Hz) relative to a point whose delay changes by `steps` (m); 0 where the data have none.
 
     The centroid is the phase from pulse to pulse, after dechirping to that point, averaged over everything (Madsen,
-    IEEE Trans. AES 25, 1989). Noise, or errors of phase from pulse to pulse, have none.
+    IEEE Trans. AES 25, 1989). Noise, or errors of phase from pulse to pulse, have none. Where it is beyond what is
+    expected, it is that of most range cells, however bright: a car that drives may outshine all ground.
     """
     products = np.vecdot(history.samples[:, :-1], history.samples[:, 1:]).sum(axis=0)
     correlation = complex(np.sum(products * np.exp(1j * sensor.centre_wavenumber * steps)))
     if abs(correlation) <= COHERENT * float(np.sum(np.abs(products))):
         return 0.0
-    return float(np.angle(correlation)) / (2 * np.pi) * _pulse_rate(history.pulse_times)
+    of_a_radian = _pulse_rate(history.pulse_times) / (2 * np.pi)
+    if abs(np.angle(correlation)) * of_a_radian <= expected:
+        return float(np.angle(correlation)) * of_a_radian
+    cells = scipy.fft.ifft(history.samples)
+    of_cells = np.einsum("dtc,dtc->tc", cells[:, :-1].conj(), cells[:, 1:])
+    correlations = np.exp(1j * sensor.centre_wavenumber * steps) @ of_cells
+    agreeing = correlations[np.abs(correlations) > COHERENT * np.sum(np.abs(of_cells), axis=0)]
+    turned = agreeing * np.conj(correlation)
+    return float(np.angle(correlation) + (np.median(np.angle(turned)) if len(turned) else 0.0)) * of_a_radian
 
 
 def _pulse_rate(pulse_times: F64) -> float:

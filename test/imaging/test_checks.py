@@ -31,6 +31,7 @@ from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.sensor.sensor import Sensor
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset, preset_names
+from sal_height.simulation.scene import PointScatterer
 
 REACH, SPEED = 5000.0, 50.0
 
@@ -125,6 +126,21 @@ def test_attitude_that_is_off_by_more_than_the_beam_is_refused(side: int) -> Non
     for beamwidths in (0.6, 1.0):
         with refusal("Doppler centroid outside the band", "5000 Hz", "attitude"):
             focus_dwell(history, track(side * beamwidths * BEAMWIDTH / LOOK), flight.spectrum, settings)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.7 * BEAMWIDTH / LOOK])
+def test_a_car_that_outshines_the_ground_does_not_move_the_centroid(yaw: float) -> None:
+    """Of four times the ground's power and 8 mm/s, a beam off. Beams that look elsewhere are found nevertheless."""
+    flight, without = dwell()
+    car = PointScatterer(0.0, 1.0, 1.0, 10**3.4, 8e-3, 0.0)
+    history = replace(flight, scene=replace(flight.scene, points=(car,))).phase_history(0)
+    assert np.sum(np.abs(history.samples) ** 2) > 4 * np.sum(np.abs(without.samples) ** 2)
+    settings = ImageSettings(former="backprojection", rows=4, cols=4)
+    if yaw:
+        with refusal("Doppler centroid outside the band", "attitude"):
+            focus_dwell(history, track(yaw), flight.spectrum, settings)
+        return
+    assert not focus_dwell(history, track(0.0), flight.spectrum, settings).doubt
 
 
 def grid_of(sensor: Sensor, cols: int) -> Grid:

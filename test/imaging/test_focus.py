@@ -25,6 +25,7 @@ from sal_height.runs.catalogue import check_parameters
 from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
+from sal_height.simulation.scene import PointScatterer
 from sal_height.simulation.scenes import load_scene
 
 REACH = 5000.0
@@ -206,6 +207,24 @@ def test_a_wider_image_lies_where_a_narrow_one_does() -> None:
     beside = (64 - 12) // 2
     middle = np.abs(wide.images[..., beside : beside + 12])
     assert np.max(np.abs(middle - np.abs(narrow.images))) < 1e-2 * np.sqrt(power(narrow.images))
+
+
+@pytest.mark.parametrize("radial_mps", [0.0, 8e-3, -11.37])
+def test_a_bright_car_takes_nothing_from_autofocus(radial_mps: float) -> None:
+    """Of 30 dB over the cells around it, at rest or driving: the phase is that of the street without it, to .1 rad.
+
+    And the image lies where it does without it.
+    """
+    flight, settings = flight_of("sal_spotlight"), {"rows": 60, "cols": 12, "autofocus": "always"}
+    alone = focused("sal_spotlight", **settings)
+    car = PointScatterer(-0.3, 1.0, 1.0, 1e3, radial_mps, 0.0)
+    history = replace(flight, scene=replace(flight.scene, points=(car,))).phase_history(0)
+    beside = focused("sal_spotlight", history, **settings)
+    assert beside.focus
+    assert alone.focus
+    assert beside.focus.trusted
+    assert np.std(beside.focus.phase - alone.focus.phase) < 0.1
+    assert abs(beside.focus.trend - alone.focus.trend) < 2 * beside.focus.trend_error
 
 
 def test_autofocus_of_noise_is_not_trusted_and_leaves_the_image() -> None:

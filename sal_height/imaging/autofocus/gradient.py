@@ -29,14 +29,14 @@ from sal_height.errors import UserError
 from sal_height.geometry import ApertureState, Grid
 from sal_height.imaging.autofocus.bright_targets import focus_targets, sharpness, turned
 from sal_height.imaging.autofocus.coherence import Coherence, beam_coherence
-from sal_height.imaging.autofocus.phase_error import is_smooth, phase_gradient, without_shift
+from sal_height.imaging.autofocus.phase_error import is_smooth, phase_gradient, phase_variance, without_shift
 from sal_height.imaging.autofocus.phase_linking import (
     Likelihood,
     find_trend,
     link_phases,
     signal_modes,
     speckle_classes,
-    standard_error,
+    which_fit,
     with_fitted_profile,
 )
 from sal_height.imaging.pixels import azimuth_resolution
@@ -150,7 +150,9 @@ def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64,
     if on_speckle:
         cells = cell_responses(history, antenna, sensor, patches.mean(axis=(0, 1)))
         modes, snr = signal_modes(cells, sensor.sample_count * sensor.noise_covariance)
-        focus, responses = focus_speckle(modes, snr, beam_coherence(sensor, antenna)), modes[None]
+        coherence = beam_coherence(sensor, antenna)
+        fits = which_fit(modes, snr, coherence)
+        focus, responses = focus_speckle(modes[fits], snr[fits], coherence), modes[None, fits]
         uneven = uneven_trend(sensor, antenna, settings)
         focus = replace(focus, trend_error=float(np.hypot(focus.trend_error, uneven)))
     if focus.standard_error > settings.autofocus_max_error_rad:
@@ -255,7 +257,7 @@ def focus_speckle(modes: Complex, snr: F64, by_beam: Coherence) -> Focus:
     fitted = with_fitted_profile(by_beam, classes, phase)
     phase = without_shift(link_phases(Likelihood.of(classes, fitted), phase))
     trend, trend_error = find_trend(modes, snr, by_beam, likelihood, phase)
-    return Focus(phase, "speckle", standard_error(likelihood.information), trend=trend, trend_error=trend_error)
+    return Focus(phase, "speckle", phase_variance(likelihood.information) ** 0.5, trend=trend, trend_error=trend_error)
 
 
 def patch_half_width(sensor: Sensor) -> int:

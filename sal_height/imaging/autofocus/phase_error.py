@@ -6,10 +6,13 @@ in azimuth; neither is counted as an error.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from sal_height.numeric import F64, Complex
 
+FIRMLY = 1e6  # over the information on a phase, with which mean and trend count as known
 SMOOTH_STEP = 1.0  # rms step from pulse to pulse, rad, up to which a phase can be unwrapped: pi is three times as much
 
 
@@ -18,6 +21,24 @@ def detrended(phase: F64) -> F64:
     time = np.linspace(-1.0, 1.0, len(phase))
     level = phase - phase.mean()
     return level - time * (time @ level) / (time @ time)
+
+
+def with_shift_known(information: F64) -> F64:
+    """Information on phases, rad^-2, as if their mean and their linear trend were known."""
+    known = _mean_and_trend(len(information))
+    firmly: F64 = information + FIRMLY * information.diagonal().max() * known @ known.T
+    return firmly
+
+
+def phase_variance(information: F64) -> float:
+    """Variance of phases (mean over the pulses, mean and linear trend apart) by the information on them, rad^2."""
+    return float(np.mean(np.linalg.inv(with_shift_known(information)).diagonal()))
+
+
+@lru_cache(maxsize=4)
+def _mean_and_trend(pulses: int) -> F64:
+    """Orthonormal mean and linear trend, shape (pulses, 2)."""
+    return np.linalg.qr(np.stack([np.ones(pulses), np.linspace(-1.0, 1.0, pulses)], axis=1))[0]
 
 
 def without_shift(phase: F64) -> F64:

@@ -9,21 +9,22 @@ speckle of covariance R, summed over channels and range cells,
 
 (Guarnieri & Tebaldini, IEEE Trans. GRS 46, 2008; for a single target in the middle it is the eigenvector method of
 Jakowatz & Wahl, JOSA A 10, 1993). The phase gradient of neighbours is the start, and Fisher scoring leads to the
-maximum; the Fisher information 2 (R o R^-1 - 1) per response also tells how well it is known. The profile p(a) is at
-first that of the beam; then it is fitted to the responses, and the phases are linked again, because the sidelobes, a
-beam that is round and not a product, and ground of uneven brightness spread the echo otherwise.
+maximum; the Fisher information 2 (R o R^-1 - 1) per response also tells how well it is known. At first all responses
+count the same, so that what moves by itself is found and left out, however bright it is (`which_fit`). The profile
+p(a) is at first that of the beam; then it is fitted to the responses, and the phases are linked again, because the
+sidelobes, a beam that is round and not a product, and ground of uneven brightness spread the echo otherwise.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Self
 
 import numpy as np
 import scipy.linalg
 
 from sal_height.imaging.autofocus.coherence import Coherence
+from sal_height.imaging.autofocus.phase_error import phase_gradient, with_shift_known
 from sal_height.numeric import C128, F64, Bool, Complex
 
 WEAKEST_MODE = 0.1  # least share of the strongest mode's signal-to-noise ratio in a range cell
@@ -34,7 +35,8 @@ ITERATIONS = 50  # maximum number of steps of Fisher scoring
 CONVERGED = 1e-3  # rms change of the phases (rad) below which Fisher scoring has converged
 BLOCKS = 12  # of neighbouring range cells, whose differences tell how uneven ground moves the Doppler centroid
 FINELY = 16  # trends on which the likelihood is looked at, over the number of pulses
-FIRMLY = 1e6  # by which mean and trend are held, over the information on a phase
+MISFIT = 5.0  # above which a response is of something that moves by itself; that of ground stays below 4
+ROUNDS = 4  # at most, of linking what fits and looking for what does not
 LONGEST_STEP = 1.0  # greatest change of a phase in one step, rad: far from the maximum the likelihood is no parabola
 
 
@@ -135,9 +137,7 @@ def link_phases(likelihood: Likelihood, start: F64) -> F64:
         start: first estimate, rad, shape (pulses,).
     """
     # The likelihood knows nothing of mean and linear trend, which steps therefore do not have.
-    trend = _trend(len(start))
-    firmly = FIRMLY * likelihood.information.diagonal().max()
-    fixed = scipy.linalg.cho_factor(likelihood.information + firmly * trend @ trend.T)
+    fixed = scipy.linalg.cho_factor(with_shift_known(likelihood.information))
     phase = start.copy()
     for _ in range(ITERATIONS):
         step = scipy.linalg.cho_solve(fixed, likelihood.slope(phase), check_finite=False)
@@ -148,16 +148,38 @@ def link_phases(likelihood: Likelihood, start: F64) -> F64:
     return phase
 
 
-def standard_error(information: F64) -> float:
-    """Standard error of phases (rms over the pulses, mean and linear trend apart) by the information on them, rad."""
-    rest = np.linalg.qr(_trend(len(information)), mode="complete")[0][:, 2:]
-    return float(np.sqrt(np.trace(np.linalg.inv(rest.T @ information @ rest)) / len(information)))
+def which_fit(modes: Complex, snr: F64, coherence: Coherence) -> Bool:
+    """Which responses can be of ground in the beam, shape (responses,); others are of what moves by itself.
+
+    Phases are linked to which all responses count the same, however bright. The misfit g^H R^-1 g of a response is, on
+    average, one for each pulse, and more by what the phases are uncertain and by what the beam is not as stated; that
+    of an echo from outside the beam, where a car appears that drives, is more by its signal-to-noise ratio.
+
+    Args:
+        modes: responses, shape (responses, pulses).
+        snr: of each response, shape (responses,).
+        coherence: of the echo of even ground.
+    """
+    fits = np.ones(len(modes), dtype=np.bool_)
+    for _ in range(ROUNDS if len(modes) else 0):
+        usual = float(np.median(snr[fits]))
+        alike = modes[fits] * np.sqrt(usual / snr[fits])[:, None].astype(modes.real.dtype)
+        classes = speckle_classes(alike, np.full(len(alike), usual))
+        phase = link_phases(Likelihood.of(classes, coherence), phase_gradient(alike))
+        level = modes * np.exp(-1j * phase).astype(modes.dtype)
+        misfit = np.vecdot(level, _weighted(level, snr, coherence)).real / len(phase)
+        before, fits = fits, misfit <= MISFIT * max(1.0, float(np.median(misfit)))
+        if np.array_equal(before, fits):
+            break
+    return fits
 
 
-@lru_cache(maxsize=4)
-def _trend(pulses: int) -> F64:
-    """Orthonormal mean and linear trend, shape (pulses, 2)."""
-    return np.linalg.qr(np.stack([np.ones(pulses), np.linspace(-1.0, 1.0, pulses)], axis=1))[0]
+def _weighted(responses: Complex, snr: F64, coherence: Coherence) -> Complex:
+    """R^-1 g of each response, shape (responses, pulses)."""
+    weighted = np.empty_like(responses)
+    for middle, members in _class_members(snr):
+        weighted[members] = responses[members] @ coherence.inverse_covariance(middle).T.astype(responses.dtype)
+    return weighted
 
 
 def find_trend(
@@ -188,12 +210,9 @@ def find_trend(
         turned = of_lags * np.exp(-1j * trend * lag)
         information = float(np.sum(lag**2 * turned).real)
         trend += float(np.sum(-1j * lag * turned).real) / information
-    time, scores = np.arange(pulses) - (pulses - 1) / 2, np.zeros(len(modes))
-    level = (turn * np.exp(1j * trend * time)).conj().astype(modes.dtype)
-    for middle, members in _class_members(snr):
-        known = modes[members] * level
-        weighted = known @ coherence.inverse_covariance(middle).T.astype(modes.dtype)
-        scores[members] = 2 * np.sum(time * known.conj() * weighted, axis=1).imag
+    time = np.arange(pulses) - (pulses - 1) / 2
+    level = modes * (turn * np.exp(1j * trend * time)).conj().astype(modes.dtype)
+    scores = 2 * np.vecdot(level, time * _weighted(level, snr, coherence)).imag
     of_blocks = np.bincount(np.arange(len(modes)) * BLOCKS // len(modes), scores, BLOCKS)
     return trend, float(np.sqrt(np.sum(of_blocks**2)) / information)
 

@@ -25,13 +25,13 @@ from sal_height.imaging.autofocus.gradient import (
     patch_half_width,
     pulse_responses,
 )
-from sal_height.imaging.autofocus.phase_error import detrended, phase_gradient
+from sal_height.imaging.autofocus.phase_error import detrended, phase_gradient, phase_variance
 from sal_height.imaging.autofocus.phase_linking import (
     Likelihood,
     link_phases,
     signal_modes,
     speckle_classes,
-    standard_error,
+    which_fit,
     with_fitted_profile,
 )
 from sal_height.imaging.formers.backprojection import backproject
@@ -273,7 +273,28 @@ def test_phase_linking_reaches_its_bound() -> None:
         likelihood = Likelihood.of(classes, coherence)
         phase = link_phases(likelihood, phase_gradient(modes))
         left.append(rms(residual_phase(phase, error)))
-    assert rms(np.array(left)) == pytest.approx(standard_error(likelihood.information), rel=0.1)
+    assert rms(np.array(left)) == pytest.approx(np.sqrt(phase_variance(likelihood.information)), rel=0.1)
+
+
+@pytest.mark.parametrize("level_db", [10.0, 20.0, 40.0])
+def test_what_moves_by_itself_is_left_out(level_db: float) -> None:
+    """Echoes from a sidelobe at the end of the Doppler band, with the phase error of the ground.
+
+    One of 200 responses, which may outshine all others together, or 20 of them; of ground alone none is left out.
+    """
+    rng = np.random.default_rng(16)
+    dwell = dwell_of("sal_spotlight", 1)
+    by_beam = beam_coherence(dwell.sensor, dwell.antenna)
+    factor = np.linalg.cholesky(by_beam.matrix + 1e-9 * np.eye(64))
+    ground = np.sqrt(20) * circular(rng, (200, 64)) @ factor.T + circular(rng, (200, 64))
+    error = np.exp(1j * white_phase(64, 10.0, rng))
+    assert which_fit(ground * error, np.full(200, 20.0), by_beam).all()
+    power = 20 * 10 ** (level_db / 10)
+    echo = np.sqrt(power) * np.exp(0.97j * np.pi * np.arange(64))
+    for movers in (1, 20):
+        moves = np.arange(200) < movers
+        modes, snr = ground + moves[:, None] * echo, 20 + moves * power
+        np.testing.assert_array_equal(which_fit(modes * error, snr, by_beam), ~moves)
 
 
 def test_phases_do_not_depend_on_where_the_scoring_begins() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import ApertureState, Grid, Trajectory
-from sal_height.imaging.autofocus.gradient import Focus, apply_phase, uneven_trend
+from sal_height.imaging.autofocus.gradient import Focus, apply_phase, hidden_trend
 from sal_height.imaging.autofocus.phase_error import course_of, turns_slowly
 from sal_height.imaging.autofocus.placement import (
     NavigationPrior,
@@ -175,7 +175,7 @@ def _in_focus(
         return history, replace(focus, phase=np.zeros(len(antenna))), placement or placed_by_navigation(prior)
     # How far the middle of the beams is off, if the course of the phase is known; the rest is movement.
     times, phase, slow = history.pulse_times, focus.phase, turns_slowly(focus.phase)
-    error = float(np.hypot(focus.trend_error, uneven_trend(sensor, antenna, settings)))
+    error = float(np.hypot(focus.trend_error, hidden_trend(sensor, antenna, settings)))
     of_a_radian = speed_of_a_radian(times, sensor.wavelength)
     if slow:
         course, trend = course_of(phase)

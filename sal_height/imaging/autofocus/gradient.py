@@ -72,8 +72,9 @@ class AutofocusSettings(Settings):
         maximum=100.0,
     )
     autofocus_uneven_beamwidths: float = setting(
-        0.02,
-        "standard deviation, in beamwidths, by which uneven ground moves the Doppler centroid in all range cells alike",
+        0.005,
+        "standard deviation, in beamwidths, by which ground of uneven brightness moves the Doppler centroid and the "
+        "spectrum of the echo does not show it",
         minimum=0.0,
         maximum=1.0,
     )
@@ -153,7 +154,7 @@ def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64,
         coherence = beam_coherence(sensor, antenna)
         fits = which_fit(modes, snr, coherence)
         focus, responses = focus_speckle(modes[fits], snr[fits], coherence), modes[None, fits]
-        uneven = uneven_trend(sensor, antenna, settings)
+        uneven = hidden_trend(sensor, antenna, settings)
         focus = replace(focus, trend_error=float(np.hypot(focus.trend_error, uneven)))
     if focus.standard_error > settings.autofocus_max_error_rad:
         responses = pulse_responses(history, antenna, sensor, np.ones(sensor.sample_count), patches.reshape(-1, 3))
@@ -179,8 +180,8 @@ def is_for_speckle(sensor: Sensor, antenna: F64) -> bool:
     return bool(half_beam <= patch_half_width(sensor)) and min(sensor.noise_power) > 0
 
 
-def uneven_trend(sensor: Sensor, antenna: F64, settings: AutofocusSettings) -> float:
-    """Standard deviation, rad, of the trend from pulse to pulse by ground that is uneven in all range cells alike."""
+def hidden_trend(sensor: Sensor, antenna: F64, settings: AutofocusSettings) -> float:
+    """Standard deviation, rad, of the trend from pulse to pulse by uneven ground that the spectrum does not show."""
     step = float(np.linalg.norm(antenna[-1] - antenna[0])) / (len(antenna) - 1)
     of_a_beam = 4 * np.pi / sensor.wavelength * step * sensor.beams.track_beamwidth
     return settings.autofocus_uneven_beamwidths * of_a_beam

@@ -25,6 +25,7 @@ import scipy.linalg
 
 from sal_height.imaging.autofocus.coherence import Coherence
 from sal_height.imaging.autofocus.phase_error import phase_gradient, with_shift_known
+from sal_height.imaging.autofocus.unevenness import uneven_trend
 from sal_height.numeric import C128, F64, Bool, Complex
 
 WEAKEST_MODE = 0.1  # least share of the strongest mode's signal-to-noise ratio in a range cell
@@ -189,7 +190,8 @@ def find_trend(
 
     The likelihood of `phase` and a trend s, s t: a sum over the lags d between pulses of exp(-j s d) times what the
     responses say of them. Ground of uneven brightness moves its maximum more than speckle does, so the error is that
-    which BLOCKS of neighbouring range cells show by what each of them would move it (Huber's sandwich).
+    which BLOCKS of neighbouring range cells show by what each of them would move it (Huber's sandwich), and what is
+    uneven in all of them alike (`uneven_trend`).
 
     Args:
         modes: responses, shape (responses, pulses), in the order of their range cells.
@@ -214,7 +216,8 @@ def find_trend(
     level = modes * (turn * np.exp(1j * trend * time)).conj().astype(modes.dtype)
     scores = 2 * np.vecdot(level, time * _weighted(level, snr, coherence)).imag
     of_blocks = np.bincount(np.arange(len(modes)) * BLOCKS // len(modes), scores, BLOCKS)
-    return trend, float(np.sqrt(np.sum(of_blocks**2)) / information)
+    by_blocks = np.sqrt(np.sum(of_blocks**2)) / information
+    return trend, float(np.hypot(by_blocks, uneven_trend(level, snr, coherence)))
 
 
 def _diagonal_sums(matrix: C128) -> C128:

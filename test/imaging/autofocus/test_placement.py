@@ -129,7 +129,7 @@ def test_centroid_tells_velocity_and_pointing_together(
     if not (speed and pointing):
         assert found == pytest.approx(0.0, abs=1.5e-4)
         assert slc.aperture.covariance[0, 0] < 0.03**2
-        assert not speed or slc.aperture.covariance[0, 0] > 0.01**2
+        assert not speed or slc.aperture.covariance[0, 0] > 0.005**2
     assert abs(found) <= 3 * np.sqrt(slc.aperture.covariance[0, 0]) * SPEED / RANGE + 1e-5
 
 
@@ -276,4 +276,4 @@ def test_scenes_of_presets_move_the_centroid_as_far_as_is_stated(name: str, dwel
         found = autofocus(pulses, antenna, flown.spectrum, patches, AutofocusSettings())
         assert found.finds_beams
         ratios.append(found.trend / found.trend_error)
-    assert 0.3 < np.sqrt(np.mean(np.square(ratios))) < 1.4
+    assert 0.2 < np.sqrt(np.mean(np.square(ratios))) < 1.4

@@ -202,7 +202,7 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
     images = former(history, antenna, sensor, processing, grid)
     noise_power = slc_noise_power(sensor, processing, len(antenna))
     doubt = describe_unverified_squint(sensor, aperture)
-    if is_for_speckle(sensor, antenna):
+    if is_for_speckle(sensor, antenna) and not (focus and focus.finds_beams):
         doubt = doubt or off_middle
     doubt = doubt or bad_covariance
     windows = settings.azimuth_window, settings.range_window

@@ -11,6 +11,7 @@ from typing import Any
 
 import yaml
 
+from sal_height.errors import UserError
 from sal_height.io import new_folder, write_text, writing
 from sal_height.messages import AIR
 from sal_height.nodes.stage import MAP_ORIGIN
@@ -127,7 +128,11 @@ def processing_of(flight: SimulatedFlight, estimators: list[str]) -> dict[str, d
 
 
 def _draw(flown: Flown, preset: Preset, folder: Path) -> None:
-    """Write the pictures of a flight beside its bag."""
+    """Write the pictures of a flight beside its bag.
+
+    Raises:
+        UserError: a picture cannot be written, or none of the images lies on the scene.
+    """
     from sal_height.runs.cloud_picture import cloud_of, draw_cloud  # noqa: PLC0415 (brings Matplotlib)
     from sal_height.runs.error_picture import draw_errors  # noqa: PLC0415
     from sal_height.runs.ground_picture import draw_ground  # noqa: PLC0415
@@ -135,6 +140,11 @@ def _draw(flown: Flown, preset: Preset, folder: Path) -> None:
     from sal_height.runs.profile import draw_profile  # noqa: PLC0415
 
     accuracy, source = flown.accuracy, flown.source
+    if accuracy.heights and not any(one.ground.inside.any() for one in accuracy.heights.values()):
+        raise UserError(
+            "By the odometry none of the images lies on the scene, so that there is no true height to compare with and "
+            f"no picture; lower the errors in impairments: odometry: of the preset. The bag is in {folder}."
+        )
     if source in accuracy.grounds:
         with writing(folder / "ground.png"):
             draw_ground(*accuracy.grounds[source], folder / "ground.png")

@@ -32,6 +32,8 @@ from sal_height.runs.power_picture import powers_db
 from sal_height.runs.profile import _profile, draw_profile
 from sal_height.runs.simulate import fly, run
 from sal_height.simulation.flight import flight_of
+from sal_height.simulation.impairments import Impairments
+from sal_height.simulation.odometry_errors import OdometryErrors
 from sal_height.simulation.preset import Preset, load_preset
 
 SEED = 3
@@ -270,3 +272,12 @@ def test_the_relief_map_can_be_of_another_estimator_but_not_of_none(
     said = "estimator 'sum_difference', which relief_mapper takes, are not made here; allowed are monopulse, ml"
     with pytest.raises(UserError, match=said):
         run(two_dwells, SEED, tmp_path / "other", {"relief_mapper": {"estimator": "sum_difference"}})
+
+
+def test_images_beside_the_scene_are_told_in_a_sentence(two_dwells: Preset, tmp_path: Path) -> None:
+    """An attitude .1 rad off, which the odometry states, is half a kilometre: nothing to compare with, or to draw."""
+    lost = Impairments(odometry=OdometryErrors(velocity_mps=5.0, attitude_rad=0.1))
+    beside = dataclasses.replace(two_dwells, dwells=1, impairments=lost, estimators=("monopulse",))
+    with pytest.raises(UserError, match=r"none of the images lies on the scene.*lower the errors"):
+        run(beside, SEED, tmp_path / "run", {})
+    assert json.loads((tmp_path / "run" / "report.json").read_text())["estimators"]["monopulse"]["cells"] == 0

@@ -23,6 +23,7 @@ from sal_height.imaging.autofocus.phase_linking import (
     link_phases,
     signal_modes,
     speckle_classes,
+    which_fit,
 )
 from sal_height.numeric import C64, F64, Complex
 from sal_height.sensor import PhaseHistory, Sensor, aperture_length
@@ -75,7 +76,10 @@ def link_block(
         modes, snr = signal_modes(seen, sensor.sample_count * sensor.noise_covariance)
         if not len(modes):
             return Focus(np.zeros(new_ones), "none", np.inf)
-        found, trend_error = _link(modes, snr, beam_coherence(sensor, antenna[begin:end]))
+        coherence = beam_coherence(sensor, antenna[begin:end])
+        fits = which_fit(modes, snr, coherence)
+        modes = modes[fits]
+        found, trend_error = _link(modes, snr[fits], coherence)
         phase[first:end] = found[first - begin :] - (found[first - begin - 1] if first > begin else 0.0)
         known = modes * np.exp(-1j * found).astype(modes.dtype)
         errors.append((_step_error(known[:, max(0, first - begin - 1) :]), trend_error))

@@ -129,8 +129,71 @@ def test_a_node_whose_parent_has_ended_does_not_begin() -> None:
     assert subprocess.run(words, timeout=60, check=False).returncode == 1  # noqa: S603
 
 
+CANNOT_BE_COPIED = """
+import sys, threading
+from sal_height.runs.ensemble import Ensemble, Member
+
+if __name__ == "__main__":
+    threading.Thread(target=threading.Event().wait, daemon=True).start()
+    with Ensemble([Member("near", "ml_height"), Member("monopulse")], True) as ensemble:
+        print("up", flush=True)
+        ensemble.graph.spin_for(60.0)
+"""
+
+THIRD_FORK_FAILS = """
+import errno, os, sys
+from sal_height.runs import starter
+
+real, numbers = os.fork, []
+
+def fork():
+    if len(numbers) == 2:
+        raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+    numbers.append(real())
+    return numbers[-1]
+
+os.fork = fork
+status = starter.main()
+print(*numbers, sep="\\n", file=sys.stderr)
+sys.exit(status)
+"""
+
+
+def test_nodes_of_a_process_that_cannot_be_copied_are_its_own_and_end_with_it() -> None:
+    program = subprocess.Popen([sys.executable, "-c", CANNOT_BE_COPIED], stdout=subprocess.PIPE, text=True)  # noqa: S603
+    with program:
+        assert program.stdout
+        assert program.stdout.readline() == "up\n"
+        nodes = {node: Path(f"/proc/{node}/comm").read_text().strip() for node in children(program.pid)}
+        assert sorted(nodes.values()) == ["monopulse", "near"]
+        program.kill()
+    wait_for(lambda: not any(runs(node) for node in nodes))
+
+
+def test_when_a_copy_cannot_be_made_the_others_end() -> None:
+    members = json.dumps([{"name": name} for name in ("ml_height", "monopulse", "sar_compression")])
+    command = [sys.executable, "-c", THIRD_FORK_FAILS, str(os.getpid()), members, "1"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)  # noqa: S603
+    assert done.returncode == 2
+    said, *others = done.stderr.splitlines()
+    assert said.startswith("Node sar_compression cannot be started in a process of its own: ")
+    assert len(others) == 2
+    wait_for(lambda: not any(runs(int(node)) for node in others))
+
+
+def test_what_was_to_start_the_nodes_may_fail(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sal_height.runs.ensemble.STARTER", "no_such_program")
+    with (
+        pytest.raises(UserError, match="ended with status 1; its message is above"),
+        Ensemble([Member("monopulse")], True),
+    ):
+        pass
+
+
 def test_when_a_node_cannot_be_started_the_others_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    real, started = subprocess.Popen, []
+    """Each begins anew, because a starter that works in several threads cannot be copied either."""
+    monkeypatch.setenv("SAL_HEIGHT_THREADS", "2")
+    real, started = subprocess.Popen, list[Any]()
 
     def popen(*arguments: Any, **keywords: Any) -> Any:
         if len(started) == 2:

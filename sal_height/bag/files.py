@@ -122,7 +122,7 @@ def custom_data_of(record: str, values: dict[str, str]) -> dict[str, str] | None
     if record != "rosbag2":
         return None
     try:
-        found = yaml.safe_load(values["serialized_metadata"])["custom_data"] or {}
+        found = _content(values["serialized_metadata"])["custom_data"] or {}
         return {str(name): str(value) for name, value in found.items()}
     except (yaml.YAMLError, KeyError, TypeError, AttributeError):  # rosbag2 before version 6 has none
         return None
@@ -148,7 +148,7 @@ def stored_as(metadata: Path) -> tuple[str, str, list[str]]:
         raise UserError(f"File {metadata} cannot be read as the metadata of a bag: {error!r}.") from error
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=16)
 def _content(text: str) -> Any:
     """Plain data of a YAML text, which nobody changes: of a bag that is opened, it is asked for several times."""
     return yaml.safe_load(text)

@@ -24,6 +24,7 @@ def main() -> int:
     except UserError as error:
         for process in processes:
             process.kill()
+            process.wait(30.0)  # lest the other process adopts it
         sys.stderr.write(f"{error}\n")
         return 2
     give_up(processes, pipe)

@@ -14,6 +14,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from benchmarks.row import sized
 from sal_height import messages
 from sal_height.bag.reader import BagReader
 from sal_height.elevation import ESTIMATORS
@@ -33,6 +34,9 @@ from sal_height.sensor import PhaseHistory
 MAPPER, MOST_CELLS = "relief_mapper", 4_000_000
 """Node that averages the heights of all dwells, and the greatest number of cells of its map."""
 
+ALL = sized(WORKERS, 1)
+"""Processes that keep all processors busy."""
+
 
 @dataclass(frozen=True)
 class CoreRate:
@@ -49,7 +53,7 @@ class CoreRate:
     stages_s: dict[str, float]
 
 
-def core_rate(bag: Path, seconds: float, processes: int = WORKERS) -> CoreRate:
+def core_rate(bag: Path, seconds: float, processes: int = ALL) -> CoreRate:
     """What so many processes at the same time achieve, each with one thread.
 
     Args:

@@ -20,17 +20,18 @@ BROKEN_BYTES = 0.2
 
 def hostile(good: Any, count: int, rng: np.random.Generator) -> Iterator[bytes]:
     """So many serialized messages, each made of a good one: one to three fields spoilt, or its bytes."""
+    sound, kind = serialize_message(good), type(good)
     for _ in range(count):
         if rng.random() < BROKEN_BYTES:
-            yield _broken(serialize_message(good), rng)
+            yield _broken(sound, rng)
             continue
-        message = copy.deepcopy(good)
+        message = deserialize_message(sound, kind)
         for _ in range(rng.integers(1, 4)):
             _spoil(message, rng)
         try:
             yield serialize_message(message)
         except RMWError:  # a list that is longer than its type allows
-            yield _broken(serialize_message(good), rng)
+            yield _broken(sound, rng)
 
 
 def feed(node: Node, topic: str, cdr: bytes) -> bool:

@@ -24,8 +24,8 @@ from sal_height.simulation import load_preset
 if TYPE_CHECKING:
     from sal_height.runs.live import Watched
 
-RATE = sized(None, 0.1)
-"""Seconds of the sensor in a second; None for `SHARE` of the highest that is sustained."""
+PRESET, RATE = sized(("sal_spotlight", None), ("small", 0.02))
+"""What is simulated, and seconds of the sensor in a second; None for `SHARE` of the highest that is sustained."""
 
 SHARE, FIRST_GUESS, SEARCH_S = 0.8, 0.3, 20.0
 """Of the highest rate that is sustained, the one played at; the rate that is tried first, and for how long one is."""
@@ -78,7 +78,7 @@ def killed_stage() -> Iterator[Row]:
     """The kill after which fewest heights come counts."""
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        bag = record_sensor(load_preset("sal_spotlight"), 1, folder / "sensor")
+        bag = record_sensor(load_preset(PRESET), 1, folder / "sensor")
         rate = RATE or SHARE * (highest_rate(lambda tried: watch(bag, tried, SEARCH_S), FIRST_GUESS)[0] or LEAST_RATE)
         kills = _Kills()
         how = Live(rate, FIRST_S + EVERY_S * KILLS + BACK_S, supervised=True)
@@ -89,7 +89,7 @@ def killed_stage() -> Iterator[Row]:
         100 * min(heights_hz) / watched.offered_hz,
         "% of dwells",
         ">= 95",
-        f"sal_spotlight at {rate:.2g} of its pace, {watched.offered_hz:.1f} dwells/s; the fewest, from {BACK_S:g} to "
+        f"{PRESET} at {rate:.2g} of its pace, {watched.offered_hz:.1f} dwells/s; the fewest, from {BACK_S:g} to "
         f"{BACK_S + SEEN_S:g} s after each of {KILLS} kills: "
         + ", ".join(f"{hz:.1f}" for hz in heights_hz)
         + f"; {load()}",

@@ -6,8 +6,9 @@ import os
 import struct
 import zlib
 from collections.abc import Mapping
+from functools import lru_cache
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import yaml
 from mcap.exceptions import McapError
@@ -121,7 +122,7 @@ def custom_data_of(record: str, values: dict[str, str]) -> dict[str, str] | None
     if record != "rosbag2":
         return None
     try:
-        found = yaml.safe_load(values["serialized_metadata"])["custom_data"] or {}
+        found = _content(values["serialized_metadata"])["custom_data"] or {}
         return {str(name): str(value) for name, value in found.items()}
     except (yaml.YAMLError, KeyError, TypeError, AttributeError):  # rosbag2 before version 6 has none
         return None
@@ -139,12 +140,18 @@ def stored_as(metadata: Path) -> tuple[str, str, list[str]]:
         UserError: it cannot be read.
     """
     try:
-        information = yaml.safe_load(metadata.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+        information = _content(metadata.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
         storage = str(information["storage_identifier"])
         compression = str(information.get("compression_mode") or "none").lower()
         return storage, compression, [Path(name).name for name in information["relative_file_paths"]]
     except (OSError, yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, AttributeError) as error:
         raise UserError(f"File {metadata} cannot be read as the metadata of a bag: {error!r}.") from error
+
+
+@lru_cache(maxsize=16)
+def _content(text: str) -> Any:
+    """Plain data of a YAML text, which nobody changes: of a bag that is opened, it is asked for several times."""
+    return yaml.safe_load(text)
 
 
 def _listed_files(metadata: Path) -> list[str]:

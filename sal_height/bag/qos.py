@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import lru_cache
 from typing import Any
 
 import yaml
@@ -38,9 +39,15 @@ def to_yaml(profiles: Iterable[QoSProfile]) -> str:
 def from_yaml(text: str) -> list[QoSProfile]:
     """Profiles from the text under ``offered_qos_profiles``, of any version; UserError if it is something else."""
     try:
-        return [_profile(entry) for entry in yaml.safe_load(text) or []]
+        return [_profile(entry) for entry in _entries(text)]
     except (yaml.YAMLError, KeyError, TypeError, ValueError, OverflowError) as error:
         raise UserError(f"Key offered_qos_profiles holds no list of QoS profiles as rosbag2 has: {error!r}.") from error
+
+
+@lru_cache(maxsize=64)
+def _entries(text: str) -> list[dict[str, Any]]:
+    """Profiles of a text as plain data, which nobody changes: most topics of most bags have one of a few texts."""
+    return yaml.safe_load(text) or []
 
 
 def _profile(entry: dict[str, Any]) -> QoSProfile:

@@ -8,7 +8,9 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure as Picture
+from PIL import Image
 
 from sal_height.figures.curve import Curve, Figure
 
@@ -19,7 +21,7 @@ def draw(figure: Figure, curves: Sequence[Curve], path: Path) -> None:
     """Write a PNG with axes for each quantity; black dots are the closed forms, bars the standard errors."""
     wide = 2 if len(figure.axes) == 4 else len(figure.axes)
     high = len(figure.axes) // wide
-    picture = Picture(figsize=(7.2 * wide, 0.5 + 4.6 * high), layout="constrained")
+    picture = Picture(figsize=(7.2 * wide, 0.5 + 4.6 * high), dpi=110, layout="constrained")
     panels = picture.subplots(high, wide, squeeze=False).ravel()
     for panel, (quantity, (horizontal, vertical)) in zip(panels, figure.axes.items(), strict=True):
         for curve in (curve for curve in curves if curve.quantity == quantity):
@@ -28,7 +30,9 @@ def draw(figure: Figure, curves: Sequence[Curve], path: Path) -> None:
         panel.grid(alpha=0.3)
         panel.legend(fontsize="x-small", loc="center left", bbox_to_anchor=(1.0, 0.5))
     picture.suptitle(figure.title)
-    picture.savefig(path, dpi=110)
+    canvas = FigureCanvasAgg(picture)
+    canvas.draw()  # type: ignore[no-untyped-call] # once, and not twice as savefig does
+    Image.fromarray(np.asarray(canvas.buffer_rgba())).save(path)  # type: ignore[no-untyped-call]
 
 
 def _draw_curve(panel: Axes, curve: Curve) -> None:

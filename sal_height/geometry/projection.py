@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, Self
 
 import numpy as np
@@ -189,6 +189,7 @@ def find_system(name: str) -> Any:
     return system
 
 
+@lru_cache(maxsize=16)
 def _utm_zone(origin: Origin) -> str:
     """Code of the zone of UTM on WGS 84 in which an origin lies.
 

@@ -116,7 +116,10 @@ class Chip:
     def waves(self, axis: int, positions: npt.ArrayLike) -> C128:
         """Each bin's wave at positions along an axis, shape (positions, bins)."""
         pixels = np.atleast_1d(np.asarray(positions, dtype=np.float64)) - self.start[axis]
-        return np.exp(2j * np.pi * np.outer(pixels, self.frequencies[axis])) / self.spectrum.shape[axis]
+        phase = 2 * np.pi * np.outer(pixels, self.frequencies[axis])
+        waves = np.empty(phase.shape, dtype=np.complex128)
+        waves.real, waves.imag = np.cos(phase), np.sin(phase)  # half the time of a complex exp
+        return waves / self.spectrum.shape[axis]
 
 
 def measure_brightest(image: Complex, near: tuple[int, int] | None = None) -> ImpulseResponse:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
 from cycler import cycler
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colorbar import Colorbar
 from matplotlib.colors import LogNorm, Normalize
@@ -100,12 +100,12 @@ def title_of(estimator: str) -> str:
 def page(path: Path, tall: float, wide: float = WIDTH) -> Iterator[Figure]:
     """A figure of this size (inches) to draw on, written as a PNG when the block ends; one of greys alone as such."""
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(wide, tall), layout="constrained")
+        figure = Figure(figsize=(wide, tall), dpi=DOTS_PER_INCH, layout="constrained")
         yield figure
-        drawn = BytesIO()
-        figure.savefig(drawn, dpi=DOTS_PER_INCH, format="png")
-    image = Image.open(drawn).convert("RGB")
-    pixels = np.asarray(image)
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()  # once, and not twice as savefig does
+        pixels = np.asarray(canvas.buffer_rgba())[..., :3]
+    image = Image.fromarray(pixels)
     if (pixels == pixels[..., :1]).all():
         image = image.convert("L")
     image.save(path, "PNG")

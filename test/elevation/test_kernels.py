@@ -46,7 +46,8 @@ def weights_at(tables: SearchTables, squint: int | Array, position: Array) -> Ar
 
 def forms(matrices: Array, weights: Array) -> Array:
     """Quadratic forms of each pixel for all weights (nodes, detectors), (pixels, nodes)."""
-    return np.einsum("gm,pmn,gn->pg", weights, matrices.astype(float), weights, optimize=True)
+    pairs = weights[:, :, None] * weights[:, None, :]
+    return matrices.astype(float).reshape(len(matrices), -1) @ pairs.reshape(len(weights), -1).T
 
 
 @pytest.mark.parametrize("channels", [2, 3, 5, 16])

@@ -129,6 +129,7 @@ def image(files: tuple[Path, ...], phase: str = "", position: str = "", autofocu
     return Compressor().add(history, Trajectory(list(states)), collection.sensor, settings)
 
 
+@cache
 def contrast(slc: Slc) -> float:
     """Of the brightest target over the median, dB."""
     return measure_brightest(slc.images[0]).peak_over_median_db

@@ -57,7 +57,7 @@ def mover(radial: float, power_db: float, east: float = EAST) -> PointScatterer:
     return PointScatterer(east, NORTH, HEIGHT, 10 ** (power_db / 10), radial_velocity=radial)
 
 
-@pytest.mark.parametrize("radial", [-7e-3, -5e-3, 4e-3, 6e-3])
+@pytest.mark.parametrize("radial", [-7e-3, 4e-3])
 def test_a_mover_gets_place_height_and_velocity(radial: float) -> None:
     """Ten times as bright as the ground: its image lies up to .7 m from it, which half of the beam's footprint is."""
     east = EAST + 100 * radial  # so that its image is in the middle of the strip

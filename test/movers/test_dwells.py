@@ -31,7 +31,7 @@ NORTH, HEIGHT = 0.5, 0.8
 DWELLS = 5
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=32)
 def flown(
     seed: int, *points: PointScatterer, name: str = "small", dwells: int = DWELLS
 ) -> tuple[SimulatedFlight, tuple[Slc, ...]]:

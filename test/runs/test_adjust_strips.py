@@ -24,13 +24,13 @@ from sal_height.simulation.impairments import Impairments
 from sal_height.simulation.preset import Passes
 from sal_height.simulation.scenes import street
 
-STRIPS, BLOCKS, IMAGES = 3, 6, 4
+STRIPS, BLOCKS, IMAGES = 3, 5, 3
 KNOWN = ["--set", "boresight_sigma_rad=3e-5", "--set", "lever_arm_sigma_m=0.01"]
 
 
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The bag of a sensor in three strips of six blocks, of which four complete images, in a swath of 6 m."""
+    """The bag of a sensor in three strips of five blocks, of which three complete images, in a swath of 6 m."""
     preset = load_preset("sal_stripmap")
     preset = replace(
         preset,

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import assert_one_sentence, make_aperture, make_sensor
+from matplotlib.backend_bases import RendererBase
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from rclpy.serialization import serialize_message
@@ -184,13 +185,13 @@ SHOWN = {
 def test_panels_of_what_is_determined_are_drawn(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of 12 at most, none of them empty, and words for the rest."""
     saved: list[Figure] = []
-    save = Figure.savefig
+    draw = Figure.draw
 
-    def remember(figure: Figure, *words: Any, **how: Any) -> None:
+    def remember(figure: Figure, renderer: RendererBase) -> None:
         saved.append(figure)
-        save(figure, *words, **how)
+        draw(figure, renderer)
 
-    monkeypatch.setattr(Figure, "savefig", remember)
+    monkeypatch.setattr(Figure, "draw", remember)
     make, drawn = SHOWN[name]
     report = report_on([make()])
     draw_psf(report, "title", ["A reason."], tmp_path / "psf.png")

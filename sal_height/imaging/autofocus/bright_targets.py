@@ -111,7 +111,8 @@ def _round(responses: Complex, half_width: int, brightness: float) -> F64:
         targets = _centred_targets(turned(responses, phase), half_width, brightness)
         if not targets.shape[1]:
             return phase
-        phase += detrended(phase_gradient(_windowed(_weighted(targets, width), width)))
+        within = _windowed(targets, width)
+        phase += detrended(phase_gradient(within / _outside(targets, within)))
         width = max(width * WINDOW_SHRINKS, NARROWEST_WINDOW)
     last = _refine(turned(responses, phase), half_width, brightness)
     return phase if last is None else phase + last
@@ -130,8 +131,10 @@ def _refine(responses: Complex, half_width: int, brightness: float) -> F64 | Non
         targets = _centred_targets(turned(responses, phase), half_width, brightness)
         if not targets.shape[1]:
             return None
-        targets = _weighted(targets, NARROWEST_WINDOW)
-        others = _windowed(targets, NARROWEST_WINDOW) - own_share * targets
+        within = _windowed(targets, NARROWEST_WINDOW)
+        outside = _outside(targets, within)
+        targets, within = targets / outside, within / outside
+        others = within - own_share * targets
         step = detrended(np.angle(np.einsum("mpt,mpt->t", others.conj(), targets)))
         phase += step
         if _rms(step) <= CHANGE:
@@ -151,11 +154,13 @@ def _centred_targets(responses: Complex, half_width: int, brightness: float) -> 
         return responses
     picture = _picture(responses, half_width)
     bright = picture.max(axis=-1) > brightness * np.median(picture)
-    turn = -2j * np.pi / responses.shape[-1] * np.arange(responses.shape[-1])
+    pulses = np.arange(responses.shape[-1])
+    turn = -2j * np.pi / len(pulses) * pulses
     cell = picture[bright].argmax(axis=-1) - half_width
-    targets = responses[:, bright] * np.exp(turn * cell[:, None])
-    beside = np.sum(np.abs(targets @ np.exp(turn[:, None] * WITHIN_CELL)) ** 2, axis=0)
-    return targets * np.exp(turn * WITHIN_CELL[beside.argmax(axis=-1)][:, None])
+    targets = responses[:, bright] * np.exp(turn)[cell[:, None] * pulses % len(pulses)]
+    within_cell = np.exp(turn[:, None] * WITHIN_CELL)
+    beside = np.sum(np.abs(targets @ within_cell) ** 2, axis=0)
+    return targets * within_cell.T[beside.argmax(axis=-1)]
 
 
 def _windowed(responses: Complex, width: float) -> Complex:
@@ -165,12 +170,13 @@ def _windowed(responses: Complex, width: float) -> Complex:
     return np.fft.ifft(np.fft.fft(responses) * near)
 
 
-def _weighted(responses: Complex, width: float) -> Complex:
-    """Responses over the root mean square of what lies outside a window: noise, and structure that is no point's."""
-    outside, power = (
-        np.mean(np.abs(part) ** 2, axis=(0, 2)) for part in (responses - _windowed(responses, width), responses)
-    )
-    return responses / np.sqrt(np.maximum(outside, LEAST_OUTSIDE * power))[:, None]
+def _outside(responses: Complex, within: Complex) -> F64:
+    """Root mean square of what of responses is not `within` a window: noise, and structure that is no point's.
+
+    Shape (points, 1): targets are weighted by its inverse.
+    """
+    outside, power = (np.mean(np.abs(part) ** 2, axis=(0, 2)) for part in (responses - within, responses))
+    return np.sqrt(np.maximum(outside, LEAST_OUTSIDE * power))[:, None]
 
 
 def _rms(values: F64) -> float:

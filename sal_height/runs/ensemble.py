@@ -7,10 +7,9 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from itertools import chain
 from types import TracebackType
 from typing import Any, Self
@@ -21,22 +20,7 @@ from sal_height.errors import UserError
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.program import run_node
 from sal_height.runs.catalogue import NODES
-from sal_height.runs.processes import (
-    ONE_THREAD,
-    Child,
-    Forked,
-    adopted_from,
-    can_fork,
-    end_with_parent,
-    has_one_thread,
-    name_process,
-)
-
-STARTER = "sal_height.runs.starter"
-"""Program that starts nodes in copies of itself."""
-
-ADOPTED_S = 1e-3
-"""Time between two looks whether a node has been adopted."""
+from sal_height.runs.processes import ONE_THREAD, Forked, can_fork, end_with_parent, name_process
 
 
 @dataclass(frozen=True)
@@ -91,7 +75,7 @@ class Ensemble:
         self.members = {member.name: member for member in members}
         self.graph: Graph
         self._separate = processes
-        self._processes: dict[str, subprocess.Popen[bytes] | Child] = {}
+        self._processes: dict[str, subprocess.Popen[bytes] | Forked] = {}
 
     def ended(self) -> dict[str, int]:
         """Exit statuses of the processes that have ended, by the name of their node."""
@@ -113,7 +97,7 @@ class Ensemble:
         Raises:
             UserError: it cannot be started.
         """
-        self._processes[name] = _begun_anew(self.members[name])
+        self._processes[name] = _process_of(self.members[name], forks=False)
 
     def __enter__(self) -> Self:
         """Start the nodes; if one cannot be, none is left.
@@ -126,7 +110,9 @@ class Ensemble:
         with ExitStack() as on_failure:
             on_failure.callback(self._end_processes)
             if self._separate:
-                self._start_processes()
+                forks = can_fork()
+                for name, member in self.members.items():
+                    self._processes[name] = _process_of(member, forks)
             self.graph = on_failure.enter_context(Graph())
             if not self._separate:
                 for member in self.members.values():
@@ -142,23 +128,6 @@ class Ensemble:
     ) -> None:
         self._at_end.close()
 
-    def _start_processes(self) -> None:
-        """Start each node in a copy of this process or, if it cannot be copied, of a new one that imports for all."""
-        members = self.members.values()
-        if can_fork():
-            for member in members:
-                self._processes[member.name] = copy_for(member, os.getpid())
-        elif has_one_thread(ONE_THREAD | os.environ):
-            said = json.dumps([asdict(member) for member in members])
-            try:
-                processes = adopted_from([sys.executable, "-m", STARTER, str(os.getpid()), said])
-            except OSError as error:
-                raise UserError(f"Nodes cannot be started in processes of their own: {error.strerror}.") from error
-            self._processes.update(zip(self.members, processes, strict=True))
-        else:
-            for member in members:
-                self._processes[member.name] = _begun_anew(member)
-
     def _end_processes(self) -> None:
         """Send SIGTERM, and give time to finish what is held."""
         for process in self._processes.values():
@@ -170,45 +139,24 @@ class Ensemble:
                 process.kill()
 
 
-def copy_for(member: Member, parent: int) -> Forked:
-    """Start a node in a copy of this process.
+def _process_of(member: Member, forks: bool) -> subprocess.Popen[bytes] | Forked:
+    """Start a node in a process of its own.
 
     Args:
         member: the node.
-        parent: number of the process with which it ends: this one, or one that adopts it as soon as this one ends.
+        forks: whether the process goes on with what this one has imported and computed, or begins anew.
 
     Raises:
         UserError: it cannot be started.
     """
-    starter = os.getpid()
-
-    def run() -> int:
-        while os.getppid() == starter != parent:
-            time.sleep(ADOPTED_S)
-        return _run(member.kind or member.name, parent, member.arguments)
-
+    kind, parent, arguments = member.kind or member.name, os.getpid(), member.arguments
     try:
-        return Forked(run, member.name)
-    except OSError as error:
-        raise _not_started(member, error) from error
-
-
-def _begun_anew(member: Member) -> subprocess.Popen[bytes]:
-    """Start a node in a new process.
-
-    Raises:
-        UserError: it cannot be started.
-    """
-    own = [member.name, member.kind or member.name, str(os.getpid()), *member.arguments]
-    try:
-        command = [sys.executable, "-m", __name__, *own]
+        if forks:
+            return Forked(lambda: _run(kind, parent, arguments), member.name)
+        command = [sys.executable, "-m", __name__, member.name, kind, str(parent), *arguments]
         return subprocess.Popen(command, process_group=0, env=ONE_THREAD | os.environ)  # noqa: S603 (our nodes)
     except OSError as error:
-        raise _not_started(member, error) from error
-
-
-def _not_started(member: Member, error: OSError) -> UserError:
-    return UserError(f"Node {member.name} cannot be started in a process of its own: {error.strerror}.")
+        raise UserError(f"Node {member.name} cannot be started in a process of its own: {error.strerror}.") from error
 
 
 def _run(kind: str, parent: int, arguments: list[str]) -> int:

@@ -11,8 +11,8 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from sal_height.errors import UserError
@@ -22,9 +22,6 @@ ONE_THREAD = {"SAL_HEIGHT_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 PR_SET_PDEATHSIG, PR_SET_NAME = 1, 15
 """Options of prctl (Linux): the signal that a process gets when the one that started it ends; its name in lists."""
-
-PR_SET_CHILD_SUBREAPER, PR_GET_CHILD_SUBREAPER = 36, 37
-"""Options of prctl (Linux): whether a process becomes the parent of what its descendants leave."""
 
 POLL_S = 0.02
 
@@ -37,11 +34,6 @@ def use_one_thread() -> None:
     os.environ.update(ONE_THREAD | os.environ)
 
 
-def has_one_thread(environment: Mapping[str, str]) -> bool:
-    """Whether processes in an environment work in one thread."""
-    return all(environment.get(name) == count for name, count in ONE_THREAD.items())
-
-
 def can_fork() -> bool:
     """Whether a process can go on with the memory of this one.
 
@@ -49,7 +41,8 @@ def can_fork() -> bool:
     been imported to use any. The two that LTTng starts with rclpy only listen for its tools.
     """
     tasks = Path("/proc/self/task")  # Linux
-    if not (has_one_thread(os.environ) and tasks.is_dir() and threading.active_count() == 1):
+    limited = all(os.environ.get(name) == count for name, count in ONE_THREAD.items())
+    if not (limited and tasks.is_dir() and threading.active_count() == 1):
         return False
     names = [(task / "comm").read_text(encoding="utf-8") for task in tasks.iterdir()]
     return not any(name.startswith("dds") for name in names)
@@ -81,18 +74,35 @@ def process_age_s() -> float:
     return time.clock_gettime(time.CLOCK_BOOTTIME) - began_s
 
 
-class Child:
-    """A process whose parent is this one; used as a `subprocess.Popen` is.
+class Forked:
+    """A copy of this process that runs a function; used as a `subprocess.Popen` is.
+
+    It has a process group of its own, so that Ctrl-C does not reach it, the signal handlers of a new process, and ends
+    without what this one does at its end. It stays in the session: Linux shares the processors out among sessions first
+    (sched_autogroup), and nodes in sessions of their own would get equal shares, however much their work takes.
 
     Attributes:
         pid: number of the process.
         returncode: its exit status, or minus the number of the signal that ended it; None: it runs.
     """
 
-    def __init__(self, pid: int) -> None:
-        """Take a child by its number."""
-        self.pid = pid
+    def __init__(self, run: Callable[[], int], name: str) -> None:
+        """Begin.
+
+        Args:
+            run: returns the exit status.
+            name: of the process, in lists of processes.
+
+        Raises:
+            OSError: there cannot be another process.
+        """
         self.returncode: int | None = None
+        sys.stdout.flush()
+        sys.stderr.flush()
+        gc.freeze()  # what lives now lives on: looking through it would copy its memory
+        self.pid = os.fork()
+        if self.pid == 0:
+            _run_alone(run, name)
 
     def poll(self) -> int | None:
         """The exit status, if the process has ended."""
@@ -126,79 +136,6 @@ class Child:
     def _send(self, number: signal.Signals) -> None:
         if self.poll() is None:
             os.kill(self.pid, number)
-
-
-class Forked(Child):
-    """A copy of this process that runs a function.
-
-    It has a process group of its own, so that Ctrl-C does not reach it, the signal handlers of a new process, and ends
-    without what this one does at its end. It stays in the session: Linux shares the processors out among sessions first
-    (sched_autogroup), and nodes in sessions of their own would get equal shares, however much their work takes.
-    """
-
-    def __init__(self, run: Callable[[], int], name: str) -> None:
-        """Begin.
-
-        Args:
-            run: returns the exit status.
-            name: of the process, in lists of processes.
-
-        Raises:
-            OSError: there cannot be another process.
-        """
-        sys.stdout.flush()
-        sys.stderr.flush()
-        gc.freeze()  # what lives now lives on: looking through it would copy its memory
-        super().__init__(os.fork())
-        if self.pid == 0:
-            _run_alone(run, name)
-
-
-def adopted_from(command: Sequence[str]) -> list[Child]:
-    """Run a program that starts processes and ends, and be the parent of these from then on (Linux).
-
-    Args:
-        command: the program, which calls `give_up` and ends, and its arguments without the last one, the pipe for that.
-
-    Raises:
-        OSError: the program cannot be started.
-        UserError: it failed; what it said is above.
-    """
-    given, taken = os.pipe()
-    program = None
-    try:
-        with _ADOPTING, _orphans_adopted():
-            program = subprocess.Popen(  # noqa: S603 (our own program)
-                [*command, str(taken)], process_group=0, env=ONE_THREAD | os.environ, pass_fds=[taken]
-            )
-            if status := program.wait():
-                raise UserError(f"What was to start the processes ended with status {status}; its message is above.")
-        return [Child(int(pid)) for pid in os.read(given, 65536).split()]
-    finally:
-        os.close(given)
-        os.close(taken)
-        if program:
-            program.kill()  # it runs if this was interrupted; nobody adopts what it leaves, which ends by itself
-
-
-_ADOPTING = threading.Lock()
-
-
-@contextmanager
-def _orphans_adopted() -> Iterator[None]:
-    """Be the parent of processes whose own ends meanwhile, in place of the first process of the system."""
-    adopts = ctypes.c_int()
-    ctypes.CDLL(None).prctl(PR_GET_CHILD_SUBREAPER, ctypes.byref(adopts))
-    ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1)
-    try:
-        yield
-    finally:
-        ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, adopts.value)
-
-
-def give_up(children: Sequence[Child], pipe: int) -> None:
-    """Leave processes to the caller of `adopted_from`, who gets them when this one ends."""
-    os.write(pipe, " ".join(str(child.pid) for child in children).encode())
 
 
 def beside(run: Callable[[], int], name: str) -> Forked | None:

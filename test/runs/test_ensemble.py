@@ -21,7 +21,6 @@ from mcap.reader import make_reader
 from sal_height.errors import UserError
 from sal_height.runs.ensemble import Ensemble, Member
 from sal_height.runs.lead import MOST_AHEAD
-from sal_height.runs.processes import adopted_from
 from sal_height.runs.replay import replay
 
 NODES_OF_A_RUN = [
@@ -130,74 +129,8 @@ def test_a_node_whose_parent_has_ended_does_not_begin() -> None:
     assert subprocess.run(words, timeout=60, check=False).returncode == 1  # noqa: S603
 
 
-CANNOT_BE_COPIED = """
-import sys, threading
-from rclpy.node import Node
-from sal_height.runs.ensemble import Ensemble, Member
-
-if __name__ == "__main__":
-    threading.Thread(target=threading.Event().wait, daemon=True).start()
-    with Ensemble([Member("near", "ml_height"), Member("monopulse")], True) as ensemble:
-        watcher = ensemble.graph.add(Node("watcher", context=ensemble.graph.context))
-        up = ensemble.graph.spin_until(lambda: {"near", "monopulse"} <= set(watcher.get_node_names()), 60.0)
-        print("up" if up else "down", flush=True)
-        ensemble.graph.spin_for(60.0)
-"""
-
-THIRD_FORK_FAILS = """
-import errno, os, sys
-from sal_height.runs import starter
-
-real, numbers = os.fork, []
-
-def fork():
-    if len(numbers) == 2:
-        raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
-    numbers.append(real())
-    return numbers[-1]
-
-os.fork = fork
-status = starter.main()
-print(*numbers, sep="\\n", file=sys.stderr)
-sys.exit(status)
-"""
-
-
-def test_nodes_of_a_process_that_cannot_be_copied_are_its_own_and_end_with_it() -> None:
-    program = subprocess.Popen([sys.executable, "-c", CANNOT_BE_COPIED], stdout=subprocess.PIPE, text=True)  # noqa: S603
-    with program:
-        assert program.stdout
-        assert program.stdout.readline() == "up\n"
-        nodes = {node: Path(f"/proc/{node}/comm").read_text().strip() for node in children(program.pid)}
-        assert sorted(nodes.values()) == ["monopulse", "near"]
-        program.kill()
-    wait_for(lambda: not any(runs(node) for node in nodes))
-
-
-def test_when_a_copy_cannot_be_made_the_others_end(capfd: pytest.CaptureFixture[str]) -> None:
-    """Otherwise this process, which adopts what the starter leaves, would be their parent."""
-    members = json.dumps([{"name": name} for name in ("ml_height", "monopulse", "sar_compression")])
-    with pytest.raises(UserError, match="ended with status 2; its message is above"):
-        adopted_from([sys.executable, "-c", THIRD_FORK_FAILS, str(os.getpid()), members])
-    said, *others = capfd.readouterr().err.splitlines()
-    assert said.startswith("Node sar_compression cannot be started in a process of its own: ")
-    assert len(others) == 2
-    assert not set(map(int, others)) & set(children(os.getpid()))
-
-
-def test_what_was_to_start_the_nodes_may_fail(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sal_height.runs.ensemble.STARTER", "no_such_program")
-    with (
-        pytest.raises(UserError, match="ended with status 1; its message is above"),
-        Ensemble([Member("monopulse")], True),
-    ):
-        pass
-
-
 def test_when_a_node_cannot_be_started_the_others_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each begins anew, because a starter that works in several threads cannot be copied either."""
-    monkeypatch.setenv("SAL_HEIGHT_THREADS", "2")
-    real, started = subprocess.Popen, list[Any]()
+    real, started = subprocess.Popen, []
 
     def popen(*arguments: Any, **keywords: Any) -> Any:
         if len(started) == 2:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from sal_height.adjustment.equations import Form, Solution, mean_form
 from sal_height.adjustment.matching import REFERENCE, Match, Points, Surface, match
 from sal_height.adjustment.network import Comparison, Network
 from sal_height.adjustment.observed import ObservedDwell
+from sal_height.adjustment.recognising import SURE, Rarity, evidence
 from sal_height.adjustment.reference import References
 from sal_height.adjustment.settings import AdjustmentSettings
 from sal_height.numeric import F64, in_threads
@@ -37,6 +39,9 @@ level ground if all around it falls beside the other image, and little of a stri
 FAR_OFF = 16.3
 """Square of the shift of a strip over its variance as it was known before, from which it is not believed: by chance one
 of a thousand."""
+
+SURELY_MET = 0.1
+"""Of the most points of an image that meet another at any shift, the share that meets it at each if they do overlap."""
 
 PLACED_SPACINGS = 3.0
 """Standard deviation east or north of how far images of strips lie apart, in spacings of points, up to which they are
@@ -63,6 +68,11 @@ class Chain:
     def middle(self) -> int:
         """Number of the dwell in the middle."""
         return list(self.shifts)[len(self.shifts) // 2]
+
+    @cached_property
+    def rarity(self) -> Rarity:
+        """Of the points."""
+        return Rarity.of(self.points)
 
     @classmethod
     def of(cls, dwells: range, network: Network, known: Solution) -> Chain:
@@ -131,9 +141,11 @@ def compared(
     matches = iter(in_threads(match, *zip(*pairs, strict=True)) if pairs else [])
     for part, _ in by_part:
         found = [(other, one) for other in met if (one := next(matches)) is not None]
-        if sliding and not parts:
+        if not sliding:
+            found = [(other, one) for other, one in found if other.is_recognised(one, part)]
+        elif not parts:
             found = [(other, one.of_place()) for other, one in found if other.is_clear(one, part)]
-        elif sliding:
+        else:
             found = [(other, one.of_height()) for other, one in found]
         for other, one in found:
             # The noise of the dwell itself is in all its comparisons: half of the variance of each.
@@ -150,6 +162,7 @@ class _Met:
         shifts: that were taken out of it, as of a chain; none: known ground.
         since: how much farther off it is known to lie by now, m, shape (3,).
         covariance: of how far the points lie off from it, m^2, shape (3, 3).
+        chain: that it is of; None: known ground.
     """
 
     surface: Surface
@@ -157,12 +170,13 @@ class _Met:
     shifts: Mapping[int, F64]
     since: F64
     covariance: F64
+    chain: Chain | None = None
 
     @classmethod
     def of(cls, chain: Chain, network: Network, known: Solution, covariance: F64) -> _Met:
         now = known.at(network.displacements[chain.middle])
         since = now - chain.shifts[chain.middle]
-        return cls(chain.points.surface, len(chain.points.place), chain.shifts, since, covariance)
+        return cls(chain.points.surface, len(chain.points.place), chain.shifts, since, covariance, chain)
 
     def reach(self, spacing: float, settings: AdjustmentSettings) -> F64:
         """How far the points may be from where they are known to be, m, shape (3,)."""
@@ -171,6 +185,13 @@ class _Met:
     def is_placed(self, spacing: float) -> bool:
         """Whether the points are known to be beside it well enough to tell how high they are."""
         return float(np.linalg.eigvalsh(self.covariance[:2, :2])[-1]) <= (PLACED_SPACINGS * spacing) ** 2
+
+    def is_recognised(self, found: Match, part: Chain) -> bool:
+        """Whether the images overlap wherever they may lie, or are seen to show the same ground."""
+        if self.chain is None or found.everywhere >= SURELY_MET:
+            return True
+        points, other = part.points.moved(-self.since), self.chain
+        return evidence(points, part.rarity, other.points, other.rarity, found.shift) >= SURE
 
     def is_clear(self, found: Match, part: Chain) -> bool:
         """Whether enough of a strip meets it, not farther off than may be."""

@@ -218,12 +218,14 @@ class Match:
         information: inverse of its covariance, 1/m^2, shape (3, 3).
         dwells: shares of the dwells of the one image among the points that met the other, and of those of the other.
         share: of the points of the one image, those that met the other.
+        everywhere: of the most points that met at any shift, the share that did at every one that was looked at.
     """
 
     shift: F64
     information: F64
     dwells: tuple[dict[int, float], dict[int, float]]
     share: float
+    everywhere: float = 1.0
 
     def of_place(self) -> Match:
         """What it says of the shift east and north, whatever that in height is."""
@@ -257,17 +259,18 @@ def match(points: Points, surface: Surface, reach: F64, kinds: int = 1) -> Match
         return None
     wide = np.maximum(np.ceil(reach[:2] / surface.step), COARSE).astype(int)
     # All shifts in coarse steps, and all around those that are likely.
-    cells, step = _lattice(wide, COARSE), COARSE * surface.step
-    said, up = _compared(points, surface, cells, reach[2], kinds)
+    cells, step = lattice(wide, COARSE), COARSE * surface.step
+    said, up = said_of_shifts(points, surface, cells, reach[2], kinds)
     usual = _means(said)
     scores = _scores(said, usual, up, reach[2])
     if not np.isfinite(scores).any():
         return None
+    counts = np.isfinite(said[0]).sum(axis=1)
     likely = cells[np.any(scores > scores.max(axis=1, keepdims=True) - LIKELY, axis=0)]
     if len(likely) <= MOST_LIKELY:
-        around = (likely[:, None] + _lattice(np.full(2, COARSE // 2), 1)).reshape(-1, 2)
+        around = (likely[:, None] + lattice(np.full(2, COARSE // 2), 1)).reshape(-1, 2)
         cells, step = np.unique(around[np.all(np.abs(around) <= wide, axis=1)], axis=0), surface.step
-        said, up = _compared(points, surface, cells, reach[2], kinds)
+        said, up = said_of_shifts(points, surface, cells, reach[2], kinds)
         usual = usual if kinds == 1 else _means(said)
         scores = _scores(said, usual, up, reach[2])
         if not np.isfinite(scores).any():
@@ -285,16 +288,17 @@ def match(points: Points, surface: Surface, reach: F64, kinds: int = 1) -> Match
     values, vectors = np.linalg.eigh(np.linalg.inv(covariance) - window)
     information = (vectors * np.maximum(values, LEAST_INFORMATION)) @ vectors.T
     one, other = _met(points, surface, mean)
-    return Match(mean, information, (_shares(one), _shares(other)), len(one) / len(points.place))
+    share, everywhere = len(one) / len(points.place), float(counts.min() / counts.max())
+    return Match(mean, information, (_shares(one), _shares(other)), share, everywhere)
 
 
-def _lattice(half: Index, step: int) -> Index:
+def lattice(half: Index, step: int) -> Index:
     """Shifts in cells, up to `half` of them to each side, in steps, shape (shifts, 2)."""
     east, north = (np.arange(-(cells // step) * step, cells + 1, step) for cells in half.tolist())
     return np.stack(np.meshgrid(east, north, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
-def _compared(points: Points, surface: Surface, cells: Index, reach: float, kinds: int) -> tuple[F64, F64]:
+def said_of_shifts(points: Points, surface: Surface, cells: Index, reach: float, kinds: int = 1) -> tuple[F64, F64]:
     """What each point says of each shift, and shifts in height with their weights (`_kernels.compare_shifts`)."""
     place = np.column_stack([(points.place[:, :2] - surface.origin) / surface.step, points.place[:, 2]])
     sigma = np.hypot(points.sigma, points.roughness)

@@ -1,8 +1,9 @@
 """The adjustment of a flight as it goes on: each dwell as it comes, with all that the dwells before it have told.
 
 A dwell is compared with earlier ones that saw the same ground: first joined with those that it follows, then by itself,
-as in `adjustment`. Only the latest dwells are held; what the others have told of navigation and mounting stays
-(`Network.forget`), with the weights that their comparisons had when they left.
+as in `adjustment`. So are those that it follows, once the ground is recognised of which they showed too little. Only
+the latest dwells are held; what the others have told of navigation and mounting stays (`Network.forget`), with the
+weights that their comparisons had when they left.
 
 Images of a strip are joined as they come. Whenever they are half as many again, all of them are compared anew, from
 what is known without them: what fitted when the strip was short is not believed because it fitted then. Until enough
@@ -87,17 +88,27 @@ class Window:
         self._begin_chain_with(dwell)
         number = network.add(dwell)
         self._growing = range(self._growing.start if self._growing else number, number + 1)
-        known = self._place_strip() if dwell.aperture.sliding else self._place(number)
+        known = self._place_strip() if dwell.aperture.sliding else self._place()
         self._of_growing += sighted(network, [number], known, self._references)
         self._solution = known = self._solved()
         pose = network.poses[number]
         return PoseError(known.at(pose), known.covariance([pose])[0])
 
-    def _place(self, number: int) -> Solution:
-        """Compare the chain that grows as a whole, and then, from where that puts it, its last dwell."""
+    def _place(self) -> Solution:
+        """Compare the chain that grows as a whole, and then, from where that puts it, its dwells by themselves.
+
+        That is the last one, and if the chain is recognised, all that have not been compared with others yet.
+        """
         rough = self._compare(self._solved(), ROUGH_POINTS)
         known = self._solved(rough)
-        self._of_growing += self._compare(known, FINE_POINTS, [number])
+        fresh: Sequence[int] = self._growing[-1:]
+        if not all(one.is_absolute for one in rough):
+            done = {number for one in self._of_growing if not one.is_absolute for number in one.dwells[0]}
+            fresh = [number for number in self._growing if number not in done]
+            self._of_growing = [
+                one for one in self._of_growing if one.is_target or one.dwells[0].keys().isdisjoint(fresh)
+            ]
+        self._of_growing += self._compare(known, FINE_POINTS, fresh)
         return known
 
     def _place_strip(self) -> Solution:

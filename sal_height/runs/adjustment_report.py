@@ -124,7 +124,8 @@ def _sentences(summary: dict[str, Any], references: References, adjustment: Adju
         )
     elif lonely := summary["dwells_without_comparison"]:
         sentences.append(
-            f"{lonely} dwells overlap with no other, and lie where odometry and their neighbours put them."
+            f"{lonely} dwells overlap with no other, or show too little to be recognised, and lie where odometry and "
+            "their neighbours put them."
         )
     if against := summary["comparisons_that_contradict"]:
         sentences.append(

@@ -10,6 +10,7 @@ from sal_height.simulation import Preset, flight_of, load_preset
 from sal_height.simulation.impairments import Impairments
 from sal_height.simulation.odometry_errors import OdometryErrors
 from sal_height.simulation.preset import Passes
+from sal_height.simulation.scenes import SCENES, street
 
 BORESIGHT = (1.5e-5, -2e-5, 1e-5)
 ERRORS = OdometryErrors(
@@ -21,9 +22,15 @@ ERRORS = OdometryErrors(
 )
 
 
+EAST_M = 1.6
+"""By which the street lies farther east, so that the dwells about the origin see where a car and the steps end."""
+
+SCENES["street farther east"] = lambda: replace(street(), east=street().east + EAST_M)
+
+
 def preset_of(passes: int, per_pass: int, **impairments: object) -> Preset:
     """The street in passes to and fro."""
-    preset = load_preset("sal_spotlight")
+    preset = replace(load_preset("sal_spotlight"), scene="street farther east")
     wrong = Impairments(**{"odometry": ERRORS, **impairments})  # type: ignore[arg-type]
     flight = replace(preset.flight, passes=Passes(passes, 100.0))
     return replace(preset, dwells=passes * per_pass, flight=flight, impairments=wrong)

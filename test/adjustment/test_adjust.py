@@ -149,6 +149,14 @@ def test_passes_that_do_not_overlap_stay_as_odometry_has_them() -> None:
     assert np.all(sigmas > 0.05)
 
 
+@pytest.mark.parametrize("numbers", [(0, 3), (2, 5), (1, 3), (2, 9)])
+def test_dwells_of_other_pieces_of_the_street_stay_as_odometry_has_them(numbers: tuple[int, int]) -> None:
+    """Of one pass the west, and of another the east: kerbs fit best with both on each other, 60 cm and more off."""
+    passes = flown()
+    adjustment = adjust([passes.dwells[number] for number in numbers], passes.flight.sensor.mounting, SETTINGS)
+    assert not adjustment.comparisons
+
+
 def test_one_dwell_with_wrong_heights_does_not_move_the_others() -> None:
     """Its heights are those of another place: a wrong comparison loses its weight."""
     passes = flown()
@@ -164,11 +172,11 @@ def test_one_dwell_with_wrong_heights_does_not_move_the_others() -> None:
 
 
 def test_comparisons_that_contradict_the_others_are_said() -> None:
-    """Those of a dwell that is 15 cm too high among its neighbours."""
+    """Those of a dwell that is 6 cm too high among its neighbours."""
     passes = flown()
     mounting, dwells = passes.flight.sensor.mounting, list(passes.dwells)
     points = dwells[7].points
-    dwells[7] = replace(dwells[7], points=replace(points, place=points.place + np.array([0.0, 0.0, 0.15])))
+    dwells[7] = replace(dwells[7], points=replace(points, place=points.place + np.array([0.0, 0.0, 0.06])))
     for some, contradict in ((passes.dwells, False), (dwells, True)):
         adjustment = adjust(some, mounting, SETTINGS)
         assert (adjustment.contradictions > 0) == contradict
@@ -187,7 +195,7 @@ def test_dwells_that_vibrate_are_brought_together() -> None:
     before, after = adjustment.differences
     known = np.array([one.equation.information[0, 0] > 0.3**-2 for one in adjustment.comparisons])
     assert known.sum() > 10
-    assert np.sqrt(np.mean(before[known, 0] ** 2)) > 0.3
+    assert np.sqrt(np.mean(before[known, 0] ** 2)) > 0.2
     assert np.sqrt(np.median(after[known, 0] ** 2)) < 0.1
 
 

@@ -21,14 +21,15 @@ SETTINGS = AdjustmentSettings(boresight_sigma_rad=0.0, lever_arm_sigma_m=0.0, st
 
 
 def images_after(seconds: float, *, sliding: bool) -> list[ObservedDwell]:
-    """Two images of level ground with a step of 1 m, one so long after the other."""
+    """Two images of level ground with a block of 1 m in its corner, one so long after the other."""
     images = []
     for time in (0.0, seconds):
         field, aperture = made_up_heights(np.random.default_rng(0))
         stated = Stated(time, 1e-4 * np.eye(6), 1e-6 * np.eye(3))
         aperture = replace(aperture, sliding=sliding)
         image = ObservedDwell.seen_from(aperture, field, Placement(0.0, 0.0, 0.0), stated, SENSOR)
-        place = image.points.place + np.where(image.points.place[:, 1:2] > image.points.middle[1], [0.0, 0.0, 1.0], 0.0)
+        in_corner = np.all(image.points.place[:, :2] > image.points.middle[:2], axis=1)
+        place = image.points.place + in_corner[:, None] * [0.0, 0.0, 1.0]
         images.append(replace(image, points=replace(image.points, place=place)))
     return images
 

@@ -21,7 +21,7 @@ from sal_height.runs.simulate import Flown, fly
 from sal_height.simulation import load_preset
 from sal_height.simulation.preset import Passes
 
-DWELLS = 9
+DWELLS = 15
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def flown(folder: Path) -> Flown:
-    """Three passes of three dwells, with all errors of sal_realistic."""
+    """Three passes of five dwells, with all errors of sal_realistic."""
     preset = load_preset("sal_passes")
     flight = replace(preset.flight, passes=Passes(3, 60.0))
     preset = replace(preset, dwells=DWELLS, flight=flight, estimators=("ml", "adjusted"))
@@ -39,9 +39,12 @@ def flown(folder: Path) -> Flown:
 
 
 def test_the_heights_of_a_run_come_together(flown: Flown, folder: Path) -> None:
-    """What is left between dwells is a third of what it was, at most; nothing is lost, and the map is made of them."""
+    """What is left between dwells, the first ones of passes included, is three quarters of what it was, at most.
+
+    Those show too little to be recognised. Nothing is lost, and the map is made of them.
+    """
     statistics = flown.accuracy.statistics
-    assert statistics["adjusted"]["s68_m"] < statistics["ml"]["s68_m"] / 3
+    assert statistics["adjusted"]["s68_m"] < statistics["ml"]["s68_m"] * 0.75
     assert flown.outcome.losses == []
     images = read_images(folder / "run" / "bag")["adjusted"]
     assert [image.dwell for image in images] == list(range(DWELLS))

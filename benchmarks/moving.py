@@ -14,18 +14,25 @@ import numpy as np
 
 from benchmarks.row import Row, load, sized
 from benchmarks.spread import in_processes
+from sal_height.errors import Rejected
 from sal_height.geometry import Trajectory
 from sal_height.imaging import ImageSettings, Slc
 from sal_height.movers import DwellMovers, Mover, MoverSettings
 from sal_height.pipeline import Compressor, dwell_with_movers, movers
 from sal_height.sensor import PhaseHistory
-from sal_height.simulation import SimulatedFlight, flight_of, load_preset
+from sal_height.simulation import Preset, SimulatedFlight, flight_of, load_preset
+from sal_height.simulation.impairments import Impairments
+from sal_height.simulation.odometry_errors import OdometryErrors
 from sal_height.simulation.scene import PointScatterer
 
-FLIGHTS, STILL = sized(40, 1), sized(6, 1)
+FLIGHTS, STILL, UNSURE = sized(40, 1), sized(6, 1), sized(24, 1)
 RATE = 1e-2
 WARM = sized(4, 0)
 """Flights whose time does not count: the first of each process compiles."""
+
+
+ERRORS = Impairments(odometry=OdometryErrors(velocity_mps=0.005, attitude_rad=2e-6))
+"""Of a navigation that is not perfect: autofocus places the images."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +41,8 @@ class Flown:
 
     Attributes:
         errors: of each that was found: place along the flight and height, m, radial velocity but for its ambiguity and
-            radial velocity by the walk, m/s, and over dwells velocity along the flight, m/s; shape (found, 4 or 5).
+            radial velocity by the walk, m/s, and over dwells and where images are unsure velocity along the flight,
+            m/s, NaN if it is not told; shape (found, 4 or 5).
         over: the same over what is stated.
         candidates: pixels that were looked at.
         seconds: of the search, and of the compression, of all images.
@@ -58,7 +66,7 @@ def images_of(flight: SimulatedFlight, histories: Sequence[PhaseHistory]) -> lis
     return images
 
 
-def flown(seed: int, kind: str, settings: MoverSettings) -> Flown:
+def flown(seed: int, kind: str, settings: MoverSettings, impairments: Impairments | None = None) -> Flown:
     """The street with a point of 24 to 34 dB over a cell of the road.
 
     Args:
@@ -66,11 +74,13 @@ def flown(seed: int, kind: str, settings: MoverSettings) -> Flown:
         kind: slow (3.5 to 7 mm/s), fast (5 to 15 m/s, as likely with any remainder up to 6 mm/s), driving (3.5 to 7
             mm/s, and 2 to 4 m/s along the flight), or still.
         settings: of the search.
+        impairments: None: the platform is perfect.
     """
     rng = np.random.default_rng([19, seed])
     remainder = 0.0 if kind == "still" else rng.choice([-1, 1]) * rng.uniform(3.5e-3, 7e-3)
     north, height, power = rng.uniform(-1.4, 1.4), rng.uniform(0.3, 1.6), 10 ** rng.uniform(2.4, 3.4)
-    preset = replace(load_preset("sal_stripmap"), dwells=4)
+    preset = replace(load_preset("sal_stripmap"), dwells=4, impairments=impairments or Impairments())
+    told = 5 if kind == "driving" or impairments else 4
     flight = flight_of(preset, seed)
     radial, sensor = remainder, flight.sensor
     if kind == "fast":
@@ -91,10 +101,10 @@ def flown(seed: int, kind: str, settings: MoverSettings) -> Flown:
 
     def error(mover: Mover) -> np.ndarray:
         velocities = [mover.radial_velocity - remainder, mover.walk_velocity - radial]
-        velocities += [mover.along_velocity - along] * (kind == "driving")
-        return np.array([mover.position[0] - shift, mover.height - height, *velocities])
+        velocities.append(mover.along_velocity - along)
+        return np.array([mover.position[0] - shift, mover.height - height, *velocities])[:told]
 
-    sigmas = [sigmas_of(one)[: 5 if kind == "driving" else 4] for one in found]
+    sigmas = [sigmas_of(one)[:told] for one in found]
     errors = [error(one) for one in found]
     over = [e / s for e, s in zip(errors, sigmas, strict=True)]
     return Flown(errors, over, sum(one.candidates for one in seen), (searched - focused, focused - begun))
@@ -106,7 +116,7 @@ def sigmas_of(one: Mover) -> np.ndarray:
     return np.array([place, one.sigma, one.velocity_sigma, one.walk_sigma, one.along_sigma])
 
 
-def over_dwells(seed: int, kind: str, settings: MoverSettings) -> Flown:
+def over_dwells(seed: int, kind: str, settings: MoverSettings, flown_as: Preset | None = None) -> Flown:
     """Six spotlight dwells of the street with a point of 24 to 34 dB over a cell of the road.
 
     Args:
@@ -114,12 +124,13 @@ def over_dwells(seed: int, kind: str, settings: MoverSettings) -> Flown:
         kind: slow (5 to 15 mm/s), fast (1 to 15 m/s, and up to 15 m/s along the flight), crossing (5 to 15 mm/s, and 4
             to 15 m/s along the flight), or still.
         settings: of the search.
+        flown_as: sal_spotlight, or with its sensor; None: that.
     """
     rng = np.random.default_rng([29, seed])
     slowly, quickly = rng.uniform(5e-3, 15e-3), rng.uniform(1.0, 15.0)
     radial = {"slow": slowly, "crossing": slowly, "fast": quickly, "still": 0.0}[kind] * rng.choice([-1, 1])
     east, north, height = rng.uniform(-0.6, 0.6), rng.uniform(-2.4, 2.4), rng.uniform(0.3, 1.6)
-    preset = replace(load_preset("sal_spotlight"), dwells=6)
+    preset = replace(flown_as or load_preset("sal_spotlight"), dwells=6)
     flight = flight_of(preset, seed)
     sensor = flight.sensor
     power = 10 ** rng.uniform(2.4, 3.4)
@@ -127,9 +138,15 @@ def over_dwells(seed: int, kind: str, settings: MoverSettings) -> Flown:
     point = PointScatterer(east, north, height, power, float(radial), float(along))
     flight = replace(flight, scene=replace(flight.scene, points=(point,)))
     histories = [flight.phase_history(dwell) for dwell in range(flight.dwells)]
-    wanted = ImageSettings(rows=preset.image.rows, cols=sensor.pulse_count)
+    given = preset.processing.get("sar_compression", {})
+    wanted = ImageSettings(rows=preset.image.rows, cols=sensor.pulse_count, **given)
     begun = time.process_time()
-    images = [Compressor().add(one, flight.track(dwell), sensor, wanted) for dwell, one in enumerate(histories)]
+    images: list[Slc | None] = []
+    for dwell, one in enumerate(histories):
+        try:
+            images.append(Compressor().add(one, flight.track(dwell), sensor, wanted))
+        except Rejected:  # the data do not tell where the beams are
+            images.append(None)
     focused = time.process_time()
     search, seen = DwellMovers[None](settings), []
     for slc, history in zip(images, histories, strict=True):
@@ -171,6 +188,15 @@ def found_without_being_told() -> Iterator[Row]:
         "crossing": "5 to 15 mm/s, and 4 to 15 m/s along the flight",
     }
     yield from rows_with("dwells, ", over_dwells, MoverSettings(), kinds, "<= 10")
+    realistic, placed = load_preset("sal_realistic"), replace(load_preset("sal_spotlight"), impairments=ERRORS)
+    unsure = {
+        "dwells of sal_realistic": partial(over_dwells, settings=MoverSettings(), flown_as=realistic),
+        "dwells, odometry of 5 mm/s": partial(over_dwells, settings=MoverSettings(), flown_as=placed),
+        "strips, odometry of 5 mm/s": partial(flown, settings=often, impairments=ERRORS),
+    }
+    for name, fly in unsure.items():
+        moving = list(in_processes(partial(fly, kind="fast"), range(UNSURE)))
+        yield from rows_of_sigmas(name, f"{UNSURE} flights over the street, each with a car, 24 to 34 dB", moving)
 
 
 def rows_with(
@@ -207,7 +233,6 @@ def rows_with(
 def rows_of(kind: str, text: str, moving: Sequence[Flown]) -> Iterator[Row]:
     """Rows of movers of a kind."""
     errors = np.array([one for each in moving for one in each.errors] or np.zeros((0, 5)))
-    over = np.abs(np.array([one for each in moving for one in each.over] or np.zeros((0, 5))))
     # Along the flight not all are told a velocity in a strip.
     rms = np.sqrt(np.nanmean(errors**2, axis=0)) if len(errors) else np.full(errors.shape[1], np.nan)
     share = sum(bool(len(one.errors)) for one in moving) / len(moving)
@@ -221,7 +246,13 @@ def rows_of(kind: str, text: str, moving: Sequence[Flown]) -> Iterator[Row]:
     yield Row(f"{kind}: error of the height", 1e3 * median, "mm", "<= 20", f"{text}; median")
     if errors.shape[1] > 4:
         yield Row(f"{kind}: error of the velocity along the flight", rms[4], "m/s", "<= 1", f"{text}; rms")
+    yield from rows_of_sigmas(kind, text, moving)
+
+
+def rows_of_sigmas(kind: str, text: str, moving: Sequence[Flown]) -> Iterator[Row]:
+    """Rows of what is stated of movers of a kind: the share of what is told that is beyond 5 of its sigmas."""
+    over = np.abs(np.array([one for each in moving for one in each.over] or np.zeros((0, 5))))
     names = ("place", "height", "velocity", "velocity by walk", "velocity along the flight")
-    for number, name in enumerate(names[: errors.shape[1]]):
-        beyond = float(np.mean(over[:, number] > 5)) if len(over) else np.nan
-        yield Row(f"{kind}: {name} beyond 5 sigma", beyond, "1", "<= 0.01", text)
+    for name, each in zip(names[: over.shape[1]], over.T, strict=True):
+        beyond = np.sum(each > 5) / max(1, np.sum(np.isfinite(each))) if len(over) else np.nan
+        yield Row(f"{kind}: {name} beyond 5 sigma", float(beyond), "1", "<= 0.01", text)

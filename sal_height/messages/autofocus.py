@@ -29,12 +29,12 @@ def placement_of(stage: Mapping[str, Any]) -> Placement:
     Raises:
         Rejected: it says numbers that are none.
     """
-    names = "speed", "pointing", "speed_error", "beams_error"
-    speed, pointing, error, beams_error = (_number(stage, f"{PLACEMENT}.{name}") for name in names)
+    names = "speed", "pointing", "speed_error", "beams_error", "own_error"
+    speed, pointing, error, beams_error, own_error = (_number(stage, f"{PLACEMENT}.{name}") for name in names)
     found = [_number(stage, f"{PLACEMENT}.centroid.{name}") for name in ("speed", "error", "vibration")]
     centroid = Centroid(*found) if f"{PLACEMENT}.centroid.speed" in stage else None
     by_beams = bool(stage.get(f"{PLACEMENT}.by_beams", False))
-    return Placement(speed, pointing, error, centroid, by_beams, beams_error)
+    return Placement(speed, pointing, error, centroid, by_beams, beams_error, own_error)
 
 
 def residual_phase_of(stage: Mapping[str, Any]) -> float:

@@ -12,7 +12,7 @@ from std_msgs.msg import Header
 
 from sal_height.errors import Rejected
 from sal_height.imaging import Slc
-from sal_height.messages.autofocus import residual_phase_of
+from sal_height.messages.autofocus import placement_of, residual_phase_of
 from sal_height.messages.basics import (
     MAP_FRAME,
     aperture_from_message,
@@ -118,6 +118,7 @@ def slc_from_messages(images: Sequence[Image]) -> Slc:
                 f"{first.channel}; those of all channels must be equal.",
             )
     grid = grid_from_message(first.grid)
+    stage = held_stages(first.provenance).get("sar_compression", {})
     return Slc(
         images=np.stack([complex_view(image.samples, grid.shape) for image in images]),
         grid=grid,
@@ -126,7 +127,8 @@ def slc_from_messages(images: Sequence[Image]) -> Slc:
         saturated_share=np.array([image.saturated_share for image in images]),
         azimuth_window=recorded_window(first.provenance, "azimuth"),
         range_window=recorded_window(first.provenance, "range"),
-        residual_phase=residual_phase_of(held_stages(first.provenance).get("sar_compression", {})),
+        placement=placement_of(stage),
+        residual_phase=residual_phase_of(stage),
     )
 
 

@@ -8,6 +8,9 @@ exp(j pi q f^2), f from -1/2 to 1/2 over the angle that is processed, and is sme
 
 cells along the flight, rho being the range (Raney, IEEE Trans. AES 7, 1971). The q with which the image is sharpest
 tells u, and where the image is.
+
+Where autofocus has placed one block after the other, each with an error of its own, the image of what stands still is
+smeared, too. A smear that may come from that tells no velocity.
 """
 
 from __future__ import annotations
@@ -37,19 +40,25 @@ Points of 24 to 34 dB over the cells of a street reach 0.85."""
 SMEAR_ERROR = 1.0
 """Standard deviation of the smear that other targets leave, in cells."""
 
+SMEAR_OF_BLOCKS = 2 * np.sqrt(2)
+"""Smear by errors of the places of blocks, over that of one: each half of the aperture lies in another block."""
+
+SURE = 5.0
+"""Standard deviations of the smear of the whole image from which a target's own is told from it."""
+
 
 @dataclass(frozen=True, eq=False)
 class Drive:
     """How a target drives along the flight.
 
     Attributes:
-        along: velocity along the flight, and its standard deviation, m/s.
+        along: velocity along the flight, and its standard deviation, m/s; None: the whole image may be out of focus.
         speed: of the platform, m/s.
         col: of its image in focus.
         row: the row, or what the walk makes of it, in focus, shape (channels, cols).
     """
 
-    along: tuple[float, float]
+    along: tuple[float, float] | None
     speed: float
     col: int
     row: C128
@@ -57,11 +66,11 @@ class Drive:
     @property
     def share(self) -> float:
         """1 - u / v: speed with which the target passes the beam, over that of the platform."""
-        return 1 - self.along[0] / self.speed
+        return 1 - self.along[0] / self.speed if self.along else 1.0
 
     def slowed(self, walk: tuple[float, float]) -> tuple[float, float]:
         """The walk and its standard deviation, m/s, that look so where Doppler frequencies change with the platform."""
-        unsure = 2 * self.share * self.along[1] / self.speed
+        unsure = 2 * self.share * self.along[1] / self.speed if self.along else 0.0
         return self.share**2 * walk[0], float(np.hypot(self.share**2 * walk[1], unsure * walk[0]))
 
 
@@ -73,11 +82,13 @@ class Drives:
         search: whose spectra are those of whole rows.
         cells: n, see above.
         speed: of the platform, m/s.
+        blur: standard deviation of the smear of what stands still, in cells.
     """
 
     search: Search
     cells: float
     speed: float
+    blur: float
 
     @classmethod
     def of(cls, search: Search, slc: Slc, sensor: Sensor) -> Self:
@@ -86,7 +97,9 @@ class Drives:
         middle = grid.middle
         slant_range = float(np.linalg.norm(middle - aperture_at(middle, slc.aperture).position))
         cells = 2 * search.bins.angle**2 * slant_range / sensor.wavelength
-        return cls(search, cells, float(np.linalg.norm(slc.aperture.velocity)))
+        speed = float(np.linalg.norm(slc.aperture.velocity))
+        place = slc.placement.beams_error * slant_range / speed
+        return cls(search, cells, speed, SMEAR_OF_BLOCKS * place / (search.bins.cell * grid.col_spacing))
 
     def look(self, spectra: C128, elevation: float) -> Drive | None:
         """How a target drives; None: not at all, as far as its image tells.
@@ -115,6 +128,7 @@ class Drives:
         if rate <= 0:
             return None
         along, per_cell = self.speed * (1 - rate**-0.5), self.speed * rate**-1.5 / (2 * self.cells)
+        told = (along, per_cell * float(np.hypot(SMEAR_ERROR, self.blur))) if abs(smear) > SURE * self.blur else None
         col = bins.pixels // 2 + round(place * bins.cell)
         in_focus = spectra.T * np.exp(-1j * np.pi * smear * bins.frequencies**2)
-        return Drive((along, per_cell * SMEAR_ERROR), self.speed, col, bins.image(in_focus))
+        return Drive(told, self.speed, col, bins.image(in_focus))

@@ -48,9 +48,6 @@ AROUND = (17, 5)
 COLUMN_ERROR = 0.1
 """Standard deviation of a target's place in the image along the flight, in columns."""
 
-WALKING = 5.0
-"""Standard deviations of the walk's velocity from which what moves is taken to walk."""
-
 ALONE = "Dwell {} overlaps with none before or after it, and so tells no movers."
 """What to say of a dwell in which no movers could be looked for."""
 
@@ -223,7 +220,7 @@ def find_over_dwells(dwells: Sequence[DwellImage], middle: int, shown: ShownDwel
     for row, col in candidates.tolist():
         step, off = _brightest(dwell, row, col)
         seen = search.look(row, step, bright, settings.false_alarm_rate)
-        if seen and (not seen.walks or max(abs(v) / sigma for v, sigma in (seen.walk, seen.along)) > WALKING):
+        if seen and (not seen.walks or seen.goes):
             sighting = _sighting(seen, (step + off) / COLUMN_STEPS, off, paths)
             walk = seen.walk[0] if seen.walks else 0.0
             drift = paths.driving(seen.along[0]).drift
@@ -257,7 +254,8 @@ def _sighting(seen: Found, col: float, off: float, paths: DwellPaths) -> Sightin
     # Rows are those of what stands still at the place in the image: its range rate comes on top of the walk.
     speed = float(np.linalg.norm(aperture.velocity))
     walk = seen.walk[0] + lag * speed, float(np.hypot(seen.walk[1], sigma * speed))
-    return Sighting(seen.row, col, seen.cnr, seen.elevation, (lag, sigma), walk, seen.walks, seen.ratio, seen.along)
+    found = seen.row, col, seen.cnr, seen.elevation, (lag, sigma), walk, seen.walks, seen.ratio, seen.along
+    return Sighting(*found, tells_along=seen.tells_along)
 
 
 def _bright(dwell: DwellImage, prominence_db: float) -> Index:

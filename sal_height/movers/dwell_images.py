@@ -40,6 +40,7 @@ class DwellImage:
         seconds: time of that, after any.
         period: way along the flight after which Doppler frequencies come again, m: the width of the image.
         look_side: +1 right, -1 left.
+        error: standard deviation of its place along the flight that other dwells do not share, m.
     """
 
     pixels: C64
@@ -48,6 +49,7 @@ class DwellImage:
     seconds: float
     period: float
     look_side: int
+    error: float = 0.0
 
     @classmethod
     def of(cls, images: C64 | C128, slc: Slc, seconds: float, sensor: Sensor) -> Self:
@@ -59,8 +61,8 @@ class DwellImage:
         grid, aperture = slc.grid, slc.aperture
         sight = grid.middle - aperture.position
         slant_range = float(np.linalg.norm(sight))
-        doppler = sensor.wavelength * sensor.pulse_repetition_frequency / 2 / float(np.linalg.norm(aperture.velocity))
-        period = slant_range * doppler
+        speed = float(np.linalg.norm(aperture.velocity))
+        period = slant_range * (sensor.wavelength * sensor.pulse_repetition_frequency / 2 / speed)
         if float(grid.row_direction @ sight) < SLANT * slant_range:
             raise Rejected(
                 "image plane",
@@ -75,7 +77,8 @@ class DwellImage:
             )
         phases = np.exp(-4j * np.pi / sensor.wavelength * ranges_of_phase(grid, aperture))
         flat = (np.where(np.isfinite(images), images, 0) * phases).astype(np.complex64)
-        return cls(_interpolated(flat), grid, aperture, seconds, period, sensor.look_side)
+        error = slc.placement.own_error * slant_range / speed
+        return cls(_interpolated(flat), grid, aperture, seconds, period, sensor.look_side, error)
 
     @property
     def steps(self) -> int:

@@ -7,6 +7,8 @@ the squint of its place there.
 Where a target drives along the flight with the velocity u, and the antenna flies on with v, the place of its image,
 which is where its Doppler frequency puts it, advances by u (2 - u / v) t_n, and its squint by u t_n over the range R:
 the target is x = x_0 + (u - v) t_n ahead of the antenna, and its image (1 - u / v) x - v_r R / v.
+
+Where the image of a dwell lies farther along the flight than it is thought to, so do the target and the beam in it.
 """
 
 from __future__ import annotations
@@ -30,6 +32,9 @@ from sal_height.movers.search import MODEL_ERROR
 from sal_height.movers.walk import LEAST_PART, REACH
 from sal_height.numeric import C64, C128, F64, Bool, Index
 from sal_height.sensor import Sensor
+
+LEAST_ERROR = 0.05
+"""Columns by which images must be unsure along the flight for that to count."""
 
 MOST_OFF = 1.6
 """By how much what stands still may be seen ahead of its place in the image, in beamwidths."""
@@ -87,6 +92,7 @@ class DwellPaths:
         fastest: greatest velocity that is looked for, m/s.
         ground: by how much what stands still is seen ahead of its place in the image, rad, and its standard deviation.
         along: velocity of targets along the flight, m/s.
+        offsets: by which images of dwells lie farther along the flight than that of the middle one, m, shape (dwells,).
     """
 
     dwells: Sequence[DwellImage]
@@ -102,6 +108,7 @@ class DwellPaths:
     fastest: float
     ground: tuple[float, float]
     along: float = 0.0
+    offsets: F64 | float = 0.0
 
     @classmethod
     def of(
@@ -141,9 +148,20 @@ class DwellPaths:
             ground,
         )
 
-    def driving(self, along: float) -> Self:
-        """The paths of what drives along the flight with this velocity, m/s."""
-        return replace(self, along=along, lobes=self.lobes.turned(along * self.seconds / self.reach))
+    def driving(self, along: float, offsets: F64 | float = 0.0) -> Self:
+        """The paths of what drives along the flight with this velocity, m/s, in images that lie farther, m."""
+        lobes = self.lobes.turned((along * self.seconds + offsets) / self.reach)
+        return replace(self, along=along, offsets=offsets, lobes=lobes)
+
+    @cached_property
+    def errors(self) -> F64:
+        """Standard deviations of the places of the images along the flight, each by itself, m, shape (dwells,)."""
+        return np.array([one.error for one in self.dwells])
+
+    @property
+    def unsure(self) -> bool:
+        """Whether these count."""
+        return bool(self.errors.max() > LEAST_ERROR * self.dwells[self.middle].grid.col_spacing)
 
     @cached_property
     def flight_speed(self) -> float:
@@ -157,8 +175,8 @@ class DwellPaths:
 
     @property
     def drifts(self) -> F64:
-        """How far that has advanced in each dwell, m, shape (dwells,)."""
-        return self.drift * self.seconds
+        """How far that has advanced in the image of each dwell, m, shape (dwells,)."""
+        return self.drift * self.seconds + self.offsets
 
     def along_of(self, drift: float) -> float:
         """Velocity along the flight (m/s) of what has an image that advances by `drift` (m/s); NaN: of none."""

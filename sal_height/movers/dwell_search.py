@@ -9,14 +9,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
 
 import numpy as np
 from scipy.special import logsumexp
 
+from sal_height.movers.dwell_course import Course
 from sal_height.movers.dwell_images import COLUMN_STEPS
-from sal_height.movers.dwell_likelihood import POWERS, told
+from sal_height.movers.dwell_likelihood import told
 from sal_height.movers.dwell_paths import DwellPaths, Sight
+from sal_height.movers.dwell_places import Placed, in_place
 from sal_height.movers.dwell_still import deep, glinting, several, standing_instead
 from sal_height.movers.search import MODEL_ERROR
 from sal_height.movers.walk import FINE_STEP
@@ -45,6 +46,9 @@ SAME_COLUMNS = 1.0
 
 LEAST_GAIN = 0.1
 """Of the beam over the greatest, as a power, with which a dwell counts in the elevation."""
+
+WALKING = 5.0
+"""Standard deviations of the velocity of the walk, or along the flight, from which what moves is taken to walk."""
 
 HYPOTHESES = 10.0
 """Squints that can be told apart."""
@@ -81,6 +85,7 @@ class Found:
         squint: under which that saw it, and its standard deviation, rad.
         walk: velocity of its walk, and its standard deviation, m/s.
         along: velocity along the flight, and its standard deviation, m/s.
+        tells_along: whether that is known well enough to be told.
         walks: whether it was found by these, and else by its squint.
         ratio: twice the logarithm of the likelihood ratio against what does not walk, or against what stands still.
         elevation: and its standard deviation, rad.
@@ -93,6 +98,7 @@ class Found:
     squint: tuple[float, float]
     walk: tuple[float, float]
     along: tuple[float, float]
+    tells_along: bool
     walks: bool
     ratio: float
     elevation: tuple[float, float]
@@ -100,64 +106,10 @@ class Found:
     still_squint: float
     place: F64
 
-
-@dataclass(frozen=True, eq=False)
-class _Course:
-    """Pixels along the path of a target.
-
-    Attributes:
-        paths: of what drives along the flight as it does.
-        sight: pixels around it.
-        moving: amplitudes that match targets under the near squints (`DwellPaths.matched`).
-        gains: see there.
-        row: in the middle dwell, over that of what stands still.
-        speed: of the walk, m/s.
-        likelihood: logarithm of that of speckle, the best of the squints.
-    """
-
-    paths: DwellPaths
-    sight: Sight
-    moving: C128
-    gains: F64
-    row: float
-    speed: float
-    likelihood: float
-
-    @classmethod
-    def of(cls, paths: DwellPaths, sight: Sight, row: float, speeds: F64) -> Self:
-        """The one with the likeliest of some walks from a row."""
-        return cls.matched_by(paths, sight, paths.matched(sight, paths.lobes.near), row, speeds)
-
-    @classmethod
-    def matched_by(cls, paths: DwellPaths, sight: Sight, matched: tuple[C128, F64], row: float, speeds: F64) -> Self:
-        """The same with the amplitudes and gains of the near squints; if walks are many, few of these tell which."""
-        near, (moving, gains), speed = paths.lobes.near, matched, float(speeds[0])
-        if len(speeds) > 1:
-            walks = paths.path(sight, row, speeds)
-            each = paths.told(moving[1::2], gains[1::2], walks, near[1::2], POWERS[::2], points=False)
-            speed = float(speeds[each.max(axis=-1).argmax()])
-        path = paths.path(sight, row, np.array([speed]))
-        likelihood = float(paths.told(moving, gains, path, near, points=False).max())
-        return cls(paths, sight, moving, gains, row, speed, likelihood)
-
     @property
-    def powers(self) -> F64:
-        """Power of the target in each dwell, under the squint that is best there, shape (dwells,)."""
-        along = self.paths.on_path(self.moving, self.path[0])[0]
-        return np.asarray((np.abs(along) ** 2).max(axis=0) * self.sight.backgrounds)
-
-    @property
-    def likelihood_of_others(self) -> float:
-        """Logarithm of the likelihood by all dwells but the middle one."""
-        weights, parts = self.path
-        others = np.arange(len(self.paths.seconds)) != self.paths.middle
-        path = weights * others[:, None], parts * others
-        return float(self.paths.told(self.moving, self.gains, path, self.paths.lobes.near, points=False).max())
-
-    @property
-    def path(self) -> tuple[F64, F64]:
-        """Weights of the rows, and parts that are in the image (`DwellPaths.path`)."""
-        return self.paths.path(self.sight, self.row, np.array([self.speed]))
+    def goes(self) -> bool:
+        """Whether its walk or its velocity along the flight is beyond what they may be off."""
+        return max(abs(value) / sigma for value, sigma in (self.walk, self.along)) > WALKING
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,15 +168,15 @@ class DwellSearch:
         ground = max(
             float(paths.told(standing, ground_gains, at_rest, still).max()), glinting(paths, sight, at_rest, still)
         )
-        walking = _Course.matched_by(paths, sight, matched, fine, self.speeds)
+        walking = Course.matched_by(paths, sight, matched, fine, self.speeds)
         # What drives along the flight, against one that stands still at each place where it would be.
         driving = self._driving(place, fine, bright)
         if driving and driving.likelihood > walking.likelihood:
-            driving, unsure = self._steered(driving)
-            needed = 2 * np.log(HYPOTHESES * len(self.speeds) * self.drifts / rate)
-            if (ratio := self._ratio_of_driving(driving, place, lagging)) >= needed:
-                return self._described(driving, unsure, ratio, walks=True)
-            if 2 * (driving.likelihood - lagging) > needed:
+            steered = self._steered(driving)
+            needed = 2 * (np.log(HYPOTHESES * len(self.speeds) * self.drifts / rate) + steered.tried)
+            if (ratio := self._ratio_of_driving(steered.course, place, lagging)) >= needed:
+                return self._moving(steered, ratio, rate)
+            if 2 * (steered.course.likelihood - lagging) > needed:
                 return None  # it may be one or the other
         # The best of the walks, against all that does not walk.
         needed = 2 * np.log(HYPOTHESES * len(self.speeds) / rate)
@@ -234,15 +186,43 @@ class DwellSearch:
             cloud = deep(sight, standing, ground_gains, fine)
             ratio = 2 * (walking.likelihood - max(lagging, ground, rows, cloud))
         if ratio >= needed:
-            return self._described(*self._steered(walking), ratio, walks=True)
+            return self._moving(self._steered(walking), ratio, rate)
         # What only lags.
-        lags = _Course.matched_by(paths, sight, matched, fine, np.zeros(1))
-        ratio = 2 * (lags.likelihood - ground)
-        if ratio >= 2 * np.log(HYPOTHESES / rate):
-            return self._described(*self._steered(lags), ratio, walks=False)
-        return None
+        lags = Course.matched_by(paths, sight, matched, fine, np.zeros(1))
+        return self._lagging(lags, ground, rate)
 
-    def _ratio_of_driving(self, driving: _Course, place: tuple[F64, int], lagging: float) -> float:
+    def _moving(self, steered: Placed, ratio: float, rate: float) -> Found | None:
+        """What was found by its walk; if images are so unsure that it may have none, what lags."""
+        found = self._described(steered, ratio, walks=True)
+        if found and not found.goes:
+            resting = replace(steered.course, speed=0.0)
+            return self._lagging(resting, np.inf, rate) if self.paths.unsure else None
+        return found
+
+    def _lagging(self, course: Course, ground: float, rate: float) -> Found | None:
+        """What only lags.
+
+        Args:
+            course: of the target, which does not walk.
+            ground: logarithm of the likelihood of what stands still; where it is not sure where images lie, that in
+                images that lie where they show the target counts instead.
+            rate: of false alarms.
+        """
+        steered, needed = None, np.log(HYPOTHESES / rate)
+        if self.paths.unsure:
+            steered = self._steered(course)
+            course, paths, sight = steered.course, steered.course.paths, steered.course.sight
+            still = paths.ambiguous(sight)
+            standing, gains = paths.matched_each(sight, still)
+            ground = float(paths.told(standing, gains, course.path, still).max())
+            ground = max(ground, glinting(paths, sight, course.path, still))
+            needed += steered.tried
+        ratio = 2 * (course.likelihood - ground)
+        if ratio < 2 * needed:
+            return None
+        return self._described(steered or self._steered(course), ratio, walks=False)
+
+    def _ratio_of_driving(self, driving: Course, place: tuple[F64, int], lagging: float) -> float:
         """Twice the logarithm of the likelihood ratio of what drives along the flight against what stands still.
 
         Args:
@@ -259,7 +239,7 @@ class DwellSearch:
             return 0.0
         return 2 * (driving.likelihood - here - sum(elsewhere))
 
-    def _driving(self, place: tuple[F64, int], row: float, bright: Mapping[int, Index]) -> _Course | None:
+    def _driving(self, place: tuple[F64, int], row: float, bright: Mapping[int, Index]) -> Course | None:
         """The likeliest course along the flight from a place and a row; None: there is none.
 
         Args:
@@ -270,7 +250,7 @@ class DwellSearch:
         courses = []
         for pair in self._pairs(place[0], bright):
             driving = self.paths.driving(pair.along)
-            courses.append(_Course.of(driving, driving.sight(*place), row, pair.walk + self._beside))
+            courses.append(Course.of(driving, driving.sight(*place), row, pair.walk + self._beside))
         return max(courses, key=lambda one: one.likelihood, default=None)
 
     @cached_property
@@ -293,7 +273,7 @@ class DwellSearch:
                     pairs.append(Pair(along, walk))
         return pairs
 
-    def _belongs_elsewhere(self, course: _Course) -> bool:
+    def _belongs_elsewhere(self, course: Course) -> bool:
         """Whether what another dwell shows of a walk is likelier with another row of the middle one, or another squint.
 
         A bright pixel that stands still would otherwise be tied to a mover that the next dwell shows beside it, and a
@@ -312,8 +292,10 @@ class DwellSearch:
         rivals = paths.told(matched, gains, paths.path(sight, rows, speeds), everywhere)
         return bool(rivals.max() > own.max() + ROUNDING)
 
-    def _steered(self, course: _Course) -> tuple[_Course, float]:
-        """The course about one whose velocity along the flight is the likeliest, and the standard deviation of that."""
+    def _steered(self, course: Course) -> Placed:
+        """The course about one whose velocity along the flight is the likeliest."""
+        if self.paths.unsure:
+            return in_place(self.paths, course)
         step = DRIFT_STEP * self.along_of_column
         alongs = course.paths.along + step * np.arange(-DRIFT_STEPS, DRIFT_STEPS + 1)
         driving = [self.paths.driving(along) for along in alongs.tolist()]
@@ -321,7 +303,7 @@ class DwellSearch:
         # Beside a target, too, the background is what it has where the target is.
         backgrounds, speeds = np.max([one.backgrounds for one in sights], axis=0), np.array([course.speed])
         courses = [
-            _Course.of(paths, replace(sight, backgrounds=backgrounds), course.row, speeds)
+            Course.of(paths, replace(sight, backgrounds=backgrounds), course.row, speeds)
             for paths, sight in zip(driving, sights, strict=True)
         ]
         profile, powers = np.array([one.likelihood for one in courses]), np.array([one.powers for one in courses])
@@ -335,17 +317,17 @@ class DwellSearch:
         sigma = float(np.hypot(np.hypot(step / np.sqrt(bend), DRIFT_ERROR * self.along_of_column), spread))
         likeliest = self.paths.driving(float(alongs[best] + step * offset))
         sight = likeliest.sight(course.sight.place, course.sight.elevation)
-        return _Course.of(likeliest, sight, course.row, speeds), sigma
+        return Placed(Course.of(likeliest, sight, course.row, speeds), sigma, known=True)
 
-    def _described(self, course: _Course, unsure: float, ratio: float, walks: bool) -> Found | None:
+    def _described(self, steered: Placed, ratio: float, walks: bool) -> Found | None:
         """A target on a course; None: it is at an end of the array, of another row or of another dwell.
 
         Args:
-            course: of the target.
-            unsure: standard deviation of its velocity along the flight, m/s.
+            steered: course of the target.
             ratio: twice the logarithm of its likelihood ratio.
             walks: whether it was found by its walk.
         """
+        course, unsure = steered.course, steered.sigma
         if self._belongs_elsewhere(course):
             return None
         row, walk, best = self._refined(course)
@@ -356,6 +338,8 @@ class DwellSearch:
         # The squint goes with the velocity along the flight.
         paths, sight = course.paths, course.sight
         faster = self.paths.driving(paths.along + unsure)
+        if self.paths.unsure:
+            faster = self.paths.driving(faster.along, paths.drifts - faster.drifts)
         moved = self._squint(replace(course, paths=faster, sight=faster.sight(sight.place, sight.elevation)), best)
         if moved is None:
             return None
@@ -370,9 +354,21 @@ class DwellSearch:
         aperture = paths.dwells[paths.middle].aperture
         ahead = float((sight.place - aperture.position) @ aperture.direction) / paths.reach
         walk = walk[0] + ahead * paths.drift, walk[1]
-        return Found(there, squint, walk, (paths.along, unsure), walks, ratio, elevation, power, still, sight.place)
+        return Found(
+            there,
+            squint,
+            walk,
+            (paths.along, unsure),
+            steered.known,
+            walks,
+            ratio,
+            elevation,
+            power,
+            still,
+            sight.place,
+        )
 
-    def _squint(self, course: _Course, best: int) -> tuple[float, float] | None:
+    def _squint(self, course: Course, best: int) -> tuple[float, float] | None:
         """Mean and standard deviation of the likely squints in the middle dwell; None: those of another dwell.
 
         Args:
@@ -403,7 +399,7 @@ class DwellSearch:
         energy = np.abs(responses @ moving[:, paths.middle].T) ** 2 / np.sum(responses**2, axis=-1, keepdims=True)
         return float(places[energy.max(axis=-1).argmax()])
 
-    def _refined(self, course: _Course) -> tuple[float, tuple[float, float], int]:
+    def _refined(self, course: Course) -> tuple[float, tuple[float, float], int]:
         """The row, the walk with its standard deviation, and the number of the squint about some that are likeliest."""
         paths, sight = course.paths, course.sight
         step = FINE_STEP * paths.speed_of_row
@@ -420,7 +416,7 @@ class DwellSearch:
         walk = float(speeds[best] + step * offset), sigma
         return float(rows[place]), walk, int(each[place, best].argmax())
 
-    def _elevation(self, course: _Course, squint: float) -> tuple[float, float] | None:
+    def _elevation(self, course: Course, squint: float) -> tuple[float, float] | None:
         """The most likely elevation of a target under a squint in the middle dwell, and its standard deviation.
 
         Args:

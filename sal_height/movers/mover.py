@@ -34,7 +34,7 @@ class Mover:
         ambiguity: radial velocity that pulses cannot tell from none, m/s.
         walk_velocity: radial velocity by the walk through rows, m/s: it has no ambiguity.
         walk_sigma: its standard deviation, m/s.
-        along_velocity: along the flight, m/s; NaN: nothing tells it, and it is taken as none.
+        along_velocity: along the flight, m/s; NaN: it is not known, or taken as none.
         along_sigma: its standard deviation, m/s; NaN likewise.
         walks: whether it was found by its walk, through rows or along the flight, and else by its lag.
         likelihood_ratio: twice its logarithm, against that of what does not walk, or against the ground's.
@@ -102,6 +102,7 @@ class Sighting:
         walks: whether it was found by that.
         ratio: twice the logarithm of the likelihood ratio.
         along: velocity along the flight, and its standard deviation, m/s; None: nothing tells it.
+        tells_along: whether that is known well enough to be told.
     """
 
     row: float
@@ -113,6 +114,7 @@ class Sighting:
     walks: bool
     ratio: float
     along: tuple[float, float] | None = None
+    tells_along: bool = True
 
 
 def mover_of(seen: Sighting, slc: Slc, sensor: Sensor) -> Mover:
@@ -130,6 +132,7 @@ def mover_of(seen: Sighting, slc: Slc, sensor: Sensor) -> Mover:
     farther, unsure = (walk, walk_sigma) if seen.walks else (0.0, float(np.hypot(walk, walk_sigma)))
     moved = along + driving * later
     reach = float(np.sqrt((slant_range + farther * later) ** 2 - along**2 + moved**2))
+    told = (driving, driving_sigma) if seen.along and seen.tells_along else (np.nan, np.nan)
     position = locate_at_elevation(seen.elevation[0], reach, moved, aperture, sensor.look_side)
     depth = np.hypot(ROW_ERROR * slc.grid.row_spacing, unsure * later)
     beside = float(np.hypot(slant_range * seen.lag[1], driving_sigma * later))
@@ -147,8 +150,8 @@ def mover_of(seen: Sighting, slc: Slc, sensor: Sensor) -> Mover:
         ambiguity=sensor.wavelength * sensor.pulse_repetition_frequency / 2,
         walk_velocity=walk - driving * ahead,
         walk_sigma=walk_sigma,
-        along_velocity=driving if seen.along else np.nan,
-        along_sigma=driving_sigma if seen.along else np.nan,
+        along_velocity=told[0],
+        along_sigma=told[1],
         walks=seen.walks,
         likelihood_ratio=float(seen.ratio),
         cnr_db=float(10 * np.log10(seen.cnr)),

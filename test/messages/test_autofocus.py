@@ -15,7 +15,7 @@ from sal_height.messages.autofocus import residual_phase_of
 
 PLACED = [
     Placement(0.001, -2e-5, 0.0005, Centroid(0.0023, 1e-4, 3e-4)),
-    Placement(0.0, 0.0, 0.01, by_beams=True, beams_error=2e-4),
+    Placement(0.0, 0.0, 0.01, by_beams=True, beams_error=2e-4, own_error=1e-4),
 ]
 
 

@@ -300,6 +300,7 @@ def test_the_smear_of_a_point_is_found(smear: float) -> None:
     point = np.exp(1j * np.pi * smear * bins.frequencies**2 - 2j * np.pi * 9 * bins.frequencies)
     found = drives.look(point[:, None] * beam, elevation)
     assert found is not None
+    assert found.along is not None
     speed = 50.0 * (1 - (1 + smear / drives.cells) ** -0.5)
     assert found.along[0] == pytest.approx(speed, abs=0.05)
     assert found.share == pytest.approx((1 + smear / drives.cells) ** -0.5, abs=1e-3)
@@ -310,5 +311,12 @@ def test_the_smear_of_a_point_is_found(smear: float) -> None:
     power = np.sum(np.abs(found.row) ** 2, axis=0)
     assert power.argmax() == pytest.approx(found.col, abs=1)
     assert drives.cells == pytest.approx(155, abs=5)
+    # Blocks that autofocus has placed to 15 mm each smear the whole image by as much: the place in focus is told only.
+    placed = replace(slc, placement=replace(slc.placement, beams_error=1.5e-4))
+    unsure = Drives.of(drives.search, placed, flight.sensor).look(point[:, None] * beam, elevation)
+    assert unsure is not None
+    assert unsure.along is None
+    assert unsure.slowed((10.0, 0.1)) == (10.0, 0.1)
+    assert unsure.col == found.col
     rng = np.random.default_rng(5)
     assert drives.look(rng.standard_normal(beam.shape) + 1j * rng.standard_normal(beam.shape), elevation) is None

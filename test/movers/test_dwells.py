@@ -239,6 +239,42 @@ def test_sigmas_count_what_beams_are_not_known_by() -> None:
     assert 0.08 < one.walk_sigma < 0.3
 
 
+def off(slc: Slc, error: float, stated: float) -> Slc:
+    """An image that lies, with the beam in it, farther along the flight (m) than it is thought to, as is stated (m)."""
+    aperture, grid = slc.aperture, slc.grid
+    shift = error * aperture.direction
+    own = stated * 50.0 / float(np.linalg.norm(grid.middle - aperture.position))
+    return replace(
+        slc,
+        grid=replace(grid, origin=grid.origin - shift),
+        aperture=replace(aperture, position=aperture.position - shift),
+        placement=replace(slc.placement, own_error=own),
+    )
+
+
+@pytest.mark.parametrize("radial", [-2.5, 9e-3])
+def test_images_that_lie_beside_their_place_do_not_spoil_what_is_told(radial: float) -> None:
+    """By up to 3 cm from dwell to dwell, which would be 1 m/s along the flight; each is known to 4 cm."""
+    flight, images = flown(0, target(radial, east=-0.1))
+    errors = np.array([0.015, -0.01, 0.02, -0.01, 0.015])
+    moved = [off(slc, error, 0.04) for slc, error in zip(images, errors, strict=True)]
+    (one,) = [mover for looked in found_in(flight, moved, MoverSettings()) if looked for mover in looked.movers]
+    assert abs(one.along_velocity) < 3 * one.along_sigma
+    assert 1.0 < one.along_sigma < 5.0
+    beyond = one.radial_velocity - radial
+    assert abs(beyond - PERIOD * round(beyond / PERIOD)) < 4 * one.velocity_sigma < 2e-3
+
+
+def test_a_velocity_along_the_flight_that_is_not_known_is_not_told() -> None:
+    flight, images = flown(0, target(-2.5, east=-0.1))
+    moved = [off(slc, 0.0, 0.2) for slc in images]
+    (one,) = [mover for looked in found_in(flight, moved, MoverSettings()) if looked for mover in looked.movers]
+    assert np.isnan(one.along_velocity)
+    assert np.isnan(one.along_sigma)
+    assert abs(one.walk_velocity + 2.5) < 4 * one.walk_sigma
+    assert one.position[0] == pytest.approx(-0.1, abs=4 * np.sqrt(one.covariance[0, 0]))
+
+
 def test_a_track_covers_what_other_dwells_show_where_it_drives() -> None:
     """Eight columns farther than its place in the image in the second dwell; and what does not drive covers it not."""
     flight, images = flown(0, target(6.003, along=10.0))

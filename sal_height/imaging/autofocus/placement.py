@@ -113,6 +113,7 @@ class Placement:
             error of the attitude, not of the velocity.
         beams_error: of a strip, standard error of the beams' middle in each of its images, as a velocity along the line
             of sight, m/s; 0: it was not measured.
+        own_error: the part of `speed_error` that other dwells do not share, m/s: errors of the odometry last longer.
     """
 
     speed: float
@@ -121,6 +122,7 @@ class Placement:
     centroid: Centroid | None = None
     by_beams: bool = False
     beams_error: float = 0.0
+    own_error: float = 0.0
 
     def moved(self, antenna: F64, seconds: F64, sight: F64) -> F64:
         """Positions of the antenna (m), shape (pulses, 3), at times in s from the middle of the dwell."""
@@ -169,7 +171,9 @@ def placed_by_centroid(centroid: Centroid, prior: NavigationPrior, ambiguity: fl
     wrapped = np.sum(weights * (WRAPS * ambiguity) ** 2) / weights.sum()
     # A wrap more moves image and beams together, and so the image off the beams' middle by what is not its part.
     left = prior.speed**2 * (1 - of_speed) + (1 - of_speed) ** 2 * wrapped
-    return Placement(of_speed * found, of_pointing * found / prior.flight_speed, float(np.sqrt(left)), centroid)
+    own = (1 - of_speed) ** 2 * (centroid.vibration**2 + wrapped) + (of_speed * error) ** 2
+    pointing, errors = of_pointing * found / prior.flight_speed, np.sqrt([left, own])
+    return Placement(of_speed * found, pointing, float(errors[0]), centroid, own_error=float(errors[1]))
 
 
 def placed_by_beams(prior: NavigationPrior, error: float) -> Placement:
@@ -179,7 +183,8 @@ def placed_by_beams(prior: NavigationPrior, error: float) -> Placement:
         prior: what navigation knows.
         error: standard error of the beams' middle in the image, as a velocity along the line of sight, m/s.
     """
-    return Placement(0.0, 0.0, float(np.hypot(prior.flight_speed * prior.pointing, error)), by_beams=True)
+    whole = float(np.hypot(prior.flight_speed * prior.pointing, error))
+    return Placement(0.0, 0.0, whole, by_beams=True, own_error=error)
 
 
 def vibration_speed(phase: F64, seconds: F64, wavelength: float) -> float:

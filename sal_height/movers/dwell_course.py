@@ -1,0 +1,71 @@
+"""Pixels along the path of a target through dwells that follow each other, and how likely they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from sal_height.movers.dwell_likelihood import POWERS
+from sal_height.movers.dwell_paths import DwellPaths, Sight
+from sal_height.numeric import C128, F64
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """Pixels along the path of a target.
+
+    Attributes:
+        paths: of what drives along the flight as it does.
+        sight: pixels around it.
+        moving: amplitudes that match targets under the near squints (`DwellPaths.matched`).
+        gains: see there.
+        row: in the middle dwell, over that of what stands still.
+        speed: of the walk, m/s.
+        likelihood: logarithm of that of speckle, the best of the squints.
+    """
+
+    paths: DwellPaths
+    sight: Sight
+    moving: C128
+    gains: F64
+    row: float
+    speed: float
+    likelihood: float
+
+    @classmethod
+    def of(cls, paths: DwellPaths, sight: Sight, row: float, speeds: F64) -> Self:
+        """The one with the likeliest of some walks from a row."""
+        return cls.matched_by(paths, sight, paths.matched(sight, paths.lobes.near), row, speeds)
+
+    @classmethod
+    def matched_by(cls, paths: DwellPaths, sight: Sight, matched: tuple[C128, F64], row: float, speeds: F64) -> Self:
+        """The same with the amplitudes and gains of the near squints; if walks are many, few of these tell which."""
+        near, (moving, gains), speed = paths.lobes.near, matched, float(speeds[0])
+        if len(speeds) > 1:
+            walks = paths.path(sight, row, speeds)
+            each = paths.told(moving[1::2], gains[1::2], walks, near[1::2], POWERS[::2], points=False)
+            speed = float(speeds[each.max(axis=-1).argmax()])
+        path = paths.path(sight, row, np.array([speed]))
+        likelihood = float(paths.told(moving, gains, path, near, points=False).max())
+        return cls(paths, sight, moving, gains, row, speed, likelihood)
+
+    @property
+    def powers(self) -> F64:
+        """Power of the target in each dwell, under the squint that is best there, shape (dwells,)."""
+        along = self.paths.on_path(self.moving, self.path[0])[0]
+        return np.asarray((np.abs(along) ** 2).max(axis=0) * self.sight.backgrounds)
+
+    @property
+    def likelihood_of_others(self) -> float:
+        """Logarithm of the likelihood by all dwells but the middle one."""
+        weights, parts = self.path
+        others = np.arange(len(self.paths.seconds)) != self.paths.middle
+        path = weights * others[:, None], parts * others
+        return float(self.paths.told(self.moving, self.gains, path, self.paths.lobes.near, points=False).max())
+
+    @property
+    def path(self) -> tuple[F64, F64]:
+        """Weights of the rows, and parts that are in the image (`DwellPaths.path`)."""
+        return self.paths.path(self.sight, self.row, np.array([self.speed]))

@@ -216,7 +216,8 @@ class DwellSearch:
             standing, gains = paths.matched_each(sight, still)
             ground = float(paths.told(standing, gains, course.path, still).max())
             ground = max(ground, glinting(paths, sight, course.path, still))
-            needed += steered.tried
+            # Twice, as what fades by chance has bright ground beside it.
+            needed += 2 * steered.tried
         ratio = 2 * (course.likelihood - ground)
         if ratio < 2 * needed:
             return None

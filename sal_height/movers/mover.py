@@ -139,6 +139,9 @@ def mover_of(seen: Sighting, slc: Slc, sensor: Sensor) -> Mover:
     own, _ = measured_covariance(position, aperture, np.array(seen.elevation[1]), float(depth), beside)
     # From where it is abeam, what it drives along the flight is not radial.
     ahead = along / slant_range
+    placed = float(aperture.direction @ aperture.covariance[:3, :3] @ aperture.direction)
+    unsure_ahead = np.sqrt(max(0.0, placed)) / slant_range
+    not_radial = float(np.hypot(driving_sigma * ahead, np.hypot(driving, driving_sigma) * unsure_ahead))
     surface = Surface.seen_from(aperture, position[None, None], own[None, None], np.zeros((1, 1)))
     mover = Mover(
         position=position,
@@ -146,7 +149,7 @@ def mover_of(seen: Sighting, slc: Slc, sensor: Sensor) -> Mover:
         height=float(surface.height[0, 0]),
         sigma=float(surface.sigma[0, 0]),
         radial_velocity=seen.lag[0] * speed - driving * ahead,
-        velocity_sigma=float(np.hypot(seen.lag[1] * speed, driving_sigma * ahead)),
+        velocity_sigma=float(np.hypot(seen.lag[1] * speed, not_radial)),
         ambiguity=sensor.wavelength * sensor.pulse_repetition_frequency / 2,
         walk_velocity=walk - driving * ahead,
         walk_sigma=walk_sigma,

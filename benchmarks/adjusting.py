@@ -240,7 +240,7 @@ def as_they_come(flights: list[FlownPasses], settings: AdjustmentSettings) -> It
 def _speeds_and_heights(passes: FlownPasses, errors: F64, late: Index) -> F64:
     """Errors of late dwells against their mean, as velocities along the line of sight, mm/s, and in height, m."""
     left = errors[late] - errors[late].mean(axis=0)
-    return np.column_stack([1e3 * left[:, 0] / [dwell.lever for dwell in (passes.dwells[n] for n in late)], left[:, 2]])
+    return np.column_stack([1e3 * left[:, 0] / [passes.dwells[number].lever for number in late], left[:, 2]])
 
 
 def _one_by_one(passes: FlownPasses, settings: AdjustmentSettings, held: int) -> tuple[F64, F64, F64]:

@@ -211,9 +211,7 @@ def looks_in(
 
 def circular(rng: np.random.Generator, shape: tuple[int, ...]) -> npt.NDArray[np.complex128]:
     """Circular complex Gaussian numbers of mean power 1."""
-    numbers = np.empty(shape, np.complex128)
-    numbers.real, numbers.imag = (rng.standard_normal(shape) / np.sqrt(2) for _ in range(2))
-    return numbers
+    return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2)
 
 
 def standard_error_of_rms(error: Array) -> float:

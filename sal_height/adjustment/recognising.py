@@ -76,14 +76,14 @@ class Rarity:
 
 def _less(points: Points, shift: Index) -> F64:
     """The mean over neighbours of how much less likely each height is once the image is shifted, shape (points,)."""
-    (misfit,), less = _misfits(points, points.surface, shift[None]), np.zeros(len(points.place))
+    (misfit,), count = _misfits(points, points.surface, shift[None]), len(points.place)
     met = np.isfinite(misfit)
-    if met.any():
-        fits = misfit[met]
-        near = cKDTree(points.place[met, :2]).query_ball_point(points.place[:, :2], REACH_SPACINGS * points.spacing)
-        for number, neighbours in enumerate(near):
-            less[number] = fits[neighbours].mean() if neighbours else 0.0
-    return less
+    if not met.any():
+        return np.zeros(count)
+    place, reach = points.place[:, :2], REACH_SPACINGS * points.spacing
+    near = cKDTree(place).sparse_distance_matrix(cKDTree(place[met]), reach, output_type="ndarray")
+    total = np.bincount(near["i"], misfit[met][near["j"]], count)
+    return np.asarray(total / np.maximum(np.bincount(near["i"], minlength=count), 1))
 
 
 def evidence(points: Points, rarity: Rarity, other: Points, rarity_of_other: Rarity, shift: F64) -> float:

@@ -189,7 +189,4 @@ def _noise(shape: tuple[int, int], rng: np.random.Generator, response: F64 | Non
 
 def _circular(shape: tuple[int, int], rng: np.random.Generator) -> C128:
     """Circular Gaussian numbers of mean power 1."""
-    numbers = np.empty(shape, dtype=np.complex128)
-    numbers.real = rng.standard_normal(shape) / np.sqrt(2)
-    numbers.imag = rng.standard_normal(shape) / np.sqrt(2)
-    return numbers
+    return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2)

@@ -220,7 +220,7 @@ def find_over_dwells(dwells: Sequence[DwellImage], middle: int, shown: ShownDwel
     for row, col in candidates.tolist():
         step, off = _brightest(dwell, row, col)
         seen = search.look(row, step, bright, settings.false_alarm_rate)
-        if seen and (not seen.walks or seen.goes):
+        if seen:
             sighting = _sighting(seen, (step + off) / COLUMN_STEPS, off, paths)
             walk = seen.walk[0] if seen.walks else 0.0
             drift = paths.driving(seen.along[0]).drift

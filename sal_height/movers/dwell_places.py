@@ -9,7 +9,7 @@ Processing I, 1993, section 4.5). What remains is what the images are off.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -87,7 +87,9 @@ def in_place(paths: DwellPaths, course: Course) -> Placed:
         trust = paths.fastest**2 / (paths.fastest**2 + 3 * sigma**2)
         along, sigma = trust * along, float(np.sqrt(trust)) * sigma
     offsets = np.where(used, drifts - paths.driving(along).drifts, 0.0)
-    return Placed(_shifted(paths, replace(course, paths=paths.driving(along)), offsets), sigma, known, tried)
+    there = paths.driving(along, offsets)
+    sight = there.sight(course.sight.place, course.sight.elevation)
+    return Placed(Course.of(there, sight, course.row, np.array([course.speed])), sigma, known, tried)
 
 
 def _powers(course: Course, steps: Index) -> F64:
@@ -108,13 +110,6 @@ def _powers(course: Course, steps: Index) -> F64:
         along = np.einsum("r,crs->sc", weights[number], pixels)
         powers[:, number] = np.max(np.abs(along @ amplitudes[:, number].conj().T) ** 2, axis=-1)
     return powers
-
-
-def _shifted(paths: DwellPaths, course: Course, offsets: F64) -> Course:
-    """The course with images that lie farther along the flight in the dwells, m, shape (dwells,)."""
-    there = paths.driving(course.paths.along, course.paths.offsets + offsets)
-    sight = there.sight(course.sight.place, course.sight.elevation)
-    return Course.of(there, sight, course.row, np.array([course.speed]))
 
 
 def _slope(paths: DwellPaths, drifts: F64, used: Bool) -> tuple[float, float]:

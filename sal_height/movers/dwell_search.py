@@ -189,39 +189,33 @@ class DwellSearch:
             return self._moving(self._steered(walking), ratio, rate)
         # What only lags.
         lags = Course.matched_by(paths, sight, matched, fine, np.zeros(1))
-        return self._lagging(lags, ground, rate)
+        if paths.unsure:
+            return self._lagging(self._steered(lags), rate)
+        ratio = 2 * (lags.likelihood - ground)
+        return (
+            self._described(self._steered(lags), ratio, walks=False) if ratio >= 2 * np.log(HYPOTHESES / rate) else None
+        )
 
     def _moving(self, steered: Placed, ratio: float, rate: float) -> Found | None:
         """What was found by its walk; if images are so unsure that it may have none, what lags."""
         found = self._described(steered, ratio, walks=True)
-        if found and not found.goes:
-            resting = replace(steered.course, speed=0.0)
-            return self._lagging(resting, np.inf, rate) if self.paths.unsure else None
-        return found
-
-    def _lagging(self, course: Course, ground: float, rate: float) -> Found | None:
-        """What only lags.
-
-        Args:
-            course: of the target, which does not walk.
-            ground: logarithm of the likelihood of what stands still; where it is not sure where images lie, that in
-                images that lie where they show the target counts instead.
-            rate: of false alarms.
-        """
-        steered, needed = None, np.log(HYPOTHESES / rate)
-        if self.paths.unsure:
-            steered = self._steered(course)
-            course, paths, sight = steered.course, steered.course.paths, steered.course.sight
-            still = paths.ambiguous(sight)
-            standing, gains = paths.matched_each(sight, still)
-            ground = float(paths.told(standing, gains, course.path, still).max())
-            ground = max(ground, glinting(paths, sight, course.path, still))
-            # Twice, as what fades by chance has bright ground beside it.
-            needed += 2 * steered.tried
-        ratio = 2 * (course.likelihood - ground)
-        if ratio < 2 * needed:
+        if found is None or found.goes:
+            return found
+        if not self.paths.unsure:
             return None
-        return self._described(steered or self._steered(course), ratio, walks=False)
+        return self._lagging(self._steered(replace(steered.course, speed=0.0)), rate)
+
+    def _lagging(self, steered: Placed, rate: float) -> Found | None:
+        """What only lags, against what stands still in images that lie where they show it."""
+        course, paths, sight = steered.course, steered.course.paths, steered.course.sight
+        still = paths.ambiguous(sight)
+        standing, gains = paths.matched_each(sight, still)
+        ground = float(paths.told(standing, gains, course.path, still).max())
+        ratio = 2 * (course.likelihood - max(ground, glinting(paths, sight, course.path, still)))
+        # Places count twice, as what fades by chance has bright ground beside it.
+        if ratio < 2 * (np.log(HYPOTHESES / rate) + 2 * steered.tried):
+            return None
+        return self._described(steered, ratio, walks=False)
 
     def _ratio_of_driving(self, driving: Course, place: tuple[F64, int], lagging: float) -> float:
         """Twice the logarithm of the likelihood ratio of what drives along the flight against what stands still.

@@ -25,12 +25,13 @@ ERRORS = OdometryErrors(
 EAST_M = 1.6
 """By which the street lies farther east, so that the dwells about the origin see where a car and the steps end."""
 
-SCENES["street farther east"] = lambda: replace(street(), east=street().east + EAST_M)
+STREET = "street farther east"
+SCENES[STREET] = lambda: replace(street(), east=street().east + EAST_M)
 
 
 def preset_of(passes: int, per_pass: int, **impairments: object) -> Preset:
     """The street in passes to and fro."""
-    preset = replace(load_preset("sal_spotlight"), scene="street farther east")
+    preset = replace(load_preset("sal_spotlight"), scene=STREET)
     wrong = Impairments(**{"odometry": ERRORS, **impairments})  # type: ignore[arg-type]
     flight = replace(preset.flight, passes=Passes(passes, 100.0))
     return replace(preset, dwells=passes * per_pass, flight=flight, impairments=wrong)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
+from flown_passes import STREET
 from nav_msgs.msg import Odometry
 from sal_height_msgs.msg import ComplexImage, HeightImage, Provenance, SensorInfo
 
@@ -20,9 +21,6 @@ from sal_height.simulation import flight_of, load_preset
 from sal_height.simulation.impairments import Impairments
 from sal_height.simulation.odometry_errors import OdometryErrors
 from sal_height.simulation.preset import Passes
-from sal_height.simulation.scenes import SCENES, street
-
-SCENES["street farther east"] = lambda: replace(street(), east=street().east + 1.6)  # ends of a car and steps show
 
 START_NS = 1_700_000_000_123_456_789
 ERRORS = OdometryErrors(
@@ -65,7 +63,7 @@ class FlownHeights:
 @cache
 def flown_heights() -> FlownHeights:
     """Four passes of three dwells over the street."""
-    preset = replace(load_preset("sal_spotlight"), scene="street farther east")
+    preset = replace(load_preset("sal_spotlight"), scene=STREET)
     flight = replace(preset.flight, passes=Passes(4, 120.0), odometry_rate_hz=1000.0)
     preset = replace(preset, dwells=12, flight=flight, impairments=Impairments(odometry=ERRORS))
     flown, exact = flight_of(preset, 1), flight_of(replace(preset, impairments=Impairments()), 1)

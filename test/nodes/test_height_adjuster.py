@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from flown_heights import STATED, FlownHeights, flown_heights
+from flown_passes import STREET
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from helpers import assert_one_sentence
 from nav_msgs.msg import Odometry
@@ -180,7 +181,7 @@ def test_what_the_compression_states_of_the_mounting_counts(graph: Graph, flown:
 
 def test_known_ground_places_heights(graph: Graph, flown: FlownHeights, tmp_path: Path) -> None:
     """Within 5 cm of the truth from the first dwell on; a file that cannot be read is refused at the start."""
-    scene = load_scene("street farther east")
+    scene = load_scene(STREET)
     step = 0.05
     east, north = np.arange(-6, 6, step), np.arange(6, -6, -step)
     elevation = scene.heights(*np.meshgrid(east, north))

@@ -35,6 +35,12 @@ class Coherence:
         return (self.waves * self.profile) @ self.waves.conj().T
 
     @cached_property
+    def spectrum(self) -> F64:
+        """Power that pulses show from each azimuth, shape (azimuths,): the profile as sharp as they tell it."""
+        shown: F64 = np.sum(self.waves.conj() * (self.matrix @ self.waves), axis=0).real
+        return shown
+
+    @cached_property
     def _modes(self) -> tuple[F64, C128]:
         """Eigenvalues and eigenvectors of the matrix."""
         values, vectors = np.linalg.eigh(self.matrix)

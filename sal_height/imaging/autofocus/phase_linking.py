@@ -9,10 +9,10 @@ speckle of covariance R, summed over channels and range cells,
 
 (Guarnieri & Tebaldini, IEEE Trans. GRS 46, 2008; for a single target in the middle it is the eigenvector method of
 Jakowatz & Wahl, JOSA A 10, 1993). The phase gradient of neighbours is the start, and Fisher scoring leads to the
-maximum; the Fisher information 2 (R o R^-1 - 1) per response also tells how well it is known. At first all responses
-count the same, so that what moves by itself is found and left out, however bright it is (`which_fit`). The profile
-p(a) is at first that of the beam; then it is fitted to the responses, and the phases are linked again, because the
-sidelobes, a beam that is round and not a product, and ground of uneven brightness spread the echo otherwise.
+maximum; the Fisher information 2 (R o R^-1 - 1) per response also tells how well it is known. Points that outshine the
+ground, and what moves by itself, are left out (`which_fit`). The profile p(a) is at first that of the beam; then it is
+fitted to the responses, and the phases are linked again, because the sidelobes, a beam that is round and not a product,
+and ground of uneven brightness spread the echo otherwise.
 """
 
 from __future__ import annotations
@@ -38,8 +38,6 @@ BLOCKS = 12  # of neighbouring range cells, whose differences tell how uneven gr
 FINELY = 16  # trends on which the likelihood is looked at, over the number of pulses
 OUTSHINING = 8.0  # signal-to-noise ratio over the median above which a response is of a point, not of ground
 MISFIT = 5.0  # above which a response is of something that moves by itself; that of ground stays below 4
-ROUGHLY = 8  # steps of Fisher scoring, after which what moves by itself is told
-ROUNDS = 4  # at most, of linking what fits and looking for what does not
 LONGEST_STEP = 1.0  # greatest change of a phase in one step, rad: far from the maximum the likelihood is no parabola
 
 
@@ -132,18 +130,17 @@ class Likelihood:
         return -2 * (turn * (self.weighted @ turn.conj())).imag
 
 
-def link_phases(likelihood: Likelihood, start: F64, most_steps: int = ITERATIONS) -> F64:
+def link_phases(likelihood: Likelihood, start: F64) -> F64:
     """Phases of maximum likelihood by Fisher scoring, rad; their mean and linear trend are those of the start.
 
     Args:
         likelihood: of the phases.
         start: first estimate, rad, shape (pulses,).
-        most_steps: of Fisher scoring.
     """
     # The likelihood knows nothing of mean and linear trend, which steps therefore do not have.
     fixed = scipy.linalg.cho_factor(with_shift_known(likelihood.information))
     phase = start.copy()
-    for _ in range(most_steps):
+    for _ in range(ITERATIONS):
         step = scipy.linalg.cho_solve(fixed, likelihood.slope(phase), check_finite=False)
         step *= LONGEST_STEP / max(np.abs(step).max(), LONGEST_STEP)
         phase += step
@@ -156,8 +153,8 @@ def which_fit(modes: Complex, snr: F64, coherence: Coherence) -> Bool:
     """Which responses can be of ground in the beam, shape (responses,); others are of points or of what moves.
 
     A point that outshines the ground looks likelier to the beam with phases that hold it in the middle, out of focus.
-    Phases are linked to which all other responses count the same. The misfit g^H R^-1 g of a response is, on average,
-    one for each pulse, and more by what the phases are uncertain and by what the beam is not as stated; that of an echo
+    The phase gradient of the others, to which they count alike, tells the phases well enough: the misfit g^H R^-1 g of
+    a response is then, on average, about one for each pulse, and more where the beam is not as stated; that of an echo
     from outside the beam, where a car appears that drives, is more by its signal-to-noise ratio.
 
     Args:
@@ -167,18 +164,11 @@ def which_fit(modes: Complex, snr: F64, coherence: Coherence) -> Bool:
     """
     if not len(modes):
         return np.zeros(0, dtype=np.bool_)
-    ground = fits = snr <= OUTSHINING * np.median(snr)
-    for _ in range(ROUNDS):
-        usual = float(np.median(snr[fits]))
-        alike = modes[fits] * np.sqrt(usual / snr[fits])[:, None].astype(modes.real.dtype)
-        classes = speckle_classes(alike, np.full(len(alike), usual))
-        phase = link_phases(Likelihood.of(classes, coherence), phase_gradient(alike), ROUGHLY)
-        level = modes * np.exp(-1j * phase).astype(modes.dtype)
-        misfit = np.vecdot(level, _weighted(level, snr, coherence)).real / len(phase)
-        before, fits = fits, ground & (misfit <= MISFIT * max(1.0, float(np.median(misfit))))
-        if np.array_equal(before, fits):
-            break
-    return fits
+    ground = snr <= OUTSHINING * np.median(snr)
+    alike = modes[ground] / np.sqrt(snr[ground])[:, None]
+    level = modes * np.exp(-1j * phase_gradient(alike)).astype(modes.dtype)
+    misfit = np.vecdot(level, _weighted(level, snr, coherence)).real / modes.shape[-1]
+    return np.asarray(ground & (misfit <= MISFIT * np.median(misfit)))
 
 
 def _weighted(responses: Complex, snr: F64, coherence: Coherence) -> Complex:

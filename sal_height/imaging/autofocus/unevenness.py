@@ -33,7 +33,7 @@ def uneven_trend(modes: Complex, snr: F64, coherence: Coherence) -> float:
     """
     lobe = coherence.profile >= MAIN_LOBE * coherence.profile.max()
     profile = coherence.profile[lobe]
-    logarithm = np.log(_brightness(modes, snr, coherence.waves[:, lobe], coherence))
+    logarithm = np.log(_brightness(modes, snr, coherence.waves[:, lobe], coherence.spectrum[lobe]))
     u, by_power = np.linspace(-1.0, 1.0, len(profile)), np.sqrt(profile)
     shapes = np.polynomial.legendre.legvander(u, ORDERS[-1])
     found = np.linalg.lstsq(shapes * by_power[:, None], logarithm * by_power)[0][1:]
@@ -45,9 +45,8 @@ def uneven_trend(modes: Complex, snr: F64, coherence: Coherence) -> float:
     return float(shift * 2 * np.pi / len(coherence.profile))
 
 
-def _brightness(modes: Complex, snr: F64, waves: Complex, coherence: Coherence) -> F64:
+def _brightness(modes: Complex, snr: F64, waves: Complex, even: F64) -> F64:
     """Power of the echo from azimuths over that of even ground; responses far above noise count alike."""
     weight = 1 / (1 + snr)
-    even = np.einsum("ta,ta->a", waves.conj(), coherence.matrix @ waves).real
     power = weight @ np.abs(modes @ waves.conj().astype(modes.dtype)) ** 2
     return np.maximum((power - len(waves) * weight.sum()) / ((weight @ snr) * even), DARKEST)

@@ -74,3 +74,4 @@ def test_an_edge_of_a_shadow_across_the_flight_is_in_the_covariance_of_the_place
     stated = slc.placement.speed_error * preset.flight.slant_range_m / preset.flight.speed_mps
     assert 0.03 < abs(off) < 3 * stated
     assert stated < 0.4
+    assert not slc.doubt, "what is open is stated"

@@ -41,7 +41,8 @@ class PublishedErrors:
     Attributes:
         place: arc distances east and north from the map's origin and height above the sphere, m, shape (surfaces, 3).
         validity: of its pixel.
-        sigma: predicted standard deviation of height, m.
+        sigma: predicted standard deviation of the error, m: of height, and of place along the flight times the rise of
+            the true surface, because a pixel is compared with what lies at its range and Doppler.
         nearest: height minus that of the nearest true surface in the pixel, m; in a pixel without scatterers, of the
             surfaces in the eight pixels around it; NaN where there is none either. An extended surface stands for all
             that the pixel holds: its height minus the mean of all surfaces, weighted by their power.
@@ -115,16 +116,19 @@ def compare(field: HeightField, truth: LitSurfaces, beamwidth: float) -> Compari
     whole = (field.validity == Validity.EXTENDED) & np.isfinite(truth.height[0])
     heights = np.where(whole, np.nan, truth.height)
     heights[0] = np.where(whole, truth.mean_height, heights[0])
-    candidates, free = _candidates(heights), heights
-    parts = []
+    candidates, rises, free = _candidates(heights), _candidates(truth.rise), heights
+    along, parts = field.grid.col_direction, []
     for surface in field.surfaces:
         there = np.isfinite(surface.height)
+        index, nearest = _nearest(candidates, surface.height)
+        rise = np.take_along_axis(rises, index, axis=0)[0]
+        by_place = np.nan_to_num(rise**2 * (along @ surface.covariance @ along))
         parts.append(
             PublishedErrors(
                 place=np.stack(sphere_coordinates(surface.positions[there]), axis=-1),
                 validity=field.validity[there],
-                sigma=surface.sigma[there],
-                nearest=_nearest(candidates, surface.height)[1][there],
+                sigma=np.sqrt(surface.sigma**2 + by_place)[there],
+                nearest=nearest[there],
                 own=_nearest(free, surface.height)[1][there],
                 ghost=shadow[there],
                 true_order=order[there],

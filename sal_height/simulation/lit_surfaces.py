@@ -45,6 +45,7 @@ class LitSurfaces:
         power: of its scatterers, per resolution cell; 1 for brightness 1; same shape.
         received: power that the array receives of it over that of the strongest surface in the pixel, same shape.
         inside: True where the elevation is between the first boresight of the array and the last, same shape.
+        rise: of the plane through its scatterers along the flight, at one range, m/m, same shape.
     """
 
     height: F64
@@ -53,6 +54,7 @@ class LitSurfaces:
     power: F64
     received: F64
     inside: Bool
+    rise: F64
 
     @property
     def counted(self) -> Bool:
@@ -117,11 +119,12 @@ def lit_surfaces(
     mean = total(weight * elevation) / power
     spread = np.sqrt(total(weight * (elevation - mean[label]) ** 2) / power)
     height = total(weight * surface.heights[scatterer]) / power
+    middle = np.stack([total(weight * part) for part in places[scatterer].T], axis=-1) / power[:, None]
+    off = places[scatterer] - middle[label]
+    slope, reach = _plane(off, surface.heights[scatterer] - height[label], weight, label)
     if seen is not None:
         asked = np.stack(_places(seen, aperture, grid), axis=-1).reshape(-1, 2)[pixel[begins]]
-        middle = np.stack([total(weight * part) for part in places[scatterer].T], axis=-1) / power[:, None]
-        off = places[scatterer] - middle[label]
-        height += _rise(off, surface.heights[scatterer] - height[label], weight, label, asked - middle)
+        height += np.sum(slope * np.clip(np.nan_to_num(asked - middle), -reach, reach), axis=-1)
     received = power * beams.power(mean, total(weight * surface.squint[scatterer]) / power)
     inside = (mean >= beams.span[0]) & (mean <= beams.span[1])
     # Surfaces of a pixel in the order of the power received of them.
@@ -144,30 +147,30 @@ def lit_surfaces(
         power=placed(power) / _cells(grid, cell),
         received=strength / strength[0],
         inside=placed(inside.astype(np.float64)) == 1,
+        rise=placed(slope[:, 1]) / grid.col_spacing,
     )
 
 
-def _rise(off: F64, higher: F64, weight: F64, label: Index, asked: F64) -> F64:
-    """How much higher than its mean each surface is at a place, m, by the plane through its scatterers, (surfaces,).
+def _plane(off: F64, higher: F64, weight: F64, label: Index) -> tuple[F64, F64]:
+    """Slope of the plane through the scatterers of each surface, by row and column, m, and how far it reaches.
+
+    An even surface of the same variance reaches so far, in rows and columns. Both have the shape (surfaces, 2).
 
     Args:
         off: row and column of scatterers from the middle of their surface, (scatterers, 2).
         higher: their height above its mean, m, (scatterers,).
         weight: of them, (scatterers,).
         label: number of their surface, (scatterers,).
-        asked: row and column of the place, from the middle of each surface, (surfaces, 2); beyond the surface the
-            height is that of its edge, as far as an even one reaches with this variance.
     """
 
     def total(values: F64) -> F64:
-        return np.bincount(label, weight * values, len(asked)).astype(np.float64)
+        return np.bincount(label, weight * values).astype(np.float64)
 
     square = np.stack([np.stack([total(one * other) for one in off.T], axis=-1) for other in off.T], axis=-1)
     along = np.stack([total(one * higher) for one in off.T], axis=-1)[..., None]
     slope = np.linalg.pinv(square, hermitian=True) @ along
     reach = np.sqrt(3 * np.diagonal(square, axis1=1, axis2=2) / total(np.ones(len(off)))[:, None])
-    place = np.clip(np.nan_to_num(asked), -reach, reach)
-    return np.asarray(np.sum(slope[..., 0] * place, axis=-1))
+    return slope[..., 0], reach
 
 
 def _places(positions: F64, aperture: ApertureState, grid: Grid) -> tuple[F64, F64]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers import BEAMWIDTH
@@ -24,7 +26,7 @@ def truth_of(*heights: tuple[float, ...], wide: bool = False) -> LitSurfaces:
         values[: len(entry), 0, col] = entry
     received = np.where(np.isfinite(values), np.array([1.0, 1 / 3, 1 / 3])[:, None, None], NAN)
     spread = np.where(np.isfinite(values), 0.2 * BEAMWIDTH * wide, NAN)
-    return LitSurfaces(values, 0 * values, spread, received, received, np.isfinite(values))
+    return LitSurfaces(values, 0 * values, spread, received, received, np.isfinite(values), 0 * values)
 
 
 def field_of(validity: list[Validity], *heights: list[float], sigma: float = 0.1) -> HeightField:
@@ -87,3 +89,14 @@ def test_weak_surfaces_and_those_outside_the_array_need_not_be_found() -> None:
     result = compare(field_of([Validity.OK], [0.0]), truth, BEAMWIDTH)
     assert (result.surfaces, result.missed) == (1, 0)
     assert ("one", "one") in counts(result)
+
+
+def test_error_of_place_counts_by_the_rise_of_the_ground_along_the_flight() -> None:
+    """0.1 m of height, and 0.2 m along the flight on ground that rises by a half; a wall beside it is level there."""
+    truth = replace(truth_of((1.0,), (0.0, 2.0)), rise=np.full((3, *SHAPE), 0.5))
+    truth.rise[1] = 0.0
+    field = field_of([Validity.OK, Validity.OK], [1.05, 1.9])
+    none = np.zeros((*SHAPE, 3, 3))
+    place = none + np.diag([0.2**2, 0.0, 0.0])
+    field = replace(field, surfaces=(replace(field.first, own_covariance=none, common_covariance=place),))
+    np.testing.assert_allclose(compare(field, truth, BEAMWIDTH).errors.sigma, [np.hypot(0.1, 0.1), 0.1])

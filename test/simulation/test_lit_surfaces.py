@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers import flat_scene, make_aperture, make_beams, make_sensor
@@ -117,3 +119,11 @@ def test_height_of_a_slope_is_that_at_the_range_asked_for() -> None:
     middle = np.s_[0, 20:-20, 2:-2]
     np.testing.assert_allclose((after.height - before.height)[middle], expected, rtol=0.03)
     np.testing.assert_allclose(after.elevation[middle], before.elevation[middle])
+
+
+def test_rise_along_the_flight_is_that_at_one_range() -> None:
+    """On ground that rises by t along the flight and by s away from it: t / (1 - s cot l), l the look angle."""
+    ahead, away = 0.3, np.tan(np.radians(25.0))
+    scene = profile([-40.0, 40.0], [40.0 * away, -40.0 * away])
+    truth, _, _ = truth_of(replace(scene, height=scene.height + ahead * scene.east))
+    np.testing.assert_allclose(truth.rise[0, 20:-20, 2:-2], ahead / (1 - away), rtol=0.03)

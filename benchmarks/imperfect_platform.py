@@ -25,7 +25,7 @@ from cyclopts import App, Parameter
 from scipy.constants import mile, speed_of_light
 
 from benchmarks.honest import Summary
-from benchmarks.honest_scenes import level
+from benchmarks.honest_scenes import fields, level
 from benchmarks.row import Row, load, medians, sized
 from benchmarks.spread import in_processes
 from sal_height.elevation import ESTIMATORS
@@ -120,6 +120,9 @@ def _cases() -> Iterator[Case]:
         name = f"all together, {cnr_db:g} dB"
         yield _case(name, 0.01, cnr_db=cnr_db, vibration=helicopter, laser_linewidth_hz=1e4)
     yield from _cars(helicopter)
+    for degrees in (0, 30):
+        name = f"fields of 5 dB that rise by {degrees} degrees along the flight"
+        yield replace(_case(name), scene=fields(np.radians(degrees)))
     yield from _strips()
     yield from _leaves()
     yield from _walls()

@@ -21,7 +21,7 @@ from sal_height.beams import Beams
 from sal_height.errors import Rejected, UserError
 from sal_height.imaging import Slc
 from sal_height.movers.drive import Drive, Drives
-from sal_height.movers.ground import ground_lag, lag_by_odometry
+from sal_height.movers.ground import ground_lag, spectra_of_image
 from sal_height.movers.mover import Looked, Mover, Sighting, mover_of, peak_of, without_ambiguities
 from sal_height.movers.search import Search, Seen
 from sal_height.movers.settings import MoverSettings
@@ -93,7 +93,7 @@ def find_movers(images: C64 | C128, beams: Beams, slc: Slc, sensor: Sensor, sett
     bins = Bins.of(slc, sensor, min(settings.chip_pixels, images.shape[-1] // 2 * 2))
     search, coarse = Search(images, beams, bins), Search(images, beams, bins, COARSE_STEP)
     whole = Bins.of(slc, sensor, images.shape[-1])
-    ground = ground_lag(images, beams, whole, search.lags, lag_by_odometry(slc, sensor))
+    ground = ground_lag(slc, sensor, search.lags, lambda: spectra_of_image(images, beams, whole, search.lags))
     walks = Walks.of(coarse, slc, sensor, settings.fastest_mps, ground[0])
     of_rows = Walks.of(Search(images, beams, whole, COARSE_STEP), slc, sensor, settings.fastest_mps, ground[0])
     drives = Drives.of(of_rows.search, slc, sensor)

@@ -103,17 +103,25 @@ class Track:
     drift: float
     seconds: float
 
-    def covers(self, other: Track, dwell: DwellImage) -> bool:
-        """Whether another that was found in a dwell is less sure, and is this one or in its pixel there."""
+    def covers(self, other: Track, dwells: Sequence[DwellImage]) -> bool:
+        """Whether another is less sure, and is this one or in its pixel in one of the dwells."""
         if other.mover.likelihood_ratio >= self.mover.likelihood_ratio:
             return False
         if len(without_ambiguities([self.mover, other.mover])) == 1:
             return True
+        return any(self._is_beside(other, dwell) for dwell in dwells)
+
+    def _is_beside(self, other: Track, dwell: DwellImage) -> bool:
+        """Whether the pixels of two tracks in a dwell are those of one target."""
+        (row, col), (other_row, other_col) = self._pixel(dwell), other._pixel(dwell)
+        cols, beside = dwell.steps // COLUMN_STEPS, abs(col - other_col)
+        return abs(row - other_row) <= SAME_ROWS and min(beside, cols - beside) <= MARGIN
+
+    def _pixel(self, dwell: DwellImage) -> tuple[float, float]:
+        """Row and column at which a dwell shows it."""
         later = dwell.seconds - self.seconds
         row, step = dwell.shows(self.place + self.drift * later * dwell.aperture.direction)
-        away = abs(row + self.rows * later - other.mover.row)
-        cols, beside = dwell.steps // COLUMN_STEPS, abs(step / COLUMN_STEPS - other.mover.col)
-        return away <= SAME_ROWS and min(beside, cols - beside) <= MARGIN
+        return row + self.rows * later, step / COLUMN_STEPS
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,11 +199,18 @@ class DwellMovers(Generic[Of]):
         shown, images = self._held[number], [self._held[other].image for other in group]
         return find_over_dwells(images, group.index(number), shown, self._settings)
 
+    def _is_covered(self, track: Track, number: int) -> bool:
+        """Whether what was found in another dwell covers a track of this one."""
+        for other, each in enumerate(self._found):
+            between = [held.image for held in self._held[min(other, number) : max(other, number) + 1]]
+            if other != number and any(rival.covers(track, between) for rival in each.tracks):
+                return True
+        return False
+
     def _tell(self) -> tuple[Of, Looked | None]:
         """What was found in the next dwell, without what others show better, or have told."""
-        number, dwell, found = self._told, self._held[self._told].image, self._found[self._told]
-        rivals = [one for other, each in enumerate(self._found) if other != number for one in each.tracks]
-        kept = [one for one in found.tracks if not any(rival.covers(one, dwell) for rival in rivals)]
+        number, found = self._told, self._found[self._told]
+        kept = [one for one in found.tracks if not self._is_covered(one, number)]
         self._found[number] = replace(found, tracks=kept)
         self._told += 1
         looked = replace(found.looked, movers=tuple(one.mover for one in kept)) if found.looked else None

@@ -26,7 +26,7 @@ from sal_height.imaging import Slc
 from sal_height.movers.dwell_images import DwellImage
 from sal_height.movers.dwell_likelihood import POWERS, told
 from sal_height.movers.dwell_lobes import Lobes
-from sal_height.movers.ground import lag_by_odometry, lag_of_spectra
+from sal_height.movers.ground import ground_lag
 from sal_height.movers.response import point_response
 from sal_height.movers.search import MODEL_ERROR
 from sal_height.movers.walk import LEAST_PART, REACH
@@ -126,13 +126,12 @@ class DwellPaths:
         depth = grid.row_spacing * float(grid.row_direction @ sight) / reach
         seconds = np.array([one.seconds - there.seconds for one in dwells])
         cells = abs(depth) / sensor.range_resolution
-        prior = lag_by_odometry(slc, sensor)
-        ground = 0.0, 0.0
-        if prior:
+        lags = lobes.squints[np.abs(lobes.squints) <= MOST_OFF * beams.track_beamwidth]
+
+        def spectra() -> tuple[F64, F64]:
             aspects = column_squint(grid, there.aperture, beams, sensor.look_side)
-            lags = lobes.squints[np.abs(lobes.squints) <= MOST_OFF * beams.track_beamwidth]
-            gains = beams.power(float(np.mean(beams.span)), aspects + lags[:, None])
-            ground = lag_of_spectra(there.power, gains, lags, prior)
+            return there.power, beams.power(float(np.mean(beams.span)), aspects + lags[:, None])
+
         return cls(
             dwells,
             middle,
@@ -145,7 +144,7 @@ class DwellPaths:
             slc.azimuth_window,
             reach,
             fastest,
-            ground,
+            ground_lag(slc, sensor, lags, spectra),
         )
 
     def driving(self, along: float, offsets: F64 | float = 0.0) -> Self:

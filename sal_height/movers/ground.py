@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.optimize import nnls
 from scipy.special import logsumexp
@@ -17,28 +19,39 @@ MEDIAN_ERROR = 1.25
 """Standard error of a median over that of a mean."""
 
 
-def ground_lag(images: C64 | C128, beams: Beams, bins: Bins, lags: F64, prior: float) -> tuple[float, float]:
-    """Lag of what stands still, rad, and its standard deviation: the mean over what spectra and odometry leave likely.
+def ground_lag(slc: Slc, sensor: Sensor, lags: F64, spectra: Callable[[], tuple[F64, F64]]) -> tuple[float, float]:
+    """Lag of what stands still, rad, and its standard deviation.
 
-    The spectra are the median over rows, each over its own mean, so that no target counts for much; they have the
-    beam's power over that of noise, which is unknown.
+    Where autofocus has found the middle of the beams, the image lies there, as well as autofocus states; the same echo
+    tells no more. Otherwise spectra and odometry tell, unless odometry is exact.
 
     Args:
-        images: of all channels.
-        beams: of the channels.
-        bins: of whole rows.
-        lags: that are looked for, rad.
-        prior: standard deviation of the lag by odometry, rad; 0: odometry is exact.
+        slc: the image.
+        sensor: that took it.
+        lags: that are looked for, rad, shape (lags,).
+        spectra: makes the power of rows in Doppler bins, shape (rows, bins), and the gains of the beam in these, shape
+            (lags, bins).
     """
-    if prior == 0:
-        return 0.0, 0.0
+    if slc.placement.beams_error:
+        return 0.0, slc.placement.beams_error / float(np.linalg.norm(slc.aperture.velocity))
+    prior = lag_by_odometry(slc, sensor)
+    return lag_of_spectra(*spectra(), lags, prior) if prior else (0.0, 0.0)
+
+
+def spectra_of_image(images: C64 | C128, beams: Beams, bins: Bins, lags: F64) -> tuple[F64, F64]:
+    """The power of rows of a strip's image, and the gains of the beam, for `ground_lag`."""
     power = np.sum(np.abs(bins.spectra(images * np.hanning(images.shape[-1]))) ** 2, axis=0)
     gains = np.sum(np.abs(bins.amplitudes(beams, float(np.mean(beams.span)), lags)) ** 2, axis=-1)
-    return lag_of_spectra(power, gains, lags, prior)
+    return power, gains
 
 
 def lag_of_spectra(power: F64, gains: F64, lags: F64, prior: float) -> tuple[float, float]:
-    """The same by the power of rows in Doppler bins, shape (rows, bins), and the beam's gains, shape (lags, bins)."""
+    """Mean and standard deviation of the lag, rad, over what spectra and odometry leave likely.
+
+    The spectra are the median over rows, each over its own mean, so that no target counts for much; they have the
+    beam's power over that of noise, which is unknown. Arguments as for `ground_lag`, and the standard deviation of the
+    lag by odometry, rad.
+    """
     power = power[np.all(power > 0, axis=-1)]
     if not len(power):
         return 0.0, prior

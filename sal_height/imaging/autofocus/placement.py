@@ -111,8 +111,8 @@ class Placement:
         centroid: from which these follow; None: it was not measured.
         by_beams: whether the image is in the middle of the beams, wherever its Doppler frequency is: what is left is an
             error of the attitude, not of the velocity.
-        beams_error: of a strip, standard error of the beams' middle in each of its images, as a velocity along the line
-            of sight, m/s; 0: it was not measured.
+        beams_error: standard error of the beams' middle in the image, of a strip in each of its images, as a velocity
+            along the line of sight, m/s; 0: it was not measured.
         own_error: the part of `speed_error` that other dwells do not share, m/s: errors of the odometry last longer.
     """
 
@@ -231,11 +231,14 @@ def place_image(focus: Focus, pulse_times: F64, wavelength: float, prior: Naviga
         return focus, placed_by_navigation(prior)
     pulses = len(pulse_times)
     of_a_radian = speed_of_a_radian(pulse_times, wavelength)
-    if not focus.is_smooth:
+    beams_error = of_a_radian * focus.trend_error
+    if focus.is_smooth:
+        centroid = centroid_of(focus, pulse_times, wavelength, prior)
+        placement = placed_by_centroid(centroid, prior, 2 * np.pi * of_a_radian)
+    else:
         centred = focus.phase + focus.trend * (np.arange(pulses) - (pulses - 1) / 2)
-        return replace(focus, phase=centred, trend=0.0), placed_by_beams(prior, of_a_radian * focus.trend_error)
-    centroid = centroid_of(focus, pulse_times, wavelength, prior)
-    return focus, placed_by_centroid(centroid, prior, 2 * np.pi * of_a_radian)
+        focus, placement = replace(focus, phase=centred, trend=0.0), placed_by_beams(prior, beams_error)
+    return focus, replace(placement, beams_error=beams_error)
 
 
 def centroid_of(focus: Focus, pulse_times: F64, wavelength: float, prior: NavigationPrior) -> Centroid:

@@ -22,6 +22,7 @@ from sal_height.elevation.extended import free_looks
 from sal_height.elevation.likelihood import ArraySettings, SinglePeaks, estimate_of, peaks_by_spectrum
 from sal_height.elevation.looks import Covariance, Looks
 from sal_height.elevation.single import PixelNoise
+from sal_height.elevation.two_channels import in_two_channels
 from sal_height.numeric import F64
 from sal_height.settings import setting
 
@@ -57,8 +58,10 @@ def capon_elevation(looks: Looks, beams: Beams, settings: CaponSettings) -> Elev
 
     peaks = peaks_by_spectrum(spectrum, looks, beams, settings)
     estimate = estimate_of(peaks, looks, beams, settings)
-    factor = deviation_factor(looks.count, beams, settings.loading) * misfit_factor(peaks, looks, beams, settings)
-    return estimate.with_sigma(estimate.sigma * factor)
+    estimate = estimate.with_sigma(estimate.sigma * deviation_factor(looks.count, beams, settings.loading))
+    if beams.count == 2:
+        return in_two_channels(estimate, peaks, looks, beams, settings)
+    return estimate.with_sigma(estimate.sigma * misfit_factor(peaks, looks, beams, settings))
 
 
 def misfit_factor(peaks: SinglePeaks, looks: Looks, beams: Beams, settings: CaponSettings) -> F64:

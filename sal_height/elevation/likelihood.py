@@ -46,8 +46,8 @@ AMBIGUOUS_RATIO = 100.0
 
 With detectors half a beamwidth apart and 5 dB or more in every look, less than 1 % of the otherwise valid pixels are
 ambiguous, and they include about half of those whose highest peak is a wrong one. Detectors farther apart than a
-beamwidth receive the same from several directions, which this ratio reveals. Two detectors always do; their pixels are
-never marked.
+beamwidth receive the same from several directions, which this ratio reveals. Two detectors always do; which of their
+pixels are AMBIGUOUS is the business of `two_channels`.
 """
 
 SAME_PEAK = 0.5  # beamwidths between the peaks of two objectives up to which they belong to the same scatterer
@@ -141,6 +141,12 @@ class SinglePeaks:
         noise = looks.receiver_noise
         return cls(elevation, lead / noise, explained / noise, array_power, turning, beside / noise, along / noise)
 
+    @classmethod
+    def alone(cls, elevation: F64, explained: F64, array_power: F64, turning: F64) -> Self:
+        """Scatterers beside which no other peak and no other scatterer was looked for."""
+        none = np.zeros_like(explained)
+        return cls(elevation, np.full_like(explained, np.inf), explained, array_power, turning, none, none)
+
     def over(self, noise: F64) -> Self:
         """The same with powers in units of `noise`, a power of every pixel in units of the receivers'."""
         powers = {name: getattr(self, name) / noise for name in ("lead", "explained", "beside", "along_slope")}
@@ -183,17 +189,8 @@ def highest_peaks_of(objective: Objective, looks: Looks, beams: Beams, settings:
     return SinglePeaks.found_by(find, objective, looks, beams)
 
 
-def estimate_by_spectrum(spectrum: Spectrum, looks: Looks, beams: Beams, settings: ArraySettings) -> ElevationEstimate:
-    """Elevation where the quadratic form of another spectrum is greatest; sigma and validity by the likelihood there.
-
-    A pixel is AMBIGUOUS where its likelihood is less than `ambiguous_ratio` times that of another peak. Errors are
-    those of `highest_peaks`.
-    """
-    return estimate_of(peaks_by_spectrum(spectrum, looks, beams, settings), looks, beams, settings)
-
-
 def peaks_by_spectrum(spectrum: Spectrum, looks: Looks, beams: Beams, settings: ArraySettings) -> SinglePeaks:
-    """Where another spectrum is greatest, and the likelihood there; arguments and errors of `estimate_by_spectrum`."""
+    """Where the quadratic form of another spectrum is greatest, and the likelihood there; errors of `highest_peaks`."""
 
     def find(search: PeakSearch, pixels: Covariance, here: Pixels) -> F64:
         found = search.peaks(spectrum(pixels, looks.count[here])).elevation

@@ -9,6 +9,7 @@ from sal_height.elevation.likelihood import OBJECTIVES, estimate_of, highest_pea
 from sal_height.elevation.looks import Looks
 from sal_height.elevation.single import LayoverSettings
 from sal_height.elevation.spatial_prior import RECOMMENDED_STRENGTH, smoothed_peaks
+from sal_height.elevation.two_channels import in_two_channels
 from sal_height.settings import setting
 
 
@@ -49,6 +50,6 @@ def ml_elevation(looks: Looks, beams: Beams, settings: MlSettings) -> ElevationE
         # Without layover nobody asks what one more scatterer would explain.
         peaks = highest_peaks_of(OBJECTIVES[settings.objective], looks, beams, settings)
     estimate = estimate_of(peaks, looks, beams, settings)
-    if settings.layover and beams.count > 2:
-        estimate = resolve(estimate, peaks, looks, beams, settings)
-    return estimate
+    if beams.count == 2:
+        return in_two_channels(estimate, peaks, looks, beams, settings)
+    return resolve(estimate, peaks, looks, beams, settings) if settings.layover else estimate

@@ -12,8 +12,9 @@ import numpy as np
 
 from sal_height.beams import Beams
 from sal_height.elevation.estimate import ElevationEstimate
-from sal_height.elevation.likelihood import ArraySettings, estimate_by_spectrum
+from sal_height.elevation.likelihood import ArraySettings, estimate_of, peaks_by_spectrum
 from sal_height.elevation.looks import Covariance, Looks
+from sal_height.elevation.two_channels import in_two_channels
 from sal_height.errors import UserError
 from sal_height.numeric import F64
 from sal_height.sensor import MAX_DETECTORS
@@ -46,5 +47,7 @@ def music_elevation(looks: Looks, beams: Beams, settings: MusicSettings) -> Elev
         signal = np.linalg.eigh(covariance)[1][:, :, -order:]
         return signal @ np.swapaxes(signal.conj(), 1, 2)
 
-    estimate = estimate_by_spectrum(spectrum, looks, beams, settings)
-    return estimate.with_sigma(estimate.sigma / np.sqrt(1 - (order - 1) / (count - 1)))
+    peaks = peaks_by_spectrum(spectrum, looks, beams, settings)
+    estimate = estimate_of(peaks, looks, beams, settings)
+    estimate = estimate.with_sigma(estimate.sigma / np.sqrt(1 - (order - 1) / (count - 1)))
+    return in_two_channels(estimate, peaks, looks, beams, settings) if count == 2 else estimate

@@ -208,7 +208,8 @@ class Preset(StrictKeys):
         s = self.sensor
         azimuth_diameter = s.azimuth_aperture_m or s.aperture_m
         beamwidths = s.beamwidth_rad, s.wavelength_m / azimuth_diameter
-        tables = () if s.pattern in PATTERNS else read_beam_tables(Path(s.pattern), *beamwidths)
+        file = SHIPPED / s.pattern if (SHIPPED / s.pattern).is_file() else Path(s.pattern)
+        tables = () if s.pattern in PATTERNS else read_beam_tables(file, *beamwidths)
         steps = np.arange(s.detectors) - (s.detectors - 1) / 2
         boresights = self.flight.look_angle_rad + steps * s.pitch_beamwidths * s.beamwidth_rad
         matrix, in_antenna, noise_power = _channels(s)
@@ -267,7 +268,9 @@ def preset_names() -> list[str]:
 
 
 def load_preset(name_or_path: str) -> Preset:
-    """The preset of that name (`preset_names`), or the one in that YAML file; a file of beams by its absolute path.
+    """The preset of that name (`preset_names`), or the one in that YAML file.
+
+    A file of beams has its absolute path; one that comes with the package has its name, which holds on other machines.
 
     Raises:
         UserError: no such preset, not YAML, or a key that is missing, unknown or has a value out of its range.
@@ -277,9 +280,9 @@ def load_preset(name_or_path: str) -> Preset:
     content = read_yaml(path, f"Preset {name_or_path}", unreadable)
     preset = parse_preset(content, name_or_path)
     pattern = preset.sensor.pattern
-    if pattern not in PATTERNS:
-        beside = path.parent / pattern
-        pattern = str((beside if beside.is_file() else Path(pattern)).absolute())
+    found = [place for place in (path.parent / pattern, Path(pattern)) if place.is_file()]
+    if pattern not in PATTERNS and path.parent != SHIPPED and found:
+        pattern = str(found[0].absolute())
     return replace(preset, sensor=replace(preset.sensor, pattern=pattern))
 
 

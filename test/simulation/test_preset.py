@@ -247,6 +247,15 @@ def test_file_of_beams_is_found_beside_the_preset_or_from_the_working_directory(
     assert load_preset(str(preset)).sensor.pattern == str(file)
 
 
+def test_file_of_beams_of_the_package_has_no_path_that_other_machines_do_not_have(tmp_path: Path) -> None:
+    preset = load_preset("xband_sumdiff")
+    assert preset.sensor.pattern == "xband_sumdiff_beam.csv"
+    copied = tmp_path / "mine.yaml"
+    copied.write_text(yaml.safe_dump(json.loads(json.dumps(asdict(preset)))))
+    assert load_preset(str(copied)) == preset
+    assert load_preset(str(copied)).make_sensor() == preset.make_sensor()
+
+
 def all_keys(content: dict[str, Any], prefix: str = "") -> list[str]:
     keys = []
     for key, value in content.items():

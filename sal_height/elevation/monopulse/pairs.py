@@ -11,7 +11,7 @@ import numpy as np
 
 from sal_height.beams import Beams
 from sal_height.elevation.estimate import ElevationEstimate, Validity, array_fit, decide_validity
-from sal_height.elevation.likelihood import OBJECTIVES, search_guard
+from sal_height.elevation.likelihood import OBJECTIVES, SinglePeaks, search_guard
 from sal_height.elevation.looks import Covariance, Looks
 from sal_height.elevation.monopulse._kernels import find_strongest_pairs
 from sal_height.elevation.monopulse.estimators import (
@@ -25,6 +25,7 @@ from sal_height.elevation.monopulse.inverse_table import invert_pairs
 from sal_height.elevation.monopulse.inversion import UNPAIRED
 from sal_height.elevation.search import PIXELS_AT_ONCE, PeakSearch, PeakSearches, Pixels
 from sal_height.elevation.settings import HeightSettings
+from sal_height.elevation.two_channels import in_two_channels
 from sal_height.errors import Rejected
 from sal_height.numeric import F64, Index, in_parallel
 from sal_height.settings import setting
@@ -73,26 +74,30 @@ def monopulse_elevation(looks: Looks, beams: Beams, settings: MonopulseSettings)
     first, last = beams.span
 
     def compare(search: PeakSearch, pixels: Covariance, here: Pixels) -> F64:
-        """What the whole array says: the power that `found` explains, |a|^2 there, and whether a peak beyond it wins.
+        """What the whole array says: the `PeakSearch.fit` of `found`, and whether a peak beyond it wins.
 
         That is 1 where the highest peak is beyond the boresights and explains more by OUTSIDE_MARGIN.
         """
-        explained, gain, _ = search.fit(pixels, found.elevation[here])
+        explained, gain, turning = search.fit(pixels, found.elevation[here])
         least, wins = explained + OUTSIDE_MARGIN * looks.receiver_noise, np.zeros(len(pixels))
         some = search.may_peak_beyond(pixels, beams.span, least)
         best = search.of(some).peaks(pixels[some])
         wins[some] = ((best.elevation < first) | (best.elevation > last)) & (best.height > least[some])
-        return np.stack([explained, gain, wins])
+        return np.stack([explained, gain, turning, wins])
 
     searches = PeakSearches.over(beams, OBJECTIVES["normalised"], search_guard(beams))
-    explained, gain, outside = searches.of_pixels(looks, 3, compare)
+    explained, gain, turning, outside = searches.of_pixels(looks, 4, compare)
     explained = explained / looks.receiver_noise
     inside = (found.elevation >= first) & (found.elevation <= last)
     fit, strong = array_fit(looks, explained, gain, beams.uncertainty), cnr >= settings.min_cnr
     validity = decide_validity(looks, fit, strong, inside, Validity.OUTSIDE_ARRAY, settings)
     validity[(validity == Validity.OK) & (outside > 0)] = Validity.OUTSIDE_ARRAY
     validity[UNPAIRED[found.reason] & looks.finite] = Validity.OUTSIDE_PAIR
-    return ElevationEstimate.of_one(found.elevation, sigma, cnr, validity)
+    estimate = ElevationEstimate.of_one(found.elevation, sigma, cnr, validity)
+    if beams.count > 2:
+        return estimate
+    peaks = SinglePeaks.alone(found.elevation, explained, gain, turning)
+    return in_two_channels(estimate, peaks, looks, beams, settings)
 
 
 def strongest_pairs(looks: Looks) -> tuple[Index, Products]:

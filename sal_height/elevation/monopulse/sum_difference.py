@@ -23,6 +23,7 @@ from pydantic import field_validator, model_validator
 
 from sal_height.beams import Beams
 from sal_height.elevation.estimate import ElevationEstimate, Fit, Validity, decide_validity, detection_limit
+from sal_height.elevation.likelihood import SinglePeaks
 from sal_height.elevation.looks import Looks
 from sal_height.elevation.monopulse.estimators import (
     DISCRIMINANTS,
@@ -36,6 +37,7 @@ from sal_height.elevation.monopulse.inverse_table import invert_pairs
 from sal_height.elevation.monopulse.inversion import UNPAIRED, PairElevation, invert_linear
 from sal_height.elevation.monopulse.slope_table import SlopeTable, read_slope_table
 from sal_height.elevation.settings import HeightSettings
+from sal_height.elevation.two_channels import in_two_channels
 from sal_height.errors import UserError
 from sal_height.numeric import F64
 from sal_height.settings import setting
@@ -123,14 +125,20 @@ def sum_difference_elevation(looks: Looks, pair: Beams, settings: SumDifferenceS
     inverse = _by_slope_table(settings.slope_table) if settings.slope_table else INVERSES[settings.inverse]
     found = inverse(pair, gamma, looks.squint)
     sigma, cnr = accuracy(sums, found, noise_powers, pair.uncertainty)
-    explained, left = _eigenvalues(whitened_products(sums, noise_powers)[0]) / noise_powers[0]
+    even, scale = whitened_products(sums, noise_powers)
+    explained, left = _eigenvalues(even) / noise_powers[0]
     # K amplitudes and one complex gamma are estimated.
     fit = Fit(explained, left, looks.count - 1, directions=2, leaked=looks.leaked)
     outside = UNPAIRED[found.reason]
     in_sum = sums.sum_power / noise_powers[0] >= detection_limit(looks, 1, settings)
     strong = in_sum & (cnr >= settings.min_cnr) | outside
     validity = decide_validity(looks, fit, strong, ~outside, Validity.OUTSIDE_PAIR, settings)
-    return ElevationEstimate.of_one(found.elevation, sigma, cnr, validity)
+    estimate = ElevationEstimate.of_one(found.elevation, sigma, cnr, validity)
+    # Whitened, Sigma and Delta are cos and sin of an angle that turns with elevation.
+    across = 1 + (scale * found.modulus) ** 2
+    turning = (scale * found.slope / across) ** 2
+    peaks = SinglePeaks.alone(found.elevation, explained, found.sum_gain * across / 2, turning)
+    return in_two_channels(estimate, peaks, looks, pair, settings)
 
 
 def _eigenvalues(sums: Products) -> F64:

@@ -18,7 +18,7 @@ from sal_height.runs.processes import ONE_THREAD
 from sal_height.runs.sensor_bag import record_sensor
 from sal_height.simulation import load_preset
 
-PRESET, DWELLS, COPIES = sized(("sal_spotlight", 60, 16), ("small", 2, 2))
+PRESET, DWELLS, COPIES = sized(("sal_spotlight", 60, 16), ("small", 1, 2))
 """A bag is processed so many times, under another name each time."""
 
 TASKS = sized(2000, 10)

@@ -1,7 +1,12 @@
-"""Whether a graph works on after one of its nodes was killed, at a rate at which its shared memory fills meanwhile."""
+"""Whether a graph works on after one of its nodes was killed, at a rate at which its shared memory fills meanwhile.
+
+`python -m benchmarks.killed_stage watch RESULT` runs the graph, in a process that begins as `sal-height live` does, and
+writes what was seen to the file RESULT. With `kill PROCESS`, it is the program that kills a node.
+"""
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -18,6 +23,7 @@ from benchmarks.row import Row, load, sized
 from sal_height.nodes.graph import Graph
 from sal_height.runs.conductor import Execution
 from sal_height.runs.live import Live, live
+from sal_height.runs.processes import ONE_THREAD
 from sal_height.runs.sensor_bag import Feed, record_sensor
 from sal_height.simulation import load_preset
 
@@ -59,7 +65,7 @@ class _Kills:
         self.heights.append((now, len(watched.latencies_s["ml/height"])))
         due_s = FIRST_S + EVERY_S * number
         if self._killer is None and number < KILLS and now >= due_s:
-            words = [sys.executable, "-m", __name__, str(watched.book.entries[KILLED].account.count("pid"))]
+            words = [sys.executable, "-m", __name__, "kill", str(watched.book.entries[KILLED].account.count("pid"))]
             self._killer = subprocess.Popen(words)  # noqa: S603 (our own module)
         elif self._killer and self._killer.poll() is not None:
             self._killer = None
@@ -76,24 +82,34 @@ class _Kills:
 
 def killed_stage() -> Iterator[Row]:
     """The kill after which fewest heights come counts."""
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(temporary)
-        bag = record_sensor(load_preset(PRESET), 1, folder / "sensor")
-        rate = RATE or SHARE * (highest_rate(lambda tried: watch(bag, tried, SEARCH_S), FIRST_GUESS)[0] or LEAST_RATE)
-        kills = _Kills()
-        how = Live(rate, FIRST_S + EVERY_S * KILLS + BACK_S, supervised=True)
-        watched = live(Feed.of_bag(bag), folder / "live", {}, how, Execution(processes=True), kills.show)
-    heights_hz = list(kills.counted())
+    with tempfile.TemporaryDirectory() as folder:
+        result = Path(folder, "seen.json")
+        command = [sys.executable, "-m", __name__, "watch", str(result)]
+        subprocess.run(command, check=True, env=ONE_THREAD | os.environ)  # noqa: S603 (our own module)
+        seen = json.loads(result.read_text(encoding="utf-8"))
+    rate, offered_hz, heights_hz = seen["rate"], seen["offered_hz"], seen["heights_hz"]
     yield Row(
         "heights after the compression was killed and started again",
-        100 * min(heights_hz) / watched.offered_hz,
+        100 * min(heights_hz) / offered_hz,
         "% of dwells",
         ">= 95",
-        f"{PRESET} at {rate:.2g} of its pace, {watched.offered_hz:.1f} dwells/s; the fewest, from {BACK_S:g} to "
+        f"{PRESET} at {rate:.2g} of its pace, {offered_hz:.1f} dwells/s; the fewest, from {BACK_S:g} to "
         f"{BACK_S + SEEN_S:g} s after each of {KILLS} kills: "
         + ", ".join(f"{hz:.1f}" for hz in heights_hz)
         + f"; {load()}",
     )
+
+
+def _watch(result: Path) -> None:
+    """Run a graph whose compression is killed again and again."""
+    folder = result.parent
+    bag = record_sensor(load_preset(PRESET), 1, folder / "sensor")
+    rate = RATE or SHARE * (highest_rate(lambda tried: watch(bag, tried, SEARCH_S), FIRST_GUESS)[0] or LEAST_RATE)
+    kills = _Kills()
+    how = Live(rate, FIRST_S + EVERY_S * KILLS + BACK_S, supervised=True)
+    watched = live(Feed.of_bag(bag), folder / "live", {}, how, Execution(processes=True), kills.show)
+    seen = {"rate": rate, "offered_hz": watched.offered_hz, "heights_hz": list(kills.counted())}
+    result.write_text(json.dumps(seen), encoding="utf-8")
 
 
 def _pass_and_kill(process: int) -> None:
@@ -106,4 +122,7 @@ def _pass_and_kill(process: int) -> None:
 
 
 if __name__ == "__main__":
-    _pass_and_kill(int(sys.argv[1]))
+    if sys.argv[1] == "watch":
+        _watch(Path(sys.argv[2]))
+    else:
+        _pass_and_kill(int(sys.argv[2]))

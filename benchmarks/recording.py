@@ -57,6 +57,9 @@ RATE_MB_S, RECORDED_S, SETTLED_S = sized((200.0, 60.0, 10.0), (1.0, 1.0, 0.5))
 DWELLS = sized(40, 3)
 """Dwells that are replayed."""
 
+WAYS = sized(("processes", "one process"), ("one process",))
+"""How they are replayed: each node in a process of its own, and all in one."""
+
 
 def over_mcap() -> Iterator[Row]:
     """Writing and reading a bag over the same by the mcap package, the data in the page cache."""
@@ -113,7 +116,7 @@ def lockstep_over_core() -> Iterator[Row]:
             nodes = suited(sensor, ())
             stages, values = ["sar_compression", *nodes, TRACKER], merged(consumers(nodes), recorded_parameters(reader))
             core_s = 1 / core_rate_hz(Playlist.of_bag(reader, math.inf), sensor, stages, values, 1)
-            for how in ("processes", "one process"):
+            for how in WAYS:
                 outcome = replay(bag, Path(folder) / how, {}, Execution(processes=how == "processes")).outcome
                 replay_s = outcome.elapsed_s / outcome.dwells
                 yield Row(

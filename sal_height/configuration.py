@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -74,9 +75,16 @@ def validated(kind: type[T], content: Any, source: str) -> T:
         UserError: a key that is missing, unknown or out of its range: the first one found.
     """
     try:
-        return TypeAdapter(kind).validate_python(content)
+        made: T = _adapter(kind).validate_python(content)  # type: ignore[arg-type]  # a class has a hash
     except ValidationError as error:
         raise UserError(f"{source}: {_refusal(error)}.") from error
+    return made
+
+
+@cache
+def _adapter(kind: type[Any]) -> TypeAdapter[Any]:
+    """Making one takes longer than many validations."""
+    return TypeAdapter(kind)
 
 
 def _refusal(error: ValidationError) -> str:

@@ -26,7 +26,8 @@ def load_scene(name_or_path: str, extent: float = 0.0) -> Scene:
         UserError: no such scene, a file that cannot be used, or an extent below 0.
     """
     if name_or_path in SCENES:
-        return replace(SCENES[name_or_path](), extent=extent)
+        scene = SCENES[name_or_path]()
+        return replace(scene, extent=extent) if extent else scene
     if not os.path.isfile(name_or_path):  # noqa: PTH113 (Path raises for a name that no file can have)
         raise UserError(
             f"Scene {name_or_path!r} is neither a file nor one of {', '.join(SCENES)}; "
@@ -48,7 +49,7 @@ def street(length: float = 60.0) -> Scene:
     brightness = np.ones_like(height)
 
     def block(west: float, east_end: float, south: float, north_end: float, top: float, bright: float) -> None:
-        cells = np.ix_((north >= south) & (north < north_end), (east >= west) & (east < east_end))
+        cells = slice(*np.searchsorted(north, (south, north_end))), slice(*np.searchsorted(east, (west, east_end)))
         height[cells] = top
         brightness[cells] = bright
 

@@ -14,7 +14,7 @@ from sal_height.numeric import F64
 from sal_height.simulation import load_preset
 from sal_height.simulation.scenes import load_scene
 
-SENSOR = load_preset("sal_strips").make_sensor()
+SENSOR, STREET = load_preset("sal_strips").make_sensor(), load_scene("street")
 SPACING, COLS, RANGE_M, HEIGHT_M = 0.1, 6, 3.2, 3500.0
 """Pixels on the ground and columns of an image, width of the strip, and height of the flight."""
 
@@ -72,7 +72,7 @@ def _seen(begin_m: float, sight: float) -> F64:
     """What is not in the shadow of what is nearer, under 45 degrees; shape (points, 3)."""
     east = begin_m + SPACING * (np.arange(COLS) + 0.5)
     north = sight * np.arange(RANGE_M / 2, -RANGE_M / 2, -SPACING / 2)
-    height = load_scene("street").heights(*np.meshgrid(east, north))
+    height = STREET.heights(*np.meshgrid(east, north))
     rays = height + np.abs(north - north[0])[:, None]
     lit = rays >= np.maximum.accumulate(rays, axis=0)
     rows, cols = np.nonzero(lit[::2])

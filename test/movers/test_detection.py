@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -34,6 +35,7 @@ def drifted(states: list[PlatformState], away: float) -> list[PlatformState]:
     ]
 
 
+@cache
 def strip(seed: int, *points: PointScatterer, dwells: int = 4, wrong: float = 0.0) -> tuple[SimulatedFlight, list[Slc]]:
     """The street of sal_stripmap with other targets, and its images by odometry with a wrong velocity (m/s)."""
     preset = replace(load_preset("sal_stripmap"), dwells=dwells)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import made_offline
 import pytest
+import separate_processes
 from air_messages import air_at
 from chain_fixture import Chain
 from helpers import assert_one_sentence, make_sensor
@@ -104,8 +105,11 @@ def test_each_dwell_had_its_air(flown: Path) -> None:
 
 @pytest.mark.parametrize("processes", [False, True])
 def test_a_replay_makes_the_same_heights_and_keeps_the_air(flown: Path, tmp_path: Path, processes: bool) -> None:
-    result = replay(flown, tmp_path / "out", {}, Execution(processes=processes), estimators=["ml", "monopulse"])
-    assert verdicts(result) == all_equal(3)
+    if processes:
+        report = separate_processes.replayed(flown, tmp_path / "out", "--estimators", "ml,monopulse")
+        assert separate_processes.verdicts(report) == all_equal(3)
+    else:
+        assert verdicts(replay(flown, tmp_path / "out", {}, estimators=["ml", "monopulse"])) == all_equal(3)
     made = tmp_path / "out" / "bag"
     assert celsius_of(made) == list(CELSIUS)
     before, after = ([one.cdr for one in BagReader(bag).messages([AIR[1]])] for bag in (flown, made))

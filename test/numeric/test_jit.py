@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import logging
 import math
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -17,13 +18,18 @@ from sal_height.numeric import F64, jit
 PACKAGE = Path(jit.__file__).parents[1]
 
 
+@cache
+def all_functions() -> list[ast.FunctionDef]:
+    """Those of the package."""
+    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in sorted(PACKAGE.rglob("*.py"))]
+    return [node for tree in trees for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
+
+
 def compiled_functions(*marks: str) -> list[ast.FunctionDef]:
     """All functions of the package that have one of these decorators."""
-    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in sorted(PACKAGE.rglob("*.py"))]
-    functions = [node for tree in trees for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
     return [
         function
-        for function in functions
+        for function in all_functions()
         if any(isinstance(mark, ast.Name) and mark.id in marks for mark in function.decorator_list)
     ]
 

@@ -6,6 +6,7 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
+import separate_processes
 from helpers import make_sensor
 from rewritten_bag import rewritten
 
@@ -14,7 +15,7 @@ from sal_height.bag.reader import BagReader
 from sal_height.nodes.account import Account
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.stage import FRAMES_QOS
-from sal_height.runs.conductor import Conductor, Execution, Plan
+from sal_height.runs.conductor import Conductor, Plan
 from sal_height.runs.lead import IN_STEP, MOST_AHEAD, Lead, lead_of
 from sal_height.runs.replay import replay
 from sal_height.runs.sensor_bag import record_sensor
@@ -78,10 +79,10 @@ def test_a_dwell_that_waits_for_a_frame_is_not_overtaken(two_dwells: Preset, tmp
         tmp_path / "lacking",
         lambda message, number: None if (message.topic, number) == ("/phase_history", 2 * CHANNELS + 3) else message,
     )
-    proceed = {"sar_compression": {"missing_channels": "proceed", "timeout_s": 1.0}}
+    proceed = {"missing_channels": "proceed", "timeout_s": 1.0}
     made = [tmp_path / name for name in ("in_step", "ahead")]
-    for folder, processes in zip(made, (False, True), strict=True):
-        assert not replay(bag, folder, proceed, Execution(processes)).outcome.losses
+    assert not replay(bag, made[0], {"sar_compression": proceed}).outcome.losses
+    separate_processes.replayed(bag, made[1], *(f"--param=sar_compression.{name}={proceed[name]}" for name in proceed))
     bags = [BagReader(folder / "bag") for folder in made]
     compared = compare_bags(*bags, topics=HEIGHTS)
     assert {topic: (one.verdict, one.matched) for topic, one in compared.items()} == dict.fromkeys(HEIGHTS, (EQUAL, 9))

@@ -232,7 +232,7 @@ def test_a_replay_that_drops_everything_says_that_all_is_missing(
 ) -> None:
     """Without odometry no frame can be focused."""
     messages = [m for m in BagReader(recorded / "bag").messages() if m.topic != "/platform/odometry"]
-    parameters = json.dumps({"sar_compression": {"timeout_s": 0.5}})
+    parameters = json.dumps({"sar_compression": {"timeout_s": 0.2}})
     without = copy_of(recorded / "bag", tmp_path / "without", messages, {"parameters": parameters})
     out = tmp_path / "replay"
     compared = replay(without, out, {}).compared
@@ -244,7 +244,7 @@ def test_a_replay_that_drops_everything_says_that_all_is_missing(
     report = json.loads((out / "report.json").read_text())
     assert report["comparison"]["topics"]["/ml/height"]["missing"] == 2
     assert report["stages"]["sar_compression"]["dropped"] == {"odometry gap": 16}
-    changed = ["--param", "sar_compression.timeout_s=0.6"]
+    changed = ["--param", "sar_compression.timeout_s=0.25"]
     assert main(["replay", str(without), "--out", str(tmp_path / "changed"), *changed]) == 1
     said = capsys.readouterr()
     for sentence in (

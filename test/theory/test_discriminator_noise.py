@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from helpers import assert_one_sentence, circular, elevation_at, make_beams
 from scipy import stats
 from scipy.integrate import quad
+from scipy.special import ndtr
 
 from sal_height.errors import UserError
 from sal_height.theory.discriminator_noise import (
@@ -83,21 +85,22 @@ def test_steady_looks_lie_between_one_look_and_very_many() -> None:
 def test_law_of_a_fluctuating_target_is_that_of_its_regression(kappa: float, cnr: float, looks: int) -> None:
     """Given the power of Sigma, of a Gamma law, mu is normal: its distribution and spread by quadrature over that."""
     law = gaussian_law(kappa, cnr, looks)
-    residual = 1 + kappa**2 * cnr / (cnr + 1)
-    power = stats.gamma(looks, scale=cnr + 1)
+    residual, scale = 1 + kappa**2 * cnr / (cnr + 1), cnr + 1
+    mean, reach = float(law.mean()), stats.gamma(looks, scale=scale).isf(1e-13)
+
+    def density(p: float) -> float:
+        return (p / scale) ** (looks - 1) * math.exp(-p / scale) / (scale * math.gamma(looks))
+
     for share in (0.02, 0.16, 0.6, 0.99):
         mu = law.ppf(share)
         assert law.cdf(mu) == pytest.approx(share, abs=1e-12)
 
         def below(p: float, mu: float = float(mu)) -> float:
-            return float(stats.norm.cdf(mu, law.mean(), np.sqrt(residual / 2 / p)))
+            return float(ndtr((mu - mean) * math.sqrt(2 * p / residual)))
 
-        reach = power.isf(1e-13)
-        integral = quad(lambda p: below(p) * power.pdf(p), 0, reach, epsabs=1e-12, epsrel=1e-12, limit=500)[0]
+        integral = quad(lambda p: below(p) * density(p), 0, reach, epsabs=1e-12, epsrel=1e-12, limit=500)[0]
         assert integral == pytest.approx(share, abs=1e-9)
-    variance = (
-        quad(lambda p: residual / 2 / p * power.pdf(p), 0, np.inf, epsrel=1e-11, limit=500)[0] if looks > 1 else 0
-    )
+    variance = quad(lambda p: residual / 2 / p * density(p), 0, np.inf, epsrel=1e-11, limit=500)[0] if looks > 1 else 0
     assert law.std() == (pytest.approx(np.sqrt(variance), rel=1e-8) if looks > 1 else np.inf)
     assert quad(law.pdf, law.mean(), mu)[0] == pytest.approx(0.99 - 0.5, abs=1e-9)
 

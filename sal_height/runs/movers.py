@@ -136,6 +136,11 @@ def find_in_bag(
         if not looking.images:
             raise UserError(f"Bag {bag} has no image in which movers could be looked for. {' '.join(warnings[:1])}")
         candidates = sum(one.candidates for one in looking.images)
+        if not candidates:
+            warnings.append(
+                f"No pixel is {settings.prominence_db:g} dB brighter than what is around it, so none was looked at; "
+                "set prominence_db to less."
+            )
         report |= {
             "images": len(looking.images),
             "candidates": candidates,

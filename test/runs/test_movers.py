@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from helpers import assert_one_sentence
 
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
@@ -52,10 +53,13 @@ def test_a_mover_over_spotlight_dwells_is_in_the_report(tmp_path: Path) -> None:
     assert report["images"] == found.images == 5
 
 
-def test_a_bag_whose_dwells_tell_no_movers_is_refused(tmp_path: Path) -> None:
+def test_a_bag_whose_dwells_tell_no_movers_is_refused_and_of_what_is_dim_a_sentence_tells(tmp_path: Path) -> None:
     bag = recorded(tmp_path / "bag", "small", dwells=1)
     with pytest.raises(UserError, match="overlaps with none"):
         find_in_bag(bag, tmp_path / "out")
+    told = find_in_bag(recorded(tmp_path / "two", "small", dwells=2), tmp_path / "dim", wanted={"prominence_db": 60.0})
+    assert told.candidates == 0
+    assert_one_sentence(told.warnings[-1], "60 dB", "prominence_db")
     with pytest.raises(UserError, match=r"12 columns; .* 48 columns"):
         find_in_bag(bag, tmp_path / "narrow", given={"sar_compression": {"cols": 12}})
 

@@ -171,8 +171,8 @@ def find_trend(
     """Phase from pulse to pulse by which the echoes are off the middle of the beam, and its standard error, rad.
 
     The likelihood of `phase` and a trend s, s t: a sum over the lags d between pulses of exp(-j s d) times what the
-    responses say of them. Its error is by ground of uneven brightness (`uneven_trend`), which moves the maximum more
-    than speckle does.
+    responses say of them. Its error is that by ground of uneven brightness (`uneven_trend`), which moves the maximum
+    more than speckle does.
 
     Args:
         modes: responses, shape (responses, pulses), in the order of their range cells.

@@ -93,11 +93,15 @@ def _level_cases() -> Iterator[Case]:
         yield Case(f"level {cnr} dB rectangular range window", level, cnr, range_window="rectangular")
     yield from (Case(f"level {pattern}", level, pattern=pattern) for pattern in ("gaussian", "sinc"))
     yield Case("level finite detectors", level, size=(0.5, 0.5))
-    yield from (Case(f"level {detectors} detectors", level, detectors=detectors) for detectors in (8, 32))
+    yield from (Case(f"level {detectors} detectors", level, detectors=detectors) for detectors in (2, 8, 32))
 
 
 def _relief_cases() -> Iterator[Case]:
     """Slopes, rough ground, layover and shadow."""
+    for size in (0.5, 1.0, -1.0, 3.0):
+        yield Case(f"step {size:+.1f} beamwidths 2 detectors", partial(scenes.step, size), detectors=2)
+    yield Case("slope +20 deg 2 detectors", partial(scenes.slope, np.radians(20)), detectors=2)
+    yield Case("roofs 2 detectors", scenes.roofs, detectors=2)
     for angle in (-40, -30, -20, -10, 10, 20, 30, 40):
         yield Case(f"slope {angle:+d} deg", partial(scenes.slope, np.radians(angle)))
     yield from (Case(name, scenes.SCENES[name]) for name in ("roofs", "rubble", "forest", "canopy"))

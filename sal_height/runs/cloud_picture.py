@@ -39,7 +39,7 @@ def draw_cloud(estimator: str, surfaces: PublishedErrors, preset: Preset, path: 
     height = surfaces.place[:, 2]
     scales = (
         (height, Normalize(*np.percentile(height, [0.5, 99.5])), HEIGHTS, "height above the reference sphere (m)"),
-        (surfaces.sigma, log_norm(surfaces.sigma), SIGMAS, "sigma of height (m)"),
+        (surfaces.sigma, log_norm(surfaces.sigma), SIGMAS, "sigma (m)"),
     )
     with page(path, 0.9 + VIEW_WIDTH * ratio) as figure:
         for axis, (values, norm, colours, label) in zip(figure.subplots(1, 2), scales, strict=True):

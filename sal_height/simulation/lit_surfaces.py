@@ -119,8 +119,9 @@ def lit_surfaces(
     mean = total(weight * elevation) / power
     spread = np.sqrt(total(weight * (elevation - mean[label]) ** 2) / power)
     height = total(weight * surface.heights[scatterer]) / power
-    middle = np.stack([total(weight * part) for part in places[scatterer].T], axis=-1) / power[:, None]
-    off = places[scatterer] - middle[label]
+    place = places[scatterer]
+    middle = np.stack([total(weight * part) for part in place.T], axis=-1) / power[:, None]
+    off = place - middle[label]
     slope, reach = _plane(off, surface.heights[scatterer] - height[label], weight, label)
     if seen is not None:
         asked = np.stack(_places(seen, aperture, grid), axis=-1).reshape(-1, 2)[pixel[begins]]

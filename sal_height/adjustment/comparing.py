@@ -190,8 +190,7 @@ class _Met:
         """Whether the images overlap wherever they may lie, or are seen to show the same ground."""
         if self.chain is None or found.everywhere >= SURELY_MET:
             return True
-        points, other = part.points.moved(-self.since), self.chain
-        return evidence(points, part.rarity, other.points, other.rarity, found.shift) >= SURE
+        return evidence(part.points.moved(-self.since), part.rarity, self.chain.points, found.shift) >= SURE
 
     def is_clear(self, found: Match, part: Chain) -> bool:
         """Whether enough of a strip meets it, not farther off than may be."""

@@ -21,7 +21,7 @@ def seen(west: float, seed: int, ends: tuple[float, ...], long: float = 2.0) -> 
 
 
 def told(one: Points, other: Points, shift_m: float) -> float:
-    return evidence(one, Rarity.of(one), other, Rarity.of(other), np.array([shift_m, 0.0, 0.0]))
+    return evidence(one, Rarity.of(one), other, np.array([shift_m, 0.0, 0.0]))
 
 
 def test_a_street_without_ends_tells_nothing() -> None:

@@ -19,8 +19,9 @@ from sal_height.numeric import F64
 from sal_height.simulation.preset import TargetSettings
 
 SETTINGS = AdjustmentSettings(boresight_sigma_rad=3e-5, lever_arm_sigma_m=0.01, jitter_rad=1e-7)
-HALF = 8
-"""Of the 15 dwells: it begins with the last one of a pass, and most of its ground has been seen three times."""
+RECOGNISED_M = 0.2
+"""Standard deviation of a height below which a dwell has been recognised: alone it is known to .29 m, with others to
+.14 m."""
 
 
 @dataclass(frozen=True)
@@ -51,19 +52,23 @@ def over(told: Told, truth: F64) -> F64:
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_dwells_are_brought_together_as_they_come(seed: int) -> None:
-    """From more than 10 cm to 3 cm in height from the second dwell of a pass on; along the flight once it is over.
+    """From more than 10 cm to 6 cm in height and 30 cm along the flight, once the ground is recognised.
 
-    The first dwell shows too little to be recognised.
+    It is by the end of each pass, and mostly before: how much a single dwell shows depends on its noise.
     """
     passes = flown(seed)
     told = told_of(passes, 1000)
     assert told.held == len(passes.dwells)
     before = passes.shifts - passes.shifts.mean(axis=0)
     assert np.all(np.sqrt(np.mean(before**2, axis=0)) > 0.1)
-    errors = np.delete(told.shifts - passes.shifts, slice(None, None, 3), axis=0)[HALF * 2 // 3 :]
-    apart = errors - errors.mean(axis=0)
-    assert np.sqrt(np.mean(apart[:, 2] ** 2)) < 0.03, apart
-    assert np.all(np.abs(apart[::2, :2]) < [0.3, 0.1]), apart
+    late = slice(3, None)  # The first pass has nothing to be compared with.
+    recognised = told.covariances[late, 2, 2] < RECOGNISED_M**2
+    assert recognised[2::3].all()
+    assert recognised.mean() > 0.6
+    errors = (told.shifts - passes.shifts)[late]
+    apart = (errors - errors[recognised].mean(axis=0))[recognised]
+    assert np.sqrt(np.mean(apart[:, 2] ** 2)) < 0.04, apart
+    assert np.all(np.abs((errors - errors[2::3].mean(axis=0))[2::3, :2]) < [0.3, 0.1]), apart
     assert np.mean(over(told, passes.shifts)) < 3.0
 
 

@@ -143,13 +143,13 @@ def test_images_of_a_platform_that_vibrates_are_those_of_one_that_does_not() -> 
 
 @pytest.mark.parametrize("speed", [-0.006, 0.004])
 def test_error_of_the_velocity_is_found_and_the_image_placed_by_it(speed: float) -> None:
-    """To .19 mm/s, 1.9 cm along the flight, of which the covariance tells; without, it lies 40 to 60 cm off."""
+    """To .15 mm/s, 1.5 cm along the flight, of which the covariance tells; without, it lies 40 to 60 cm off."""
     found, refused = images(Impairments(), replace(UNSURE, sinking=speed))
     assert not refused
     assert likeness(found) > 0.9
     for slc in found:
         assert slc.placement.speed == pytest.approx(speed, abs=3 * slc.placement.speed_error)
-        assert slc.placement.speed_error == pytest.approx(0.00019, rel=0.15)
+        assert slc.placement.speed_error == pytest.approx(0.00015, rel=0.15)
         along = float(slc.aperture.direction @ slc.aperture.covariance[:3, :3] @ slc.aperture.direction)
         assert np.sqrt(along) == pytest.approx(slc.placement.speed_error * 5000.0 / 50.0, rel=1e-2)
 
@@ -237,7 +237,7 @@ def test_always_is_refused_where_the_noise_is_not_known() -> None:
 
 
 def test_strips_tell_how_well_they_know_the_middle_of_their_beams() -> None:
-    """Uneven ground leaves .155 mm/s, .02 of a beam, and noise a little, placed either way; none if left alone."""
+    """Uneven ground leaves some .11 mm/s, and noise a little, placed either way; none if left alone."""
     placed = [
         images(impairments, UNSURE, SETTINGS.changed(autofocus=autofocus))[0][-1].placement
         for impairments, autofocus in (
@@ -246,7 +246,7 @@ def test_strips_tell_how_well_they_know_the_middle_of_their_beams() -> None:
             (Impairments(), "never"),
         )
     ]
-    assert all(1.549e-4 < one.beams_error < 2.2e-4 for one in placed[:2])
+    assert all(1e-4 < one.beams_error < 1.4e-4 for one in placed[:2])
     assert placed[2].beams_error == 0.0
 
 

@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
 import numpy as np
+import scipy.fft
 
-from sal_height.numeric import C128, F64
+from sal_height.numeric import C128, F32, F64, Complex
 from sal_height.sensor import Sensor
 
 DARKEST = 1e-3  # least power of a beam's profile over its greatest, so that it may grow where the beam has a null
@@ -36,8 +37,8 @@ class Coherence:
 
     @cached_property
     def spectrum(self) -> F64:
-        """Power that pulses show from each azimuth, shape (azimuths,): the profile as sharp as they tell it."""
-        shown: F64 = np.sum(self.waves.conj() * (self.matrix @ self.waves), axis=0).real
+        """Mean of the echo's periodograms (`periodograms`), shape (azimuths,): the profile as sharp as they show it."""
+        shown: F64 = np.sum(self.waves.conj() * (self.matrix @ self.waves), axis=0).real / len(self.waves)
         return shown
 
     @cached_property
@@ -85,6 +86,13 @@ def _beam_coherence(sensor: Sensor, pulses: int, step: int) -> Coherence:
     power = np.abs(sensor.beams.patterns[0].amplitude(np.zeros_like(beamwidths), beamwidths)) ** 2
     power += DARKEST * power.max()
     return Coherence(azimuth_waves(pulses), power / power.sum())
+
+
+def periodograms(responses: Complex) -> F32:
+    """Power of responses, shape (responses, pulses), from each azimuth (`half_turns`): 1 for noise of power 1."""
+    pulses = responses.shape[-1]
+    power: F32 = np.abs(scipy.fft.fft(responses, 2 * pulses)) ** 2 / pulses
+    return np.fft.fftshift(power, axes=-1)
 
 
 def half_turns(pulses: int) -> F64:

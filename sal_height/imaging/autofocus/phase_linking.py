@@ -23,7 +23,7 @@ from typing import Self
 import numpy as np
 import scipy.linalg
 
-from sal_height.imaging.autofocus.coherence import Coherence
+from sal_height.imaging.autofocus.coherence import Coherence, periodograms
 from sal_height.imaging.autofocus.phase_error import phase_gradient, with_shift_known
 from sal_height.imaging.autofocus.unevenness import uneven_trend
 from sal_height.numeric import C128, F64, Bool, Complex
@@ -34,7 +34,6 @@ NOISE_MARGIN = 1.1  # on the greatest eigenvalue of noise for many samples: a fe
 CLASS_RATIO = 2.0  # of the greatest to the least signal-to-noise ratio of responses that share one covariance
 ITERATIONS = 50  # maximum number of steps of Fisher scoring
 CONVERGED = 1e-3  # rms change of the phases (rad) below which Fisher scoring has converged
-BLOCKS = 12  # of neighbouring range cells, whose differences tell how uneven ground moves the Doppler centroid
 FINELY = 16  # trends on which the likelihood is looked at, over the number of pulses
 OUTSHINING = 8.0  # signal-to-noise ratio over the median above which a response is of a point, not of ground
 MISFIT = 5.0  # above which a response is of something that moves by itself; that of ground stays below 4
@@ -87,20 +86,15 @@ def signal_modes(responses: Complex, noise_covariance: F64 | C128) -> tuple[Comp
 
 
 def speckle_classes(modes: Complex, snr: F64) -> list[Speckle]:
-    """The modes in classes of signal-to-noise ratio."""
-    return [
-        Speckle(modes[members].conj().T @ modes[members], middle, int(members.sum()))
-        for middle, members in _class_members(snr)
-    ]
-
-
-def _class_members(snr: F64) -> list[tuple[float, Bool]]:
-    """The signal-to-noise ratio of each class, in its middle, and which responses belong to it.
+    """The modes in classes of signal-to-noise ratio.
 
     Classes are those of any responses, so that the inverses of their covariances serve others as well.
     """
-    steps = np.floor(np.log(snr) / np.log(CLASS_RATIO))
-    return [(float(CLASS_RATIO ** (step + 0.5)), steps == step) for step in np.unique(steps)]
+    steps, classes = np.floor(np.log(snr) / np.log(CLASS_RATIO)), []
+    for step in np.unique(steps):
+        members = modes[steps == step]
+        classes.append(Speckle(members.conj().T @ members, float(CLASS_RATIO ** (step + 0.5)), len(members)))
+    return classes
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,9 +147,9 @@ def which_fit(modes: Complex, snr: F64, coherence: Coherence) -> Bool:
     """Which responses can be of ground in the beam, shape (responses,); others are of points or of what moves.
 
     A point that outshines the ground looks likelier to the beam with phases that hold it in the middle, out of focus.
-    The phase gradient of the others, to which they count alike, tells the phases well enough: the misfit g^H R^-1 g of
-    a response is then, on average, about one for each pulse, and more where the beam is not as stated; that of an echo
-    from outside the beam, where a car appears that drives, is more by its signal-to-noise ratio.
+    The phase gradient of the others, to which they count alike, tells the phases well enough: the periodogram of a
+    response over that of the ground is then, on average, about one, and more where the beam is not as stated; that of
+    an echo from outside the beam, where a car appears that drives, is more by its signal-to-noise ratio.
 
     Args:
         modes: responses, shape (responses, pulses).
@@ -167,16 +161,8 @@ def which_fit(modes: Complex, snr: F64, coherence: Coherence) -> Bool:
     ground = snr <= OUTSHINING * np.median(snr)
     alike = modes[ground] / np.sqrt(snr[ground])[:, None]
     level = modes * np.exp(-1j * phase_gradient(alike)).astype(modes.dtype)
-    misfit = np.vecdot(level, _weighted(level, snr, coherence)).real / modes.shape[-1]
+    misfit = np.mean(periodograms(level) / (1 + np.outer(snr, coherence.spectrum)), axis=-1)
     return np.asarray(ground & (misfit <= MISFIT * np.median(misfit)))
-
-
-def _weighted(responses: Complex, snr: F64, coherence: Coherence) -> Complex:
-    """R^-1 g of each response, shape (responses, pulses)."""
-    weighted = np.empty_like(responses)
-    for middle, members in _class_members(snr):
-        weighted[members] = responses[members] @ coherence.inverse_covariance(middle).T.astype(responses.dtype)
-    return weighted
 
 
 def find_trend(
@@ -185,9 +171,8 @@ def find_trend(
     """Phase from pulse to pulse by which the echoes are off the middle of the beam, and its standard error, rad.
 
     The likelihood of `phase` and a trend s, s t: a sum over the lags d between pulses of exp(-j s d) times what the
-    responses say of them. Ground of uneven brightness moves its maximum more than speckle does, so the error is that
-    which BLOCKS of neighbouring range cells show by what each of them would move it (Huber's sandwich), and what is
-    uneven in all of them alike (`uneven_trend`).
+    responses say of them. Its error is that by ground of uneven brightness (`uneven_trend`), which moves the maximum
+    more than speckle does.
 
     Args:
         modes: responses, shape (responses, pulses), in the order of their range cells.
@@ -208,12 +193,8 @@ def find_trend(
         turned = of_lags * np.exp(-1j * trend * lag)
         information = float(np.sum(lag**2 * turned).real)
         trend += float(np.sum(-1j * lag * turned).real) / information
-    time = np.arange(pulses) - (pulses - 1) / 2
-    level = modes * (turn * np.exp(1j * trend * time)).conj().astype(modes.dtype)
-    scores = 2 * np.vecdot(level, time * _weighted(level, snr, coherence)).imag
-    of_blocks = np.bincount(np.arange(len(modes)) * BLOCKS // len(modes), scores, BLOCKS)
-    by_blocks = np.sqrt(np.sum(of_blocks**2)) / information
-    return trend, float(np.hypot(by_blocks, uneven_trend(level, snr, coherence)))
+    level = modes * (turn * np.exp(1j * trend * np.arange(pulses))).conj().astype(modes.dtype)
+    return trend, uneven_trend(level, snr, coherence)
 
 
 def _diagonal_sums(matrix: C128) -> C128:

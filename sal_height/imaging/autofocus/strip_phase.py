@@ -65,7 +65,7 @@ def link_block(
     responses = line.responses(history, antenna, sensor)
     new_ones = len(antenna)
     if before:
-        held = slice(-WINDOW, None)
+        held = slice(-max(OVERLAP, WINDOW - new_ones), None)
         earlier = line.responses(before[0].pulses(held), before[1][held], sensor)
         responses, antenna = np.concatenate([earlier, responses], axis=-1), np.concatenate([before[1][held], antenna])
     phase, errors = np.zeros(len(antenna)), []

@@ -1,9 +1,9 @@
 """Whether a tie of passes is more than chance: some points agree on phases of passes whatever the phases are.
 
 With as many unknowns as a phase for each pass and an elevation for each point, a quarter of points with random phases
-agree on the best choice. How many do, and how well, is found by the points themselves: each pass is given the phases of
-other points, a different one for each pass, so that no two belong together (a permutation test: Good, Permutation,
-Parametric and Bootstrap Tests of Hypotheses, 2005). Points that have changed between passes do no better than that.
+agree on the best choice. How many do, and how well, is found by the points themselves: in each pass their phases are
+given to each other at random, so that few belong together (a permutation test: Good, Permutation, Parametric and
+Bootstrap Tests of Hypotheses, 2005). Points that have changed between passes do no better than that.
 """
 
 from __future__ import annotations
@@ -28,7 +28,9 @@ FEW = 0.5
 """Share of points that agree below which it is said."""
 
 
-def check_tie(tie: Tie, points: Candidates, array: PassArray, settings: PassSettings) -> list[str]:
+def check_tie(
+    tie: Tie, points: Candidates, array: PassArray, settings: PassSettings, rng: np.random.Generator
+) -> list[str]:
     """A sentence where few points agree on the phases of the passes.
 
     Args:
@@ -36,15 +38,15 @@ def check_tie(tie: Tie, points: Candidates, array: PassArray, settings: PassSett
         points: by which it was looked for.
         array: the passes.
         settings: with which.
+        rng: chooses whose phases points are given.
 
     Raises:
         UserError: points of random phases agree as well.
     """
-    count, passes = points.samples.shape
+    count = len(points.samples)
     errors, numbers = [], [0]
-    for number in range(PERMUTATIONS):
-        of_others = (np.arange(count)[:, None] + (2 * number + 1) * np.arange(1, passes + 1)) % count
-        phases = np.take_along_axis(points.samples / np.abs(points.samples), of_others, axis=0)
+    for _ in range(PERMUTATIONS):
+        phases = rng.permuted(points.samples / np.abs(points.samples), axis=0)
         nowhere = np.full(count, np.nan)
         mixed = replace(points, samples=np.abs(points.samples) * phases, known=nowhere, known_sigma=nowhere)
         try:

@@ -156,12 +156,18 @@ def _check_azimuths(passes: Sequence[Pass], centre: F64) -> list[str]:
     ends = _intervals(passes, centre)
     first, last = np.median(ends, axis=0)
     common = np.minimum(ends[:, 1], last) - np.maximum(ends[:, 0], first)
+    apart = common < LEAST_OVERLAP * np.maximum(ends[:, 1] - ends[:, 0], last - first)
+    # Half of them all must have in common: those that end farthest from where most do are left out until they have.
+    short = np.maximum(ends[:, 0] - first, last - ends[:, 1])
+    while not apart.all() and ends[~apart, 1].min() - ends[~apart, 0].max() < LEAST_OVERLAP * (last - first):
+        apart[np.argmax(np.where(apart, -np.inf, short))] = True
     return [
         f"it sees the scene from azimuths of {np.degrees(low):.3g} to {np.degrees(high):.3g} degrees from the first "
-        f"pass, most passes from {np.degrees(first):.3g} to {np.degrees(last):.3g}; they must overlap by half."
-        if share < LEAST_OVERLAP * max(high - low, last - first)
+        f"pass, most passes from {np.degrees(first):.3g} to {np.degrees(last):.3g}; all must have half of these in "
+        "common."
+        if alone
         else ""
-        for (low, high), share in zip(ends, common, strict=True)
+        for (low, high), alone in zip(ends, apart, strict=True)
     ]
 
 

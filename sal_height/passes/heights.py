@@ -103,7 +103,7 @@ def heights_from_passes(
         seen = registered(array, settings)
         candidates, _ = _with_references(Candidates.of(seen, settings), seen, references, settings)
     tie = tie_passes(candidates, seen.lattice.array, settings)
-    warnings += check_tie(tie, candidates, seen.lattice.array, settings)
+    warnings += check_tie(tie, candidates, seen.lattice.array, settings, np.random.default_rng(0))
     if tie.references < (given := int(np.isfinite(candidates.known).sum())):
         warnings.append(
             f"Of {given} reference points that were found {tie.references} agree with the other points, and tie them."

@@ -65,3 +65,13 @@ def test_points_that_only_tremble_tie_the_passes() -> None:
     assert result.tie.points > 25
     assert result.tie.uncertainty == pytest.approx(0.4, abs=0.1)
     assert not any(sentence.startswith("Only ") for sentence in result.warnings)
+
+
+@pytest.mark.parametrize("count", [5, 7])
+def test_a_tie_of_a_few_points_is_not_compared_with_itself(count: int) -> None:
+    """Of fewer points than passes: their phases are given to others all the same."""
+    rng = np.random.default_rng(3)
+    points = reflectors(rng, count)
+    result = flown_over(rng, points, np.zeros((PASSES, count)))
+    assert result.tie.points == count
+    assert len(result.found.points.height) == count

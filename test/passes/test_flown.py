@@ -44,7 +44,7 @@ def test_passes_are_cut_to_common_azimuths(passes: list[Pass]) -> None:
 @pytest.mark.parametrize(
     ("spoil", "why"),
     [
-        (lambda one: turned(one, 2.0), "must overlap by half"),
+        (lambda one: turned(one, 2.0), "all must have half of these in common"),
         (
             lambda one: replace(one, sensor=replace(one.sensor, wavelength=0.0306, config_hash="")),
             "wavelength is 0.0306",
@@ -64,6 +64,16 @@ def test_a_pass_that_does_not_fit_is_left_out(passes: list[Pass], spoil: object,
         assert len(kept) == 4
         assert sentence.startswith(f"Pass {passes[number].name} is left out: ")
         assert why in sentence
+
+
+@pytest.mark.parametrize("share", [0.5, 0.45])
+def test_passes_that_only_together_leave_too_little_are_thinned(passes: list[Pass], share: float) -> None:
+    """One half of the arc ahead, one behind: each shares half with most passes, and hardly a pulse with the other."""
+    degrees = share * np.degrees(SMALL.arc)
+    kept, (sentence,) = together([turned(passes[0], degrees), turned(passes[1], -degrees), *passes[2:]], ORIGIN)
+    assert len(kept) == 4
+    assert "all must have half of these in common" in sentence
+    assert min(len(one.antenna) for one in kept) >= 0.5 * SMALL.pulses - 1
 
 
 def test_too_few_passes_are_refused(passes: list[Pass]) -> None:

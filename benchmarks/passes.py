@@ -87,7 +87,7 @@ def _true_shift(dwell: ObservedDwell, flight: SimulatedFlight, number: int) -> F
     trend = np.polyfit(times, flight.pulse_phase(number), 1)[0]
     speed = float((stated.velocity - true.velocity) @ dwell.sight) - trend * flight.sensor.wavelength / (4 * np.pi)
     speed -= dwell.ambiguity * np.rint(speed / dwell.ambiguity)
-    return shift - dwell.lever * speed * stated.direction
+    return shift - dwell.lever * speed * dwell.along
 
 
 def _shift(image: ObservedDwell, true: ApertureState, times: F64, flight: SimulatedFlight) -> F64:
@@ -107,5 +107,5 @@ def _shift(image: ObservedDwell, true: ApertureState, times: F64, flight: Simula
     shift = stated.position - true.position + turned
     if image.placement.by_beams:
         along = image.slant_range * (float(np.cross(image.sight, stated.direction) @ turn) - ahead)
-        shift += along * stated.direction
+        shift += along * image.along
     return shift

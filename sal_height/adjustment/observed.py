@@ -4,12 +4,13 @@ Errors are what is stated less what is true. With the antenna's position off by 
 of map), the velocity along the line of sight u off by v u, and the beams turned on by j about the body, a surface at
 the range R lies off by
 
-    p + e x arm + A l - V d + c (w (e + S b) + j) - (R / |V|) f (v u - shake)
+    p + e x arm + A l - V d + c (w (e + S b) + j) - (R / |V|) g (v u - shake)
 
 where A turns the body and S the sensor into map, l is the error of the lever arm, b that of the boresight (about the
-axes of the sensor), d that of the odometry's delay, f the direction of flight, and c and w are those of
-`relief.position_error`. If the image was put into the middle of the beams, the last term is R f (t (e + S b) + q)
-instead, with t = u x f and the angle q by which the beams were taken to look farther ahead than the attitude says.
+axes of the sensor), d that of the odometry's delay, g how a surface moves by a metre along the flight
+(`geometry.shift_along`), and c and w are those of `relief.position_error`. If the image was put into the middle of the
+beams, the last term is R g (t (e + S b) + q) instead: t = u x f with the direction of flight f, and q is the angle by
+which the beams were taken to look farther ahead than the attitude says.
 
 An image of a strip is seen from where the antenna was abeam of its middle. Where nothing was removed from the phase of
 its pulses, it lies as a dwell does. Autofocus removes all of the phase but what the beams turn it, as the first block
@@ -31,7 +32,7 @@ from sal_height.adjustment.equations import Equation, Form, Solution
 from sal_height.adjustment.matching import LEAST_POINTS, Points
 from sal_height.adjustment.settings import AdjustmentSettings
 from sal_height.errors import Rejected
-from sal_height.geometry import ApertureState, Mounting, Trajectory, angles_of, sphere_point
+from sal_height.geometry import ApertureState, Mounting, Trajectory, angles_of, shift_along, sphere_point
 from sal_height.imaging import Placement, Slc
 from sal_height.numeric import F64, Index
 from sal_height.relief import HeightField, position_jacobian, turn_jacobian
@@ -177,6 +178,11 @@ class ObservedDwell:
         """Unit vector to their middle, in map."""
         return np.asarray((self.middle - self.aperture.position) / self.slant_range)
 
+    @cached_property
+    def along(self) -> F64:
+        """How its surfaces move that are taken to be a metre farther along the flight, shape (3,)."""
+        return shift_along(self.aperture, self.sight)
+
     @property
     def speed(self) -> float:
         """Of the flight, m/s."""
@@ -236,7 +242,7 @@ def pose(number: int, dwell: ObservedDwell, layout: Layout, mounting: Mounting) 
         layout: of the unknowns.
         mounting: of the sensor, as described.
     """
-    aperture, u, f = dwell.aperture, dwell.sight, dwell.aperture.direction
+    aperture, u, f, along = dwell.aperture, dwell.sight, dwell.aperture.direction, dwell.along
     body = aperture.rotation @ mounting.axes.inv().as_matrix()
     arm = body @ np.array(mounting.lever_arm)
     knot = layout.drift.knot_before(dwell.seconds)
@@ -250,13 +256,13 @@ def pose(number: int, dwell: ObservedDwell, layout: Layout, mounting: Mounting) 
     values[PLACE, 6:9] = -np.cross(np.eye(3), arm)
     values[PLACE, STATE:-OWN][:, LEVER_ARM], values[PLACE, STATE + DELAY] = body, -aperture.velocity
     # The image moves along the flight with the velocity, or with the beams.
-    values[PLACE, -2] = f
+    values[PLACE, -2] = along
     if dwell.placement.by_beams:
-        values[PLACE, :-OWN] += dwell.slant_range * np.outer(f, np.cross(u, f)) @ values[TURN, :-OWN]
-        constant[PLACE] = dwell.slant_range * dwell.placement.pointing * f
+        values[PLACE, :-OWN] += dwell.slant_range * np.outer(along, np.cross(u, f)) @ values[TURN, :-OWN]
+        constant[PLACE] = dwell.slant_range * dwell.placement.pointing * along
     else:
-        values[PLACE, 3:6] -= dwell.lever * np.outer(f, u)
-        constant[PLACE] = -dwell.lever * dwell.placement.speed * f
+        values[PLACE, 3:6] -= dwell.lever * np.outer(along, u)
+        constant[PLACE] = -dwell.lever * dwell.placement.speed * along
     values[STRETCH, STATE + PITCH] = 1.0
     columns = np.concatenate([knot.columns, layout.common, layout.own(number)])
     return Form(columns, values, constant)

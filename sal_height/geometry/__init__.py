@@ -25,6 +25,7 @@ from sal_height.geometry.frames import (
     antennas_of,
     aperture_at,
     look_direction,
+    shift_along,
     squint_on_cone,
 )
 from sal_height.geometry.geodesy import Origin
@@ -35,12 +36,21 @@ from sal_height.geometry.mounting import AT_BASE_LINK, Mounting
 from sal_height.geometry.navigation import REORDERED_NS, Navigation, Sample
 from sal_height.geometry.projection import UTM, WGS_84, Projection, find_system
 from sal_height.geometry.quaternion import quaternion_of, rotation_matrix
-from sal_height.geometry.trajectory import PlatformState, Trajectory
+from sal_height.geometry.trajectory import (
+    GREATEST_POSE,
+    GREATEST_VELOCITY,
+    PlatformState,
+    Trajectory,
+    is_finite_covariance,
+    known_covariance,
+)
 
 __all__ = [
     "AT_BASE_LINK",
     "BODY_AXES",
     "EARTH_RADIUS",
+    "GREATEST_POSE",
+    "GREATEST_VELOCITY",
     "MAP_AXES",
     "RADIO_M",
     "REORDERED_NS",
@@ -67,6 +77,8 @@ __all__ = [
     "aperture_at",
     "find_system",
     "height_of",
+    "is_finite_covariance",
+    "known_covariance",
     "locate_at_elevation",
     "locate_at_height",
     "look_direction",
@@ -76,6 +88,7 @@ __all__ = [
     "ranges_of_phase",
     "refractivities",
     "rotation_matrix",
+    "shift_along",
     "sphere_coordinates",
     "sphere_point",
     "squint_on_cone",

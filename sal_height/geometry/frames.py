@@ -47,6 +47,23 @@ class ApertureState:
         return self.rotation[:, 0]
 
 
+def shift_along(aperture: ApertureState, sight: F64) -> F64:
+    """How a surface moves that is taken to be one metre farther along the flight, shape (3,).
+
+    Its slant range and its elevation, which is measured about the body's forward axis f, stay: with the unit vectors s
+    to the surface and v of the flight it moves by f - s (s f), over the component of that along v. In an image that
+    slides, the aperture moves with it.
+
+    Args:
+        aperture: from which it is seen.
+        sight: unit vector to it, map axes, shape (3,).
+    """
+    if aperture.sliding:
+        return aperture.direction
+    across = aperture.forward - (sight @ aperture.forward) * sight
+    return np.asarray(across / (across @ aperture.direction))
+
+
 def look_direction(elevation: npt.ArrayLike, squint: npt.ArrayLike, look_side: int) -> F64:
     """Return the unit vector in body axes towards `elevation` and `squint` (rad), shape (..., 3)."""
     elevation, squint = np.broadcast_arrays(elevation, squint)

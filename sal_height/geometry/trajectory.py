@@ -17,6 +17,15 @@ from sal_height.geometry.mounting import AT_BASE_LINK, Mounting
 from sal_height.geometry.quaternion import attitude_between, rotation_matrix
 from sal_height.numeric import F64
 
+ROUNDING = 1e-5
+"""How far a variance may be below 0, over the greatest number of its covariance."""
+
+GREATEST_POSE = np.array([1e5, 1e5, 1e5, np.pi, np.pi, np.pi])
+"""Standard deviations of a pose, m and rad, of which nothing is known."""
+
+GREATEST_VELOCITY = np.array([1e3, 1e3, 1e3])
+"""Standard deviations of a velocity, m/s, of which nothing is known."""
+
 
 @dataclass(frozen=True, eq=False)
 class PlatformState:
@@ -123,17 +132,27 @@ class Trajectory:
     def velocity_covariance(self, stamp_ns: int, pulse_times: F64) -> F64:
         """Covariance ((m/s)^2, map axes, shape (3, 3)) that the sample nearest to the middle of the pulses states.
 
+        Zeros where it states what is none (`known_covariance`).
+
         Raises:
             UserError: a time lies outside the track.
         """
-        nearest = self.states[self._nearest(self._middle(self._offsets(stamp_ns, pulse_times)))]
+        nearest = self.nearest(stamp_ns, pulse_times)
         attitude = rotation_matrix(nearest.orientation)
-        return attitude @ nearest.velocity_covariance @ attitude.T
+        return attitude @ known_covariance(nearest.velocity_covariance, GREATEST_VELOCITY) @ attitude.T
+
+    def nearest(self, stamp_ns: int, pulse_times: F64) -> PlatformState:
+        """The sample nearest to the middle of the pulses at `stamp_ns` + `pulse_times` (s, increasing).
+
+        Raises:
+            UserError: a time lies outside the track.
+        """
+        return self.states[self._nearest(self._middle(self._offsets(stamp_ns, pulse_times)))]
 
     def aperture(self, stamp_ns: int, pulse_times: F64) -> ApertureState:
         """Return the state in the middle of the pulses at `stamp_ns` + `pulse_times` (s, increasing).
 
-        Its covariance is that of the nearest sample, and what a gap around it adds.
+        Its covariance is what the nearest sample knows (`known_covariance`), and what a gap around it adds.
 
         Raises:
             UserError: a time lies outside the track, or the platform stands still.
@@ -153,7 +172,9 @@ class Trajectory:
             rotation=self._attitude(middle),
             length=speed * float(t[-1] - t[0]) * len(t) / (len(t) - 1),
             covariance=_antenna_covariance(
-                nearest.covariance + self.motion.covariance(since_s, until_s), nearest.orientation, self.mounting
+                known_covariance(nearest.covariance, GREATEST_POSE) + self.motion.covariance(since_s, until_s),
+                nearest.orientation,
+                self.mounting,
             ),
         )
 
@@ -185,6 +206,34 @@ class Trajectory:
         turning, arm = self._turning(t), self.mounting.lever_arm
         swept = np.cross(self._turning(t, 1), arm)  # angular velocity x arm, both in the axes of base_link
         return position + turning.apply(arm), velocity + turning.apply(swept)
+
+
+def is_finite_covariance(matrix: F64) -> bool:
+    """Whether a matrix is finite and has no negative variance in any direction, but for rounding."""
+    if not np.all(np.isfinite(matrix)):
+        return False
+    return bool(np.linalg.eigvalsh(matrix / 2 + matrix.T / 2)[0] >= -ROUNDING * np.abs(matrix).max())
+
+
+def known_covariance(stated: F64, greatest: F64) -> F64:
+    """What a stated covariance tells.
+
+    Args:
+        stated: of a velocity, shape (3, 3), or of a pose, (6, 6). Blocks of (3, 3) that are none count as zeros.
+        greatest: standard deviations, shape of the diagonal; what is stated beyond them counts as them.
+    """
+    known = stated
+    if not is_finite_covariance(stated):
+        known = np.zeros_like(stated)
+        for block in (slice(0, 3), slice(3, 6)):
+            part = stated[block, block]
+            if part.size and is_finite_covariance(part):
+                known[block, block] = part
+    sigmas = np.sqrt(np.maximum(known.diagonal(), 0.0))
+    if np.all(sigmas <= greatest):
+        return known
+    scale = greatest / np.maximum(sigmas, greatest)
+    return np.asarray(scale[:, None] * known * scale)
 
 
 def _antenna_covariance(covariance: F64, orientation: F64, mounting: Mounting) -> F64:

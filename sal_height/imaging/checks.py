@@ -9,7 +9,7 @@ import numpy as np
 import scipy.fft
 
 from sal_height.errors import Rejected
-from sal_height.geometry import ApertureState, Grid
+from sal_height.geometry import ApertureState, Grid, PlatformState, is_finite_covariance
 from sal_height.imaging.pixels import aim_point, line_of_sight
 from sal_height.numeric import F64
 from sal_height.sensor import PhaseHistory, Sensor, look_ahead_angle
@@ -115,19 +115,14 @@ def describe_unverified_squint(sensor: Sensor, aperture: ApertureState) -> str:
     )
 
 
-def describe_covariances(aperture: ApertureState, velocity_covariance: F64) -> str:
-    """A sentence on covariances of the odometry that are none; empty where they are, or are zeros.
-
-    Args:
-        aperture: state of the platform with the covariance of its pose.
-        velocity_covariance: (m/s)^2, shape (3, 3).
-    """
-    for name, matrix in (("pose", aperture.covariance), ("twist", velocity_covariance)):
-        finite = bool(np.all(np.isfinite(matrix)))
-        if not finite or np.linalg.eigvalsh(matrix).min() < -ROUNDING * np.abs(matrix).max():
+def describe_covariances(state: PlatformState) -> str:
+    """A sentence on covariances of the odometry that are none; empty where they are, or are zeros."""
+    for name, matrix in (("pose", state.covariance), ("twist", state.velocity_covariance)):
+        if not is_finite_covariance(matrix):
+            wrong = "is negative" if np.all(np.isfinite(matrix)) else "is not finite"
             return (
-                f"The covariance of the odometry's {name} {'is negative' if finite else 'is not finite'}; what it is "
-                "of counts as exact, so state it, or zeros."
+                f"The covariance of the odometry's {name} {wrong}; that part of it counts as exact. State how well it "
+                "is known, or zeros."
             )
     return ""
 

@@ -187,7 +187,7 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
     # Phase error, and where the beams are along the flight: from navigation and, where that is not enough, the data.
     sight, grid = line_of_sight(sensor, aperture), _dwell_grid(settings, sensor, aperture, reference, processing)
     velocity_covariance = track.velocity_covariance(history.stamp_ns, history.pulse_times)
-    bad_covariance = describe_covariances(aperture, velocity_covariance)
+    bad_covariance = describe_covariances(track.nearest(history.stamp_ns, history.pulse_times))
     prior = NavigationPrior.of(with_known_errors(aperture, sensor, settings), velocity_covariance, sight)
     focus, placement = _find_beams(history, antenna, sensor, patch_centres(sensor, aperture, grid), prior, settings)
     if focus and focus.trusted:

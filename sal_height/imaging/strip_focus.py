@@ -85,7 +85,7 @@ class StripFocuser:
         check_dwell(history, antenna, sensor, aperture)
         # Phase error, and where the beams are along the flight: as navigation or, where that is not enough, data say.
         velocity_covariance = mounted.velocity_covariance(history.stamp_ns, history.pulse_times)
-        self._doubt = describe_covariances(aperture, velocity_covariance) or self._doubt
+        self._doubt = describe_covariances(mounted.nearest(history.stamp_ns, history.pulse_times)) or self._doubt
         flown = with_known_errors(aperture, sensor, settings)
         prior = NavigationPrior.of(flown, velocity_covariance, line_of_sight(sensor, aperture))
         history, focus, placement = _in_focus(history, antenna, aperture, prior, continued, sensor, settings)
@@ -243,8 +243,8 @@ def _image(
     if placement is None:
         velocity_covariance = track.velocity_covariance(strip.history.stamp_ns, around)
         placement = placed_by_navigation(NavigationPrior.of(abeam, velocity_covariance, sight))
-    abeam = placement.seen_from(abeam, sight, slant_range)
     abeam = replace(abeam, length=aperture_length(sensor, slant_range), sliding=True)
+    abeam = placement.seen_from(abeam, sight, slant_range)
     windows = settings.azimuth_window, settings.range_window
     return Slc(images, grid, abeam, noise_power, shares, *windows, placement=placement)
 

@@ -39,7 +39,15 @@ from sal_height.adjustment import (
 )
 from sal_height.elevation import ESTIMATORS
 from sal_height.errors import Rejected, UserError
-from sal_height.geometry import ApertureState, Mounting, PlatformState, Trajectory
+from sal_height.geometry import (
+    GREATEST_POSE,
+    GREATEST_VELOCITY,
+    ApertureState,
+    Mounting,
+    PlatformState,
+    Trajectory,
+    known_covariance,
+)
 from sal_height.messages import Pose
 from sal_height.nodes.dwell_stage import DwellParameters, DwellStage
 from sal_height.nodes.height_outlets import HeightOutlets
@@ -63,9 +71,6 @@ ADJUSTED_ODOMETRY = f"{PREFIX}/odometry"
 
 ODOMETRY_HELD_S = 100.0
 """Time for which odometry is held: heights must come within it."""
-
-GREATEST_VARIANCE = 1e9
-"""Of what odometry states, m^2, (m/s)^2 or rad^2: beyond, nothing is known."""
 
 BETWEEN_NS = 1_000_000_000
 """Longest time between dwells whose odometry is told as well."""
@@ -457,11 +462,12 @@ def _references_of(parameters: Parameters) -> References:
 
 def _supplied(state: PlatformState, delay_ns: int) -> PlatformState:
     """A state without the delay of its stamp, whose covariances can be calculated with."""
-    pose, velocity = (
-        np.clip(np.nan_to_num(matrix), -GREATEST_VARIANCE, GREATEST_VARIANCE)
-        for matrix in (state.covariance, state.velocity_covariance)
+    return replace(
+        state,
+        stamp_ns=state.stamp_ns - delay_ns,
+        covariance=known_covariance(state.covariance, GREATEST_POSE),
+        velocity_covariance=known_covariance(state.velocity_covariance, GREATEST_VELOCITY),
     )
-    return replace(state, stamp_ns=state.stamp_ns - delay_ns, covariance=pose, velocity_covariance=velocity)
 
 
 def _delay_ns(image: HeightImage) -> int:

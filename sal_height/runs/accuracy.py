@@ -8,11 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from sal_height_msgs.msg import HeightImage
 
 from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import HEIGHT_TYPE
 from sal_height.errors import Rejected
+from sal_height.messages import field_from_message
 from sal_height.relief import GroundEstimate
 from sal_height.runs.catalogue import HEIGHTS, TRACKER
 from sal_height.runs.ground_report import TrueGround, ground_of, ground_statistics, true_ground
@@ -56,7 +58,8 @@ def read_accuracy(bag: Path, flight: SimulatedFlight, stages: Sequence[str]) -> 
             grounds[prefix] = estimate, true_ground(estimate, images[prefix], flight, surfaces)
     numbers = {}
     for prefix in wanted:
-        single = HeightImage.OK in {value for image in images.get(prefix, ()) for value in image.validity}
+        # As readers see them: what is published with a sigma beyond all bounds is not valid to them.
+        single = any(np.any(field_from_message(one).validity == HeightImage.OK) for one in images.get(prefix, ()))
         numbers[prefix] = statistics(mosaic(images[prefix], flight, surfaces) if single else None)
         if prefix in heights:
             numbers[prefix]["surfaces"] = surface_statistics(heights[prefix])

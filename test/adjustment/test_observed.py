@@ -7,16 +7,17 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from stated_errors import ERRORS, Error, S, displaced, foretold, layout_of, squeezed
 
 from sal_height.adjustment import AdjustmentSettings, ObservedDwell
 from sal_height.adjustment.observed import BORESIGHT, COMMON, DELAY, LEVER_ARM, PITCH, centroid
 from sal_height.elevation import ESTIMATORS
-from sal_height.geometry import Trajectory, sphere_coordinates
+from sal_height.geometry import Trajectory, locate_at_elevation, look_direction, sphere_coordinates
 from sal_height.imaging import ImageSettings, Slc
 from sal_height.numeric import F64
 from sal_height.pipeline import Compressor, heights
-from sal_height.relief import HeightField
+from sal_height.relief import HeightField, turn_jacobian
 from sal_height.sensor import Sensor
 from sal_height.simulation import SimulatedFlight, flight_of, load_preset
 from sal_height.simulation.preset import MountingSettings, Passes, TargetSettings
@@ -80,6 +81,41 @@ def test_a_target_moves_along_the_flight_as_foretold(name: str, heading: str) ->
     if name in {"velocity y", "velocity z"}:
         assert abs(expected) > 0.1
     assert moved == pytest.approx(expected, abs=0.004)
+
+
+@pytest.mark.parametrize("by_beams", [False, True])
+@pytest.mark.parametrize(("course", "drift", "climb"), [(0.0, 0.0, -5.0), (2.1, 0.1, 0.0), (np.pi, -0.2, 3.0)])
+def test_an_aircraft_that_sinks_or_drifts_sees_errors_as_foretold(
+    course: float, drift: float, climb: float, by_beams: bool
+) -> None:
+    """By finite differences at its range, Doppler and elevation, to 1 %: velocity, or where the beams look."""
+    slc, field, sensor = imaged(0, None)
+    body = Rotation.from_euler("ZYX", [course + drift, 0.03, 0.02])
+    velocity = np.array([50 * np.cos(course), 50 * np.sin(course), climb])
+    true = replace(slc.aperture, velocity=velocity, rotation=body.as_matrix())
+    side, slant_range, elevation = sensor.look_side, 5000.0, 0.79
+    sight = true.rotation @ look_direction(elevation, 0.0, side)
+    place = true.position + slant_range * sight
+    there = replace(observed(0, slc, field).points, place=np.stack(sphere_coordinates(place))[None])
+    placement = replace(slc.placement, by_beams=by_beams, pointing=0.0)
+    dwell = replace(observed(0, slc, field), points=there, aperture=true, placement=placement)
+    form = displaced(0, dwell, sensor.mounting, LAYOUT)
+
+    def seen(error: F64) -> F64:
+        """Where the surface seems to be if that is stated beyond the velocity, or beyond where the beams look."""
+        stated = true if by_beams else replace(true, velocity=velocity + error)
+        along = float(velocity @ sight) / np.linalg.norm(stated.velocity)
+        if by_beams:
+            along = float((sight + np.cross(error, sight)) @ true.direction)
+        return locate_at_elevation(elevation, slant_range, slant_range * along, stated, side)
+
+    # An attitude that errs turns the plane of elevation, too; where the image lies along the flight is what is new.
+    first = 6 if by_beams else 3
+    own = turn_jacobian(place, true) if by_beams else np.zeros((3, 3))
+    size = 1e-6 if by_beams else 1e-4
+    found = np.column_stack([(seen(size * axis) - seen(-size * axis)) / (2 * size) for axis in np.eye(3)])
+    expected = form.values[:, first : first + 3] - own
+    np.testing.assert_allclose(found, expected, atol=0.01 * np.abs(found).max())
 
 
 def peak_of(slc: Slc) -> F64:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers import make_aperture
 
 from sal_height.geometry.earth import EARTH_RADIUS, above_place, height_of, sphere_coordinates, sphere_point
-from sal_height.geometry.frames import angles_of, look_direction, squint_on_cone
+from sal_height.geometry.frames import angles_of, look_direction, shift_along, squint_on_cone
 from sal_height.geometry.grid import Grid
 from sal_height.geometry.locate import locate_at_elevation
 
@@ -117,3 +119,24 @@ def test_pixels_of_a_grid() -> None:
     np.testing.assert_allclose(pixels[2, 3], [1.75, 1.0, 3.0], atol=1e-15)
     np.testing.assert_allclose(grid.points(2, 3), pixels[2, 3], atol=1e-15)
     np.testing.assert_allclose(grid.points(0.5, [0, 1.5]), [[1, 1.75, 3], [1.375, 1.75, 3]], atol=1e-15)
+
+
+@SIDES
+@ATTITUDES
+@pytest.mark.parametrize("velocity", [(48.0, 3.0, -1.0), (-50.0, 0.0, -5.0), (0.0, 50.0, 4.0)])
+def test_a_surface_farther_along_the_flight_keeps_its_range_and_elevation(
+    side: int, angles: tuple[float, float, float], velocity: tuple[float, float, float]
+) -> None:
+    """By finite differences, to 1e-6: of an aircraft that sinks, climbs or drifts it does not move along its course."""
+    course = np.arctan2(velocity[1], velocity[0])
+    aperture = make_aperture(angles=(angles[0], angles[1], angles[2] + course), velocity=velocity)
+    elevation, slant_range = 0.8, 5000.0
+    along = slant_range * float(aperture.rotation @ look_direction(elevation, 0.0, side) @ aperture.direction)
+    before, here, after = (
+        locate_at_elevation(elevation, slant_range, along + step, aperture, side) for step in (-0.5, 0.0, 0.5)
+    )
+    shift = shift_along(aperture, (here - aperture.position) / slant_range)
+    np.testing.assert_allclose(after - before, shift, atol=1e-6)
+    np.testing.assert_allclose(
+        shift_along(replace(aperture, sliding=True), np.array([0.0, 0.6, -0.8])), aperture.direction
+    )

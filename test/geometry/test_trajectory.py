@@ -10,7 +10,14 @@ from helpers import assert_one_sentence
 from scipy.spatial.transform import Rotation
 
 from sal_height.errors import UserError
-from sal_height.geometry.trajectory import PlatformState, Trajectory
+from sal_height.geometry.trajectory import (
+    GREATEST_POSE,
+    GREATEST_VELOCITY,
+    PlatformState,
+    Trajectory,
+    is_finite_covariance,
+    known_covariance,
+)
 
 EPOCH_NS = 1_700_000_000_123_456_789
 COEFFICIENTS = np.array([[3.1, -7.2, 3535.5], [48.0, -2.0, 0.5], [0.7, 3.0, -2.0], [-5.0, 11.0, 7.0]])
@@ -159,3 +166,21 @@ def test_covariance_of_the_velocity_is_that_of_the_nearest_sample_in_axes_of_map
     ]
     found = Trajectory(states).velocity_covariance(EPOCH_NS, np.array([0.004, 0.009]))
     np.testing.assert_allclose(found, np.diag([20.0, 10.0, 30.0]), atol=1e-12)
+
+
+@pytest.mark.parametrize("wrong", [-1.0, -1e-6, np.nan, np.inf])
+def test_what_is_no_covariance_counts_as_exact_and_the_rest_stays(wrong: float) -> None:
+    """A negative variance of one axis of the position: zeros for all of it, and what is stated of the attitude."""
+    stated = np.diag([1e-4, wrong, 1e-4, 4e-8, 4e-8, 4e-8])
+    assert not is_finite_covariance(stated)
+    np.testing.assert_array_equal(known_covariance(stated, GREATEST_POSE), np.diag([0.0] * 3 + [4e-8] * 3))
+    np.testing.assert_array_equal(known_covariance(stated[:3, :3], GREATEST_VELOCITY), np.zeros((3, 3)))
+    whole = np.diag([1e-4, 1e-4, 0.0, 4e-8, 4e-8, 4e-8])
+    np.testing.assert_array_equal(known_covariance(whole, GREATEST_POSE), whole)
+
+
+def test_covariances_beyond_all_bounds_count_as_nothing_known() -> None:
+    """What is correlated stays so: 1e30 of two axes, correlated by a half, and a third that is known."""
+    stated = np.array([[1e30, 5e29, 1e13], [5e29, 1e30, 0.0], [1e13, 0.0, 1e-2]])
+    found = known_covariance(stated, GREATEST_VELOCITY)
+    np.testing.assert_allclose(found, [[1e6, 5e5, 1e1], [5e5, 1e6, 0.0], [1e1, 0.0, 1e-2]])

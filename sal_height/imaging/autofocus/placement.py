@@ -22,15 +22,16 @@ from scipy.spatial.transform import Rotation
 from scipy.special import spherical_jn
 
 from sal_height.errors import Rejected
-from sal_height.geometry import ApertureState
+from sal_height.geometry import ApertureState, shift_along
 from sal_height.imaging.autofocus.gradient import Focus
 from sal_height.numeric import F64
 
 FAR_OFF = 5.0
 """Standard deviations by which a Doppler centroid may differ from that of navigation."""
 
-WRAPS = np.arange(-8, 9)
-"""Multiples of the ambiguity of velocity that are weighed against each other."""
+WRAPS_SIGMAS, MOST_WRAPS = 6.0, 10_000
+"""Standard deviations of what navigation states up to which multiples of the ambiguity of velocity are weighed against
+each other, and the most of them to each side."""
 
 LOWEST_HZ, HIGHEST_HZ, FREQUENCIES = 10.0, 2000.0, 200
 """Of vibrations: below, navigation follows; rotors, propellers and engines make those between."""
@@ -106,7 +107,8 @@ class Placement:
 
     Attributes:
         speed: of the antenna along the line of sight beyond that of the odometry, m/s.
-        pointing: angle by which the beams look farther ahead than the attitude says, rad.
+        pointing: by how much farther ahead the beams look than the attitude says: the change of the cosine of the angle
+            to the flight, which abeam is that of the angle, rad.
         speed_error: standard deviation of what is left of `speed`, m/s.
         centroid: from which these follow; None: it was not measured.
         by_beams: whether the image is in the middle of the beams, wherever its Doppler frequency is: what is left is an
@@ -130,14 +132,15 @@ class Placement:
 
     def pointed(self, aperture: ApertureState, sight: F64) -> ApertureState:
         """The aperture as it looked."""
-        turn = Rotation.from_rotvec(self.pointing * np.cross(sight, aperture.direction))
+        axis = np.cross(sight, aperture.direction)
+        turn = Rotation.from_rotvec(self.pointing * axis / (axis @ axis))
         return replace(aperture, rotation=turn.as_matrix() @ aperture.rotation)
 
     def seen_from(self, aperture: ApertureState, sight: F64, slant_range: float) -> ApertureState:
         """The aperture as it flew and looked, with what is left of the error along the flight in its covariance."""
         covariance = np.array(aperture.covariance, dtype=np.float64)
-        along = self.speed_error * slant_range / np.linalg.norm(aperture.velocity)
-        covariance[:3, :3] += along**2 * np.outer(aperture.direction, aperture.direction)
+        along = self.speed_error * slant_range / np.linalg.norm(aperture.velocity) * shift_along(aperture, sight)
+        covariance[:3, :3] += np.outer(along, along)
         velocity = aperture.velocity + self.speed * sight
         return replace(self.pointed(aperture, sight), velocity=velocity, covariance=covariance)
 
@@ -166,9 +169,11 @@ def placed_by_centroid(centroid: Centroid, prior: NavigationPrior, ambiguity: fl
     prior = prior.beside(centroid.vibration)
     variance = prior.spread**2 + error**2
     of_speed, of_pointing = prior.speed**2 / variance, (prior.flight_speed * prior.pointing) ** 2 / variance
-    exponent = -((found + WRAPS * ambiguity) ** 2) / (2 * variance)
+    most = int(min(np.ceil(WRAPS_SIGMAS * np.sqrt(variance) / ambiguity), MOST_WRAPS))
+    wraps = ambiguity * np.arange(-most, most + 1)
+    exponent = -((found + wraps) ** 2) / (2 * variance)
     weights = np.exp(exponent - exponent.max())
-    wrapped = np.sum(weights * (WRAPS * ambiguity) ** 2) / weights.sum()
+    wrapped = np.sum(weights * wraps**2) / weights.sum()
     # A wrap more moves image and beams together, and so the image off the beams' middle by what is not its part.
     left = prior.speed**2 * (1 - of_speed) + (1 - of_speed) ** 2 * wrapped
     own = (1 - of_speed) ** 2 * (centroid.vibration**2 + wrapped) + (of_speed * error) ** 2

@@ -67,6 +67,9 @@ LIKELY = 10.0
 MOST_LIKELY = 200
 """Coarse steps around which a shift is searched finely: where more are likely, their spread is what counts."""
 
+MOST_SAID = 2**25
+"""Numbers of what points say of shifts in the coarse search, 0.3 GB: for far searches points are thinned to that."""
+
 LEAST_INFORMATION = 1e-6
 """Of nothing, 1/m^2: a standard deviation of 1 km."""
 
@@ -260,6 +263,7 @@ def match(points: Points, surface: Surface, reach: F64, kinds: int = 1) -> Match
     wide = np.maximum(np.ceil(reach[:2] / surface.step), COARSE).astype(int)
     # All shifts in coarse steps, and all around those that are likely.
     cells, step = lattice(wide, COARSE), COARSE * surface.step
+    points = points.thinned(max(LEAST_POINTS, MOST_SAID // (kinds * len(cells))))
     said, up = said_of_shifts(points, surface, cells, reach[2], kinds)
     usual = _means(said)
     scores = _scores(said, usual, up, reach[2])

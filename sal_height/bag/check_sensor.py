@@ -185,11 +185,15 @@ class SensorCheck:
                 "They cannot be focused; record odometry from before the first dwell to after the last.",
             )
         longest_ns = max((dwell.last_pulse_ns - dwell.stamp_ns for dwell in self._dwells), default=0)
-        gaps = np.diff(stamps)
+        # Between passes, where no dwell is, odometry may pause.
+        in_dwells = np.zeros(len(stamps) - 1, np.bool_)
+        for dwell in self._dwells:
+            in_dwells[slice(*_around(dwell, stamps))] |= _is_covered(dwell, stamps)
+        gaps = np.diff(stamps)[in_dwells]
         long = gaps > max(longest_ns, GAPLESS_NS)
         if long.any():
             yield warning(
-                f"Messages on {name} have {np.count_nonzero(long)} gaps longer than a dwell "
+                f"Messages on {name} have {np.count_nonzero(long)} gaps in dwells that are longer than a dwell "
                 f"({longest_ns * 1e-9:.3g} s) and {GAPLESS_NS * 1e-9:g} s, the longest of {gaps.max() * 1e-9:.3g} s.",
                 "Publish odometry more often; in long gaps sigma grows, or dwells are refused (max_odometry_gap_s).",
             )
@@ -206,9 +210,14 @@ def _hears_air(reader: BagReader) -> bool:
 
 def _is_covered(dwell: Dwell, stamps: I64) -> bool:
     """Whether a sample lies before the first pulse of a dwell or at it, and one after the last or at it."""
-    first = int(np.searchsorted(stamps, dwell.stamp_ns, "right")) - 1
-    last = int(np.searchsorted(stamps, dwell.last_pulse_ns, "left"))
+    first, last = _around(dwell, stamps)
     return 0 <= first < last < len(stamps)
+
+
+def _around(dwell: Dwell, stamps: I64) -> tuple[int, int]:
+    """Numbers of the last sample that is not after the first pulse of a dwell, and of the first not before its last."""
+    first = int(np.searchsorted(stamps, dwell.stamp_ns, "right")) - 1
+    return first, int(np.searchsorted(stamps, dwell.last_pulse_ns, "left"))
 
 
 def _name(dwell: Dwell) -> str:

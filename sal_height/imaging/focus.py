@@ -224,20 +224,30 @@ def _find_beams(
         return None, placed_by_navigation(prior)
     focus = autofocus(history, antenna, sensor, patches, settings)
     if uncertain and not focus.finds_beams:
-        raise Rejected("autofocus", describe_distrust(focus, prior))
+        raise Rejected("autofocus", describe_distrust(focus, prior, settings))
     if not focus.trusted:
         return focus, placed_by_navigation(prior)
     return place_image(focus, history.pulse_times, sensor.wavelength, prior)
 
 
-def describe_distrust(focus: Focus, prior: NavigationPrior) -> str:
-    """A sentence on a dwell whose phase error is not known, although navigation is not enough."""
-    why = (
-        f"estimates the phase to {focus.standard_error:.2g} rad" if np.isfinite(focus.standard_error) else "finds none"
-    )
+def describe_distrust(focus: Focus, prior: NavigationPrior, settings: AutofocusSettings) -> str:
+    """Sentences on a dwell whose phase error is not known, although navigation is not enough."""
+    if not np.isfinite(focus.standard_error):
+        why = "finds nothing above the noise"
+    elif focus.standard_error > settings.autofocus_max_error_rad:
+        why = (
+            f"knows the phase to {focus.standard_error:.2g} rad only; autofocus_max_error_rad allows "
+            f"{settings.autofocus_max_error_rad:g} rad"
+        )
+    elif not focus.trusted:
+        why = f"makes the image less sharp by more than autofocus_max_blur, {settings.autofocus_max_blur:g}, allows"
+    else:
+        why = "sees bright targets, which do not tell where the beams look"
     return (
         f"Odometry states the velocity along the line of sight to {prior.speed:.2g} m/s and the pointing along the "
-        f"flight to {prior.pointing:.2g} rad, so that the dwell needs autofocus, which {why} or loses sharpness."
+        f"flight to {prior.pointing:.2g} rad, so that the dwell needs autofocus, which {why}. With more echo (longer "
+        "dwells, more power) it sees more; if the odometry is better than it states, state that; autofocus never takes "
+        "the dwell as it is."
     )
 
 

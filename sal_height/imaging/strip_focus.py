@@ -171,7 +171,7 @@ def _in_focus(
     focus = link_block(history, antenna, before, sight, aperture.direction, sensor, settings)
     if not focus.trusted:
         if uncertain:
-            raise Rejected("autofocus", describe_distrust(focus, prior))
+            raise Rejected("autofocus", describe_distrust(focus, prior, settings))
         return history, replace(focus, phase=np.zeros(len(antenna))), placement or placed_by_navigation(prior)
     # How far the middle of the beams is off, if the course of the phase is known; the rest is movement.
     times, phase, slow = history.pulse_times, focus.phase, turns_slowly(focus.phase)

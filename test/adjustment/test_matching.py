@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
 from sal_height.adjustment._kernels import average_said, compare_shifts, sum_said
-from sal_height.adjustment.matching import LEAST_INFORMATION, Match, Points, match
+from sal_height.adjustment.matching import LEAST_INFORMATION, MOST_SAID, Match, Points, match
 
 SPACING = 0.1
 REACH = np.array([0.6, 0.6, 0.5])
@@ -143,6 +145,20 @@ def test_a_wide_search_over_level_ground_stays_small() -> None:
     matched = match(one.thinned(300), other.surface, np.array([10.0, 10.0, 1.0]))
     assert matched is not None
     assert np.all(np.diag(matched.information)[:2] < 1.0)
+
+
+@pytest.mark.parametrize("kinds", [1, 2])
+def test_a_far_search_takes_bounded_memory(kinds: int) -> None:
+    """Of 3600 points over 40 m to each side: thinned to MOST_SAID numbers, and the shift is found all the same."""
+    rng, shift = np.random.default_rng(5), np.array([12.3, -9.1, 0.2])
+    one, other = seen(steps, shift, rng), seen(steps, np.zeros(3), rng)
+    tracemalloc.start()
+    matched = match(one, other.surface, np.array([40.0, 40.0, 0.5]), kinds)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 1.6 * 8 * MOST_SAID
+    assert matched is not None
+    np.testing.assert_allclose(matched.shift, shift, atol=0.1)
 
 
 def test_dwells_that_met_have_their_shares() -> None:

@@ -150,8 +150,9 @@ def files(request: pytest.FixtureRequest, shared_data: Callable[[str], Path]) ->
 
 
 def in_files(errors: Iterable[str]) -> list[tuple[str, str]]:
-    """Every error in two files, and by turns in the first and the third one alone."""
-    return [(one, error) for number, error in enumerate(errors) for one in ("two", ("first", "third")[number % 2])]
+    """Every error in two files, and every second one by turns in the first and the third one alone."""
+    alone = {0: ["first"], 2: ["third"]}
+    return [(one, error) for number, error in enumerate(errors) for one in ["two", *alone.get(number % 4, [])]]
 
 
 def assert_comes_off(files: tuple[Path, ...], error: str) -> None:

@@ -21,6 +21,9 @@ from sal_height.simulation import load_preset
 PRESET, DWELLS, COPIES = sized(("sal_spotlight", 60, 16), ("small", 1, 2))
 """A bag is processed so many times, under another name each time."""
 
+WORKERS = sized((1, 2), (1, 1))
+"""Those that are compared."""
+
 TASKS = sized(2000, 10)
 
 PART = sized(20, 1)
@@ -29,11 +32,13 @@ PART = sized(20, 1)
 
 def scaling() -> Iterator[Row]:
     """Time of a campaign by one worker over that by two, which run already and have processed a bag before."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made)
         simulated = record_sensor(dataclasses.replace(load_preset(PRESET), dwells=DWELLS), 1, folder / "simulated")
         bag = _without_truth(simulated, folder / "flight")
-        one_s, two_s = (_campaign_s(bag, folder, workers) for workers in (1, 2))
+        one_s, two_s = (
+            _campaign_s(bag, folder / name, workers) for name, workers in zip(("one", "two"), WORKERS, strict=True)
+        )
     yield Row(
         "batch on two workers over one",
         one_s / two_s,
@@ -69,13 +74,13 @@ def _without_truth(simulated: Path, folder: Path) -> Path:
 
 
 def _campaign_s(bag: Path, folder: Path, workers: int) -> float:
-    """Time that so many workers take, s."""
+    """Time that so many workers take, s; what they make is in the folder."""
     address = "127.0.0.1:0"
     with LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=address, env=ONE_THREAD) as cluster:
         hired = Workers(scheduler=cluster.scheduler_address)
-        run_campaign(Campaign([bag] * 2 * workers, most_dwells=1), folder / f"first_{workers}", hired)
+        run_campaign(Campaign([bag] * 2 * workers, most_dwells=1), folder / "first", hired)
         began = time.monotonic()
-        rows = run_campaign(Campaign([bag] * COPIES, most_dwells=PART), folder / f"out_{workers}", hired)
+        rows = run_campaign(Campaign([bag] * COPIES, most_dwells=PART), folder / "out", hired)
         taken_s = time.monotonic() - began
     assert not any(row["failure"] or row["dropped"] for row in rows)  # noqa: S101 (it would be no measurement)
     return taken_s

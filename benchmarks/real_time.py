@@ -35,6 +35,9 @@ LATENCY_SECONDS = sized(60.0, 2.0)
 ENDURANCE_SECONDS = sized(600.0, 3.0)
 MINUTE_S = sized(60.0, 1.0)
 
+ENDURING = sized(Nodes.SEPARATE, Nodes.TOGETHER)
+"""What processes the graph consists of whose endurance is measured."""
+
 SEARCHED = sized(True, False)
 """Whether the rate of endurance is searched for."""
 
@@ -119,7 +122,7 @@ def endurance() -> Iterator[Row]:
     with tempfile.TemporaryDirectory() as folder:
         sensor = Sensor.of_preset(ENDURANCE, Path(folder))
         half = sensor.half_of(sensor.sustained()[0] if SEARCHED else 0.0)
-        seen = watch(sensor.bag, half, ENDURANCE_SECONDS, record=())
+        seen = watch(sensor.bag, half, ENDURANCE_SECONDS, ENDURING, record=())
     yield _growth(sensor, half, seen)
     yield from _latency(sensor, half, seen)
 

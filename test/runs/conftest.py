@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from sal_height.runs.simulate import run
+from sal_height.runs.simulate import fly
 from sal_height.simulation.preset import Preset, load_preset
 
 SEED = 3
@@ -21,7 +21,7 @@ def two_dwells() -> Preset:
 
 @pytest.fixture(scope="session")
 def recorded(two_dwells: Preset, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Output folder of a run of two dwells."""
+    """Output folder of a run of two dwells, without pictures."""
     out = tmp_path_factory.mktemp("runs") / "recorded"
-    run(two_dwells, SEED, out, {})
+    fly(two_dwells, SEED, out, {})
     return out

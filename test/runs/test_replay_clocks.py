@@ -24,7 +24,7 @@ from sal_height.runs.entry import Part
 from sal_height.runs.playing import Playing
 from sal_height.runs.replay import replay
 from sal_height.runs.replay_parameters import Processing
-from sal_height.runs.simulate import run
+from sal_height.runs.simulate import fly
 from sal_height.simulation.preset import Preset
 
 HEIGHTS = {"/ml/height", "/monopulse/height", "/tracked/height"}
@@ -114,7 +114,7 @@ def test_passes_go_on_in_time_and_the_first_one_is_compared(recorded: Path, tmp_
 
 
 def test_parts_and_entries_are_played_by_any_clock(two_dwells: Preset, tmp_path: Path) -> None:
-    run(dataclasses.replace(two_dwells, dwells=3), 5, tmp_path / "run", {}, Execution(record=["slc"]))
+    fly(dataclasses.replace(two_dwells, dwells=3), 5, tmp_path / "run", {}, Execution(record=["slc"]))
     bag = tmp_path / "run" / "bag"
     for name, part, playing, dwells in (
         ("history", Part(first=1), PACED, 2),

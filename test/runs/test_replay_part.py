@@ -19,7 +19,7 @@ from sal_height.errors import UserError
 from sal_height.runs.conductor import Execution
 from sal_height.runs.entry import Part
 from sal_height.runs.replay import Replay, replay
-from sal_height.runs.simulate import run
+from sal_height.runs.simulate import fly
 from sal_height.simulation.preset import Preset
 
 SEED, DWELLS = 5, 5
@@ -30,7 +30,7 @@ ESTIMATED, TRACKED = {"/ml/height", "/monopulse/height"}, "/tracked/height"
 def flown(two_dwells: Preset, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Output folder of a run of five dwells, with their images."""
     out = tmp_path_factory.mktemp("runs") / "flown"
-    run(dataclasses.replace(two_dwells, dwells=DWELLS), SEED, out, {}, Execution(record=["slc"]))
+    fly(dataclasses.replace(two_dwells, dwells=DWELLS), SEED, out, {}, Execution(record=["slc"]))
     return out
 
 

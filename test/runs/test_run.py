@@ -40,6 +40,14 @@ SEED = 3
 
 
 @pytest.fixture(scope="module")
+def recorded(two_dwells: Preset, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Output folder of a run of two dwells, with its pictures."""
+    out = tmp_path_factory.mktemp("runs") / "drawn"
+    run(two_dwells, SEED, out, {})
+    return out
+
+
+@pytest.fixture(scope="module")
 def changed(two_dwells: Preset, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Output folder of the run of fixture `recorded` with other parameters of two nodes."""
     out = tmp_path_factory.mktemp("changed") / "run"

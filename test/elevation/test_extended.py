@@ -41,7 +41,7 @@ def covariance_of(
         response = beams.response(elevation_at(offset + piece), 0.0)[:, None]
         samples += np.sqrt(cnr / 40) * response * circular(rng, (len(offset), looks, 1))
     covariance = np.einsum("pkm,pkn->pmn", samples, samples.conj())
-    return covariance if beams.is_complex else covariance.real
+    return covariance if beams.is_complex else np.ascontiguousarray(covariance.real)
 
 
 def log_likelihood(

@@ -131,7 +131,7 @@ def test_highest_peak_is_found_of_objectives_of_any_sign(looks: int, objective: 
     """Of Capon's -R^-1, negative everywhere; of R less a multiple of I, of both signs; and of R, positive."""
     rng, unit = np.random.default_rng([50, looks]), np.eye(16)
     slc = target_slc(make_beams("sinc"), rng.uniform(-3.75, 3.75, (400, looks)), 400, looks, 10.0, rng)
-    matrices = np.einsum("mpk,npk->pmn", slc, slc.conj()).real
+    matrices = np.ascontiguousarray(np.einsum("mpk,npk->pmn", slc, slc.conj()).real)
     assert_highest(-np.linalg.inv(matrices / looks + unit), objective)
     assert_highest(matrices - matrices.trace(axis1=1, axis2=2)[:, None, None] / 16 * unit, objective)
     assert_highest(matrices, objective)

@@ -183,7 +183,7 @@ def test_bound_is_the_inverse_fisher_information(name: str, offsets: tuple[float
     signal[1, 0] = signal[0, 1].conj()
     response = beams.response(elevation_at(np.array(offsets)), 0.0)
     covariance = 4 * (response.T @ signal @ response.conj() + np.eye(beams.count))
-    covariance = (covariance if beams.is_complex else covariance.real)[None]
+    covariance = (covariance if beams.is_complex else np.ascontiguousarray(covariance.real))[None]
     if not beams.is_complex:
         signal = signal.real.astype(complex)
     several = SeveralScatterers.at(search_of(beams), covariance, np.full(1, 4.0), elevation_at(np.array([offsets])))
@@ -203,7 +203,7 @@ def test_powers_are_at_the_maximum_of_the_likelihood(name: str) -> None:
     beams, rng, looks = beams_named(name), np.random.default_rng(62), 8
     offsets = np.tile([-0.4, 0.5], (5, 1))
     covariance = pixels_of(beams, offsets, (20.0, 50.0), looks, rng)[:, 0].astype(complex)
-    covariance = covariance if beams.is_complex else covariance.real
+    covariance = covariance if beams.is_complex else np.ascontiguousarray(covariance.real)
     several = SeveralScatterers.at(search_of(beams), covariance, np.full(5, float(looks)), elevation_at(offsets))
     fit = fit_powers(several.gram, several.seen, several.looks, several.power * several.array_power)
     response = beams.response(elevation_at(offsets), 0.0)

@@ -60,11 +60,21 @@ def test_an_output_folder_in_use_is_left_alone(tmp_path: Path, capsys: pytest.Ca
     assert [p.name for p in tmp_path.iterdir()] == ["mine.txt"]
 
 
-def test_options_change_the_preset(tmp_path: Path) -> None:
-    out = tmp_path / "out"
+@pytest.fixture(scope="module")
+def beside(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder in which a run with options had to choose its output folder beside one that is in use."""
+    folder = tmp_path_factory.mktemp("beside")
     words = ["--dwells", "1", "--cnr-db", "12", "--looks", "4x1", "--seed", "9"]
-    assert main(["run", "--preset", "small", *words, "--out", str(out)]) == 0
-    report = json.loads((out / "report.json").read_text())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        Path("out/small").mkdir(parents=True)
+        Path("out/small/mine.txt").write_text("mine")
+        assert main(["run", "--preset", "small", *words]) == 0
+    return folder
+
+
+def test_options_change_the_preset(beside: Path) -> None:
+    report = json.loads((beside / "out" / "small_2" / "report.json").read_text())
     assert (report["dwells"], report["cnr_db"], report["looks"], report["seed"]) == (1, 12.0, [4, 1], 9)
 
 
@@ -84,13 +94,11 @@ def test_a_run_without_a_valid_height_ends_with_status_1(tmp_path: Path, capsys:
 
 
 def test_without_out_the_next_free_folder_is_taken(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    beside: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert output_folder(None, "small") == Path("out/small")
-    Path("out/small").mkdir(parents=True)
-    Path("out/small/mine.txt").write_text("mine")
-    assert main(["run", "--preset", "small", "--dwells", "1"]) == 0
+    monkeypatch.chdir(beside)
     assert Path("out/small_2/height.png").is_file()
     assert main(["replay", "out/small_2/bag/bag_0.mcap"]) == 0
     assert Path("out/replay_small_2/report.json").is_file()

@@ -10,10 +10,13 @@ Angles are in rad, lengths in m, times in s.
 """
 
 from sal_height.geometry.air import (
+    PRESSURES_PA,
     RADIO_M,
     STANDARD_ATMOSPHERE,
+    TEMPERATURES_K,
     AirPath,
     Atmosphere,
+    describe_implausible_pressure,
     path_through_air,
     refractivities,
 )
@@ -52,10 +55,12 @@ __all__ = [
     "GREATEST_POSE",
     "GREATEST_VELOCITY",
     "MAP_AXES",
+    "PRESSURES_PA",
     "RADIO_M",
     "REORDERED_NS",
     "ROS_AXES",
     "STANDARD_ATMOSPHERE",
+    "TEMPERATURES_K",
     "UTM",
     "WGS_84",
     "AirPath",
@@ -75,6 +80,7 @@ __all__ = [
     "angles_of",
     "antennas_of",
     "aperture_at",
+    "describe_implausible_pressure",
     "find_system",
     "height_of",
     "is_finite_covariance",

@@ -21,6 +21,12 @@ HIGHEST_M = 32_000.0
 
 LOWEST_M = -1000.0
 
+TEMPERATURES_K, PRESSURES_PA = (180.0, 340.0), (500.0, 120_000.0)
+"""That air has at the heights at which the atmosphere is described."""
+
+PLAUSIBLE_PA = 70_000.0, 130_000.0
+"""Pressures at sea level that air can have; the weather leaves 87 to 109 kPa, and its layers are not known exactly."""
+
 LIGHT_M = 0.3e-6, 15e-6
 """Wavelengths of light that the formula is used for; it was measured up to 1.7 µm, and changes little beyond."""
 
@@ -102,6 +108,24 @@ class Atmosphere:
 
 
 STANDARD_ATMOSPHERE = Atmosphere()
+
+
+def describe_implausible_pressure(height: float, temperature: float, pressure: float) -> str:
+    """What is wrong with a pressure in another unit, or of another height, as part of a sentence; empty: nothing.
+
+    Args:
+        height: at which it was measured, above sea level, m.
+        temperature: there, K.
+        pressure: there, Pa.
+    """
+    at_sea_level = Atmosphere.measured(height, temperature, pressure, 0.0).sea_level_pressure
+    low, high = PLAUSIBLE_PA
+    if low <= at_sea_level <= high:
+        return ""
+    return (
+        f"{pressure:g} Pa at {height:.0f} m above sea level would be {at_sea_level:.0f} Pa at the sea, where "
+        f"{low:g} to {high:g} are allowed"
+    )
 
 
 def _saturation(temperature: float) -> float:

@@ -15,7 +15,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sal_height.geometry import (
+    PRESSURES_PA,
     STANDARD_ATMOSPHERE,
+    TEMPERATURES_K,
     AirPath,
     ApertureState,
     Atmosphere,
@@ -69,10 +71,14 @@ class CorrectionSettings(Settings):
         choices=("none", "standard", "measured"),
     )
     air_temperature_k: float = setting(
-        288.15, "temperature that was measured in the air", unit="K", minimum=180.0, maximum=340.0
+        288.15,
+        "temperature that was measured in the air",
+        unit="K",
+        minimum=TEMPERATURES_K[0],
+        maximum=TEMPERATURES_K[1],
     )
     air_pressure_pa: float = setting(
-        101_325.0, "pressure that was measured there", unit="Pa", minimum=500.0, maximum=120_000.0
+        101_325.0, "pressure that was measured there", unit="Pa", minimum=PRESSURES_PA[0], maximum=PRESSURES_PA[1]
     )
     air_humidity: float = setting(0.6, "relative humidity over water that was measured there", minimum=0.0, maximum=1.0)
     air_height_m: float = setting(

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Mapping
 
 from sal_height.errors import Rejected
-from sal_height.geometry import Atmosphere, PlatformState, height_of
+from sal_height.geometry import PlatformState, describe_implausible_pressure, height_of
 from sal_height.imaging import CorrectionSettings
 from sal_height.messages import AIR, AIR_LATENCY_NS, HEARD_AIR, AirSample, ReceivedFrame, needed_air
 from sal_height.nodes.role import Topics
@@ -18,9 +18,6 @@ USED_AIR = "heard_air"
 
 MOST_SAMPLES = 1000
 """Messages of each quantity that are held: 100 s of a probe at 10 Hz."""
-
-PLAUSIBLE_PA = 70_000.0, 130_000.0
-"""Pressures at sea level that air can have; the weather leaves 87 to 109 kPa, and its layers are not known exactly."""
 
 OTHER_CLOCK_S = 86400.0
 """What is a day from the frames has another clock."""
@@ -144,15 +141,11 @@ def _check_plausible(frame: ReceivedFrame, values: Mapping[str, float]) -> None:
     Raises:
         Rejected: there is no such air.
     """
-    height, pressure = values["air_height_m"], values["air_pressure_pa"]
-    at_sea_level = Atmosphere.measured(height, values["air_temperature_k"], pressure, 0.0).sea_level_pressure
-    low, high = PLAUSIBLE_PA
-    if not low <= at_sea_level <= high:
+    measured = (values[name] for name in ("air_height_m", "air_temperature_k", "air_pressure_pa"))
+    if wrong := describe_implausible_pressure(*measured):
         raise _no_air(
             frame,
-            f"{pressure:g} Pa at {height:.0f} m above sea level would be {at_sea_level:.0f} Pa at the sea, "
-            f"where {low:g} to {high:g} are allowed; give air/pressure in Pa, and the right height (air_probe, "
-            "air_height_m, map_height_m).",
+            f"{wrong}; give air/pressure in Pa, and the right height (air_probe, air_height_m, map_height_m).",
         )
 
 

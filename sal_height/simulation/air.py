@@ -9,7 +9,7 @@ import numpy as np
 from annotated_types import Ge, Le
 
 from sal_height.configuration import Float, StrictKeys
-from sal_height.geometry import AirPath, Atmosphere, path_through_air
+from sal_height.geometry import PRESSURES_PA, TEMPERATURES_K, AirPath, Atmosphere, path_through_air
 
 INTERVAL_NS = 1_000_000_000
 """Between two measurements, ns; a dwell has the last one that is so much older than its first pulse."""
@@ -40,8 +40,8 @@ class SimulatedAir(StrictKeys):
         map_height_m: of the origin of map above sea level.
     """
 
-    temperature_k: Annotated[Float, Ge(180), Le(340)] = 288.15
-    pressure_pa: Annotated[Float, Ge(1000), Le(120_000)] = 101_325.0
+    temperature_k: Annotated[Float, Ge(TEMPERATURES_K[0]), Le(TEMPERATURES_K[1])] = 288.15
+    pressure_pa: Annotated[Float, Ge(PRESSURES_PA[0]), Le(PRESSURES_PA[1])] = 101_325.0
     humidity: Annotated[Float, Ge(0), Le(1)] = 0.0
     height_m: Annotated[Float, Ge(-1000), Le(32_000)] = 0.0
     map_height_m: Annotated[Float, Ge(-1000), Le(10_000)] = 0.0

@@ -19,13 +19,15 @@ from scipy.spatial.transform import Rotation
 from sal_height.beams import PATTERNS, read_beam_tables
 from sal_height.configuration import Float, Int, StrictKeys, read_yaml, validated
 from sal_height.errors import UserError
-from sal_height.geometry import Mounting, Origin
+from sal_height.geometry import Mounting, Origin, describe_implausible_pressure
 from sal_height.sensor import MAX_DETECTORS, Sensor
 from sal_height.simulation.impairments import UNIMPAIRED, Impairments
 from sal_height.simulation.settings import Angle, Decibels
 
 SHIPPED = Path(__file__).parents[1] / "presets"  # the folder of the presets that come with the package
 BEAM_TABLES = ".csv"  # suffix of the file of measured beams that a preset may name as its pattern
+
+LONGEST_LIGHT_M = 100e-6  # wavelength of a laser; terahertz radars have longer waves, which no laser line describes
 
 Length = Annotated[Float, Ge(-1000), Le(1000)]
 
@@ -297,6 +299,7 @@ def parse_preset(content: Any, source: str) -> Preset:
         *_channel_misfits(preset),
         *_blanking_misfits(preset),
         *_impairment_misfits(preset),
+        *_nature_misfits(preset),
         *_spacing_misfits(preset),
         *_pass_misfits(preset),
     ):
@@ -376,6 +379,20 @@ def _impairment_misfits(preset: Preset) -> Iterator[str]:
         )
 
 
+def _nature_misfits(preset: Preset) -> Iterator[str]:
+    """Of a laser in a radar, and of a pressure that air does not have."""
+    impairments, wavelength = preset.impairments, preset.sensor.wavelength_m
+    if impairments.laser_linewidth_hz and wavelength > LONGEST_LIGHT_M:
+        yield (
+            f"impairments.laser_linewidth_hz is {impairments.laser_linewidth_hz:g} with sensor.wavelength_m "
+            f"{wavelength:g}; a laser is part of a lidar, whose wavelength is {LONGEST_LIGHT_M:g} or less, so leave it "
+            "out"
+        )
+    air = impairments.air
+    if air and (wrong := describe_implausible_pressure(air.height_m, air.temperature_k, air.pressure_pa)):
+        yield f"impairments.air is impossible: {wrong}; give pressure_pa in Pa, as it is at height_m"
+
+
 def _spacing_misfits(preset: Preset) -> Iterator[str]:
     """Of spotlight dwells that overlap, and of stripmap dwells with a spacing of their own."""
     sensor, flight = preset.sensor, preset.flight
@@ -405,7 +422,10 @@ def _pass_misfits(preset: Preset) -> Iterator[str]:
     if passes.count == 1:
         return
     if passes.count > preset.dwells:
-        yield f"flight.passes.count is {passes.count}; it must be at most dwells, {preset.dwells}"
+        yield (
+            f"dwells is {preset.dwells} and flight.passes.count is {passes.count}; each pass needs a dwell or more, "
+            f"so give {passes.count} dwells or more, or fewer passes"
+        )
     least = passes.dwells_each(preset.dwells) * preset.dwell_spacing_m / preset.flight.speed_mps + PAUSE_S
     if passes.interval_s < least:
         yield (

@@ -134,6 +134,8 @@ def test_a_vibration_makes_paired_echoes_of_bessel_functions() -> None:
     [
         ("laser_linewidth_hz", -1, ("laser_linewidth_hz",)),
         ("laser_within_pulse", True, ("laser_within_pulse is true", "'spectrum'", "must be false")),
+        ("air", {"pressure_pa": 1013}, ("air", "1013 Pa", "70000 to 130000 are allowed", "in Pa")),
+        ("air", {"pressure_pa": 101_325, "height_m": 5000}, ("101325 Pa at 5000 m", "as it is at height_m")),
         ("vibration", {"lines": [{"amplitude_m": 1e-6}]}, ("frequency_hz",)),
         ("vibration", {"bands": [{"density_g2_per_hz": 1, "lowest_hz": 9, "highest_hz": 3}]}, ("lowest_hz", "below")),
     ],
@@ -143,3 +145,10 @@ def test_settings_that_are_none_are_said_in_one_sentence(key: str, value: object
     with pytest.raises(UserError) as caught:
         parse_preset(content | {"impairments": {key: value}}, "small")
     assert_one_sentence(str(caught.value), *parts)
+
+
+def test_a_laser_belongs_to_a_lidar() -> None:
+    content = yaml.safe_load((SHIPPED / "xband_relief.yaml").read_text())
+    with pytest.raises(UserError) as caught:
+        parse_preset(content | {"impairments": {"laser_linewidth_hz": 2000.0}}, "radar.yaml")
+    assert_one_sentence(str(caught.value), "laser_linewidth_hz is 2000", "wavelength_m 0.03", "leave it out")

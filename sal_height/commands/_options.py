@@ -6,7 +6,7 @@ import gc
 import re
 import sys
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -83,6 +83,21 @@ def _pair_of(kind: type, separator: str, form: str) -> Any:
         raise ValueError(f"{text!r} is not of the form {form}")
 
     return convert
+
+
+def allowed(what: str, is_allowed: Callable[[float], bool]) -> Callable[[type, float | None], None]:
+    """A validator of a number that says all that is allowed, also where the number is no number.
+
+    Args:
+        what: is allowed, behind "must be a number".
+        is_allowed: whether a number is; of NaN it must be False.
+    """
+
+    def check(_type: type, value: float | None) -> None:
+        if value is not None and not is_allowed(value):
+            raise ValueError(f"It must be a number {what}.")
+
+    return check
 
 
 def _place(_type: type, tokens: Sequence[Token]) -> dict[str, float]:

@@ -5,9 +5,17 @@ from __future__ import annotations
 from typing import Annotated, TypeAlias
 
 from cyclopts import Parameter
-from cyclopts.validators import Number
 
-from sal_height.commands._options import DONE, THEORY, OutputFolder, command, output_folder
+from sal_height.commands._options import (
+    DONE,
+    FAILED,
+    THEORY,
+    OutputFolder,
+    allowed,
+    command,
+    complain,
+    output_folder,
+)
 
 EXAMPLES = """
   sal-height budget sal_spotlight
@@ -17,9 +25,11 @@ EXAMPLES = """
   sal-height budget my_sensor.yaml
 """
 
-app = command("budget", THEORY, EXAMPLES)
+app = command("budget", THEORY, EXAMPLES, "`sal-height run` refuses the preset; sentences on stderr say why")
 
-Ratio: TypeAlias = Annotated[float, Parameter(metavar="DB", validator=Number(gte=0, lte=100))]
+Ratio: TypeAlias = Annotated[
+    float, Parameter(metavar="DB", validator=allowed("from 0 to 100 (dB)", lambda value: 0 <= value <= 100))
+]
 
 
 @app.default
@@ -27,8 +37,14 @@ def budget(
     preset: str,
     /,
     *,
-    power: Annotated[float | None, Parameter(metavar="W", validator=Number(gt=0, lte=1e9))] = None,
-    backscatter_db: Annotated[float | None, Parameter(metavar="DB", validator=Number(gte=-80, lte=40))] = None,
+    power: Annotated[
+        float | None,
+        Parameter(metavar="W", validator=allowed("above 0, at most 1e9 (W)", lambda value: 0 < value <= 1e9)),
+    ] = None,
+    backscatter_db: Annotated[
+        float | None,
+        Parameter(metavar="DB", validator=allowed("from -80 to 40 (dB)", lambda value: -80 <= value <= 40)),
+    ] = None,
     loss_db: Ratio = 0.0,
     noise_figure_db: Ratio = 0.0,
     out: OutputFolder = None,
@@ -41,7 +57,11 @@ def budget(
     one look of a detector that looks straight at the ground, as in presets, and
     sigma the Cramer-Rao bound of a pixel with the looks of the preset.
 
-    The last group says what errors cost that nobody tells the processor.
+    The group "sensitivity to uncorrected errors" says what an error of a unit does,
+    whether the preset has it or not, and "errors of this preset" how large the
+    preset's impairments are and what they do to place and height where neither a
+    parameter nor autofocus takes them out. Random errors are rms, constant ones
+    without their sign. A sentence says whether autofocus is needed.
 
     The output folder holds budget.json and budget.png.
 
@@ -55,8 +75,9 @@ def budget(
             light h f; of a lidar, one over the efficiency of detection.
         out: Output folder, new or empty. Default: out/budget, or the next free of out/budget_2, ….
     """
-    from sal_height.runs.budget import BUDGET, PICTURE, Assumptions, budget_table
+    from sal_height.runs.budget import BUDGET, PICTURE, Assumptions
     from sal_height.runs.budget import budget as draw_up
+    from sal_height.runs.budget_entry import budget_table
     from sal_height.simulation import load_preset
 
     folder = output_folder(out, "budget")
@@ -67,6 +88,8 @@ def budget(
         loss=10 ** (loss_db / 10),
         noise_figure=10 ** (noise_figure_db / 10),
     )
-    print(budget_table(draw_up(described, assumed, folder)))
+    drawn = draw_up(described, assumed, folder)
+    print(budget_table(drawn.entries), *drawn.notes, sep="\n")
     print(f"see {folder}/{BUDGET} and {folder}/{PICTURE}")
-    return DONE
+    complain(drawn.refusals)
+    return FAILED if drawn.refusals else DONE

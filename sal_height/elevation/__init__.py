@@ -12,7 +12,7 @@ name). `profile` tells the reflectivity at all elevations of a pixel instead, as
 """
 
 from sal_height.elevation.beam_error import common_deviation
-from sal_height.elevation.bounds import conditional_crb, speckle_crb, stochastic_crb
+from sal_height.elevation.bounds import conditional_crb, information, speckle_crb, stochastic_crb
 from sal_height.elevation.cell_response import AxisResponse, CellResponse
 from sal_height.elevation.estimate import (
     MEASURED,
@@ -101,6 +101,7 @@ __all__ = [
     "discriminant_slope",
     "discriminate",
     "discriminator_variance",
+    "information",
     "invert",
     "is_explained",
     "live_detectors",

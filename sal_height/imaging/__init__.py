@@ -17,7 +17,7 @@ from sal_height.imaging.corrections import (
     correct_track,
     with_known_errors,
 )
-from sal_height.imaging.focus import ImageSettings, Slc, cell_response, focus_dwell
+from sal_height.imaging.focus import ImageSettings, Slc, cell_response, focus_dwell, speckle_tells_beams
 from sal_height.imaging.formers.backprojection import backproject, backproject_points
 from sal_height.imaging.formers.choice import FORMERS, FormImages
 from sal_height.imaging.pixels import azimuth_resolution, line_of_sight
@@ -47,5 +47,6 @@ __all__ = [
     "focus_dwell",
     "image_beams",
     "line_of_sight",
+    "speckle_tells_beams",
     "with_known_errors",
 ]

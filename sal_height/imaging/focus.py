@@ -26,6 +26,7 @@ from sal_height.imaging.autofocus.placement import (
     place_image,
     placed_by_navigation,
 )
+from sal_height.imaging.autofocus.strip_phase import stays_in_range_cell
 from sal_height.imaging.checks import (
     check_doppler_centroid,
     check_dwell,
@@ -211,6 +212,19 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
     return Slc(images, grid, aperture, noise_power, shares, *windows, focus, doubt, placement, left)
 
 
+def speckle_tells_beams(sensor: Sensor, antenna: F64, slant_range: float) -> bool:
+    """Whether autofocus can find the beams on speckle.
+
+    Args:
+        sensor: wavelength, bandwidth, beams and noise power.
+        antenna: position at the pulses of a dwell, or at the first and the last one, m, shape (pulses, 3).
+        slant_range: m.
+    """
+    if sensor.mode == "stripmap":
+        return stays_in_range_cell(sensor, slant_range)
+    return is_for_speckle(sensor, antenna)
+
+
 def _find_beams(
     history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64, prior: NavigationPrior, settings: ImageSettings
 ) -> tuple[Focus | None, Placement]:
@@ -219,7 +233,8 @@ def _find_beams(
     Raises:
         Rejected: navigation does not know well enough where the beams are, and the data do not tell.
     """
-    uncertain = settings.beams_are_uncertain(prior, sensor) and is_for_speckle(sensor, antenna)
+    told = speckle_tells_beams(sensor, antenna, float(history.reference_range[0]))
+    uncertain = settings.beams_are_uncertain(prior, sensor) and told
     if settings.autofocus == "never" or (settings.autofocus == "auto" and not uncertain):
         return None, placed_by_navigation(prior)
     focus = autofocus(history, antenna, sensor, patches, settings)

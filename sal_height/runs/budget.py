@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -14,15 +13,16 @@ from scipy.constants import speed_of_light
 
 from sal_height.elevation import stochastic_crb
 from sal_height.errors import UserError
-from sal_height.geometry import RADIO_M, ApertureState, locate_at_height, path_through_air
+from sal_height.geometry import RADIO_M, AirPath, ApertureState, locate_at_height, path_through_air
 from sal_height.imaging import azimuth_resolution, image_beams
 from sal_height.io import new_folder, write_text
 from sal_height.numeric import F64
 from sal_height.relief import position_jacobian, vertical
+from sal_height.runs.budget_entry import Entry
+from sal_height.runs.budget_errors import Situation, describe_autofocus, error_entries, image_settings
 from sal_height.runs.budget_picture import draw_budget
 from sal_height.sensor import Sensor, aperture_length, lit_doppler, spectrum_sensor
-from sal_height.simulation import Preset, mean_square_gain
-from sal_height.tables import aligned
+from sal_height.simulation import Preset, describe_beam_misfits, mean_square_gain, samples_doppler
 from sal_height.theory import Link, diffuse_backscatter, effective_area, noise_density
 
 BUDGET, PICTURE = "budget.json", "budget.png"
@@ -36,6 +36,9 @@ DEFOCUSING_RAD = np.pi / 4
 
 PAIRED_ECHO_DB = -20.0
 """Of the echoes that a vibration puts beside each target."""
+
+SENSITIVITY = "sensitivity to uncorrected errors"
+"""Heading of what an error of a unit does, whether the preset has it or not."""
 
 PLACES = 201
 """Over the swath, of the picture."""
@@ -58,25 +61,6 @@ class Assumptions:
     noise_figure: float = 1.0
 
 
-@dataclass(frozen=True)
-class Entry:
-    """A number of the budget.
-
-    Attributes:
-        group: heading.
-        key: in the JSON file, with its unit.
-        title: what it is, in words.
-        value: in `unit`.
-        unit: as printed.
-    """
-
-    group: str
-    key: str
-    title: str
-    value: float
-    unit: str
-
-
 class Budget:
     """A preset's sensor over level ground, abeam, in the middle of its beams.
 
@@ -94,11 +78,12 @@ class Budget:
         """Take the sensor apart.
 
         Raises:
-            UserError: beams that leave the quarter between nadir and horizon.
+            UserError: beams that leave the quarter between nadir and horizon, or a parameter that is not allowed.
         """
         self.preset, self.sensor, self.assumed = preset, preset.make_sensor(), assumed
         usual = _usual_backscatter(self.sensor.wavelength, preset.flight.look_angle_rad)
         self.backscatter = usual if assumed.backscatter is None else assumed.backscatter
+        self._settings = image_settings(preset)
         self.link = self._link()
         if assumed.power is None:
             self.cnr = float(10 ** (preset.cnr_db / 10))
@@ -116,11 +101,8 @@ class Budget:
         """
         beams = image_beams(self.sensor, "taylor")
         middle = float(np.mean(beams.span))
-        aperture = self._aperture
-        point = locate_at_height(0.0, self.preset.flight.slant_range_m, 0.0, aperture, self.sensor.look_side)
-        climb = abs(float(vertical(point) @ position_jacobian(point, aperture)[:, 0]))
         looks = int(np.prod(self.preset.looks))
-        return climb * stochastic_crb(beams, middle if elevation is None else elevation, 0.0, cnr, looks)
+        return self._climb * stochastic_crb(beams, middle if elevation is None else elevation, 0.0, cnr, looks)
 
     def over_the_swath(self) -> tuple[F64, F64]:
         """Elevation from the middle of the beams (rad), and `height_deviation` there."""
@@ -138,9 +120,35 @@ class Budget:
             *self._data(),
             *self._accuracy(),
             *self._sensitivities(),
-            *self._navigation(),
+            *error_entries(self._situation),
             *self._air(),
         ]
+
+    def refusals(self) -> list[str]:
+        """Sentences with which a run refuses the preset, each once."""
+        found = list(describe_beam_misfits(self.preset, self.sensor))
+        if self.preset.impairments.air and isinstance(self._path, str):
+            found.append(self._path)
+        return found
+
+    def notes(self) -> list[str]:
+        """Sentences on what numbers do not say."""
+        found = [describe_autofocus(self._situation)]
+        if isinstance(self._path, str):
+            found.append(f"The table has nothing on air: {self._path[0].lower()}{self._path[1:]}")
+        return found
+
+    @cached_property
+    def _situation(self) -> Situation:
+        """What the effects of the preset's errors depend on."""
+        return Situation(self.preset, self.sensor, self._settings, self._aperture, self._aperture_time, self._climb)
+
+    @cached_property
+    def _climb(self) -> float:
+        """Height (m) that a radian of elevation moves a point by."""
+        aperture = self._aperture
+        point = locate_at_height(0.0, self.preset.flight.slant_range_m, 0.0, aperture, self.sensor.look_side)
+        return abs(float(vertical(point) @ position_jacobian(point, aperture)[:, 0]))
 
     @cached_property
     def _aperture(self) -> ApertureState:
@@ -210,10 +218,13 @@ class Budget:
         sensor, flight, group = self.sensor, self.preset.flight, "pulses"
         rate = sensor.pulse_repetition_frequency
         least = lit_doppler(sensor, flight.speed_mps)
-        swath = self._lit_across * np.tan(flight.look_angle_rad)
-        yield Entry(group, "prf_hz", "pulse repetition frequency", rate, "Hz")
-        yield Entry(group, "least_prf_hz", "least: Doppler that main lobes light up", least, "Hz")
-        yield Entry(group, "greatest_prf_hz", "greatest: echoes of the swath apart", speed_of_light / 2 / swath, "Hz")
+        greatest = speed_of_light / 2 / (self._lit_across * np.tan(flight.look_angle_rad))
+        lowest_title = "lowest PRF that samples the Doppler of the main lobes"
+        highest_title = "highest PRF without range ambiguity in the swath"
+        aliases = "" if samples_doppler(self.preset, sensor) else "too low"
+        yield Entry(group, "prf_hz", "pulse repetition frequency (PRF)", rate, "Hz", aliases)
+        yield Entry(group, "least_prf_hz", lowest_title, least, "Hz")
+        yield Entry(group, "greatest_prf_hz", highest_title, greatest, "Hz")
         on_the_way = 2 * flight.slant_range_m * rate / speed_of_light
         yield Entry(group, "pulses_on_the_way", "pulses on the way at once", on_the_way, "")
         fastest = sensor.wavelength * rate / 4
@@ -234,7 +245,7 @@ class Budget:
             "backscatter_db": ("backscatter of the ground (sigma0)", self.backscatter),
             "loss_db": ("losses", self.assumed.loss),
             "noise_figure_db": ("noise figure", self.assumed.noise_figure),
-            "cnr_db": ("CNR of a look, straight ahead", self.cnr),
+            "cnr_db": ("single-look CNR at beam centre", self.cnr),
         }
         for key, (title, ratio) in decibels.items():
             yield Entry(group, key, title, 10 * np.log10(ratio), "dB")
@@ -243,7 +254,7 @@ class Budget:
         yield Entry(group, "height_sigma_m", "sigma of a height by noise, at least", deviation, "m")
 
     def _sensitivities(self) -> Iterator[Entry]:
-        flight, sensor, group = self.preset.flight, self.sensor, "errors that nobody tells the processor"
+        flight, sensor, group = self.preset.flight, self.sensor, SENSITIVITY
         time, wavelength = self._aperture_time, sensor.wavelength
         arm = flight.slant_range_m * np.sin(flight.look_angle_rad)
         shift = flight.slant_range_m / flight.speed_mps
@@ -260,31 +271,38 @@ class Budget:
         )
         yield Entry(group, "vibration_um", "vibration with echoes of -20 dB, amplitude", 1e6 * vibration, "µm")
 
-    def _navigation(self) -> Iterator[Entry]:
-        """What the errors of the preset's navigation do, rms; nothing where it has none."""
-        flight, errors = self.preset.flight, self.preset.impairments.odometry
-        if not errors.is_wrong:
-            return
-        grade = f", {errors.grade} grade" if errors.grade else ""
-        group = f"errors of the navigation, rms{grade}"
-        arm = flight.slant_range_m * np.sin(flight.look_angle_rad)
-        along = errors.velocity_mps * flight.slant_range_m / flight.speed_mps
-        roll, heading = float(arm * errors.attitude_rad), float(arm * errors.heading_rad)
-        yield Entry(group, "navigation_position_m", "position", errors.position_m, "m")
-        yield Entry(group, "navigation_along_m", "velocity: place along the flight, without autofocus", along, "m")
-        yield Entry(group, "navigation_height_m", "roll: height", roll, "m")
-        yield Entry(group, "navigation_beams_m", "heading: beams along the flight", heading, "m")
+    @cached_property
+    def _ground_above_sea(self) -> float:
+        """Height of the map's origin above sea level, m, as the preset says it.
+
+        The height of an origin above the ellipsoid, which differs by up to 100 m, is taken where nothing else is said.
+        """
+        if self.preset.impairments.air:
+            return self.preset.impairments.air.map_height_m
+        origin = self.preset.origin
+        return self._settings.map_height_m or (origin.height_m if origin else 0.0)
+
+    @cached_property
+    def _path(self) -> AirPath | str:
+        """What the air of the preset, or else the standard atmosphere, does; or a sentence on why it is not known."""
+        flight, ground, wavelength = self.preset.flight, self._ground_above_sea, self.sensor.wavelength
+        above = flight.slant_range_m * np.cos(flight.look_angle_rad)
+        try:
+            if air := self.preset.impairments.air:
+                return air.way(wavelength, flight.slant_range_m, flight.look_angle_rad, 0.0)
+            return path_through_air(wavelength, ground + above, ground, flight.look_angle_rad)
+        except UserError as error:
+            return str(error)
 
     def _air(self) -> Iterator[Entry]:
-        """What the standard atmosphere does; nothing where it is not known."""
-        flight, group = self.preset.flight, "standard atmosphere, if nobody corrects it"
-        look, ground = flight.look_angle_rad, self.preset.origin.height_m if self.preset.origin else 0.0
-        above = flight.slant_range_m * np.cos(look)
-        try:
-            path = path_through_air(self.sensor.wavelength, ground + above, ground, look)
-        except UserError:
+        """What the air does; nothing where it is not known."""
+        flight, path = self.preset.flight, self._path
+        if isinstance(path, str):
             return
+        group = ("air of this preset" if self.preset.impairments.air else "standard atmosphere") + ", uncorrected"
+        look = flight.look_angle_rad
         by_range, by_bend = -np.cos(look) * path.delay, flight.slant_range_m * np.sin(look) * path.bend
+        yield Entry(group, "air_map_height_m", "ground above sea level", self._ground_above_sea, "m")
         yield Entry(group, "air_range_m", "slant range, too long by", path.delay, "m")
         yield Entry(group, "air_bend_urad", "elevation, too far from nadir by", 1e6 * path.bend, "µrad")
         yield Entry(group, "air_height_by_range_m", "height, by range", by_range, "m")
@@ -302,16 +320,32 @@ def _usual_backscatter(wavelength: float, incidence: float) -> float:
     return diffuse_backscatter(ALBEDO, incidence) if wavelength < RADIO_M else 10 ** (BACKSCATTER_DB / 10)
 
 
-def budget(preset: Preset, assumed: Assumptions, out: Path) -> Sequence[Entry]:
-    """Write budget.json and budget.png into the folder `out`, new or empty; returns the numbers.
+@dataclass(frozen=True)
+class DrawnUp:
+    """A budget as it was written.
+
+    Attributes:
+        entries: its numbers.
+        notes: sentences on what these do not say.
+        refusals: sentences with which a run refuses the preset.
+    """
+
+    entries: list[Entry]
+    notes: list[str]
+    refusals: list[str]
+
+
+def budget(preset: Preset, assumed: Assumptions, out: Path) -> DrawnUp:
+    """Write budget.json and budget.png into the folder `out`, new or empty; returns what it says.
 
     Raises:
         UserError: the sensor is impossible, or a file cannot be written.
     """
     found = Budget(preset, assumed)
+    drawn = DrawnUp(found.entries(), found.notes(), found.refusals())
     new_folder(out)
-    entries = found.entries()
-    content = {"preset": preset.name, **{entry.key: entry.value for entry in entries}}
+    numbers = {entry.key: entry.value for entry in drawn.entries}
+    content = {"preset": preset.name, **numbers, "notes": drawn.notes, "refusals": drawn.refusals}
     write_text(out / BUDGET, json.dumps(content, indent=2) + "\n")
     elevation, deviation = found.over_the_swath()
     powers = found.power * np.geomspace(1e-2, 1e2, PLACES)
@@ -322,18 +356,4 @@ def budget(preset: Preset, assumed: Assumptions, out: Path) -> Sequence[Entry]:
         (found.power, float(found.height_deviation(found.cnr))),
         out / PICTURE,
     )
-    return entries
-
-
-def _number(value: float) -> str:
-    """A number with four digits that count, and without an exponent."""
-    return np.format_float_positional(value, precision=4, unique=False, fractional=False, trim="-").rstrip(".")
-
-
-def budget_table(entries: Sequence[Entry]) -> str:
-    """The numbers as lines of text, under their headings."""
-    rows = aligned([(f"  {one.title}", _number(one.value), one.unit.ljust(4)) for one in entries]).splitlines()
-    lines: list[str] = []
-    for group, members in groupby(zip(entries, rows, strict=True), key=lambda pair: pair[0].group):
-        lines += [group, *(row.rstrip() for _, row in members)]
-    return "\n".join(lines)
+    return drawn

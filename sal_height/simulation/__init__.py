@@ -7,8 +7,15 @@ sum of their echoes), `beam_lattice` (beams in many directions), `air`, `receive
 echoes) and `truth` (what a height image should show).
 """
 
-from sal_height.simulation.flight import SimulatedFlight, flight_of
+from sal_height.simulation.flight import (
+    SimulatedFlight,
+    describe_beam_misfits,
+    flight_of,
+    samples_doppler,
+    swings_little,
+)
 from sal_height.simulation.impairments import Impairments, RangeSawtooth, RangeTaper
+from sal_height.simulation.phase_errors import laser_structure
 from sal_height.simulation.preset import (
     MountingSettings,
     OriginSettings,
@@ -32,11 +39,15 @@ __all__ = [
     "SimulatedFlight",
     "Truth",
     "VisibleSurface",
+    "describe_beam_misfits",
     "flight_of",
+    "laser_structure",
     "load_preset",
     "mean_square_gain",
     "parse_preset",
     "preset_names",
+    "samples_doppler",
     "simulate_block",
+    "swings_little",
     "truth_image",
 ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -431,7 +431,8 @@ def flight_of(preset: Preset, seed: int) -> SimulatedFlight:
             the beams swing too far.
     """
     sensor = preset.make_sensor()
-    _check_beams(preset, sensor)
+    for misfit in describe_beam_misfits(preset, sensor):
+        raise UserError(misfit)
     scene = load_scene(preset.scene, preset.scene_extent_m)
     targets = tuple(
         PointScatterer(
@@ -460,24 +461,29 @@ def _origin_of(preset: Preset, scene: Scene) -> Origin | None:
     return preset.origin.place
 
 
-def _check_beams(preset: Preset, sensor: Sensor) -> None:
-    """Check that the pulses sample the Doppler of all that the main lobes light up, and that the beams swing little.
+def samples_doppler(preset: Preset, sensor: Sensor) -> bool:
+    """Whether the pulses sample the Doppler of all that the main lobes light up."""
+    return sensor.pulse_repetition_frequency >= lit_doppler(sensor, preset.flight.speed_mps) * (1 - 1e-6)
 
-    Raises:
-        UserError: the pulse repetition frequency is too low, or the swing too great.
-    """
-    track_beamwidth, swing = sensor.beams.track_beamwidth, preset.impairments.greatest_swing
-    length, doppler_band = sensor.wavelength / track_beamwidth, lit_doppler(sensor, preset.flight.speed_mps)
-    speeds_per_length = doppler_band * length / preset.flight.speed_mps
-    if sensor.pulse_repetition_frequency < doppler_band * (1 - 1e-6):
-        raise UserError(
+
+def swings_little(preset: Preset, sensor: Sensor) -> bool:
+    """Whether the beams stay within the band that a dwell may have."""
+    return preset.impairments.greatest_swing <= MOST_SWING_BEAMWIDTHS * sensor.beams.track_beamwidth
+
+
+def describe_beam_misfits(preset: Preset, sensor: Sensor) -> Iterator[str]:
+    """Sentences on pulses and beams with which a flight refuses a preset."""
+    track_beamwidth, speed = sensor.beams.track_beamwidth, preset.flight.speed_mps
+    if not samples_doppler(preset, sensor):
+        length, doppler_band = sensor.wavelength / track_beamwidth, lit_doppler(sensor, speed)
+        yield (
             f"Preset {preset.name}: sensor.pulse_repetition_frequency_hz is {sensor.pulse_repetition_frequency:g}; the "
-            f"main lobe spans {doppler_band:g} Hz of Doppler, {speeds_per_length:g} times the speed over the length "
-            f"{length:g} m of the antenna along the flight, so it must be {doppler_band:g} or more."
+            f"main lobe spans {doppler_band:g} Hz of Doppler, {doppler_band * length / speed:g} times the speed over "
+            f"the length {length:g} m of the antenna along the flight, so it must be {doppler_band:g} or more."
         )
-    most = MOST_SWING_BEAMWIDTHS * track_beamwidth
-    if swing > most:
-        raise UserError(
-            f"Preset {preset.name}: the beams swing by {swing:g} rad, impairments.antenna_swing.amplitude_rad and four "
-            f"times pointing_jitter.rms_rad; that must be {most:g}, {MOST_SWING_BEAMWIDTHS:g} beamwidths, or less."
+    if not swings_little(preset, sensor):
+        yield (
+            f"Preset {preset.name}: the beams swing by {preset.impairments.greatest_swing:g} rad, "
+            "impairments.antenna_swing.amplitude_rad and four times pointing_jitter.rms_rad; that must be "
+            f"{MOST_SWING_BEAMWIDTHS * track_beamwidth:g}, {MOST_SWING_BEAMWIDTHS:g} beamwidths, or less."
         )

@@ -8,6 +8,7 @@ the same as well, or else (`laser_within_pulse`) to walk from sample to sample, 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -83,9 +84,14 @@ class Vibration(StrictKeys):
         """Whether nothing vibrates."""
         return not (self.lines or self.bands)
 
+    @property
+    def all_lines(self) -> list[VibrationLine]:
+        """The lines, and those that the bands are made of."""
+        return [*self.lines, *(line for band in self.bands for line in band.lines)]
+
     def drawn(self, rng: np.random.Generator) -> Harmonics:
         """The vibration of a flight; its displacement (m, away from the scene) has one component."""
-        lines = [*self.lines, *(line for band in self.bands for line in band.lines)]
+        lines = self.all_lines
         omega = 2 * np.pi * np.array([line.frequency_hz for line in lines])
         speed = omega * np.array([line.amplitude_m for line in lines])
         return Harmonics(omega, speed[:, None], rng.uniform(0, 2 * np.pi, (len(lines), 1)))
@@ -116,3 +122,9 @@ def laser_phase(linewidth_hz: float, seconds: F64, slant_range_m: float, rng: np
     steps = rng.standard_normal(len(times) - 1) * np.sqrt(2 * np.pi * linewidth_hz * np.diff(times))
     back, out = np.concatenate([[0.0], np.cumsum(steps)])[place.reshape(2, *seconds.shape)]
     return np.asarray(out - back)
+
+
+def laser_structure(linewidth_hz: float, slant_range_m: float) -> Callable[[F64], F64]:
+    """Mean square of the difference (rad^2) of two values of `laser_phase`, by the time between them (s)."""
+    under_way = 2 * slant_range_m / constants.speed_of_light
+    return lambda lag: 4 * np.pi * linewidth_hz * np.minimum(lag, under_way)

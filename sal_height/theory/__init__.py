@@ -1,10 +1,12 @@
 """Closed forms and Monte Carlo trials that estimators, figures and tests are held to.
 
 Read `discriminator_noise` first (laws of the pair's discriminant), then `sum_difference` (the relief paper's radar),
-`array_trials` (fast draws of pixels for Monte Carlo) and `link_budget` (power and CNR). Nothing that processes data
+`array_trials` (fast draws of pixels for Monte Carlo) and `link_budget` (power and CNR) and
+`aperture_phase` (what random phases do to images). Nothing that processes data
 imports from here.
 """
 
+from sal_height.theory.aperture_phase import AperturePhase, phase_of_line, phase_of_structure, together
 from sal_height.theory.array_trials import TARGETS, TargetPixels, with_streams
 from sal_height.theory.discriminator_noise import (
     NORMAL_SHARES,
@@ -24,6 +26,7 @@ from sal_height.theory.sum_difference import crossover_slope, hybrid_gain, synth
 __all__ = [
     "NORMAL_SHARES",
     "TARGETS",
+    "AperturePhase",
     "Link",
     "SteadyLaw",
     "SteadyMlLaw",
@@ -36,10 +39,13 @@ __all__ = [
     "gaussian_mean",
     "hybrid_gain",
     "noise_density",
+    "phase_of_line",
+    "phase_of_structure",
     "s68_of",
     "steady_looks_mean",
     "steady_mean",
     "straight_power",
     "synthesise",
+    "together",
     "with_streams",
 ]

@@ -4,18 +4,30 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+import yaml
+from helpers import assert_one_sentence
 from PIL import Image
 from scipy.constants import speed_of_light
 
 from sal_height.commands import main
+from sal_height.elevation import Looks, MlSettings, ml_elevation
 from sal_height.errors import UserError
-from sal_height.runs.budget import Assumptions, Budget, budget_table
+from sal_height.geometry import Atmosphere, Mounting, look_direction, path_through_air
+from sal_height.imaging import ImageSettings, image_beams
+from sal_height.pipeline import Compressor
+from sal_height.runs.budget import SENSITIVITY, Assumptions, Budget
+from sal_height.runs.budget_entry import budget_table
+from sal_height.runs.budget_errors import GROUP
 from sal_height.simulation import Preset, flight_of, load_preset, preset_names
+from sal_height.simulation.air import SimulatedAir
+from sal_height.simulation.impairments import PointingJitter
 from sal_height.simulation.odometry_errors import OdometryErrors
+from sal_height.simulation.preset import OriginSettings
 
 
 def numbers(preset: Preset, **assumed: float) -> dict[str, float]:
@@ -37,10 +49,44 @@ def test_the_lidar_of_the_paper() -> None:
     assert found["air_height_by_range_m"] == pytest.approx(-0.81, rel=0.05)
 
 
-def test_air_that_is_not_known_is_left_out() -> None:
+def impaired(preset: Preset, **impairments: object) -> Preset:
+    return replace(preset, impairments=replace(preset.impairments, **impairments))
+
+
+def test_air_that_is_not_known_is_left_out_with_a_sentence() -> None:
     preset = load_preset("sal_spotlight")
     high = replace(preset, flight=replace(preset.flight, slant_range_m=100e3))
-    assert "air_range_m" not in numbers(high)
+    short = replace(preset, sensor=replace(preset.sensor, wavelength_m=3e-4, aperture_m=2.0))
+    for unknown, why in ((high, "a sensor at 70710.7 m"), (short, "a wavelength of 0.0003 m")):
+        found = Budget(unknown, Assumptions())
+        assert "air_range_m" not in {entry.key for entry in found.entries()}
+        assert_one_sentence(found.notes()[-1], "The table has nothing on air", why, "allowed")
+        assert found.refusals() == []
+    (refusal,) = Budget(impaired(high, air=SimulatedAir()), Assumptions()).refusals()
+    with pytest.raises(UserError) as refused:
+        flight_of(impaired(high, air=SimulatedAir()), seed=0).phase_history(0)
+    assert_one_sentence(refusal, "The air between a sensor at 70710.7 m", "not known")
+    assert str(refused.value)[:34] == refusal[:34]
+
+
+def test_air_is_that_of_the_preset_at_the_height_of_its_map() -> None:
+    preset = load_preset("sal_spotlight")
+    track, standard = preset.flight, numbers(preset)
+    air = SimulatedAir(temperature_k=300.0, pressure_pa=60_000.0, humidity=0.5, height_m=4200.0, map_height_m=4000.0)
+    above = 4000.0 + track.slant_range_m * math.cos(track.look_angle_rad)
+    known = Atmosphere.measured(4200.0, 300.0, 60_000.0, 0.5)
+    way = path_through_air(preset.sensor.wavelength_m, above, 4000.0, track.look_angle_rad, known)
+    found = numbers(impaired(preset, air=air))
+    assert found["air_range_m"] == pytest.approx(way.delay)
+    assert found["air_bend_urad"] == pytest.approx(1e6 * way.bend)
+    assert found["air_map_height_m"] == 4000.0
+    assert found["air_range_m"] < 0.7 * standard["air_range_m"]
+    processed = replace(preset, processing={"sar_compression": {"map_height_m": 4000.0}})
+    assert numbers(processed)["air_range_m"] < 0.7 * standard["air_range_m"]
+    on_a_plateau = replace(preset, origin=OriginSettings(-16.5, -68.2, 4000.0))
+    assert numbers(on_a_plateau)["air_range_m"] == numbers(processed)["air_range_m"]
+    sea_there = impaired(on_a_plateau, air=SimulatedAir(humidity=0.5))
+    assert numbers(sea_there)["air_map_height_m"] == 0.0
 
 
 def test_what_the_grade_of_a_navigation_does_is_in_the_budget() -> None:
@@ -51,9 +97,156 @@ def test_what_the_grade_of_a_navigation_does_is_in_the_budget() -> None:
     found = numbers(graded)
     assert found["navigation_position_m"] == pytest.approx(0.1)
     assert found["navigation_along_m"] == pytest.approx(0.5)
-    assert found["navigation_height_m"] == pytest.approx(5000 * 0.5**0.5 * 0.005 * math.pi / 180)
+    assert found["navigation_height_m"] == pytest.approx(5000 * 0.5**0.5 * 0.005 * math.pi / 180, rel=2e-3)
     assert found["navigation_beams_m"] == pytest.approx(5000 * 0.5**0.5 * 0.008 * math.pi / 180)
-    assert "errors of the navigation, rms, navigation grade\n" in budget_table(Budget(graded, Assumptions()).entries())
+    assert "  navigation (navigation grade): position, rms" in budget_table(Budget(graded, Assumptions()).entries())
+
+
+def test_delay_and_lever_arm_move_places_and_heights() -> None:
+    """At 50 m/s, as docs/error_budget.md says; what the processing is told of the delay is no error."""
+    errors = OdometryErrors(delay_s=2e-3, undescribed_lever_arm_m=(0.03, 0.5, -0.02))
+    preset = impaired(load_preset("sal_spotlight"), odometry=errors)
+    found = numbers(preset)
+    assert found["odometry_delay_along_m"] == pytest.approx(0.1)
+    assert found["lever_arm_along_m"] == pytest.approx(0.03)
+    assert found["lever_arm_height_m"] == pytest.approx(0.02)
+    turned = replace(preset.sensor, mounting=replace(preset.sensor.mounting, boresight_rad=(0.0, 0.0, math.pi / 2)))
+    assert numbers(replace(preset, sensor=turned))["lever_arm_along_m"] == pytest.approx(0.5)
+    told = replace(preset, processing={"sar_compression": {"odometry_delay_s": 1.5e-3, "air": "heard"}})
+    assert numbers(told)["odometry_delay_along_m"] == pytest.approx(0.025)
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_a_boresight_moves_heights_as_the_mounting_of_the_simulator_does(side: str) -> None:
+    """By the direction in which the middle of the beams is taken to look, of a mounting that is turned itself."""
+    errors = OdometryErrors(undescribed_boresight_rad=(2e-5, -3e-5, 1e-5))
+    preset = impaired(load_preset("sal_spotlight"), odometry=errors)
+    mounting = replace(preset.sensor.mounting, boresight_rad=(0.0, 0.0, 0.4))
+    preset = replace(preset, sensor=replace(preset.sensor, look_side=side, mounting=mounting))
+    described: Mounting = preset.make_sensor().mounting
+    look = look_direction(preset.flight.look_angle_rad, 0.0, {"right": 1, "left": -1}[side])
+    body = described.axes.inv()  # whose antenna would be level
+    true = (body * errors.built(described).axes).apply(look)
+    moved = preset.flight.slant_range_m * (true - look)
+    found = numbers(preset)
+    assert found["boresight_height_m"] == pytest.approx(abs(moved[2]), rel=2e-3)
+    assert found["boresight_beams_m"] == pytest.approx(abs(moved[0]), rel=1e-3)
+
+
+def test_pointing_jitter_in_an_aperture_is_that_of_simulated_dwells() -> None:
+    """Rms over 600 dwells, whose standard error is 3 %."""
+    preset = load_preset("sal_spotlight")
+    jittery = impaired(preset, pointing_jitter=PointingJitter(rms_rad=3e-6, highest_hz=900.0))
+    found, flight = numbers(jittery), flight_of(jittery, seed=1)
+    means = [np.mean(flight.pointing(0.1 * dwell + flight.pulse_times), axis=1) for dwell in range(600)]
+    ahead, off_nadir = np.sqrt(np.mean(np.square(means), axis=0))
+    assert found["jitter_beams_m"] == pytest.approx(5000 * ahead, rel=0.1)
+    assert found["jitter_height_m"] == pytest.approx(5000 * 0.5**0.5 * off_nadir, rel=0.1)
+
+
+def test_vibration_and_laser_and_turbulence_are_in_the_budget_of_the_realistic_lidar() -> None:
+    """The phase of its dwells beside a trend is what the rows say; over 200 dwells."""
+    preset = load_preset("sal_realistic")
+    found, flight = numbers(preset), flight_of(preset, seed=2)
+    phases = np.array([flight.pulse_phase(dwell) for dwell in range(200)])
+    seconds = flight.pulse_times - flight.pulse_times.mean()
+    trend, level = np.polyfit(seconds, phases.T, 1)
+    rest = phases - level[:, None] - trend[:, None] * seconds
+    names = ("vibration", "laser", "turbulence")
+    along = 100 * preset.sensor.wavelength_m / (4 * np.pi) * np.std(trend)
+    assert math.hypot(*(found[f"{name}_along_m"] for name in names)) == pytest.approx(along, rel=0.2)
+    assert math.hypot(*(found[f"{name}_phase_rad"] for name in names)) == pytest.approx(np.std(rest), rel=0.2)
+    assert found["laser_spread_percent"] == pytest.approx(100 * -math.expm1(-(found["laser_phase_rad"] ** 2)))
+
+
+def test_undescribed_gains_move_heights_as_they_move_estimates() -> None:
+    preset = load_preset("sal_spotlight")
+    gains = tuple(0.05 * (-1) ** n * n for n in range(preset.sensor.detectors))
+    found, sensor = numbers(impaired(preset, undescribed_gains_db=gains)), preset.make_sensor()
+    beams = image_beams(sensor, "taylor")
+    middle = float(np.mean(beams.span))
+    gained = beams.response(middle, 0.0) * 10 ** (np.array(gains) / 20)
+    looks = Looks.of(1e6 * (gained[:, None] * gained)[None, None], count=1)
+    shift = float(ml_elevation(looks, beams, MlSettings(layover=False)).elevation.squeeze()) - middle
+    assert found["gains_height_m"] == pytest.approx(5000 * 0.5**0.5 * abs(shift), rel=0.05)
+
+
+def test_errors_of_the_preset_have_a_group_only_where_there_are_some() -> None:
+    clean = budget_table(Budget(load_preset("small"), Assumptions()).entries())
+    wrong = budget_table(Budget(load_preset("sal_realistic"), Assumptions()).entries())
+    assert f"{GROUP}\n" not in clean
+    assert f"{GROUP}\n" in wrong
+    assert f"{SENSITIVITY}\n" in clean
+    assert max(map(len, wrong.splitlines())) <= 80
+    for name in ("lever arm", "boresight", "vibration", "laser linewidth", "pointing jitter", "converters"):
+        assert f"  {name}" in wrong or f"  undescribed {name}" in wrong
+
+
+@pytest.mark.parametrize(
+    ("velocity_mps", "processing", "says", "focused"),
+    [
+        (0.0, {}, "No autofocus is needed", False),
+        (1e-3, {}, "Autofocus is needed", True),
+        (1e-3, {"autofocus": "never"}, "autofocus is never", False),
+        (1e-3, {"autofocus_from_beamwidths": 0.5}, "No autofocus is needed", False),
+    ],
+)
+def test_whether_autofocus_is_needed_is_what_images_have(
+    velocity_mps: float, processing: dict[str, object], says: str, focused: bool
+) -> None:
+    errors = OdometryErrors(velocity_mps=velocity_mps)
+    preset = replace(impaired(load_preset("small"), odometry=errors), processing={"sar_compression": processing})
+    (note,) = Budget(preset, Assumptions()).notes()
+    assert_one_sentence(note, says, "autofocus_from_beamwidths")
+    flight = flight_of(preset, seed=1)
+    settings = ImageSettings(rows=46, cols=12, **processing)
+    slc = Compressor().add(flight.phase_history(0), flight.track(0), flight.sensor, settings)
+    assert slc
+    assert (slc.focus is not None) == focused
+
+
+def test_beams_that_speckle_cannot_place_are_said_to_stay() -> None:
+    preset = impaired(load_preset("small"), odometry=OdometryErrors(velocity_mps=0.1))
+    wide = replace(preset, sensor=replace(preset.sensor, azimuth_aperture_m=1e-4))
+    (note,) = Budget(wide, Assumptions()).notes()
+    assert_one_sentence(note, "Autofocus would be needed", "speckle cannot tell")
+
+
+def test_what_a_run_refuses_is_marked_and_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    preset = load_preset("xband_relief")
+    slow = replace(preset.sensor, pulse_repetition_frequency_hz=100.0)
+    jitter = PointingJitter(rms_rad=0.01, highest_hz=30.0)
+    wrong = impaired(replace(preset, sensor=slow), pointing_jitter=jitter)
+    (tmp_path / "wrong.yaml").write_text(yaml.safe_dump(json.loads(json.dumps(asdict(wrong)))), encoding="utf-8")
+    assert main(["budget", str(tmp_path / "wrong.yaml"), "--out", str(tmp_path / "out")]) == 1
+    printed = capsys.readouterr()
+    (rate,) = [line for line in printed.out.splitlines() if "pulse repetition frequency" in line]
+    assert rate.endswith("too low")
+    (angle,) = [line for line in printed.out.splitlines() if "pointing jitter, rms" in line]
+    assert angle.endswith("too much")
+    with pytest.raises(UserError) as refused:
+        flight_of(wrong, seed=0)
+    said, swing = printed.err.splitlines()
+    assert said == f"sal-height: {refused.value}"
+    assert_one_sentence(swing.removeprefix("sal-height: "), "the beams swing by 0.04 rad")
+    with pytest.raises(UserError, match=r"the beams swing by 0\.04 rad"):
+        flight_of(impaired(preset, pointing_jitter=jitter), seed=0)
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "allowed"),
+    [
+        ("--power", "nan", "a number above 0, at most 1e9 (W)"),
+        ("--power", "0", "a number above 0, at most 1e9 (W)"),
+        ("--loss-db", "nan", "a number from 0 to 100 (dB)"),
+        ("--backscatter-db", "50", "a number from -80 to 40 (dB)"),
+    ],
+)
+def test_an_assumption_that_is_not_allowed_is_refused_with_all_that_is(
+    option: str, value: str, allowed: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["budget", "small", option, value, "--out", str(tmp_path / "out")]) == 2
+    assert f"It must be {allowed}." in capsys.readouterr().err
 
 
 def test_power_and_cnr_are_two_views_of_one_link() -> None:

@@ -1,0 +1,330 @@
+"""What the errors that a preset has do to places and heights, one by one, where nobody corrects them.
+
+Each function is of one impairment, and gives nothing where the preset has none. Errors that are constant are given by
+their size, random ones by their standard deviation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import chain
+
+import numpy as np
+from scipy.special import jv
+
+from sal_height.beams import Beams
+from sal_height.elevation import information
+from sal_height.geometry import ApertureState
+from sal_height.imaging import (
+    ImageSettings,
+    NavigationPrior,
+    image_beams,
+    line_of_sight,
+    speckle_tells_beams,
+    with_known_errors,
+)
+from sal_height.numeric import F64
+from sal_height.runs.budget_entry import Entry
+from sal_height.sensor import Sensor, spectrum_sensor
+from sal_height.simulation import Preset, laser_structure, swings_little
+from sal_height.theory import AperturePhase, phase_of_line, phase_of_structure, together
+
+GROUP = "errors of this preset"
+
+JITTER_NODES = 2001
+"""Frequencies of the integral over the spectrum of a pointing jitter."""
+
+QUARTIC_REST = np.sqrt((4 / 7) ** 2 / 5 + (8 / 35) ** 2 / 9)
+"""Rms of x^4 over -1 < x < 1 beside its mean, by Legendre's polynomials: x^4 = 1/5 + 4/7 P2 + 8/35 P4."""
+
+
+@dataclass(frozen=True, eq=False)
+class Situation:
+    """What the effect of an error depends on: a preset's sensor, abeam of level ground.
+
+    Attributes:
+        preset: as given.
+        sensor: of the preset.
+        settings: of the compression, as the preset has them.
+        aperture: state of the antenna in the middle of an aperture.
+        seconds: time of an aperture.
+        climb: height (m) that a radian of elevation moves a point by.
+    """
+
+    preset: Preset
+    sensor: Sensor
+    settings: ImageSettings
+    aperture: ApertureState
+    seconds: float
+    climb: float
+
+    @property
+    def speed(self) -> float:
+        """Of the flight, m/s."""
+        return self.preset.flight.speed_mps
+
+    @property
+    def slant_range(self) -> float:
+        """M."""
+        return self.preset.flight.slant_range_m
+
+    @property
+    def sight(self) -> F64:
+        """Unit vector in the middle of the beams, map axes."""
+        return line_of_sight(self.sensor, self.aperture)
+
+
+def image_settings(preset: Preset) -> ImageSettings:
+    """Settings of the compression, as the preset has them, but for the air.
+
+    Raises:
+        UserError: one is not allowed.
+    """
+    given = preset.processing.get("sar_compression", {})
+    return ImageSettings(**{key: given[key] for key in ImageSettings.model_fields.keys() - {"air"} if key in given})
+
+
+def error_entries(of: Situation) -> Iterator[Entry]:
+    """All errors that the preset has."""
+    return chain(
+        _navigation(of),
+        _autofocus(of),
+        _odometry_delay(of),
+        _lever_arm(of),
+        _boresight(of),
+        _vibration(of),
+        _laser(of),
+        _turbulence(of),
+        _pointing_jitter(of),
+        _antenna_swing(of),
+        _quartic_phase(of),
+        _vegetation(of),
+        _converters(of),
+        _gains(of),
+        _beams(of),
+        _receivers(of),
+    )
+
+
+def describe_autofocus(of: Situation) -> str:
+    """A sentence on whether the compression needs autofocus, by its own rule."""
+    prior, allowed = _prior(of), of.settings.autofocus_from_beamwidths
+    uncertain = of.settings.beams_are_uncertain(prior, of.sensor)
+    known = (
+        "by what is stated of odometry and mounting, the place of the beams along the flight is uncertain by "
+        f"{_in_beamwidths(prior, of.sensor):.3g} beamwidths, {'more' if uncertain else 'not more'} than the "
+        f"{allowed:g} of autofocus_from_beamwidths"
+    )
+    if of.settings.autofocus == "always":
+        return f"Autofocus is made of all dwells, as autofocus is always; {known}."
+    if not uncertain:
+        return f"No autofocus is needed: {known}."
+    if of.settings.autofocus == "never":
+        return f"Autofocus is needed, but autofocus is never: {known}."
+    ends = of.speed * of.seconds / 2 * np.outer([-1, 1], of.aperture.direction)
+    if not speckle_tells_beams(of.sensor, ends, of.slant_range):
+        return (
+            f"Autofocus would be needed: {known}; but the beams are so wide that speckle cannot tell where they are, "
+            "so that images are left as odometry focuses and places them."
+        )
+    return f"Autofocus is needed: {known}."
+
+
+def _prior(of: Situation) -> NavigationPrior:
+    """What odometry and mounting are stated to know of the beams."""
+    errors = of.preset.impairments.odometry
+    stated = np.diag([errors.position_m] * 3 + errors.turn_rad.tolist()) ** 2
+    aperture = with_known_errors(replace(of.aperture, covariance=stated), of.sensor, of.settings)
+    return NavigationPrior.of(aperture, errors.velocity_mps**2 * np.eye(3), of.sight)
+
+
+def _in_beamwidths(prior: NavigationPrior, sensor: Sensor) -> float:
+    """Standard deviation of the place of the beams along the flight."""
+    return prior.spread / prior.flight_speed / sensor.beams.track_beamwidth
+
+
+def _navigation(of: Situation) -> Iterator[Entry]:
+    """An error of velocity moves the image by range over speed; one of attitude turns the beams."""
+    errors = of.preset.impairments.odometry
+    if not errors.is_wrong:
+        return
+    grade = f" ({errors.grade} grade)" if errors.grade else ""
+    along = errors.velocity_mps * of.slant_range / of.speed
+    level = of.slant_range * float(np.sin(of.preset.flight.look_angle_rad))
+    yield _entry("navigation_position_m", f"navigation{grade}: position, rms", errors.position_m, "m")
+    yield _entry("navigation_along_m", "navigation: place along the flight by velocity, rms", along, "m")
+    yield _entry("navigation_height_m", "navigation: height by roll, rms", of.climb * errors.attitude_rad, "m")
+    yield _entry(
+        "navigation_beams_m", "navigation: beams along the flight by heading, rms", level * errors.heading_rad, "m"
+    )
+
+
+def _autofocus(of: Situation) -> Iterator[Entry]:
+    """How well the beams are known along the flight, which decides on autofocus."""
+    if (prior := _prior(of)).spread:
+        title = "beams along the flight, as stated, in beamwidths"
+        yield _entry("beams_uncertainty_beamwidths", title, _in_beamwidths(prior, of.sensor), "")
+
+
+def _odometry_delay(of: Situation) -> Iterator[Entry]:
+    """Stamps that are late by a time put everything as far along the flight as the platform moves in it."""
+    if delay := of.preset.impairments.odometry.delay_s - of.settings.odometry_delay_s:
+        name = "odometry stamped late"
+        yield _entry("odometry_delay_ms", f"{name}, beside odometry_delay_s", 1e3 * delay, "ms")
+        yield _entry("odometry_delay_along_m", f"{name}: place along the flight", of.speed * abs(delay), "m")
+
+
+def _lever_arm(of: Situation) -> Iterator[Entry]:
+    """All points are displaced as much as the antenna is; the arm is in axes of base_link, and the antenna level."""
+    if any(described := of.preset.impairments.odometry.undescribed_lever_arm_m):
+        arm, name = of.sensor.mounting.axes.inv().apply(described), "undescribed lever arm"
+        yield _entry("lever_arm_m", name, float(np.linalg.norm(arm)), "m")
+        yield _entry("lever_arm_along_m", f"{name}: place along the flight", abs(float(arm[0])), "m")
+        yield _entry("lever_arm_height_m", f"{name}: height", abs(float(arm[2])), "m")
+
+
+def _boresight(of: Situation) -> Iterator[Entry]:
+    """A turn about the flight is one of elevation; one about the normal of flight and sight turns the beams ahead."""
+    if any(turn := of.preset.impairments.odometry.undescribed_boresight_rad):
+        ahead, name = float(np.cross(of.sight, of.aperture.direction) @ turn), "undescribed boresight"
+        yield _entry("boresight_urad", name, 1e6 * float(np.linalg.norm(turn)), "µrad")
+        yield _entry("boresight_height_m", f"{name}: height", of.climb * abs(turn[0]), "m")
+        yield _entry("boresight_beams_m", f"{name}: beams along the flight", of.slant_range * abs(ahead), "m")
+
+
+def _vibration(of: Situation) -> Iterator[Entry]:
+    """Of lines of independent phase, each 4 pi / wavelength times its displacement."""
+    lines, radians = of.preset.impairments.vibration.all_lines, 4 * np.pi / of.sensor.wavelength
+    if not lines:
+        return
+    size = np.sqrt(sum(line.amplitude_m**2 for line in lines) / 2)
+    yield _entry("vibration_rms_um", "vibration, rms", 1e6 * float(size), "µm")
+    phases = (phase_of_line(radians * line.amplitude_m, 2 * np.pi * line.frequency_hz, of.seconds) for line in lines)
+    yield from _of_phase(of, "vibration", together(phases))
+
+
+def _laser(of: Situation) -> Iterator[Entry]:
+    """An echo is mixed with what the laser sends when it comes back (`laser_structure`)."""
+    if linewidth := of.preset.impairments.laser_linewidth_hz:
+        yield _entry("laser_linewidth_khz", "laser linewidth", 1e-3 * linewidth, "kHz")
+        structure = laser_structure(linewidth, of.slant_range)
+        yield from _of_phase(of, "laser linewidth", phase_of_structure(structure, of.seconds))
+
+
+def _turbulence(of: Situation) -> Iterator[Entry]:
+    """Phases of the structure function of `Turbulence`, which the platform passes at its speed."""
+    if turbulence := of.preset.impairments.turbulence:
+        above = of.slant_range * float(np.cos(of.preset.flight.look_angle_rad))
+        level = turbulence.structure(of.sensor.wavelength, of.slant_range, above)
+        yield _entry(
+            "turbulence_ground_cn2", "turbulence: Cn2 at the ground, 1e-15 m^(-2/3)", 1e15 * turbulence.ground_cn2, ""
+        )
+        found = phase_of_structure(lambda lag: level * (of.speed * lag) ** (5 / 3), of.seconds)
+        yield from _of_phase(of, "turbulence", found)
+
+
+def _of_phase(of: Situation, name: str, found: AperturePhase) -> Iterator[Entry]:
+    """A trend is a velocity along the line of sight, whose image lies elsewhere along the flight; the rest spreads."""
+    key = name.split(maxsplit=1)[0]
+    along = of.slant_range / of.speed * of.sensor.wavelength / (4 * np.pi) * found.trend
+    yield _entry(f"{key}_along_m", f"{name}: place along the flight, rms", along, "m")
+    yield _entry(f"{key}_phase_rad", f"{name}: phase beside its trend, rms", found.rest, "rad")
+    yield _entry(f"{key}_spread_percent", f"{name}: energy out of its pixel", 100 * found.spread_share, "%")
+
+
+def _pointing_jitter(of: Situation) -> Iterator[Entry]:
+    """The mean of a flat spectrum over an aperture: the mean of sinc^2 over the band, by frequency times its time."""
+    if rms := (jitter := of.preset.impairments.pointing_jitter).rms_rad:
+        turns = np.linspace(0.0, jitter.highest_hz * of.seconds, JITTER_NODES)
+        if turns[-1] > JITTER_NODES / 20:  # the integral of sinc^2 from 0 on is 1/2, up to 1/(20 turns)
+            mean2 = 0.5 / turns[-1]
+        else:
+            mean2 = float(np.trapezoid(np.sinc(turns) ** 2, dx=1 / (JITTER_NODES - 1)))
+        angle, name = rms * float(np.sqrt(mean2)), "pointing jitter"
+        yield _entry("jitter_urad", f"{name}, rms", 1e6 * rms, "µrad", _swing_remark(of))
+        yield _entry("jitter_height_m", f"{name}: height in an aperture, rms", of.climb * angle, "m")
+        yield _entry("jitter_beams_m", f"{name}: beams along the flight, rms", of.slant_range * angle, "m")
+
+
+def _antenna_swing(of: Situation) -> Iterator[Entry]:
+    """The beams look ahead and back."""
+    if amplitude := of.preset.impairments.antenna_swing.amplitude_rad:
+        yield _entry("swing_urad", "antenna swing, amplitude", 1e6 * amplitude, "µrad", _swing_remark(of))
+        yield _entry("swing_beams_m", "antenna swing: beams along the flight, up to", of.slant_range * amplitude, "m")
+
+
+def _swing_remark(of: Situation) -> str:
+    return "" if swings_little(of.preset, of.sensor) else "too much"
+
+
+def _quartic_phase(of: Situation) -> Iterator[Entry]:
+    """It has no trend, and spreads energy."""
+    if edge := of.preset.impairments.quartic_phase_rad:
+        share = AperturePhase(0.0, abs(edge) * float(QUARTIC_REST)).spread_share
+        yield _entry("quartic_rad", "quartic phase, at the edge of the aperture", edge, "rad")
+        yield _entry("quartic_spread_percent", "quartic phase: energy out of its pixel", 100 * share, "%")
+
+
+def _vegetation(of: Situation) -> Iterator[Entry]:
+    """What moves along the sight is displaced by range over speed."""
+    if wind := of.preset.impairments.vegetation_wind:
+        along = of.slant_range / of.speed * wind.rms_velocity_mps
+        yield _entry("vegetation_mps", "wind in vegetation: velocity, rms", wind.rms_velocity_mps, "m/s")
+        yield _entry("vegetation_along_m", "wind in vegetation: place along the flight, rms", along, "m")
+
+
+def _converters(of: Situation) -> Iterator[Entry]:
+    """Rounding to the step q adds noise of the power q^2 / 6 to a sample (`simulation.receivers`)."""
+    if bits := of.preset.impairments.adc_bits:
+        step = 2 * of.sensor.full_scale / (2**bits - 1)
+        rise = 1 + step**2 / 6 / min(of.sensor.noise_power)
+        yield _entry("adc_bits", "converters", bits, "bits")
+        yield _entry("adc_noise_db", "converters: noise higher by", 10 * float(np.log10(rise)), "dB")
+
+
+def _gains(of: Situation) -> Iterator[Entry]:
+    """Gains 1 + e_i move elevation by the sum of e_i a_i a'_i over D, a' the slope perpendicular to the response a."""
+    gains, phases = of.preset.impairments.undescribed_gains_db, of.preset.impairments.undescribed_phases_rad
+    if any(gains):
+        beams: Beams = image_beams(of.sensor, "taylor")
+        middle = float(np.mean(beams.span))
+        response, slope = beams.response(middle, 0.0), beams.slope(middle, 0.0)
+        across = slope - response * (response.conj() @ slope) / np.sum(np.abs(response) ** 2)
+        wrong = 10 ** (np.array(gains) / 20) - 1
+        angle = float(np.real(np.sum(wrong * response * across.conj()))) / float(information(beams, middle, 0.0))
+        yield _entry("gains_db", "undescribed gains, rms", float(np.sqrt(np.mean(np.square(gains)))), "dB")
+        yield _entry("gains_height_m", "undescribed gains: height", of.climb * abs(angle), "m")
+    if any(phases):
+        yield _entry("phases_rad", "undescribed phases, rms", float(np.sqrt(np.mean(np.square(phases)))), "rad")
+
+
+def _beams(of: Situation) -> Iterator[Entry]:
+    """Sizes only: what they do to heights, a calibration tells."""
+    impairments = of.preset.impairments
+    if (factor := impairments.beam_width_factor) != 1:
+        yield _entry("beam_width_factor", "beams wider than described, by the factor", factor, "")
+    if any(waves := impairments.pupil_aberrations_waves.coefficients):
+        yield _entry("pupil_waves", "aberrations of the pupil, rms", float(np.linalg.norm(waves)), "waves")
+
+
+def _receivers(of: Situation) -> Iterator[Entry]:
+    """What ripples over the band put beside each target, and the sizes of the rest."""
+    impairments, cell = of.preset.impairments, spectrum_sensor(of.sensor).range_resolution
+    if (ripple := impairments.chirp_ripple) and ripple.amplitude_rad:
+        level = abs(jv(1, ripple.amplitude_rad) / jv(0, ripple.amplitude_rad))
+        yield _entry("ripple_echo_db", "chirp ripple: paired echoes", 20 * float(np.log10(level)), "dB")
+        yield _entry("ripple_echo_m", "chirp ripple: paired echoes, off in range by", ripple.cycles * cell, "m")
+    if sawtooth := impairments.range_sawtooth:
+        yield _entry(
+            "sawtooth_echo_db", "range sawtooth: paired echoes", 20 * float(np.log10(sawtooth.depth / np.pi)), "dB"
+        )
+        yield _entry("sawtooth_echo_m", "range sawtooth: paired echoes, off in range by", sawtooth.teeth * cell, "m")
+    if taper := impairments.range_taper:
+        yield _entry("taper_band_share", "range taper: share of the band", taper.band_share, "")
+    if spur := impairments.nyquist_spur_over_noise:
+        yield _entry("spur_over_noise", "spur, over the noise of a sample", spur, "")
+
+
+def _entry(key: str, title: str, value: float, unit: str, remark: str = "") -> Entry:
+    return Entry(GROUP, key, title, value, unit, remark)

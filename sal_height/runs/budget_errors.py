@@ -284,15 +284,20 @@ def _converters(of: Situation) -> Iterator[Entry]:
 
 
 def _gains(of: Situation) -> Iterator[Entry]:
-    """Gains 1 + e_i move elevation by the sum of e_i a_i a'_i over D, a' the slope perpendicular to the response a."""
+    """A change c of the response a moves elevation by c a' / D, a' the slope perpendicular to a.
+
+    With gains 1 + e of the receivers it is c = e a, and behind a channel matrix M in the antenna M^-1 e M a
+    (`simulation.impairments.through_receivers`).
+    """
     gains, phases = of.preset.impairments.undescribed_gains_db, of.preset.impairments.undescribed_phases_rad
     if any(gains):
         beams: Beams = image_beams(of.sensor, "taylor")
         middle = float(np.mean(beams.span))
         response, slope = beams.response(middle, 0.0), beams.slope(middle, 0.0)
         across = slope - response * (response.conj() @ slope) / np.sum(np.abs(response) ** 2)
-        wrong = 10 ** (np.array(gains) / 20) - 1
-        angle = float(np.real(np.sum(wrong * response * across.conj()))) / float(information(beams, middle, 0.0))
+        matrix = of.sensor.mixing if of.sensor.matrix_in_antenna else np.eye(len(gains))
+        change = np.linalg.solve(matrix, (10 ** (np.array(gains) / 20) - 1) * (matrix @ response))
+        angle = float(np.real(change @ across.conj())) / float(information(beams, middle, 0.0))
         yield _entry("gains_db", "undescribed gains, rms", float(np.sqrt(np.mean(np.square(gains)))), "dB")
         yield _entry("gains_height_m", "undescribed gains: height", of.climb * abs(angle), "m")
     if any(phases):

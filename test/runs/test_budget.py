@@ -6,6 +6,7 @@ import json
 import math
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -25,9 +26,9 @@ from sal_height.runs.budget_entry import budget_table
 from sal_height.runs.budget_errors import GROUP
 from sal_height.simulation import Preset, flight_of, load_preset, preset_names
 from sal_height.simulation.air import SimulatedAir
-from sal_height.simulation.impairments import PointingJitter
+from sal_height.simulation.impairments import PointingJitter, through_receivers
 from sal_height.simulation.odometry_errors import OdometryErrors
-from sal_height.simulation.preset import OriginSettings
+from sal_height.simulation.preset import HybridSettings, OriginSettings
 
 
 def numbers(preset: Preset, **assumed: float) -> dict[str, float]:
@@ -159,16 +160,28 @@ def test_vibration_and_laser_and_turbulence_are_in_the_budget_of_the_realistic_l
     assert found["laser_spread_percent"] == pytest.approx(100 * -math.expm1(-(found["laser_phase_rad"] ** 2)))
 
 
-def test_undescribed_gains_move_heights_as_they_move_estimates() -> None:
-    preset = load_preset("sal_spotlight")
-    gains = tuple(0.05 * (-1) ** n * n for n in range(preset.sensor.detectors))
-    found, sensor = numbers(impaired(preset, undescribed_gains_db=gains)), preset.make_sensor()
+@pytest.mark.parametrize(
+    ("name", "place"), [("sal_spotlight", ""), ("xband_sumdiff", "antenna"), ("xband_sumdiff", "receiver")]
+)
+def test_undescribed_gains_move_heights_as_they_move_estimates(
+    name: str, place: Literal["", "antenna", "receiver"]
+) -> None:
+    """Of a target without noise, whose echoes pass the receivers of the simulator."""
+    preset = load_preset(name)
+    if place:
+        hybrid = replace(preset.sensor.hybrid or HybridSettings("antenna"), place=place)
+        preset = replace(preset, sensor=replace(preset.sensor, hybrid=hybrid))
+    gains = tuple(0.005 * (-1) ** n * (n + 1) for n in range(preset.sensor.detectors))
+    wrong, sensor = impaired(preset, undescribed_gains_db=gains), preset.make_sensor()
     beams = image_beams(sensor, "taylor")
     middle = float(np.mean(beams.span))
-    gained = beams.response(middle, 0.0) * 10 ** (np.array(gains) / 20)
-    looks = Looks.of(1e6 * (gained[:, None] * gained)[None, None], count=1)
+    echoes = np.tile(beams.response(middle, 0.0)[:, None, None], (1, 1, sensor.sample_count))
+    gained = through_receivers(echoes.astype(np.complex128), sensor, wrong.impairments)[:, 0, 0]
+    looks = Looks.of(1e6 * (gained[:, None] * gained.conj())[None, None], count=1)
     shift = float(ml_elevation(looks, beams, MlSettings(layover=False)).elevation.squeeze()) - middle
-    assert found["gains_height_m"] == pytest.approx(5000 * 0.5**0.5 * abs(shift), rel=0.05)
+    one = numbers(wrong)
+    expected = 1e6 * one["roll_m_per_urad"] * abs(shift)
+    assert one["gains_height_m"] == pytest.approx(expected, rel=0.05, abs=1e-4)  # the search stops at that
 
 
 def test_errors_of_the_preset_have_a_group_only_where_there_are_some() -> None:

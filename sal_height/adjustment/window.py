@@ -139,6 +139,12 @@ class Window:
         return list(compared(chain, self._over, network, known, self._references, most_points, parts))
 
     @property
+    def latest_is_compared(self) -> bool:
+        """Whether the latest dwell was seen to show the same ground as an earlier one, or as what is known."""
+        latest = self._growing[-1:]
+        return any(number in one.dwells[0] for one in self._of_growing for number in latest)
+
+    @property
     def dwells(self) -> int:
         """Number of those that are held."""
         return len(self._network.dwells)

@@ -158,6 +158,8 @@ class Adjusted(NamedTuple):
         states: odometry during the dwell.
         mounting: of the sensor.
         mounting_covariance: of its lever arm, m^2, and of its rotation, rad^2, both in the axes of the platform.
+        is_compared: whether the dwell was seen to show ground that others show, or that is known.
+        is_first: whether the flight, or what it is adjusted with, begins anew with it.
     """
 
     field: HeightField
@@ -166,6 +168,8 @@ class Adjusted(NamedTuple):
     states: list[PlatformState]
     mounting: Mounting
     mounting_covariance: F64
+    is_compared: bool
+    is_first: bool
 
 
 class Adjuster:
@@ -206,7 +210,8 @@ class Adjuster:
         _check_mounting(stage)
         limits = parameters.window_dwells, parameters.window_points
         made_for = sensor.digest, settings, limits
-        if self._window is None or made_for != self._made_for:
+        is_first = self._window is None or made_for != self._made_for
+        if self._window is None or is_first:
             self._window = Window(sensor.mounting, settings, *limits, self._references)
             self._made_for, self._epoch_ns, self._latest_ns = made_for, stamp_ns, stamp_ns
         if stamp_ns < self._latest_ns:
@@ -232,6 +237,8 @@ class Adjuster:
             corrected_states(states, seconds, adjustment, sensor.mounting, settings),
             corrected_mounting(sensor.mounting, adjustment),
             mounting_covariance(sensor.mounting, adjustment),
+            self._window.latest_is_compared,
+            is_first,
         )
 
 
@@ -392,6 +399,9 @@ class HeightAdjuster(DwellStage):
             self.ignore(reason, UserError(f"{error} Its heights are passed on as they are."))
             self._heights.publish(self._passed_on(image, parameters), field)
         else:
+            self.tally.note("dwells compared with others" if found.is_compared else "dwells that nothing recognises")
+            if found.is_first:
+                self.tally.note("flights begun")
             self._publish_platform(image, found)
             self._heights.publish(self._moved(image, found, parameters), found.field)
         return 1

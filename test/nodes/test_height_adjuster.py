@@ -129,6 +129,10 @@ def test_heights_of_passes_come_together(adjusting: Adjusting, flown: FlownHeigh
         assert len(stage["pose_error"]) == 7
         np.testing.assert_array_equal(image.validity, flown.images[image.dwell].validity)
     assert adjusting.counted("ignored.") == {}
+    counts = adjusting.node.tally.summary()
+    assert counts["flights begun"] == 1
+    assert counts["dwells compared with others"] >= np.count_nonzero(recognised)
+    assert counts["dwells compared with others"] + counts["dwells that nothing recognises"] == len(images)
     assert adjusting.node.tally.summary()["processed"] == len(images)
     assert len(adjusting.heard["points"]) == len(adjusting.heard["image"]) == len(images)
 

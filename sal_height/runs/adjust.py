@@ -38,7 +38,7 @@ from sal_height.pipeline import heights
 from sal_height.runs.adjustment_picture import draw_adjustment
 from sal_height.runs.adjustment_report import summary_of, summary_of_images
 from sal_height.runs.campaign import Case, plan
-from sal_height.runs.catalogue import NodeParameters, parameters_of, suited
+from sal_height.runs.catalogue import NodeParameters, check_estimator, parameters_of, suited
 from sal_height.runs.entry import Part, sensors_of
 from sal_height.runs.recorded_dwells import (
     COMPRESSION,
@@ -99,12 +99,16 @@ def adjust_bag(
     Raises:
         UserError: the bag cannot be used, or a parameter or a setting is not allowed.
     """
-    by_images = not any(map(suited, sensors_of(Part().open(bag))[0].values()))
+    sensors = sensors_of(Part().open(bag))[0].values()
+    by_images = not any(map(suited, sensors))
     if by_images and references.terrain:
         raise UserError(
             f"Bag {bag} is of a sensor with one detector, whose images have no heights to compare with an elevation "
             "model; give targets, and the height of the ground by --set ground_m."
         )
+    if not by_images:
+        for sensor in sensors:
+            check_estimator(estimator, sensor)
     estimators = () if by_images else (estimator,)
     scheme = plan(Case(bag, out, {}, given or {}, estimators), MOST_DWELLS, for_heights=not by_images)
     compression = scheme.parameters.get(COMPRESSION, {})

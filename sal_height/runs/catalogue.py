@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
-from sal_height.elevation import ESTIMATORS
+from sal_height.elevation import ESTIMATORS, ElevationEstimator
 from sal_height.errors import UserError
 from sal_height.geometry import Origin
 from sal_height.nodes.ground_mapper import GroundMapper
@@ -115,14 +115,33 @@ def suited(sensor: Sensor, asked: Collection[str] = ()) -> list[str]:
         return [*suited(sensor, [name for name in asked if name != MOVERS]), DETECTOR]
     if HEIGHTS[ADJUSTER] in asked:
         return [*suited(sensor, [name for name in asked if name != HEIGHTS[ADJUSTER]]), ADJUSTER]
-    suiting = {name: estimator for name, estimator in ESTIMATORS.items() if estimator.suits(sensor)}
+    suiting = _suiting(sensor)
     if not asked:
         return [estimator.node for estimator in suiting.values() if estimator.by_default]
     if wrong := [name for name in asked if name not in suiting]:
-        reason = "does not suit the sensor's channels" if wrong[0] in ESTIMATORS else "does not exist"
-        allowed = ", ".join([*suiting, HEIGHTS[ADJUSTER], MOVERS]) if suiting else "none"
-        raise UserError(f"Estimator {wrong[0]!r} {reason}; allowed are {allowed}.")
+        raise _refusal(wrong[0], [*suiting, HEIGHTS[ADJUSTER], MOVERS] if suiting else [])
     return [estimator.node for name, estimator in suiting.items() if name in asked]
+
+
+def check_estimator(name: str, sensor: Sensor) -> None:
+    """Refuse what makes no heights of each dwell by itself, as do the products of the adjuster and of the detector.
+
+    Raises:
+        UserError: it is none, or does not suit the sensor.
+    """
+    if name not in (suiting := _suiting(sensor)):
+        raise _refusal(name, list(suiting))
+
+
+def _suiting(sensor: Sensor) -> dict[str, ElevationEstimator]:
+    """The estimators that can take the channels of a sensor, by name."""
+    return {name: estimator for name, estimator in ESTIMATORS.items() if estimator.suits(sensor)}
+
+
+def _refusal(name: str, allowed: Sequence[str]) -> UserError:
+    """The sentence on an estimator that cannot be had."""
+    reason = "does not suit the sensor's channels" if name in ESTIMATORS else "does not exist"
+    return UserError(f"Estimator {name!r} {reason}; allowed are {', '.join(allowed) or 'none'}.")
 
 
 def consumers(estimators: list[str]) -> dict[str, dict[str, str]]:

@@ -29,7 +29,7 @@ def read_elevation_model(path: Path) -> Scene:
     """
     readers = {".tif": _read_geotiff, ".tiff": _read_geotiff, ".npz": _read_npz}
     if (suffix := path.suffix.lower()) not in readers:
-        raise UserError(f"Scene {path} has the suffix {path.suffix!r}; allowed are .tif, .tiff and .npz.")
+        raise UserError(f"Elevation model {path} has the suffix {path.suffix!r}; allowed are .tif, .tiff and .npz.")
     return readers[suffix](path)
 
 
@@ -44,9 +44,9 @@ def _read_npz(path: Path) -> Scene:
             elevation = _as_float(np.asarray(dem.get("elevation", np.nan)))
             numbers = {key: float(dem[key]) for key in ("dx", "dy", "ymin", "ymax") if key in dem}
     except Exception as error:  # numpy, zipfile, zlib and the tokenizer each have their own for a damaged file
-        raise UserError(f"Scene {path} is not a readable .npz file: {_cause(error)}.") from error
+        raise UserError(f"Elevation model {path} is not a readable .npz file: {_cause(error)}.") from error
     if missing:
-        raise UserError(f"Scene {path} lacks {', '.join(missing)}; needed are elevation, dx and dy.")
+        raise UserError(f"Elevation model {path} lacks {', '.join(missing)}; needed are elevation, dx and dy.")
     dx, dy = numbers["dx"], numbers["dy"]
     if {"ymin", "ymax"} <= numbers.keys():
         latitude = (numbers["ymin"] + numbers["ymax"]) / 2
@@ -74,14 +74,14 @@ def _read_geotiff(path: Path) -> Scene:
             elevation = _as_float(dem.read(1, masked=True)).filled(np.nan)
             transform, system = dem.transform, dem.crs and CRS(dem.crs.to_wkt())
     except (rasterio.errors.RasterioError, rasterio.errors.CRSError) as error:
-        raise UserError(f"Scene {path} is not a readable GeoTIFF: {_cause(error)}.") from error
+        raise UserError(f"Elevation model {path} is not a readable GeoTIFF: {_cause(error)}.") from error
     if system is None or transform.b or transform.d or transform.a <= 0 or transform.e >= 0:
         raise UserError(
-            f"Scene {path} must be north up with a coordinate reference system; reproject it with gdalwarp."
+            f"Elevation model {path} must be north up with a coordinate reference system; reproject it with gdalwarp."
         )
     if not (system.is_geographic or system.is_projected):
         raise UserError(
-            f"Scene {path} has a coordinate reference system that is neither geographic nor projected; "
+            f"Elevation model {path} has a coordinate reference system that is neither geographic nor projected; "
             "reproject it with gdalwarp."
         )
     if system.is_geographic:
@@ -100,7 +100,9 @@ def _check_latitude(path: Path, latitude: float) -> None:
         UserError: it does not.
     """
     if not abs(latitude) < 90:
-        raise UserError(f"Scene {path.stem} has its middle at latitude {latitude:.6g}; allowed is between -90 and 90.")
+        raise UserError(
+            f"Elevation model {path.stem} has its middle at latitude {latitude:.6g}; allowed is between -90 and 90."
+        )
 
 
 def _check_elevations(path: Path, elevation: Any, dx: float, dy: float) -> None:
@@ -110,7 +112,7 @@ def _check_elevations(path: Path, elevation: Any, dx: float, dy: float) -> None:
         UserError: it cannot.
     """
     for fault in _faults(elevation, dx, dy):
-        raise UserError(f"Scene {path.stem} has {fault}.")
+        raise UserError(f"Elevation model {path.stem} has {fault}.")
 
 
 def _cause(error: Exception) -> str:

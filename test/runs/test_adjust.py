@@ -144,9 +144,21 @@ def test_passes_that_do_not_overlap_are_said(tmp_path: Path, capsys: pytest.Capt
         ([str(BAGS / "sal_spotlight"), "--target", "1,2"], "Option --target is '1,2'; it must be EAST,NORTH,HEIGHT"),
         ([str(BAGS / "sal_spotlight"), "--set", "boresight=1"], "boresight"),
         ([str(BAGS / "sal_spotlight"), "--set", "correlation_s=0"], "correlation_s"),
-        ([str(BAGS / "sal_spotlight"), "--terrain", "nowhere.tif"], "nowhere.tif"),
+        ([str(BAGS / "sal_spotlight"), "--terrain", "nowhere.tif"], "Elevation model nowhere.tif is not a readable"),
+        ([str(BAGS / "sal_spotlight"), "--terrain", "README.md"], "Elevation model README.md has the suffix '.md'"),
         ([str(BAGS / "sal_spotlight"), "--targets", "nowhere.csv"], "Cannot read nowhere.csv with targets"),
-        ([str(BAGS / "sal_spotlight"), "--estimator", "none"], "none"),
+        (
+            [str(BAGS / "sal_spotlight"), "--estimator", "mll"],
+            "Estimator 'mll' does not exist; allowed are monopulse, ml, ",
+        ),
+        (
+            [str(BAGS / "sal_spotlight"), "--estimator", "movers"],
+            "Estimator 'movers' does not exist; allowed are monopulse, ml, ",
+        ),
+        (
+            [str(BAGS / "sal_spotlight"), "--estimator", "adjusted"],
+            "Estimator 'adjusted' does not exist; allowed are monopulse",
+        ),
         (["nowhere"], "nowhere"),
     ],
 )
@@ -157,6 +169,7 @@ def test_what_cannot_be_adjusted_gets_one_sentence(
     error = capsys.readouterr().err.splitlines()[-1]
     assert says in error
     assert_one_sentence(error.removeprefix("sal-height: "))
+    assert "adjusted, movers" not in error
 
 
 def test_faults_together_cost_a_dwell_and_a_sample(flight: Path, tmp_path: Path) -> None:

@@ -198,7 +198,7 @@ def test_useless_npz_is_refused_in_one_sentence(tmp_path: Path, arrays: dict[str
     path = write_npz(tmp_path / "dem.npz", **arrays)
     with pytest.raises(UserError) as refusal:
         load_scene(path)
-    assert_one_sentence(str(refusal.value), "Scene ", "dem", complaint)
+    assert_one_sentence(str(refusal.value), "Elevation model ", "dem", complaint)
 
 
 @pytest.mark.parametrize("content", [b"not a zip file", b""], ids=["text", "empty"])
@@ -276,7 +276,9 @@ def test_geotiff_beyond_a_pole_is_refused(tmp_path: Path, north_edge: float) -> 
     path = write_geotiff(tmp_path / "dem.tif", "EPSG:4326", Affine(0.001, 0, 10, 0, -0.001, north_edge))
     with pytest.raises(UserError) as refusal:
         load_scene(path)
-    assert_one_sentence(str(refusal.value), "Scene dem", f"latitude {north_edge - 0.0035:.6g}", "between -90 and 90")
+    assert_one_sentence(
+        str(refusal.value), "Elevation model dem", f"latitude {north_edge - 0.0035:.6g}", "between -90 and 90"
+    )
 
 
 def test_complex_elevations_are_refused(tmp_path: Path) -> None:
@@ -288,7 +290,9 @@ def test_complex_elevations_are_refused(tmp_path: Path) -> None:
     for path in (npz, tif):
         with pytest.raises(UserError) as refusal:
             load_scene(path)
-        assert_one_sentence(str(refusal.value), f"Scene {Path(path).stem}", "complex elevations; they must be real")
+        assert_one_sentence(
+            str(refusal.value), f"Elevation model {Path(path).stem}", "complex elevations; they must be real"
+        )
 
 
 @pytest.mark.parametrize(
@@ -306,7 +310,7 @@ def test_elevations_that_are_not_on_earth_are_refused(tmp_path: Path, value: flo
     elevation[2, 3] = value
     with pytest.raises(UserError) as refusal:
         load_scene(write_npz(tmp_path / "dem.npz", elevation=elevation, dx=1.0, dy=1.0))
-    assert_one_sentence(str(refusal.value), "Scene dem", said)
+    assert_one_sentence(str(refusal.value), "Elevation model dem", said)
 
 
 def test_lowest_and_highest_elevations_are_taken(tmp_path: Path) -> None:

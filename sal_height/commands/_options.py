@@ -155,6 +155,10 @@ Place: TypeAlias = Annotated[
 ]
 
 
+FARTHEST_M = 1e6
+"""From the origin of map that a place may be, as in files of targets (`adjustment.targets`)."""
+
+
 def _places(_type: type, tokens: Sequence[Token]) -> tuple[tuple[float, float, float], ...]:
     places = []
     for token in tokens:
@@ -165,6 +169,8 @@ def _places(_type: type, tokens: Sequence[Token]) -> tuple[tuple[float, float, f
                 f"Option {token.keyword} is {token.value!r}; it must be EAST,NORTH,HEIGHT in m, for example "
                 "12.5,-3,1.2."
             ) from None
+        if not all(abs(number) <= FARTHEST_M for number in (east, north, height)):  # NaN is refused, too
+            raise UserError(f"Option {token.keyword} is {token.value!r}; numbers must be at most {FARTHEST_M:g} m.")
         places.append((east, north, height))
     return tuple(places)
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
+from cyclopts.validators import Number
 
 from sal_height.commands._options import (
     DONE,
@@ -21,6 +22,7 @@ from sal_height.commands._options import (
     output_folder,
     settings_values,
 )
+from sal_height.errors import UserError
 from sal_height.io import bag_name
 
 EXAMPLES = """
@@ -32,6 +34,9 @@ EXAMPLES = """
   sal-height import gotcha pass1/HH/*.mat --dwells 3 --out out/gotcha
   sal-height adjust out/gotcha --set position_sigma_m=0.3
 """
+
+LEAST_SIGMA_M, DEFAULT_SIGMA_M, MOST_SIGMA_M = 1e-4, 0.1, 1000.0
+"""Standard deviation of the heights of an elevation model, as of the node height_adjuster (terrain_sigma_m)."""
 
 app = command("adjust", PROCESSING, EXAMPLES)
 
@@ -45,7 +50,9 @@ def adjust(
     target: Places = (),
     targets: Annotated[Path | None, Parameter(metavar="FILE")] = None,
     terrain: Annotated[Path | None, Parameter(metavar="FILE")] = None,
-    terrain_sigma: Annotated[float, Parameter(metavar="M")] = 0.1,
+    terrain_sigma: Annotated[
+        float | None, Parameter(metavar="M", show_default=False, validator=Number(gte=LEAST_SIGMA_M, lte=MOST_SIGMA_M))
+    ] = None,
     set_: Settings = (),
     param: NodeParameters = (),
     out: OutputFolder = None,
@@ -73,7 +80,7 @@ def adjust(
         target: A point target at a known place in map; may be repeated.
         targets: CSV file of more, with the columns east_m, north_m, height_m and, if it is not 0.01, sigma_m.
         terrain: Elevation model of known ground, as .tif or .npz, around the origin of map.
-        terrain_sigma: Standard deviation of its heights.
+        terrain_sigma: Standard deviation of its heights. Default: 0.1 m.
         out: Output folder, new or empty. Default: out/adjust_BAG, or the next free of out/adjust_BAG_2, ….
     """
     from sal_height.adjustment import References, Target, Terrain, read_targets
@@ -81,7 +88,9 @@ def adjust(
     from sal_height.runs.adjustment_report import adjustment_table
     from sal_height.simulation.dem import read_elevation_model
 
-    ground = Terrain(read_elevation_model(terrain).heights, terrain_sigma) if terrain else None
+    if terrain_sigma is not None and not terrain:
+        raise UserError("Option --terrain-sigma has no meaning without --terrain, whose heights it is about.")
+    ground = Terrain(read_elevation_model(terrain).heights, terrain_sigma or DEFAULT_SIGMA_M) if terrain else None
     known = (*(Target(*place) for place in target), *(read_targets(targets) if targets else ()))
     references = References(known, ground)
     folder = output_folder(out, f"adjust_{bag_name(bag)}")

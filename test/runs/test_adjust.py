@@ -13,13 +13,17 @@ from flown_passes import BORESIGHT, preset_of
 from helpers import assert_one_sentence
 from rosbags.highlevel import AnyReader
 
+from sal_height.adjustment import targets
 from sal_height.bag.reader import BagReader
 from sal_height.bag.writer import BagWriter
-from sal_height.commands import main
+from sal_height.commands import _options, main
+from sal_height.commands.adjust import DEFAULT_SIGMA_M, LEAST_SIGMA_M, MOST_SIGMA_M
 from sal_height.io import bag_name
+from sal_height.nodes.height_adjuster import HeightAdjuster
 from sal_height.runs.adjust import ADJUSTED_FROM
 from sal_height.runs.reporting import PARAMETERS
 from sal_height.runs.sensor_bag import record_sensor
+from sal_height.settings import settings_of
 from sal_height.simulation.scenes import street
 
 BAGS = Path(__file__).parents[2] / "bags"
@@ -112,9 +116,9 @@ def test_what_is_not_there_is_said_and_the_result_is_without_it(
     ground = tmp_path / "elsewhere.npz"
     np.savez(ground, elevation=np.full((10, 10), 500.0), dx=1.0, dy=1.0)
     out = tmp_path / "out"
-    targets = tmp_path / "targets.csv"
-    targets.write_text("east_m,north_m,height_m\n900,3,1\n", encoding="utf-8")
-    options = ["--terrain", str(ground), "--target", "-2000,3,1", "--targets", str(targets)]
+    file = tmp_path / "targets.csv"
+    file.write_text("east_m,north_m,height_m\n900,3,1\n", encoding="utf-8")
+    options = ["--terrain", str(ground), "--target", "-2000,3,1", "--targets", str(file)]
     assert main(["adjust", str(flight), "--out", str(out), *KNOWN, *options]) == 0
     said = capsys.readouterr().err
     assert "None of the 2 targets was seen" in said
@@ -142,6 +146,17 @@ def test_passes_that_do_not_overlap_are_said(tmp_path: Path, capsys: pytest.Capt
     ("arguments", "says"),
     [
         ([str(BAGS / "sal_spotlight"), "--target", "1,2"], "Option --target is '1,2'; it must be EAST,NORTH,HEIGHT"),
+        ([str(BAGS / "sal_spotlight"), "--target", "nan,0,0"], "Option --target is 'nan,0,0'; numbers must be at most"),
+        ([str(BAGS / "sal_spotlight"), "--target", "0,0,1e300"], "'0,0,1e300'; numbers must be at most 1e+06 m"),
+        (
+            [str(BAGS / "sal_spotlight"), "--target", "-inf,0,0"],
+            "Option --target is '-inf,0,0'; numbers must be at most",
+        ),
+        ([str(BAGS / "sal_spotlight"), "--terrain", "x.npz", "--terrain-sigma", "-1"], "Must be >= 0.0001"),
+        ([str(BAGS / "sal_spotlight"), "--terrain", "x.npz", "--terrain-sigma", "0"], "Must be >= 0.0001"),
+        ([str(BAGS / "sal_spotlight"), "--terrain", "x.npz", "--terrain-sigma", "nan"], "--terrain-sigma"),
+        ([str(BAGS / "sal_spotlight"), "--terrain", "x.npz", "--terrain-sigma", "1001"], "Must be <= 1000"),
+        ([str(BAGS / "sal_spotlight"), "--terrain-sigma", "0.1"], "Option --terrain-sigma has no meaning without"),
         ([str(BAGS / "sal_spotlight"), "--set", "boresight=1"], "boresight"),
         ([str(BAGS / "sal_spotlight"), "--set", "correlation_s=0"], "correlation_s"),
         ([str(BAGS / "sal_spotlight"), "--terrain", "nowhere.tif"], "Elevation model nowhere.tif is not a readable"),
@@ -170,6 +185,12 @@ def test_what_cannot_be_adjusted_gets_one_sentence(
     assert says in error
     assert_one_sentence(error.removeprefix("sal-height: "))
     assert "adjusted, movers" not in error
+
+
+def test_known_ground_may_be_what_the_node_and_files_allow() -> None:
+    sigma = settings_of(HeightAdjuster.parameters)["terrain_sigma_m"]
+    assert (sigma.minimum, sigma.default, sigma.maximum) == (LEAST_SIGMA_M, DEFAULT_SIGMA_M, MOST_SIGMA_M)
+    assert _options.FARTHEST_M == targets.FARTHEST_M
 
 
 def test_faults_together_cost_a_dwell_and_a_sample(flight: Path, tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -238,15 +238,9 @@ class SarCompression(DwellStage):
     def process(self, frames: list[ReceivedFrame], sensor: Sensor, supplies: Supplies) -> int:
         """Compress a dwell, or the columns that a block completes of a strip, and publish the image of each channel."""
         found = compress_dwell(frames, sensor, supplies, self._compressor, self.current_parameters(), self.get_name())
-        if found is None:
-            if self._compressor.shortfall:
-                self.ignore("strip incomplete", UserError(f"Dwell {frames[0].dwell}: {self._compressor.shortfall}"))
-            return 0
-        slc, images = found
-        if slc.focus and not slc.focus.trusted:
-            self.ignore("autofocus", UserError(f"Dwell {frames[0].dwell}: {NOT_TRUSTED}"))
-        if slc.doubt:
-            self.ignore("odometry", UserError(f"Dwell {frames[0].dwell}: {slc.doubt}"))
+        slc, images = found or (None, [])
+        for warning in warnings_of(frames[0].dwell, slc, self._compressor):
+            self.ignore(warning.reason, warning)
         for image in images:
             self._slc.publish(image)
         return len(images)
@@ -385,6 +379,24 @@ def compress_dwell(
         autofocus_phase=slc.autofocus_phase.tolist(),
     )
     return slc, messages.serialized_slc(slc, frames[0], provenance, parameters.map_frame)
+
+
+def warnings_of(dwell: int, slc: Slc | None, compressor: Compressor) -> Iterator[Rejected]:
+    """What to warn of in a dwell that has been compressed and is used all the same.
+
+    Args:
+        dwell: its number.
+        slc: its images; None: those come with a later dwell.
+        compressor: which has compressed it.
+    """
+    if slc is None:
+        if compressor.shortfall:
+            yield Rejected("strip incomplete", f"Dwell {dwell}: {compressor.shortfall}")
+        return
+    if slc.focus and not slc.focus.trusted:
+        yield Rejected("autofocus", f"Dwell {dwell}: {NOT_TRUSTED}")
+    if slc.doubt:
+        yield Rejected("odometry", f"Dwell {dwell}: {slc.doubt}")
 
 
 def _out_of_time(state: PlatformState, history: OdometryHistory) -> str:

@@ -118,10 +118,9 @@ def adjust_bag(
     with reporting(folder, {"bag": bag.name, "settings": settings.model_dump()}) as report:
         work = scheme.works[0]
         reader = NamespacedReader(work.bag, work.namespace)
-        found = _adjusted(work, reader, estimator, settings, references)
+        found = _adjusted(work, reader, estimator, settings, references, report)
         adjustment, mounting, summary = found.adjustment, found.mounting, found.summary
-        report |= {"dwells": len(adjustment.displacements), "dropped": found.losses.dropped}
-        warnings = [*scheme.warnings, *found.losses.sentences.values(), *found.sentences]
+        warnings = [*scheme.warnings, *found.losses.told(len(work.dwells)), *found.sentences]
         report |= {**summary, "warnings": warnings}
         with writing(folder / "adjustment.png"):
             draw_adjustment(adjustment, folder / "adjustment.png")
@@ -152,19 +151,26 @@ class _Found:
 
 
 def _adjusted(
-    work: Work, reader: BagReader, estimator: str, settings: AdjustmentSettings, references: References
+    work: Work,
+    reader: BagReader,
+    estimator: str,
+    settings: AdjustmentSettings,
+    references: References,
+    report: dict[str, Any],
 ) -> _Found:
     """Adjust the dwells of a bag by their heights, or by their images where the settings are those of images.
+
+    How many there are, and what was left out, is in the report even if they cannot be adjusted.
 
     Raises:
         UserError: there is none, or nothing that could be wrong with images.
     """
     if not isinstance(settings, ImageAdjustmentSettings):
-        dwells, sensor, losses = _observe(_Observing(work, reader, estimator), reader)
+        dwells, sensor, losses = _observe(_Observing(work, reader, estimator), reader, report)
         adjustment = adjust(dwells, sensor.mounting, settings, references)
         summary, sentences = summary_of(adjustment, dwells, sensor.mounting, settings, references)
         return _Found(adjustment, sensor.mounting, losses, summary, sentences)
-    images, sensor, losses = _observe(_ObservingImages(work, reader, settings), reader)
+    images, sensor, losses = _observe(_ObservingImages(work, reader, settings), reader, report)
     if not any(image.stated.pose[:3, :3].any() for image in images):
         raise UserError(
             f"The odometry of bag {work.bag} states no errors of position, so that there is nothing to find; say how "
@@ -244,18 +250,22 @@ def epoch_of(work: Work) -> int:
     return min(dwell.stamp_ns for dwell in work.dwells)
 
 
-def _observe(observing: _Gathering[Observed], reader: BagReader) -> tuple[list[Observed], Sensor, Losses]:
-    """The dwells of a bag in the order of time, their sensor, and what was left out.
+def _observe(
+    observing: _Gathering[Observed], reader: BagReader, report: dict[str, Any]
+) -> tuple[list[Observed], Sensor, Losses]:
+    """The dwells of a bag in the order of time, their sensor, and what was left out, which the report has then.
 
     Raises:
         UserError: there is none.
     """
     observing.read(reader, "dwells")
+    losses, work = observing.losses, observing.work
+    report |= {"dwells": len(observing.dwells), **losses.counts()}
     if not observing.dwells:
-        why = next(iter(observing.losses.sentences.values()), "No dwell could be compressed.")
-        raise UserError(f"Bag {observing.work.bag} has no dwell that can be adjusted. {why}")
+        why = losses.told(len(work.dwells)) or ["No dwell could be compressed."]
+        raise UserError(f"Bag {work.bag} has no dwell that can be adjusted. {' '.join(why)}")
     (sensor,) = observing.sensors.values()
-    return sorted(observing.dwells, key=lambda dwell: dwell.seconds), sensor, observing.losses
+    return sorted(observing.dwells, key=lambda dwell: dwell.seconds), sensor, losses
 
 
 def _corrected_odometry(

@@ -164,7 +164,8 @@ def conclude_bag(case: Case, scheme: Scheme, parts: Sequence[Path]) -> dict[str,
     def make(new: Path) -> dict[str, Any]:
         losses, results = Losses(), [known(part) for part in parts]
         for one in results:
-            losses.add(Losses(Counter(one["dropped"]), one["sentences"]))
+            dropped, of_messages, warned = (Counter(one.get(name, {})) for name in ("dropped", "messages", "warned"))
+            losses.add(Losses(dropped, of_messages, warned, one["sentences"]))
         reader = Part(namespace=scheme.namespace).open(case.bag)
         custom_data = {**reader.custom_data, PARAMETERS: json.dumps(scheme.parameters)}
         begun = time.monotonic()

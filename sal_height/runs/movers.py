@@ -77,17 +77,24 @@ class FoundMovers:
         movers: in the order of time.
         candidates: number of pixels that were looked at.
         images: number of images.
-        warnings: sentences on what could not be used.
+        dwells: number of dwells in the bag.
+        left_out: how many of them tell nothing.
+        warnings: sentences on what could not be used, and on what is used in spite of them.
     """
 
     movers: Sequence[SeenMover]
     candidates: int
     images: int
+    dwells: int
+    left_out: int
     warnings: Sequence[str]
 
     def table(self) -> str:
         """A line for each mover."""
-        lines = [f"{len(self.movers)} movers; {self.candidates} bright pixels of {self.images} images were looked at"]
+        looked = f"{self.candidates} bright pixels of {self.images} images were looked at"
+        lines = [f"{len(self.movers)} movers; {looked}"]
+        if self.left_out:
+            lines[0] += f"; {self.left_out} of {self.dwells} dwells were left out"
         if self.movers:
             place = f"{'east m':>11}{'north m':>11}{'height m':>10}{'+-':>7}"
             along = f"{'along m/s':>11}{'+-':>7}" if any(_along(seen.mover) for seen in self.movers) else ""
@@ -132,9 +139,11 @@ def find_in_bag(
         reader = NamespacedReader(work.bag, work.namespace)
         looking = _Looking(work, reader, settings, "cols" in (given or {}).get(COMPRESSION, {}))
         looking.read(reader, "images")
-        warnings = [*scheme.warnings, *looking.losses.sentences.values()]
+        told = looking.losses.told(len(work.dwells))
+        warnings = [*scheme.warnings, *told]
+        report |= {"dwells": len(work.dwells), **looking.losses.counts(), "warnings": warnings}
         if not looking.images:
-            raise UserError(f"Bag {bag} has no image in which movers could be looked for. {' '.join(warnings[:1])}")
+            raise UserError(f"Bag {bag} has no image in which movers could be looked for. {' '.join(told)}".rstrip())
         candidates = sum(one.candidates for one in looking.images)
         if not candidates:
             warnings.append(
@@ -148,10 +157,8 @@ def find_in_bag(
             "fastest_mps": min((one.fastest for one in looking.images), default=0.0),
             "ground_lag_rad": [list(one.ground_lag) for one in looking.images],
             "movers": [one.summary() for one in looking.seen],
-            "dropped": looking.losses.dropped,
-            "warnings": warnings,
         }
-    return FoundMovers(looking.seen, candidates, len(looking.images), warnings)
+    return FoundMovers(looking.seen, candidates, len(looking.images), len(work.dwells), looking.losses.dwells, warnings)
 
 
 class _Looking(RecordedDwells):

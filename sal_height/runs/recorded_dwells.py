@@ -25,7 +25,7 @@ from sal_height.nodes.image_stage import applied_calibration
 from sal_height.nodes.odometry import OdometryHistory
 from sal_height.nodes.player import CALIBRATION_TOPIC
 from sal_height.nodes.playlist import FRAMES, ODOMETRY
-from sal_height.nodes.sar_compression import HEARD, Supplies, compress_dwell, longest_gap_s
+from sal_height.nodes.sar_compression import HEARD, Supplies, compress_dwell, longest_gap_s, warnings_of
 from sal_height.pipeline import Compressor
 from sal_height.runs.catalogue import NodeParameters, parameters_of
 from sal_height.runs.entry import sensors_of
@@ -42,6 +42,9 @@ FRAME_TOPIC, ODOMETRY_TOPIC, CALIBRATIONS = f"/{FRAMES}", f"/{ODOMETRY}", f"/{CA
 
 AIR_TOPICS = {f"/{topic}": topic for topic in messages.AIR}
 """Topics that tell the air, in a bag and as nodes know them."""
+
+WARNED = "warned by "
+"""Begins the kinds of sentences on dwells that are used all the same."""
 
 TAKEN = (ODOMETRY_TOPIC, *AIR_TOPICS, FRAME_TOPIC)
 """Topics that are gone through in the order of the bag."""
@@ -74,21 +77,58 @@ class Work:
 
 @dataclass
 class Losses:
-    """What was left out.
+    """What was left out, and what nodes warn of.
 
     Attributes:
-        dropped: number of dwells, or of frames that cannot be used, that a node left out, by node and reason.
-        sentences: on the first of each kind, and of what was not used besides dwells and frames.
+        dropped: number of dwells, or of messages that cannot be used, that a node left out, by node and reason.
+        messages: how many of these were messages, by node and reason.
+        warned: number of dwells that a node warns of, which are used all the same, by node and what it warns of.
+        sentences: on the first of each kind, and of what was not used besides dwells and messages.
     """
 
     dropped: Counter[str] = field(default_factory=Counter)
+    messages: Counter[str] = field(default_factory=Counter)
+    warned: Counter[str] = field(default_factory=Counter)
     sentences: dict[str, str] = field(default_factory=dict)
 
-    def drop(self, node: str, error: UserError) -> None:
-        """Count a dwell, or a frame, that a node leaves out."""
+    def drop(self, node: str, error: UserError, *, message: bool = False) -> None:
+        """Count a dwell, or a message, that a node leaves out."""
         kind = f"{node}: {error.reason if isinstance(error, Rejected) else 'cannot be processed'}"
         self.dropped[kind] += 1
+        self.messages[kind] += message
         self.warn(kind, error)
+
+    def warn_of(self, node: str, error: Rejected) -> None:
+        """Count a dwell that a node warns of."""
+        kind = f"{node}: {error.reason}"
+        self.warned[kind] += 1
+        self.warn(f"{WARNED}{kind}", error)
+
+    @property
+    def dwells(self) -> int:
+        """Number of dwells that were left out."""
+        return self.dropped.total() - self.messages.total()
+
+    def told(self, dwells: int) -> list[str]:
+        """What became of so many dwells: of each kind how many, and the sentence on the first one."""
+        return [f"{self._counted(kind, dwells)}{sentence}" for kind, sentence in self.sentences.items()]
+
+    def counts(self) -> dict[str, Counter[str]]:
+        """What a report says."""
+        return {"dropped": self.dropped, "warned": self.warned}
+
+    def _counted(self, kind: str, dwells: int) -> str:
+        """A sentence on how many of a kind there are, and a space; empty if they are not counted."""
+        if kind.startswith(WARNED):
+            kind = kind.removeprefix(WARNED)
+            return f"There is a warning on {self.warned[kind]} of {dwells} dwells ({kind}). "
+        of_messages = self.messages[kind]
+        of_dwells = self.dropped[kind] - of_messages
+        said = [f"{of_dwells} of {dwells} dwells"] if of_dwells else []
+        if of_messages:
+            said.append(f"{of_messages} message{'s' if of_messages > 1 else ''}")
+        verb = "was" if self.dropped[kind] == 1 else "were"
+        return f"{' and '.join(said)} {verb} left out ({kind}). " if said else ""
 
     def warn(self, kind: str, error: UserError) -> None:
         """Keep the sentence if it is the first of its kind."""
@@ -97,6 +137,8 @@ class Losses:
     def add(self, other: Losses) -> None:
         """Take in what was left out elsewhere, later on."""
         self.dropped.update(other.dropped)
+        self.messages.update(other.messages)
+        self.warned.update(other.warned)
         self.sentences = {**other.sentences, **self.sentences}
 
 
@@ -215,9 +257,10 @@ class RecordedDwells:
             else:
                 self._gather(messages.received_frame(recorded.cdr), recorded.log_time_ns)
         except UserError as error:
-            self.losses.drop(COMPRESSION, error)
+            self.losses.drop(COMPRESSION, error, message=True)
         except RuntimeError as error:
-            self.losses.drop(COMPRESSION, Rejected("broken", f"A message cannot be decoded: {error}."))
+            broken = Rejected("broken", f"A message cannot be decoded: {error}.")
+            self.losses.drop(COMPRESSION, broken, message=True)
         unfinished = self._assembler.held()
         surplus = len(unfinished) - self._compression.max_unfinished_dwells
         for place, dwell in enumerate(unfinished):
@@ -284,6 +327,8 @@ class RecordedDwells:
         except UserError as error:
             self.losses.drop(COMPRESSION, error)
             return
+        for warning in warnings_of(dwell.key.number, found[0] if found else None, self._compressor):
+            self.losses.warn_of(COMPRESSION, warning)
         if found is None:
             return
         slc, serialized = found

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from flown_passes import BORESIGHT, preset_of
 from helpers import assert_one_sentence
+from rewritten_bag import rewritten
 from rosbags.highlevel import AnyReader
 
 from sal_height.adjustment import targets
@@ -53,7 +54,7 @@ def test_report_tells_what_was_found_and_what_stays_open(adjusted: Path) -> None
     assert report["dwells"] == 15
     assert report["comparisons"] > 20
     assert report["comparisons_with_known_ground"] == 0
-    assert report["dropped"] == {}
+    assert report["dropped"] == report["warned"] == {}
     found = [report["parameters"][f"boresight {axis} (rad)"] for axis in "xyz"]
     off = np.array([one["error"] for one in found]) + BORESIGHT
     assert np.all(np.abs(off) < 4 * np.array([one["sigma"] for one in found]))
@@ -185,6 +186,22 @@ def test_what_cannot_be_adjusted_gets_one_sentence(
     assert says in error
     assert_one_sentence(error.removeprefix("sal-height: "))
     assert "adjusted, movers" not in error
+
+
+def test_why_no_dwell_can_be_adjusted_is_said_reason_by_reason(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = record_sensor(preset_of(1, 3), 1, tmp_path / "whole")
+    bag = rewritten(
+        whole, tmp_path / "bag", lambda one, number: one if number or one.topic != "/phase_history" else None
+    )
+    assert main(["adjust", str(bag), "--out", str(tmp_path / "out"), "--param", "ml_height.min_cnr_db=90"]) == 2
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert "has no dwell that can be adjusted. 1 of 3 dwells was left out (sar_compression: incomplete dwell)." in error
+    assert "2 of 3 dwells were left out (ml_height: few heights). A dwell has 0 heights; 20 are needed" in error
+    report = report_of(tmp_path / "out")
+    assert report["dropped"] == {"sar_compression: incomplete dwell": 1, "ml_height: few heights": 2}
+    assert report["dwells"] == 0
 
 
 def test_known_ground_may_be_what_the_node_and_files_allow() -> None:

@@ -10,6 +10,7 @@ from cyclopts.validators import Number
 
 from sal_height.commands._options import (
     DONE,
+    FAILED,
     PROCESSING,
     Bag,
     NodeParameters,
@@ -38,7 +39,13 @@ EXAMPLES = """
 LEAST_SIGMA_M, DEFAULT_SIGMA_M, MOST_SIGMA_M = 1e-4, 0.1, 1000.0
 """Standard deviation of the heights of an elevation model, as of the node height_adjuster (terrain_sigma_m)."""
 
-app = command("adjust", PROCESSING, EXAMPLES)
+app = command(
+    "adjust",
+    PROCESSING,
+    EXAMPLES,
+    "nothing was found: no dwell could be compared, with another one or with known ground, and Doppler centroids do "
+    "not tell the mounting either; report and bag say what was known beforehand",
+)
 
 
 @app.default
@@ -73,7 +80,8 @@ def adjust(
 
     The output folder holds a bag with the corrected odometry, to be replayed;
     report.json and adjustment.png. Errors of the mounting that were found are part
-    of that odometry; the report has the mounting as it should be described.
+    of that odometry; the report has the mounting as it should be described. If no
+    dwell could be compared, the bag has the odometry as it was.
 
     Args:
         estimator: Whose heights are compared, where there are any.
@@ -85,7 +93,7 @@ def adjust(
     """
     from sal_height.adjustment import References, Target, Terrain, read_targets
     from sal_height.runs.adjust import adjust_bag
-    from sal_height.runs.adjustment_report import adjustment_table
+    from sal_height.runs.adjustment_report import adjustment_table, has_comparisons, tells_nothing
     from sal_height.simulation.dem import read_elevation_model
 
     if terrain_sigma is not None and not terrain:
@@ -97,5 +105,7 @@ def adjust(
     adjusted = adjust_bag(bag, folder, estimator, node_parameters(param), settings_values(set_), references)
     print(adjustment_table(adjusted.summary))
     complain(adjusted.warnings)
-    print(f"see {folder}/adjustment.png; heights with the corrected odometry: sal-height replay {adjusted.bag}")
-    return DONE
+    corrected = f"heights with the corrected odometry: sal-height replay {adjusted.bag}"
+    kept = f"{adjusted.bag} has the odometry as it was"
+    print(f"see {folder}/adjustment.png; {corrected if has_comparisons(adjusted.summary) else kept}")
+    return FAILED if tells_nothing(adjusted.summary) else DONE

@@ -17,6 +17,7 @@ from sal_height.adjustment import (
     stated_sigmas,
 )
 from sal_height.geometry import Mounting
+from sal_height.runs.tables import ABSENT
 from sal_height.tables import aligned
 
 DETERMINED = 0.9
@@ -54,6 +55,7 @@ def summary_of(
                 "error": float(common[number]),
                 "sigma": float(sigmas[number]),
                 "known_to": float(prior[number]),
+                "determined": bool(sigmas[number] <= DETERMINED * prior[number]),
             }
             for number in estimated
         },
@@ -117,7 +119,8 @@ def _sentences(summary: dict[str, Any], references: References, adjustment: Adju
         )
     if not summary["comparisons"]:
         sentences.append(
-            "No two dwells were found to show the same ground: nothing could be compared. Fly passes that overlap."
+            "No two dwells were found to show the same ground: they were compared with known ground, but not with each "
+            "other. Fly passes that overlap."
             if summary["comparisons_with_known_ground"]
             else "No two dwells were found to show the same ground: nothing could be compared, and the new bag has the "
             "odometry as it was. Fly passes that overlap, or give targets or an elevation model."
@@ -133,7 +136,7 @@ def _sentences(summary: dict[str, Any], references: References, adjustment: Adju
             "another place, and may be off by more than is stated; fly longer passes, or give targets or an elevation "
             "model."
         )
-    loose = [name for name, one in summary["parameters"].items() if one["sigma"] > DETERMINED * one["known_to"]]
+    loose = [name for name, one in summary["parameters"].items() if not one["determined"]]
     if loose:
         sentences.append(f"These dwells do not determine: {', '.join(loose)}; what was known beforehand stays.")
     if not summary["comparisons_with_known_ground"]:
@@ -145,15 +148,25 @@ def _sentences(summary: dict[str, Any], references: References, adjustment: Adju
     return sentences
 
 
+def has_comparisons(summary: dict[str, Any]) -> bool:
+    """Whether dwells were compared with others or with known ground, so that odometry was corrected."""
+    return bool(summary["comparisons"] or summary["comparisons_with_known_ground"])
+
+
+def tells_nothing(summary: dict[str, Any]) -> bool:
+    """Whether all stays as it was known beforehand: no dwell was compared, nor did Doppler centroids tell anything."""
+    return not has_comparisons(summary) and not any(one["determined"] for one in summary["parameters"].values())
+
+
 def adjustment_table(summary: dict[str, Any]) -> str:
-    """The parameters that all dwells share, and how far their surfaces lay off, as a table."""
+    """The parameters that all dwells share, and how far their surfaces lay off, as a table.
+
+    Of parameters that are not determined there are no values.
+    """
     lines = []
     if summary["parameters"]:
         heading = ["shared by all dwells", "known to", "found", "+-"]
-        rows = [
-            [name, f"{one['known_to']:.3g}", f"{one['error']:+.3g}", f"{one['sigma']:.2g}"]
-            for name, one in summary["parameters"].items()
-        ]
+        rows = [[name, f"{one['known_to']:.3g}", *_found(one)] for name, one in summary["parameters"].items()]
         lines += [aligned([heading, *rows]), ""]
     if "images" in summary:
         lines += [_table_of_images(summary), ""]
@@ -170,6 +183,13 @@ def adjustment_table(summary: dict[str, Any]) -> str:
     known = summary["comparisons_with_known_ground"]
     lines.append(f"{summary['comparisons']} comparisons of dwells with others, {known} with known ground")
     return "\n".join(lines)
+
+
+def _found(parameter: dict[str, Any]) -> tuple[str, str]:
+    """What was found of a parameter, and its standard deviation."""
+    if not parameter["determined"]:
+        return ABSENT, ABSENT
+    return f"{parameter['error']:+.3g}", f"{parameter['sigma']:.2g}"
 
 
 def _table_of_images(summary: dict[str, Any]) -> str:

@@ -188,6 +188,38 @@ def test_what_cannot_be_adjusted_gets_one_sentence(
     assert "adjusted, movers" not in error
 
 
+def test_what_stays_as_it_was_has_no_value(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Dwells of one pass: Doppler centroids tell a boresight that is known badly, and none that is known well."""
+    preset = preset_of(1, 4)
+    bag = record_sensor(replace(preset, flight=replace(preset.flight, dwell_spacing_m=3.0)), 1, tmp_path / "bag")
+    for sigma, status in (("1e-3", 0), ("1e-9", 1)):
+        out = tmp_path / sigma
+        given = ["--set", f"boresight_sigma_rad={sigma}", "--set", "lever_arm_sigma_m=0.01"]
+        assert main(["adjust", str(bag), "--out", str(out), *given]) == status
+        lines = capsys.readouterr().out.splitlines()
+        determined = {name: one["determined"] for name, one in report_of(out)["parameters"].items()}
+        assert any(determined.values()) == (status == 0)
+        for name, told in determined.items():
+            (row,) = [line for line in lines if line.startswith(name)]
+            assert (row.split()[-2:] == ["-", "-"]) == (not told)
+        assert "0 comparisons of dwells with others, 0 with known ground" in lines
+        assert lines[-1].endswith("has the odometry as it was")
+        assert (out / "bag").is_dir()
+
+
+def test_known_ground_is_enough_where_no_two_dwells_overlap(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    preset = preset_of(1, 4)
+    bag = record_sensor(replace(preset, flight=replace(preset.flight, dwell_spacing_m=3.0)), 1, tmp_path / "bag")
+    ground = tmp_path / "street.npz"
+    np.savez(ground, elevation=street().height[::-1], dx=0.02, dy=0.02)
+    assert main(["adjust", str(bag), "--out", str(tmp_path / "out"), *KNOWN, "--terrain", str(ground)]) == 0
+    said = capsys.readouterr()
+    assert report_of(tmp_path / "out")["comparisons_with_known_ground"] > 0
+    assert "they were compared with known ground, but not with each other" in said.err
+    assert "nothing could be compared" not in said.err
+    assert "heights with the corrected odometry: sal-height replay" in said.out
+
+
 def test_why_no_dwell_can_be_adjusted_is_said_reason_by_reason(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

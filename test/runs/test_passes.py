@@ -107,3 +107,11 @@ def test_what_cannot_be_used_is_one_sentence(bags: list[Path], tmp_path: Path) -
         heights_of_bags(bags, tmp_path / "looks", wanted={**WANTED, "range_looks": 2})
     with pytest.raises(UserError, match="side_n"):
         heights_of_bags(bags, tmp_path / "name", wanted={"side_n": 2.0})
+
+
+@pytest.mark.parametrize("option", [("--tie", "nan,0,0"), ("--compare", "0,0,-2e6"), ("--centre", "0,inf")])
+def test_places_that_are_nowhere_are_refused(
+    option: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["passes", "bag", *option, "--out", str(tmp_path / "out")]) == 2
+    assert f"Option {option[0]} is {option[1]!r}; numbers must be at most 1e+06 m." in capsys.readouterr().err

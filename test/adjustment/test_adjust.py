@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from flown_passes import BORESIGHT, flown, flown_as, preset_of
 
-from benchmarks.passes import FlownPasses
+from benchmarks.passes import FlownPasses, observed
 from sal_height.adjustment import Adjustment, AdjustmentSettings, ObservedDwell, References, Target, Terrain, adjust
 from sal_height.adjustment.equations import Form
 from sal_height.adjustment.observed import BORESIGHT as TURN
@@ -16,6 +16,7 @@ from sal_height.adjustment.observed import vibration_of
 from sal_height.imaging import Centroid, Placement
 from sal_height.numeric import F64
 from sal_height.runs.adjustment_report import summary_of
+from sal_height.simulation import flight_of
 from sal_height.simulation.phase_errors import Vibration, VibrationLine
 from sal_height.simulation.preset import TargetSettings
 
@@ -155,6 +156,14 @@ def test_dwells_of_other_pieces_of_the_street_stay_as_odometry_has_them(numbers:
     passes = flown()
     adjustment = adjust([passes.dwells[number] for number in numbers], passes.flight.sensor.mounting, SETTINGS)
     assert not adjustment.comparisons
+
+
+def test_dwells_that_are_nearly_taken_for_the_same_ground_are_not() -> None:
+    """The pair of other pieces, of 128 of 16 flights, whose evidence of the same ground is the greatest: 2.6."""
+    preset, pair = preset_of(5, 3), (2, 5)
+    made = [observed(number, preset, 4) for number in pair]
+    mounting = flight_of(preset, 4).sensor.mounting
+    assert not adjust([dwell for dwell, _ in made], mounting, SETTINGS).comparisons
 
 
 def test_one_dwell_with_wrong_heights_does_not_move_the_others() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from sal_height.adjustment.matching import Points
 from sal_height.adjustment.recognising import SURE, Rarity, evidence
@@ -32,6 +33,14 @@ def test_a_street_without_ends_tells_nothing() -> None:
 def test_an_end_that_both_show_is_recognised() -> None:
     one, other = seen(0.0, 1, (0.8,)), seen(0.3, 2, (0.8,))
     assert told(one, other, 0.0) > 3 * SURE
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_an_end_is_recognised_in_a_longer_image(seed: int) -> None:
+    """Which alone would be shifted farther: both are shifted as far."""
+    one, other = seen(0.0, 1 + seed, (0.8,)), seen(-0.5, 20 + seed, (0.8,), long=4.0)
+    assert np.linalg.norm(Rarity.of(other).elsewhere) > 1.3 * np.linalg.norm(Rarity.of(one).elsewhere)
+    assert told(one, other, 0.0) > 48 * SURE
 
 
 def test_an_end_that_only_one_shows_is_not_enough() -> None:

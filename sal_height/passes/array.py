@@ -175,10 +175,6 @@ class PassArray:
         passes = (one.moved(offset) for one, offset in zip(self.passes, offsets, strict=True))
         return replace(self, passes=tuple(passes))
 
-    def without(self, number: int) -> tuple[Pass, ...]:
-        """The passes without one."""
-        return tuple(one for at, one in enumerate(self.passes) if at != number)
-
     def seen(self, points: F64) -> tuple[F64, F64, F64]:
         """Slant range (m), distance along the flight (m) and elevation (rad) of points, shape (..., 3)."""
         slant_range, elevation, _ = angles_of(points, self.reference, self.look_side)

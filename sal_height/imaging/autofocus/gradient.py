@@ -92,15 +92,14 @@ class Focus:
 
     Attributes:
         phase: estimated error, rad, shape (pulses,); 0 where there is nothing to focus on.
-        method: "speckle", "targets", or "none" where there is nothing to focus on.
-        standard_error: rms over the pulses that the estimate's own statistics predict, rad; infinite if "none".
+        standard_error: rms over the pulses that the estimate's own statistics predict, rad; infinite
+            where there is nothing to focus on.
         trusted: whether the phase should be applied: known well enough, and the image does not lose by it.
         trend: phase from pulse to pulse by which, besides, the echoes are off the middle of the beam, rad.
         trend_error: its standard error, rad; infinite where bright targets are focused, or nothing is.
     """
 
     phase: F64
-    method: str
     standard_error: float
     trusted: bool = False
     trend: float = 0.0
@@ -147,7 +146,7 @@ def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64,
             "never, or send shorter dwells."
         )
     half = patch_half_width(sensor)
-    focus = Focus(np.zeros(sensor.pulse_count), "none", np.inf)
+    focus = Focus(np.zeros(sensor.pulse_count), np.inf)
     if on_speckle:
         cells = cell_responses(history, antenna, sensor, patches.mean(axis=(0, 1)))
         modes, snr = signal_modes(cells, sensor.sample_count * sensor.noise_covariance)
@@ -162,7 +161,7 @@ def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64,
         phase, error = focus_targets(of_rows, half, 10 ** (settings.autofocus_target_db / 10))
         # Where targets lie is known by the trend alone, and the course of a phase that is not smooth has none.
         tells_place = np.isfinite(error) and is_smooth(phase)
-        focus = Focus(phase, "targets", error) if tells_place else Focus(np.zeros(len(phase)), "none", np.inf)
+        focus = Focus(phase, error) if tells_place else Focus(np.zeros(len(phase)), np.inf)
     phase = without_shift(focus.phase)
     sharper = sharpness(turned(responses, phase), half) / sharpness(responses, half)
     known = focus.standard_error <= settings.autofocus_max_error_rad
@@ -250,7 +249,7 @@ def focus_speckle(modes: Complex, snr: F64, by_beam: Coherence) -> Focus:
         by_beam: coherence of even ground (`beam_coherence`).
     """
     if not len(modes):
-        return Focus(np.zeros(modes.shape[-1]), "none", np.inf)
+        return Focus(np.zeros(modes.shape[-1]), np.inf)
     classes = speckle_classes(modes, snr)
     likelihood = Likelihood.of(classes, by_beam)
     phase = link_phases(likelihood, phase_gradient(modes))
@@ -258,7 +257,7 @@ def focus_speckle(modes: Complex, snr: F64, by_beam: Coherence) -> Focus:
     fitted = with_fitted_profile(by_beam, classes, phase)
     phase = without_shift(link_phases(Likelihood.of(classes, fitted), phase))
     trend, trend_error = find_trend(modes, snr, by_beam, likelihood, phase)
-    return Focus(phase, "speckle", phase_variance(likelihood.information) ** 0.5, trend=trend, trend_error=trend_error)
+    return Focus(phase, phase_variance(likelihood.information) ** 0.5, trend=trend, trend_error=trend_error)
 
 
 def patch_half_width(sensor: Sensor) -> int:

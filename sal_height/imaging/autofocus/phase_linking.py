@@ -177,7 +177,7 @@ def find_trend(
     Args:
         modes: responses, shape (responses, pulses), in the order of their range cells.
         snr: of each response, shape (responses,).
-        coherence: of the echo of even ground (`coherence_of` the beam's profile).
+        coherence: of the echo of even ground (`beam_coherence`).
         likelihood: of the phases of these responses by that coherence.
         phase: of the pulses besides the trend, rad, shape (pulses,).
     """

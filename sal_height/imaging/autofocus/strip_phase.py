@@ -75,7 +75,7 @@ def link_block(
         seen = responses[..., begin:end] * np.exp(-1j * phase[begin:end]).astype(responses.dtype)
         modes, snr = signal_modes(seen, sensor.sample_count * sensor.noise_covariance)
         if not len(modes):
-            return Focus(np.zeros(new_ones), "none", np.inf)
+            return Focus(np.zeros(new_ones), np.inf)
         coherence = beam_coherence(sensor, antenna[begin:end])
         fits = which_fit(modes, snr, coherence)
         modes = modes[fits]
@@ -86,7 +86,7 @@ def link_block(
     step_error = float(np.max([error for error, _ in errors]))
     trend_error = float(np.sqrt(np.mean([error**2 for _, error in errors])))
     trusted = step_error <= settings.autofocus_max_error_rad
-    return Focus(phase[-new_ones:], "speckle", step_error, trusted, trend_error=trend_error)
+    return Focus(phase[-new_ones:], step_error, trusted, trend_error=trend_error)
 
 
 @dataclass(frozen=True, eq=False)

@@ -206,8 +206,6 @@ def _mean_variance(covariance: F64) -> float:
 
 
 def _bounded(covariance: F64, least: float, most: float) -> F64:
-    """A covariance with standard deviations from `least` to `most`; one that is not finite counts as exact."""
-    if not np.all(np.isfinite(covariance)):
-        covariance = np.zeros_like(covariance)
+    """A covariance with standard deviations from `least` to `most`."""
     values, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
     return (vectors * np.clip(values, least**2, most**2)) @ vectors.T

@@ -141,8 +141,7 @@ class Window:
     @property
     def latest_is_compared(self) -> bool:
         """Whether the latest dwell was seen to show the same ground as an earlier one, or as what is known."""
-        latest = self._growing[-1:]
-        return any(number in one.dwells[0] for one in self._of_growing for number in latest)
+        return any(not one.dwells[0].keys().isdisjoint(self._growing[-1:]) for one in self._of_growing)
 
     @property
     def dwells(self) -> int:

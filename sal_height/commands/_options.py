@@ -155,8 +155,16 @@ Place: TypeAlias = Annotated[
 ]
 
 
-FARTHEST_M = 1e6
-"""From the origin of map that a place may be, as in files of targets (`adjustment.targets`)."""
+def check_near(token: Token, numbers: Sequence[float]) -> None:
+    """Make sure that numbers in m are as near the origin of map as places in files of targets must be.
+
+    Raises:
+        UserError: they are not.
+    """
+    from sal_height.adjustment.targets import FARTHEST_M
+
+    if not all(abs(number) <= FARTHEST_M for number in numbers):  # NaN is refused, too
+        raise UserError(f"Option {token.keyword} is {token.value!r}; numbers must be at most {FARTHEST_M:g} m.")
 
 
 def _places(_type: type, tokens: Sequence[Token]) -> tuple[tuple[float, float, float], ...]:
@@ -169,8 +177,7 @@ def _places(_type: type, tokens: Sequence[Token]) -> tuple[tuple[float, float, f
                 f"Option {token.keyword} is {token.value!r}; it must be EAST,NORTH,HEIGHT in m, for example "
                 "12.5,-3,1.2."
             ) from None
-        if not all(abs(number) <= FARTHEST_M for number in (east, north, height)):  # NaN is refused, too
-            raise UserError(f"Option {token.keyword} is {token.value!r}; numbers must be at most {FARTHEST_M:g} m.")
+        check_near(token, (east, north, height))
         places.append((east, north, height))
     return tuple(places)
 

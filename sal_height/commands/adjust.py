@@ -91,6 +91,10 @@ def adjust(
         terrain_sigma: Standard deviation of its heights. Default: 0.1 m.
         out: Output folder, new or empty. Default: out/adjust_BAG, or the next free of out/adjust_BAG_2, ….
     """
+    from sal_height.runs.processes import use_one_blas_thread
+
+    use_one_blas_thread()
+
     from sal_height.adjustment import References, Target, Terrain, read_targets
     from sal_height.runs.adjust import adjust_bag
     from sal_height.runs.adjustment_report import adjustment_table, has_comparisons, tells_nothing

@@ -46,6 +46,10 @@ def movers(bag: Bag, /, *, set_: Settings = (), param: NodeParameters = (), out:
     Args:
         out: Output folder, new or empty. Default: out/movers_BAG, or the next free of out/movers_BAG_2, ….
     """
+    from sal_height.runs.processes import use_one_blas_thread
+
+    use_one_blas_thread()
+
     from sal_height.runs.movers import find_in_bag
 
     folder = output_folder(out, f"movers_{bag_name(bag)}")

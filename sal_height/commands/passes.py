@@ -10,12 +10,12 @@ from cyclopts import Parameter, Token
 
 from sal_height.commands._options import (
     DONE,
-    FARTHEST_M,
     PROCESSING,
     NodeParameters,
     OutputFolder,
     Places,
     Settings,
+    check_near,
     command,
     complain,
     node_parameters,
@@ -41,8 +41,7 @@ def _centre(_type: type, tokens: Sequence[Token]) -> tuple[float, float]:
         raise UserError(
             f"Option --centre is {tokens[0].value!r}; it must be EAST,NORTH in m, for example 10,-3."
         ) from None
-    if not (abs(east) <= FARTHEST_M and abs(north) <= FARTHEST_M):  # NaN is refused, too
-        raise UserError(f"Option --centre is {tokens[0].value!r}; numbers must be at most {FARTHEST_M:g} m.")
+    check_near(tokens[0], (east, north))
     return east, north
 
 

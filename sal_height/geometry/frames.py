@@ -51,8 +51,8 @@ def shift_along(aperture: ApertureState, sight: F64) -> F64:
     """How a surface moves that is taken to be one metre farther along the flight, shape (3,).
 
     Its slant range and its elevation, which is measured about the body's forward axis f, stay: with the unit vectors s
-    to the surface and v of the flight it moves by f - s (s f), over the component of that along v. In an image that
-    slides, the aperture moves with it.
+    to the surface and v of the flight it moves by f - s (s f), over the component of that along v, as
+    `relief.position_jacobian` has it. In an image that slides, the aperture moves with it.
 
     Args:
         aperture: from which it is seen.

@@ -6,8 +6,9 @@ refused), `formers` (backprojection and the fast ones), `autofocus` (phase error
 (blocks that join) and `beams` (patterns in strip images).
 """
 
-from sal_height.imaging.autofocus.gradient import apply_phase
+from sal_height.imaging.autofocus.gradient import apply_phase, is_for_speckle
 from sal_height.imaging.autofocus.placement import Centroid, NavigationPrior, Placement
+from sal_height.imaging.autofocus.strip_phase import stays_in_range_cell
 from sal_height.imaging.beams import image_beams
 from sal_height.imaging.corrections import (
     Corrected,
@@ -17,7 +18,7 @@ from sal_height.imaging.corrections import (
     correct_track,
     with_known_errors,
 )
-from sal_height.imaging.focus import ImageSettings, Slc, cell_response, focus_dwell, speckle_tells_beams
+from sal_height.imaging.focus import ImageSettings, Slc, cell_response, focus_dwell
 from sal_height.imaging.formers.backprojection import backproject, backproject_points
 from sal_height.imaging.formers.choice import FORMERS, FormImages
 from sal_height.imaging.pixels import azimuth_resolution, line_of_sight
@@ -46,7 +47,8 @@ __all__ = [
     "correct_track",
     "focus_dwell",
     "image_beams",
+    "is_for_speckle",
     "line_of_sight",
-    "speckle_tells_beams",
+    "stays_in_range_cell",
     "with_known_errors",
 ]

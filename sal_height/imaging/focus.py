@@ -26,7 +26,6 @@ from sal_height.imaging.autofocus.placement import (
     place_image,
     placed_by_navigation,
 )
-from sal_height.imaging.autofocus.strip_phase import stays_in_range_cell
 from sal_height.imaging.checks import (
     check_doppler_centroid,
     check_dwell,
@@ -212,19 +211,6 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
     return Slc(images, grid, aperture, noise_power, shares, *windows, focus, doubt, placement, left)
 
 
-def speckle_tells_beams(sensor: Sensor, antenna: F64, slant_range: float) -> bool:
-    """Whether autofocus can find the beams on speckle.
-
-    Args:
-        sensor: wavelength, bandwidth, beams and noise power.
-        antenna: position at the pulses of a dwell, or at the first and the last one, m, shape (pulses, 3).
-        slant_range: m.
-    """
-    if sensor.mode == "stripmap":
-        return stays_in_range_cell(sensor, slant_range)
-    return is_for_speckle(sensor, antenna)
-
-
 def _find_beams(
     history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64, prior: NavigationPrior, settings: ImageSettings
 ) -> tuple[Focus | None, Placement]:
@@ -233,8 +219,7 @@ def _find_beams(
     Raises:
         Rejected: navigation does not know well enough where the beams are, and the data do not tell.
     """
-    told = speckle_tells_beams(sensor, antenna, float(history.reference_range[0]))
-    uncertain = settings.beams_are_uncertain(prior, sensor) and told
+    uncertain = settings.beams_are_uncertain(prior, sensor) and is_for_speckle(sensor, antenna)
     if settings.autofocus == "never" or (settings.autofocus == "auto" and not uncertain):
         return None, placed_by_navigation(prior)
     focus = autofocus(history, antenna, sensor, patches, settings)
@@ -260,9 +245,9 @@ def describe_distrust(focus: Focus, prior: NavigationPrior, settings: AutofocusS
         why = "sees bright targets, which do not tell where the beams look"
     return (
         f"Odometry states the velocity along the line of sight to {prior.speed:.2g} m/s and the pointing along the "
-        f"flight to {prior.pointing:.2g} rad, so that the dwell needs autofocus, which {why}. With more echo (longer "
-        "dwells, more power) it sees more; if the odometry is better than it states, state that; autofocus never takes "
-        "the dwell as it is."
+        f"flight to {prior.pointing:.2g} rad, so that the dwell needs autofocus, which {why}. Send longer "
+        "dwells or more power, or state the odometry as well as it is known; with autofocus set to never the dwell is "
+        "taken as the odometry puts it."
     )
 
 

@@ -210,8 +210,10 @@ class Adjuster:
         _check_mounting(stage)
         limits = parameters.window_dwells, parameters.window_points
         made_for = sensor.digest, settings, limits
-        is_first = self._window is None or made_for != self._made_for
-        if self._window is None or is_first:
+        if made_for != self._made_for:
+            self._window = None
+        is_first = self._window is None
+        if self._window is None:
             self._window = Window(sensor.mounting, settings, *limits, self._references)
             self._made_for, self._epoch_ns, self._latest_ns = made_for, stamp_ns, stamp_ns
         if stamp_ns < self._latest_ns:

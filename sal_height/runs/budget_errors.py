@@ -20,15 +20,16 @@ from sal_height.imaging import (
     ImageSettings,
     NavigationPrior,
     image_beams,
+    is_for_speckle,
     line_of_sight,
-    speckle_tells_beams,
+    stays_in_range_cell,
     with_known_errors,
 )
 from sal_height.numeric import F64
 from sal_height.runs.budget_entry import Entry
 from sal_height.sensor import Sensor, spectrum_sensor
 from sal_height.simulation import Preset, laser_structure, swings_little
-from sal_height.theory import AperturePhase, phase_of_line, phase_of_structure, together
+from sal_height.theory import AperturePhase, phase_of_line, phase_of_structure, sum_of_phases
 
 GROUP = "errors of this preset"
 
@@ -122,13 +123,19 @@ def describe_autofocus(of: Situation) -> str:
         return f"No autofocus is needed: {known}."
     if of.settings.autofocus == "never":
         return f"Autofocus is needed, but autofocus is never: {known}."
-    ends = of.speed * of.seconds / 2 * np.outer([-1, 1], of.aperture.direction)
-    if not speckle_tells_beams(of.sensor, ends, of.slant_range):
+    if not _speckle_tells_beams(of):
         return (
             f"Autofocus would be needed: {known}; but the beams are so wide that speckle cannot tell where they are, "
             "so that images are left as odometry focuses and places them."
         )
     return f"Autofocus is needed: {known}."
+
+
+def _speckle_tells_beams(of: Situation) -> bool:
+    """Whether autofocus can find the beams."""
+    if of.sensor.mode == "stripmap":
+        return stays_in_range_cell(of.sensor, of.slant_range)
+    return is_for_speckle(of.sensor, of.speed * of.seconds / 2 * np.outer([-1, 1], of.aperture.direction))
 
 
 def _prior(of: Situation) -> NavigationPrior:
@@ -201,7 +208,7 @@ def _vibration(of: Situation) -> Iterator[Entry]:
     size = np.sqrt(sum(line.amplitude_m**2 for line in lines) / 2)
     yield _entry("vibration_rms_um", "vibration, rms", 1e6 * float(size), "µm")
     phases = (phase_of_line(radians * line.amplitude_m, 2 * np.pi * line.frequency_hz, of.seconds) for line in lines)
-    yield from _of_phase(of, "vibration", together(phases))
+    yield from _of_phase(of, "vibration", sum_of_phases(phases))
 
 
 def _laser(of: Situation) -> Iterator[Entry]:

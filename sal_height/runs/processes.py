@@ -17,7 +17,10 @@ from pathlib import Path
 
 from sal_height.errors import UserError
 
-ONE_THREAD = {"SAL_HEIGHT_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+ONE_BLAS_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
+"""Matrices of a dwell are small: products of them take longer in several threads than in one."""
+
+ONE_THREAD = {"SAL_HEIGHT_THREADS": "1", **ONE_BLAS_THREAD}
 """Environment of nodes in processes of their own: these share the processors among them, one thread each."""
 
 PR_SET_PDEATHSIG, PR_SET_NAME = 1, 15
@@ -32,6 +35,11 @@ def use_one_thread() -> None:
     It has an effect before NumPy is imported only. Without other threads, `Forked` can be used.
     """
     os.environ.update(ONE_THREAD | os.environ)
+
+
+def use_one_blas_thread() -> None:
+    """Multiply matrices in one thread, unless the environment says otherwise; before NumPy is imported."""
+    os.environ.update(ONE_BLAS_THREAD | os.environ)
 
 
 def can_fork() -> bool:

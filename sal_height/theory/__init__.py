@@ -1,12 +1,11 @@
 """Closed forms and Monte Carlo trials that estimators, figures and tests are held to.
 
 Read `discriminator_noise` first (laws of the pair's discriminant), then `sum_difference` (the relief paper's radar),
-`array_trials` (fast draws of pixels for Monte Carlo) and `link_budget` (power and CNR) and
-`aperture_phase` (what random phases do to images). Nothing that processes data
-imports from here.
+`array_trials` (fast draws of pixels for Monte Carlo), `link_budget` (power and CNR) and `aperture_phase` (what random
+phases do to images). Nothing that processes data imports from here.
 """
 
-from sal_height.theory.aperture_phase import AperturePhase, phase_of_line, phase_of_structure, together
+from sal_height.theory.aperture_phase import AperturePhase, phase_of_line, phase_of_structure, sum_of_phases
 from sal_height.theory.array_trials import TARGETS, TargetPixels, with_streams
 from sal_height.theory.discriminator_noise import (
     NORMAL_SHARES,
@@ -45,7 +44,7 @@ __all__ = [
     "steady_looks_mean",
     "steady_mean",
     "straight_power",
+    "sum_of_phases",
     "synthesise",
-    "together",
     "with_streams",
 ]

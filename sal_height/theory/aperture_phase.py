@@ -75,7 +75,7 @@ def phase_of_structure(structure: Callable[[F64], F64], duration: float) -> Aper
     return AperturePhase(float(np.sqrt(trend2)), float(np.sqrt(max(0.0, about_mean - trend2 * duration**2 / 12))))
 
 
-def together(phases: Iterable[AperturePhase]) -> AperturePhase:
+def sum_of_phases(phases: Iterable[AperturePhase]) -> AperturePhase:
     """That of the sum of independent phases."""
     found = list(phases)
     return AperturePhase(

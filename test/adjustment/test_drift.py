@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from sal_height.adjustment.drift import STATE, Drift, Stated
 from sal_height.adjustment.equations import Form, System
@@ -59,9 +58,8 @@ def test_position_is_as_well_known_as_odometry_states() -> None:
     np.testing.assert_allclose(sigmas[:, 6:], 4e-5, rtol=0.02)
 
 
-@pytest.mark.parametrize("pose", [0.0, np.nan, np.inf])
-def test_odometry_that_states_nothing_counts_as_exact(pose: float) -> None:
-    told = [Stated(time, np.full((6, 6), pose), np.zeros((3, 3))) for time in TIMES.tolist()]
+def test_odometry_that_states_nothing_counts_as_exact() -> None:
+    told = [Stated(time, np.zeros((6, 6)), np.zeros((3, 3))) for time in TIMES.tolist()]
     sigmas = np.sqrt(np.diag(prior_covariance(50.0, told))).reshape(-1, STATE)
     assert np.all(sigmas[:, :3] < 1e-3)
     assert np.all(sigmas[:, 6:] < 1e-8)

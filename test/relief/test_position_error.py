@@ -11,7 +11,7 @@ from helpers import make_aperture
 from scipy.spatial.transform import Rotation
 
 from sal_height.geometry.earth import height_of
-from sal_height.geometry.frames import ApertureState, angles_of, aperture_at
+from sal_height.geometry.frames import ApertureState, angles_of, aperture_at, shift_along
 from sal_height.geometry.grid import Grid
 from sal_height.geometry.locate import locate_at_elevation, locate_at_height
 from sal_height.relief.position_error import (
@@ -164,6 +164,15 @@ def test_where_the_slope_is_not_known_the_variance_at_a_place_is_a_bound() -> No
     across = np.outer(circle, circle)
     bound, greatest = variance_at_place(across, np.full(2, np.nan)), variance_at_place(across, steep).max()
     assert bound == pytest.approx(greatest, rel=1e-4)
+
+
+@SIDES
+def test_positions_move_along_the_flight_as_images_do(side: int) -> None:
+    aperture = turned_aperture()
+    points = seen_points(aperture, side).reshape(-1, 3)
+    sights = (points - aperture.position) / np.linalg.norm(points - aperture.position, axis=-1, keepdims=True)
+    along = [shift_along(aperture, sight) for sight in sights]
+    np.testing.assert_allclose(position_jacobian(points, aperture)[..., 2], along, rtol=1e-9, atol=1e-12)
 
 
 @SIDES

@@ -14,10 +14,9 @@ from helpers import assert_one_sentence
 from rewritten_bag import rewritten
 from rosbags.highlevel import AnyReader
 
-from sal_height.adjustment import targets
 from sal_height.bag.reader import BagReader
 from sal_height.bag.writer import BagWriter
-from sal_height.commands import _options, main
+from sal_height.commands import main
 from sal_height.commands.adjust import DEFAULT_SIGMA_M, LEAST_SIGMA_M, MOST_SIGMA_M
 from sal_height.io import bag_name
 from sal_height.nodes.height_adjuster import HeightAdjuster
@@ -239,7 +238,6 @@ def test_why_no_dwell_can_be_adjusted_is_said_reason_by_reason(
 def test_known_ground_may_be_what_the_node_and_files_allow() -> None:
     sigma = settings_of(HeightAdjuster.parameters)["terrain_sigma_m"]
     assert (sigma.minimum, sigma.default, sigma.maximum) == (LEAST_SIGMA_M, DEFAULT_SIGMA_M, MOST_SIGMA_M)
-    assert _options.FARTHEST_M == targets.FARTHEST_M
 
 
 def test_faults_together_cost_a_dwell_and_a_sample(flight: Path, tmp_path: Path) -> None:

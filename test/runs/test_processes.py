@@ -6,8 +6,13 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+
+from sal_height.commands import main
+
+REFERENCE = Path(__file__).parents[2] / "bags" / "version_2"
 
 PRELUDE = """
 import json, os, signal, sys, threading
@@ -154,3 +159,17 @@ slow = ("matplotlib", "scipy.stats", "scipy.signal", "rasterio", "cyclopts")
 print(json.dumps([name for name in slow if name in sys.modules]))
 """
     assert said_by(code) == []
+
+
+@pytest.mark.parametrize("command", ["adjust", "movers"])
+@pytest.mark.parametrize("threads", ["", "2"])
+def test_commands_on_dwells_multiply_matrices_in_one_thread(
+    command: str, threads: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Unless the environment says otherwise."""
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", threads)
+    if not threads:
+        monkeypatch.delenv("OPENBLAS_NUM_THREADS")
+    (tmp_path / "file").touch()
+    assert main([command, str(REFERENCE), "--out", str(tmp_path)]) == 2, "the folder is not empty"
+    assert os.environ["OPENBLAS_NUM_THREADS"] == (threads or "1")

@@ -10,7 +10,7 @@ from sal_height.numeric import F64
 from sal_height.simulation import laser_structure
 from sal_height.simulation.phase_errors import Vibration, VibrationLine, laser_phase
 from sal_height.simulation.turbulence import Turbulence
-from sal_height.theory import AperturePhase, phase_of_line, phase_of_structure, together
+from sal_height.theory import AperturePhase, phase_of_line, phase_of_structure, sum_of_phases
 
 APERTURES = 1500
 PULSES = 200
@@ -38,7 +38,9 @@ def test_a_vibration_of_any_frequency(turns: float) -> None:
     rng, seconds = np.random.default_rng(1), np.arange(PULSES) * duration / PULSES
     drawn = [Vibration(lines=lines).drawn(rng).displacement(seconds)[:, 0] for _ in range(APERTURES)]
     radians = 4 * np.pi / wavelength
-    expected = together(phase_of_line(radians * amplitude, 2 * np.pi * one.frequency_hz, duration) for one in lines)
+    expected = sum_of_phases(
+        phase_of_line(radians * amplitude, 2 * np.pi * one.frequency_hz, duration) for one in lines
+    )
     assert_alike(expected, measured(radians * np.array(drawn), duration))
 
 

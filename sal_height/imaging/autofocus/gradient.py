@@ -92,8 +92,8 @@ class Focus:
 
     Attributes:
         phase: estimated error, rad, shape (pulses,); 0 where there is nothing to focus on.
-        standard_error: rms over the pulses that the estimate's own statistics predict, rad; infinite
-            where there is nothing to focus on.
+        standard_error: rms over the pulses that the estimate's own statistics predict, rad; infinite where there is
+            nothing to focus on.
         trusted: whether the phase should be applied: known well enough, and the image does not lose by it.
         trend: phase from pulse to pulse by which, besides, the echoes are off the middle of the beam, rad.
         trend_error: its standard error, rad; infinite where bright targets are focused, or nothing is.

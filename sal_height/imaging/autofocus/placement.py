@@ -53,7 +53,7 @@ class NavigationPrior:
 
     @classmethod
     def of(cls, aperture: ApertureState, velocity_covariance: F64, sight: F64) -> Self:
-        """From the covariances that odometry states; what is not stated, or no covariance, counts as exact.
+        """From the covariances that odometry states; what is not stated counts as exact.
 
         Args:
             aperture: state of the platform with the covariance of its pose.
@@ -80,9 +80,7 @@ class NavigationPrior:
 
 
 def _deviation_along(direction: F64, covariance: F64) -> float:
-    """Standard deviation along a unit vector; 0 if the matrix is no covariance."""
-    if not np.all(np.isfinite(covariance)):
-        return 0.0
+    """Standard deviation along a unit vector."""
     return float(np.sqrt(np.maximum(0.0, direction @ covariance @ direction)))
 
 

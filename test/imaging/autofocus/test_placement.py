@@ -138,11 +138,10 @@ def test_an_aircraft_that_sinks_or_drifts_moves_surfaces_at_their_elevation(velo
     assert ahead == pytest.approx(2e-4, rel=1e-3)
 
 
-def test_covariance_that_is_none_counts_as_not_stated(flight: SimulatedFlight) -> None:
+def test_what_odometry_states_is_a_prior_and_zeros_count_as_exact(flight: SimulatedFlight) -> None:
     aperture = flight.aperture(7)
     sight = line_of_sight(flight.sensor, aperture)
-    for absurd in (-np.eye(3), np.full((3, 3), np.nan), np.full((3, 3), np.inf)):
-        assert NavigationPrior.of(aperture, absurd, sight).speed == 0
+    assert NavigationPrior.of(aperture, np.zeros((3, 3)), sight).spread == 0
     stated = NavigationPrior.of(replace(aperture, covariance=4e-8 * np.eye(6)), 9e-6 * np.eye(3), sight)
     assert (stated.speed, stated.pointing) == (pytest.approx(0.003), pytest.approx(2e-4))
 

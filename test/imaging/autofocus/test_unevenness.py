@@ -13,11 +13,12 @@ from sal_height.imaging.autofocus.coherence import Coherence, beam_coherence
 from sal_height.imaging.autofocus.phase_linking import Likelihood, find_trend, speckle_classes
 from sal_height.imaging.autofocus.unevenness import MAIN_LOBE, uneven_trend
 from sal_height.imaging.focus import ImageSettings, focus_dwell
-from sal_height.simulation.flight import SimulatedFlight
+from sal_height.simulation.flight import SimulatedFlight, flight_of
 from sal_height.simulation.preset import load_preset
 from sal_height.simulation.scenes import load_scene
 
 SNR, RESPONSES = 50.0, 300
+REACH_M, SPEED_MPS = 5000.0, 50.0
 
 
 def coherence_of(preset_name: str):
@@ -50,6 +51,30 @@ def over_main_lobe(coherence: Coherence) -> np.ndarray:
     """From -1 to 1 over the main lobe, beyond it to both sides."""
     lobe = np.flatnonzero(coherence.profile >= MAIN_LOBE * coherence.profile.max())
     return np.interp(np.arange(len(coherence.profile)), lobe[[0, -1]], [-1.0, 1.0])
+
+
+def test_a_turned_axis_of_detectors_looks_like_uneven_ground() -> None:
+    """Range cells then look at other places along the flight: 17 to 20 cm are stated in place of 2 to 5, and hold."""
+    stated = {}
+    for turned in (0.0, np.radians(15)):
+        sal = load_preset("sal_spotlight")
+        sensor = replace(sal.sensor, detector_rotation_rad=turned, pulse_repetition_frequency_hz=60e3)
+        flight = flight_of(replace(sal, sensor=sensor), seed=1)
+        metres = flight.sensor.wavelength * flight.sensor.pulse_repetition_frequency / (4 * np.pi) * REACH_M / SPEED_MPS
+        errors = []
+        for number in range(3):
+            states = [
+                replace(s, velocity_covariance=0.005**2 * np.eye(3), covariance=np.diag([0.0] * 3 + [1e-10] * 3))
+                for s in flight.track(number).states
+            ]
+            image = ImageSettings(rows=184, cols=12)
+            focus = focus_dwell(flight.phase_history(number), Trajectory(states), flight.sensor, image).focus
+            assert focus is not None
+            assert abs(focus.trend) < 3 * focus.trend_error
+            errors.append(metres * focus.trend_error)
+        stated[turned] = errors
+    assert max(stated[0.0]) < 0.06
+    assert 0.15 < min(stated[np.radians(15)]) < max(stated[np.radians(15)]) < 0.22
 
 
 def test_trends_by_steps_anywhere_are_as_far_as_stated() -> None:

@@ -189,5 +189,12 @@ def _attend(config: Path, one_process: bool, supervise: bool, seconds: float, gr
     if graph.domain is None:
         execution = dataclasses.replace(execution, domain="environment")
     with showing(lambda seen: node_table(seen.book, time.monotonic(), f"{seen.elapsed_s:.0f} s")) as show:
-        attend(members, execution, seconds, supervise, show)
+        seen = attend(members, execution, seconds, supervise, show)
+    if not seen.has_worked:
+        sentence = (
+            "No node has processed or recorded anything; the table says what each waits for. The sensor must publish "
+            "in the same ROS domain, in the namespace and on the topics that the configuration names."
+        )
+        complain([sentence])
+        return FAILED
     return DONE

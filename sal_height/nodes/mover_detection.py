@@ -110,7 +110,9 @@ class MoverDetection(ImageStage):
         return Account({**account.numbers, UNTOLD: self._dwells.untold}, account.last_drop)
 
     def forget_results(self) -> int:
-        """Begin anew with the next dwell, without what has not been told."""
+        """Begin anew with the next dwell, without what has not been told, which is counted."""
+        for _ in range(self._dwells.untold):
+            self.ignore("reset", UserError("The node was reset before the movers of a dwell were told."))
         self._dwells = DwellMovers[ReceivedImage](self._settings)
         return 0
 

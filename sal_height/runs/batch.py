@@ -20,8 +20,9 @@ from tqdm import tqdm
 from sal_height import __version__
 from sal_height.errors import UserError
 from sal_height.io import bag_name, write_text, writing
+from sal_height.nodes.mover_detection import MOVERS
 from sal_height.runs.campaign import Case, Scheme, conclude_bag, is_done, known, parts_of, plan, process_part
-from sal_height.runs.catalogue import NodeParameters, check_parameters
+from sal_height.runs.catalogue import ADJUSTER, HEIGHTS, NodeParameters, check_parameters
 from sal_height.runs.processes import ONE_THREAD
 from sal_height.runs.reporting import merged
 
@@ -99,12 +100,13 @@ def run_campaign(campaign: Campaign, out: Path, workers: Workers) -> list[dict[s
         workers: who does the work.
 
     Raises:
-        UserError: a parameter is not allowed, the folder holds something else, the cluster is not there, or a
-            package is not installed.
+        UserError: an estimator or a parameter is not allowed, the folder holds something else, there is no cluster,
+            or a package is not installed.
         KeyboardInterrupt: the user has interrupted; what is done stays.
     """
     if find_spec("pyarrow") is None:
         raise UserError(EXTRA.format("pyarrow"))
+    _check_estimators(campaign.estimators)
     cases = campaign.cases(out)
     for case in cases:
         check_parameters(case.given)
@@ -267,6 +269,17 @@ def _deaf_to_interruption() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def _check_estimators(names: Sequence[str]) -> None:
+    """Refuse what needs the dwells of a bag in their order, while the parts of a campaign do not know each other."""
+    if HEIGHTS[ADJUSTER] in names:
+        raise UserError(
+            "Adjusted heights need the dwells in their order; make them by `sal-height replay`, or by `sal-height "
+            "adjust` and a batch of its bag."
+        )
+    if MOVERS in names:
+        raise UserError("A batch makes heights only; make movers by `sal-height movers` or `sal-height replay`.")
 
 
 def _enter(campaign: Campaign, out: Path) -> None:

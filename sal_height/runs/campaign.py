@@ -26,7 +26,7 @@ from sal_height.io import write_text
 from sal_height.nodes.cues import Cue
 from sal_height.nodes.playlist import FRAMES
 from sal_height.runs.accuracy import read_accuracy, read_images
-from sal_height.runs.catalogue import ADJUSTER, DETECTOR, HEIGHTS, NodeParameters, consumers
+from sal_height.runs.catalogue import ADJUSTER, DETECTOR, NodeParameters, consumers
 from sal_height.runs.entry import Part, chain_of, sensors_of
 from sal_height.runs.judge import verdict_of
 from sal_height.runs.offline import process, track
@@ -93,11 +93,6 @@ def plan(case: Case, most_dwells: int, *, for_heights: bool = True) -> Scheme:
     makers, stages = (
         [name for name in names if name not in (ADJUSTER, DETECTOR)] for names in (chain.makers, chain.stages)
     )
-    if HEIGHTS[ADJUSTER] in case.estimators:
-        raise UserError(
-            "Adjusted heights need the dwells in their order; make them by `sal-height replay`, or by `sal-height "
-            "adjust` and a batch of its bag."
-        )
     if for_heights and not makers:
         raise UserError(f"Bag {case.bag} is of a sensor with one detector, of which no heights can be made.")
     processing = processing_of(reader, chain, part, consumers(makers), case.given, names_dwells=True)

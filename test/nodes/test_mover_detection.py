@@ -17,7 +17,7 @@ from sensor_msgs.msg import PointCloud2
 
 from sal_height import messages
 from sal_height.imaging import ImageSettings
-from sal_height.nodes.account import PUBLISHED
+from sal_height.nodes.account import PROCESSED, PUBLISHED
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.mover_detection import MoverDetection
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS
@@ -102,6 +102,18 @@ def test_a_car_comes_out_with_place_height_and_speed_and_twice_the_same(graph: G
     fed.publish(sensor, [[shifted(image) for image in dwell] for dwell in dwells])
     fed.wait(lambda: len(fed.clouds) == 10)
     assert [bytes(cloud.data) for cloud in fed.clouds[5:]] == [bytes(cloud.data) for cloud in fed.clouds[:5]]
+
+
+def test_dwells_that_a_reset_leaves_untold_are_counted(graph: Graph) -> None:
+    sensor, dwells = flown()
+    fed = Fed(graph, timeout_s=3600.0)
+    fed.publish(sensor, dwells)
+    fed.wait(lambda: fed.node.tally.summary()[PROCESSED] == 5 * sensor.detector_count)
+    untold = len(dwells) - len(fed.clouds)
+    assert untold > 0
+    fed.node.forget()
+    fed.wait(lambda: fed.node.tally.summary().get("ignored.reset") == untold)
+    assert_one_sentence(fed.node.last_rejection.partition(": ")[2], "reset before the movers of a dwell were told")
 
 
 def shifted(image: ComplexImage) -> ComplexImage:

@@ -324,8 +324,9 @@ def test_a_node_that_is_killed_before_it_has_come_up_is_started_again(tmp_path: 
         program.wait_for(lambda: ("ml_height", "/") in node.get_node_names_and_namespaces())
         process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=DEADLINE_S)
-    assert process.returncode == 0, errors
+    assert process.returncode == 1, errors
     assert "Node ml_height ended by SIGKILL; it is started again in 0.5 s." in errors
+    assert "No node has processed or recorded anything; the table says what each waits for." in errors
 
 
 def test_a_node_that_refuses_its_parameters_is_not_started_again(tmp_path: Path) -> None:

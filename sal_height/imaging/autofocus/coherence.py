@@ -5,12 +5,18 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
+from typing import TypeVar
 
 import numpy as np
 import scipy.fft
+from numpy.lib.stride_tricks import as_strided
 
 from sal_height.numeric import C128, F32, F64, Complex
 from sal_height.sensor import Sensor
+
+UNLIKE = 0.1  # coherence of pulses below which their echoes have nothing in common
+COMPARED = 16  # times as far apart are pulses that are compared, by what lies between them
+Array = TypeVar("Array", F64, C128, Complex)
 
 DARKEST = 1e-3  # least power of a beam's profile over its greatest, so that it may grow where the beam has a null
 STEP_DIGITS = 0.01  # relative difference of the ways from pulse to pulse that have the same coherence
@@ -28,12 +34,19 @@ class Coherence:
     waves: C128
     profile: F64
     _inverses: dict[float, C128] = field(default_factory=dict, repr=False)
+    _inverse_bands: dict[float, C128] = field(default_factory=dict, repr=False)
     _informations: dict[float, F64] = field(default_factory=dict, repr=False)
 
     @cached_property
     def matrix(self) -> C128:
         """Shape (pulses, pulses)."""
         return (self.waves * self.profile) @ self.waves.conj().T
+
+    @cached_property
+    def lags(self) -> int:
+        """How far pulses are apart that are compared: an antenna that has moved by its length sees other speckle."""
+        alike = np.flatnonzero(np.abs(self.matrix[:, 0]) >= UNLIKE)[-1] + 1
+        return min(COMPARED * int(alike), len(self.matrix) - 1)
 
     @cached_property
     def spectrum(self) -> F64:
@@ -58,11 +71,18 @@ class Coherence:
             self._inverses[snr] = (vectors / (1 + snr * values)) @ vectors.conj().T
         return self._inverses[snr]
 
+    def inverse_band(self, snr: float) -> C128:
+        """The inverse of `covariance` between pulses that are compared (`lower_band`), made once for each `snr`."""
+        if snr not in self._inverse_bands:
+            self._inverse_bands[snr] = lower_band(self.inverse_covariance(snr), self.lags)
+        return self._inverse_bands[snr]
+
     def information(self, snr: float) -> F64:
-        """Fisher information of one response on the phases, made once for each `snr`."""
+        """Fisher information of one response on the phases (`lower_band`), made once for each `snr`."""
         if snr not in self._informations:
-            product = (self.covariance(snr) * self.inverse_covariance(snr).T).real
-            self._informations[snr] = 2 * (product - np.eye(len(product)))
+            information = 2 * (lower_band(self.covariance(snr), self.lags) * self.inverse_band(snr).conj()).real
+            information[0] -= 2
+            self._informations[snr] = information
         return self._informations[snr]
 
 
@@ -88,10 +108,23 @@ def _beam_coherence(sensor: Sensor, pulses: int, step: int) -> Coherence:
     return Coherence(azimuth_waves(pulses), power / power.sum())
 
 
+def lower_band(matrix: Array, lags: int) -> Array:
+    """The diagonals of a square matrix, from the main one to that `lags` below it, shape (lags + 1, rows).
+
+    As the banded routines of LAPACK have them: element (d, t) is that of row t + d and column t; 0 beyond the last row.
+    """
+    rows = len(matrix)
+    padded = np.zeros((rows + lags, rows), matrix.dtype)
+    padded[:rows] = matrix
+    down, right = padded.strides
+    return np.asfortranarray(as_strided(padded, (lags + 1, rows), (down, down + right)))
+
+
 def periodograms(responses: Complex) -> F32:
     """Power of responses, shape (responses, pulses), from each azimuth (`half_turns`): 1 for noise of power 1."""
     pulses = responses.shape[-1]
-    power: F32 = np.abs(scipy.fft.fft(responses, 2 * pulses)) ** 2 / pulses
+    seen = scipy.fft.fft(responses, 2 * pulses)
+    power: F32 = (seen.real**2 + seen.imag**2) / pulses
     return np.fft.fftshift(power, axes=-1)
 
 

@@ -9,7 +9,8 @@ Each detector and range cell tells what that pulse's phase did, so the maximum-l
 adds over both. What g is depends on the scene:
 
 * Speckle in a beam so narrow that neighbouring pulses see almost the same (lidar): g is the response at the beam's
-  middle, with nothing windowed, and errors of any size can be followed. `phase_linking` then uses all pairs of pulses.
+  middle, with nothing windowed, and errors of any size can be followed. `phase_linking` then compares pulses that are
+  farther apart as well.
 * Bright targets in a wide scene (radar): g is the response around each target, centred and windowed in azimuth, see
   `bright_targets`.
 
@@ -29,7 +30,7 @@ from sal_height.errors import UserError
 from sal_height.geometry import ApertureState, Grid
 from sal_height.imaging.autofocus.bright_targets import focus_targets, sharpness, turned
 from sal_height.imaging.autofocus.coherence import Coherence, beam_coherence
-from sal_height.imaging.autofocus.phase_error import is_smooth, phase_gradient, phase_variance, without_shift
+from sal_height.imaging.autofocus.phase_error import is_smooth, phase_gradient, without_shift
 from sal_height.imaging.autofocus.phase_linking import (
     Likelihood,
     find_trend,
@@ -240,7 +241,7 @@ def pulse_responses(history: PhaseHistory, antenna: F64, sensor: Sensor, weights
 
 
 def focus_speckle(modes: Complex, snr: F64, by_beam: Coherence) -> Focus:
-    """Phase error from all that the beam lights: gradient of neighbours, then all pairs of pulses, twice.
+    """Phase error from all that the beam lights: gradient of neighbours, then pulses farther apart, twice.
 
     Args:
         modes: what the channels' responses at the beam's middle hold in every range cell, and the signal-to-noise ratio
@@ -257,7 +258,7 @@ def focus_speckle(modes: Complex, snr: F64, by_beam: Coherence) -> Focus:
     fitted = with_fitted_profile(by_beam, classes, phase)
     phase = without_shift(link_phases(Likelihood.of(classes, fitted), phase))
     trend, trend_error = find_trend(modes, snr, by_beam, likelihood, phase)
-    return Focus(phase, phase_variance(likelihood.information) ** 0.5, trend=trend, trend_error=trend_error)
+    return Focus(phase, likelihood.information.variance**0.5, trend=trend, trend_error=trend_error)
 
 
 def patch_half_width(sensor: Sensor) -> int:

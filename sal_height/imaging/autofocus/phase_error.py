@@ -6,13 +6,16 @@ in azimuth; neither is counted as an error.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
+from typing import Self
 
 import numpy as np
+import scipy.linalg
 
 from sal_height.numeric import F64, Complex
 
-FIRMLY = 1e6  # over the information on a phase, with which mean and trend count as known
+FAINTLY = 1e-9  # of the information on a phase, with which the mean counts as known, so that it can be factorised
 SMOOTH_STEP = 1.0  # rms step from pulse to pulse, rad, up to which a phase can be unwrapped: pi is three times as much
 
 
@@ -23,16 +26,45 @@ def detrended(phase: F64) -> F64:
     return level - time * (time @ level) / (time @ time)
 
 
-def with_shift_known(information: F64) -> F64:
-    """Information on phases, rad^-2, as if their mean and their linear trend were known."""
-    known = _mean_and_trend(len(information))
-    firmly: F64 = information + FIRMLY * information.diagonal().max() * known @ known.T
-    return firmly
+@dataclass(frozen=True, eq=False)
+class PhaseInformation:
+    """Fisher information on phases whose mean and linear trend are known, ready to be solved.
 
+    With A the information on all phases, C the mean and the trend, and Y = A^-1 C, it has the inverse
+    A^-1 - Y (C^T Y)^-1 Y^T (Lagrange's multipliers).
 
-def phase_variance(information: F64) -> float:
-    """Variance of phases (mean over the pulses, mean and linear trend apart) by the information on them, rad^2."""
-    return float(np.mean(np.linalg.inv(with_shift_known(information)).diagonal()))
+    Attributes:
+        factor: Cholesky factor of A, banded.
+        known: C, orthonormal, shape (pulses, 2).
+        multipliers: Y (C^T Y)^-1, shape (pulses, 2).
+    """
+
+    factor: F64
+    known: F64
+    multipliers: F64
+
+    @classmethod
+    def of(cls, information: F64) -> Self:
+        """Of the information on phases, rad^-2, between pulses that are compared (`lower_band`)."""
+        lags, pulses = len(information) - 1, information.shape[-1]
+        # A phase that all pulses share changes nothing; pairs that are not compared must not make it look known.
+        on_all = scipy.linalg.blas.dsbmv(lags, 1.0, information, np.ones(pulses), lower=1)
+        level = information.copy(order="F")
+        level[0] += FAINTLY * information[0].max() - on_all
+        factor = scipy.linalg.cholesky_banded(level, lower=True, overwrite_ab=True, check_finite=False)
+        known = _mean_and_trend(pulses)
+        towards = scipy.linalg.cho_solve_banded((factor, True), known, check_finite=False)
+        return cls(factor, known, towards @ np.linalg.inv(known.T @ towards))
+
+    def solve(self, slopes: F64) -> F64:
+        """The inverse times slopes of the likelihood, shape (pulses,) or (pulses, columns)."""
+        found = scipy.linalg.cho_solve_banded((self.factor, True), slopes, check_finite=False)
+        return np.asarray(found - self.multipliers @ (self.known.T @ found))
+
+    @property
+    def variance(self) -> float:
+        """Variance of the phases (mean over the pulses), rad^2."""
+        return float(np.mean(self.solve(np.eye(len(self.known))).diagonal()))
 
 
 @lru_cache(maxsize=4)

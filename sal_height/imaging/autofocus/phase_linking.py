@@ -1,4 +1,4 @@
-"""Phase linking: the maximum-likelihood phase of every pulse from a scene of speckle, all pairs of pulses together.
+"""Phase linking: the maximum-likelihood phase of every pulse from a scene of speckle, by pairs of pulses.
 
 The scene that the beam lights is narrower than what the pulses could tell apart, so its echo changes little from pulse
 to pulse: where a share p(a) of its power comes from the azimuth a, whose waves are w(a), pulses have the covariance
@@ -9,10 +9,12 @@ speckle of covariance R, summed over channels and range cells,
 
 (Guarnieri & Tebaldini, IEEE Trans. GRS 46, 2008; for a single target in the middle it is the eigenvector method of
 Jakowatz & Wahl, JOSA A 10, 1993). The phase gradient of neighbours is the start, and Fisher scoring leads to the
-maximum; the Fisher information 2 (R o R^-1 - 1) per response also tells how well it is known. Points that outshine the
-ground, and what moves by itself, are left out (`which_fit`). The profile p(a) is at first that of the beam; then it is
-fitted to the responses, and the phases are linked again, because the sidelobes, a beam that is round and not a product,
-and ground of uneven brightness spread the echo otherwise.
+maximum; the Fisher information 2 (R o R^-1 - 1) per response also tells how well it is known. An antenna that has moved
+by its own length sees other speckle, so R and the information are bands, and so is R^-1 but for what is left after many
+lengths: pulses farther apart than `Coherence.lags` are not compared. Points that outshine the ground, and what moves by
+itself, are left out (`which_fit`). The profile p(a) is at first that of the beam; then it is fitted to the responses,
+and the phases are linked again, because the sidelobes, a beam that is round and not a product, and ground of uneven
+brightness spread the echo otherwise.
 """
 
 from __future__ import annotations
@@ -22,9 +24,10 @@ from typing import Self
 
 import numpy as np
 import scipy.linalg
+from numpy.lib.stride_tricks import sliding_window_view
 
-from sal_height.imaging.autofocus.coherence import Coherence, periodograms
-from sal_height.imaging.autofocus.phase_error import phase_gradient, with_shift_known
+from sal_height.imaging.autofocus.coherence import Coherence, lower_band, periodograms
+from sal_height.imaging.autofocus.phase_error import PhaseInformation, phase_gradient
 from sal_height.imaging.autofocus.unevenness import uneven_trend
 from sal_height.numeric import C128, F64, Bool, Complex
 
@@ -33,7 +36,7 @@ LIKE_ROWS = 5  # range cells over which channels are correlated: terrain takes m
 NOISE_MARGIN = 1.1  # on the greatest eigenvalue of noise for many samples: a few hundred exceed it in 1 % of the cells
 CLASS_RATIO = 2.0  # of the greatest to the least signal-to-noise ratio of responses that share one covariance
 ITERATIONS = 50  # maximum number of steps of Fisher scoring
-CONVERGED = 1e-3  # rms change of the phases (rad) below which Fisher scoring has converged
+CONVERGED = 1e-2  # rms change of the phases (rad) below which Fisher scoring has converged
 FINELY = 16  # trends on which the likelihood is looked at, over the number of pulses
 OUTSHINING = 8.0  # signal-to-noise ratio over the median above which a response is of a point, not of ground
 MISFIT = 5.0  # above which a response is of something that moves by itself; that of ground stays below 4
@@ -102,40 +105,51 @@ class Likelihood:
     """Logarithm of the likelihood of phases: sum over t, s of turn_t weighted(t, s) conj(turn_s), turn = exp(j phase).
 
     Attributes:
-        weighted: Hermitian, shape (pulses, pulses).
-        information: Fisher information on the phases, rad^-2, shape (pulses, pulses).
+        weighted: Hermitian, between pulses that are compared (`lower_band`).
+        information: Fisher information on the phases.
     """
 
     weighted: C128
-    information: F64
+    information: PhaseInformation
 
     @classmethod
     def of(cls, classes: list[Speckle], coherence: Coherence) -> Self:
         """Of responses (`speckle_classes`) whose echo has this coherence between every two pulses."""
-        weighted, information = np.zeros_like(coherence.matrix), np.zeros(coherence.matrix.shape)
-        for speckle in classes:
-            weighted -= coherence.inverse_covariance(speckle.snr) * speckle.total
-            information += speckle.count * coherence.information(speckle.snr)
-        return cls(weighted, information)
+        information = sum(speckle.count * coherence.information(speckle.snr) for speckle in classes)
+        return cls(_weighted(classes, coherence), PhaseInformation.of(np.asarray(information)))
 
     def slope(self, phase: F64) -> F64:
         """Derivative by each phase, rad^-1."""
         turn = np.exp(1j * phase)
-        return -2 * (turn * (self.weighted @ turn.conj())).imag
+        seen = scipy.linalg.blas.zhbmv(len(self.weighted) - 1, 1.0, self.weighted, turn.conj(), lower=1)
+        return np.asarray(-2 * (turn * seen).imag)
+
+    def by_lags(self, phase: F64) -> C128:
+        """Sums of turn_t weighted(t, s) conj(turn_s) over the pairs with the same lag t - s, from 0 on."""
+        lags, pulses = len(self.weighted) - 1, len(phase)
+        turn = np.exp(1j * phase)
+        later = sliding_window_view(np.pad(turn, (0, lags)), pulses)
+        return np.asarray(np.einsum("ds,ds,s->d", self.weighted, later, turn.conj()))
+
+
+def _weighted(classes: list[Speckle], coherence: Coherence) -> C128:
+    """What responses say of the difference of the phases of pulses that are compared, shape (lags + 1, pulses)."""
+    found = np.zeros((coherence.lags + 1, len(coherence.matrix)), np.complex128, order="F")
+    for speckle in classes:
+        found -= coherence.inverse_band(speckle.snr) * lower_band(speckle.total, coherence.lags)
+    return found
 
 
 def link_phases(likelihood: Likelihood, start: F64) -> F64:
     """Phases of maximum likelihood by Fisher scoring, rad; their mean and linear trend are those of the start.
 
     Args:
-        likelihood: of the phases.
+        likelihood: of the phases; it knows nothing of mean and linear trend, which steps therefore do not have.
         start: first estimate, rad, shape (pulses,).
     """
-    # The likelihood knows nothing of mean and linear trend, which steps therefore do not have.
-    fixed = scipy.linalg.cho_factor(with_shift_known(likelihood.information))
     phase = start.copy()
     for _ in range(ITERATIONS):
-        step = scipy.linalg.cho_solve(fixed, likelihood.slope(phase), check_finite=False)
+        step = likelihood.information.solve(likelihood.slope(phase))
         step *= LONGEST_STEP / max(np.abs(step).max(), LONGEST_STEP)
         phase += step
         if np.sqrt(np.mean(step**2)) < CONVERGED:
@@ -182,29 +196,15 @@ def find_trend(
         phase: of the pulses besides the trend, rad, shape (pulses,).
     """
     pulses = modes.shape[-1]
-    turn = np.exp(1j * phase)
-    lag = np.arange(-pulses + 1, pulses)
-    of_lags = _diagonal_sums(likelihood.weighted * turn[:, None] * turn.conj())
-    waves = np.zeros(FINELY * pulses, np.complex128)
-    waves[lag] = of_lags
-    trend = float(2 * np.pi * np.fft.fftfreq(len(waves))[np.argmax(np.fft.fft(waves).real)])
-    information = 1.0
+    by_lags = likelihood.by_lags(phase)
+    lag = np.arange(len(by_lags))
+    likeliest = int(np.argmax(np.fft.hfft(by_lags.conj(), FINELY * pulses)))
+    trend = float(2 * np.pi * np.fft.fftfreq(FINELY * pulses)[likeliest])
     for _ in range(2):  # Newton: the grid is within a hundredth of the beam
-        turned = of_lags * np.exp(-1j * trend * lag)
-        information = float(np.sum(lag**2 * turned).real)
-        trend += float(np.sum(-1j * lag * turned).real) / information
-    level = modes * (turn * np.exp(1j * trend * np.arange(pulses))).conj().astype(modes.dtype)
+        turned = by_lags * np.exp(1j * trend * lag)
+        trend -= float(np.sum(lag * turned.imag) / np.sum(lag**2 * turned.real))
+    level = modes * np.exp(-1j * (phase + trend * np.arange(pulses))).astype(modes.dtype)
     return trend, uneven_trend(level, snr, coherence)
-
-
-def _diagonal_sums(matrix: C128) -> C128:
-    """Sum of every diagonal of a square matrix, from that of the last row's first element, shape (2 rows - 1,)."""
-    rows = len(matrix)
-    padded = np.zeros((rows, 2 * rows), np.complex128)
-    padded[:, :rows] = matrix[::-1]
-    # Read in rows that are one shorter, each row begins one farther on than that before.
-    sums: C128 = padded.ravel()[:-rows].reshape(rows, -1).sum(axis=0)
-    return sums
 
 
 def with_fitted_profile(coherence: Coherence, classes: list[Speckle], phase: F64) -> Coherence:

@@ -15,6 +15,7 @@ puts them. What is left of the first is an error along the flight, which all pix
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Self
 
 import numpy as np
@@ -203,16 +204,23 @@ def vibration_speed(phase: F64, seconds: F64, wavelength: float) -> float:
         wavelength: m.
     """
     duration = float(seconds[-1] - seconds[0])
-    omega = 2 * np.pi * np.geomspace(LOWEST_HZ, HIGHEST_HZ, FREQUENCIES)
-    # A displacement exp(j omega t) / omega, whose velocity has the amplitude 1, by Legendre's polynomials over the
-    # dwell: (2 k + 1) j^k j_k(omega T / 2) (Abramowitz & Stegun, 10.1.47).
-    order = np.arange(1, 4)
-    waves = (2 * order + 1)[:, None] * spherical_jn(order[:, None], omega * duration / 2) / omega
-    of_trend, *of_curvature = np.mean(waves**2, axis=1)
+    of_trend, *of_curvature = _powers_of_vibration(duration)
     shapes = np.polynomial.legendre.legvander(np.linspace(-1, 1, len(phase)), 3)
-    curvature = np.linalg.lstsq(shapes, phase)[0][2:] ** 2 / of_curvature
+    curvature = np.linalg.lstsq(shapes, phase)[0][2:] ** 2 / np.array(of_curvature)
     trend = np.sqrt(of_trend * curvature.mean())  # at the ends of the dwell, rad
     return float(trend * 2 / duration * wavelength / (4 * np.pi))
+
+
+@lru_cache(maxsize=4)
+def _powers_of_vibration(duration: float) -> tuple[float, ...]:
+    """Powers of Legendre's polynomials of orders 1 to 3 in the displacement of a vibration over a dwell, per velocity.
+
+    A displacement exp(j omega t) / omega, whose velocity has the amplitude 1, has the parts
+    (2 k + 1) j^k j_k(omega T / 2) (Abramowitz & Stegun, 10.1.47).
+    """
+    omega, order = 2 * np.pi * np.geomspace(LOWEST_HZ, HIGHEST_HZ, FREQUENCIES), np.arange(1, 4)
+    waves = (2 * order + 1)[:, None] * spherical_jn(order[:, None], omega * duration / 2) / omega
+    return tuple(np.mean(waves**2, axis=1).tolist())
 
 
 def place_image(focus: Focus, pulse_times: F64, wavelength: float, prior: NavigationPrior) -> tuple[Focus, Placement]:

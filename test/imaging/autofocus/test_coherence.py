@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers import make_sensor
 
-from sal_height.imaging.autofocus.coherence import azimuth_waves, beam_coherence, half_turns
+from sal_height.imaging.autofocus.coherence import azimuth_waves, beam_coherence, half_turns, lower_band
 
 WAY = 1.295e-3
 """From pulse to pulse, m."""
@@ -46,7 +46,22 @@ def test_inverse_and_information_are_those_of_the_covariance(snr: float) -> None
     inverse = np.linalg.inv(covariance)
     np.testing.assert_allclose(coherence.inverse_covariance(snr), inverse, atol=1e-9)
     expected = 2 * ((covariance * inverse.T).real - np.eye(48))
-    np.testing.assert_allclose(coherence.information(snr), expected, atol=1e-6 * snr)
+    np.testing.assert_allclose(coherence.information(snr), lower_band(expected, 47), atol=1e-6 * snr)
+
+
+def test_a_band_holds_the_diagonals_below_the_main_one() -> None:
+    matrix = np.arange(16.0).reshape(4, 4)
+    np.testing.assert_array_equal(lower_band(matrix, 1), [[0, 5, 10, 15], [4, 9, 14, 0]])
+    np.testing.assert_array_equal(lower_band(matrix, 3)[3], [12, 0, 0, 0])
+
+
+def test_pulses_are_compared_over_many_times_what_their_speckle_has_in_common() -> None:
+    """An antenna of 1 cm that has moved by half of it, 4 pulses, sees other speckle: 16 times as many are compared."""
+    coherence = beam_coherence(sensor := make_sensor(), positions(WAY, 256))
+    assert coherence.lags == 64
+    inverse = np.abs(coherence.inverse_covariance(100.0))[128]
+    assert inverse[:64].max() < 1e-3 * inverse.max()
+    assert beam_coherence(sensor, positions(WAY, 8)).lags == 7
 
 
 def test_dwells_of_a_flight_share_it_and_others_do_not() -> None:

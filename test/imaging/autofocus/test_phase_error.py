@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.linalg
 from phase_errors import ATMOSPHERE, power_law_phase, residual_phase, white_phase
 
-from sal_height.imaging.autofocus.phase_error import detrended, without_shift
+from sal_height.imaging.autofocus.coherence import lower_band
+from sal_height.imaging.autofocus.phase_error import PhaseInformation, detrended, without_shift
 
 TIME = np.linspace(-1.0, 1.0, 64)
 
@@ -53,6 +55,20 @@ def test_residual_is_the_difference_where_it_is_small() -> None:
     rng = np.random.default_rng(4)
     truth, error = white_phase(64, 10.0, rng), power_law_phase(64, 0.3, ATMOSPHERE, rng)
     np.testing.assert_allclose(residual_phase(truth - error, truth), error, atol=2e-3)
+
+
+@pytest.mark.parametrize("pulses", [8, 300])
+def test_information_is_solved_with_mean_and_trend_known(pulses: int) -> None:
+    """Against the inverse on what is orthogonal to both; the information is that of steps from pulse to pulse."""
+    step = np.diff(np.eye(pulses), axis=0)
+    information = step.T @ (np.arange(1.0, pulses)[:, None] * step)
+    line = np.linalg.qr(np.stack([np.ones(pulses), np.arange(pulses)], axis=1))[0]
+    others = scipy.linalg.null_space(line.T)
+    inverse = others @ np.linalg.inv(others.T @ information @ others) @ others.T
+    found = PhaseInformation.of(lower_band(information, 3))
+    slopes = information @ TIME[np.arange(pulses) % 64] ** 2
+    np.testing.assert_allclose(found.solve(slopes), inverse @ slopes, atol=1e-5 * np.abs(inverse @ slopes).max())
+    assert found.variance == pytest.approx(np.trace(inverse) / pulses, rel=1e-5)
 
 
 def test_shift_is_taken_off_a_smooth_phase_only() -> None:

@@ -192,7 +192,7 @@ def found_without_being_told() -> Iterator[Row]:
     unsure = {
         "dwells of sal_realistic": partial(over_dwells, settings=MoverSettings(), flown_as=realistic),
         "dwells, odometry of 5 mm/s": partial(over_dwells, settings=MoverSettings(), flown_as=placed),
-        "strips, odometry of 5 mm/s": partial(flown, settings=often, impairments=ERRORS),
+        "strips, odometry of 5 mm/s": partial(flown, settings=MoverSettings(), impairments=ERRORS),
     }
     for name, fly in unsure.items():
         moving = list(in_processes(partial(fly, kind="fast"), range(UNSURE)))

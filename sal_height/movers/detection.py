@@ -197,7 +197,7 @@ class _Looking:
             if focused is None:
                 return []
             (seen, elevation), along = focused, drive.along
-            walk = drive.slowed(walk)
+        walk = drive.slowed(walk) if drive and drive.along else self.drives.blurred(walk)
         lag, sigma = peak_of(seen.told, search.lags)
         own = lag - self.ground[0], float(np.hypot(sigma, self.ground[1]))
         sighting = Sighting(row, seen.col, seen.cnr, elevation, own, walk, walks, ratio, along)

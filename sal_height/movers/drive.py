@@ -10,7 +10,8 @@ cells along the flight, rho being the range (Raney, IEEE Trans. AES 7, 1971). Th
 tells u, and where the image is.
 
 Where autofocus has placed one block after the other, each with an error of its own, the image of what stands still is
-smeared, too. A smear that may come from that tells no velocity.
+smeared, too. A smear that may come from that tells no velocity, and the times at which Doppler frequencies are seen,
+by which a target walks, are as unsure.
 """
 
 from __future__ import annotations
@@ -100,6 +101,10 @@ class Drives:
         speed = float(np.linalg.norm(slc.aperture.velocity))
         place = slc.placement.beams_error * slant_range / speed
         return cls(search, cells, speed, SMEAR_OF_BLOCKS * place / (search.bins.cell * grid.col_spacing))
+
+    def blurred(self, walk: tuple[float, float]) -> tuple[float, float]:
+        """A walk and its standard deviation, m/s, with what an image out of focus does to the rate of its Doppler."""
+        return walk[0], float(np.hypot(walk[1], self.blur / self.cells * walk[0]))
 
     def look(self, spectra: C128, elevation: float) -> Drive | None:
         """How a target drives; None: not at all, as far as its image tells.

@@ -37,11 +37,14 @@ def slope(angle: float) -> Scene:
     return _scene("slope", np.repeat(-np.tan(angle) * north[:, None], 2, axis=1), north, _ends())
 
 
-def fields(angle: float) -> Scene:
-    """A plane that rises by `angle` (rad) along the flight: fields of 2 m, whose brightness differs by 5 dB (rms)."""
+def fields(seed: int, angle: float) -> Scene:
+    """A plane that rises by `angle` (rad) along the flight: fields of 2 m, whose brightness differs by 5 dB (rms).
+
+    Each seed has a brightness of its own: where the edges of the same fields put images is the same in all flights.
+    """
     edges = np.arange(-HALF_LENGTH, HALF_LENGTH, 2.0)
     east = np.sort(np.concatenate([edges, edges[1:] - 1e-3, [HALF_LENGTH]]))
-    brightness = 10 ** (0.5 * np.random.default_rng(SEED).standard_normal(len(edges)))
+    brightness = 10 ** (0.5 * np.random.default_rng([SEED, seed]).standard_normal(len(edges)))
     shown = brightness[np.searchsorted(edges, east, side="right") - 1]
     north = np.array([-REACH, REACH])
     return Scene("fields", east, north, np.tile(np.tan(angle) * east, (2, 1)), np.tile(shown, (2, 1)))

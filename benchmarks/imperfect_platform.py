@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import partial
@@ -81,13 +81,18 @@ class Case:
         name: for people.
         preset: its first estimator makes the heights, `ml` if it names none.
         flights: of one dwell each.
-        scene: instead of that of the preset.
+        scene: of a flight by its seed, instead of that of the preset.
     """
 
     name: str
     preset: Preset
     flights: int = FLIGHTS
-    scene: Scene | None = None
+    scene: Callable[[int], Scene] | None = None
+
+
+def same(seed: int, scene: Scene) -> Scene:  # noqa: ARG001 (as scenes are made that differ from flight to flight)
+    """A scene that all flights have."""
+    return scene
 
 
 def _flown_as(impairments: Impairments, cnr_db: float = 20.0) -> Preset:
@@ -122,7 +127,7 @@ def _cases() -> Iterator[Case]:
     yield from _cars(helicopter)
     for degrees in (0, 30):
         name = f"fields of 5 dB that rise by {degrees} degrees along the flight"
-        yield replace(_case(name), scene=fields(np.radians(degrees)))
+        yield replace(_case(name), scene=partial(fields, angle=np.radians(degrees)))
     yield from _strips()
     yield from _leaves()
     yield from _walls()
@@ -135,7 +140,8 @@ def _cars(vibration: Vibration) -> Iterator[Case]:
         case = _case(f"bright car {name}", vibration=vibration)
         street = load_scene(case.preset.scene)
         car = PointScatterer(-0.3, 1.0, 1.0, 1e3, radial, 0.0)
-        yield replace(case, preset=replace(case.preset, dwells=1), scene=replace(street, points=(car,)))
+        beside = partial(same, scene=replace(street, points=(car,)))
+        yield replace(case, preset=replace(case.preset, dwells=1), scene=beside)
 
 
 def _strips() -> Iterator[Case]:
@@ -175,7 +181,7 @@ def _leaves() -> Iterator[Case]:
     far = replace(load_preset("xband_relief"), scene_extent_m=20.0)
     ground = replace(load_preset("woods"), estimators=("canopy_ground",))
     for wind in (0, *WINDS):
-        yield Case(f"grass, lidar, wind {wind} m/s", _in_wind(lidar, wind), FEW, grass)
+        yield Case(f"grass, lidar, wind {wind} m/s", _in_wind(lidar, wind), FEW, partial(same, scene=grass))
         yield Case(f"grassy street, lidar, wind {wind} m/s", _in_wind(lidar, wind), FEW)
         yield Case(f"ground under woods, radar, wind {wind} m/s", _in_wind(ground, wind), FEW)
         yield Case(f"woods over relief, radar, wind {wind} m/s", _in_wind(far, wind), FEW)
@@ -238,10 +244,10 @@ class Flown:
 HEADING = "dwells refused pixels valid publ. c1 c2 o5 own-o5 missed ghosts order (%) median error (mm), why refused"
 
 
-def flown(seed: int, preset: Preset, autofocus: str, scene: Scene | None = None) -> Flown:
+def flown(seed: int, preset: Preset, autofocus: str, scene: Callable[[int], Scene] | None = None) -> Flown:
     """Fly a preset with a seed, over its scene or another, and compare the heights of a dwell, or of a short strip."""
     flight, settings = flight_of(preset, seed), image_settings(preset, autofocus)
-    flight = replace(flight, scene=scene) if scene else flight
+    flight = replace(flight, scene=scene(seed)) if scene else flight
     is_strip = flight.sensor.mode == "stripmap"
     numbers = range(preset.dwells) if is_strip else [seed % preset.dwells]
     compressor, refused, found = Compressor(), Counter[str](), []

@@ -39,7 +39,7 @@ def test_grass_stands_on_level_ground() -> None:
     assert street.errors.place[:, 2].max() > 0.5
     assert np.abs(grass.errors.place[:, 2]).max() < 0.5
     assert case.scene
-    assert case.scene.extent == case.preset.scene_extent_m
+    assert case.scene(1).extent == case.preset.scene_extent_m
 
 
 def test_heights_are_those_of_the_first_estimator_of_a_preset() -> None:

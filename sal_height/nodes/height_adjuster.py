@@ -69,8 +69,12 @@ PREFIX = "adjusted"
 ADJUSTED_ODOMETRY = f"{PREFIX}/odometry"
 """Topic of the odometry without the errors that were found."""
 
-ODOMETRY_HELD_S = 100.0
-"""Time for which odometry is held: heights must come within it."""
+ODOMETRY_HELD_S = 2e5
+"""Time for which odometry is held, longer than between passes: that of a pass may come before the last heights of the
+pass before. Memory is limited by the number of samples."""
+
+LONGEST_DELAY_S = 100.0
+"""Delay of the odometry's stamps up to which one that a provenance states is believed."""
 
 BETWEEN_NS = 1_000_000_000
 """Longest time between dwells whose odometry is told as well."""
@@ -486,7 +490,7 @@ def _delay_ns(image: HeightImage) -> int:
     """By which the odometry of a dwell is stamped too late, as its provenance says, ns."""
     stage = messages.held_stages(image.provenance).get("sar_compression", {})
     delay_s = stage.get("odometry_delay_s", 0.0)
-    return round(1e9 * delay_s) if isinstance(delay_s, float) and abs(delay_s) <= ODOMETRY_HELD_S else 0
+    return round(1e9 * delay_s) if isinstance(delay_s, float) and abs(delay_s) <= LONGEST_DELAY_S else 0
 
 
 def main() -> int:

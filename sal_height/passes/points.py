@@ -66,7 +66,8 @@ class Points:
         positions: m in map, (points, 3).
         height: m.
         own_covariance: of the position, m^2, (points, 3, 3).
-        common_covariance: what the phases of the passes add, which points near each other share, m^2.
+        common_covariance: what errors of the passes add, of their phases and of their range, which points near each other
+            share, m^2.
         cnr_db: of one pass.
         power: mean over the passes, over the background.
     """
@@ -266,8 +267,9 @@ class Peaks:
         for number, position in enumerate(positions):
             offset = (array.seen(position)[2] - steering.elevation) / steering.beamwidth
             variance = tie.variance(position, steering.slope(offset), array)
-            way = array.axes_at(position)[2] * steering.beamwidth * steering.metres
-            common[number] = variance * np.outer(way, way)
+            sight, _, across = array.axes_at(position)
+            way = across * steering.beamwidth * steering.metres
+            common[number] = variance * np.outer(way, way) + tie.range_sigma**2 * np.outer(sight, sight)
         return Points(
             positions,
             surface.height[0, some],

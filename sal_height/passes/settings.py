@@ -35,7 +35,7 @@ class PassSettings(Settings):
     most_ties: int = setting(300, "bright points that tie the passes, at most", minimum=10, maximum=10000)
     position_sigma_m: float = setting(
         0.1,
-        "standard deviation of the error of position of a pass across the line of sight, each way",
+        "standard deviation of the error of position of a pass along each axis",
         unit="m",
         minimum=0.0,
         maximum=100.0,

@@ -31,6 +31,9 @@ from sal_height.passes.settings import PassSettings
 ANCHORS = 20
 """Bright points that are tried as the one whose phases the others refer to."""
 
+MEDIAN_ERROR = np.sqrt(np.pi / 2)
+"""Standard error of a median over that of a mean."""
+
 LEAST_TIES = 5
 """Points that must agree."""
 
@@ -167,6 +170,8 @@ class Tie:
         points: number of points that tie.
         references: number of points of known height among them.
         positions: of the points, m in map, (points, 3).
+        range_sigma: standard deviation of the range that all points share, m: the images are brought to the median of
+            the passes' errors along the line of sight, which no phase tells.
     """
 
     phase: F64
@@ -177,6 +182,7 @@ class Tie:
     points: int
     references: int
     positions: F64
+    range_sigma: float = 0.0
 
     def placed(self, array: PassArray) -> tuple[PassArray, Tie]:
         """The passes with their antennas where they were found to be, and the tie with the phases that are left."""
@@ -271,6 +277,7 @@ def tie_passes(points: Candidates, array: PassArray, settings: PassSettings) -> 
         int(agree.sum()),
         int(references.sum()),
         kept.positions,
+        MEDIAN_ERROR * settings.position_sigma_m / np.sqrt(len(array.passes)),
     )
 
 

@@ -57,6 +57,21 @@ def test_reflectors_have_their_heights() -> None:
     assert np.abs(ratios).max() < 4
 
 
+def test_what_all_passes_err_in_range_is_in_the_heights_and_in_their_sigma() -> None:
+    """All 6 cm nearer than they are said to be, seen at 44 degrees: 4 cm of height, and 3 are stated for 10 cm each."""
+    rng = np.random.default_rng(16)
+    points = reflectors(rng, 20)
+    (one, *_) = flown(np.random.default_rng(0), points)
+    sight = -np.mean(one.antenna, axis=0) / np.linalg.norm(np.mean(one.antenna, axis=0))
+    passes = flown(rng, points, offsets=np.tile(0.06 * sight, (8, 1)))
+    result = made(passes, [ReferencePoint(place, ties=True) for place in points[:3]], SETTINGS)
+    errors = errors_of(result, points)
+    assert np.isfinite(errors).sum() >= 18
+    assert abs(np.nanmean(errors)) == pytest.approx(0.06 * abs(sight[2]), abs=0.008)
+    stated = np.median(result.found.points.common_sigma)
+    assert stated == pytest.approx(np.sqrt(np.pi / 2) * 0.1 / np.sqrt(8) * abs(sight[2]), rel=0.1)
+
+
 def test_without_references_only_a_common_height_is_open() -> None:
     points, passes, _ = scene(11)
     result = made(list(passes), [])

@@ -66,8 +66,7 @@ class Points:
         positions: m in map, (points, 3).
         height: m.
         own_covariance: of the position, m^2, (points, 3, 3).
-        common_covariance: what errors of the passes add, of their phases and of their range, which points near each other
-            share, m^2.
+        common_covariance: what errors of the passes add in phase and in range, which points near each other share, m^2.
         cnr_db: of one pass.
         power: mean over the passes, over the background.
     """

@@ -7,7 +7,7 @@ trajectory that results). `window` and `corrected_heights` are the same for a fl
 `observed_image` and `ground_image` are the same for images of one detector, which have no heights.
 """
 
-from sal_height.adjustment.adjustment import Adjustment, adjust, adjust_images
+from sal_height.adjustment.adjustment import Adjustment, adjust, adjust_images, describe_ground
 from sal_height.adjustment.corrected import corrected_mounting, corrected_states, mounting_covariance
 from sal_height.adjustment.corrected_heights import corrected_aperture, corrected_heights
 from sal_height.adjustment.drift import Pulses, Stated
@@ -56,6 +56,7 @@ __all__ = [
     "corrected_heights",
     "corrected_mounting",
     "corrected_states",
+    "describe_ground",
     "mounting_covariance",
     "placement_in_strip",
     "read_targets",

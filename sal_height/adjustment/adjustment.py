@@ -14,7 +14,7 @@ err to the same side. A strip of which too little fits (`comparing.compared`) st
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import attrgetter
 
 import numpy as np
@@ -30,7 +30,7 @@ from sal_height.adjustment.comparing import (
 )
 from sal_height.adjustment.equations import Form, Solution, mean_form
 from sal_height.adjustment.network import Comparison, Network
-from sal_height.adjustment.observed import COMMON, Layout, ObservedDwell
+from sal_height.adjustment.observed import COMMON, GROUND, Layout, ObservedDwell
 from sal_height.adjustment.observed_image import ObservedImage, compared_images, targets_in_images
 from sal_height.adjustment.reference import UNKNOWN_GROUND, References, Target
 from sal_height.adjustment.settings import AdjustmentSettings, ImageAdjustmentSettings
@@ -42,6 +42,10 @@ CONTRADICTION = 30.0
 chance one of a million."""
 
 
+GROUND_CONTRADICTION = 16.0
+"""The same of what the elevation model lies off, of which there is one: by chance one of a thousand."""
+
+
 @dataclass(frozen=True, eq=False)
 class Adjustment:
     """Navigation and mounting that fit best.
@@ -51,12 +55,16 @@ class Adjustment:
         solution: their values and covariance.
         displacements: of the dwells, as forms of the unknowns.
         comparisons: of dwells that overlap.
+        ground_sigma: standard deviation of what the elevation model lies off, as stated, m.
+        refused_ground: how far the elevation model that the result is without was seen to lie off, m, shape (3,).
     """
 
     layout: Layout
     solution: Solution
     displacements: list[Form]
     comparisons: list[Comparison]
+    ground_sigma: float = 0.0
+    refused_ground: F64 | None = None
 
     @property
     def common(self) -> tuple[F64, F64]:
@@ -95,9 +103,34 @@ class Adjustment:
         return sum(self.solution.mismatch(one.equation) > CONTRADICTION for one in self.comparisons)
 
     @property
+    def ground_off(self) -> tuple[F64, float]:
+        """How far the dwells put the elevation model off, m, shape (3,), and the square of that over its variance.
+
+        An estimate varies, where all is as stated, by what it takes off the variance that was known beforehand.
+        """
+        values, covariance = self.common
+        learnt = self.ground_sigma**2 * np.eye(3) - covariance[GROUND, GROUND]
+        share = np.linalg.pinv(learnt, rcond=1e-6, hermitian=True) @ values[GROUND]
+        return self.ground_sigma**2 * share, float(values[GROUND] @ share)
+
+    @property
+    def contradicts_ground(self) -> bool:
+        """Whether the elevation model cannot lie where it is, by what is known of it and of the dwells."""
+        return self.ground_off[1] > GROUND_CONTRADICTION
+
+    @property
     def knots(self) -> F64:
         """Errors of the navigation at the knots of `layout.drift`, shape (knots, STATE)."""
         return np.array([self.solution.of(knot.columns) for knot in self.layout.drift.knots])
+
+
+def describe_ground(off: F64) -> str:
+    """The begin of a sentence on an elevation model that lies off, m, shape (3,)."""
+    east, north, up = off
+    return (
+        f"The elevation model contradicts odometry and dwells, by which it lies {east:.2g} m too far east, "
+        f"{north:.2g} m too far north and {up:.2g} m too high"
+    )
 
 
 def adjust(
@@ -112,9 +145,20 @@ def adjust(
         dwells: in the order of time.
         mounting: of their sensor, as described.
         settings: what is known beforehand.
-        references: targets, and an elevation model.
+        references: targets, and an elevation model; the result is without one that contradicts what is known.
     """
-    network = Network(mounting, settings)
+    found = _adjusted(dwells, mounting, settings, references)
+    if not found.contradicts_ground:
+        return found
+    without = _adjusted(dwells, mounting, settings, references.without_terrain())
+    return replace(without, refused_ground=found.ground_off[0])
+
+
+def _adjusted(
+    dwells: Sequence[ObservedDwell], mounting: Mounting, settings: AdjustmentSettings, references: References
+) -> Adjustment:
+    """The same, with the elevation model whatever it is."""
+    network = Network(mounting, settings, ground_sigma=references.ground_sigma)
     for dwell in dwells:
         network.add(dwell)
     chains = joined(network.dwells, settings)
@@ -128,7 +172,8 @@ def adjust(
         solution = network.solved(chains, found)
     found += _all_compared(chains, network, solution, references, FINE_POINTS, single=True)
     found += sighted(network, network.dwells, solution, references)
-    return Adjustment(network.layout, network.solved(chains, found), list(network.displacements.values()), found)
+    solution, displacements = network.solved(chains, found), list(network.displacements.values())
+    return Adjustment(network.layout, solution, displacements, found, references.ground_sigma)
 
 
 def adjust_images(

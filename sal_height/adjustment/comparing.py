@@ -222,7 +222,8 @@ def _told(found: Match, part: Chain, other: _Met, network: Network, share: float
     """What a match tells, with a share of its information."""
     one, two = found.dwells
     taken_out = _mean(one, part.shifts) - _mean(two, other.shifts) - other.since
-    moved, seen = (_between(one, two, forms) for forms in (network.displacements, network.seen))
+    of_ground = [(two[REFERENCE], network.ground)] if REFERENCE in two else []
+    moved, seen = (_between(one, two, forms).minus(of_ground) for forms in (network.displacements, network.seen))
     return Comparison(found.dwells, seen.equals(taken_out + found.shift, share * found.information), moved)
 
 

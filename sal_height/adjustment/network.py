@@ -10,6 +10,7 @@ import numpy as np
 from sal_height.adjustment.equations import Equation, Form, Solution, System, without
 from sal_height.adjustment.matching import REFERENCE
 from sal_height.adjustment.observed import (
+    GROUND,
     Layout,
     ObservedDwell,
     ambiguities_of,
@@ -68,6 +69,7 @@ class Network:
         poses: how they are off as forms of the unknowns (`observed.pose`), by number.
         displacements: how far their surfaces lie off, by number.
         seen: how far these are seen to lie off by their edges, by number.
+        ground: how far the elevation model lies off.
     """
 
     def __init__(
@@ -76,6 +78,7 @@ class Network:
         settings: AdjustmentSettings,
         position_step: float = 0.0,
         most_weight: float = MOST_WEIGHT,
+        ground_sigma: float = 0.0,
     ) -> None:
         """Begin without dwells.
 
@@ -85,9 +88,11 @@ class Network:
             position_step: standard deviation by which the stated position steps from dwell to dwell, m.
             most_weight: of a comparison that agrees with the others: 1 where so few dwells are compared that they
                 agree by being fitted to each other.
+            ground_sigma: standard deviation of what the elevation model lies off, m.
         """
         self.mounting, self.settings, self._most_weight = mounting, settings, most_weight
-        self.layout = Layout(settings.correlation_s, position_step)
+        self.layout, self._ground_sigma = Layout(settings.correlation_s, position_step), ground_sigma
+        self.ground = Form(self.layout.common[GROUND], np.eye(3), np.zeros(3))
         self.dwells: dict[int, ObservedDwell] = {}
         self.poses: dict[int, Form] = {}
         self.displacements: dict[int, Form] = {}
@@ -103,7 +108,7 @@ class Network:
         """Add a dwell, not earlier than all others; returns its number."""
         number, self._count = self._count, self._count + 1
         if not number:
-            self._known.append(common_prior(dwell.edges_sigma, self.layout, self.settings))
+            self._known.append(common_prior(dwell.edges_sigma, self._ground_sigma, self.layout, self.settings))
         self._known += self.layout.add(number, dwell.stated)
         self.dwells[number] = dwell = replace(dwell, points=dwell.points.numbered(number))
         self.poses[number] = pose(number, dwell, self.layout, self.mounting)

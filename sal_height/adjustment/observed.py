@@ -38,10 +38,11 @@ from sal_height.numeric import F64, Index
 from sal_height.relief import HeightField, position_jacobian, turn_jacobian
 from sal_height.sensor import PhaseHistory, Sensor
 
-BORESIGHT, LEVER_ARM, DELAY, PITCH, EDGES, COMMON = slice(0, 3), slice(3, 6), 6, 7, 8, 9
-"""Among the unknowns that all dwells share; EDGES is what surfaces are seen to lie off by (`by_edges`)."""
+BORESIGHT, LEVER_ARM, DELAY, PITCH, EDGES, GROUND, COMMON = slice(0, 3), slice(3, 6), 6, 7, 8, slice(9, 12), 12
+"""Among the unknowns that all dwells share; EDGES is what surfaces are seen to lie off by (`by_edges`), and GROUND what
+the elevation model lies off by as a whole, east, north and up."""
 
-EXACT = np.array([1e-9] * 3 + [1e-5] * 3 + [1e-9, 1e-8, 1e-6])
+EXACT = np.array([1e-9] * 3 + [1e-5] * 3 + [1e-9, 1e-8, 1e-6] + [1e-6] * 3)
 """Standard deviations of those that are exact."""
 
 EDGES_SPACINGS = 0.3
@@ -372,20 +373,21 @@ def own_priors(
 
 
 def stated_sigmas(settings: AdjustmentSettings) -> F64:
-    """Standard deviations of what all dwells share, but for the edges, as they are known beforehand; 0: exact."""
+    """Standard deviations of what all dwells share, but for edges and ground, as known beforehand; 0: exact."""
     sigmas = np.empty(EDGES)
     sigmas[BORESIGHT], sigmas[LEVER_ARM] = settings.boresight_sigma_rad, settings.lever_arm_sigma_m
     sigmas[DELAY], sigmas[PITCH] = settings.odometry_delay_sigma_s, settings.pitch_sigma
     return sigmas
 
 
-def common_prior(edges_sigma: float, layout: Layout, settings: AdjustmentSettings) -> Equation:
-    """What is known beforehand of the mounting, the delay, the pitch of the beams, and the edges in images.
+def common_prior(edges_sigma: float, ground_sigma: float, layout: Layout, settings: AdjustmentSettings) -> Equation:
+    """What is known beforehand of mounting, delay, pitch of the beams, edges in images, and the elevation model.
 
     Args:
         edges_sigma: standard deviation of what edges are seen to lie off, m.
+        ground_sigma: of what the elevation model lies off, m; 0: it is exact, or there is none.
         layout: of the unknowns.
         settings: of the adjustment.
     """
-    sigmas = np.maximum(np.append(stated_sigmas(settings), edges_sigma), EXACT)
+    sigmas = np.maximum([*stated_sigmas(settings), edges_sigma, *[ground_sigma] * 3], EXACT)
     return Equation(layout.common, np.eye(COMMON), np.zeros(COMMON), np.diag(sigmas**-2))

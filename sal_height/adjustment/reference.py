@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -79,7 +79,7 @@ class Terrain:
 
     Attributes:
         heights: of the ground.
-        sigma: standard deviation of its heights, m.
+        sigma: standard deviation of its heights, each by itself, and of all of it, each way, m.
     """
 
     heights: Heights
@@ -104,6 +104,15 @@ class References:
 
     targets: tuple[Target, ...] = ()
     terrain: Terrain | None = None
+
+    @property
+    def ground_sigma(self) -> float:
+        """Standard deviation of what the elevation model lies off as a whole, each way, m."""
+        return self.terrain.sigma if self.terrain else 0.0
+
+    def without_terrain(self) -> References:
+        """The targets alone."""
+        return replace(self, terrain=None)
 
 
 UNKNOWN_GROUND = References()

@@ -72,7 +72,7 @@ class Window:
             most_points: of all dwells that are held, likewise.
             references: targets, and an elevation model.
         """
-        self._network = Network(mounting, settings)
+        self._network = Network(mounting, settings, ground_sigma=references.ground_sigma)
         self._references, self._most_dwells, self._most_points = references, most_dwells, most_points
         self._over: list[Chain] = []
         self._growing = range(0)
@@ -163,7 +163,8 @@ class Window:
         if self._solution is None:
             raise ValueError("no dwell has come")
         forms = list(self._network.displacements.values())
-        return Adjustment(self._network.layout, self._solution, forms, [*self._compared, *self._of_growing])
+        compared = [*self._compared, *self._of_growing]
+        return Adjustment(self._network.layout, self._solution, forms, compared, self._references.ground_sigma)
 
     def _begin_chain_with(self, dwell: ObservedDwell) -> None:
         """End the chain that grows if a dwell does not continue it, and forget chains that are too many."""

@@ -33,6 +33,7 @@ from sal_height.adjustment import (
     corrected_heights,
     corrected_mounting,
     corrected_states,
+    describe_ground,
     mounting_covariance,
     placement_in_strip,
     read_targets,
@@ -235,6 +236,13 @@ class Adjuster:
             self._window = None  # begin anew rather than go on with a part
             raise
         adjustment = self._window.adjustment
+        if adjustment.contradicts_ground:
+            self._references, self._window = self._references.without_terrain(), None
+            raise Rejected(
+                "known ground",
+                f"{describe_ground(adjustment.ground_off[0])}; it counts no more after dwell {image.dwell}, and the next "
+                "dwell is adjusted as the first one.",
+            )
         seconds = [(state.stamp_ns - self._epoch_ns) * 1e-9 for state in states]
         return Adjusted(
             corrected_heights(field, dwell, off),

@@ -14,6 +14,7 @@ from sal_height.adjustment import (
     ObservedImage,
     References,
     corrected_mounting,
+    describe_ground,
     stated_sigmas,
 )
 from sal_height.geometry import Mounting
@@ -113,7 +114,12 @@ def _sentences(summary: dict[str, Any], references: References, adjustment: Adju
             f"None of the {len(references.targets)} targets was seen where it should be, brighter than all around it; "
             "the result is without them."
         )
-    if references.terrain and not any(one.is_absolute and not one.is_target for one in adjustment.comparisons):
+    if adjustment.refused_ground is not None:
+        sentences.append(
+            f"{describe_ground(adjustment.refused_ground)}, more than --terrain-sigma and what is known of the dwells "
+            "allow; the result is without it."
+        )
+    elif references.terrain and not any(one.is_absolute and not one.is_target for one in adjustment.comparisons):
         sentences.append(
             "The elevation model has no heights where the dwells lie, or agrees with none; the result is without it."
         )

@@ -71,6 +71,22 @@ def test_known_ground_puts_all_dwells_in_their_place() -> None:
     assert np.all(stated[0] > 0.05)
 
 
+@pytest.mark.parametrize(("off", "refused"), [(0.1, False), (1.0, True)])
+def test_known_ground_may_be_off_by_what_is_stated_of_it_and_no_farther(off: float, refused: bool) -> None:
+    """All of it by 10 cm, one standard deviation; by 1 m it contradicts what is known, and the result is without it."""
+    passes = flown()
+    heights = passes.flight.scene.heights
+    ground = References(terrain=Terrain(lambda east, north: heights(east, north) + off, 0.1))
+    adjustment = adjust(passes.dwells, passes.flight.sensor.mounting, SETTINGS, ground)
+    errors, _ = errors_of(adjustment, passes)
+    sigma = np.sqrt(adjustment.spread[1].diagonal())
+    assert np.all(np.abs(errors.mean(axis=0)) < 3 * sigma)
+    assert (adjustment.refused_ground is not None) == refused
+    assert any(one.is_absolute for one in adjustment.comparisons) != refused
+    if adjustment.refused_ground is not None:
+        assert adjustment.refused_ground[2] == pytest.approx(off, abs=0.6)
+
+
 def test_targets_are_as_good() -> None:
     """A post whose place is known, in the middle of the dwells of each pass."""
     target = TargetSettings(east_m=0.0, north_m=1.0, height_m=0.5, power_db=25.0)

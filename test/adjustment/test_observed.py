@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from stated_errors import ERRORS, Error, S, displaced, foretold, layout_of, squeezed
 
 from sal_height.adjustment import AdjustmentSettings, ObservedDwell
-from sal_height.adjustment.observed import BORESIGHT, COMMON, DELAY, LEVER_ARM, PITCH, centroid
+from sal_height.adjustment.observed import BORESIGHT, COMMON, DELAY, EDGES, GROUND, LEVER_ARM, PITCH, centroid
 from sal_height.elevation import ESTIMATORS
 from sal_height.geometry import Trajectory, locate_at_elevation, look_direction, sphere_coordinates
 from sal_height.imaging import ImageSettings, Slc
@@ -205,5 +205,5 @@ def test_images_that_lie_where_the_beams_are_turn_with_them() -> None:
 
 def test_slices_name_all_that_dwells_share() -> None:
     numbers = np.arange(COMMON)
-    named = [*numbers[BORESIGHT], *numbers[LEVER_ARM], DELAY, PITCH]
-    assert named == list(range(COMMON - 1))
+    named = [*numbers[BORESIGHT], *numbers[LEVER_ARM], DELAY, PITCH, EDGES, *numbers[GROUND]]
+    assert named == list(range(COMMON))

@@ -200,6 +200,19 @@ def test_known_ground_places_heights(graph: Graph, flown: FlownHeights, tmp_path
     assert_one_sentence(str(refused.value), "ground.txt", "allowed are .tif, .tiff and .npz")
 
 
+def test_known_ground_that_is_not_there_counts_no_more(graph: Graph, flown: FlownHeights, tmp_path: Path) -> None:
+    """A metre too high: one dwell is passed on as it is, with the reason, and heights are then as without it."""
+    scene = load_scene(STREET)
+    east, north = np.arange(-6, 6, 0.05), np.arange(6, -6, -0.05)
+    elevation = scene.heights(*np.meshgrid(east, north)) + 1.0
+    np.savez(tmp_path / "ground.npz", elevation=elevation, dx=0.05, dy=0.05)
+    adjusting = Adjusting(graph, flown.sensor_info, terrain=str(tmp_path / "ground.npz"), terrain_sigma_m=0.02)
+    fields = fields_of(adjusting.fly(flown, range(12)))
+    assert adjusting.node.tally.summary()["ignored.known ground"] == 1
+    assert_one_sentence(adjusting.node.last_rejection.partition(": ")[2], "elevation model contradicts", "m too high")
+    assert np.all(np.abs(flown.errors(fields)) < 0.5)
+
+
 def test_a_known_target_moves_heights_to_where_it_is(graph: Graph, flown: FlownHeights, tmp_path: Path) -> None:
     """A point that outshines all others, and is known to be 10 cm higher: its dwell rises by that, within 4 cm."""
     image = copy.deepcopy(flown.images[0])

@@ -240,8 +240,8 @@ class Adjuster:
             self._references, self._window = self._references.without_terrain(), None
             raise Rejected(
                 "known ground",
-                f"{describe_ground(adjustment.ground_off[0])}; it counts no more after dwell {image.dwell}, and the next "
-                "dwell is adjusted as the first one.",
+                f"{describe_ground(adjustment.ground_off[0])}; it counts no more after dwell {image.dwell}, and the "
+                "next dwell is adjusted as the first one.",
             )
         seconds = [(state.stamp_ns - self._epoch_ns) * 1e-9 for state in states]
         return Adjusted(

@@ -20,7 +20,7 @@ from scipy.ndimage import maximum_filter
 from sal_height.beams import Beams
 from sal_height.errors import Rejected, UserError
 from sal_height.imaging import Slc
-from sal_height.movers.drive import Drive, Drives
+from sal_height.movers.drive import Drive, Drives, OutOfFocus
 from sal_height.movers.ground import ground_lag, spectra_of_image
 from sal_height.movers.mover import Looked, Mover, Sighting, mover_of, peak_of, without_ambiguities
 from sal_height.movers.search import Search, Seen
@@ -183,13 +183,16 @@ class _Looking:
         return found, len(candidates)
 
     def _mover(self, seen: Seen, ratio: float, walked: Walked, walks: bool = False) -> list[Mover]:
-        """What was seen, as a mover; none: it is at an end of the array."""
+        """What was seen, as a mover; none: it is at an end of the array, or out of focus."""
         elevation = self.search.elevation(seen.spectra, float(self.search.lags[seen.told.argmax()]))
         if elevation is None:
             return []
         row, walk = walked.row if walks else seen.row, (walked.speed, walked.sigma)
         search, along = self.search, None
-        drive = self.drives.look(self.of_rows.spectra(row, walked.speed if walks else 0.0), elevation[0])
+        try:
+            drive = self.drives.look(self.of_rows.spectra(row, walked.speed if walks else 0.0), elevation[0])
+        except OutOfFocus:
+            return []
         if drive:
             # A Doppler frequency is that of a greater aspect, and of a time that is later, than of what stands still.
             search = replace(search, bins=search.bins.slowed(drive.share))

@@ -33,6 +33,10 @@ SMEAR_STEP, PLACE_STEP = 1.0, 0.25
 LEAST_SHARPER = 10**0.05
 """Power of an image in focus over that out of focus from which its target is said to drive along the flight."""
 
+MUCH_SHARPER, LEAST_SHARE = 1.2, 0.1
+"""The same, and power of its brightest pixel over that of a point in focus, from which an image is that of a target
+which drives along the flight, though it is not in focus with any smear: in a row there is more than one target."""
+
 IN_FOCUS = 0.7
 """Power of its brightest pixel over that of a point in focus from which an image is one.
 
@@ -75,6 +79,10 @@ class Drive:
         return self.share**2 * walk[0], float(np.hypot(self.share**2 * walk[1], unsure * walk[0]))
 
 
+class OutOfFocus(Exception):  # noqa: N818 (it is what is found, not an error)
+    """A target drives along the flight faster than can be told, so that nothing of it can."""
+
+
 @dataclass(frozen=True, eq=False)
 class Drives:
     """What drives along the flight in an image.
@@ -112,6 +120,9 @@ class Drives:
         Args:
             spectra: of the channels in its row, or along its walk, shape (bins, channels).
             elevation: rad.
+
+        Raises:
+            OutOfFocus: its image is much sharper with some smear taken out, but in focus with none that is looked for.
         """
         bins = self.search.bins
         beam = self.search.beams.response(elevation, bins.aspects)
@@ -124,8 +135,11 @@ class Drives:
         power = np.abs(focused @ waves) ** 2
         brightest = power.max(axis=1)
         best = int(np.clip(brightest.argmax(), 1, len(smears) - 2))
-        least = max(LEAST_SHARPER * brightest[len(smears) // 2], IN_FOCUS * np.sum(np.abs(line)) ** 2)
-        if brightest[best] < least:
+        sharper = brightest[best] / brightest[len(smears) // 2]
+        share = brightest[best] / np.sum(np.abs(line)) ** 2  # 1: a point in focus
+        if sharper > MUCH_SHARPER and LEAST_SHARE < share < IN_FOCUS:
+            raise OutOfFocus
+        if sharper < LEAST_SHARPER or share < IN_FOCUS:
             return None
         smear = float(smears[best] + SMEAR_STEP * vertex(*brightest[best - 1 : best + 2])[0])
         place = float(places[power[best].argmax()])

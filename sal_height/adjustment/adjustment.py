@@ -41,7 +41,6 @@ CONTRADICTION = 30.0
 """Square of the error of a comparison, of three numbers, over its variance, from which it contradicts the others: by
 chance one of a million."""
 
-
 GROUND_CONTRADICTION = 16.0
 """The same of what the elevation model lies off, of which there is one: by chance one of a thousand."""
 
@@ -116,7 +115,7 @@ class Adjustment:
     @property
     def contradicts_ground(self) -> bool:
         """Whether the elevation model cannot lie where it is, by what is known of it and of the dwells."""
-        return self.ground_off[1] > GROUND_CONTRADICTION
+        return self.ground_sigma > 0 and self.ground_off[1] > GROUND_CONTRADICTION
 
     @property
     def knots(self) -> F64:

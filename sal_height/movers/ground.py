@@ -12,11 +12,8 @@ from sal_height.beams import Beams
 from sal_height.geometry import aperture_at
 from sal_height.imaging import NavigationPrior, Slc, line_of_sight
 from sal_height.movers.spectrum import Bins
-from sal_height.numeric import C64, C128, F64
+from sal_height.numeric import C64, C128, F64, MEDIAN_ERROR
 from sal_height.sensor import Sensor
-
-MEDIAN_ERROR = 1.25
-"""Standard error of a median over that of a mean."""
 
 
 def ground_lag(slc: Slc, sensor: Sensor, lags: F64, spectra: Callable[[], tuple[F64, F64]]) -> tuple[float, float]:

@@ -2,9 +2,9 @@
 
 Read `arrays` (types of arrays), `jit` (how kernels are compiled) and `threads` (how work is spread over processors)
 first, then `windows` (spectral weights), `phasors` (exp(j phase) with the phase reduced in float64), `chirp_z`,
-`centred_sums` and `fft` (transforms of many rows), `parabola` (peaks between samples), `range_profiles` (interpolation
-of band-limited profiles) and `vectors` (of three numbers, within compiled loops). Nothing here knows of sensors or
-images.
+`centred_sums` and `fft` (transforms of many rows), `parabola` (peaks between samples), `medians` (how well they are
+known), `range_profiles` (interpolation of band-limited profiles) and `vectors` (of three numbers, within compiled
+loops). Nothing here knows of sensors or images.
 """
 
 from sal_height.numeric._kernels import cosine_and_sine, cosine_and_sine_of_part, tap_weights
@@ -13,6 +13,7 @@ from sal_height.numeric.centred_sums import LARGEST, CentredSums
 from sal_height.numeric.chirp_z import ChirpZ, chirp_z
 from sal_height.numeric.fft import blocks, fast_length, frequencies, rows_at_once
 from sal_height.numeric.jit import compiled, compiled_with_nan, inlined, squared
+from sal_height.numeric.medians import MEDIAN_ERROR
 from sal_height.numeric.parabola import vertex
 from sal_height.numeric.phasors import outer_phasors, unit_phasors
 from sal_height.numeric.range_profiles import (
@@ -35,6 +36,7 @@ __all__ = [
     "I32",
     "I64",
     "LARGEST",
+    "MEDIAN_ERROR",
     "OVERSAMPLING",
     "TAPS",
     "U8",

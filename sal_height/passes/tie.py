@@ -22,7 +22,7 @@ from typing import Self
 import numpy as np
 
 from sal_height.errors import UserError
-from sal_height.numeric import C64, C128, F64, Bool, vertex
+from sal_height.numeric import C64, C128, F64, MEDIAN_ERROR, Bool, vertex
 from sal_height.passes.array import PassArray, Steering
 from sal_height.passes.boxes import Box, brightest
 from sal_height.passes.registration import Registered
@@ -30,9 +30,6 @@ from sal_height.passes.settings import PassSettings
 
 ANCHORS = 20
 """Bright points that are tried as the one whose phases the others refer to."""
-
-MEDIAN_ERROR = np.sqrt(np.pi / 2)
-"""Standard error of a median over that of a mean."""
 
 LEAST_TIES = 5
 """Points that must agree."""

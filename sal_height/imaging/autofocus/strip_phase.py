@@ -28,7 +28,7 @@ from sal_height.imaging.autofocus.phase_linking import (
 from sal_height.numeric import C64, F64, Complex
 from sal_height.sensor import PhaseHistory, Sensor, aperture_length
 
-WINDOW = 256  # pulses that are linked at a time, if there are that many: time grows with the cube, errors shrink little
+WINDOW = 256  # pulses that are linked at a time, if there are that many: more take more memory and tell little
 OVERLAP = 32  # of them at least that have been linked before
 
 

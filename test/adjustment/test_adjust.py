@@ -16,7 +16,7 @@ from sal_height.adjustment.observed import vibration_of
 from sal_height.imaging import Centroid, Placement
 from sal_height.numeric import F64
 from sal_height.runs.adjustment_report import summary_of
-from sal_height.simulation import flight_of
+from sal_height.simulation import flight_of, load_preset
 from sal_height.simulation.phase_errors import Vibration, VibrationLine
 from sal_height.simulation.preset import TargetSettings
 
@@ -85,6 +85,19 @@ def test_known_ground_may_be_off_by_what_is_stated_of_it_and_no_farther(off: flo
     assert any(one.is_absolute for one in adjustment.comparisons) != refused
     if adjustment.refused_ground is not None:
         assert adjustment.refused_ground[2] == pytest.approx(off, abs=0.6)
+
+
+def test_dwells_that_look_alike_and_share_no_ground_are_not_compared() -> None:
+    """One of the second pass of `sal_passes` shows the end of a car, and so do three of the first, 1 to 2 m beside it.
+
+    By what both show they would be the same with an evidence of 5.5 to 7.1.
+    """
+    preset = load_preset("sal_passes")
+    dwells = {number: observed(number, preset, 4)[0] for number in (1, 2, 3, 5)}
+    mounting = flight_of(preset, 4).sensor.mounting
+    known = AdjustmentSettings(boresight_sigma_rad=2e-5, lever_arm_sigma_m=0.01, odometry_delay_sigma_s=1e-5)
+    for number in (1, 2, 3):
+        assert adjust([dwells[number], dwells[5]], mounting, known).comparisons == []
 
 
 def test_targets_are_as_good() -> None:

@@ -218,7 +218,7 @@ def estimate_of(peaks: SinglePeaks, looks: Looks, beams: Beams, settings: ArrayS
     Sigma is `bounds.stochastic_crb` for the energy of these very looks, less the noise of SPARE_LOOKS more, and
     `beam_error.beam_deviation`. It is that of errors about the scatterer's own peak: in some 1 % of the valid pixels at
     0 dB with 2 looks, and in fewer elsewhere, another peak is higher. A pixel is AMBIGUOUS where its likelihood is less
-    than `ambiguous_ratio` times that of another peak.
+    than `ambiguous_ratio` times that of another peak; errors of the beams count as noise of every channel.
     """
     explained, gain, turning = peaks.explained, peaks.array_power, peaks.turning
     cnr, noise = (explained - looks.count) / gain / looks.count, looks.count + SPARE_LOOKS
@@ -228,5 +228,6 @@ def estimate_of(peaks: SinglePeaks, looks: Looks, beams: Beams, settings: ArrayS
     strong, inside = cnr >= settings.min_cnr, (peaks.elevation >= first) & (peaks.elevation <= last)
     validity = decide_validity(looks, fit, strong, inside, Validity.OUTSIDE_ARRAY, settings)
     if beams.count > 2:
-        validity[(validity == Validity.OK) & (peaks.lead < settings.margin)] = Validity.AMBIGUOUS
+        lead = peaks.lead / (1 + fit.beam_error)
+        validity[(validity == Validity.OK) & (lead < settings.margin)] = Validity.AMBIGUOUS
     return ElevationEstimate.of_one(peaks.elevation, sigma, cnr, validity)

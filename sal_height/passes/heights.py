@@ -104,7 +104,13 @@ def heights_from_passes(
         candidates, _ = _with_references(Candidates.of(seen, settings), seen, references, settings)
     tie = tie_passes(candidates, seen.lattice.array, settings)
     warnings += check_tie(tie, candidates, seen.lattice.array, settings, np.random.default_rng(0))
-    if tie.references < (given := int(np.isfinite(candidates.known).sum())):
+    if np.isfinite(tie.elsewhere):
+        warnings.append(
+            "The reference points are not used: for all that they tell, every point may as well be "
+            f"{abs(tie.elsewhere):.3g} m {'higher' if tie.elsewhere > 0 else 'lower'}; more of them would tell, or "
+            "passes at other elevations."
+        )
+    elif tie.references < (given := int(np.isfinite(candidates.known).sum())):
         warnings.append(
             f"Of {given} reference points that were found {tie.references} agree with the other points, and tie them."
         )

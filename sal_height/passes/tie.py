@@ -45,6 +45,8 @@ LEAST_PHASE_ERROR = 0.02  # rad, that points have beside noise at least: none is
 FIXED = 1e9  # weight by which what nothing determines is held
 FIRST_PHASE_ERROR = 0.3  # rad, of the first solution
 LEAST_SHARE = 0.4  # the same, of points that tell whether a pass is in phase with the others
+CONFUSED = np.log(100.0)  # log-likelihood by which points of known height are to be in phase there, not elsewhere
+SAME_HEIGHT = 0.5  # beamwidths up to which a height is not another one
 OUTLIER = 3.0  # mean square of residuals over their variance, from which on a point is left out
 
 
@@ -169,6 +171,8 @@ class Tie:
         positions: of the points, m in map, (points, 3).
         range_sigma: standard deviation of the range that all points share, m: the images are brought to the median of
             the passes' errors along the line of sight, which no phase tells.
+        elsewhere: by how much higher all points may be as well, for all that the points of known height tell, which
+            are not used then, m; NaN: these tell the height.
     """
 
     phase: F64
@@ -180,6 +184,7 @@ class Tie:
     references: int
     positions: F64
     range_sigma: float = 0.0
+    elsewhere: float = np.nan
 
     def placed(self, array: PassArray) -> tuple[PassArray, Tie]:
         """The passes with their antennas where they were found to be, and the tie with the phases that are left."""
@@ -244,12 +249,16 @@ def loosest(points: Candidates, array: PassArray, settings: PassSettings) -> tup
 
 def _reach(points: Candidates, array: PassArray, settings: PassSettings) -> F64:
     """Offsets up to which the elevation of each point is looked for, beamwidths, (points,)."""
-    metres = array.seen(points.positions)[0] * points.beamwidths * np.sin(points.elevations)
-    return np.asarray(settings.tie_reach_m / metres)
+    return settings.tie_reach_m / _climb(points, array)
+
+
+def _climb(points: Candidates, array: PassArray) -> F64:
+    """Height for a beamwidth of elevation, m, (points,)."""
+    return np.asarray(array.seen(points.positions)[0] * points.beamwidths * np.sin(points.elevations))
 
 
 def tie_passes(points: Candidates, array: PassArray, settings: PassSettings) -> Tie:
-    """Tie the passes by bright points.
+    """Tie the passes by bright points; those of known height are not used if they do not tell it (`Tie.elsewhere`).
 
     Raises:
         UserError: too few points agree.
@@ -263,13 +272,17 @@ def tie_passes(points: Candidates, array: PassArray, settings: PassSettings) -> 
     state, covariance, agree = _agreed(state, points, sensitive, share >= LEAST_AGREEMENT, settings)
     kept, references = points.of_points(agree), np.isfinite(points.known[agree])
     turned = state.turned(points, sensitive)[agree] * np.exp(-1j * kept.phases(state.elevation[agree]))
+    uncertainty = _uncertainty(turned)
     if not references.any():
         state = _on_ground(state, points, agree, array, settings)
+    elif np.isfinite(rival := _rival(state, kept.of_points(references), array, settings, uncertainty)):
+        free = replace(points, known=np.full(len(points.known), np.nan))
+        return replace(tie_passes(free, array, settings), elsewhere=rival)
     return Tie(
         state.phase,
         state.offset,
         covariance,
-        _uncertainty(turned),
+        uncertainty,
         _coherences(turned),
         int(agree.sum()),
         int(references.sum()),
@@ -415,15 +428,40 @@ def _levelled(state: _Adjusted, points: Candidates, sensitive: F64, reach: F64) 
     """The state raised so that most of the power of the points of known height is in phase at these heights."""
     known = np.isfinite(points.known)
     some = points.of_points(known)
-    turned = state.turned(points, sensitive)[known]
-    most = float(reach.max())
-    lifts = np.arange(-2 * most, 2 * most, LIFT_STEP)
-    offsets = some.known[:, None] - lifts
-    powers = offsets[..., None] ** np.arange(points.coefficients.shape[2])
-    phases = np.einsum("ipn,ijn->ijp", some.coefficients, powers)
-    in_phase = np.abs(np.einsum("ijp,ip->ij", np.exp(-1j * phases), turned)) ** 2
-    share = in_phase / np.sum(np.abs(turned) ** 2, axis=1)[:, None]
+    lifts, power = _over_lifts(some, state.turned(points, sensitive)[known], float(reach.max()))
+    share = power / np.sum(np.abs(some.samples) ** 2, axis=1)[:, None]
     return _lifted(state, points, float(lifts[np.argmax(share.sum(axis=0))]))
+
+
+def _rival(state: _Adjusted, known: Candidates, array: PassArray, settings: PassSettings, uncertainty: float) -> float:
+    """By how much higher all points may be as well, for all that those of known height tell, m; NaN: they tell it.
+
+    Amplitudes that err by `uncertainty` count as noise.
+    """
+    turned = state.turned(known, sensitivity(array, known.positions))
+    lifts, power = _over_lifts(known, turned, float(_reach(known, array, settings).max()))
+    likelihood = np.sum(power / (1 + uncertainty**2 * known.power)[:, None], axis=0)
+    here = np.abs(lifts) <= SAME_HEIGHT
+    elsewhere = np.where(here, -np.inf, likelihood)
+    if likelihood[here].max() - elsewhere.max() >= CONFUSED:
+        return np.nan
+    return float(lifts[np.argmax(elsewhere)] * np.mean(_climb(known, array)))
+
+
+def _over_lifts(known: Candidates, turned: C128, most: float) -> tuple[F64, F64]:
+    """Lifts of all points (beamwidths), and the power of points of known height in phase at these, (points, lifts).
+
+    Args:
+        known: the points.
+        turned: their samples without what the passes add, (points, passes).
+        most: half of the greatest lift, beamwidths.
+    """
+    lifts = np.arange(-2 * most, 2 * most, LIFT_STEP)
+    offsets = known.known[:, None] - lifts
+    powers = offsets[..., None] ** np.arange(known.coefficients.shape[2])
+    phases = np.einsum("ipn,ijn->ijp", known.coefficients, powers)
+    in_phase = np.abs(np.einsum("ijp,ip->ij", np.exp(-1j * phases), turned)) ** 2
+    return lifts, in_phase / turned.shape[1]
 
 
 def _lifted(state: _Adjusted, points: Candidates, lift: float) -> _Adjusted:
@@ -437,7 +475,7 @@ def _on_ground(
     state: _Adjusted, points: Candidates, agree: Bool, array: PassArray, settings: PassSettings
 ) -> _Adjusted:
     """The state in which the median height of the points that tie is that of the ground."""
-    metres = array.seen(points.positions)[0] * np.sin(points.elevations) * points.beamwidths
+    metres = _climb(points, array)
     heights = points.positions[:, 2] + state.elevation * metres
     lift = settings.ground_m - float(np.median(heights[agree]))
     return _lifted(state, points, lift / float(np.median(metres)))

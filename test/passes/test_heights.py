@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -11,7 +12,14 @@ from scipy.spatial import cKDTree
 
 from sal_height.elevation import ESTIMATORS, Validity
 from sal_height.errors import UserError
-from sal_height.passes import Pass, PassHeights, PassSettings, ReferencePoint, heights_from_passes, simulated_passes
+from sal_height.passes import (
+    Pass,
+    PassHeights,
+    PassSettings,
+    ReferencePoint,
+    heights_from_passes,
+    simulated_passes,
+)
 
 ORIGIN = np.zeros(3)
 
@@ -165,3 +173,35 @@ def test_a_volume_that_is_too_large_is_refused() -> None:
     _, passes, references = scene(13)
     with pytest.raises(UserError, match="at most 67108864 are allowed: choose a smaller side_m"):
         made(list(passes), list(references), SETTINGS.changed(highest_m=9000.0))
+
+
+def clustered(rng: np.random.Generator, spread: float, errors: float) -> tuple[np.ndarray, list[Pass]]:
+    """Twenty reflectors whose amplitudes err from pass to pass, seven passes within 2 `spread` degrees, one .4 off."""
+    elevations = 52.0 + np.append(rng.uniform(-spread, spread, 7), 0.4)
+    circle = replace(SMALL, elevations=tuple(np.radians(elevations)))
+    points = reflectors(rng, 20)
+    each = amplitudes(rng, 20, 19.0) * (1 + errors * (rng.standard_normal((8, 20, 2)) @ [1.0, 1j]) / np.sqrt(2))
+    return points, simulated_passes(circle, points, each, 1.0, rng)
+
+
+def test_heights_that_clustered_passes_confuse_are_not_given() -> None:
+    """Errors of amplitude count as noise where sidelobes of 0.9 are told apart; else 3 of 74 heights would be wrong."""
+    rng = np.random.default_rng(17)
+    errors = []
+    for _ in range(5):
+        points, passes = clustered(rng, 0.04, 0.3)
+        result = made(passes, [ReferencePoint(place, ties=True) for place in points[:3]])
+        if result.tie.references:
+            errors += errors_of(result, points).tolist()
+    assert len(errors) > 30
+    assert np.isfinite(errors).all()
+
+
+def test_a_reference_that_cannot_tell_two_heights_of_all_points_apart_is_not_used() -> None:
+    rng = np.random.default_rng(18)
+    points, passes = clustered(rng, 0.02, 0.1)
+    result = made(passes, [ReferencePoint(points[0], ties=True)])
+    assert result.tie.references == 0
+    assert abs(result.tie.elsewhere) == pytest.approx(result.ambiguity.at, rel=0.15)
+    (sentence,) = result.warnings
+    assert "reference points are not used: for all that they tell, every point may as well be" in sentence

@@ -348,7 +348,7 @@ class HeightAdjuster(DwellStage):
             raise
         self._adjuster = Adjuster(self._references)
         self._history = OdometryHistory(ODOMETRY_HELD_S)
-        self._needed_ns = self._supplied_ns = self._told_ns = 0
+        self._needed_ns = self._supplied_ns = self._supplied_dwell = self._told_ns = 0
         self._heights = HeightOutlets(self, PREFIX)
         self._odometry = self.offer(Odometry, ADJUSTED_ODOMETRY, ODOMETRY_QOS)
         self._mounting = self.offer(PoseWithCovarianceStamped, f"{PREFIX}/mounting", LATCHED_QOS)
@@ -380,7 +380,7 @@ class HeightAdjuster(DwellStage):
     def supplies(self, dwell: list[ReceivedHeights], sensor: Sensor) -> list[PlatformState]:
         """Odometry, without the delay of its stamps, from before the dwell to after it.
 
-        It begins before the end of the dwell that this one follows.
+        It begins before the end of the dwell that this one follows; a played bag that begins anew is elsewhere.
 
         Raises:
             Rejected: it does not cover the dwell yet.
@@ -388,10 +388,10 @@ class HeightAdjuster(DwellStage):
         image, start_ns = dwell[0].image, dwell[0].stamp_ns
         delay_ns = _delay_ns(image)
         end_ns = start_ns + round(1e9 * _length_s(image, sensor))
-        since_ns = self._supplied_ns if 0 <= start_ns - self._supplied_ns <= BETWEEN_NS else start_ns
-        states = self._history.around(since_ns + delay_ns, end_ns + delay_ns)
+        follows = 0 <= start_ns - self._supplied_ns <= BETWEEN_NS and image.dwell > self._supplied_dwell
+        states = self._history.around((self._supplied_ns if follows else start_ns) + delay_ns, end_ns + delay_ns)
         if states:
-            self._supplied_ns = end_ns
+            self._supplied_ns, self._supplied_dwell = end_ns, image.dwell
             return [_supplied(state, delay_ns) for state in states]
         self._needed_ns = end_ns + delay_ns
         raise Rejected(
@@ -436,7 +436,7 @@ class HeightAdjuster(DwellStage):
 
     def forget(self) -> None:
         """Forget odometry, and the dwells so far."""
-        self._history, self._supplied_ns = OdometryHistory(ODOMETRY_HELD_S), 0
+        self._history, self._supplied_ns, self._supplied_dwell = OdometryHistory(ODOMETRY_HELD_S), 0, 0
         super().forget()
 
     def forget_results(self) -> int:

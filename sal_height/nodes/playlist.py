@@ -160,6 +160,9 @@ def _air_during(topic: str, samples: list[tuple[int, bytes]], dwell_ns: int, beg
 
 
 def _period(dwells: list[int], odometry: list[int]) -> int:
-    """Time after which the list may begin anew: a dwell after the last one, and after all odometry."""
-    interval = round(float(np.median(np.diff(dwells)))) if len(dwells) > 1 else 0
+    """Time after which the list may begin anew: a dwell after the last one, and after all odometry.
+
+    That is the longest time between dwells of the bag, as the platform turns between its passes.
+    """
+    interval = max(np.diff(dwells).tolist(), default=0)
     return max(dwells[-1] - dwells[0] + interval, odometry[-1] - odometry[0] + 1)

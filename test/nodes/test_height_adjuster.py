@@ -304,6 +304,21 @@ def test_an_image_of_a_strip_that_lies_nowhere_is_passed_on_as_it_is(graph: Grap
     assert "pose_error" in messages.stages_of(moved.provenance.parameters)["height_adjuster"]
 
 
+def test_a_bag_that_is_played_again_is_adjusted_from_its_first_dwell_on(
+    adjusting: Adjusting, flown: FlownHeights
+) -> None:
+    """At once the platform is where the flight began: no odometry tells of the way there."""
+    adjusting.fly(flown, [0, 1, 2])
+    end_ns = messages.to_ns(flown.odometry[2][-1].header.stamp)
+    shift_ns = end_ns + 1 - messages.to_ns(flown.odometry[0][0].header.stamp)
+    image, odometry = copy.deepcopy((flown.images[0], flown.odometry[0]))
+    for one in (image, *odometry):
+        one.header.stamp = messages.to_stamp(messages.to_ns(one.header.stamp) + shift_ns)
+    again = adjusting.feed(image, odometry)
+    assert adjusting.counted("ignored.") == {}
+    assert "pose_error" in messages.stages_of(again.provenance.parameters)["height_adjuster"]
+
+
 @pytest.mark.parametrize("length", [0.0, -1.0, math.nan, math.inf, 1e9])
 def test_an_aperture_that_takes_no_time_or_too_long_is_refused(
     adjusting: Adjusting, flown: FlownHeights, length: float

@@ -15,7 +15,7 @@ from sal_height.bag.reader import BagReader
 from sal_height.bag.stamps import stamp_ns_of
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
-from sal_height.nodes.playlist import FRAMES, ODOMETRY, Playlist, restamped
+from sal_height.nodes.playlist import FRAMES, ODOMETRY, Playlist, _period, restamped
 
 BAG = Path(__file__).parents[2] / "bags" / "version_2"
 
@@ -81,6 +81,15 @@ def test_repetitions_do_not_overlap(playlist: Playlist) -> None:
     assert playlist.period_ns >= 2 * 11_625_000
     assert playlist.period_ns > odometry[-1] - odometry[0]
     assert playlist.dwell_rate_hz == pytest.approx(2e9 / playlist.period_ns)
+
+
+@pytest.mark.parametrize(
+    ("starts_s", "period_s"), [([0.0], 1.0), ([0.0, 2.0, 4.0], 6.0), ([0.0, 2.0, 30.0, 32.0], 60.0)]
+)
+def test_passes_begin_anew_after_a_turn(starts_s: list[float], period_s: float) -> None:
+    """The platform is at the other end of its flight then, as it is between passes."""
+    starts = [round(1e9 * start) for start in starts_s]
+    assert _period(starts, [0, starts[-1] + 999_999_999]) == round(1e9 * period_s)
 
 
 def test_a_bag_that_takes_too_much_memory_is_refused() -> None:

@@ -20,7 +20,7 @@ from scipy.ndimage import maximum_filter
 from sal_height.beams import Beams
 from sal_height.errors import Rejected, UserError
 from sal_height.imaging import Slc
-from sal_height.movers.drive import Drive, Drives, OutOfFocus
+from sal_height.movers.drive import Drive, Drives, is_in_focus
 from sal_height.movers.ground import ground_lag, spectra_of_image
 from sal_height.movers.mover import Looked, Mover, Sighting, mover_of, peak_of, without_ambiguities
 from sal_height.movers.search import Search, Seen
@@ -189,10 +189,7 @@ class _Looking:
             return []
         row, walk = walked.row if walks else seen.row, (walked.speed, walked.sigma)
         search, along = self.search, None
-        try:
-            drive = self.drives.look(self.of_rows.spectra(row, walked.speed if walks else 0.0), elevation[0])
-        except OutOfFocus:
-            return []
+        drive = self.drives.look(self.of_rows.spectra(row, walked.speed if walks else 0.0), elevation[0])
         if drive:
             # A Doppler frequency is that of a greater aspect, and of a time that is later, than of what stands still.
             search = replace(search, bins=search.bins.slowed(drive.share))
@@ -200,6 +197,8 @@ class _Looking:
             if focused is None:
                 return []
             (seen, elevation), along = focused, drive.along
+        if not is_in_focus(search, seen.spectra, elevation[0]):
+            return []
         walk = drive.slowed(walk) if drive and drive.along else self.drives.blurred(walk)
         lag, sigma = peak_of(seen.told, search.lags)
         own = lag - self.ground[0], float(np.hypot(sigma, self.ground[1]))

@@ -7,13 +7,12 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from sal_height.bag.codec import typestore
 from sal_height.bag.definitions import installed_definition
 from sal_height.bag.files import ACCOUNT, PARAMETERS, parameters_file
 from sal_height.bag.findings import Finding, error, some, warning
 from sal_height.bag.index import FileIndex
+from sal_height.bag.metadata_text import read_yaml
 from sal_height.bag.parameter_events import PARAMETER_EVENTS
 from sal_height.bag.reader import BagReader, Topic
 from sal_height.bag.topics import HEIGHT_TYPE, IMAGE_TYPE, RELIEF_TYPE
@@ -38,7 +37,7 @@ def check_metadata(path: Path, indexes: list[FileIndex]) -> Iterator[Finding]:
     unlisted = sorted({file.name for file in path.glob("*.mcap")} - {index.path.name for index in indexes})
     if unlisted:
         yield warning(f"File metadata.yaml of bag {path} does not list {some(unlisted)}, which lie beside it.", fix)
-    information = yaml.safe_load((path / "metadata.yaml").read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+    information = read_yaml((path / "metadata.yaml").read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
     try:
         stated, found = _stated(information), _found(indexes)
     except (KeyError, TypeError, AttributeError) as wrong:

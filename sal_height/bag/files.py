@@ -18,6 +18,7 @@ from rclpy.qos import QoSProfile
 
 from sal_height.bag import qos
 from sal_height.bag.definitions import Definition
+from sal_height.bag.metadata_text import read_yaml
 from sal_height.errors import UserError
 
 # How a file ends: start of the summary, start of the summary offsets, checksum from the former up to here; magic.
@@ -151,7 +152,7 @@ def stored_as(metadata: Path) -> tuple[str, str, list[str]]:
 @lru_cache(maxsize=16)
 def _content(text: str) -> Any:
     """Plain data of a YAML text, which nobody changes: of a bag that is opened, it is asked for several times."""
-    return yaml.safe_load(text)
+    return read_yaml(text)
 
 
 def _listed_files(metadata: Path) -> list[str]:

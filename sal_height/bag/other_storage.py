@@ -6,12 +6,12 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
-import yaml
 from rclpy.qos import QoSProfile
 
 from sal_height.bag import qos
 from sal_height.bag.definitions import Definition, installed_definition
 from sal_height.bag.files import stored_as
+from sal_height.bag.metadata_text import read_yaml, yaml_text
 from sal_height.bag.topics import BagMessage, Topic
 from sal_height.bag.versions import current_name, needs_upgrade
 from sal_height.errors import UserError
@@ -107,10 +107,10 @@ def _profiles(path: Path) -> dict[str, tuple[QoSProfile, ...]]:
     metadata = path / "metadata.yaml"
     if not metadata.is_file():
         return {}
-    information = yaml.safe_load(metadata.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+    information = read_yaml(metadata.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
     found = {}
     for entry in information["topics_with_message_count"]:
         profiles = entry["topic_metadata"].get("offered_qos_profiles") or ""
-        text = profiles if isinstance(profiles, str) else yaml.safe_dump(profiles)
+        text = profiles if isinstance(profiles, str) else yaml_text(profiles)
         found[entry["topic_metadata"]["name"]] = tuple(qos.from_yaml(text))
     return found

@@ -10,6 +10,7 @@ import yaml
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 
+from sal_height.bag.metadata_text import read_yaml, yaml_text
 from sal_height.errors import UserError
 
 
@@ -33,7 +34,7 @@ def to_dicts(profiles: Iterable[QoSProfile]) -> list[dict[str, Any]]:
 
 def to_yaml(profiles: Iterable[QoSProfile]) -> str:
     """Profiles as the text that a channel's metadata holds under ``offered_qos_profiles``."""
-    return yaml.safe_dump(to_dicts(profiles), sort_keys=False)
+    return yaml_text(to_dicts(profiles), sort_keys=False)
 
 
 def from_yaml(text: str) -> list[QoSProfile]:
@@ -47,7 +48,7 @@ def from_yaml(text: str) -> list[QoSProfile]:
 @lru_cache(maxsize=64)
 def _entries(text: str) -> list[dict[str, Any]]:
     """Profiles of a text as plain data, which nobody changes: most topics of most bags have one of a few texts."""
-    return yaml.safe_load(text) or []
+    return read_yaml(text) or []
 
 
 def _profile(entry: dict[str, Any]) -> QoSProfile:

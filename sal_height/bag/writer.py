@@ -11,12 +11,12 @@ from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, NamedTuple, Self
 
-import yaml
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from sal_height.bag import qos as qos_text
 from sal_height.bag.definitions import Definition, installed_definition
 from sal_height.bag.file_writer import NO_TIME, FileWriter, Written, WrittenTopic
+from sal_height.bag.metadata_text import yaml_text
 from sal_height.errors import UserError
 
 METADATA_VERSION = 9
@@ -226,14 +226,14 @@ class BagWriter:
         return FileWriter(path, self._packing.compression, self._custom_data, repeated)
 
     def _finish_file(self, records: Mapping[str, Mapping[str, str]]) -> None:
-        metadata = yaml.safe_dump(self._metadata([self._file.written]), sort_keys=False)
+        metadata = yaml_text(self._metadata([self._file.written]), sort_keys=False)
         self._file.finish({**records, "rosbag2": {"serialized_metadata": metadata}})
         self._finished.append(self._file.written)
 
     def _write_metadata(self) -> None:
         information = {"rosbag2_bagfile_information": self._metadata(self._finished)}
         unfinished = self.directory / "metadata.yaml.tmp"
-        unfinished.write_text(yaml.safe_dump(information, sort_keys=False))
+        unfinished.write_text(yaml_text(information, sort_keys=False))
         unfinished.replace(self.directory / "metadata.yaml")
 
     def _metadata(self, files: Sequence[Written]) -> dict[str, Any]:

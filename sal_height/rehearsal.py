@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Hashable, Iterable
 from dataclasses import replace
+from threading import Lock
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -24,6 +25,29 @@ SHARES = (0.1, 0.3, 0.3, 0.3)
 
 POWER = 1000.0
 """Of each scatterer over the noise."""
+
+MOST_REMEMBERED = 16
+"""Rehearsals of a process that are known to have been: more might have thrown their tables away."""
+
+_LATEST: dict[Hashable, None] = {}
+_LOCK = Lock()
+
+
+def once(rehearsal: Hashable, rehearse: Callable[[], object]) -> None:
+    """Rehearse, unless this process has done it lately, as where a run follows another one in a notebook.
+
+    Args:
+        rehearsal: what it depends on.
+        rehearse: does it; what it raises is raised, and then it was none.
+    """
+    with _LOCK:
+        if rehearsal in _LATEST:
+            return
+    rehearse()
+    with _LOCK:
+        _LATEST[rehearsal] = None
+        if len(_LATEST) > MOST_REMEMBERED:
+            del _LATEST[next(iter(_LATEST))]
 
 
 def rehearsed_slc(

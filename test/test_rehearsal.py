@@ -3,15 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from rclpy.parameter import Parameter
 
 from sal_height.beams import Beams
 from sal_height.elevation import ESTIMATORS, ElevationEstimate, ElevationEstimator, HeightSettings, Looks, Validity
 from sal_height.imaging import ImageSettings
+from sal_height.nodes.graph import Graph
+from sal_height.nodes.height import HEIGHT_NODES
+from sal_height.nodes.sar_compression import SarCompression
 from sal_height.pipeline import Compressor, heights
-from sal_height.rehearsal import made_up_heights, rehearse_adjustment, rehearse_heights, rehearsed_slc, with_scatterers
+from sal_height.rehearsal import (
+    MOST_REMEMBERED,
+    made_up_heights,
+    once,
+    rehearse_adjustment,
+    rehearse_heights,
+    rehearsed_slc,
+    with_scatterers,
+)
 from sal_height.relief import PriorEstimate, track
 from sal_height.simulation import load_preset
 
@@ -70,3 +83,49 @@ def test_made_up_heights_can_be_tracked() -> None:
     assert np.all(tracked.validity == Validity.OK)
     assert np.std(tracked.first.height) < np.std(field.first.height)
     assert prior.sigma > 0
+
+
+def test_what_was_rehearsed_lately_is_not_again() -> None:
+    done: list[str] = []
+
+    def rehearse(name: str) -> None:
+        done.append(name)
+        if name == "fails":
+            raise ValueError(name)
+
+    for name in ("a", "b", "a", "b"):
+        once(("test", name), lambda name=name: rehearse(name))
+    for _ in range(2):
+        with pytest.raises(ValueError, match="fails"):
+            once(("test", "fails"), lambda: rehearse("fails"))
+    assert done == ["a", "b", "fails", "fails"]
+    for number in range(MOST_REMEMBERED):
+        once(("test", number), lambda: None)
+    once(("test", "a"), lambda: rehearse("a"))
+    assert done[4:] == ["a"]
+
+
+@pytest.mark.parametrize(
+    ("node", "work"),
+    [
+        (SarCompression, "sal_height.nodes.sar_compression.rehearsed_slc"),
+        (HEIGHT_NODES["ml_height"], "sal_height.nodes.height.rehearse_heights"),
+    ],
+)
+def test_nodes_rehearse_once_for_a_sensor_and_their_parameters(
+    node: Any, work: str, graph: Graph, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[str] = []
+    monkeypatch.setattr(work, lambda *_: done.append("rehearsed"))
+    preset = load_preset("small")
+    sensors = [replace(preset, sensor=replace(preset.sensor, pulse_count=n)).make_sensor() for n in (33, 35)]
+    nodes = [graph.add(node(context=graph.context)) for _ in range(2)]
+    for sensor in sensors:
+        for one in nodes:
+            one.rehearse(sensor)
+    assert len(done) == len(sensors)
+    names = ("min_cnr_db", "max_odometry_gap_s")
+    name = next(name for name in names if nodes[0].has_parameter(name))
+    assert nodes[0].set_parameters([Parameter(name, value=7.0)])[0].successful
+    nodes[0].rehearse(sensors[0])
+    assert len(done) == len(sensors) + 1

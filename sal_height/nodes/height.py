@@ -24,7 +24,7 @@ from sal_height.nodes.image_stage import ImageStage
 from sal_height.nodes.program import run_node
 from sal_height.nodes.stage import height_topics
 from sal_height.pipeline import heights_of_dwells, live_channels
-from sal_height.rehearsal import rehearse_heights
+from sal_height.rehearsal import once, rehearse_heights
 from sal_height.relief import HeightField
 from sal_height.sensor import Sensor
 
@@ -70,7 +70,10 @@ class HeightNode(ImageStage):
     def rehearse(self, sensor: Sensor) -> None:
         """Estimate the heights of made-up images."""
         estimators = [(self.estimator, self.current_parameters())]
-        rehearse_heights(sensor, ImageSettings(), estimators, np.random.default_rng(0))
+        once(
+            (sensor.digest, *estimators),
+            lambda: rehearse_heights(sensor, ImageSettings(), estimators, np.random.default_rng(0)),
+        )
 
     def process(self, images: list[ReceivedImage], sensor: Sensor, calibration: Calibration | None) -> int:
         """Estimate the heights of a dwell and publish them."""

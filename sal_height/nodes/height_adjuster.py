@@ -58,7 +58,7 @@ from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
 from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS, SENSOR_TOPICS, height_topics, payload_bytes
 from sal_height.numeric import F64
-from sal_height.rehearsal import rehearse_adjustment
+from sal_height.rehearsal import once, rehearse_adjustment
 from sal_height.relief import HeightField
 from sal_height.sensor import Sensor
 from sal_height.settings import setting, settings_of
@@ -356,7 +356,7 @@ class HeightAdjuster(DwellStage):
 
     def rehearse(self, sensor: Sensor) -> None:
         """Adjust made-up heights."""
-        rehearse_adjustment(sensor, np.random.default_rng(0))
+        once(sensor.digest, lambda: rehearse_adjustment(sensor, np.random.default_rng(0)))
 
     def decode(self, cdr: bytes) -> ReceivedHeights:
         """The heights that these bytes are."""

@@ -40,7 +40,7 @@ from sal_height.nodes.stage import IMAGES, LATCHED_QOS, ODOMETRY_QOS, SENSOR_TOP
 from sal_height.nodes.static_frames import StaticFrames
 from sal_height.nodes.transforms import TF_STATIC, TF_STATIC_QOS, TFMessage
 from sal_height.pipeline import Compressor
-from sal_height.rehearsal import rehearsed_slc
+from sal_height.rehearsal import once, rehearsed_slc
 from sal_height.sensor import Sensor
 from sal_height.settings import setting
 
@@ -222,7 +222,11 @@ class SarCompression(DwellStage):
 
     def rehearse(self, sensor: Sensor) -> None:
         """Compress made-up dwells."""
-        rehearsed_slc(sensor, self.current_parameters(), Compressor(), np.random.default_rng(0))
+        settings = self.current_parameters()
+        once(
+            (sensor.digest, settings),
+            lambda: rehearsed_slc(sensor, settings, Compressor(), np.random.default_rng(0)),
+        )
 
     def forget(self) -> None:
         """Forget odometry, unfinished dwells, and the strip that dwells are blocks of."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import os
 import signal
@@ -28,6 +29,12 @@ from sal_height.nodes.graph import Graph
 
 # A first start tells that it compiles; tests look at what else is told.
 logging.getLogger("sal_height.numeric.jit").setLevel(logging.ERROR)
+
+
+def pytest_collection_finish() -> None:
+    """What all modules have made stays to the end: the collector looks at it no more, nor do forked processes."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -41,13 +41,13 @@ LEAST_RATE = 0.02
 
 KILLED = "sar_compression"
 KILLS = sized(3, 1)
-FIRST_S, EVERY_S = sized((10.0, 14.0), (3.0, 7.0))
+FIRST_S, EVERY_S = sized((10.0, 14.0), (1.0, 5.0))
 
-PASSES_S = 2.0
+PASSES_S = sized(2.0, 0.5)
 """How long another program is in the domain before it kills the compression and ends without leaving: the new process
 takes its ports."""
 
-BACK_S, SEEN_S = sized((7.0, 5.0), (2.0, 3.0))
+BACK_S, SEEN_S = sized((7.0, 5.0), (2.0, 2.0))
 """From a kill until heights are counted, and how long they are. The last start comes 2 s after the end."""
 
 

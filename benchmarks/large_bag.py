@@ -18,7 +18,7 @@ from sal_height.nodes.playlist import FRAMES, ODOMETRY, restamped
 from sal_height.runs.sensor_bag import record_sensor
 from sal_height.simulation import load_preset
 
-BYTES = sized(4_000_000_000, 5_000_000)
+BYTES = sized(4_000_000_000, 1_200_000)
 
 PRESET, DWELLS = sized(("sal_spotlight", 60), ("small", 3))
 

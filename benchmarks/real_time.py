@@ -29,11 +29,11 @@ PRESETS = sized(("sal_spotlight", "sal_stripmap", "xband_relief", "xband_sumdiff
 ENDURANCE = sized("sal_spotlight", "small")
 
 DWELLS = sized(32, 2)
-SECONDS = sized(20.0, 2.0)
+SECONDS = sized(20.0, 1.2)
 CORE_SECONDS = sized(10.0, 0.2)
 LATENCY_SECONDS = sized(60.0, 2.0)
-ENDURANCE_SECONDS = sized(600.0, 3.0)
-MINUTE_S = sized(60.0, 1.0)
+ENDURANCE_SECONDS = sized(600.0, 2.0)
+MINUTE_S = sized(60.0, 0.6)
 
 ENDURING = sized(Nodes.SEPARATE, Nodes.TOGETHER)
 """What processes the graph consists of whose endurance is measured."""

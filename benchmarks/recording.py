@@ -51,8 +51,11 @@ WRITTEN_BYTES = sized(500_000_000, 10_000)
 
 LARGE_BYTES = sized(10_000_000_000, 10_000)
 
-RATE_MB_S, RECORDED_S, SETTLED_S = sized((200.0, 60.0, 10.0), (1.0, 1.0, 0.5))
+RATE_MB_S, RECORDED_S, SETTLED_S = sized((200.0, 60.0, 10.0), (1.0, 0.4, 0.2))
 """What is recorded, for how long, and after what time memory is first looked at."""
+
+LAST_S = sized(2.0, 0.2)
+"""In which what is still on the way gets there."""
 
 DWELLS = sized(40, 3)
 """Dwells that are replayed."""
@@ -174,7 +177,7 @@ def _publish(domain: int, size: int, rate_mb_s: float, seconds: float) -> None:
             count += 1
         sys.stdout.write(f"{count}\n")
         sys.stdout.flush()
-        graph.spin_for(2.0)  # what is still on the way gets there
+        graph.spin_for(LAST_S)
 
 
 def _write_bare(folder: Path, cdr: bytes, count: int) -> None:

@@ -21,7 +21,7 @@ from sal_height.runs.simulate import Flown, fly
 from sal_height.simulation import load_preset
 from sal_height.simulation.preset import Passes
 
-DWELLS = 15
+PASSES, DWELLS = 2, 10
 
 
 @pytest.fixture(scope="module")
@@ -31,9 +31,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def flown(folder: Path) -> Flown:
-    """Three passes of five dwells, with all errors of sal_realistic."""
+    """Two passes of five dwells, with all errors of sal_realistic."""
     preset = load_preset("sal_passes")
-    flight = replace(preset.flight, passes=Passes(3, 120.0))
+    flight = replace(preset.flight, passes=Passes(PASSES, 120.0))
     preset = replace(preset, dwells=DWELLS, flight=flight, estimators=("ml", "adjusted"))
     return fly(preset, 2, folder / "run", {}, Execution(record=("slc",)))
 
@@ -51,7 +51,7 @@ def test_the_heights_of_a_run_come_together(flown: Flown, folder: Path) -> None:
     parts = {one.name for one in images[-1].provenance.parameters}
     assert {"height_adjuster.pose_error", "sar_compression.placement.speed"} <= parts
     topics = BagReader(folder / "run" / "bag").topics
-    assert topics["/adjusted/odometry"].count >= 2 * 3
+    assert topics["/adjusted/odometry"].count >= 2 * PASSES
     account = flown.outcome.stages["relief_mapper"]
     assert account.received == DWELLS
 

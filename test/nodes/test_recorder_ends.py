@@ -1,6 +1,6 @@
 """Recorders that are killed, and disks that fill up or vanish: what was written stays, and what is lost is said.
 
-Six recorders are killed; SAL_HEIGHT_KILLS sets another number.
+Three recorders are killed; SAL_HEIGHT_KILLS sets another number.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from sal_height.bag.salvage import salvage
 from sal_height.nodes.graph import Graph
 
 TIMEOUT_S = 60.0
-KILLS = int(os.environ.get("SAL_HEIGHT_KILLS", "6"))
+KILLS = int(os.environ.get("SAL_HEIGHT_KILLS", "3"))
 AT_ONCE = 6
 FLUSH_S = 0.3
 LATE_S = 0.3

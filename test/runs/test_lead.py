@@ -73,7 +73,7 @@ def test_the_next_dwell_is_asked_for_when_all_nodes_are_done_with_all_but_the_la
 
 def test_a_dwell_that_waits_for_a_frame_is_not_overtaken(two_dwells: Preset, tmp_path: Path) -> None:
     """Heights, tracked ones too, and their order are those of a replay step by step."""
-    whole = record_sensor(dataclasses.replace(two_dwells, dwells=9), 3, tmp_path / "whole")
+    whole = record_sensor(dataclasses.replace(two_dwells, dwells=6), 3, tmp_path / "whole")
     bag = rewritten(
         whole,
         tmp_path / "lacking",
@@ -85,7 +85,7 @@ def test_a_dwell_that_waits_for_a_frame_is_not_overtaken(two_dwells: Preset, tmp
     separate_processes.replayed(bag, made[1], *(f"--param=sar_compression.{name}={proceed[name]}" for name in proceed))
     bags = [BagReader(folder / "bag") for folder in made]
     compared = compare_bags(*bags, topics=HEIGHTS)
-    assert {topic: (one.verdict, one.matched) for topic, one in compared.items()} == dict.fromkeys(HEIGHTS, (EQUAL, 9))
+    assert {topic: (one.verdict, one.matched) for topic, one in compared.items()} == dict.fromkeys(HEIGHTS, (EQUAL, 6))
     order = [
         [reader.decode(one.type_name, one.cdr).dwell for one in reader.messages(["/ml/height"])] for reader in bags
     ]

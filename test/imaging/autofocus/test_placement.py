@@ -91,15 +91,15 @@ def test_sum_is_divided_as_navigation_states_its_parts() -> None:
 
 
 def test_parts_are_those_of_drawn_errors() -> None:
-    """40 000 draws, few or nearly all of them wrapped: errors of place have the standard deviation stated, to 3 %.
+    """10 000 draws, few or nearly all of them wrapped: errors of place have the standard deviation stated, to 3 %.
 
     The lit ground is where the velocity, and as many ambiguities as were wrapped, have it.
     """
     rng = np.random.default_rng(1)
     for speed, pointing in ((0.003, 2e-5), (0.01, 1e-4), (0.012, 3e-4), (0.03, 8.7e-3)):
         prior = NavigationPrior(speed, pointing, SPEED)
-        drawn = np.stack([speed * rng.standard_normal(40_000), SPEED * pointing * rng.standard_normal(40_000)])
-        found = drawn.sum(axis=0) + 1e-4 * rng.standard_normal(40_000)
+        drawn = np.stack([speed * rng.standard_normal(10_000), SPEED * pointing * rng.standard_normal(10_000)])
+        found = drawn.sum(axis=0) + 1e-4 * rng.standard_normal(10_000)
         wraps = np.round(found / AMBIGUITY) * AMBIGUITY
         placed = [placed_by_centroid(Centroid(one, 1e-4), prior, AMBIGUITY) for one in (found - wraps).tolist()]
         error = np.array([one.speed for one in placed]) + wraps - drawn[0]
@@ -109,14 +109,14 @@ def test_parts_are_those_of_drawn_errors() -> None:
 
 @pytest.mark.parametrize(("speed", "pointing"), [(0.005, 0.0), (0.003, 6e-5)])
 def test_own_errors_are_those_that_differ_from_dwell_to_dwell(speed: float, pointing: float) -> None:
-    """20 000 dwells of one error of navigation, each with its own vibration and centroid: the deviation is that stated.
+    """10 000 dwells of one error of navigation, each with its own vibration and centroid: the deviation is that stated.
 
-    To 3 %, six times its Monte Carlo error.
+    To 3 %, four times its Monte Carlo error.
     """
     rng, error, vibration = np.random.default_rng(3), 1e-3, 2e-3
     prior = NavigationPrior(speed, pointing, SPEED)
-    moved = 1.2 * speed + vibration * rng.standard_normal(20_000)
-    found = moved - 0.7 * SPEED * pointing + error * rng.standard_normal(20_000)
+    moved = 1.2 * speed + vibration * rng.standard_normal(10_000)
+    found = moved - 0.7 * SPEED * pointing + error * rng.standard_normal(10_000)
     placed = [placed_by_centroid(Centroid(one, error, vibration), prior, AMBIGUITY) for one in found.tolist()]
     left = np.array([one.speed for one in placed]) - moved
     assert np.std(left) == pytest.approx(placed[0].own_error, rel=0.03)

@@ -97,7 +97,7 @@ def spun_until(graph: Graph, condition: Callable[[], bool]) -> bool:
 def test_top_shows_the_nodes_of_a_domain(graph: Graph, domain_id: int) -> None:
     for make in (SarCompression, ReliefTracker):
         graph.add(make(context=graph.context))
-    words = [sys.executable, "-m", "sal_height", "top", "--domain", str(domain_id), "--seconds", "4"]
+    words = [sys.executable, "-m", "sal_height", "top", "--domain", str(domain_id), "--seconds", "3"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as program:  # noqa: S603
         assert spun_until(graph, lambda: program.poll() is not None)
         said, errors = program.communicate()

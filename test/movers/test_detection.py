@@ -337,6 +337,19 @@ def test_the_smear_of_a_point_is_found(smear: float) -> None:
     assert drives.look(rng.standard_normal(beam.shape) + 1j * rng.standard_normal(beam.shape), elevation) is None
 
 
+def test_what_autofocus_leaves_in_blocks_is_in_the_velocity_and_the_place() -> None:
+    """A tenth of a beamwidth, which the image of a target does not show."""
+    flight, images = strip(0, mover(5e-3, 30.0, EAST + 0.5))
+    placed = [replace(slc, placement=replace(slc.placement, beams_error=1e-6)) for slc in images]
+    (alone,), (left,) = (
+        [one for slc in seen for one in movers(slc, flight.sensor, MoverSettings()).movers] for seen in (images, placed)
+    )
+    of_blocks = 0.1 * flight.sensor.beams.track_beamwidth * 50.0
+    assert left.velocity_sigma == pytest.approx(np.hypot(alone.velocity_sigma, of_blocks), rel=0.01)
+    added = 100.0 * of_blocks  # of the place along the flight, by range over speed
+    assert np.sqrt(left.covariance[0, 0] - alone.covariance[0, 0]) == pytest.approx(added, rel=0.05)
+
+
 @pytest.mark.parametrize(("smear", "focused"), [(0.0, True), (1.0, True), (40.0, False)])
 def test_what_has_not_the_image_of_a_point_is_out_of_focus(smear: float, focused: bool) -> None:
     """A point is smeared over 40 cells, of which 32 pixels show 23."""

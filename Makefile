@@ -102,7 +102,7 @@ test:
 
 # Three workers for two processors: tests of nodes and programs wait half of their time.
 tests:
-	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest --numprocesses 3 --dist loadfile
+	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest --numprocesses 3
 
 # Beside the tests, which keep the processors busy: slowly, and with much time for each dwell. The file has what the nodes
 # say of the faults.

@@ -25,7 +25,7 @@ from sal_height.numeric import WORKERS
 from sal_height.runs.sensor_bag import record_sensor
 from sal_height.simulation import load_preset
 
-PRESETS = sized(("sal_spotlight", "sal_stripmap", "xband_relief", "xband_sumdiff"), ("small",))
+PRESETS = sized(("sal_spotlight", "sal_stripmap", "sal_realistic", "xband_relief", "xband_sumdiff"), ("small",))
 ENDURANCE = sized("sal_spotlight", "small")
 
 DWELLS = sized(32, 2)

@@ -31,31 +31,6 @@ from sal_height.nodes.graph import Graph
 logging.getLogger("sal_height.numeric.jit").setLevel(logging.ERROR)
 
 
-LONG = (
-    "test_adjust_strips.py",
-    "test_adjusted_run.py",
-    "test_bad_input.py",
-    "test_benchmarks.py",
-    "test_figures.py",
-    "test_foreign_clients.py",
-    "test_gotcha_autofocus.py",
-    "test_hosts.py",
-    "test_notebooks.py",
-    "test_readme.py",
-    "test_recorder_ends.py",
-    "test_replay.py",
-    "test_supervisor.py",
-    "test_tutorials.py",
-)
-"""Files that take half a minute or have few tests that take long: they begin first, so that no process waits for one
-of them at the end."""
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the tests of the files that take long before the others, which stay in their order."""
-    items.sort(key=lambda item: item.path.name not in LONG)
-
-
 def pytest_collection_finish() -> None:
     """What all modules have made stays to the end: the collector looks at it no more, nor do forked processes."""
     gc.collect()

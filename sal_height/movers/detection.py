@@ -206,7 +206,7 @@ class _Looking:
             (seen, elevation), along = focused, drive.along
         if not is_in_focus(search, seen.spectra, elevation[0]):
             return []
-        walk = drive.slowed(walk) if drive and drive.along else self.drives.blurred(walk)
+        walk = drive.slowed(walk) if drive else self.drives.blurred(walk)
         lag, sigma = peak_of(seen.told, search.lags)
         own = lag - self.ground[0], float(np.linalg.norm([sigma, self.ground[1], self._left_in_blocks]))
         sighting = Sighting(row, seen.col, seen.cnr, elevation, own, walk, walks, ratio, along)

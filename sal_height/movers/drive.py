@@ -10,8 +10,8 @@ cells along the flight, rho being the range (Raney, IEEE Trans. AES 7, 1971). Th
 tells u, and where the image is.
 
 Where autofocus has placed one block after the other, each with an error of its own, the image of what stands still is
-smeared, too. A smear that may come from that tells no velocity, and the times at which Doppler frequencies are seen,
-by which a target walks, are as unsure.
+smeared, too, by up to 40 cells where bright targets move. A smear tells no velocity then, and the times at which
+Doppler frequencies are seen, by which a target walks, are as unsure.
 """
 
 from __future__ import annotations
@@ -52,9 +52,6 @@ SMEAR_ERROR = 1.0
 SMEAR_OF_BLOCKS = 2 * np.sqrt(2)
 """Smear by errors of the places of blocks, over that of one: each half of the aperture lies in another block."""
 
-SURE = 5.0
-"""Standard deviations of the smear of the whole image from which a target's own is told from it."""
-
 
 @dataclass(frozen=True, eq=False)
 class Drive:
@@ -62,12 +59,14 @@ class Drive:
 
     Attributes:
         along: velocity along the flight, and its standard deviation, m/s; None: the whole image may be out of focus.
+        smear: that has been taken out, over n (see above).
         speed: of the platform, m/s.
         col: of its image in focus.
         row: the row, or what the walk makes of it, in focus, shape (channels, cols).
     """
 
     along: tuple[float, float] | None
+    smear: float
     speed: float
     col: int
     row: C128
@@ -79,7 +78,7 @@ class Drive:
 
     def slowed(self, walk: tuple[float, float]) -> tuple[float, float]:
         """The walk and its standard deviation, m/s, that look so where Doppler frequencies change with the platform."""
-        unsure = 2 * self.share * self.along[1] / self.speed if self.along else 0.0
+        unsure = 2 * self.share * self.along[1] / self.speed if self.along else self.smear
         return self.share**2 * walk[0], float(np.hypot(self.share**2 * walk[1], unsure * walk[0]))
 
 
@@ -140,10 +139,10 @@ class Drives:
         if rate <= 0:
             return None
         along, per_cell = self.speed * (1 - rate**-0.5), self.speed * rate**-1.5 / (2 * self.cells)
-        told = (along, per_cell * float(np.hypot(SMEAR_ERROR, self.blur))) if abs(smear) > SURE * self.blur else None
+        told = None if self.blur else (along, per_cell * SMEAR_ERROR)
         col = bins.pixels // 2 + round(place * bins.cell)
         in_focus = spectra.T * np.exp(-1j * np.pi * smear * bins.frequencies**2)
-        return Drive(told, self.speed, col, bins.image(in_focus))
+        return Drive(told, smear / self.cells, self.speed, col, bins.image(in_focus))
 
 
 def is_in_focus(search: Search, spectra: C128, elevation: float) -> bool:

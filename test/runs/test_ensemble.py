@@ -73,7 +73,7 @@ def ended_run(out: Path, number: signal.Signals) -> Ended:
     with subprocess.Popen(  # noqa: S603
         [sys.executable, "-m", "sal_height", *words], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as program:
-        wait_for(lambda: bag.is_file() and bag.stat().st_size > 150_000)
+        wait_for(lambda: bag.is_file() and bag.stat().st_size > 600_000)
         nodes = {node: Path(f"/proc/{node}/comm").read_text().strip() for node in children(program.pid)}
         program.send_signal(number)
         _, log = program.communicate(timeout=60)

@@ -29,7 +29,7 @@ from sal_height.elevation.estimate import (
     without_imprecise,
     without_saturated,
 )
-from sal_height.elevation.likelihood import OBJECTIVES, peak_elevation, search_guard
+from sal_height.elevation.likelihood import AMBIGUOUS_RATIO, OBJECTIVES, peak_elevation, search_guard
 from sal_height.elevation.look_windows import Window, axis_looks
 from sal_height.elevation.looks import (
     Covariance,
@@ -64,6 +64,7 @@ from sal_height.elevation.search import Objective, PeakSearch, PeakSearches, Pix
 from sal_height.elevation.settings import MISFIT_SHARE, HeightSettings
 
 __all__ = [
+    "AMBIGUOUS_RATIO",
     "DISCRIMINANTS",
     "ESTIMATORS",
     "MEASURED",

@@ -12,6 +12,7 @@ against what does not walk, whatever its lag, and there are as many times more h
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -56,12 +57,11 @@ WALK_ROWS = 2.0
 MARGIN = 4
 """Pixels from the edge of an image within which nothing is looked at: its response is cut off."""
 
-
 LAG_OF_BLOCKS = 0.1
 """Standard deviation of the lag by what autofocus leaves within the blocks that it places, beamwidths.
 
-Of 54 movers in strips with the errors of `sal_strips` the lag was off by 0.15 beamwidths (rms), and as stated without
-those errors."""
+Of 56 movers in strips with the errors of `sal_strips` the lag was off by 0.15 beamwidths (rms) and in the median by
+0.04."""
 
 
 def check_sensor(sensor: Sensor) -> None:
@@ -206,9 +206,9 @@ class _Looking:
             (seen, elevation), along = focused, drive.along
         if not is_in_focus(search, seen.spectra, elevation[0]):
             return []
-        walk = drive.slowed(walk) if drive else self.drives.blurred(walk)
+        walk = self.drives.blurred(drive.slowed(walk) if drive else walk)
         lag, sigma = peak_of(seen.told, search.lags)
-        own = lag - self.ground[0], float(np.linalg.norm([sigma, self.ground[1], self._left_in_blocks]))
+        own = lag - self.ground[0], math.hypot(sigma, self.ground[1], self._left_in_blocks)
         sighting = Sighting(row, seen.col, seen.cnr, elevation, own, walk, walks, ratio, along)
         return [mover_of(sighting, self.slc, self.sensor)]
 

@@ -21,6 +21,7 @@ from typing import Self
 
 import numpy as np
 
+from sal_height.elevation import AMBIGUOUS_RATIO
 from sal_height.errors import UserError
 from sal_height.numeric import C64, C128, F64, MEDIAN_ERROR, Bool, vertex
 from sal_height.passes.array import PassArray, Steering
@@ -45,7 +46,9 @@ LEAST_PHASE_ERROR = 0.02  # rad, that points have beside noise at least: none is
 FIXED = 1e9  # weight by which what nothing determines is held
 FIRST_PHASE_ERROR = 0.3  # rad, of the first solution
 LEAST_SHARE = 0.4  # the same, of points that tell whether a pass is in phase with the others
-CONFUSED = np.log(100.0)  # log-likelihood by which points of known height are to be in phase there, not elsewhere
+CONFUSED = np.log(
+    AMBIGUOUS_RATIO
+)  # log-likelihood by which points of known height are to be in phase there, not elsewhere
 SAME_HEIGHT = 0.5  # beamwidths up to which a height is not another one
 OUTLIER = 3.0  # mean square of residuals over their variance, from which on a point is left out
 
@@ -125,6 +128,18 @@ class Candidates:
         number = np.arange(1, self.coefficients.shape[2])
         return np.einsum("ipn,in->ip", self.coefficients[..., 1:], number * offset[:, None] ** (number - 1))
 
+    def in_phase(self, turned: C128, offsets: F64) -> F64:
+        """Power of each point, sum over the passes, that is in phase at offsets (beamwidths), (points, offsets).
+
+        Args:
+            turned: samples without the phases of the passes, (points, passes).
+            offsets: of each point, (points, offsets).
+        """
+        powers = offsets[..., None] ** np.arange(self.coefficients.shape[2])
+        phases = np.einsum("ipn,ijn->ijp", self.coefficients, powers)
+        found = np.abs(np.einsum("ijp,ip->ij", np.exp(-1j * phases), turned)) ** 2
+        return np.asarray(found / turned.shape[1])
+
     def best_offsets(self, turned: C128, reach: F64) -> tuple[F64, F64]:
         """Offsets (beamwidths) at which most of each point's power is in phase, and its share; both (points,).
 
@@ -134,10 +149,7 @@ class Candidates:
         """
         steps = np.linspace(-1.0, 1.0, 2 * int(np.ceil(reach.max() / SEARCH_STEP)) + 1)
         offsets = reach[:, None] * steps
-        powers = offsets[..., None] ** np.arange(self.coefficients.shape[2])
-        phases = np.einsum("ipn,ijn->ijp", self.coefficients, powers)
-        share = np.abs(np.einsum("ijp,ip->ij", np.exp(-1j * phases), turned)) ** 2
-        share /= turned.shape[1] * np.sum(np.abs(turned) ** 2, axis=1)[:, None]
+        share = self.in_phase(turned, offsets) / np.sum(np.abs(turned) ** 2, axis=1)[:, None]
         at = np.clip(np.argmax(share, axis=1), 1, len(steps) - 2)
         every = np.arange(len(at))
         off, _ = vertex(share[every, at - 1], share[every, at], share[every, at + 1])
@@ -428,7 +440,8 @@ def _levelled(state: _Adjusted, points: Candidates, sensitive: F64, reach: F64) 
     """The state raised so that most of the power of the points of known height is in phase at these heights."""
     known = np.isfinite(points.known)
     some = points.of_points(known)
-    lifts, power = _over_lifts(some, state.turned(points, sensitive)[known], float(reach.max()))
+    lifts = _lifts(reach)
+    power = some.in_phase(state.turned(points, sensitive)[known], some.known[:, None] - lifts)
     share = power / np.sum(np.abs(some.samples) ** 2, axis=1)[:, None]
     return _lifted(state, points, float(lifts[np.argmax(share.sum(axis=0))]))
 
@@ -438,8 +451,8 @@ def _rival(state: _Adjusted, known: Candidates, array: PassArray, settings: Pass
 
     Amplitudes that err by `uncertainty` count as noise.
     """
-    turned = state.turned(known, sensitivity(array, known.positions))
-    lifts, power = _over_lifts(known, turned, float(_reach(known, array, settings).max()))
+    lifts = _lifts(_reach(known, array, settings))
+    power = known.in_phase(state.turned(known, sensitivity(array, known.positions)), known.known[:, None] - lifts)
     likelihood = np.sum(power / (1 + uncertainty**2 * known.power)[:, None], axis=0)
     here = np.abs(lifts) <= SAME_HEIGHT
     elsewhere = np.where(here, -np.inf, likelihood)
@@ -448,20 +461,10 @@ def _rival(state: _Adjusted, known: Candidates, array: PassArray, settings: Pass
     return float(lifts[np.argmax(elsewhere)] * np.mean(_climb(known, array)))
 
 
-def _over_lifts(known: Candidates, turned: C128, most: float) -> tuple[F64, F64]:
-    """Lifts of all points (beamwidths), and the power of points of known height in phase at these, (points, lifts).
-
-    Args:
-        known: the points.
-        turned: their samples without what the passes add, (points, passes).
-        most: half of the greatest lift, beamwidths.
-    """
-    lifts = np.arange(-2 * most, 2 * most, LIFT_STEP)
-    offsets = known.known[:, None] - lifts
-    powers = offsets[..., None] ** np.arange(known.coefficients.shape[2])
-    phases = np.einsum("ipn,ijn->ijp", known.coefficients, powers)
-    in_phase = np.abs(np.einsum("ijp,ip->ij", np.exp(-1j * phases), turned)) ** 2
-    return lifts, in_phase / turned.shape[1]
+def _lifts(reach: F64) -> F64:
+    """Lifts of all points that are tried, beamwidths: from one end of their reach to the other."""
+    most = float(reach.max())
+    return np.arange(-2 * most, 2 * most, LIFT_STEP)
 
 
 def _lifted(state: _Adjusted, points: Candidates, lift: float) -> _Adjusted:

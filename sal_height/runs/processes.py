@@ -26,6 +26,9 @@ ONE_THREAD = {"SAL_HEIGHT_THREADS": "1", **ONE_BLAS_THREAD}
 PR_SET_PDEATHSIG, PR_SET_NAME = 1, 15
 """Options of prctl (Linux): the signal that a process gets when the one that started it ends; its name in lists."""
 
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Signals that ask a process to end."""
+
 POLL_S = 0.02
 
 
@@ -108,9 +111,14 @@ class Forked:
         sys.stdout.flush()
         sys.stderr.flush()
         gc.freeze()  # what lives now lives on: looking through it would copy its memory
-        self.pid = os.fork()
-        if self.pid == 0:
-            _run_alone(run, name)
+        # What a handler raises while Python runs its hooks of a fork is lost: signals wait until these have run.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
+        try:
+            self.pid = os.fork()
+            if self.pid == 0:
+                _run_alone(run, name, before)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
     def poll(self) -> int | None:
         """The exit status, if the process has ended."""
@@ -179,14 +187,15 @@ def beside(run: Callable[[], int], name: str) -> Forked | None:
         raise UserError(f"The {name} cannot be started in a process of its own: {error.strerror}.") from error
 
 
-def _run_alone(run: Callable[[], int], name: str) -> None:
-    """Run a function in a process that has just been forked, and end it."""
+def _run_alone(run: Callable[[], int], name: str, mask: set[int]) -> None:
+    """Run a function in a process that has just been forked, with a mask of signals, and end it."""
     status = 1
     try:
         os.setpgrp()
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        for number in ENDING:
             if signal.getsignal(number) != signal.SIG_IGN:
                 signal.signal(number, signal.SIG_DFL)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         sys.stdout, sys.stderr = sys.__stdout__, sys.__stderr__  # a display of the original may have put itself before
         name_process(name)
         status = run()

@@ -12,14 +12,7 @@ from scipy.spatial import cKDTree
 
 from sal_height.elevation import ESTIMATORS, Validity
 from sal_height.errors import UserError
-from sal_height.passes import (
-    Pass,
-    PassHeights,
-    PassSettings,
-    ReferencePoint,
-    heights_from_passes,
-    simulated_passes,
-)
+from sal_height.passes import Pass, PassHeights, PassSettings, ReferencePoint, heights_from_passes, simulated_passes
 
 ORIGIN = np.zeros(3)
 

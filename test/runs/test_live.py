@@ -203,6 +203,21 @@ feed().playlist()
     assert running.returncode == -number
 
 
+def test_an_interrupt_at_the_begin_of_a_simulation_is_not_lost(tmp_path: Path) -> None:
+    """It comes while Python runs its hooks of a fork, which lose what a handler raises."""
+    code = """
+def last(*_):
+    while True:
+        signal.pause()
+sensor_bag.record_sensor = last
+os.register_at_fork(after_in_parent=lambda: os.kill(os.getpid(), signal.SIGINT))
+feed().playlist()
+"""
+    running = program(code, tmp_path / "bag")
+    running.communicate(timeout=DEADLINE_S)
+    assert running.returncode == -signal.SIGINT
+
+
 def test_a_flight_beside_its_scene_is_refused_before_it_is_simulated(tmp_path: Path) -> None:
     beside = replace(load_preset("small"), dwells=1_000_000)
     with pytest.raises(UserError, match="terrain"):

@@ -28,14 +28,14 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.11,<3.14",
     packages=find_packages(include=["sal_height", "sal_height.*"]),
-    package_data={"sal_height": ["presets/*.yaml", "presets/*.csv", "config/*", "launch/*"]},
+    package_data={"sal_height": ["presets/*.yaml", "presets/*.csv", "config/*", "launch/*", "messages/*.pyi"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/sal_height"]),
         ("share/sal_height", ["package.xml"]),
         # Where `ros2 launch` and $(find-pkg-share sal_height) look.
         *((f"share/sal_height/{name}", sorted(map(str, Path("sal_height", name).iterdir()))) for name in SHARED),
     ],
-    # What the core needs, and commands that work without ROS. Nodes and bags need the extra ros, and sal_height_msgs,
+    # What the core and bags need, and commands that work without ROS. Nodes need the extra ros, and sal_height_msgs,
     # which is not on PyPI: pip install ./msg_defs. colcon takes both from package.xml.
     install_requires=[
         "annotated-types",

@@ -9,8 +9,6 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 from rclpy.parameter import Parameter
-from sal_height_msgs.msg import ChannelFrame, Provenance
-from std_msgs.msg import Header
 
 from benchmarks.cases import SLANT_RANGE, spotlight
 from benchmarks.row import Row, medians, sized
@@ -30,6 +28,7 @@ from sal_height.elevation import (
 )
 from sal_height.geometry import ApertureState, Grid
 from sal_height.imaging import Slc
+from sal_height.messages.types import ChannelFrame, Header, Provenance
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.height import HEIGHT_NODES
 from sal_height.numeric import C64, F64, in_parallel

@@ -6,11 +6,12 @@ from collections.abc import Iterator
 
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from sal_height_msgs.msg import ComplexImage
 
 from benchmarks.row import Row, medians, sized
 from sal_height import messages
+from sal_height.messages.types import ComplexImage
 from sal_height.nodes.graph import Graph
+from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.psf_calibration import PsfCalibration
 from sal_height.nodes.sar_compression import SarCompression
 from sal_height.nodes.stage import FRAMES_QOS
@@ -64,7 +65,7 @@ def _images(
     """The images that node sar_compression publishes of a dwell."""
     images: list[ComplexImage] = []
     listener = graph.add(Node("listener", context=graph.context))
-    listener.create_subscription(ComplexImage, "slc", images.append, FRAMES_QOS)
+    subscribe(listener, ComplexImage, "slc", images.append, FRAMES_QOS)
     if not graph.spin_until(lambda: compression._slc.subscribers > 0, TIMEOUT_S):
         raise TimeoutError("The images found no subscriber.")
     compression.process(frames, sensor, compression.supplies(frames, sensor))

@@ -8,15 +8,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from rclpy.serialization import serialize_message
 
 from benchmarks.relief_map import height_image
 from benchmarks.row import Row, load, medians, sized
+from sal_height.bag import qos
 from sal_height.bag.topics import HEIGHT_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.exports import RecordedHeights, write_las
 from sal_height.geometry import Origin, Projection
-from sal_height.nodes.stage import FRAMES_QOS
+from sal_height.messages import serialize
 from sal_height.relief import Relief, write_geotiff
 
 DWELLS, SIDE = sized((16, 4096), (2, 64))
@@ -27,9 +27,9 @@ def exports() -> Iterator[Row]:
     """A bag of large height images as LAZ in UTM, from its file to the file; and a map as COG."""
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        cdr = serialize_message(height_image())
+        cdr = serialize(height_image())
         with BagWriter(folder / "bag", {}) as bag:
-            bag.add_topic("/ml/height", HEIGHT_TYPE, [FRAMES_QOS])
+            bag.add_topic("/ml/height", HEIGHT_TYPE, [qos.FRAMES])
             for dwell in range(DWELLS):
                 bag.write("/ml/height", cdr, dwell, dwell)
         heights = RecordedHeights.of_bag(folder / "bag", origin=ORIGIN)

@@ -13,16 +13,17 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from nav_msgs.msg import Odometry
 from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
-from sal_height_msgs.msg import ChannelFrame, ComplexImage, HeightImage, SensorInfo
 
 from benchmarks.hostile_messages import hostile
 from sal_height.elevation import ESTIMATORS
+from sal_height.messages.types import ChannelFrame, ComplexImage, HeightImage, Odometry, SensorInfo
+from sal_height.nodes.endpoints import Outlet
 from sal_height.nodes.graph import Graph
+from sal_height.nodes.message_types import class_of, subscribe
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.settings import settings_of
 
@@ -75,7 +76,7 @@ def other_sensors(graph: Graph, _: np.random.Generator) -> None:
 def frames_twice(graph: Graph, _: np.random.Generator) -> None:
     """Publish frames that have come once more, as a second source of a channel does."""
     node = graph.add(Node("doubler", context=graph.context))
-    publisher = node.create_publisher(ChannelFrame, "phase_history", FRAMES_QOS)
+    publisher = Outlet(node.create_publisher(class_of(ChannelFrame), "phase_history", FRAMES_QOS))
     seen: set[tuple[int, int, int]] = set()
 
     def repeat(frame: ChannelFrame) -> None:
@@ -84,7 +85,7 @@ def frames_twice(graph: Graph, _: np.random.Generator) -> None:
             seen.add(key)
             publisher.publish(frame)
 
-    node.create_subscription(ChannelFrame, "phase_history", repeat, FRAMES_QOS)
+    subscribe(node, ChannelFrame, "phase_history", repeat, FRAMES_QOS)
     graph.spin_for(LASTS_S)
 
 
@@ -132,8 +133,8 @@ def _received(topic: str, graph: Graph) -> tuple[Any, Callable[[Any], None]]:
     kind, qos = TOPICS[topic]
     node = graph.add(Node(f"stranger_{len(graph.nodes)}", context=graph.context))
     came: list[Any] = []
-    subscription = node.create_subscription(kind, topic, came.append, qos)
-    publisher = node.create_publisher(kind, topic, qos)
+    subscription = subscribe(node, kind, topic, came.append, qos)
+    publisher = Outlet(node.create_publisher(class_of(kind), topic, qos))
     if not graph.spin_until(lambda: bool(came), WAIT_S):
         raise TimeoutError(f"no message on {topic}")
     node.destroy_subscription(subscription)

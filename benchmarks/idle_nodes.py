@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from rclpy.serialization import serialize_message
-
 from sal_height import messages
 from sal_height.bag.stamps import stamp_ns_of
+from sal_height.messages import serialize
 from sal_height.nodes.endpoints import Outlet
 from sal_height.nodes.height import HEIGHT_NODES
 from sal_height.nodes.playlist import restamped
@@ -30,7 +29,7 @@ class KeepingOutlet(Outlet):
 
     def publish(self, message: Any) -> None:
         """Publish a message or its bytes."""
-        cdr = message if isinstance(message, bytes) else serialize_message(message)
+        cdr = message if isinstance(message, bytes) else serialize(message)
         if not self._kept or stamp_ns_of(cdr) == stamp_ns_of(self._kept[0]):
             self._kept.append(cdr)
         super().publish(cdr)

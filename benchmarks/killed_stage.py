@@ -65,7 +65,7 @@ class _Kills:
         self.heights.append((now, len(watched.latencies_s["ml/height"])))
         due_s = FIRST_S + EVERY_S * number
         if self._killer is None and number < KILLS and now >= due_s:
-            words = [sys.executable, "-m", __name__, "kill", str(watched.book.entries[KILLED].account.count("pid"))]
+            words = [sys.executable, "-m", __name__, "kill", str(watched.book.entries[KILLED].account.pid)]
             self._killer = subprocess.Popen(words)  # noqa: S603 (our own module)
         elif self._killer and self._killer.poll() is not None:
             self._killer = None

@@ -8,14 +8,13 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from sal_height_msgs.msg import ComplexImage, HeightImage, Provenance
-from std_msgs.msg import Header
 
 from benchmarks.cases import spotlight
 from benchmarks.memory import resident
 from benchmarks.row import Row, medians, sized
 from sal_height import messages
 from sal_height.geometry import ApertureState, above_place
+from sal_height.messages.types import ComplexImage, Header, HeightImage, Provenance
 from sal_height.relief import HeightField, ReliefMap, Surface, circle_covariance
 
 SIDE = sized(512, 32)

@@ -11,9 +11,6 @@ from typing import Any
 
 import numpy as np
 from rclpy.parameter import Parameter
-from rclpy.serialization import deserialize_message, serialize_message
-from sal_height_msgs.msg import ChannelFrame, HeightImage, Provenance
-from std_msgs.msg import Header
 
 from benchmarks.row import REPEATS, Row, load, medians, sized
 from benchmarks.sizes import APERTURE, COLS, PRESET, ROWS, heights_of_street, lidar, made_up_dwell, tiled
@@ -21,6 +18,8 @@ from sal_height import messages
 from sal_height.elevation import ESTIMATORS, ElevationEstimator, HeightSettings
 from sal_height.geometry import Trajectory
 from sal_height.imaging import ImageSettings, Slc
+from sal_height.messages import deserialize, serialize
+from sal_height.messages.types import ChannelFrame, Header, HeightImage, Provenance
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.height import HEIGHT_NODES
 from sal_height.nodes.relief_mapper import ReliefMapper
@@ -128,7 +127,7 @@ def _compression(graph: Graph, flight: SimulatedFlight) -> Row:
     node = graph.add(SarCompression(context=graph.context, parameter_overrides=_overrides(_size(image))))
     states, history = flight.platform_states(0), flight.phase_history(0)
     frames = messages.history_to_messages(history, flight.sensor, 0, messages.to_stamp(history.stamp_ns))
-    sent = [serialize_message(frame) for frame in frames]
+    sent = [serialize(frame) for frame in frames]
     supplies = Supplies(list(states), None, flight.sensor.mounting)
     through, taken = medians(
         lambda: node.process([node.decode(cdr) for cdr in sent], flight.sensor, supplies),
@@ -146,7 +145,7 @@ def _tracker_and_mapper(graph: Graph) -> Iterator[Row]:
     )
     what, pixels = f"an image of {side * side:.2g} pixels", field.validity.size
     image = messages.height_to_message(field, APERTURE, (2, 2), "ml", FRAME, Provenance())
-    sent = serialize_message(image)
+    sent = serialize(image)
     tracker, mapper = graph.add(ReliefTracker(context=graph.context)), graph.add(ReliefMapper(context=graph.context))
     tracked, mapped, taken = medians(
         lambda: tracker.process(_taken(sent)),
@@ -177,7 +176,7 @@ def _overrides(values: dict[str, int]) -> list[Any]:
 
 
 def _taken(cdr: bytes) -> Any:
-    return deserialize_message(cdr, HeightImage)
+    return deserialize(cdr, HeightImage)
 
 
 def _with(seconds: float) -> str:

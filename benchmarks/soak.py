@@ -133,7 +133,7 @@ class Soak:
             return Fault(watched.elapsed_s, kind, subprocess.Popen(words))  # noqa: S603 (our own module)
         names = sorted(watched.book.entries)
         name = names[(number * 5 + number // 16) % len(names)]
-        pid = watched.book.entries[name].account.count("pid")
+        pid = watched.book.entries[name].account.pid
         with suppress(ProcessLookupError):
             os.kill(pid, signal.SIGKILL if kind == "kill" else signal.SIGSTOP)
         if kind == "stop":
@@ -170,11 +170,11 @@ def _moment_of(watched: Watched) -> Moment:
     unbalanced, memory, left_out = [], {}, Counter[str]()
     for name, entry in watched.book.entries.items():
         account = entry.account
-        sum_of = account.count("processed") + sum(account.dropped.values()) + account.waiting
+        sum_of = account.processed + sum(account.dropped.values()) + account.waiting
         if account.received != sum_of:
             unbalanced.append(f"{name}: {account.received} in, {sum_of} accounted for")
         left_out.update({f"{name} {reason}": count for reason, count in account.dropped.items()})
-        memory[name, account.count("pid")] = account.numbers.get("memory_mb", 0.0)
+        memory[name, account.pid] = account.memory_mb
     counts = {topic: len(ages) for topic, ages in watched.latencies_s.items()}
     return Moment(watched.elapsed_s, counts, left_out, unbalanced, memory)
 

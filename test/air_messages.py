@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from sensor_msgs.msg import FluidPressure, RelativeHumidity, Temperature
-from std_msgs.msg import Header
-
 from sal_height import messages
+from sal_height.messages.types import FluidPressure, Header, RelativeHumidity, Temperature
 
 
 def header_at(stamp_ns: int) -> Header:

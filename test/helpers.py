@@ -261,3 +261,25 @@ def file_size_limit(size: int) -> Iterator[None]:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+class PlainPublisher:
+    """A publisher of rclpy that takes plain messages, or bytes; all else is as rclpy has it."""
+
+    def __init__(self, publisher: Any) -> None:
+        self._publisher = publisher
+
+    def publish(self, message: Any) -> None:
+        from sal_height.messages import serialize
+
+        self._publisher.publish(message if isinstance(message, bytes) else serialize(message))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._publisher, name)
+
+
+def publisher_of(node: Any, kind: type[Any], topic: str, qos: Any) -> PlainPublisher:
+    """A publisher of plain messages of that class."""
+    from sal_height.nodes.message_types import class_of
+
+    return PlainPublisher(node.create_publisher(class_of(kind), topic, qos))

@@ -30,15 +30,15 @@ def test_a_replay_gives_the_heights_of_a_golden_bag(name: str, assert_replay_mat
 
 def test_a_broken_estimator_is_caught(assert_replay_matches: Callable[..., Any]) -> None:
     broken = {"ml_height": {"objective": "numerator"}}
-    with pytest.raises(AssertionError, match=r"version_2 differs.*\n.*\n.*/ml/height +changed"):
-        assert_replay_matches(BAGS / "version_2", parameters=broken)
+    with pytest.raises(AssertionError, match=r"version_3 differs.*\n.*\n.*/ml/height +changed"):
+        assert_replay_matches(BAGS / "version_3", parameters=broken)
 
 
 def test_heights_are_compared_with_those_of_another_bag(
     assert_replay_matches: Callable[..., Any], tmp_path: Path
 ) -> None:
     """Version 1 of the bag holds the same flight; what was made of it lies beside the test."""
-    done = assert_replay_matches(BAGS / "version_2")
+    done = assert_replay_matches(BAGS / "version_3")
     assert (tmp_path / "replay_1" / "report.json").is_file()
     again = assert_replay_matches(BAGS / "version_1", golden=tmp_path / "replay_1" / "bag")
     assert again.compared.keys() == done.compared.keys()
@@ -50,7 +50,7 @@ def test_what_cannot_be_used_is_refused(assert_replay_matches: Callable[..., Any
     with pytest.raises(UserError, match="does not exist"):
         assert_replay_matches(BAGS / "none")
     with pytest.raises(UserError, match="cannot be read"):
-        assert_replay_matches(BAGS / "version_2", tolerance=tmp_path / "none.yaml")
+        assert_replay_matches(BAGS / "version_3", tolerance=tmp_path / "none.yaml")
 
 
 USERS_TEST = """
@@ -64,7 +64,7 @@ def test_the_plugin_is_there(request):
 
 
 def test_pytest_finds_the_plugin_by_itself_and_it_loads_no_ros(tmp_path: Path) -> None:
-    (tmp_path / "test_flight.py").write_text(USERS_TEST.format(bag=str(BAGS / "version_2")))
+    (tmp_path / "test_flight.py").write_text(USERS_TEST.format(bag=str(BAGS / "version_3")))
     words = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(tmp_path)]
     done = subprocess.run(words, check=False, cwd=tmp_path, capture_output=True, text=True, timeout=120)  # noqa: S603
     assert "2 passed" in done.stdout, done.stdout

@@ -39,7 +39,15 @@ Packages of one layer do not know each other.
 LAYER = {name: number for number, names in enumerate(LAYERS) for name in names}
 
 SHELL = {"messages", "bag", "nodes", "runs", "view", "exports", "imports", "pytest_plugin", "commands", "__main__"}
-"""Those that may know ROS and MCAP."""
+"""Those that may know messages and MCAP."""
+
+OF_ROS = {"nodes", "runs"}
+"""Those that may import ROS; of the others one module does, which subscribes to topics."""
+
+SUBSCRIBES = "sal_height.view.listener"
+
+WITHOUT_ROS = ("messages", "bag", "imports")
+"""Packages of the shell that do not even import modules that import ROS."""
 
 
 def name_of(path: Path) -> str:
@@ -49,11 +57,12 @@ def name_of(path: Path) -> str:
 
 MODULES = {name_of(path): path for path in sorted(PACKAGE.rglob("*.py"))}
 CORE = sorted(name for name in MODULES if name.partition(".")[2].partition(".")[0] not in SHELL)
-FORBIDDEN = (
-    *("rclpy", "mcap", "sal_height_msgs", "std_msgs", "nav_msgs", "sensor_msgs", "geometry_msgs", "diagnostic_msgs"),
-    *("builtin_interfaces", "rosidl_runtime_py"),
-    *(f"sal_height.{name}" for name in sorted(SHELL)),
+ROS = (
+    *("rclpy", "sal_height_msgs", "std_msgs", "nav_msgs", "sensor_msgs", "geometry_msgs", "diagnostic_msgs"),
+    *("builtin_interfaces", "rcl_interfaces", "rosgraph_msgs", "tf2_msgs", "std_srvs", "rosidl_runtime_py"),
+    *("rosidl_parser", "rpyutils", "ament_index_python"),
 )
+FORBIDDEN = (*ROS, "mcap", *(f"sal_height.{name}" for name in sorted(SHELL)))
 
 
 def imports_of(source: str, package: str) -> set[str]:
@@ -100,8 +109,8 @@ def reachable_from(module: str) -> set[str]:
     return found
 
 
-def is_forbidden(module: str) -> bool:
-    return any(module == name or module.startswith(f"{name}.") for name in FORBIDDEN)
+def is_forbidden(module: str, forbidden: tuple[str, ...] = FORBIDDEN) -> bool:
+    return any(module == name or module.startswith(f"{name}.") for name in forbidden)
 
 
 def layer_of(module: str) -> tuple[int, str] | None:
@@ -145,11 +154,35 @@ def test_the_core_imports_nothing_of_ros() -> None:
 def test_the_walk_finds_what_it_looks_for() -> None:
     """In the one module that imports messages, through another one, inside functions and relatively."""
     assert any(is_forbidden(name) for name in reachable_from("sal_height.messages"))
+    assert any(is_forbidden(name, ROS) for name in reachable_from("sal_height.nodes.recorder"))
     assert "sal_height.messages" in reachable_from("sal_height.nodes.sar_compression")
     inner = imports_of(
         "def f():\n    import rclpy.node\n    from . import messages\n    from .nodes import graph", "sal_height"
     )
     assert {"rclpy.node", "sal_height.messages", "sal_height.nodes.graph"} <= inner
+
+
+def package_of(module: str) -> str:
+    return module.partition(".")[2].partition(".")[0]
+
+
+def test_ros_is_imported_by_nodes_and_what_runs_them_only() -> None:
+    found = {
+        module: {name for name in imports_of_file(path) if is_forbidden(name, ROS)} for module, path in MODULES.items()
+    }
+    importing = {module for module, names in found.items() if names}
+    assert {package_of(module) for module in importing - {SUBSCRIBES}} == OF_ROS
+    assert SUBSCRIBES in importing
+
+
+def test_messages_and_bags_reach_no_ros() -> None:
+    reached = {
+        module: {name for name in reachable_from(module) if is_forbidden(name, ROS)}
+        for module in MODULES
+        if package_of(module) in WITHOUT_ROS
+    }
+    assert {package_of(module) for module in reached} == set(WITHOUT_ROS)
+    assert not {module: names for module, names in reached.items() if names}
 
 
 BLOCKED_IMPORT = """
@@ -163,22 +196,63 @@ class Blocker:
 sys.meta_path.insert(0, Blocker())
 for name in {modules!r}:
     importlib.import_module(name)
+{then}
 """
 
 
-def import_without_ros(modules: list[str]) -> subprocess.CompletedProcess[str]:
-    code = BLOCKED_IMPORT.format(forbidden=FORBIDDEN, modules=modules)
-    command = [sys.executable, "-c", code]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)  # noqa: S603 (our own code)
+def import_without(
+    forbidden: tuple[str, ...], modules: list[str], then: str = "", *arguments: str
+) -> subprocess.CompletedProcess[str]:
+    """Import modules where others cannot be imported, and then run a program with arguments."""
+    code = BLOCKED_IMPORT.format(forbidden=forbidden, modules=modules, then=then)
+    command = [sys.executable, "-c", code, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)  # noqa: S603 (our own code)
 
 
 def test_core_can_be_imported_where_ros_is_not() -> None:
-    result = import_without_ros(CORE)
+    result = import_without(FORBIDDEN, CORE)
     assert result.returncode == 0, result.stderr
 
 
 def test_shell_cannot_be_imported_where_ros_is_not() -> None:
     """Or else the test above would prove nothing."""
-    result = import_without_ros(["sal_height.nodes.sar_compression"])
+    result = import_without(FORBIDDEN, ["sal_height.nodes.sar_compression"])
     assert result.returncode != 0
     assert "blocked: " in result.stderr
+
+
+BAGS_WITHOUT_ROS = """
+from pathlib import Path
+from sal_height import messages
+from sal_height.bag.check import check_bag
+from sal_height.bag.reader import BagReader
+from sal_height.bag.upgrade import upgrade
+from sal_height.bag.writer import BagWriter
+
+for folder in sorted(path for path in Path(sys.argv[1]).iterdir() if path.is_dir()):
+    reader, out = BagReader(folder), Path(sys.argv[2]) / folder.name
+    with BagWriter(out / "again") as bag:
+        for topic in reader.topics.values():
+            bag.add_topic(topic.name, topic.type_name, topic.offered_qos)
+        for one in reader.messages():
+            message = reader.decode(one.type_name, one.cdr)
+            if one.type_name.endswith("HeightImage"):
+                messages.field_from_message(message)
+            bag.write(one.topic, messages.serialize(message), one.log_time_ns, one.publish_time_ns)
+    upgrade(folder, out / "upgraded")
+    for made in (out / "again", out / "upgraded"):
+        assert not check_bag(made, lambda *_: None), made
+    again, upgraded = (list(BagReader(out / name).messages()) for name in ("again", "upgraded"))
+    assert len(again) == len(upgraded) == reader.message_count
+    assert all(reader.decode(a.type_name, a.cdr) == reader.decode(b.type_name, b.cdr) for a, b in zip(again, upgraded))
+    print(folder.name)
+"""
+
+
+def test_bags_are_read_upgraded_written_and_checked_where_ros_is_not(tmp_path: Path) -> None:
+    """Every bag of the package, of every version of the messages."""
+    bags = PACKAGE.parent / "bags"
+    modules = [name for name in MODULES if package_of(name) in WITHOUT_ROS]
+    result = import_without(ROS, modules, BAGS_WITHOUT_ROS, str(bags), str(tmp_path))
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.split() == sorted(folder.name for folder in bags.iterdir() if folder.is_dir())

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from sal_height_msgs.msg import ChannelFrame, HeightImage, Provenance
-from std_msgs.msg import Header
 
 from benchmarks import growth, live_runs, sizing
 from benchmarks.idle_nodes import IDLE
 from benchmarks.processes import OWN, Usage, memory_bytes
 from benchmarks.sizes import lidar, made_up_images
 from sal_height import messages
+from sal_height.messages.types import ChannelFrame, Header, HeightImage, Provenance
 from sal_height.nodes.graph import Graph
+from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.stage import FRAMES_QOS
 
 OFFERED_HZ, SECONDS = 80.0, 20.0
@@ -112,7 +112,7 @@ def test_idle_nodes_publish_the_same_products_again_with_the_stamp_of_the_dwell(
     sensor, received = lidar(4), []
     slc = made_up_images(sensor, 46, 12)
     listener = graph.add(Node("listener", context=graph.context))
-    listener.create_subscription(HeightImage, "monopulse/height", received.append, FRAMES_QOS)
+    subscribe(listener, HeightImage, "monopulse/height", received.append, FRAMES_QOS)
     looks = [Parameter("range_looks", value=2), Parameter("azimuth_looks", value=2)]
     node = graph.add(IDLE["monopulse"](context=graph.context, parameter_overrides=looks))
     assert graph.spin_until(lambda: node.count_subscribers("monopulse/height") == 1, 10.0)

@@ -6,16 +6,14 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from rcl_interfaces.msg import ParameterEvent
-from rclpy.parameter import Parameter
-from rclpy.serialization import serialize_message
-from sal_height_msgs.msg import Calibration, ChannelFrame, HeightImage, Provenance, SensorInfo
-
 from sal_height import messages
+from sal_height.bag import qos
 from sal_height.bag.reader import BagReader
 from sal_height.bag.writer import BagWriter
+from sal_height.messages import serialize
+from sal_height.messages.parameters import parameter_of
+from sal_height.messages.types import Calibration, ChannelFrame, HeightImage, ParameterEvent, Provenance, SensorInfo
 from sal_height.nodes.cues import DwellKey
-from sal_height.nodes.stage import FRAMES_QOS
 
 TOPICS = {
     ChannelFrame: "/phase_history",
@@ -48,7 +46,7 @@ def heights(dwell: int, calibration: str = "", **stages: Mapping[str, Any]) -> H
 
 def told(node: str, **values: Any) -> ParameterEvent:
     """What a node answers, or says at its start."""
-    parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+    parameters = [parameter_of(name, value) for name, value in values.items()]
     return ParameterEvent(node=f"/{node}", new_parameters=parameters)
 
 
@@ -66,8 +64,7 @@ def written(folder: Path, recorded: Iterable[Any], custom_data: Mapping[str, str
     listed = list(recorded)
     with BagWriter(folder, custom_data or {}) as writer:
         for kind in {type(message) for message in listed}:
-            package, _, _ = kind.__module__.partition(".")
-            writer.add_topic(TOPICS[kind], f"{package}/msg/{kind.__name__}", [FRAMES_QOS])
+            writer.add_topic(TOPICS[kind], kind.__msgtype__, [qos.FRAMES])
         for time_ns, message in enumerate(listed, 1):
-            writer.write(TOPICS[type(message)], serialize_message(message), time_ns, time_ns)
+            writer.write(TOPICS[type(message)], serialize(message), time_ns, time_ns)
     return BagReader(folder)

@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 
 from sal_height import messages
-from sal_height.bag.codec import serialized
 from sal_height.geometry import PlatformState, rotation_matrix
 from sal_height.sensor import PhaseHistory, Sensor
 
@@ -26,7 +25,7 @@ def odometry_of(states: Sequence[PlatformState]) -> Iterator[bytes]:
     The frames in the header are the same, so that all messages have one layout. It ends with pose, covariance of the
     pose, twist (of which the turning is not known) and covariance of the twist: 85 numbers of 8 bytes.
     """
-    first = serialized(messages.state_to_message(states[0], messages.to_stamp(states[0].stamp_ns)))
+    first = messages.serialize(messages.state_to_message(states[0], messages.to_stamp(states[0].stamp_ns)))
     frames = first[STAMP_BYTES.stop : -8 * ODOMETRY_NUMBERS]
     turning = np.zeros(3)
     for state in states:
@@ -48,4 +47,4 @@ def frames_of(history: PhaseHistory, sensor: Sensor, dwell: int) -> Iterator[byt
     for frame, samples in zip(frames, history.samples, strict=True):
         frame.sample_count = count
         stored = np.ascontiguousarray(samples, dtype="<c8").reshape(-1).view(np.uint8)
-        yield b"".join([serialized(frame)[:-4], struct.pack("<I", stored.size), stored.data])
+        yield b"".join([messages.serialize(frame)[:-4], struct.pack("<I", stored.size), stored.data])

@@ -7,8 +7,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from sal_height.bag.codec import typestore
-from sal_height.bag.definitions import installed_definition
+from sal_height.bag.definitions import known_definition
 from sal_height.bag.files import ACCOUNT, PARAMETERS, parameters_file
 from sal_height.bag.findings import Finding, error, some, warning
 from sal_height.bag.index import FileIndex
@@ -96,17 +95,17 @@ def _check_type(topic: Topic) -> Iterator[Finding]:
         )
         return
     try:
-        installed = installed_definition(topic.type_name)
+        known = known_definition(topic.type_name)
     except UserError:
         yield warning(
-            f"Type {name} of topic {topic.name} is not installed, so that its messages cannot be decoded.",
+            f"Type {name} of topic {topic.name} is not installed, so that its messages cannot be played.",
             f"Install or source package {package}.",
         )
         return
-    if not recorded.same_layout(installed):
+    if not recorded.same_layout(known):
         yield error(
             f"Topic {topic.name} was recorded with another definition of {name} "
-            f"({recorded.type_hash or 'no hash'}) than the installed one ({installed.type_hash}).",
+            f"({recorded.type_hash or 'no hash'}) than the one known here ({known.type_hash}).",
             f"Install the version of package {package} that it was recorded with.",
         )
 
@@ -117,10 +116,18 @@ def _contradicts_hash(topic: Topic) -> bool:
     if not recorded.type_hash or recorded.encoding != "ros2msg":
         return False
     try:
-        found = typestore(topic.recorded_type, recorded).hash_rihs01(topic.recorded_type)
+        return _hash_of(topic.recorded_type, recorded.text) != recorded.type_hash
     except Exception:  # noqa: BLE001 (rosbags reports a text that is no definition by whatever its parser stumbles over)
         return True
-    return bool(found != recorded.type_hash)
+
+
+def _hash_of(type_name: str, text: str) -> str:
+    """The type hash of a definition by its text."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: PLC0415 (a third of a second)
+
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(text, type_name))
+    return store.hash_rihs01(type_name)
 
 
 def _left_out(text: str) -> dict[str, int]:

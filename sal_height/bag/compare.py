@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from sal_height_msgs.msg import HeightImage
 
 from sal_height.bag.field_difference import FieldDifference
 from sal_height.bag.fields import content_hash, fields_of
@@ -192,7 +191,7 @@ def _compare(golden: Any, made: Any, tolerances: Tolerances, dwell: int, result:
     for side, fields in zip(result.digests, (ours, theirs), strict=True):
         side.append(content_hash(fields))
     result.matched += 1
-    if isinstance(golden, HeightImage):
+    if golden.__msgtype__ == HEIGHT_TYPE:
         result.validity.update(_confusion(ours["validity"], theirs["validity"]))
     for name in dict.fromkeys([*ours, *theirs]):
         one, other = ours.get(name, NOTHING), theirs.get(name, NOTHING)

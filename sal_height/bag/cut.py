@@ -10,9 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from rcl_interfaces.msg import ParameterEvent
 
-from sal_height.bag.codec import serialized
 from sal_height.bag.copies import kept_custom_data, kept_packing
 from sal_height.bag.dwells import Dwell, read_dwells
 from sal_height.bag.parameter_events import PARAMETER_EVENT_TYPE, after
@@ -22,7 +20,8 @@ from sal_height.bag.stamps import stamp_ns_of
 from sal_height.bag.topics import CALIBRATION_TYPE, FRAME_TYPE, HEIGHT_TYPE, IMAGE_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter, held_by_publishers
 from sal_height.errors import UserError
-from sal_height.messages import AIR_LATENCY_NS, AIR_TYPES
+from sal_height.messages import AIR_LATENCY_NS, AIR_TYPES, serialize
+from sal_height.messages.types import ParameterEvent
 
 STAMPS_FROM_S = 100_000_000
 """Seconds from which on a number is a time since 1970, and not since the begin of the bag (three years)."""
@@ -225,7 +224,7 @@ class _Window:
             event = self._reader.decode(message.type_name, message.cdr)
             known = self._parameters.get(event.node)
             merged = after(known[0], event) if known else event
-            cdr = serialized(merged) if known else message.cdr
+            cdr = serialize(merged) if known else message.cdr
             self._parameters[event.node] = merged, message._replace(cdr=cdr)
 
     def _held_messages(self) -> Iterator[BagMessage]:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import hashlib
-from array import array
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from builtin_interfaces.msg import Duration, Time
 from numpy.typing import NDArray
+
+from sal_height.messages.plain import fields_of_message
+
+TIMES = {"builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"}
+"""Types of messages that are one value, in nanoseconds."""
 
 NUMBERS_OF_SAMPLES = {"complex_float32": "<f4", "complex_int16": "<i2"}
 """Type of the numbers in `samples`, two of which make a sample, by the name of their encoding."""
@@ -19,14 +22,14 @@ def fields_of(message: Any, without: frozenset[str] = frozenset()) -> dict[str, 
     """All that a message holds, as arrays of one dimension by name.
 
     Args:
-        message: a ROS message.
+        message: a message.
         without: fields of the message itself that are left out.
 
     Returns:
         Numbers and texts by names such as "grid.rows" and "surfaces[0].height"; a time or duration is whole
         nanoseconds, complex samples are complex numbers. An empty list is an empty array.
     """
-    names = [name for name in message.get_fields_and_field_types() if name not in without]
+    names = [name for name in fields_of_message(message) if name not in without]
     return dict(entry for name in names for entry in _entries(name, getattr(message, name), message))
 
 
@@ -47,18 +50,18 @@ def _canonical(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def _entries(name: str, value: Any, holder: Any) -> Iterator[tuple[str, NDArray[Any]]]:
-    if isinstance(value, Time | Duration):
+    if getattr(value, "__msgtype__", "") in TIMES:
         yield name, np.array([value.sec * 10**9 + value.nanosec], np.int64)
-    elif hasattr(value, "get_fields_and_field_types"):
+    elif fields_of_message(value):
         for inner, values in fields_of(value).items():
             yield f"{name}.{inner}", values
-    elif isinstance(value, list) and value and hasattr(value[0], "get_fields_and_field_types"):
+    elif isinstance(value, list) and value and fields_of_message(value[0]):
         for number, element in enumerate(value):
             yield from _entries(f"{name}[{number}]", element, holder)
     elif name == "samples":
         yield name, _samples(value, NUMBERS_OF_SAMPLES.get(getattr(holder, "encoding", "")))
-    elif isinstance(value, np.ndarray | array | bytes | bytearray | list):
-        yield name, np.frombuffer(value, np.uint8) if isinstance(value, bytes | bytearray) else np.asarray(value)
+    elif isinstance(value, np.ndarray | list):
+        yield name, np.asarray(value)
     else:
         yield name, np.array([value])
 

@@ -10,11 +10,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from mcap.writer import CompressionType, Writer
-from rclpy.qos import QoSProfile
 
 from sal_height.bag import qos as qos_text
 from sal_height.bag.definitions import Definition
 from sal_height.bag.files import CHECKSUM, CUSTOM_DATA, REPEATED, REPEATED_SEQUENCE, checksum
+from sal_height.bag.qos import Qos
 
 CHUNK_SIZE = 1 << 20  # bytes; a larger message becomes a chunk of its own
 
@@ -32,7 +32,7 @@ class WrittenTopic:
     name: str
     type_name: str
     definition: Definition
-    offered_qos: Sequence[QoSProfile]
+    offered_qos: Sequence[Qos]
 
 
 @dataclass

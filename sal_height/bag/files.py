@@ -14,11 +14,11 @@ import yaml
 from mcap.exceptions import McapError
 from mcap.records import Channel, Schema
 from mcap.writer import MCAP0_MAGIC
-from rclpy.qos import QoSProfile
 
 from sal_height.bag import qos
 from sal_height.bag.definitions import Definition
 from sal_height.bag.metadata_text import read_yaml
+from sal_height.bag.qos import Qos
 from sal_height.errors import UserError
 
 # How a file ends: start of the summary, start of the summary offsets, checksum from the former up to here; magic.
@@ -105,7 +105,7 @@ def recorded_definition(channel: Channel, schema: Schema) -> Definition:
     return Definition(text, channel.metadata.get("topic_type_hash", ""), schema.encoding)
 
 
-def recorded_qos(channel: Channel) -> tuple[QoSProfile, ...]:
+def recorded_qos(channel: Channel) -> tuple[Qos, ...]:
     """Profiles that the channel's publishers offered; empty where they were not recorded."""
     return tuple(qos.from_yaml(channel.metadata.get("offered_qos_profiles", "")))
 

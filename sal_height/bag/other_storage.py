@@ -6,12 +6,11 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
-from rclpy.qos import QoSProfile
-
 from sal_height.bag import qos
-from sal_height.bag.definitions import Definition, installed_definition
+from sal_height.bag.definitions import Definition, known_definition
 from sal_height.bag.files import stored_as
 from sal_height.bag.metadata_text import read_yaml, yaml_text
+from sal_height.bag.qos import Qos
 from sal_height.bag.topics import BagMessage, Topic
 from sal_height.bag.versions import current_name, needs_upgrade
 from sal_height.errors import UserError
@@ -81,13 +80,13 @@ class OtherStorage:
         return UserError(f"Bag {self._path} cannot be read ({said}); rosbag2 may be able to ('ros2 bag convert').")
 
 
-def _topic(connection: Any, profiles: dict[str, tuple[QoSProfile, ...]]) -> Topic:
+def _topic(connection: Any, profiles: dict[str, tuple[Qos, ...]]) -> Topic:
     """A topic as `BagReader` has it; of a bag without definitions the installed ones are taken."""
     recorded = Definition(connection.msgdef.data, connection.digest or "")
     name = current_name(connection.msgtype)
     if not recorded.text:
         try:
-            installed = installed_definition(name)
+            installed = known_definition(name)
         except UserError:
             installed = recorded
         recorded = Definition(installed.text, recorded.type_hash or installed.type_hash)
@@ -102,7 +101,7 @@ def _topic(connection: Any, profiles: dict[str, tuple[QoSProfile, ...]]) -> Topi
     )
 
 
-def _profiles(path: Path) -> dict[str, tuple[QoSProfile, ...]]:
+def _profiles(path: Path) -> dict[str, tuple[Qos, ...]]:
     """Profiles of publishers by topic, as metadata.yaml says, in its layout or as a text of an older version."""
     metadata = path / "metadata.yaml"
     if not metadata.is_file():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rcl_interfaces.msg import ParameterEvent
+from sal_height.messages.types import ParameterEvent
 
 PARAMETER_EVENTS, PARAMETER_EVENT_TYPE = "/parameter_events", "rcl_interfaces/msg/ParameterEvent"
 

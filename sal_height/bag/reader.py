@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from mcap.reader import SeekingReader
-from rclpy.serialization import deserialize_message
 
-from sal_height.bag.definitions import installed_definition, message_class
+from sal_height.bag.definitions import Definition, known_definition
 from sal_height.bag.files import (
     REPEATED_SEQUENCE,
     bag_files,
@@ -26,6 +25,9 @@ from sal_height.bag.other_storage import OtherStorage, is_stored_otherwise
 from sal_height.bag.topics import BagMessage, Topic
 from sal_height.bag.versions import current_name, needs_upgrade, upgraded
 from sal_height.errors import UserError
+from sal_height.messages import BrokenMessage
+from sal_height.messages.codec import SHIPPED, recorded_types
+from sal_height.messages.definition import shipped_definition
 
 __all__ = ["BagMessage", "BagReader", "Topic"]
 
@@ -66,7 +68,7 @@ class BagReader:
             self.custom_data, self.begin_ns = self._other.custom_data, self._other.begin_ns
             for topic in self._other.topics:
                 self._add(topic, 0)
-        self._checked_types: set[str] = set()
+        self._readers: dict[str, Callable[[bytes], Any]] = {}
 
     @property
     def message_count(self) -> int:
@@ -97,15 +99,14 @@ class BagReader:
         return heapq.merge(*streams, key=lambda message: message.log_time_ns)
 
     def decode(self, type_name: str, cdr: bytes) -> Any:
-        """Message object of the installed class.
+        """The plain message of a type that the bytes are; of a type that is not shipped by the definition in the bag.
 
-        UserError if the type is not installed, the bag has another definition of it, or `cdr` is damaged.
+        UserError if the bag has another definition of the type than this version, or `cdr` is damaged.
         """
         self.check_type(type_name)
-        # rclpy's own error class is private, and a subclass of RuntimeError.
         try:
-            return deserialize_message(cdr, message_class(type_name))
-        except RuntimeError as error:
+            return self._readers[type_name](cdr)
+        except BrokenMessage as error:
             raise UserError(f"A message of type {type_name} in bag {self.path} cannot be decoded: {error}.") from error
 
     def as_today(self, message: BagMessage) -> BagMessage:
@@ -136,18 +137,34 @@ class BagReader:
         self.topics[topic.name] = replace(known, count=count)
 
     def check_type(self, type_name: str) -> None:
-        """UserError if a type is not installed, or the bag has another definition of it; looked at once."""
-        if type_name in self._checked_types:
-            return
-        installed = installed_definition(type_name)
-        for topic in self.topics.values():
-            if topic.type_name == type_name and not (topic.is_old or topic.definition.same_layout(installed)):
-                raise UserError(
-                    f"Topic {topic.name} of bag {self.path} was recorded with another definition of {type_name} "
-                    f"({topic.definition.type_hash or 'no hash'}) than the installed one ({installed.type_hash}); "
-                    f"install the version of package {type_name.partition('/')[0]} it was recorded with."
-                )
-        self._checked_types.add(type_name)
+        """UserError if messages of a type cannot be decoded, since the bag has another definition; looked at once."""
+        if type_name not in self._readers:
+            self._readers[type_name] = self._reader_of(type_name)
+
+    def _reader_of(self, type_name: str) -> Callable[[bytes], Any]:
+        """What decodes the messages of a type."""
+        definitions = [one.definition for one in self.topics.values() if one.type_name == type_name and not one.is_old]
+        if known := shipped_definition(type_name):
+            for other in (one for one in definitions if not one.same_layout(known)):
+                raise self._other_definition(type_name, other, known)
+            return SHIPPED.reader(type_name)
+        first = definitions[0] if definitions else known_definition(type_name)
+        for other in (one for one in definitions if not one.same_layout(first)):
+            raise self._other_definition(type_name, other, first)
+        try:
+            return recorded_types(type_name, first).reader(type_name)
+        except Exception as error:  # a definition that is none fails wherever it is read
+            raise UserError(
+                f"The definition of type {type_name} in bag {self.path} cannot be read: {str(error).rstrip('.')}."
+            ) from error
+
+    def _other_definition(self, type_name: str, recorded: Definition, known: Definition) -> UserError:
+        topic = next(one.name for one in self.topics.values() if one.definition is recorded)
+        return UserError(
+            f"Topic {topic} of bag {self.path} was recorded with another definition of {type_name} "
+            f"({recorded.type_hash or 'no hash'}) than the one known here ({known.type_hash or 'no hash'}); read it "
+            f"with the version of package {type_name.partition('/')[0]} that it was recorded with."
+        )
 
 
 def _topics_of(index: FileIndex) -> list[Topic]:

@@ -10,6 +10,9 @@ from sal_height.bag.topics import FRAME_TYPE, SENSOR_TYPE, Topic
 FRAMES, SENSOR_INFO, ODOMETRY, IMAGES = "phase_history", "sensor_info", "platform/odometry", "slc"
 """Topics of a sensor, without its namespace."""
 
+MAP_ORIGIN = "map_origin"
+"""Topic that says where on the earth the origin of the map frame is."""
+
 
 @dataclass(frozen=True)
 class SensorTopics:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from rclpy.qos import QoSProfile
-
 from sal_height.bag.definitions import Definition
+from sal_height.bag.qos import Qos
 
 FRAME_TYPE, IMAGE_TYPE, HEIGHT_TYPE, SENSOR_TYPE, CALIBRATION_TYPE, RELIEF_TYPE = (
     f"sal_height_msgs/msg/{name}"
@@ -30,7 +29,7 @@ class Topic:
     name: str
     type_name: str
     count: int
-    offered_qos: tuple[QoSProfile, ...]
+    offered_qos: tuple[Qos, ...]
     definition: Definition
     is_old: bool = False
     recorded_type: str = ""

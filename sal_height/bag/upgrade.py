@@ -6,7 +6,7 @@ from collections import Counter
 from pathlib import Path
 
 from sal_height.bag.copies import kept_custom_data, kept_packing
-from sal_height.bag.definitions import Definition, installed_definition
+from sal_height.bag.definitions import Definition, known_definition
 from sal_height.bag.files import ACCOUNT
 from sal_height.bag.reader import BagReader, Topic
 from sal_height.bag.versions import PACKAGE
@@ -45,11 +45,11 @@ def upgrade(path: Path, out_directory: Path) -> Counter[str]:
 def _definition_of(topic: Topic) -> Definition:
     """Today's definition of the messages of a topic; that in the bag if they are of another package."""
     if topic.is_old:
-        return installed_definition(topic.type_name)
+        return known_definition(topic.type_name)
     if not topic.type_name.startswith(PACKAGE):
         return topic.definition
     try:
-        installed = installed_definition(topic.type_name)
+        known = known_definition(topic.type_name)
     except UserError:  # a type that there is no more
         return topic.definition
-    return installed if topic.definition.same_layout(installed) else topic.definition
+    return known if topic.definition.same_layout(known) else topic.definition

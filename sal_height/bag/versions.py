@@ -4,22 +4,28 @@ Version 0 is what was recorded before messages had a SensorInfo.contract_version
 which get these values: no mounting (the sensor frame is "base_link"), both antenna diameters are the single one that is
 given, samples are "complex_float32", and every other field is as in an empty message.
 
-Version 1 lacks some fields of version 2, which are as in an empty message.
+Versions 1 and 2 lack some fields of version 3, which are as in an empty message. A covariance of the pose that is 0
+everywhere is not known. A relief map has one layer, which is called "ground" if it was made by ground_mapper and else
+"mean"; its frame_id is a coordinate reference system unless it is the map frame by the parameters of its provenance.
+Numbers that an account of version 2 lacks, as those that were not whole did, are 0 or NaN.
 """
 
 from __future__ import annotations
 
-import array
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from rclpy.parameter import Parameter
-from sal_height_msgs import msg as current
 
-from sal_height.bag.codec import serialized, typestore
-from sal_height.bag.definitions import Definition, installed_definition, message_class
+from sal_height.bag.definitions import Definition
+from sal_height.messages import MAP_FRAME, serialize
+from sal_height.messages import types as current
+from sal_height.messages.accounts import account_of_numbers
+from sal_height.messages.codec import SHIPPED, recorded_types
+from sal_height.messages.definition import shipped_definition
+from sal_height.messages.parameters import FIELDS, parameter_of, value_of
+from sal_height.messages.plain import fields_of_message
 
 PACKAGE = "sal_height_msgs/msg/"
 
@@ -35,11 +41,12 @@ def current_name(type_name: str) -> str:
 def needs_upgrade(type_name: str, definition: Definition) -> bool:
     """Whether messages of a type, recorded with that definition, are of an older version that `upgraded` reads."""
     name = current_name(type_name)
-    return name in UPGRADES and not (name == type_name and definition.same_layout(installed_definition(name)))
+    known = shipped_definition(name) if name in UPGRADED else None
+    return known is not None and not (name == type_name and definition.same_layout(known))
 
 
 def upgraded(type_name: str, definition: Definition, cdr: bytes) -> bytes:
-    """The CDR bytes of today's message that says what an older one of version 0 or 1 said.
+    """The CDR bytes of today's message that says what an older one of version 0, 1 or 2 said.
 
     Args:
         type_name: as recorded.
@@ -47,14 +54,15 @@ def upgraded(type_name: str, definition: Definition, cdr: bytes) -> bytes:
         cdr: the recorded message.
 
     Raises:
-        ValueError, AttributeError: the bytes or the definition are not of a version that is known.
+        BrokenMessage, ValueError, KeyError, AttributeError: the bytes or the definition are not of a version that is
+            known.
     """
-    old = typestore(type_name, definition).deserialize_cdr(cdr, type_name)
+    old = recorded_types(type_name, definition).reader(type_name)(cdr)
     name = current_name(type_name)
-    new = UPGRADES[name](old) if _is_of_version_0(name, old) else _copied(old, message_class(name))
+    new = VERSION_0[name](old) if _is_of_version_0(name, old) else _copied(old, SHIPPED.message_class(name))
     if isinstance(new, current.SensorInfo):
         new.contract_version = current.SensorInfo.CONTRACT_VERSION
-    return serialized(new)
+    return serialize(new)
 
 
 def _is_of_version_0(name: str, old: Any) -> bool:
@@ -65,6 +73,8 @@ def _is_of_version_0(name: str, old: Any) -> bool:
         return hasattr(old, "detector")
     if name == f"{PACKAGE}Calibration":
         return hasattr(old, "response_real")
+    if name == f"{PACKAGE}NodeAccount":
+        return False
     return isinstance(old.provenance.parameters, str)
 
 
@@ -91,7 +101,7 @@ def _channel_frame(old: Any) -> current.ChannelFrame:
     new = _copied(old, current.ChannelFrame)
     new.channel = old.detector
     new.encoding = current.ChannelFrame.COMPLEX_FLOAT32
-    new.samples = array.array("B", old.samples.astype("<f4", copy=False).tobytes())
+    new.samples = np.ascontiguousarray(old.samples, "<f4").view(np.uint8)
     return new
 
 
@@ -104,11 +114,10 @@ def _complex_image(old: Any) -> current.ComplexImage:
 
 def _height_image(old: Any) -> current.HeightImage:
     new = _copied(old, current.HeightImage)
-    layers = tuple(current.Surface.get_fields_and_field_types())
     for prefix in ("", "second_"):
-        values = {name: getattr(old, prefix + name, np.empty(0, np.float32)) for name in layers}
-        if prefix == "" or any(array.size for array in values.values()):
-            new.surfaces.append(current.Surface(**{name: _array(value, "f") for name, value in values.items()}))
+        layers = {name: getattr(old, prefix + name, None) for name in fields_of_message(current.Surface)}
+        if prefix == "" or any(layer is not None and layer.size for layer in layers.values()):
+            new.surfaces.append(current.Surface(**layers))
     new.provenance.parameters = _parameters(old.provenance.parameters)
     return new
 
@@ -126,11 +135,11 @@ def _calibration(old: Any) -> current.Calibration:
     for name in ("response_sigma", "gain_sigma", "phase_sigma", "width_sigma"):
         sigma = np.atleast_1d(getattr(old, name))
         measured = np.where(sigma > 0, sigma, np.nan)
-        setattr(new, name, float(measured[0]) if name == "width_sigma" else _array(measured, "d"))
+        setattr(new, name, float(measured[0]) if name == "width_sigma" else measured)
     return new
 
 
-UPGRADES: Mapping[str, Callable[[Any], Any]] = {
+VERSION_0: Mapping[str, Callable[[Any], Any]] = {
     f"{PACKAGE}SensorInfo": _sensor_info,
     f"{PACKAGE}ChannelFrame": _channel_frame,
     f"{PACKAGE}ComplexImage": _complex_image,
@@ -140,6 +149,65 @@ UPGRADES: Mapping[str, Callable[[Any], Any]] = {
 }
 """What makes a message of today of one of version 0, by the name of its type today."""
 
+UPGRADED = {*VERSION_0, f"{PACKAGE}NodeAccount"}
+"""Types whose older versions are read."""
+
+
+def _aperture(old: Any) -> current.Aperture:
+    """Of an aperture before version 3, whose pose had a covariance; 0 everywhere meant that it is not known."""
+    if not hasattr(old.pose, "pose"):
+        return _copied_fields(old, current.Aperture)
+    new = _copied_fields(old, current.Aperture)
+    new.pose = _copied(old.pose.pose, current.Pose)
+    new.pose_covariance = old.pose.covariance if old.pose.covariance.any() else np.empty(0)
+    return new
+
+
+def _layers_of_map(old: Any) -> current.ReliefMap:
+    """Of a relief map before version 3, which had one layer, and its system as frame_id."""
+    new = _copied_fields(old, current.ReliefMap)
+    if hasattr(old, "layers"):
+        return new
+    layer = _copied_fields(old, current.ReliefLayer)
+    stated = {} if isinstance(old.provenance.parameters, str) else _stated(new.provenance.parameters)
+    layer.name = LAYERS[
+        "ground_mapper" if any(name.startswith("ground_mapper.") for name in stated) else "relief_mapper"
+    ]
+    new.layers = [layer]
+    frames = [stated.get(f"{mapper}.map_frame") for mapper in LAYERS]
+    map_frame = next((frame for frame in frames if isinstance(frame, str)), MAP_FRAME)
+    if new.header.frame_id != map_frame:
+        new.crs, new.header.frame_id = new.header.frame_id, map_frame
+    return new
+
+
+LAYERS = {"ground_mapper": current.ReliefLayer.GROUND, "relief_mapper": current.ReliefLayer.MEAN}
+"""Names of the layers of maps, by the node that makes them."""
+
+
+def _stated(parameters: Sequence[Any]) -> dict[str, Any]:
+    """Values of parameters by name; those of unknown types are left out."""
+    return {one.name: value_of(one.value) for one in parameters if one.value.type in FIELDS}
+
+
+def _node_account(old: Any) -> current.NodeAccount:
+    """Of an account of version 2, which was a list of numbers and one of their names."""
+    new = _copied_fields(old, current.NodeAccount)
+    if not hasattr(old, "names"):
+        return new
+    numbers = dict(zip(old.names, old.numbers.tolist(), strict=False))
+    account = account_of_numbers(numbers)
+    account.header, account.node, account.last_drop = new.header, new.node, new.last_drop
+    return account
+
+
+CHANGED: Mapping[str, Callable[[Any], Any]] = {
+    f"{PACKAGE}Aperture": _aperture,
+    f"{PACKAGE}NodeAccount": _node_account,
+    f"{PACKAGE}ReliefMap": _layers_of_map,
+}
+"""What makes a message of today of one of version 1 or 2 whose fields have other meanings, by the name of its type."""
+
 
 def _parameters(text: str) -> list[Any]:
     """Provenance.parameters from the JSON text that it was: an object by stage, of objects by name."""
@@ -148,7 +216,7 @@ def _parameters(text: str) -> list[Any]:
     except ValueError:
         return []
     flat = _flat(stages, "") if isinstance(stages, dict) else {}
-    return [Parameter(name, value=value).to_parameter_msg() for name, value in flat.items() if value is not None]
+    return [parameter_of(name, value) for name, value in flat.items() if value is not None]
 
 
 def _flat(values: Mapping[str, Any], prefix: str) -> dict[str, Any]:
@@ -159,25 +227,30 @@ def _flat(values: Mapping[str, Any], prefix: str) -> dict[str, Any]:
 
 
 def _copied(old: Any, message_type: type[Any]) -> Any:
+    """A new message that says what the old one does."""
+    return CHANGED.get(message_type.__msgtype__, lambda old: _copied_fields(old, message_type))(old)
+
+
+def _copied_fields(old: Any, message_type: type[Any]) -> Any:
     """A new message with the values of all fields that the old one has under the same name and of the same kind."""
     new = message_type()
-    for name in new.get_fields_and_field_types():
+    for name in fields_of_message(new):
         value, default = getattr(old, name, None), getattr(new, name)
-        if isinstance(default, array.array) and isinstance(value, np.ndarray):
-            setattr(new, name, _array(value, default.typecode))
-        elif hasattr(default, "get_fields_and_field_types") and hasattr(value, "__msgtype__"):
-            setattr(new, name, _copied(value, type(default)))
-        elif isinstance(value, list) and value and hasattr(value[0], "__msgtype__"):
-            setattr(new, name, [_copied(one, message_class(one.__msgtype__)) for one in value])
-        elif type(value) is type(default) and not isinstance(value, list):
+        if fields_of_message(default):
+            if fields_of_message(value):
+                setattr(new, name, _copied(value, type(default)))
+        elif isinstance(value, list) and isinstance(default, list):
+            setattr(new, name, [_copied_element(one) for one in value])
+        elif type(value) is type(default):
             setattr(new, name, value)
     return new
 
 
-def _pairs(real: Any, imaginary: Any) -> array.array[float]:
+def _copied_element(old: Any) -> Any:
+    """An element of a list: a message, or a text."""
+    return _copied(old, SHIPPED.message_class(old.__msgtype__)) if fields_of_message(old) else old
+
+
+def _pairs(real: Any, imaginary: Any) -> Any:
     """Real and imaginary parts in turn."""
-    return _array(np.stack([real, imaginary], axis=-1), "d")
-
-
-def _array(values: Any, typecode: str) -> array.array[Any]:
-    return array.array(typecode, np.ascontiguousarray(values, dtype=typecode).tobytes())
+    return np.stack([real, imaginary], axis=-1).ravel()

@@ -11,12 +11,11 @@ from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, NamedTuple, Self
 
-from rclpy.qos import DurabilityPolicy, QoSProfile
-
 from sal_height.bag import qos as qos_text
-from sal_height.bag.definitions import Definition, installed_definition
+from sal_height.bag.definitions import Definition, known_definition
 from sal_height.bag.file_writer import NO_TIME, FileWriter, Written, WrittenTopic
 from sal_height.bag.metadata_text import yaml_text
+from sal_height.bag.qos import TRANSIENT_LOCAL, Qos
 from sal_height.errors import UserError
 
 METADATA_VERSION = 9
@@ -115,7 +114,7 @@ class BagWriter:
         return any(file.counts[topic] for file in (*self._finished, self._file.written))
 
     def add_topic(
-        self, name: str, type_name: str, qos: Sequence[QoSProfile] = (), definition: Definition | None = None
+        self, name: str, type_name: str, qos: Sequence[Qos] = (), definition: Definition | None = None
     ) -> None:
         """Prepare `name` for `write`; to add it again with the same type does nothing.
 
@@ -123,10 +122,10 @@ class BagWriter:
             name: of the topic.
             type_name: of its messages.
             qos: profile of every publisher, for players that want to offer the same.
-            definition: text and hash of the type; None takes the installed one.
+            definition: text and hash of the type; None takes that which the package or the environment has.
 
         Raises:
-            UserError: the type is not installed, or the topic already has another type.
+            UserError: the type is not known, or the topic already has another type.
             OSError: the file cannot take it.
         """
         if name in self._topics:
@@ -137,7 +136,7 @@ class BagWriter:
                     "topic of a bag has one type."
                 )
             return
-        topic = WrittenTopic(name, type_name, definition or installed_definition(type_name), list(qos))
+        topic = WrittenTopic(name, type_name, definition or known_definition(type_name), list(qos))
         with self._breaking():
             self._file.add_topic(topic)
         self._topics[name] = _Topic(topic, latched=deque(maxlen=held_by_publishers(qos)))
@@ -275,8 +274,8 @@ def _span(files: Sequence[Written]) -> dict[str, Any]:
     }
 
 
-def held_by_publishers(profiles: Sequence[QoSProfile]) -> int:
+def held_by_publishers(profiles: Sequence[Qos]) -> int:
     """Messages that publishers keep for subscribers that come later; 0 if any of them keeps none."""
-    if any(profile.durability != DurabilityPolicy.TRANSIENT_LOCAL for profile in profiles):
+    if any(profile.durability != TRANSIENT_LOCAL for profile in profiles):
         return 0
     return min(MOST_REPEATED, sum(max(1, profile.depth) for profile in profiles))

@@ -10,23 +10,24 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rclpy.qos import QoSProfile
 from scipy.spatial.transform import Rotation
 
 from sal_height import messages
+from sal_height.bag import qos, sensor_topics
 from sal_height.bag.bulk import frames_of, odometry_of
-from sal_height.bag.codec import serialized
+from sal_height.bag.files import PARAMETERS
+from sal_height.bag.qos import Qos
+from sal_height.bag.sensor_topics import MAP_ORIGIN
 from sal_height.bag.topics import FIX_TYPE, FRAME_TYPE, ODOMETRY_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.geometry import Origin, PlatformState
-from sal_height.nodes.played import SENSOR
-from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, MAP_ORIGIN, ODOMETRY_QOS
 from sal_height.numeric import F64, I64
-from sal_height.runs.reporting import PARAMETERS
 from sal_height.sensor import PhaseHistory, Sensor
 
-SENSOR_INFO, ODOMETRY, FRAMES = (f"/{name}" for name in SENSOR)
+SENSOR_INFO, ODOMETRY, FRAMES = (
+    f"/{name}" for name in (sensor_topics.SENSOR_INFO, sensor_topics.ODOMETRY, sensor_topics.FRAMES)
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,16 +106,16 @@ def write_collection(collection: Collection, out: Path | str) -> None:
     collection.check()
     sensor, begin_ns = collection.sensor, collection.states[0].stamp_ns
     start = messages.to_stamp(begin_ns)
-    topics: dict[str, tuple[str, QoSProfile]] = {
-        SENSOR_INFO: (SENSOR_TYPE, LATCHED_QOS),
-        ODOMETRY: (ODOMETRY_TYPE, ODOMETRY_QOS),
-        FRAMES: (FRAME_TYPE, FRAMES_QOS),
+    topics: dict[str, tuple[str, Qos]] = {
+        SENSOR_INFO: (SENSOR_TYPE, qos.LATCHED),
+        ODOMETRY: (ODOMETRY_TYPE, qos.ODOMETRY),
+        FRAMES: (FRAME_TYPE, qos.FRAMES),
     }
-    recorded = [(SENSOR_INFO, serialized(messages.sensor_to_message(sensor, start)), begin_ns)]
+    recorded = [(SENSOR_INFO, messages.serialize(messages.sensor_to_message(sensor, start)), begin_ns)]
     if collection.origin:
-        topics[f"/{MAP_ORIGIN}"] = FIX_TYPE, LATCHED_QOS
+        topics[f"/{MAP_ORIGIN}"] = FIX_TYPE, qos.LATCHED
         origin = messages.origin_to_message(collection.origin, start, messages.MAP_FRAME)
-        recorded.append((f"/{MAP_ORIGIN}", serialized(origin), begin_ns))
+        recorded.append((f"/{MAP_ORIGIN}", messages.serialize(origin), begin_ns))
     recorded += [
         (ODOMETRY, cdr, state.stamp_ns)
         for cdr, state in zip(odometry_of(collection.states), collection.states, strict=True)
@@ -123,8 +124,8 @@ def write_collection(collection: Collection, out: Path | str) -> None:
     waiting = iter(recorded)
     entry = next(waiting, None)
     with BagWriter(Path(out), {PARAMETERS: json.dumps(collection.parameters)}) as bag:
-        for topic, (type_name, qos) in topics.items():
-            bag.add_topic(topic, type_name, [qos])
+        for topic, (type_name, offered) in topics.items():
+            bag.add_topic(topic, type_name, [offered])
         for dwell, history in enumerate(collection.histories):
             # A dwell is complete when the odometry has come that is around its last pulse.
             end_ns = history.stamp_of_last_pulse_ns + 1

@@ -19,15 +19,16 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from annotated_types import Ge, MinLen
 from pydantic_core import PydanticCustomError
-from sal_height_msgs.msg import ComplexImage, Provenance
 from scipy.constants import speed_of_light
 from scipy.spatial.transform import Rotation
-from std_msgs.msg import Header
 
 from sal_height import messages
 from sal_height.array_files import IMAGES as IMAGE_FILES
 from sal_height.array_files import NITF
-from sal_height.bag.codec import serialized
+from sal_height.bag import qos
+from sal_height.bag.files import PARAMETERS
+from sal_height.bag.sensor_topics import IMAGES, MAP_ORIGIN
+from sal_height.bag.sensor_topics import SENSOR_INFO as INFO
 from sal_height.bag.topics import FIX_TYPE, IMAGE_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.configuration import Float, Int, StrictKeys, read_yaml, validated
@@ -36,11 +37,9 @@ from sal_height.geometry import ApertureState, Grid, Origin, ranges_of_phase
 from sal_height.imaging import Slc
 from sal_height.imports.description import Description, Positive
 from sal_height.imports.sicd import SicdImage, read_sicd
-from sal_height.nodes.played import IMAGES, SENSOR
-from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, MAP_ORIGIN
+from sal_height.messages.types import ComplexImage, Header, Provenance
 from sal_height.numeric import C64, F64
 from sal_height.runs.images import AXES, images_of
-from sal_height.runs.reporting import PARAMETERS
 from sal_height.sensor import Sensor
 
 Vector = tuple[Float, Float, Float]
@@ -55,7 +54,7 @@ STATED = (
 
 WINDOW_KEYS = ("range_window", "azimuth_window")
 
-SENSOR_INFO, SLC = f"/{SENSOR[0]}", f"/{IMAGES}"
+SENSOR_INFO, SLC = f"/{INFO}", f"/{IMAGES}"
 
 UNIT_TOLERANCE = 0.01
 """Greatest difference of the norm of a direction or an attitude from 1."""
@@ -285,7 +284,7 @@ def write_images(images: Images, out: Path) -> None:
         made = messages.slc_to_messages(images.slc(number, samples), labels, provenance)
         for image in made:
             messages.check_slc(image, sensor)
-        return [serialized(image) for image in made]
+        return [messages.serialize(image) for image in made]
 
     checked = recorded(0, first)
     del first
@@ -295,13 +294,13 @@ def write_images(images: Images, out: Path) -> None:
         def write(topic: str, cdr: bytes, stamp_ns: int) -> None:
             bag.write(topic, cdr, stamp_ns, stamp_ns)
 
-        bag.add_topic(SENSOR_INFO, SENSOR_TYPE, [LATCHED_QOS])
-        bag.add_topic(SLC, IMAGE_TYPE, [FRAMES_QOS])
-        write(SENSOR_INFO, serialized(messages.sensor_to_message(sensor, start)), stamps_ns[0])
+        bag.add_topic(SENSOR_INFO, SENSOR_TYPE, [qos.LATCHED])
+        bag.add_topic(SLC, IMAGE_TYPE, [qos.FRAMES])
+        write(SENSOR_INFO, messages.serialize(messages.sensor_to_message(sensor, start)), stamps_ns[0])
         if described.place:
-            bag.add_topic(f"/{MAP_ORIGIN}", FIX_TYPE, [LATCHED_QOS])
+            bag.add_topic(f"/{MAP_ORIGIN}", FIX_TYPE, [qos.LATCHED])
             origin = messages.origin_to_message(described.place, start, messages.MAP_FRAME)
-            write(f"/{MAP_ORIGIN}", serialized(origin), stamps_ns[0])
+            write(f"/{MAP_ORIGIN}", messages.serialize(origin), stamps_ns[0])
         for number, stamp_ns in enumerate(stamps_ns):
             for cdr in recorded(number, images.dwell(number)) if number else checked:
                 write(SLC, cdr, stamp_ns)

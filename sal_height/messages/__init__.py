@@ -1,7 +1,8 @@
-"""Conversion of messages to arrays and back.
+"""Messages as plain objects and as bytes, without ROS, and their conversion to arrays and back.
 
-It is the only package that knows both the types of messages and those of the core. Samples are read without a copy
-(but for frames of 16-bit integers) and written with one block copy.
+`types` has the classes of messages, `codec` reads and writes their bytes. It is the only package that knows both the
+types of messages and those of the core. Samples are read without a copy (but for frames of 16-bit integers), and
+messages that are made have views of the arrays that they are made of, until they are serialized.
 """
 
 from sal_height.messages.air import (
@@ -30,6 +31,7 @@ from sal_height.messages.basics import (
     to_stamp,
 )
 from sal_height.messages.calibrations import calibration_from_message, calibration_to_message
+from sal_height.messages.codec import BrokenMessage, deserialize, serialize
 from sal_height.messages.frames import (
     LONGEST_DWELL,
     check_frame,
@@ -96,6 +98,7 @@ __all__ = [
     "POINT_FIELDS",
     "RELIEF_POINT_FIELDS",
     "AirSample",
+    "BrokenMessage",
     "Frames",
     "HeightOrigin",
     "Pose",
@@ -113,6 +116,7 @@ __all__ = [
     "check_slc",
     "complex_view",
     "derived",
+    "deserialize",
     "field_from_message",
     "float_view",
     "frame_near",
@@ -147,6 +151,7 @@ __all__ = [
     "samples_of",
     "sensor_from_message",
     "sensor_to_message",
+    "serialize",
     "serialized_height",
     "serialized_slc",
     "slc_from_messages",

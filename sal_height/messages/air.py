@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from builtin_interfaces.msg import Time
-from sensor_msgs.msg import FluidPressure, RelativeHumidity, Temperature
-from std_msgs.msg import Header
-
 from sal_height.errors import Rejected
 from sal_height.geometry import RADIO_M
 from sal_height.imaging import CorrectionSettings
 from sal_height.messages.basics import to_ns
+from sal_height.messages.types import FluidPressure, Header, RelativeHumidity, Temperature, Time
 from sal_height.settings import settings_of
 
 
@@ -21,19 +18,22 @@ class AirQuantity(NamedTuple):
 
     Attributes:
         message_type: class of its messages.
-        type_name: name of that in a bag.
         field: of the message.
         unit: of the field, after a space; empty: none.
         parameter: that states the same.
         offset: what is to be added to the field for the unit of the parameter.
     """
 
-    message_type: type
-    type_name: str
+    message_type: type[Any]
     field: str
     unit: str
     parameter: str
     offset: float = 0.0
+
+    @property
+    def type_name(self) -> str:
+        """Name of the type of its messages."""
+        return str(self.message_type.__msgtype__)
 
 
 class AirSample(NamedTuple):
@@ -44,15 +44,9 @@ class AirSample(NamedTuple):
 
 
 AIR: Mapping[str, AirQuantity] = {
-    "air/pressure": AirQuantity(
-        FluidPressure, "sensor_msgs/msg/FluidPressure", "fluid_pressure", " Pa", "air_pressure_pa"
-    ),
-    "air/temperature": AirQuantity(
-        Temperature, "sensor_msgs/msg/Temperature", "temperature", " degrees Celsius", "air_temperature_k", 273.15
-    ),
-    "air/humidity": AirQuantity(
-        RelativeHumidity, "sensor_msgs/msg/RelativeHumidity", "relative_humidity", "", "air_humidity"
-    ),
+    "air/pressure": AirQuantity(FluidPressure, "fluid_pressure", " Pa", "air_pressure_pa"),
+    "air/temperature": AirQuantity(Temperature, "temperature", " degrees Celsius", "air_temperature_k", 273.15),
+    "air/humidity": AirQuantity(RelativeHumidity, "relative_humidity", "", "air_humidity"),
 }
 """The quantities by the topic that they come on."""
 

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import array
 import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, Quaternion, Vector3
-from sal_height_msgs import msg as messages
 
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import ROS_AXES, ApertureState, Axes, Grid, quaternion_of, rotation_matrix
+from sal_height.messages.types import Aperture, ImageGrid, Point, Pose, Quaternion, Time, Vector3
 from sal_height.numeric import C64, C128, F32, F64, U8
 from sal_height.sensor import Sensor
 
@@ -47,22 +44,15 @@ def to_stamp(ns: int) -> Time:
     return Time(sec=sec, nanosec=nanosec)
 
 
-def to_floats(samples: npt.NDArray[np.generic]) -> array.array[float]:
-    """Return the value of a float32[] field that holds `samples`, real or complex, of any shape.
-
-    This is one block copy: rosidl takes an array.array as it is, but converts a NumPy array element by element.
-    """
+def to_floats(samples: npt.NDArray[np.generic]) -> F32:
+    """Return the value of a float32[] field that holds `samples`, real or complex, of any shape: a view of them."""
     single = np.ascontiguousarray(samples, dtype=np.complex64 if np.iscomplexobj(samples) else np.float32)
-    floats = array.array("f")
-    floats.frombytes(single.reshape(-1).view(np.uint8).data)
-    return floats
+    return single.reshape(-1).view(np.float32)
 
 
-def complex_pairs(values: npt.NDArray[np.complexfloating]) -> array.array[float]:
+def complex_pairs(values: npt.NDArray[np.complexfloating]) -> F64:
     """Return the value of a float64[] field that holds complex `values` of any shape: real, imaginary part in turn."""
-    pairs = array.array("d")
-    pairs.frombytes(np.ascontiguousarray(values, dtype=np.complex128).tobytes())
-    return pairs
+    return np.ascontiguousarray(values, dtype=np.complex128).reshape(-1).view(np.float64)
 
 
 def from_complex_pairs(pairs: Sequence[float], where: str) -> C128:
@@ -76,19 +66,19 @@ def from_complex_pairs(pairs: Sequence[float], where: str) -> C128:
     return np.array(pairs, dtype=np.float64).view(np.complex128)
 
 
-def to_bytes(values: U8) -> array.array[int]:
-    """Return the value of a uint8[] field that holds `values`."""
-    return array.array("B", values.tobytes())
+def to_bytes(values: U8) -> U8:
+    """Return the value of a uint8[] field that holds `values`: a view of them."""
+    return np.ascontiguousarray(values, dtype=np.uint8).reshape(-1)
 
 
 def complex_view(floats: Sequence[float] | F32, shape: tuple[int, ...]) -> C64:
     """Read a float32[] field as complex64 samples of `shape`, without a copy."""
-    return np.frombuffer(memoryview(floats), np.complex64).reshape(shape)  # type: ignore[arg-type]
+    return np.asarray(floats, np.float32).view(np.complex64).reshape(shape)
 
 
 def float_view(floats: Sequence[float], shape: tuple[int, ...]) -> F32:
     """Read a float32[] field as float32 numbers of `shape`, without a copy."""
-    return np.frombuffer(memoryview(floats), np.float32).reshape(shape)  # type: ignore[arg-type]
+    return np.asarray(floats, np.float32).reshape(shape)
 
 
 FARTHEST = 1e7
@@ -101,7 +91,7 @@ FINEST = 1e-6
 """Least distance of pixels, m: finer than any wavelength."""
 
 
-def grid_from_message(message: messages.ImageGrid) -> Grid:
+def grid_from_message(message: ImageGrid) -> Grid:
     """Return the grid that an ImageGrid describes."""
     return Grid(
         origin=vector_of(message.origin),
@@ -114,22 +104,38 @@ def grid_from_message(message: messages.ImageGrid) -> Grid:
     )
 
 
-def aperture_from_message(message: messages.Aperture) -> ApertureState:
-    """Return the aperture that an Aperture message describes."""
-    q = message.pose.pose.orientation
+def aperture_from_message(message: Aperture) -> ApertureState:
+    """Return the aperture that an Aperture message describes; a covariance that is not known is 0.
+
+    Raises:
+        Rejected: the covariance has another number of entries than 0 and 36.
+    """
+    q = message.pose.orientation
     return ApertureState(
-        position=vector_of(message.pose.pose.position),
+        position=vector_of(message.pose.position),
         velocity=vector_of(message.velocity),
         rotation=rotation_matrix((q.x, q.y, q.z, q.w)),
         length=message.length,
-        covariance=np.array(message.pose.covariance).reshape(6, 6),
+        covariance=_covariance(message.pose_covariance, 6, "aperture.pose_covariance"),
         sliding=message.sliding,
     )
 
 
-def grid_to_message(grid: Grid) -> messages.ImageGrid:
+def _covariance(numbers: Sequence[float], size: int, where: str) -> F64:
+    """A covariance of shape (size, size); one that is not known, of which there are no numbers, is 0.
+
+    Raises:
+        Rejected: it has another number of entries; the sentence begins with `where`.
+    """
+    if len(numbers) not in {0, size**2}:
+        sentence = f"{where} has {len(numbers)} entries; it must have {size**2}, or none if it is not known."
+        raise Rejected("wrong size", sentence)
+    return np.array(numbers, dtype=np.float64).reshape(size, size) if len(numbers) else np.zeros((size, size))
+
+
+def grid_to_message(grid: Grid) -> ImageGrid:
     """Return the ImageGrid that describes a grid."""
-    return messages.ImageGrid(
+    return ImageGrid(
         origin=Point(**xyz(grid.origin)),
         row_direction=Vector3(**xyz(grid.row_direction)),
         col_direction=Vector3(**xyz(grid.col_direction)),
@@ -140,15 +146,16 @@ def grid_to_message(grid: Grid) -> messages.ImageGrid:
     )
 
 
-def aperture_to_message(aperture: ApertureState) -> messages.Aperture:
-    """Return the Aperture message that describes an aperture."""
-    message = messages.Aperture(velocity=Vector3(**xyz(aperture.velocity)), length=aperture.length)
-    message.sliding = aperture.sliding
-    message.pose.pose.position = Point(**xyz(aperture.position))
+def aperture_to_message(aperture: ApertureState) -> Aperture:
+    """Return the Aperture message that describes an aperture; a covariance of 0 counts as not known."""
     x, y, z, w = quaternion_of(aperture.rotation)
-    message.pose.pose.orientation = Quaternion(x=x, y=y, z=z, w=w)
-    message.pose.covariance = aperture.covariance.ravel()
-    return message
+    return Aperture(
+        pose=Pose(position=Point(**xyz(aperture.position)), orientation=Quaternion(x=x, y=y, z=z, w=w)),
+        pose_covariance=aperture.covariance.ravel() if aperture.covariance.any() else None,
+        velocity=Vector3(**xyz(aperture.velocity)),
+        length=aperture.length,
+        sliding=aperture.sliding,
+    )
 
 
 def xyz(vector: F64) -> dict[str, float]:
@@ -165,16 +172,19 @@ def _numbers(message: Point | Vector3) -> tuple[float, float, float]:
     return message.x, message.y, message.z
 
 
-def check_geometry(image_grid: messages.ImageGrid, aperture: messages.Aperture, where: str) -> None:
+def check_geometry(image_grid: ImageGrid, aperture: Aperture, where: str) -> None:
     """Check that the grid and the aperture of an image are finite and possible.
 
     Raises:
         Rejected: a value is not finite or beyond FARTHEST, a direction or the orientation has not the norm 1, a spacing
-            is less than FINEST, or the velocity is 0; the sentence begins with `where`.
+            is less than FINEST, the velocity is 0, or a covariance has a wrong number of entries; the sentence begins
+            with `where`.
     """
-    grid, q, velocity = image_grid, aperture.pose.pose.orientation, _numbers(aperture.velocity)
+    _covariance(aperture.pose_covariance, 6, f"{where}: aperture.pose_covariance")
+    _covariance(aperture.velocity_covariance, 3, f"{where}: aperture.velocity_covariance")
+    grid, q, velocity = image_grid, aperture.pose.orientation, _numbers(aperture.velocity)
     directions = _numbers(grid.row_direction), _numbers(grid.col_direction)
-    places = *_numbers(grid.origin), *_numbers(aperture.pose.pose.position), *velocity
+    places = *_numbers(grid.origin), *_numbers(aperture.pose.position), *velocity
     spacings = grid.row_spacing, grid.col_spacing
     if not all(abs(number) <= FARTHEST for number in (*places, *directions[0], *directions[1], *spacings)):
         raise Rejected(

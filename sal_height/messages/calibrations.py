@@ -5,21 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from builtin_interfaces.msg import Time
-from sal_height_msgs import msg as messages
-from std_msgs.msg import Header
 
 from sal_height.calibration import Calibration
 from sal_height.errors import UserError
 from sal_height.messages.basics import BODY_FRAME, complex_pairs, from_complex_pairs
+from sal_height.messages.types import Calibration as CalibrationMessage
+from sal_height.messages.types import Header, Time
 
 
 def calibration_to_message(
     calibration: Calibration, stamp: Time, undetermined: Sequence[str] = ()
-) -> messages.Calibration:
+) -> CalibrationMessage:
     """Return the Calibration message; `undetermined` has a sentence for each part that could not be determined."""
     channels, frequencies = calibration.response.shape
-    return messages.Calibration(
+    return CalibrationMessage(
         header=Header(stamp=stamp, frame_id=BODY_FRAME),
         id=calibration.id,
         config_hash=calibration.config_hash,
@@ -40,7 +39,7 @@ def calibration_to_message(
     )
 
 
-def calibration_from_message(message: messages.Calibration) -> Calibration:
+def calibration_from_message(message: CalibrationMessage) -> Calibration:
     """Return the calibration that a message holds.
 
     Raises:

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import array
 import functools
 import math
 from collections.abc import Sequence
 from typing import TypeAlias
 
 import numpy as np
-from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, Quaternion, Vector3
-from nav_msgs.msg import Odometry
-from sal_height_msgs import msg as messages
-from std_msgs.msg import Header
 
 from sal_height.errors import Rejected
 from sal_height.geometry import PlatformState, rotation_matrix
@@ -29,7 +23,8 @@ from sal_height.messages.basics import (
     xyz,
 )
 from sal_height.messages.received import Pose, ReceivedFrame
-from sal_height.numeric import C64, F32, F64
+from sal_height.messages.types import ChannelFrame, Header, Odometry, Point, Quaternion, Time, Vector3
+from sal_height.numeric import C64, F32, F64, U8
 from sal_height.sensor import PhaseHistory, Sensor
 
 LONGEST_DWELL = 3600.0
@@ -38,10 +33,10 @@ LONGEST_DWELL = 3600.0
 GREATEST_RANGE = 1e8
 """Greatest reference range of a frame, m."""
 
-Frame: TypeAlias = messages.ChannelFrame | ReceivedFrame
+Frame: TypeAlias = ChannelFrame | ReceivedFrame
 """A frame, as a message or as received."""
 
-SAMPLE_BYTES = {messages.ChannelFrame.COMPLEX_FLOAT32: 8, messages.ChannelFrame.COMPLEX_INT16: 4}
+SAMPLE_BYTES = {ChannelFrame.COMPLEX_FLOAT32: 8, ChannelFrame.COMPLEX_INT16: 4}
 """Bytes per complex sample by ChannelFrame.encoding."""
 
 
@@ -108,19 +103,19 @@ def state_of_pose(pose: Pose, frames: Frames = USUAL) -> PlatformState:
     return frames.axes.state(state)
 
 
-def history_to_messages(history: PhaseHistory, sensor: Sensor, dwell: int, stamp: Time) -> list[messages.ChannelFrame]:
+def history_to_messages(history: PhaseHistory, sensor: Sensor, dwell: int, stamp: Time) -> list[ChannelFrame]:
     """Return one ChannelFrame per channel of a dwell, with samples encoded as "complex_float32"."""
     return [
-        messages.ChannelFrame(
+        ChannelFrame(
             header=Header(stamp=stamp, frame_id=sensor.mounting.frame_id),
             dwell=dwell,
             channel=channel,
             config_hash=sensor.config_hash,
             pulse_count=samples.shape[0],
             sample_count=samples.shape[1],
-            pulse_time=history.pulse_times.tolist(),
-            reference_range=history.reference_range.tolist(),
-            encoding=messages.ChannelFrame.COMPLEX_FLOAT32,
+            pulse_time=history.pulse_times,
+            reference_range=history.reference_range,
+            encoding=ChannelFrame.COMPLEX_FLOAT32,
             samples=_bytes_of(samples),
         )
         for channel, samples in enumerate(history.samples)
@@ -153,7 +148,7 @@ def check_frame(frame: Frame, sensor: Sensor) -> None:
             raise Rejected(
                 "wrong size", f"{where}: {field} has {len(getattr(frame, field))} entries; it must have {count}."
             )
-    if frame.encoding == messages.ChannelFrame.COMPLEX_INT16 and not 0 < frame.scale < np.inf:
+    if frame.encoding == ChannelFrame.COMPLEX_INT16 and not 0 < frame.scale < np.inf:
         raise Rejected("wrong scale", f"{where}: scale is {frame.scale}; it must be finite and greater than 0.")
     if not _are_finite(samples_of(frame).view(np.float32).ravel()):
         raise Rejected("not finite", f"{where}: samples has NaN or infinite entries; all must be finite.")
@@ -199,17 +194,15 @@ def samples_of(frame: Frame) -> C64:
     Of "complex_float32" they are a view, of "complex_int16" a copy multiplied by the scale.
     """
     shape = frame.pulse_count, frame.sample_count
-    if frame.encoding == messages.ChannelFrame.COMPLEX_FLOAT32:
+    if frame.encoding == ChannelFrame.COMPLEX_FLOAT32:
         return np.frombuffer(frame.samples, "<c8").reshape(shape)
     scaled = np.frombuffer(frame.samples, "<i2") * np.float32(frame.scale)
     return scaled.view(np.complex64).reshape(shape)
 
 
-def _bytes_of(samples: C64) -> array.array[int]:
-    """Return the value of ChannelFrame.samples in the encoding "complex_float32", with one block copy."""
-    data = array.array("B")
-    data.frombytes(np.ascontiguousarray(samples, dtype="<c8").reshape(-1).view(np.uint8).data)
-    return data
+def _bytes_of(samples: C64) -> U8:
+    """Return the value of ChannelFrame.samples in the encoding "complex_float32", a view of them."""
+    return np.ascontiguousarray(samples, dtype="<c8").reshape(-1).view(np.uint8)
 
 
 def history_from_messages(frames: Sequence[Frame]) -> PhaseHistory:

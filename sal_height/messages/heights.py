@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import array
 from collections.abc import Sequence
 
 import numpy as np
-from geometry_msgs.msg import TransformStamped, Vector3
-from sal_height_msgs import msg as messages
-from sensor_msgs.msg import Image, PointCloud2, PointField
-from std_msgs.msg import Header
 
 from sal_height.elevation import ORDERS, USABLE, Validity, scatterer_count
 from sal_height.errors import Rejected, UserError
@@ -28,6 +23,18 @@ from sal_height.messages.basics import (
     vector_of,
     xyz,
 )
+from sal_height.messages.types import (
+    ComplexImage,
+    Header,
+    HeightImage,
+    Image,
+    PointCloud2,
+    PointField,
+    Provenance,
+    TransformStamped,
+    Vector3,
+)
+from sal_height.messages.types import Surface as SurfaceMessage
 from sal_height.numeric import F32, F64, Bool
 from sal_height.relief import HeightField, Surface, covariances_from_sigma, folded, is_covariance, unfolded
 
@@ -53,11 +60,11 @@ def height_to_message(
     aperture: ApertureState,
     looks: tuple[int, int],
     estimator: str,
-    source: messages.ComplexImage | messages.HeightImage,
-    provenance: messages.Provenance,
-) -> messages.HeightImage:
+    source: ComplexImage | HeightImage,
+    provenance: Provenance,
+) -> HeightImage:
     """Return the HeightImage of a field of heights, with the stamp and the dwell of its `source`."""
-    image = messages.HeightImage(
+    image = HeightImage(
         header=source.header,
         dwell=source.dwell,
         estimator=estimator,
@@ -74,10 +81,10 @@ def height_to_message(
     return image
 
 
-def _surface_to_message(surface: Surface, grid: Grid) -> messages.Surface:
+def _surface_to_message(surface: Surface, grid: Grid) -> SurfaceMessage:
     offset = surface.positions - grid.origin
     values = (surface.height, surface.sigma, surface.cnr_db, offset[..., 0], offset[..., 1])
-    message = messages.Surface(**{name: to_floats(numbers) for name, numbers in zip(LAYERS, values, strict=True)})
+    message = SurfaceMessage(**{name: to_floats(numbers) for name, numbers in zip(LAYERS, values, strict=True)})
     message.spread = to_floats(surface.spread)
     if np.isfinite(surface.own_covariance[..., 0, 0]).any():
         message.covariance = to_floats(folded(surface.own_covariance))
@@ -86,7 +93,7 @@ def _surface_to_message(surface: Surface, grid: Grid) -> messages.Surface:
     return message
 
 
-def field_from_message(image: messages.HeightImage, map_frame: str = MAP_FRAME) -> HeightField:
+def field_from_message(image: HeightImage, map_frame: str = MAP_FRAME) -> HeightField:
     """Return the surfaces of a HeightImage.
 
     A pixel that is usable by its validity but one of whose scatterers has no finite height, sigma, east or north, a
@@ -115,7 +122,7 @@ def field_from_message(image: messages.HeightImage, map_frame: str = MAP_FRAME) 
     sound = (held <= len(image.surfaces)) & (_is_sound(surfaces) | (held <= number)).all(axis=0)
     validity[~sound] = Validity.MISSING_DATA
     held[~sound] = 0
-    probability = float_view(image.order_probability, (*grid.shape, ORDERS)) if image.order_probability else None
+    probability = float_view(image.order_probability, (*grid.shape, ORDERS)) if len(image.order_probability) else None
     return HeightField(
         grid,
         validity,
@@ -124,7 +131,7 @@ def field_from_message(image: messages.HeightImage, map_frame: str = MAP_FRAME) 
     )
 
 
-def _check_sizes(image: messages.HeightImage, grid: Grid, where: str) -> None:
+def _check_sizes(image: HeightImage, grid: Grid, where: str) -> None:
     """Every array has as many entries as the grid needs.
 
     Raises:
@@ -132,7 +139,7 @@ def _check_sizes(image: messages.HeightImage, grid: Grid, where: str) -> None:
     """
     count = grid.rows * grid.cols
     sizes = {"validity": (len(image.validity), count)}
-    if image.order_probability:
+    if len(image.order_probability):
         sizes["order_probability"] = len(image.order_probability), ORDERS * count
     for number, surface in enumerate(image.surfaces):
         for name in LAYERS:
@@ -148,7 +155,7 @@ def _check_sizes(image: messages.HeightImage, grid: Grid, where: str) -> None:
             )
 
 
-def _surfaces_from_messages(surfaces: Sequence[messages.Surface], grid: Grid, aperture: ApertureState) -> Surface:
+def _surfaces_from_messages(surfaces: Sequence[SurfaceMessage], grid: Grid, aperture: ApertureState) -> Surface:
     """Surfaces seen from `aperture`, arrays of shape (surfaces, rows, cols, ...).
 
     Spread that is not told is 0, covariance that is not told follows from sigma.
@@ -158,14 +165,14 @@ def _surfaces_from_messages(surfaces: Sequence[messages.Surface], grid: Grid, ap
     with np.errstate(invalid="ignore"):  # a signalling NaN becomes a quiet one
         for number, message in enumerate(surfaces):
             for name, layer in zip((*LAYERS, "spread"), (height, sigma, cnr_db, east, north, spread), strict=True):
-                if numbers := getattr(message, name):
+                if len(numbers := getattr(message, name)):
                     layer[number] = float_view(numbers, grid.shape)
     positions = above_place(grid.origin[0] + east, grid.origin[1] + north, height)
     own = _covariances([message.covariance for message in surfaces], grid)
     told = [message.common_covariance for message in surfaces]
-    common = _covariances(told, grid) if any(told) else None
+    common = _covariances(told, grid) if any(map(len, told)) else None
     for number, message in enumerate(surfaces):
-        if not message.covariance and np.isfinite(sigma[number]).any():
+        if not len(message.covariance) and np.isfinite(sigma[number]).any():
             own[number], by_pose = covariances_from_sigma(sigma[number], positions[number], aperture)
             if by_pose is not None:
                 common = np.zeros_like(own) if common is None else common
@@ -187,18 +194,18 @@ def _covariances(triangles: Sequence[Sequence[float]], grid: Grid) -> F64:
     """Symmetric matrices, shape (surfaces, rows, cols, 3, 3), from their upper triangles; of none told they are 0."""
     numbers = np.zeros((len(triangles), *grid.shape, OPTIONAL["covariance"]), np.float32)
     for surface, triangle in zip(numbers, triangles, strict=True):
-        if triangle:
+        if len(triangle):
             surface[...] = float_view(triangle, surface.shape)
     return unfolded(numbers)
 
 
-def bad_pixels(image: messages.HeightImage, field: HeightField) -> int:
+def bad_pixels(image: HeightImage, field: HeightField) -> int:
     """Return the number of pixels that are usable by their validity in `image` but masked in `field`, made of it."""
-    said = _USABLE[np.frombuffer(image.validity, np.uint8)]
+    said = _USABLE[np.asarray(image.validity, np.uint8)]
     return int(np.count_nonzero(said & ~_USABLE[field.validity.ravel()]))
 
 
-def bad_pixel_warning(image: messages.HeightImage, count: int) -> UserError:
+def bad_pixel_warning(image: HeightImage, count: int) -> UserError:
     """Return the warning that says how many pixels of a height image were masked."""
     return UserError(
         f"HeightImage of dwell {image.dwell}: {count} of {len(image.validity)} pixels are usable by their validity, "
@@ -207,7 +214,7 @@ def bad_pixel_warning(image: messages.HeightImage, count: int) -> UserError:
     )
 
 
-def height_picture(image: messages.HeightImage) -> Image:
+def height_picture(image: HeightImage) -> Image:
     """Return the heights of the first surface as a 32FC1 image for image viewers, NaN where they are not valid."""
     return float_picture(float_view(image.surfaces[0].height, (image.grid.rows, image.grid.cols)), image.header)
 
@@ -215,7 +222,7 @@ def height_picture(image: messages.HeightImage) -> Image:
 def float_picture(values: F32, header: Header) -> Image:
     """Return an array (rows, cols) as a 32FC1 image."""
     rows, cols = values.shape
-    data = array.array("B", values.tobytes())
+    data = np.ascontiguousarray(values).reshape(-1).view(np.uint8)
     return Image(header=header, height=rows, width=cols, encoding="32FC1", step=4 * cols, data=data)
 
 
@@ -245,7 +252,7 @@ def point_cloud(points: F32, names: Sequence[str], frame: TransformStamped) -> P
         fields=[PointField(name=n, offset=4 * i, datatype=PointField.FLOAT32, count=1) for i, n in enumerate(names)],
         point_step=4 * len(names),
         row_step=4 * len(names) * len(points),
-        data=array.array("B", points.tobytes()),
+        data=points.reshape(-1).view(np.uint8),
         is_dense=True,
     )
 

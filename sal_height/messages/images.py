@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from typing import Protocol, TypeAlias
 
 import numpy as np
-from sal_height_msgs import msg as messages
-from std_msgs.msg import Header
 
 from sal_height.errors import Rejected
 from sal_height.imaging import Slc
@@ -26,10 +24,11 @@ from sal_height.messages.basics import (
 )
 from sal_height.messages.provenance import held_stages
 from sal_height.messages.received import ReceivedImage
+from sal_height.messages.types import ComplexImage, Header, Provenance
 from sal_height.numeric import WINDOWS
 from sal_height.sensor import Sensor
 
-Image: TypeAlias = messages.ComplexImage | ReceivedImage
+Image: TypeAlias = ComplexImage | ReceivedImage
 """An image, as a message or as received."""
 
 
@@ -48,18 +47,25 @@ class Labelled(Protocol):
 def slc_to_messages(
     slc: Slc,
     frame: Labelled,
-    provenance: messages.Provenance,
-    channels: int | None = None,
+    provenance: Provenance,
     map_frame: str = MAP_FRAME,
-) -> list[messages.ComplexImage]:
-    """Return one ComplexImage for each of the first `channels` channels (None: all), with the labels of `frame`.
+    air_delay: str = "",
+) -> list[ComplexImage]:
+    """Return one ComplexImage for each channel, with the labels of `frame`.
 
-    Places are in the frame `map_frame`. The images share one grid, one aperture and one provenance, which are to be
-    left as they are.
+    They share one grid, one aperture and one provenance, which are to be left as they are, and have views of the
+    pixels.
+
+    Args:
+        slc: images of all channels.
+        frame: has the stamp and the dwell.
+        provenance: how they were made.
+        map_frame: name of the frame of positions.
+        air_delay: ComplexImage.AIR_REMOVED or AIR_LEFT; empty: not known.
     """
     grid, aperture, stamp = grid_to_message(slc.grid), aperture_to_message(slc.aperture), frame.header.stamp
     return [
-        messages.ComplexImage(
+        ComplexImage(
             header=Header(stamp=stamp, frame_id=map_frame),
             dwell=frame.dwell,
             channel=channel,
@@ -67,10 +73,11 @@ def slc_to_messages(
             aperture=aperture,
             noise_power=float(slc.noise_power[channel]),
             saturated_share=float(slc.saturated_share[channel]),
+            air_delay=air_delay,
             samples=to_floats(image),
             provenance=provenance,
         )
-        for channel, image in enumerate(slc.images[:channels])
+        for channel, image in enumerate(slc.images)
     ]
 
 
@@ -132,7 +139,7 @@ def slc_from_messages(images: Sequence[Image]) -> Slc:
     )
 
 
-def recorded_window(provenance: messages.Provenance, axis: str) -> str:
+def recorded_window(provenance: Provenance, axis: str) -> str:
     """Return the name of the window that images were made with, which their provenance, never changed, records.
 
     It is "rectangular" if the provenance does not name a window of `numeric.WINDOWS`.

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from geometry_msgs.msg import TransformStamped
-from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import Header
 
 from sal_height.messages.heights import point_cloud
+from sal_height.messages.types import Header, PointCloud2, TransformStamped
 from sal_height.movers import Mover
 
 MOVER_FIELDS = (

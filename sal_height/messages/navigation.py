@@ -10,14 +10,21 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, PoseStamped, PoseWithCovarianceStamped, Quaternion, TwistStamped
-from sensor_msgs.msg import Imu, NavSatFix
-from std_msgs.msg import Header
 
 from sal_height.errors import Rejected
 from sal_height.geometry import Mounting, Origin, Sample
 from sal_height.messages.basics import Frames, check_finite, check_rotation, to_ns, vector_of
+from sal_height.messages.types import (
+    Header,
+    Imu,
+    NavSatFix,
+    Point,
+    PoseStamped,
+    PoseWithCovarianceStamped,
+    Quaternion,
+    Time,
+    TwistStamped,
+)
 from sal_height.numeric import F64
 
 FARTHEST_FROM_ORIGIN = 200_000.0

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import numpy as np
-from rcl_interfaces.msg import Parameter as ParameterMessage
-from rclpy.parameter import Parameter, parameter_value_to_python
-from sal_height_msgs.msg import Provenance
 
 from sal_height import __version__
-from sal_height.errors import Rejected
+from sal_height.errors import Rejected, UserError
+from sal_height.messages.parameters import parameter_of, value_of
+from sal_height.messages.programs import Same
+from sal_height.messages.types import Parameter, Provenance
 from sal_height.settings import Settings
 
 HELD_PARAMETERS = 256
@@ -22,23 +21,6 @@ HELD_PARAMETERS = 256
 
 HELD_PROVENANCES = 16
 """Provenances for which what follows from them is held: those of the products of a node are the same objects."""
-
-Held = TypeVar("Held")
-
-
-@dataclass(frozen=True, eq=False)
-class Same(Generic[Held]):
-    """An object that is never changed, as a key: equal to nothing but itself."""
-
-    one: Held
-
-    def __hash__(self) -> int:
-        """By identity, which lasts as long as this key holds the object."""
-        return id(self.one)
-
-    def __eq__(self, other: object) -> bool:
-        """Whether it is the very same object."""
-        return isinstance(other, Same) and other.one is self.one
 
 
 def derived(before: Provenance, stage: str, values: Settings | Mapping[str, Any]) -> Provenance:
@@ -71,9 +53,7 @@ def _newly_derived(before: Provenance, stage: str, values: Settings | Mapping[st
     )
 
 
-def with_stage(
-    before: Sequence[ParameterMessage], stage: str, values: Settings | Mapping[str, Any]
-) -> list[ParameterMessage]:
+def with_stage(before: Sequence[Parameter], stage: str, values: Settings | Mapping[str, Any]) -> list[Parameter]:
     """Return the value of Provenance.parameters with the parameters of one more stage.
 
     Args:
@@ -86,16 +66,16 @@ def with_stage(
     return kept + [_parameter(name, value) for name, value in flat.items()]
 
 
-def _parameter(name: str, value: Any) -> ParameterMessage:
+def _parameter(name: str, value: Any) -> Parameter:
     """The message of a parameter, to be left as it is."""
     if isinstance(value, Hashable):
         return _held_parameter(name, value)
-    return Parameter(name, value=value).to_parameter_msg()
+    return parameter_of(name, value)
 
 
 @lru_cache(maxsize=HELD_PARAMETERS, typed=True)
-def _held_parameter(name: str, value: Hashable) -> ParameterMessage:
-    return Parameter(name, value=value).to_parameter_msg()
+def _held_parameter(name: str, value: Hashable) -> Parameter:
+    return parameter_of(name, value)
 
 
 def held_stages(provenance: Provenance) -> Mapping[str, Mapping[str, Any]]:
@@ -108,7 +88,7 @@ def _stages_of(provenance: Same[Provenance]) -> Mapping[str, Mapping[str, Any]]:
     return stages_of(provenance.one.parameters)
 
 
-def stages_of(parameters: Sequence[ParameterMessage]) -> dict[str, dict[str, Any]]:
+def stages_of(parameters: Sequence[Parameter]) -> dict[str, dict[str, Any]]:
     """Return the values in a Provenance.parameters by stage and name of the parameter.
 
     Raises:
@@ -118,8 +98,8 @@ def stages_of(parameters: Sequence[ParameterMessage]) -> dict[str, dict[str, Any
     for parameter in parameters:
         stage, _, name = parameter.name.partition(".")
         try:
-            stages.setdefault(stage, {})[name] = parameter_value_to_python(parameter.value)
-        except RuntimeError as error:
+            stages.setdefault(stage, {})[name] = value_of(parameter.value)
+        except UserError as error:
             sentence = (
                 f"Provenance.parameters has {parameter.name!r} of type {parameter.value.type}; 0 to 9 are allowed."
             )
@@ -127,7 +107,7 @@ def stages_of(parameters: Sequence[ParameterMessage]) -> dict[str, dict[str, Any
     return stages
 
 
-def recorded(parameters: Sequence[ParameterMessage], stage: str, name: str) -> Any:
+def recorded(parameters: Sequence[Parameter], stage: str, name: str) -> Any:
     """Return the value of the parameter `name` of `stage` in a Provenance.parameters, or None if it is not there."""
     return stages_of(parameters).get(stage, {}).get(name)
 

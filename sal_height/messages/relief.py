@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-import array
 from collections.abc import Callable
 
 import numpy as np
-from geometry_msgs.msg import TransformStamped
-from sal_height_msgs.msg import HeightImage, Provenance, ReliefMap
-from sensor_msgs.msg import Image, PointCloud2
-from std_msgs.msg import Header
 
-from sal_height.messages.basics import to_floats, vector_of
+from sal_height.messages.basics import to_bytes, to_floats, vector_of
 from sal_height.messages.heights import float_picture, frame_near, point_cloud
+from sal_height.messages.types import (
+    HeightImage,
+    Image,
+    PointCloud2,
+    Provenance,
+    ReliefLayer,
+    ReliefMap,
+    TransformStamped,
+)
 from sal_height.numeric import F64
 from sal_height.relief import Relief
 
@@ -20,14 +24,23 @@ Place = Callable[..., F64]
 """Makes positions in the map frame, m, of two coordinates of a map and heights, m, as `geometry.sphere_point`."""
 
 
-def relief_to_message(relief: Relief, system: str, images: int, last: HeightImage, provenance: Provenance) -> ReliefMap:
-    """Return the ReliefMap of `images` height images, with the stamp, dwell and estimator of the `last` one.
+def relief_to_message(
+    relief: Relief, layer: str, images: int, last: HeightImage, provenance: Provenance, crs: str = ""
+) -> ReliefMap:
+    """Return the ReliefMap that has one layer.
 
-    Its coordinates are those of a `system`: the map frame, or a coordinate reference system.
+    Args:
+        relief: the map.
+        layer: name of the layer, a constant of ReliefLayer.
+        images: number of height images that are in it.
+        last: the last of them, from which stamp, frame, dwell and estimator are taken.
+        provenance: how it was made.
+        crs: coordinate reference system of the map; empty: local coordinates.
     """
     rows, cols = relief.height.shape
     return ReliefMap(
-        header=Header(stamp=last.header.stamp, frame_id=system),
+        header=last.header,
+        crs=crs,
         dwell=last.dwell,
         images=images,
         estimator=last.estimator,
@@ -36,11 +49,16 @@ def relief_to_message(relief: Relief, system: str, images: int, last: HeightImag
         cell_size=relief.cell_size,
         rows=rows,
         cols=cols,
-        height=to_floats(relief.height),
-        sigma=to_floats(relief.sigma),
-        disagreement=to_floats(relief.disagreement),
-        kind=array.array("B", b"" if relief.kind is None else relief.kind.tobytes()),
-        count=array.array("I", relief.count.tobytes()),
+        layers=[
+            ReliefLayer(
+                name=layer,
+                height=to_floats(relief.height),
+                sigma=to_floats(relief.sigma),
+                disagreement=to_floats(relief.disagreement),
+                kind=None if relief.kind is None else to_bytes(relief.kind),
+                count=relief.count.ravel(),
+            )
+        ],
         provenance=provenance,
     )
 

@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 import numpy as np
-from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Quaternion, Vector3
-from sal_height_msgs import msg as messages
-from std_msgs.msg import Header
+import numpy.typing as npt
 
 from sal_height.beams import BeamTable
 from sal_height.errors import UserError
 from sal_height.geometry import Mounting
 from sal_height.messages.basics import BODY_FRAME, complex_pairs, from_complex_pairs
+from sal_height.messages.types import BeamModel, ChannelModel, Header, Quaternion, SensorInfo, Time, Vector3, Waveform
+from sal_height.messages.types import BeamTable as TableMessage
+from sal_height.messages.types import Mounting as MountingMessage
 from sal_height.sensor import Sensor
 
 
-def sensor_to_message(sensor: Sensor, stamp: Time) -> messages.SensorInfo:
+def sensor_to_message(sensor: Sensor, stamp: Time) -> SensorInfo:
     """Return the SensorInfo that describes a sensor."""
     x, y, z = sensor.mounting.lever_arm
-    return messages.SensorInfo(
+    return SensorInfo(
         header=Header(stamp=stamp, frame_id=BODY_FRAME),
-        contract_version=messages.SensorInfo.CONTRACT_VERSION,
+        contract_version=SensorInfo.CONTRACT_VERSION,
         name=sensor.name,
         config_hash=sensor.config_hash,
         calibration_id=sensor.calibration_id,
@@ -28,7 +28,7 @@ def sensor_to_message(sensor: Sensor, stamp: Time) -> messages.SensorInfo:
         mode=sensor.mode,
         pulse_count=sensor.pulse_count,
         pulse_repetition_frequency=sensor.pulse_repetition_frequency,
-        waveform=messages.Waveform(
+        waveform=Waveform(
             kind=sensor.waveform,
             wavelength=sensor.wavelength,
             bandwidth=sensor.bandwidth,
@@ -37,7 +37,7 @@ def sensor_to_message(sensor: Sensor, stamp: Time) -> messages.SensorInfo:
             pulse_duration=sensor.pulse_duration,
             sampling_rate=sensor.sampling_rate,
         ),
-        beams=messages.BeamModel(
+        beams=BeamModel(
             elevation_diameter=sensor.elevation_diameter,
             azimuth_diameter=sensor.azimuth_diameter,
             pattern=sensor.pattern,
@@ -45,13 +45,11 @@ def sensor_to_message(sensor: Sensor, stamp: Time) -> messages.SensorInfo:
             detector_size=list(sensor.detector_size),
             detector_rotation=sensor.detector_rotation,
             tables=[
-                messages.BeamTable(
-                    elevation=table.elevation, azimuth=table.azimuth, amplitude=complex_pairs(table.values)
-                )
+                TableMessage(elevation=table.elevation, azimuth=table.azimuth, amplitude=complex_pairs(table.values))
                 for table in sensor.beam_tables
             ],
         ),
-        channels=messages.ChannelModel(
+        channels=ChannelModel(
             matrix=complex_pairs(np.array(sensor.channel_matrix, dtype=np.complex128)),
             matrix_in_antenna=sensor.matrix_in_antenna,
             noise_power=list(sensor.noise_power),
@@ -60,7 +58,7 @@ def sensor_to_message(sensor: Sensor, stamp: Time) -> messages.SensorInfo:
             blanked_ranges=[edge for _, *edges in sensor.blanked_ranges for edge in edges],
         ),
         beam_uncertainty=sensor.beam_uncertainty,
-        mounting=messages.Mounting(
+        mounting=MountingMessage(
             frame_id=sensor.mounting.frame_id,
             lever_arm=Vector3(x=x, y=y, z=z),
             rotation=Quaternion(**dict(zip("xyzw", sensor.mounting.rotation, strict=True))),
@@ -68,16 +66,16 @@ def sensor_to_message(sensor: Sensor, stamp: Time) -> messages.SensorInfo:
     )
 
 
-def sensor_from_message(message: messages.SensorInfo) -> Sensor:
+def sensor_from_message(message: SensorInfo) -> Sensor:
     """Return the sensor that a SensorInfo describes.
 
     Raises:
         UserError: the message has another contract_version, no config_hash, or a value out of its range.
     """
-    if message.contract_version != messages.SensorInfo.CONTRACT_VERSION:
+    if message.contract_version != SensorInfo.CONTRACT_VERSION:
         raise UserError(
             f"SensorInfo {message.name!r} has contract_version {message.contract_version}; this version of sal_height "
-            f"reads {messages.SensorInfo.CONTRACT_VERSION}."
+            f"reads {SensorInfo.CONTRACT_VERSION}."
         )
     if not message.config_hash:
         raise UserError(
@@ -103,8 +101,8 @@ def sensor_from_message(message: messages.SensorInfo) -> Sensor:
         detector_size=(float(beams.detector_size[0]), float(beams.detector_size[1])),
         detector_rotation=beams.detector_rotation,
         beam_tables=tuple(_table_from_message(table) for table in beams.tables),
-        elevation_boresights=tuple(beams.elevation_boresights),
-        noise_power=tuple(channels.noise_power),
+        elevation_boresights=_numbers(beams.elevation_boresights),
+        noise_power=_numbers(channels.noise_power),
         channel_matrix=_matrix_from_message(message),
         matrix_in_antenna=channels.matrix_in_antenna,
         full_scale=channels.full_scale,
@@ -116,21 +114,26 @@ def sensor_from_message(message: messages.SensorInfo) -> Sensor:
     )
 
 
-def _table_from_message(table: messages.BeamTable) -> BeamTable:
+def _numbers(values: npt.ArrayLike) -> tuple[float, ...]:
+    """Numbers of a list as Python has them, by whose texts sensors are told apart."""
+    return tuple(np.asarray(values, np.float64).tolist())
+
+
+def _table_from_message(table: TableMessage) -> BeamTable:
     values = from_complex_pairs(table.amplitude, "BeamTable.amplitude")
     return BeamTable(
-        tuple(table.elevation), tuple(table.azimuth), tuple(values.real.tolist()), tuple(values.imag.tolist())
+        _numbers(table.elevation), _numbers(table.azimuth), tuple(values.real.tolist()), tuple(values.imag.tolist())
     )
 
 
-def _matrix_from_message(message: messages.SensorInfo) -> tuple[tuple[complex, ...], ...]:
+def _matrix_from_message(message: SensorInfo) -> tuple[tuple[complex, ...], ...]:
     entries = from_complex_pairs(message.channels.matrix, f"SensorInfo {message.name!r}: channels.matrix").tolist()
     width = max(1, len(message.beams.elevation_boresights))
     return tuple(tuple(entries[first : first + width]) for first in range(0, len(entries), width))
 
 
-def _blanked_ranges_from_message(message: messages.SensorInfo) -> tuple[tuple[int, float, float], ...]:
-    channels, edges = message.channels.blanked_channels, message.channels.blanked_ranges
+def _blanked_ranges_from_message(message: SensorInfo) -> tuple[tuple[int, float, float], ...]:
+    channels, edges = message.channels.blanked_channels, _numbers(message.channels.blanked_ranges)
     if len(edges) != 2 * len(channels):
         raise UserError(
             f"SensorInfo {message.name!r} has {len(edges)} channels.blanked_ranges for {len(channels)} "
@@ -139,6 +142,6 @@ def _blanked_ranges_from_message(message: messages.SensorInfo) -> tuple[tuple[in
     return tuple(zip(map(int, channels), edges[::2], edges[1::2], strict=True))
 
 
-def _mounting_from_message(message: messages.Mounting) -> Mounting:
+def _mounting_from_message(message: MountingMessage) -> Mounting:
     arm, turn = message.lever_arm, message.rotation
     return Mounting(message.frame_id, (arm.x, arm.y, arm.z), (turn.x, turn.y, turn.z, turn.w))

@@ -1,41 +1,29 @@
 """The account of a node: its message counts, as its messages on /progress and its status on /diagnostics carry them.
 
 Nodes write their account with `to_message` and `to_values`, and whoever watches a graph reads it with `of_message` and
-`of_status`. The names of the numbers are those of NodeAccount.
+`of_status`. NodeAccount says what the numbers are; `messages.accounts` has their names on /diagnostics.
 """
 
 from __future__ import annotations
 
-import array
 import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import Self
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Self
 
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from rclpy.node import Node
-from sal_height_msgs.msg import NodeAccount
-from std_msgs.msg import Header
+from sal_height.messages import to_stamp
+from sal_height.messages.accounts import COUNTED, EVENTS, MEASURED, READY, WHOLE, account_of_numbers
+from sal_height.messages.types import Count, DiagnosticStatus, Header, KeyValue, NodeAccount
 
 DIAGNOSTICS = "/diagnostics"
 """Topic of the accounts as the conventions have them, at regular times."""
 PROGRESS = "/progress"
-"""Topic of the accounts at regular times and after every piece of work, made only while somebody listens."""
+"""Topic of the accounts at regular times and after every piece of work, made only while somebody subscribes."""
 
-RECEIVED, PROCESSED, PUBLISHED = NodeAccount.RECEIVED, NodeAccount.PROCESSED, NodeAccount.PUBLISHED
-WAITING, JOBS, READY = NodeAccount.WAITING, NodeAccount.JOBS, NodeAccount.READY
-DWELLS, CALIBRATIONS = NodeAccount.DWELLS, NodeAccount.CALIBRATIONS
-DROPPED, IGNORED, LAST_MINUTE = NodeAccount.DROPPED, NodeAccount.IGNORED, NodeAccount.LAST_MINUTE
-PUBLISHED_ON, SUBSCRIBERS, MISSED = NodeAccount.PUBLISHED_ON, NodeAccount.SUBSCRIBERS, NodeAccount.MISSED
-UNWRITTEN, RECORDED = NodeAccount.UNWRITTEN, NodeAccount.RECORDED
-OFFERED, ACHIEVED = NodeAccount.OFFERED, NodeAccount.ACHIEVED
-LATENCY_P50, LATENCY_P95 = NodeAccount.LATENCY_P50, NodeAccount.LATENCY_P95
-CPU, MEMORY, PID = NodeAccount.CPU, NodeAccount.MEMORY, NodeAccount.PID
-"""Names of numbers, or what they begin with; NodeAccount says of what."""
+DWELLS, CALIBRATIONS = "dwells", "calibrations"
+"""Events that have fields of their own: dwells that a source has published, calibrations that a node has received."""
 
-UNTOLD = "untold"
-"""Name of the number of dwells that a node has processed, and tells of when later ones have come, or none for long."""
 LAST_DROP = "last_drop"
 """Name of the sentence of an account on /diagnostics."""
 LOST_WITH_PROCESS = "lost with its process"
@@ -43,149 +31,149 @@ LOST_WITH_PROCESS = "lost with its process"
 ON_THE_WAY = "lost on the way"
 """Why messages that were published have not come: the middleware has lost them."""
 
-STATES = {WAITING, JOBS, READY, OFFERED, ACHIEVED, MEMORY, PID, LATENCY_P50, LATENCY_P95, UNTOLD}
-STATES_UNDER = (SUBSCRIBERS, MISSED, LAST_MINUTE)
-"""Numbers that tell how a node is now, by name and by the beginning of their names; all others count from its start."""
+STAGE, RECORDER, OTHER = "stage", "recorder", "other"
+"""What accounts are of: a node that processes messages, a recorder, and what is none of ours."""
+
+ALWAYS = {STAGE: {"in", "processed", "out", "waiting", "jobs"}, RECORDER: {"unwritten"}, OTHER: set[str]()}
+"""Names of numbers that are there even if they are 0."""
+
+OF_TOPICS = ("published_on", "subscribers", "missed", "recorded")
+"""Fields whose counts are by topic; a topic is without its leading slash here, and with it in messages."""
+
+SUMMED = ("received", "processed", "published", "dwells", "calibrations", "unwritten", "cpu_s")
+SUMMED_BY_NAME = ("dropped", "ignored", EVENTS, "published_on", "recorded")
+"""Fields that count from the start of the node's process; all others say how it is now."""
 
 
 @dataclass(frozen=True)
 class Account:
-    """Message counts of one node.
+    """Message counts of one node: the fields of NodeAccount.
 
     At any time received = processed + dropped + waiting.
 
     Attributes:
-        numbers: finite, by their names.
+        unpublished: dwells that are processed and whose products follow later; None: all products follow at once.
         last_drop: sentence that says why messages were last left out; empty if none were.
+        kind: STAGE, RECORDER or OTHER: what the account is of.
     """
 
-    numbers: Mapping[str, float] = field(default_factory=dict)
+    received: int = 0
+    processed: int = 0
+    published: int = 0
+    waiting: int = 0
+    jobs: int = 0
+    ready: bool = False
+    dwells: int = 0
+    unpublished: int | None = None
+    calibrations: int = 0
+    dropped: Mapping[str, int] = field(default_factory=dict)
+    ignored: Mapping[str, int] = field(default_factory=dict)
+    dropped_last_minute: Mapping[str, int] = field(default_factory=dict)
+    ignored_last_minute: Mapping[str, int] = field(default_factory=dict)
+    events: Mapping[str, int] = field(default_factory=dict)
+    published_on: Mapping[str, int] = field(default_factory=dict)
+    subscribers: Mapping[str, int] = field(default_factory=dict)
+    missed: Mapping[str, int] = field(default_factory=dict)
+    recorded: Mapping[str, int] = field(default_factory=dict)
+    unwritten: int = 0
+    offered_hz: float = math.nan
+    achieved_hz: float = math.nan
+    latency_p50_ms: float = math.nan
+    latency_p95_ms: float = math.nan
+    cpu_s: float = 0.0
+    memory_mb: float = 0.0
+    pid: int = 0
     last_drop: str = ""
+    kind: str = STAGE
 
     @classmethod
     def of_status(cls, status: DiagnosticStatus) -> Self:
         """Read an account; values that are not finite numbers are left out."""
         numbers = {item.key: number for item in status.values if (number := _number(item.value)) is not None}
-        failures = [item.value for item in status.values if item.key == LAST_DROP]
-        return cls(numbers, "".join(failures))
+        sentences = [item.value for item in status.values if item.key == LAST_DROP]
+        return cls.of_numbers(numbers, "".join(sentences))
+
+    @classmethod
+    def of_numbers(cls, numbers: Mapping[str, float], last_drop: str = "") -> Self:
+        """The account that numbers by their names on /diagnostics say."""
+        account = cls.of_message(account_of_numbers(numbers))
+        return replace(
+            account,
+            unpublished=account.unpublished if "untold" in numbers else None,
+            kind=STAGE if {"in", "waiting"} & numbers.keys() else RECORDER if "unwritten" in numbers else OTHER,
+            last_drop=last_drop,
+        )
+
+    @classmethod
+    def of_message(cls, message: NodeAccount) -> Self:
+        """Read an account; that of a recorder cannot be told from others there."""
+        values = {name: getattr(message, name) for name in _MESSAGE_FIELDS}
+        for name in (*COUNTED.values(), EVENTS):
+            counts = {one.name: one.count for one in values[name]}
+            values[name] = {key.removeprefix("/"): n for key, n in counts.items()} if name in OF_TOPICS else counts
+        return cls(**values)
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """The numbers by their names on /diagnostics; those that are not known are left out."""
+        numbers: dict[str, float] = {}
+        of_all = ALWAYS[self.kind]
+        for key, name in WHOLE.items():
+            value = getattr(self, name)
+            if key in of_all or value or (name == "unpublished" and value is not None):
+                numbers[key] = value
+        if self.kind == STAGE:
+            numbers[READY] = int(self.ready)
+        for name in MEASURED:
+            value = getattr(self, name)
+            if math.isfinite(value) and (value or name not in {"cpu_s", "memory_mb"}):
+                numbers[name] = value
+        for prefix, name in COUNTED.items():
+            slash = "/" if name in OF_TOPICS else ""
+            numbers |= {f"{prefix}{slash}{key}": count for key, count in sorted(getattr(self, name).items())}
+        return numbers | dict(sorted(self.events.items()))
 
     def to_values(self) -> list[KeyValue]:
         """The account as values of a status."""
         texts = {**{key: str(number) for key, number in self.numbers.items()}, LAST_DROP: self.last_drop}
         return [KeyValue(key=key, value=text) for key, text in texts.items() if text]
 
-    @classmethod
-    def of_message(cls, message: NodeAccount, earlier: Account | None = None) -> Self:
-        """Read an account; what it lacks is as in an earlier one of the same node.
-
-        Numbers that are not finite, or have no name, are left out.
-        """
-        found = zip(message.names, message.numbers, strict=False)
-        numbers = {name: number for name, number in found if math.isfinite(number)}
-        known = {} if message.whole or earlier is None else earlier.numbers
-        return cls({**known, **numbers}, message.last_drop)
-
-    def to_message(self, node: Node, *, whole: bool) -> NodeAccount:
-        """The account of a node as a message; `whole`: it has all numbers."""
-        return NodeAccount(
-            header=Header(stamp=node.get_clock().now().to_msg()),
-            node=node.get_fully_qualified_name().lstrip("/"),
-            whole=whole,
-            names=list(self.numbers),
-            numbers=array.array("d", self.numbers.values()),
-            last_drop=self.last_drop,
-        )
+    def to_message(self, node: str, stamp_ns: int) -> NodeAccount:
+        """The account as a message of the node of that name, with its namespace, at a time of its clock (ns)."""
+        values = {name: getattr(self, name) for name in _MESSAGE_FIELDS}
+        values["unpublished"] = self.unpublished or 0
+        for name in (*COUNTED.values(), EVENTS):
+            slash = "/" if name in OF_TOPICS else ""
+            values[name] = [Count(name=f"{slash}{key}", count=count) for key, count in values[name].items()]
+        return NodeAccount(header=Header(stamp=to_stamp(stamp_ns)), node=node, **values)
 
     def after(self, earlier: Account) -> Account:
         """This account, with the counts of an earlier process of the same node added.
 
         What waited when that one ended was lost with it.
         """
-        counts = Counter({name: number for name, number in earlier.numbers.items() if _is_count(name)})
+        sums: dict[str, Any] = {name: getattr(self, name) + getattr(earlier, name) for name in SUMMED}
+        for name in SUMMED_BY_NAME:
+            sums[name] = dict(Counter(getattr(earlier, name)) + Counter(getattr(self, name)))
         if earlier.waiting:
-            counts[f"{DROPPED}{LOST_WITH_PROCESS}"] += earlier.waiting
-        own = {name: number + counts.pop(name, 0) for name, number in self.numbers.items() if _is_count(name)}
-        return Account({**self.numbers, **own, **counts}, self.last_drop or earlier.last_drop)
+            lost = sums["dropped"].get(LOST_WITH_PROCESS, 0) + earlier.waiting
+            sums["dropped"] = {**sums["dropped"], LOST_WITH_PROCESS: lost}
+        return replace(self, **sums, last_drop=self.last_drop or earlier.last_drop)
 
     @property
-    def received(self) -> int:
-        """Messages that came in."""
-        return self.count(RECEIVED)
-
-    @property
-    def waiting(self) -> int:
-        """Messages that are neither processed nor dropped yet."""
-        return self.count(WAITING)
-
-    @property
-    def jobs(self) -> int:
-        """Jobs that the worker has at hand or before it: above 0, the node is working."""
-        return self.count(JOBS)
-
-    @property
-    def dropped(self) -> dict[str, int]:
-        """Messages that were left out, by reason."""
-        return self.under(DROPPED)
-
-    @property
-    def lately(self) -> dict[str, int]:
+    def lost_last_minute(self) -> dict[str, int]:
         """Messages that were left out or could not be used in the last minute, by reason."""
-        return self.under(f"{LAST_MINUTE}{DROPPED}") | self.under(f"{LAST_MINUTE}{IGNORED}")
-
-    @property
-    def ignored(self) -> dict[str, int]:
-        """Messages beside the frames, such as odometry, that could not be used, by kind."""
-        return self.under(IGNORED)
-
-    @property
-    def published(self) -> dict[str, int]:
-        """Messages published on each topic that keeps all of them (see `Stage.offer`)."""
-        return self.under(PUBLISHED_ON)
-
-    @property
-    def missed(self) -> dict[str, int]:
-        """Messages of each topic that its publisher has published and that have not come, as their numbers tell."""
-        return self.under(MISSED)
+        return {**self.dropped_last_minute, **self.ignored_last_minute}
 
     def with_losses(self, count: int) -> Self:
         """This account, with messages that never came as received and dropped."""
         if not count:
             return self
-        name = f"{DROPPED}{ON_THE_WAY}"
-        lost = {RECEIVED: self.received + count, name: self.count(name) + count}
-        return replace(self, numbers={**self.numbers, **lost})
-
-    @property
-    def subscribers(self) -> dict[str, int]:
-        """Subscribers of each topic that the node publishes."""
-        return self.under(SUBSCRIBERS)
-
-    @property
-    def recorded(self) -> dict[str, int]:
-        """Messages in the bag, by topic (recorder only)."""
-        return self.under(RECORDED)
-
-    @property
-    def unwritten(self) -> int:
-        """Messages that could not be written to the bag (recorder only)."""
-        return self.count(UNWRITTEN)
-
-    def count(self, name: str) -> int:
-        """The count of that name; 0 if the account has none."""
-        return int(self.numbers.get(name, 0))
-
-    def under(self, prefix: str) -> dict[str, int]:
-        """The counts whose names begin with `prefix`, by the rest of the name; topics are without leading slash."""
-        return {
-            name.removeprefix(prefix).removeprefix("/"): int(number)
-            for name, number in self.numbers.items()
-            if name.startswith(prefix)
-        }
+        dropped = {**self.dropped, ON_THE_WAY: self.dropped.get(ON_THE_WAY, 0) + count}
+        return replace(self, received=self.received + count, dropped=dropped)
 
 
-def _is_count(name: str) -> bool:
-    """Whether a number counts something from the start of its node."""
-    return name not in STATES and not name.startswith(STATES_UNDER)
+_MESSAGE_FIELDS = tuple(one.name for one in fields(Account) if one.name != "kind")
 
 
 def _number(text: str) -> float | None:

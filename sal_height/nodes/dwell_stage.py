@@ -11,12 +11,12 @@ from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
-from sal_height_msgs.msg import Calibration as CalibrationMessage
-from sal_height_msgs.msg import ChannelFrame, ComplexImage, SensorInfo
 
 from sal_height import messages
 from sal_height.calibration import Calibration
 from sal_height.errors import Rejected, UserError
+from sal_height.messages.types import Calibration as CalibrationMessage
+from sal_height.messages.types import ChannelFrame, ComplexImage, SensorInfo
 from sal_height.nodes.dwell import Dwell, DwellAssembler, Key, WaitingClock
 from sal_height.nodes.held import Held
 from sal_height.nodes.stage import ENDED, LATCHED_QOS, Stage, StageParameters

@@ -18,6 +18,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from sal_height.nodes.executors import with_times
 from sal_height.nodes.guard import guarded
+from sal_height.nodes.message_types import class_of, publish
 
 RECENT_S = 10.0
 """The level of the diagnostics tells what was lost in this time; the counts tell what was lost at all."""
@@ -57,8 +58,8 @@ class Outlet:
         return bool(self.publisher.qos_profile.durability != DurabilityPolicy.TRANSIENT_LOCAL)
 
     def publish(self, message: Any) -> None:
-        """Publish a message, or the bytes of a serialized one."""
-        self.publisher.publish(message)
+        """Publish a plain message, or the bytes of a serialized one."""
+        publish(self.publisher, message)
         self.published += 1
 
     def publish_if_heard(self, make: Callable[[], Any]) -> None:
@@ -87,7 +88,7 @@ class Inlet:
     def __init__(
         self,
         node: Node,
-        message_type: type,
+        message_type: type[Any],
         topic: str,
         receive: Callable[[bytes], None],
         qos: QoSProfile,
@@ -100,7 +101,7 @@ class Inlet:
 
         Args:
             node: that subscribes.
-            message_type: class of the messages.
+            message_type: class of plain messages of the type.
             topic: its name.
             receive: takes a serialized message.
             qos: quality of service.
@@ -115,7 +116,7 @@ class Inlet:
         self.unsuited = 0
         self.strangers: tuple[str, ...] = ()
         self.has_only_strangers = False
-        self._node, self._name, self._type_name = node, topic, _type_name(message_type)
+        self._node, self._name, self._type_name = node, topic, message_type.__msgtype__
         self._profile = copy.copy(qos)
 
         came = 0
@@ -130,7 +131,7 @@ class Inlet:
         def subscribe(overrides: QoSOverridingOptions | None) -> Subscription:
             events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._ask_for_less, fail), matched=matched)
             return node.create_subscription(
-                message_type,
+                class_of(message_type),
                 topic,
                 guarded(with_times(take), fail),
                 self._profile,
@@ -209,11 +210,6 @@ class Inlet:
         self._node.get_logger().info(f"{self.topic} is published {name}; it is received so, and messages may get lost.")
         self._node.destroy_subscription(self.subscription)
         self.subscription = self._subscribe(None)
-
-
-def _type_name(message_type: Any) -> str:
-    """Name of a type of messages, as ROS writes it."""
-    return f"{message_type.__module__.split('.')[0]}/msg/{message_type.__name__}"
 
 
 def _name_of(publisher: TopicEndpointInfo) -> str:

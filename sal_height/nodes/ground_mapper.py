@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from sal_height.geometry import ApertureState
+from sal_height.messages.types import ReliefLayer
 from sal_height.nodes.map_stage import MapParameters, MapStage, map_topics
 from sal_height.nodes.program import run_node
 from sal_height.relief import GroundMap, GroundSettings, HeightField, fine_cell_size, ground_spacings
@@ -33,6 +34,7 @@ class GroundMapper(MapStage):
 
     parameters = Parameters
     outputs = map_topics(PREFIX)
+    layer = ReliefLayer.GROUND
 
     def __init__(self, **node_arguments: Any) -> None:
         """Make the node; `node_arguments` go to rclpy's Node.

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import create_model
-from sal_height_msgs.msg import HeightImage
 
 from sal_height import messages
 from sal_height.calibration import Calibration
@@ -18,6 +17,7 @@ from sal_height.elevation import ESTIMATORS, ElevationEstimator, Validity
 from sal_height.errors import UserError
 from sal_height.imaging import ImageSettings, Slc
 from sal_height.messages import ReceivedImage
+from sal_height.messages.types import HeightImage
 from sal_height.nodes.dwell_stage import ChannelParameters, WholeDwell
 from sal_height.nodes.height_outlets import HeightOutlets
 from sal_height.nodes.image_stage import ImageStage

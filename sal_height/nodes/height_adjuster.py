@@ -14,9 +14,6 @@ from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from geometry_msgs.msg import PoseWithCovarianceStamped
-from nav_msgs.msg import Odometry
-from sal_height_msgs.msg import HeightImage
 
 from sal_height import messages
 from sal_height.adjustment import (
@@ -50,6 +47,7 @@ from sal_height.geometry import (
     known_covariance,
 )
 from sal_height.messages import Pose
+from sal_height.messages.types import HeightImage, Odometry, PoseWithCovarianceStamped
 from sal_height.nodes.dwell_stage import DwellParameters, DwellStage
 from sal_height.nodes.height_outlets import HeightOutlets
 from sal_height.nodes.odometry import Arrival, OdometryHistory

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from sal_height_msgs.msg import HeightImage
-from sensor_msgs.msg import Image
-
 from sal_height import messages
+from sal_height.messages.types import HeightImage, Image
 from sal_height.nodes.placed_points import PlacedPoints
 from sal_height.nodes.stage import Stage
 from sal_height.relief import HeightField

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from sal_height_msgs.msg import Calibration as CalibrationMessage
-from sal_height_msgs.msg import ComplexImage
-
 from sal_height import messages
 from sal_height.calibration import Calibration
 from sal_height.errors import Rejected
 from sal_height.messages import ReceivedImage
+from sal_height.messages.types import Calibration as CalibrationMessage
+from sal_height.messages.types import ComplexImage
 from sal_height.nodes.account import CALIBRATIONS
 from sal_height.nodes.dwell_stage import DwellStage
 from sal_height.nodes.held import HELD_CALIBRATIONS, Held

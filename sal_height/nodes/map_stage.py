@@ -12,19 +12,19 @@ import numpy as np
 import numpy.typing as npt
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.duration import Duration
-from sal_height_msgs.msg import HeightImage, Provenance, ReliefMap
-from sensor_msgs.msg import Image, NavSatFix
 
 from sal_height import messages
+from sal_height.bag.sensor_topics import MAP_ORIGIN
 from sal_height.elevation import ESTIMATORS
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import UTM, ApertureState, Origin, Projection, find_system, sphere_point
+from sal_height.messages.types import HeightImage, Image, NavSatFix, Provenance, ReliefMap
 from sal_height.nodes.height_adjuster import PREFIX as ADJUSTED
 from sal_height.nodes.parameters import MapFrameParameters, OriginParameters
 from sal_height.nodes.placed_points import PlacedPoints
 from sal_height.nodes.relief_tracker import PREFIX as TRACKED
 from sal_height.nodes.role import Topics
-from sal_height.nodes.stage import LATCHED_QOS, MAP_ORIGIN, ORIGIN, RESET, Stage, StageParameters, payload_bytes
+from sal_height.nodes.stage import LATCHED_QOS, ORIGIN, RESET, Stage, StageParameters, payload_bytes
 from sal_height.numeric import F64
 from sal_height.relief import HeightField, ProjectedAxes, Relief, check_geotiff, write_geotiff
 from sal_height.settings import setting
@@ -97,6 +97,8 @@ class MapStage(Stage):
     settable = True
     answers: ClassVar[Topics] = {**RESET, "~/save": "write the map as it stands to its file"}
     completes_file = True
+    layer: ClassVar[str]
+    """Name of the layer of the map, a constant of ReliefLayer."""
     niceness = 10  # a map is as good a second later
 
     def __init__(self, name: str, prefix: str, **node_arguments: Any) -> None:
@@ -250,8 +252,8 @@ class MapStage(Stage):
         relief, last = self._placed_relief(), self._last
         if relief is None or last is None:
             return 0
-        system = self._map_axes.projection.name if self._map_axes else last.header.frame_id
-        message = messages.relief_to_message(relief, system, self._images, last, self._provenance(last))
+        crs = self._map_axes.projection.name if self._map_axes else ""
+        message = messages.relief_to_message(relief, self.layer, self._images, last, self._provenance(last), crs)
         with suppress(RCLError):  # the context may have ended: nobody is left to publish to
             self._image.publish(messages.relief_picture(relief, last))
             self._points.publish(  # a second for millions

@@ -9,17 +9,18 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, ClassVar
 
 from rclpy._rclpy_pybind11 import RCLError
-from sensor_msgs.msg import PointCloud2
 
 from sal_height import messages
 from sal_height.calibration import Calibration
 from sal_height.errors import Rejected, UserError
 from sal_height.messages import ReceivedImage
+from sal_height.messages.types import PointCloud2
 from sal_height.movers import ALONE, DwellMovers, Looked, MoverSettings, check_sensor
-from sal_height.nodes.account import UNTOLD, Account
+from sal_height.nodes.account import Account
 from sal_height.nodes.dwell_stage import ChannelParameters
 from sal_height.nodes.image_stage import ImageStage
 from sal_height.nodes.program import run_node
@@ -106,8 +107,7 @@ class MoverDetection(ImageStage):
 
     def _counts(self) -> Account:
         """Besides what all nodes count, the dwells that wait for later ones: a run ends when they have been told."""
-        account = super()._counts()
-        return Account({**account.numbers, UNTOLD: self._dwells.untold}, account.last_drop)
+        return replace(super()._counts(), unpublished=self._dwells.untold)
 
     def forget_results(self) -> int:
         """Begin anew with the next dwell, without what has not been told, which is counted."""

@@ -5,18 +5,17 @@ from __future__ import annotations
 import functools
 from typing import Any, ClassVar
 
-from geometry_msgs.msg import PoseStamped, TwistStamped
-from nav_msgs.msg import Odometry
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import Imu, NavSatFix
 
 from sal_height import messages
+from sal_height.bag.sensor_topics import MAP_ORIGIN
 from sal_height.errors import UserError
 from sal_height.geometry import Navigation, Origin
+from sal_height.messages.types import Imu, NavSatFix, Odometry, PoseStamped, TwistStamped
 from sal_height.nodes.parameters import FrameParameters, OriginParameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
-from sal_height.nodes.stage import LATCHED_QOS, MAP_ORIGIN, ODOMETRY_QOS, ORIGIN, Stage, StageParameters
+from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS, ORIGIN, Stage, StageParameters
 from sal_height.settings import setting
 
 INSTRUMENT_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -91,7 +90,7 @@ class NavigationNode(Stage):
         self._odometry = self.offer(Odometry, "platform/odometry", ODOMETRY_QOS)
         map_origin = self.offer(NavSatFix, MAP_ORIGIN, LATCHED_QOS)
         if now.origin is not None:
-            stamp = self.get_clock().now().to_msg()
+            stamp = messages.to_stamp(self.get_clock().now().nanoseconds)
             map_origin.publish(messages.origin_to_message(now.origin, stamp, now.map_frame))
         if has_fix and now.origin is not None:
             on_fix = functools.partial(self._on_fix, origin=now.origin)

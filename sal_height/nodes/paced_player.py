@@ -7,12 +7,10 @@ import time
 from pathlib import Path
 from typing import Any, ClassVar
 
-from nav_msgs.msg import Odometry
-from sal_height_msgs.msg import ChannelFrame, SensorInfo
-
 from sal_height import messages
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
+from sal_height.messages.types import ChannelFrame, Odometry, SensorInfo
 from sal_height.nodes.air import AIR_TOPICS
 from sal_height.nodes.managed import INACTIVE
 from sal_height.nodes.pace import Pace

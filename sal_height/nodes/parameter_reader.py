@@ -6,15 +6,15 @@ import math
 import time
 from collections.abc import Callable
 
-from rcl_interfaces.msg import Parameter as ParameterMessage
-from rcl_interfaces.msg import ParameterEvent
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.client import Client
 from rclpy.node import Node
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import serialize_message
 from rclpy.task import Future
 
 from sal_height.bag.parameter_events import PARAMETER_EVENTS, after
+from sal_height.messages import BrokenMessage, deserialize, serialize, to_stamp
+from sal_height.messages.types import Parameter, ParameterEvent, ParameterValue
 from sal_height.nodes.endpoints import NAMELESS
 from sal_height.nodes.guard import guarded
 
@@ -66,11 +66,11 @@ class ParameterReader:
     def take(self, cdr: bytes) -> tuple[str, bytes] | None:
         """Take in a serialized event; returns its node, and a serialized event of all that is known of it now."""
         try:
-            event = deserialize_message(cdr, ParameterEvent)
-        except RuntimeError:  # rclpy's own error class is private, and a subclass of it
+            event = deserialize(cdr, ParameterEvent)
+        except BrokenMessage:
             return None
         known = after(self._known.get(event.node), event)
-        whole = serialize_message(known)
+        whole = serialize(known)
         if len(whole) > MOST_BYTES or (event.node not in self._known and len(self._known) == MOST_NODES):
             return None
         self._known[event.node] = known
@@ -111,8 +111,10 @@ class _Question:
     def _take_values(self, names: list[str], answer: Future) -> None:
         if self._is_answered:  # it was asked twice
             return
-        event = ParameterEvent(node=self._name, stamp=self._node.get_clock().now().to_msg())
-        found = zip(names, answer.result().values, strict=False)  # a node may answer what it likes
-        event.new_parameters = [ParameterMessage(name=name, value=value) for name, value in found]
+        stamp = to_stamp(self._node.get_clock().now().nanoseconds)
+        values = [deserialize(serialize_message(value), ParameterValue) for value in answer.result().values]
+        found = zip(names, values, strict=False)  # a node may answer what it likes
+        event = ParameterEvent(node=self._name, stamp=stamp)
+        event.new_parameters = [Parameter(name=name, value=value) for name, value in found]
         self._is_answered = True
-        self._tell(serialize_message(event))
+        self._tell(serialize(event))

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from geometry_msgs.msg import TransformStamped
 from rclpy.qos import QoSProfile
-from sensor_msgs.msg import PointCloud2
 
+from sal_height.messages.types import PointCloud2, TFMessage, TransformStamped
 from sal_height.nodes.stage import FRAMES_QOS, Stage
-from sal_height.nodes.transforms import TF, TF_QOS, TFMessage
+from sal_height.nodes.transforms import TF, TF_QOS, has_transforms
 
 
 class PlacedPoints:
@@ -24,7 +23,7 @@ class PlacedPoints:
         self.frame = "_".join([*stage.get_namespace().split("/"), prefix, "origin"]).strip("_")
         self._points = stage.offer(PointCloud2, f"{prefix}/points", qos)
         self._frame = stage.offer(TransformStamped, f"{prefix}/frame", qos)
-        self._tf = None if TFMessage is None else stage.offer(TFMessage, TF, TF_QOS)
+        self._tf = stage.offer(TFMessage, TF, TF_QOS) if has_transforms() else None
 
     def publish(
         self, place: Callable[[str], TransformStamped], points: Callable[[TransformStamped], PointCloud2]

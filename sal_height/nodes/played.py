@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from rclpy.qos import QoSProfile
-from sal_height_msgs.msg import Provenance
 
 from sal_height import messages
 from sal_height.bag.stamps import stamp_ns_of
 from sal_height.bag.topics import FRAME_TYPE, HEIGHT_TYPE, IMAGE_TYPE, ODOMETRY_TYPE, BagMessage
+from sal_height.messages.types import Provenance
 from sal_height.nodes.cues import DwellKey
 from sal_height.nodes.playlist import FRAMES, ODOMETRY, SENSOR_INFO
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS

@@ -11,14 +11,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
-from sal_height_msgs.msg import Calibration as CalibrationMessage
-
 from sal_height import messages
-from sal_height.bag.definitions import message_class
 from sal_height.bag.namespace import NamespacedReader
 from sal_height.bag.reader import BagMessage, BagReader
-from sal_height.bag.topics import HEIGHT_TYPE, SENSOR_TYPE
+from sal_height.bag.topics import HEIGHT_TYPE, SENSOR_TYPE, Topic
 from sal_height.errors import UserError
+from sal_height.messages.codec import SHIPPED
+from sal_height.messages.definition import shipped_definition
+from sal_height.messages.types import Calibration as CalibrationMessage
 from sal_height.nodes.account import CALIBRATIONS, DWELLS
 from sal_height.nodes.cues import DwellKey, cues_of_text
 from sal_height.nodes.delivery import delivered
@@ -151,8 +151,7 @@ class Player(Stage):
         for name in parameters.topics:  # their bytes go out as they are
             self._reader.check_type(recorded[name].type_name)
         self._outlets = {
-            recorded[name].name: self.offer(message_class(recorded[name].type_name), name, qos_of(name))
-            for name in parameters.topics
+            recorded[name].name: self.offer(_class_of(recorded[name]), name, qos_of(name)) for name in parameters.topics
         }
         self._detectors = sum(recorded[name].type_name == HEIGHT_TYPE for name in parameters.topics)
         self._cues = cues_of_text(parameters.cues)
@@ -353,6 +352,17 @@ def calibrations_of(reader: BagReader) -> Iterator[tuple[str, bytes]]:
     """
     for recorded in reader.messages([name for name in reader.topics if name.lstrip("/") == CALIBRATION_TOPIC]):
         yield reader.decode(recorded.type_name, recorded.cdr).id, recorded.cdr
+
+
+def _class_of(topic: Topic) -> type[Any]:
+    """The class of the messages of a topic.
+
+    Raises:
+        UserError: they are of a type that no node of ours takes.
+    """
+    if shipped_definition(topic.type_name) is None:
+        raise UserError(f"Topic {topic.name} has the type {topic.type_name}, which no node takes; play others.")
+    return SHIPPED.message_class(topic.type_name)
 
 
 def main() -> int:

@@ -6,14 +6,12 @@ from collections.abc import Iterable, Iterator
 from typing import NamedTuple, Self
 
 import numpy as np
-from nav_msgs.msg import Odometry
-from rclpy.serialization import deserialize_message
-from sal_height_msgs.msg import ChannelFrame, SensorInfo
 
 from sal_height import messages
 from sal_height.bag.reader import BagReader
 from sal_height.bag.stamps import STAMP, STAMP_AT, stamp_ns_of
 from sal_height.errors import UserError
+from sal_height.messages.types import ChannelFrame, Odometry, SensorInfo
 
 
 class Item(NamedTuple):
@@ -108,7 +106,7 @@ class Playlist(NamedTuple):
             if item.topic == FRAMES:
                 dwells.setdefault(stamp_ns_of(item.cdr), []).append(item.cdr)
         for serialized in dwells.values():
-            decoded = [deserialize_message(cdr, ChannelFrame) for cdr in serialized]
+            decoded = [messages.deserialize(cdr, ChannelFrame) for cdr in serialized]
             yield sorted(decoded, key=lambda frame: frame.channel)
 
     @property

@@ -7,20 +7,19 @@ import re
 import time
 from contextlib import suppress
 from pathlib import Path
-
-from sal_height.nodes.account import CPU, MEMORY, PID
+from typing import Any
 
 _RESIDENT = re.compile(r"(RssAnon|RssFile):\s+(\d+) kB")
 
 
-def process_numbers() -> dict[str, float]:
-    """Processor time, s, number, and memory, MB (Linux), of this process, by name.
+def process_numbers() -> dict[str, Any]:
+    """Processor time, s, number, and memory, MB (Linux), of this process, as fields of an account.
 
     Memory is what is resident without shared memory: most of that is the messages of other processes.
     """
-    numbers: dict[str, float] = {CPU: round(time.process_time(), 3), PID: os.getpid()}
+    numbers: dict[str, Any] = {"cpu_s": round(time.process_time(), 3), "pid": os.getpid()}
     with suppress(OSError):
         status = Path("/proc/self/status").read_text(encoding="utf-8")
         resident = {name: int(kilobytes) for name, kilobytes in _RESIDENT.findall(status)}
-        numbers[MEMORY] = round(sum(resident.values()) * 1024 / 1e6, 1)
+        numbers["memory_mb"] = round(sum(resident.values()) * 1024 / 1e6, 1)
     return numbers

@@ -7,15 +7,14 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, ClassVar
 
-from builtin_interfaces.msg import Time
 from rclpy._rclpy_pybind11 import RCLError
-from sal_height_msgs.msg import Calibration, ComplexImage
 
 from sal_height import messages
 from sal_height.calibration import CalibrationSettings, Calibrator, save_calibration
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import sphere_point
 from sal_height.messages import ReceivedImage
+from sal_height.messages.types import Calibration, ComplexImage, Time
 from sal_height.nodes.dwell_stage import ChannelParameters, DwellStage
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics

@@ -12,7 +12,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.clock import Clock, ROSClock
 from rclpy.clock_type import ClockType
@@ -20,37 +19,29 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
-from sal_height.bag.definitions import message_class
 from sal_height.bag.files import ACCOUNT
 from sal_height.bag.parameter_events import PARAMETER_EVENT_TYPE, PARAMETER_EVENTS
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.io import free_folder
-from sal_height.nodes.account import (
-    DIAGNOSTICS,
-    DROPPED,
-    IGNORED,
-    MISSED,
-    ON_THE_WAY,
-    PROGRESS,
-    RECORDED,
-    UNWRITTEN,
-    Account,
-)
+from sal_height.messages.types import DiagnosticArray, DiagnosticStatus
+from sal_height.nodes.account import DIAGNOSTICS, ON_THE_WAY, PROGRESS, RECORDER, Account
 from sal_height.nodes.executors import with_times
 from sal_height.nodes.guard import guarded
 from sal_height.nodes.ledger import NOT_WRITTEN, QUEUE_FULL, Ledger
+from sal_height.nodes.message_types import message_class
 from sal_height.nodes.parameter_reader import ASK_PERIOD_S, ParameterReader
 from sal_height.nodes.parameters import LiveParameters
 from sal_height.nodes.process_numbers import process_numbers
 from sal_height.nodes.program import run_node
+from sal_height.nodes.qos import from_profile
 from sal_height.nodes.recorder_parameters import RecorderParameters
 from sal_height.nodes.role import Role, Topics
 from sal_height.nodes.selection import Selection
 from sal_height.nodes.teller import State, Teller
 
 ACCOUNTS = {DIAGNOSTICS, PROGRESS}  # accounts of these would be recorded in turn, without end
-FAILED = f"{IGNORED}internal error"
+FAILED = "internal error"  # kind of the errors that no message should cause
 QUEUE_DEPTH = 1000  # messages per topic that may wait in the middleware until the node takes them
 ITEM_BYTES = 1000  # memory of a message that waits, besides its own bytes
 DISCOVERY_PERIOD_S = 0.1
@@ -120,6 +111,8 @@ class Recorder(Role, Node):
         self._waiting: deque[_Item] = deque()
         self._put_bytes, self._taken_bytes = 0, 0  # each counted by one thread; their difference waits
         self._arrival, self._ending = threading.Event(), threading.Event()
+        self._process_numbers: dict[str, Any] = {}
+        """Fields of the account that say what the process takes, as they were last."""
         self._teller = Teller(self, guarded(lambda _: self._publish_account(), self._fail))
         self._worker = threading.Thread(target=self._work, name="recorder", daemon=True)
         self._worker.start()
@@ -235,7 +228,7 @@ class Recorder(Role, Node):
             if self._closed:
                 return
             try:
-                self._bag.add_topic(name, types[0], offered)
+                self._bag.add_topic(name, types[0], [from_profile(profile) for profile in offered])
             except OSError as error:
                 self._report(error)
             self._ledgers[name] = Ledger()
@@ -360,24 +353,24 @@ class Recorder(Role, Node):
         self._teller.tell_counts(self._counts)
 
     def _counts(self) -> Account:
-        """How many messages of each topic are in the bag (recorded.<topic>) and how many were lost."""
-        missed = {f"{MISSED}{topic}": ledger.missed for topic, ledger in self._ledgers.items() if ledger.missed}
-        recorded = {f"{RECORDED}{topic}": count for topic, count in self.recorded.items()}
+        """How many messages of each topic are in the bag and how many were lost."""
         left_out = self._left_out
-        losses = {
-            f"{DROPPED}{QUEUE_FULL}": left_out[QUEUE_FULL],
-            f"{IGNORED}{ON_THE_WAY}": left_out[ON_THE_WAY],
-            FAILED: self._failures,
-        }
-        losses = {name: count for name, count in losses.items() if count}
-        return Account({UNWRITTEN: left_out[NOT_WRITTEN], **losses, **missed, **recorded}, self.failure)
+        ignored = {ON_THE_WAY: left_out[ON_THE_WAY], FAILED: self._failures}
+        return Account(
+            dropped={QUEUE_FULL: left_out[QUEUE_FULL]} if left_out[QUEUE_FULL] else {},
+            ignored={name: count for name, count in ignored.items() if count},
+            missed={topic.lstrip("/"): ledger.missed for topic, ledger in self._ledgers.items() if ledger.missed},
+            recorded={topic.lstrip("/"): count for topic, count in self.recorded.items()},
+            unwritten=left_out[NOT_WRITTEN],
+            last_drop=self.failure,
+            kind=RECORDER,
+            **self._process_numbers,
+        )
 
     def _told(self) -> tuple[Account, State]:
         """All numbers, and how the recorder is."""
-        account, missing = (
-            Account({**self._counts().numbers, **process_numbers()}, self.failure),
-            self._left_out.total(),
-        )
+        self._process_numbers = process_numbers()
+        account, missing = self._counts(), self._left_out.total()
         if missing:
             return account, State(DiagnosticStatus.ERROR, f"{missing} messages are not in the bag")
         return account, State(DiagnosticStatus.OK, "recording")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from sal_height.geometry import ApertureState
+from sal_height.messages.types import ReliefLayer
 from sal_height.nodes.map_stage import MapParameters, MapStage, map_topics
 from sal_height.nodes.program import run_node
 from sal_height.relief import HeightField
@@ -34,6 +35,7 @@ class ReliefMapper(MapStage):
 
     parameters = Parameters
     outputs = map_topics(PREFIX)
+    layer = ReliefLayer.MEAN
 
     def __init__(self, **node_arguments: Any) -> None:
         """Make the node; `node_arguments` go to rclpy's Node.

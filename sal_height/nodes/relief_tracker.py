@@ -11,11 +11,10 @@ from collections.abc import Hashable
 from typing import Any, ClassVar
 
 import numpy as np
-from sal_height_msgs.msg import HeightImage, Provenance
-from std_msgs.msg import Header
 
 from sal_height import messages
 from sal_height.elevation import ESTIMATORS
+from sal_height.messages.types import Header, HeightImage, Provenance
 from sal_height.nodes.height import LEFT_OUT
 from sal_height.nodes.height_outlets import HeightOutlets
 from sal_height.nodes.parameters import MapFrameParameters

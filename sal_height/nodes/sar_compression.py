@@ -11,9 +11,6 @@ from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from nav_msgs.msg import Odometry
-from sal_height_msgs.msg import Calibration as CalibrationMessage
-from sal_height_msgs.msg import ChannelFrame, ComplexImage, Provenance
 
 from sal_height import __version__, messages
 from sal_height.calibration import Calibration, load_calibration
@@ -21,6 +18,8 @@ from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Motion, Mounting, PlatformState, Trajectory
 from sal_height.imaging import ImageSettings, Slc
 from sal_height.messages import Pose, ReceivedFrame
+from sal_height.messages.types import Calibration as CalibrationMessage
+from sal_height.messages.types import ChannelFrame, ComplexImage, Odometry, Provenance, TFMessage
 from sal_height.nodes.account import CALIBRATIONS
 from sal_height.nodes.air import (
     AIR_TOPICS,
@@ -38,7 +37,7 @@ from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
 from sal_height.nodes.stage import IMAGES, LATCHED_QOS, ODOMETRY_QOS, SENSOR_TOPICS
 from sal_height.nodes.static_frames import StaticFrames
-from sal_height.nodes.transforms import TF_STATIC, TF_STATIC_QOS, TFMessage
+from sal_height.nodes.transforms import TF_STATIC, TF_STATIC_QOS, has_transforms
 from sal_height.pipeline import Compressor
 from sal_height.rehearsal import once, rehearsed_slc
 from sal_height.sensor import Sensor
@@ -255,7 +254,7 @@ class SarCompression(DwellStage):
             self.listen(CalibrationMessage, "calibration", self._on_calibration, LATCHED_QOS, optional=True)
         elif source:
             self._calibration = load_calibration(Path(source))
-            stamp = self.get_clock().now().to_msg()
+            stamp = messages.to_stamp(self.get_clock().now().nanoseconds)
             self.offer(CalibrationMessage, "calibration", LATCHED_QOS).publish(
                 messages.calibration_to_message(self._calibration, stamp)
             )
@@ -266,7 +265,7 @@ class SarCompression(DwellStage):
         Raises:
             UserError: there are no such messages.
         """
-        if TFMessage is None:
+        if not has_transforms():
             raise UserError(
                 "Parameter mounting_from_tf needs the package tf2_msgs, which a ROS installation has and PyPI has not; "
                 "source the installation, or state the mounting in sensor_info."
@@ -380,9 +379,10 @@ def compress_dwell(
         config_hash=sensor.config_hash,
         calibration_id=calibration.id if calibration else sensor.calibration_id,
         parameters=messages.with_stage([], node, {**stated, **messages.autofocus_values(slc)}),
-        autofocus_phase=slc.autofocus_phase.tolist(),
+        autofocus_phase=slc.autofocus_phase.astype(np.float32),
     )
-    return slc, messages.serialized_slc(slc, frames[0], provenance, parameters.map_frame)
+    air_delay = ComplexImage.AIR_REMOVED if settings.atmosphere else ComplexImage.AIR_LEFT
+    return slc, messages.serialized_slc(slc, frames[0], provenance, parameters.map_frame, air_delay)
 
 
 def warnings_of(dwell: int, slc: Slc | None, compressor: Compressor) -> Iterator[Rejected]:

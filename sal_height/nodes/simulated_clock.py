@@ -9,9 +9,10 @@ from contextlib import suppress
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rosgraph_msgs.msg import Clock
 
 from sal_height import messages
+from sal_height.messages.types import Clock
+from sal_height.nodes.message_types import class_of, publish
 from sal_height.nodes.pace import Pace
 
 CLOCK = "/clock"
@@ -34,7 +35,7 @@ class SimulatedClock:
 
     def __init__(self, node: Node, first_ns: int, rate: float) -> None:
         """Tell the time `first_ns` (ns of the sensor) from now on; later it runs `rate` times as fast as real time."""
-        self._publisher = node.create_publisher(Clock, CLOCK, CLOCK_QOS)
+        self._publisher = node.create_publisher(class_of(Clock), CLOCK, CLOCK_QOS)
         self._rate = rate
         self._pace: Pace | None = None
         self._limit_ns, self._told_ns = first_ns, first_ns
@@ -75,4 +76,4 @@ class SimulatedClock:
         """Tell a time, but never an earlier one than before."""
         with self._lock, suppress(RCLError):  # the context may end meanwhile
             self._told_ns = max(self._told_ns, time_ns)
-            self._publisher.publish(Clock(clock=messages.to_stamp(self._told_ns)))
+            publish(self._publisher, Clock(clock=messages.to_stamp(self._told_ns)))

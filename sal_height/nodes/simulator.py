@@ -4,25 +4,14 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from nav_msgs.msg import Odometry
-from sal_height_msgs.msg import ChannelFrame, SensorInfo
-from sensor_msgs.msg import NavSatFix
-
 from sal_height import messages
+from sal_height.bag.sensor_topics import MAP_ORIGIN
+from sal_height.messages.types import ChannelFrame, NavSatFix, Odometry, SensorInfo
 from sal_height.nodes.account import DWELLS
 from sal_height.nodes.managed import INACTIVE
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
-from sal_height.nodes.stage import (
-    LATCHED_QOS,
-    MAP_ORIGIN,
-    ODOMETRY_QOS,
-    ORIGIN,
-    RESET,
-    SENSOR_TOPICS,
-    Stage,
-    StageParameters,
-)
+from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS, ORIGIN, RESET, SENSOR_TOPICS, Stage, StageParameters
 from sal_height.settings import setting
 from sal_height.simulation import flight_of, load_preset
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import array
 import copy
 import math
 import os
@@ -11,47 +10,38 @@ import time
 import traceback
 from collections.abc import Callable
 from concurrent.futures import Future
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import PublisherEventCallbacks
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.serialization import deserialize_message
+from rclpy.qos import QoSProfile
 from std_srvs.srv import Trigger
 
+from sal_height.bag import qos
+from sal_height.bag.sensor_topics import MAP_ORIGIN
 from sal_height.errors import Rejected, UserError
-from sal_height.nodes.account import (
-    JOBS,
-    MISSED,
-    PUBLISHED_ON,
-    READY,
-    SUBSCRIBERS,
-    WAITING,
-    Account,
-)
+from sal_height.messages.codec import SHIPPED, BrokenMessage
+from sal_height.messages.plain import fields_of_message
+from sal_height.messages.types import DiagnosticArray, DiagnosticStatus
+from sal_height.nodes.account import Account
 from sal_height.nodes.endpoints import QOS_OVERRIDES, RECENT_S, Inlet, Outlet
 from sal_height.nodes.guard import guarded
 from sal_height.nodes.jobs import Job, JobQueue
 from sal_height.nodes.managed import INACTIVE, Managed
+from sal_height.nodes.message_types import class_of
 from sal_height.nodes.parameters import LiveParameters
 from sal_height.nodes.process_numbers import process_numbers
+from sal_height.nodes.qos import to_profile
 from sal_height.nodes.role import Role, Topics
 from sal_height.nodes.tally import Pace, Tally
 from sal_height.nodes.teller import State, Teller
 from sal_height.settings import Settings, setting
 
-FRAMES_QOS = QoSProfile(depth=256, reliability=ReliabilityPolicy.RELIABLE)
-"""Phase histories and images: deep enough for the burst of messages that a dwell is."""
-
-ODOMETRY_QOS = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
-"""Platform states: small messages, but thousands of them may come with a dwell. Fast DDS holds 5000 at most; at a
-greater depth it loses the newest ones instead of the oldest."""
-
-LATCHED_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""Sensor info and the like: a late subscriber receives the last message."""
+FRAMES_QOS, ODOMETRY_QOS, LATCHED_QOS = map(to_profile, (qos.FRAMES, qos.ODOMETRY, qos.LATCHED))
+"""Profiles of rclpy for phase histories and images, for platform states, and for sensor info and the like."""
 
 LATCHED_HELD = 8
 """Messages of a latched topic that wait until a node takes them; with fewer, one overwrites another in the meantime."""
@@ -68,9 +58,6 @@ IMAGES = {"slc": "complex image of one channel and dwell in each message"}
 
 CALIBRATION = {"calibration": "calibration of receivers and beams, latched"}
 """What a calibration is published on."""
-
-MAP_ORIGIN = "map_origin"
-"""Topic that says where on the earth the origin of the map frame is."""
 
 ORIGIN = {MAP_ORIGIN: "place of the origin of the map frame on the earth, sensor_msgs/NavSatFix, latched"}
 """What is published and read there."""
@@ -157,6 +144,8 @@ class Stage(Role, Managed):
         self._jobs = JobQueue()
         self._lost_at = -math.inf
         self._pace = Pace()
+        self._slow_numbers: dict[str, Any] = {}
+        """Fields of the account that take time to find, as they were last."""
         self._offered: list[Outlet] = []
         self._inlets: list[Inlet] = []
         self._optional: list[Inlet] = []
@@ -175,10 +164,10 @@ class Stage(Role, Managed):
         """The parameters as they are now: a frozen object of the class `parameters`."""
         return self._parameters_now.current
 
-    def offer(self, message_type: type, topic: str, qos: QoSProfile = FRAMES_QOS) -> Outlet:
-        """A publisher whose messages and subscribers are counted in the diagnostics."""
+    def offer(self, message_type: type[Any], topic: str, qos: QoSProfile = FRAMES_QOS) -> Outlet:
+        """A publisher of plain messages of a class, whose messages and subscribers are counted in the diagnostics."""
         publisher = self.create_publisher(
-            message_type,
+            class_of(message_type),
             topic,
             copy.copy(qos),
             qos_overriding_options=QOS_OVERRIDES,
@@ -189,7 +178,7 @@ class Stage(Role, Managed):
 
     def listen(
         self,
-        message_type: type,
+        message_type: type[Any],
         topic: str,
         callback: Callable[[Any], None],
         qos: QoSProfile = FRAMES_QOS,
@@ -200,14 +189,15 @@ class Stage(Role, Managed):
         """Subscribe; if the only publishers offer less than `qos`, with what they offer.
 
         Args:
-            message_type: class of the messages.
+            message_type: class of plain messages of the type.
             topic: name of the topic.
             callback: takes a message; an error in it is counted and logged.
             qos: quality of service.
             optional: whether the node can do its work without a message on this topic.
-            read: makes what the callback takes of a serialized message, or raises RuntimeError; None: rclpy does. It is
-                not left to rclpy's executor, which passes over what it cannot decode without a word.
+            read: makes what the callback takes of a serialized message, or raises BrokenMessage; None: the plain
+                message.
         """
+        read = read or SHIPPED.reader(message_type.__msgtype__)
         profile = copy.copy(qos)
         profile.depth = LATCHED_HELD if qos is LATCHED_QOS else qos.depth
 
@@ -216,8 +206,8 @@ class Stage(Role, Managed):
                 self.ignore("another definition", UserError(inlet.warning.strip()))
                 return
             try:
-                message = read(cdr) if read else deserialize_message(cdr, message_type)
-            except RuntimeError as error:  # rclpy's own error class is private, and a subclass of it
+                message = read(cdr)
+            except BrokenMessage as error:
                 self.ignore("broken message", UserError(f"A message on {topic} cannot be decoded: {error}."))
             else:
                 callback(message)
@@ -409,18 +399,20 @@ class Stage(Role, Managed):
         self._teller.tell(self._told)
 
     def _counts(self) -> Account:
-        """What changes with every piece of work."""
+        """The account; what changes without a piece of work is as it was last."""
         inlets = (*self._inlets, *self._optional)
-        missed = {f"{MISSED}{inlet.topic}": inlet.missed for inlet in inlets if inlet.missed and not inlet.latched}
-        summary = self.tally.summary()  # before what is published, and after what has come
-        published = {f"{PUBLISHED_ON}{outlet.topic}": outlet.published for outlet in self._offered if outlet.keeps_all}
-        return Account({**summary, JOBS: self.jobs, **missed, **published}, self.last_drop)
+        missed = {_plain(inlet.topic): inlet.missed for inlet in inlets if inlet.missed and not inlet.latched}
+        account = self.tally.account()  # before what is published, and after what has come
+        published = {_plain(outlet.topic): outlet.published for outlet in self._offered if outlet.keeps_all}
+        account = replace(account, jobs=self.jobs, missed=missed, published_on=published, last_drop=self.last_drop)
+        return replace(account, **self._slow_numbers)
 
     def _told(self) -> tuple[Account, State]:
         """All numbers, and how the node is."""
-        subscribers = {f"{SUBSCRIBERS}{outlet.topic}": outlet.subscribers for outlet in self._offered}
-        state = {READY: int(self.is_ready), **process_numbers(), **self._pace.rates(), **subscribers}
-        account = Account({**self._counts().numbers, **state}, self.last_drop)
+        subscribers = {_plain(outlet.topic): outlet.subscribers for outlet in self._offered}
+        ready = {"ready": self.is_ready, "subscribers": subscribers}
+        self._slow_numbers = {**ready, **process_numbers(), **self._pace.rates()}
+        account = self._counts()
         level, message = self._state(sum(account.dropped.values()) + sum(account.ignored.values()))
         return account, State(level, message, self.hardware_id)
 
@@ -469,7 +461,7 @@ class Stage(Role, Managed):
             if job.messages:
                 self.reject(job.messages, ENDED)
         self.finish()
-        if waiting := self.tally.summary()[WAITING]:
+        if waiting := self.tally.account().waiting:
             self.get_logger().error(f"{waiting} messages are not accounted for; please report it.")
         self._publish_account()
         super().destroy_node()
@@ -493,5 +485,10 @@ def height_topics(prefix: str) -> dict[str, str]:
 
 def payload_bytes(message: Any) -> int:
     """Bytes of the arrays of a message; all else in it is small."""
-    values = (getattr(message, name) for name in message.get_fields_and_field_types())
-    return sum(len(value) * value.itemsize for value in values if isinstance(value, (array.array, np.ndarray)))
+    values = (getattr(message, name) for name in fields_of_message(message))
+    return sum(value.nbytes for value in values if isinstance(value, np.ndarray))
+
+
+def _plain(topic: str) -> str:
+    """A topic without its leading slash."""
+    return topic.removeprefix("/")

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from geometry_msgs.msg import TransformStamped
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from sal_height.errors import UserError
+from sal_height.messages.types import TransformStamped
 
 MOST_FRAMES = 1000
 """Frames held: no platform has more, and nobody can make the node take all memory."""

@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from bisect import bisect_left, insort
 from collections import Counter, deque
 from collections.abc import Callable
 
-from sal_height.nodes.account import (
-    ACHIEVED,
-    DROPPED,
-    IGNORED,
-    LAST_MINUTE,
-    LATENCY_P50,
-    LATENCY_P95,
-    OFFERED,
-    PROCESSED,
-    PUBLISHED,
-    RECEIVED,
-    WAITING,
-)
+from sal_height.nodes.account import CALIBRATIONS, DWELLS, Account
 
 PACE_SAMPLES = 5
 """Samples of the counts, half a second apart, that rates are measured over."""
+
+
+SHARES = 0.5, 0.95
+"""Shares of the dwells that take no longer than the latencies that are published."""
+
+OF_NODE = {"jobs", "ready"}
+"""Numbers of an account that no counts say."""
 
 
 class Tally:
@@ -42,7 +38,7 @@ class Tally:
         self._dropped: Counter[str] = Counter()
         self._ignored: Counter[str] = Counter()
         self._noted: Counter[str] = Counter()
-        self._lately = LastMinute()
+        self._dropped_lately, self._ignored_lately = LastMinute(), LastMinute()
         self._latencies = Latest(1000)
         self.offered = 0
         """Dwells that were complete and handed over for processing."""
@@ -63,13 +59,13 @@ class Tally:
         """That many messages were left out."""
         with self._lock:
             self._dropped[reason] += messages
-            self._lately.add(self._clock(), f"{DROPPED}{reason}", messages)
+            self._dropped_lately.add(self._clock(), reason, messages)
 
     def ignore(self, reason: str) -> None:
         """A message that is not counted as received (sensor info, odometry) could not be used."""
         with self._lock:
             self._ignored[reason] += 1
-            self._lately.add(self._clock(), f"{IGNORED}{reason}", 1)
+            self._ignored_lately.add(self._clock(), reason, 1)
 
     def note(self, event: str) -> None:
         """Something worth counting has happened that costs no message."""
@@ -88,29 +84,30 @@ class Tally:
                 self.finished += 1
                 self._latencies.add(latency_s)
 
-    def summary(self) -> dict[str, int | float]:
-        """Counts and latencies by name.
-
-        `dropped.<reason>` and `ignored.<reason>` for each reason, the same of the last minute, and events noted.
-        """
+    def account(self) -> Account:
+        """The counts, and the latencies if there are any."""
         with self._lock:
-            dropped = dict(self._dropped)
-            ignored = dict(self._ignored)
-            noted = dict(self._noted)
-            lately = self._lately.counts(self._clock())
-            values: dict[str, int | float] = {
-                RECEIVED: self._received,
-                PROCESSED: self._processed,
-                PUBLISHED: self._published,
-                WAITING: self._received - self._processed - sum(dropped.values()),
-            }
-            for name, share in ((LATENCY_P50, 0.5), (LATENCY_P95, 0.95)):
-                if self._latencies:
-                    values[name] = round(1e3 * self._latencies.quantile(share), 3)
-        values |= {f"{DROPPED}{reason}": count for reason, count in sorted(dropped.items())}
-        values |= {f"{IGNORED}{reason}": count for reason, count in sorted(ignored.items())}
-        values |= {f"{LAST_MINUTE}{name}": count for name, count in sorted(lately.items())}
-        return values | dict(sorted(noted.items()))
+            now, events = self._clock(), dict(self._noted)
+            latencies = [1e3 * self._latencies.quantile(share) if self._latencies else math.nan for share in SHARES]
+            return Account(
+                received=self._received,
+                processed=self._processed,
+                published=self._published,
+                waiting=self._received - self._processed - sum(self._dropped.values()),
+                dwells=events.pop(DWELLS, 0),
+                calibrations=events.pop(CALIBRATIONS, 0),
+                dropped=dict(self._dropped),
+                ignored=dict(self._ignored),
+                dropped_last_minute=dict(self._dropped_lately.counts(now)),
+                ignored_last_minute=dict(self._ignored_lately.counts(now)),
+                events=events,
+                latency_p50_ms=round(latencies[0], 3),
+                latency_p95_ms=round(latencies[1], 3),
+            )
+
+    def summary(self) -> dict[str, float]:
+        """Counts and latencies by their names on /diagnostics."""
+        return {name: number for name, number in self.account().numbers.items() if name not in OF_NODE}
 
 
 class Latest:
@@ -174,11 +171,11 @@ class Pace:
         self._samples.append((now, offered, finished))
 
     def rates(self) -> dict[str, float]:
-        """Dwells offered and achieved in a second, by name; none before two samples."""
+        """Dwells offered and achieved in a second, as fields of an account; none before two samples."""
         if len(self._samples) < 2:
             return {}
         (began, offered, finished), (ended, offered_now, finished_now) = self._samples[0], self._samples[-1]
         return {
-            OFFERED: round((offered_now - offered) / (ended - began), 2),
-            ACHIEVED: round((finished_now - finished) / (ended - began), 2),
+            "offered_hz": round((offered_now - offered) / (ended - began), 2),
+            "achieved_hz": round((finished_now - finished) / (ended - began), 2),
         }

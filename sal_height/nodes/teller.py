@@ -6,13 +6,14 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, NamedTuple
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
-from sal_height_msgs.msg import NodeAccount
 
+from sal_height.messages import to_stamp
+from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, Header, NodeAccount
 from sal_height.nodes.account import DIAGNOSTICS, PROGRESS, Account
+from sal_height.nodes.message_types import class_of, publish
 
 
 class State(NamedTuple):
@@ -34,35 +35,39 @@ class Teller:
 
     def __init__(self, node: Node, on_match: Callable[[Any], None]) -> None:
         """Make the publishers; `on_match` is called when a subscription to one of them comes or goes."""
-        self._node = node
+        self._node, self._name = node, node.get_fully_qualified_name().lstrip("/")
         matched = PublisherEventCallbacks(matched=on_match)
-        self._diagnostics = node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10, event_callbacks=matched)
-        self._progress = node.create_publisher(NodeAccount, PROGRESS, 10, event_callbacks=matched)
+        self._diagnostics, self._progress = (
+            node.create_publisher(class_of(kind), topic, 10, event_callbacks=matched)
+            for kind, topic in ((DiagnosticArray, DIAGNOSTICS), (NodeAccount, PROGRESS))
+        )
 
     @property
     def followers(self) -> int:
         """How many follow every piece of work."""
-        return self._progress.get_subscription_count()
+        return int(self._progress.get_subscription_count())
 
     def tell(self, told: Callable[[], tuple[Account, State]]) -> None:
-        """Publish what `told` returns, which has all numbers, on both topics."""
+        """Publish what `told` returns on both topics."""
         with suppress(RCLError):
             account, state = told()
-            self._diagnostics.publish(self.diagnostics(account, state))
-            self._progress.publish(account.to_message(self._node, whole=True))
+            publish(self._diagnostics, self.diagnostics(account, state))
+            publish(self._progress, account.to_message(self._name, self._now_ns))
 
     def tell_counts(self, counts: Callable[[], Account]) -> None:
-        """Publish what `counts` returns, which are the numbers that a piece of work changes, if somebody follows."""
+        """Publish what `counts` returns on /progress, if somebody follows."""
         with suppress(RCLError):
             if self.followers:
-                self._progress.publish(counts().to_message(self._node, whole=False))
+                publish(self._progress, counts().to_message(self._name, self._now_ns))
 
     def diagnostics(self, account: Account, state: State) -> DiagnosticArray:
         """Account and state as a message."""
-        name = self._node.get_fully_qualified_name().lstrip("/")
         level, message, hardware_id = state
         values = account.to_values()
-        status = DiagnosticStatus(level=level, name=name, message=message, hardware_id=hardware_id, values=values)
-        array = DiagnosticArray(status=[status])
-        array.header.stamp = self._node.get_clock().now().to_msg()
-        return array
+        status = DiagnosticStatus(level=level, name=self._name, message=message, hardware_id=hardware_id, values=values)
+        return DiagnosticArray(header=Header(stamp=to_stamp(self._now_ns)), status=[status])
+
+    @property
+    def _now_ns(self) -> int:
+        """The time of the node's clock, ns."""
+        return int(self._node.get_clock().now().nanoseconds)

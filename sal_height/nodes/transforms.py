@@ -1,15 +1,12 @@
-"""The topics on which ROS says where frames are, and their messages, if there are any."""
+"""The topics on which ROS says where frames are, and whether their messages are installed."""
 
 from __future__ import annotations
 
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-try:
-    from tf2_msgs.msg import TFMessage  # of a ROS installation: it is not on PyPI
-except ImportError:
-    TFMessage = None
-
-__all__ = ["TF", "TF_QOS", "TF_STATIC", "TF_STATIC_QOS", "TFMessage"]
+from sal_height.errors import UserError
+from sal_height.messages.types import TFMessage
+from sal_height.nodes.message_types import class_of
 
 TF = "/tf"
 """Topic of the frames that move, of all nodes in whatever namespace."""
@@ -19,3 +16,11 @@ TF_STATIC = "/tf_static"
 
 TF_QOS = QoSProfile(depth=100)
 TF_STATIC_QOS = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def has_transforms() -> bool:
+    """Whether there is the package tf2_msgs, which a ROS installation has and PyPI has not."""
+    try:
+        return bool(class_of(TFMessage))
+    except UserError:
+        return False

@@ -21,7 +21,7 @@ WIDTH = 100
 
 ACCOUNTS = {
     DIAGNOSTICS: "message counts and state of the node",
-    PROGRESS: "the counts as numbers, also after every piece of work, made while somebody listens",
+    PROGRESS: "the counts as numbers, also after every piece of work, made while somebody subscribes",
 }
 
 LIFE_CYCLE = {"~/change_state": "life cycle, as by ros2 lifecycle; the node tells of it on ~/transition_event"}

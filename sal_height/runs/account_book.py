@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-
-from sal_height.nodes.account import CPU, PID, Account
+from sal_height.messages.types import DiagnosticArray, DiagnosticStatus
+from sal_height.nodes.account import Account
 
 SAMPLES = 5
 """Samples of the processor time, half a second apart, that its rate is measured over."""
@@ -62,13 +61,13 @@ class Entry:
     def take(self, status: DiagnosticStatus, now: float) -> None:
         """Enter what the node tells."""
         account = Account.of_status(status)
-        if self.lives == 0 or account.count(PID) != self._pid:
-            self._before, self._pid = self.account, account.count(PID)
+        if self.lives == 0 or account.pid != self._pid:
+            self._before, self._pid = self.account, account.pid
             self.lives += 1
             self._cpu.clear()
         self.account = account.after(self._before)
         self.level, self.message, self.heard_at = LEVELS.get(status.level, "?"), status.message, now
-        self._cpu.append((now, account.numbers.get(CPU, 0.0)))
+        self._cpu.append((now, account.cpu_s))
 
 
 class AccountBook:

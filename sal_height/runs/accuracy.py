@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from sal_height_msgs.msg import HeightImage
 
 from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import HEIGHT_TYPE
 from sal_height.errors import Rejected
 from sal_height.messages import field_from_message
+from sal_height.messages.types import HeightImage
 from sal_height.relief import GroundEstimate
 from sal_height.runs.catalogue import HEIGHTS, TRACKER
 from sal_height.runs.ground_report import TrueGround, ground_of, ground_statistics, true_ground

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from rclpy.serialization import serialize_message
-
 from sal_height import messages
 from sal_height.adjustment import (
     UNKNOWN_GROUND,
@@ -284,7 +282,7 @@ def _corrected_odometry(
         if state is None:
             yield None
         else:
-            yield serialize_message(messages.state_to_message(next(better), messages.to_stamp(state.stamp_ns), frames))
+            yield messages.serialize(messages.state_to_message(next(better), messages.to_stamp(state.stamp_ns), frames))
 
 
 def _write(

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
-from sal_height.nodes.account import PROCESSED, RECORDED
 from sal_height.nodes.domain import ros_domain
 from sal_height.runs.account_book import AccountBook
 from sal_height.runs.conductor import Execution, Interruption
@@ -32,7 +31,7 @@ class Attended:
     def has_worked(self) -> bool:
         """Whether any node has processed or recorded anything."""
         accounts = [entry.account for entry in self.book.entries.values()]
-        return any(account.count(PROCESSED) or any(account.under(RECORDED).values()) for account in accounts)
+        return any(account.processed or any(account.recorded.values()) for account in accounts)
 
 
 def attend(

@@ -14,29 +14,18 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, Self
 
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.task import Future
-from sal_height_msgs.msg import NodeAccount
 from std_srvs.srv import Trigger
 from tqdm import tqdm
 
 from sal_height.errors import UserError
 from sal_height.messages import AIR
-from sal_height.nodes.account import (
-    CALIBRATIONS,
-    DIAGNOSTICS,
-    DWELLS,
-    PROGRESS,
-    READY,
-    RECEIVED,
-    UNTOLD,
-    UNWRITTEN,
-    WAITING,
-    Account,
-)
+from sal_height.messages.types import DiagnosticArray, NodeAccount
+from sal_height.nodes.account import DIAGNOSTICS, OTHER, PROGRESS, Account
 from sal_height.nodes.domain import DomainChoice, ros_domain
 from sal_height.nodes.graph import Graph
+from sal_height.nodes.message_types import class_of, subscribe
 from sal_height.nodes.played import IMAGES, SENSOR
 from sal_height.nodes.player import CALIBRATION_TOPIC
 from sal_height.nodes.playlist import FRAMES, ODOMETRY, SENSOR_INFO
@@ -203,9 +192,9 @@ class Conductor(Node):
         self._has_news = False
         self._step = self.create_client(Trigger, f"{plan.source}/{NODES[plan.source].begin_service}")
         if in_steps:
-            self.create_subscription(NodeAccount, PROGRESS, self._on_progress, 100)
+            subscribe(self, NodeAccount, PROGRESS, self._on_progress, 100)
         else:
-            self.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 100)
+            subscribe(self, DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 100)
 
     def connected(self) -> bool:
         """Whether every topic has its subscribers, as its publisher counts them: nothing will be lost.
@@ -227,12 +216,12 @@ class Conductor(Node):
     def ready(self) -> bool:
         """Whether all nodes are connected, and have done what they do before the first dwell."""
         return self.connected() and all(
-            account.count(READY) for name, account in self.accounts.items() if name in self._inputs
+            account.ready for name, account in self.accounts.items() if name in self._inputs
         )
 
     def listen_raw(self, message_type: type, topic: str, receive: Callable[[bytes], None]) -> None:
         """Have the serialized messages of a topic taken by `receive`."""
-        self.create_subscription(message_type, topic, receive, FRAMES_QOS, raw=True)
+        self.create_subscription(class_of(message_type), topic, receive, FRAMES_QOS, raw=True)
 
     def check(self) -> None:
         """Make sure that the source works, that the bag takes what comes, and that nobody else publishes frames.
@@ -322,7 +311,7 @@ class Conductor(Node):
     @property
     def told(self) -> bool:
         """Whether no stage holds back what it will tell once no more dwells come."""
-        return not any(self.accounts[name].count(UNTOLD) for name in self._inputs)
+        return not any(self.accounts[name].unpublished for name in self._inputs)
 
     def _open(self, name: str, topic: str, published: Mapping[str, int]) -> int:
         """Messages of a topic, or steps of the source, that a node has not accounted for."""
@@ -337,7 +326,7 @@ class Conductor(Node):
     @property
     def played(self) -> int:
         """Dwells that the source has published."""
-        return self.accounts.get(self._source, Account()).count(DWELLS)
+        return self.accounts.get(self._source, Account()).dwells
 
     def final_accounts(self) -> dict[str, Account]:
         """The accounts of the source and of every stage; what never came is received and dropped in them.
@@ -356,13 +345,13 @@ class Conductor(Node):
         """Messages published by all nodes on each topic that keeps all of them."""
         published: Counter[str] = Counter()
         for account in self.accounts.values():
-            published.update(account.published)
+            published.update(account.published_on)
         return published
 
     def _has_calibrations(self, recorded: Mapping[str, int]) -> bool:
         """Whether the calibrations that the source has published are in the stages that take them, and in the bag."""
-        published = self.accounts[self._source].count(CALIBRATIONS)
-        taken = [self.accounts[name].count(CALIBRATIONS) for name in self._calibrated if published]
+        published = self.accounts[self._source].calibrations
+        taken = [self.accounts[name].calibrations for name in self._calibrated if published]
         if self._calibration in self._recorded:
             taken.append(recorded.get(self._calibration, 0))
         return all(count >= published for count in taken)
@@ -376,17 +365,18 @@ class Conductor(Node):
         )
 
     def _on_progress(self, message: NodeAccount) -> None:
-        self._enter(message.node, Account.of_message(message, self.accounts.get(message.node)))
+        self._enter(message.node, Account.of_message(message))
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            self._enter(status.name, Account.of_status(status))
+            account = Account.of_status(status)
+            if account.kind != OTHER:
+                self._enter(status.name, account)
 
     def _enter(self, node: str, account: Account) -> None:
         """Take note of an account, if it is one of a node of the plan."""
         self._note_news()
-        key = UNWRITTEN if node == RECORDER else WAITING
-        if node in {*self._inputs, RECORDER} and key in account.numbers:
+        if node in {*self._inputs, RECORDER}:
             if account.jobs or _counts(account) != _counts(self.accounts.get(node)):
                 self.last_progress = time.monotonic()
             self.accounts[node] = account
@@ -397,7 +387,7 @@ def _counts(account: Account | None) -> object:
     if account is None:
         return None
     recorded = {topic: count for topic, count in account.recorded.items() if topic not in UNCOUNTED}
-    return account.count(RECEIVED), account.waiting, account.missed, account.published, account.subscribers, recorded
+    return account.received, account.waiting, account.missed, account.published_on, account.subscribers, recorded
 
 
 def perform(plan: Plan, execution: Execution) -> Outcome:

@@ -12,6 +12,7 @@ from types import MappingProxyType
 from sal_height import messages
 from sal_height.bag.namespace import NamespacedReader, open_bag
 from sal_height.bag.reader import BagReader
+from sal_height.bag.sensor_topics import MAP_ORIGIN
 from sal_height.bag.topics import FIX_TYPE
 from sal_height.elevation import ESTIMATORS
 from sal_height.errors import UserError
@@ -21,7 +22,6 @@ from sal_height.nodes.dwell_stage import CONTRADICTION
 from sal_height.nodes.mover_detection import MOVERS
 from sal_height.nodes.played import ALL, IMAGES, LATEST_NS, MOST, SENSOR, DwellRange
 from sal_height.nodes.playlist import FRAMES, SENSOR_INFO
-from sal_height.nodes.stage import MAP_ORIGIN
 from sal_height.runs.catalogue import ADJUSTER, HEIGHTS, NODES, TRACKER, NodeParameters, suited
 from sal_height.sensor import Sensor
 

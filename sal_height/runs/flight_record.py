@@ -6,13 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple
 
-from rclpy.parameter import parameter_value_to_python
-
 from sal_height import messages
 from sal_height.bag.namespace import NamespacedReader
 from sal_height.bag.parameter_events import PARAMETER_EVENTS
 from sal_height.bag.reader import BagMessage, BagReader, LogTimes
 from sal_height.errors import UserError
+from sal_height.messages.parameters import value_of
 from sal_height.nodes.cues import DwellKey
 from sal_height.nodes.played import IMAGES, part_of
 from sal_height.runs.catalogue import HEIGHTS
@@ -120,6 +119,6 @@ class FlightRecord:
             return
         node = event.node.rpartition("/")[2]
         for parameters, is_change in ((event.new_parameters, False), (event.changed_parameters, True)):
-            values = {one.name: parameter_value_to_python(one.value) for one in parameters}
+            values = {one.name: value_of(one.value) for one in parameters}
             if values:
                 self.said.append(Said(recorded.log_time_ns, node, values, is_change))

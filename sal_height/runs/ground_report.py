@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from sal_height_msgs.msg import HeightImage
 
 from sal_height import messages
 from sal_height.imaging import image_beams
+from sal_height.messages.types import HeightImage
 from sal_height.numeric import F64, Bool
 from sal_height.relief import GroundEstimate, GroundKind, GroundMap, fine_cell_size, ground_spacings
 from sal_height.runs.surface_report import coverage_of_sigma

@@ -15,9 +15,9 @@ from matplotlib.colors import Colormap, ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.patches import Patch
-from sal_height_msgs.msg import HeightImage
 from scipy.spatial import cKDTree
 
+from sal_height.messages.types import HeightImage
 from sal_height.nodes.relief_tracker import PREFIX
 from sal_height.numeric import F64
 from sal_height.runs.comparison import FOUND_ORDERS, TRUE_ORDERS

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from sal_height.bag.reader import BagReader
 from sal_height.bag.tolerance import Tolerances
 from sal_height.errors import UserError
 from sal_height.io import writing
-from sal_height.nodes.account import DIAGNOSTICS, LATENCY_P50, Account
+from sal_height.nodes.account import DIAGNOSTICS, Account
 
 PICTURE = "comparison.png"
 
@@ -79,7 +80,7 @@ def _latencies(bag: BagReader) -> dict[str, float]:
     found = {}
     for recorded in bag.messages([DIAGNOSTICS_RECORDED]) if DIAGNOSTICS_RECORDED in bag.topics else ():
         for status in bag.decode(recorded.type_name, recorded.cdr).status:
-            latency = Account.of_status(status).numbers.get(LATENCY_P50)
-            if latency is not None:
+            latency = Account.of_status(status).latency_p50_ms
+            if not math.isnan(latency):
                 found[status.name] = latency
     return found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 
 from sal_height.bag.reader import BagReader
 from sal_height.io import writing
-from sal_height.nodes.account import DIAGNOSTICS, LATENCY_P50, LATENCY_P95, Account
+from sal_height.nodes.account import DIAGNOSTICS, Account
 from sal_height.numeric import F64
 from sal_height.runs.catalogue import HEIGHTS
 from sal_height.runs.picture import look_of, page
@@ -56,10 +57,11 @@ def told_latencies(bag: Path) -> dict[str, F64]:
     for recorded in reader.messages([topic]) if topic in reader.topics else ():
         begin_ns = recorded.log_time_ns if begin_ns is None else begin_ns
         for status in reader.decode(recorded.type_name, recorded.cdr).status:
-            numbers = Account.of_status(status).numbers
-            if LATENCY_P50 in numbers and LATENCY_P95 in numbers:
+            account = Account.of_status(status)
+            latencies = account.latency_p50_ms, account.latency_p95_ms
+            if all(map(math.isfinite, latencies)):
                 time_s = (recorded.log_time_ns - begin_ns) * 1e-9
-                told.setdefault(status.name, []).append((time_s, numbers[LATENCY_P50], numbers[LATENCY_P95]))
+                told.setdefault(status.name, []).append((time_s, *latencies))
     return {node: np.array(rows).T for node, rows in told.items()}
 
 

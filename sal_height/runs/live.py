@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 from rclpy.task import Future
-from sal_height_msgs.msg import HeightImage
 
 from sal_height.bag.stamps import stamp_ns_of
 from sal_height.errors import UserError
 from sal_height.io import new_folder
 from sal_height.messages import AIR
-from sal_height.nodes.account import CPU, Account
+from sal_height.messages.types import HeightImage
+from sal_height.nodes.account import Account
 from sal_height.nodes.domain import ros_domain
 from sal_height.nodes.middleware import provide_shared_memory
 from sal_height.nodes.mover_detection import MOVERS
@@ -98,7 +98,7 @@ class Watched:
 
     def cpu_per_second(self, node: str) -> float:
         """Processor seconds that the processes of a node have taken in a second since the sensor began."""
-        used = self.accounts[node].numbers.get(CPU, 0.0) - self.cpu_at_start_s.get(node, 0.0)
+        used = self.accounts[node].cpu_s - self.cpu_at_start_s.get(node, 0.0)
         return used / self.elapsed_s if self.elapsed_s else 0.0
 
     @property
@@ -247,7 +247,7 @@ def _perform(
         for topic in watched.latencies_s:
             conductor.listen_raw(HeightImage, topic, _keeper(topic, clock, watched))
         wait(sensor.has_begun, f"an answer of node {SOURCE}")
-        watched.cpu_at_start_s = {name: a.numbers.get(CPU, 0.0) for name, a in watched.accounts.items()}
+        watched.cpu_at_start_s = {name: a.cpu_s for name, a in watched.accounts.items()}
         watched.began_at_s = time.time()
         for watched.elapsed_s, is_due in looks(graph, interruption, how.seconds):
             look_after()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
@@ -14,7 +15,6 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from sal_height.nodes.account import ACHIEVED, LATENCY_P50, LATENCY_P95, MEMORY, OFFERED
 from sal_height.runs.account_book import AccountBook, Entry
 from sal_height.runs.live import SOURCE, Watched
 
@@ -74,17 +74,16 @@ def _common_namespace(names: Sequence[str]) -> str:
 def _numbers(entry: Entry) -> list[str]:
     """Rates, latencies, processors and memory of a node, as texts."""
     account = entry.account
-    numbers = [account.numbers.get(key) for key in (OFFERED, ACHIEVED, LATENCY_P50, LATENCY_P95)]
-    texts = ["" if number is None else f"{number:.1f}" for number in numbers]
-    memory = account.numbers.get(MEMORY)
-    return [*texts, f"{entry.cpu_per_second:.2f}", "" if memory is None else f"{memory:.0f}"]
+    numbers = account.offered_hz, account.achieved_hz, account.latency_p50_ms, account.latency_p95_ms
+    texts = ["" if math.isnan(number) else f"{number:.1f}" for number in numbers]
+    return [*texts, f"{entry.cpu_per_second:.2f}", f"{account.memory_mb:.0f}" if account.memory_mb else ""]
 
 
 def _sentences(entry: Entry, state: str) -> Iterator[str]:
     """What there is to say of a node, without its name: starts, messages left out by reason, what is wrong."""
     if entry.lives > 1:
         yield f"was started {entry.lives} times."
-    lost, lately = {**entry.account.dropped, **entry.account.ignored}, entry.account.lately
+    lost, lately = {**entry.account.dropped, **entry.account.ignored}, entry.account.lost_last_minute
     if lost:
         counts = ", ".join(f"{reason} {lately.get(reason, 0)} ({count})" for reason, count in lost.items())
         yield f"has left out in the last minute (in all): {counts}."

@@ -6,8 +6,6 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
-from rclpy.serialization import serialize_message
-
 from sal_height import messages
 from sal_height.bag.namespace import NamespacedReader
 from sal_height.bag.reader import ALWAYS, BagMessage, BagReader, LogTimes
@@ -90,7 +88,7 @@ def track(
             except UserError as error:
                 losses.drop(TRACKER, error)
                 continue
-            out.write(tracked, serialize_message(image), one.log_time_ns, one.publish_time_ns)
+            out.write(tracked, messages.serialize(image), one.log_time_ns, one.publish_time_ns)
             images += 1
     return images, losses
 

@@ -8,9 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rclpy.serialization import serialize_message
-from sal_height_msgs.msg import HeightImage, Provenance
-from std_msgs.msg import Header
 
 from sal_height import __version__, messages
 from sal_height.bag.namespace import NamespacedReader
@@ -22,6 +19,7 @@ from sal_height.errors import UserError
 from sal_height.geometry import Grid, Trajectory
 from sal_height.imaging import apply_phase, line_of_sight
 from sal_height.io import new_folder, writing
+from sal_height.messages.types import Header, HeightImage, Provenance
 from sal_height.numeric import F64
 from sal_height.passes import (
     ESTIMATORS_OF_PASSES,
@@ -225,4 +223,4 @@ def _write_bag(folder: Path, result: PassHeights, estimator: str, settings: Sett
                 for recorded in first.messages([topic.name]):
                     bag.write(topic.name, recorded.cdr, history.stamp_ns, history.stamp_ns)
         bag.add_topic(f"/{estimator}/height", HEIGHT_TYPE)
-        bag.write(f"/{estimator}/height", serialize_message(image), history.stamp_ns, history.stamp_ns)
+        bag.write(f"/{estimator}/height", messages.serialize(image), history.stamp_ns, history.stamp_ns)

@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.image import AxesImage
-from sal_height_msgs.msg import HeightImage
 
 from sal_height import messages
+from sal_height.messages.types import HeightImage
 from sal_height.numeric import F64
 from sal_height.runs.picture import POWERS
 

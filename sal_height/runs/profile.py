@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from sal_height_msgs.msg import HeightImage
 
 from sal_height import messages
+from sal_height.messages.types import HeightImage
 from sal_height.nodes.relief_tracker import PREFIX
 from sal_height.numeric import F64, I64
 from sal_height.relief import HeightField

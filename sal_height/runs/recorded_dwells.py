@@ -9,7 +9,6 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from rclpy.serialization import deserialize_message
 from tqdm import tqdm
 
 from sal_height import messages
@@ -275,7 +274,7 @@ class RecordedDwells:
             if one.type_name != (quantity := messages.AIR[topic]).type_name:
                 continue
             try:
-                self._air.add(topic, messages.read_air(topic, deserialize_message(one.cdr, quantity.message_type)))
+                self._air.add(topic, messages.read_air(topic, messages.deserialize(one.cdr, quantity.message_type)))
             except (UserError, RuntimeError) as error:
                 self.losses.warn("air", UserError(f"A message on {topic} is not used. {error}"))
 

@@ -75,7 +75,7 @@ class Replay:
             changed: whether it was made with other parameters than the recording, so that values may differ.
         """
         made = self.images or any(
-            account.published.get(f"{HEIGHTS[name]}/height")
+            account.published_on.get(f"{HEIGHTS[name]}/height")
             for name, account in self.outcome.stages.items()
             if name in HEIGHTS
         )

@@ -14,13 +14,13 @@ import yaml
 
 from sal_height.bag.files import parameters_file
 from sal_height.bag.reader import BagReader, LogTimes
+from sal_height.bag.sensor_topics import MAP_ORIGIN
 from sal_height.errors import UserError
 from sal_height.messages import to_ns
 from sal_height.nodes.cues import Cue, DwellKey, cues_to_text
 from sal_height.nodes.played import IMAGES, DwellRange
 from sal_height.nodes.playlist import FRAMES
 from sal_height.nodes.sar_compression import HEARD
-from sal_height.nodes.stage import MAP_ORIGIN
 from sal_height.runs.catalogue import NODES, NodeParameters, check_parameters, placed
 from sal_height.runs.entry import Chain, Part, check_air, check_given, origin_of, sensors_of
 from sal_height.runs.flight_record import FlightRecord

@@ -7,7 +7,6 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from sal_height_msgs.msg import HeightImage
 
 from sal_height import messages
 from sal_height.beams import column_squint
@@ -15,6 +14,7 @@ from sal_height.elevation import speckle_crb
 from sal_height.geometry import sphere_coordinates
 from sal_height.imaging import azimuth_resolution, image_beams
 from sal_height.io import or_null
+from sal_height.messages.types import HeightImage
 from sal_height.nodes.relief_tracker import PREFIX
 from sal_height.numeric import F64, Bool
 from sal_height.relief import height_variance

@@ -11,8 +11,8 @@ from typing import Any
 from sal_height import __version__
 from sal_height.bag import files
 from sal_height.errors import UserError
-from sal_height.io import write_text
-from sal_height.nodes.account import PROCESSED, PUBLISHED, Account
+from sal_height.io import or_null, write_text
+from sal_height.nodes.account import Account
 from sal_height.runs.catalogue import NodeParameters
 from sal_height.runs.conductor import Outcome
 
@@ -70,11 +70,11 @@ def _stage(account: Account) -> dict[str, Any]:
     """What the report says of one node."""
     return {
         "in": account.received,
-        "processed": account.count(PROCESSED),
-        "out": account.count(PUBLISHED),
-        "published": account.published,
-        "dropped": account.dropped,
-        "ignored": account.ignored,
-        "latency_p50_ms": account.numbers.get("latency_p50_ms"),
-        "latency_p95_ms": account.numbers.get("latency_p95_ms"),
+        "processed": account.processed,
+        "out": account.published,
+        "published": dict(account.published_on),
+        "dropped": dict(account.dropped),
+        "ignored": dict(account.ignored),
+        "latency_p50_ms": or_null(account.latency_p50_ms),
+        "latency_p95_ms": or_null(account.latency_p95_ms),
     }

@@ -11,17 +11,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from rclpy.qos import QoSProfile
-from rclpy.serialization import serialize_message
 from tqdm import tqdm
 
 from sal_height import messages
+from sal_height.bag import qos
+from sal_height.bag.qos import Qos
 from sal_height.bag.reader import BagReader
+from sal_height.bag.sensor_topics import MAP_ORIGIN
 from sal_height.bag.topics import FIX_TYPE, FRAME_TYPE, ODOMETRY_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.nodes.playlist import FRAMES, ODOMETRY, SENSOR_INFO, Playlist
-from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, MAP_ORIGIN, ODOMETRY_QOS
 from sal_height.runs.catalogue import HEIGHTS, TRACKER, suited
 from sal_height.runs.entry import contents
 from sal_height.runs.processes import Forked, beside
@@ -110,11 +110,11 @@ def record_sensor(preset: Preset, seed: int, folder: Path) -> Path:
     start_ns = time.time_ns()
     stamp = messages.to_stamp(start_ns)
     with BagWriter(folder, _custom_data(flight)) as bag:
-        for name, (kind, qos) in _topics_of(flight).items():
-            bag.add_topic(f"/{name}", kind, [qos])
+        for name, (kind, offered) in _topics_of(flight).items():
+            bag.add_topic(f"/{name}", kind, [offered])
 
         def write(topic: str, message: Any, stamp_ns: int) -> None:
-            bag.write(f"/{topic}", serialize_message(message), stamp_ns, stamp_ns)
+            bag.write(f"/{topic}", messages.serialize(message), stamp_ns, stamp_ns)
 
         write(SENSOR_INFO, messages.sensor_to_message(flight.sensor, stamp), start_ns)
         if flight.scene.origin:
@@ -134,17 +134,17 @@ def record_sensor(preset: Preset, seed: int, folder: Path) -> Path:
     return folder
 
 
-def _topics_of(flight: SimulatedFlight) -> dict[str, tuple[str, QoSProfile]]:
+def _topics_of(flight: SimulatedFlight) -> dict[str, tuple[str, Qos]]:
     """Type and quality of service of the topics of a simulated sensor."""
     topics = {
-        SENSOR_INFO: (SENSOR_TYPE, LATCHED_QOS),
-        ODOMETRY: (ODOMETRY_TYPE, ODOMETRY_QOS),
-        FRAMES: (FRAME_TYPE, FRAMES_QOS),
+        SENSOR_INFO: (SENSOR_TYPE, qos.LATCHED),
+        ODOMETRY: (ODOMETRY_TYPE, qos.ODOMETRY),
+        FRAMES: (FRAME_TYPE, qos.FRAMES),
     }
     if flight.scene.origin:
-        topics[MAP_ORIGIN] = FIX_TYPE, LATCHED_QOS
+        topics[MAP_ORIGIN] = FIX_TYPE, qos.LATCHED
     if flight.preset.impairments.air:
-        topics |= {topic: (one.type_name, ODOMETRY_QOS) for topic, one in messages.AIR.items()}
+        topics |= {topic: (one.type_name, qos.ODOMETRY) for topic, one in messages.AIR.items()}
     return topics
 
 

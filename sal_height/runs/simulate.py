@@ -11,10 +11,10 @@ from typing import Any
 
 import yaml
 
+from sal_height.bag.sensor_topics import MAP_ORIGIN
 from sal_height.errors import UserError
 from sal_height.io import new_folder, write_text, writing
 from sal_height.messages import AIR
-from sal_height.nodes.stage import MAP_ORIGIN
 from sal_height.runs.accuracy import Accuracy, read_accuracy, read_images
 from sal_height.runs.catalogue import (
     HEIGHTS,

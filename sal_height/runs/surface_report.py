@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from sal_height_msgs.msg import HeightImage
 
 from sal_height import messages
 from sal_height.beams import Beams
@@ -18,6 +17,7 @@ from sal_height.elevation import USABLE, Validity
 from sal_height.geometry import ApertureState
 from sal_height.imaging import azimuth_resolution, image_beams
 from sal_height.io import or_null
+from sal_height.messages.types import HeightImage
 from sal_height.numeric import F64, Bool, Index
 from sal_height.relief import HeightField
 from sal_height.runs.comparison import (

@@ -34,7 +34,7 @@ def results_table(outcome: Outcome, accuracy: Mapping[str, Mapping[str, Any]]) -
             rows.append(
                 [
                     prefix,
-                    str(account.published.get(f"{prefix}/height", 0)),
+                    str(account.published_on.get(f"{prefix}/height", 0)),
                     str(sum(account.dropped.values())),
                     _number(errors.get("valid"), ".1f", 100.0),
                     _number(errors.get("bias_m"), "+.4g"),

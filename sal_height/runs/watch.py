@@ -7,14 +7,15 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
 
+from sal_height.messages.types import DiagnosticArray
 from sal_height.nodes.account import DIAGNOSTICS
 from sal_height.nodes.domain import DomainChoice, ros_domain
 from sal_height.nodes.graph import Graph
+from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.ports import LOOK_S, LOST, Ports
 from sal_height.runs.account_book import AccountBook
 from sal_height.runs.conductor import Interruption
@@ -40,7 +41,7 @@ class Watcher(Node):
         self.book = book
         self.is_deaf = False
         self._ports = Ports()
-        self.create_subscription(DiagnosticArray, DIAGNOSTICS, self._take, 100)
+        subscribe(self, DiagnosticArray, DIAGNOSTICS, self._take, 100)
         self.create_timer(LOOK_S, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _take(self, message: DiagnosticArray) -> None:

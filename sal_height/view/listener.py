@@ -10,17 +10,16 @@ from functools import partial
 from types import TracebackType
 from typing import Any, NamedTuple, Self
 
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 
-from sal_height.bag.definitions import message_class
-from sal_height.messages import received_height, received_image, received_pose
+from sal_height.messages import deserialize, received_height, received_image, received_pose
+from sal_height.messages.types import DiagnosticArray
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.guard import guarded
+from sal_height.nodes.message_types import message_class
 from sal_height.view.drawings import Heard
 from sal_height.view.painter import COMPLEX_IMAGE, DIAGNOSTICS, HEIGHT_IMAGE, ODOMETRY, is_shown
 
@@ -31,7 +30,7 @@ READERS: dict[str, Callable[[bytes], Any]] = {
     HEIGHT_IMAGE: received_height,
     COMPLEX_IMAGE: received_image,
     ODOMETRY: received_pose,
-    DIAGNOSTICS: partial(deserialize_message, message_type=DiagnosticArray),
+    DIAGNOSTICS: partial(deserialize, kind=DiagnosticArray),
 }
 
 DISCOVERY_PERIOD_S = 0.25

@@ -8,9 +8,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
-from nav_msgs.msg import Odometry
-from sal_height_msgs import msg as messages
 
 from sal_height.errors import Rejected
 from sal_height.messages import (
@@ -23,7 +20,9 @@ from sal_height.messages import (
     state_of_pose,
     to_ns,
 )
-from sal_height.nodes.account import ACHIEVED, LATENCY_P50, LATENCY_P95, OFFERED, RECEIVED, Account
+from sal_height.messages import types as messages
+from sal_height.messages.types import DiagnosticArray, Odometry
+from sal_height.nodes.account import STAGE, Account
 from sal_height.numeric import F32, F64
 from sal_height.relief import Surface
 from sal_height.view.colours import Span, Spans, coloured
@@ -36,10 +35,13 @@ ODOMETRY, DIAGNOSTICS = "nav_msgs/msg/Odometry", "diagnostic_msgs/msg/Diagnostic
 WORLD = "map"
 """Path under which everything lies that has a place."""
 
-SERIES = {OFFERED: "rates/{}/offered", ACHIEVED: "rates/{}/achieved", LATENCY_P50: "latency/{}/p50"} | {
-    LATENCY_P95: "latency/{}/p95"
+SERIES = {
+    "offered_hz": "rates/{}/offered",
+    "achieved_hz": "rates/{}/achieved",
+    "latency_p50_ms": "latency/{}/p50",
+    "latency_p95_ms": "latency/{}/p95",
 }
-"""Paths of the time series by the names of the numbers of an account; rates in dwells/s, latencies in ms."""
+"""Paths of the time series by the fields of an account; rates in dwells/s, latencies in ms."""
 
 LOST = "drops/{}"
 """Path of the number of messages that a node has left out so far."""
@@ -286,10 +288,11 @@ class Painter:
         told: dict[str, str] = {}
         for status in message.status:
             account = Account.of_status(status)
-            if RECEIVED not in account.numbers:
+            if account.kind != STAGE:
                 continue
-            node, numbers = status.name, account.numbers
-            drawings += [Number(path.format(node), numbers[name]) for name, path in SERIES.items() if name in numbers]
+            node, numbers = status.name, {name: getattr(account, name) for name in SERIES}
+            known = {name: number for name, number in numbers.items() if math.isfinite(number)}
+            drawings += [Number(SERIES[name].format(node), number) for name, number in known.items()]
             drawings.append(Number(LOST.format(node), float(sum(account.dropped.values()))))
             if account.last_drop and account.last_drop != self._told.get(node):
                 told[node] = account.last_drop

@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from sal_height.bag.codec import serialized
 from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.bag.writer import ONE_FILE, BagWriter, Packing
+from sal_height.messages import serialize
 
-REFERENCE = Path(__file__).parents[2] / "bags" / "version_2"
+REFERENCE = Path(__file__).parents[2] / "bags" / "version_3"
 """Two dwells of eight detectors."""
 
 
@@ -39,4 +39,4 @@ def changed(message: BagMessage, change: Callable[[Any], None]) -> BagMessage:
     """A message after a change to what it says."""
     decoded = BagReader(REFERENCE).decode(message.type_name, message.cdr)
     change(decoded)
-    return message._replace(cdr=serialized(decoded))
+    return message._replace(cdr=serialize(decoded))

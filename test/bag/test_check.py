@@ -13,11 +13,9 @@ import pytest
 from bags_at_hand import REFERENCE, changed, reference, write_like_reference
 from helpers import assert_one_sentence
 from mcap.writer import Writer
-from sal_height_msgs.msg import ComplexImage
 
 from sal_height.bag.check import check_bag
-from sal_height.bag.codec import serialized
-from sal_height.bag.definitions import Definition, installed_definition
+from sal_height.bag.definitions import Definition, known_definition
 from sal_height.bag.files import ACCOUNT
 from sal_height.bag.findings import Finding
 from sal_height.bag.index import read_index
@@ -26,6 +24,8 @@ from sal_height.bag.topics import IMAGE_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.commands import main
 from sal_height.errors import UserError
+from sal_height.messages import serialize
+from sal_height.messages.types import ComplexImage
 
 FRAMES, ODOMETRY, INFO = "/phase_history", "/platform/odometry", "/sensor_info"
 
@@ -126,7 +126,7 @@ def test_other_profiles_and_encodings_are_found(profile: str, encoding: str, sai
     assert (found.severity, said in found.sentence) == ("error", True)
 
 
-STRING = installed_definition("std_msgs/msg/String")
+STRING = known_definition("std_msgs/msg/String")
 OTHER_HASH = STRING.type_hash[:-1] + ("0" if STRING.type_hash[-1] != "0" else "1")
 
 
@@ -202,7 +202,7 @@ def test_frames_that_nothing_describes_are_found(tmp_path: Path) -> None:
 def test_a_bag_of_images_needs_neither_frames_nor_odometry(tmp_path: Path) -> None:
     """Such as sal-height import slc makes."""
     (info,) = (m for m in reference() if m.topic == INFO)
-    image = info._replace(topic="/slc", type_name=IMAGE_TYPE, cdr=serialized(ComplexImage()))
+    image = info._replace(topic="/slc", type_name=IMAGE_TYPE, cdr=serialize(ComplexImage()))
     bag = write_like_reference(tmp_path / "bag", [info, image])
     the_finding(bag, "warning", "images on /slc and no messages on /phase_history", "--from slc")
     nameless = write_like_reference(tmp_path / "nameless", [image])

@@ -8,10 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
-from nav_msgs.msg import Odometry
-from rclpy.serialization import serialize_message
-from sal_height_msgs.msg import ChannelFrame, HeightImage, Surface
 
 from sal_height.bag.compare import CHANGED, EQUAL, WITHIN, Comparison, compare_bags
 from sal_height.bag.fields import content_hash, fields_of
@@ -20,6 +16,8 @@ from sal_height.bag.tolerance import EXACT, ROUNDING, Tolerance, Tolerances, rea
 from sal_height.bag.topics import HEIGHT_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
+from sal_height.messages import serialize
+from sal_height.messages.types import ChannelFrame, DiagnosticArray, HeightImage, Odometry, Surface
 
 ROWS, COLS = 3, 4
 FLOAT_FIELDS = ("height", "sigma", "cnr_db", "east", "north")
@@ -50,7 +48,7 @@ class Bags:
             for topic, sequence in messages.items():
                 writer.add_topic(topic, kind)
                 for time, message in enumerate(sequence):
-                    writer.write(topic, serialize_message(message), time, time)
+                    writer.write(topic, serialize(message), time, time)
         return BagReader(self.folder / str(self.written))
 
     def compare(self, golden: list[Any], made: list[Any], tolerances: Tolerances = EXACT) -> Comparison:

@@ -9,17 +9,18 @@ from pathlib import Path
 import pytest
 from bags_at_hand import REFERENCE, changed, reference, write_like_reference
 from helpers import assert_one_sentence
-from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterValue
+from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
 from sal_height.bag.check import check_bag
-from sal_height.bag.codec import serialized
 from sal_height.bag.cut import MARGIN_NS, Range, cut, time_of
 from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.bag.stamps import stamp_ns_of
 from sal_height.bag.writer import BagWriter
 from sal_height.commands import main
 from sal_height.errors import UserError
+from sal_height.messages import serialize
+from sal_height.messages.types import Parameter, ParameterEvent, ParameterValue
 
 FRAMES, ODOMETRY, INFO = "/phase_history", "/platform/odometry", "/sensor_info"
 HEIGHTS = {"/ml/height", "/monopulse/height", "/tracked/height"}
@@ -111,8 +112,8 @@ def write_latched(folder: Path) -> Path:
             bag.add_topic(name, "std_msgs/msg/String", source.topics[INFO].offered_qos)
         bag.add_topic("/parameter_events", "rcl_interfaces/msg/ParameterEvent")
         for number, text in enumerate(("one", "two")):
-            bag.write("/tf_static", serialized(String(data=text)), number, number + 5)
-        bag.write("/notes", serialized(String(data="late")), len(messages) * SECOND, 0)
+            bag.write("/tf_static", serialize_message(String(data=text)), number, number + 5)
+        bag.write("/notes", serialize_message(String(data="late")), len(messages) * SECOND, 0)
         for number, node in enumerate(("/a", "/b", "/a")):
             bag.write("/parameter_events", event(node, number), number, 7)
         for message in messages:
@@ -126,7 +127,7 @@ def sorted_by_dwell(messages: list[BagMessage]) -> list[BagMessage]:
 
 def event(node: str, value: int) -> bytes:
     parameters = [Parameter(name=f"value_{value}", value=ParameterValue(type=2, integer_value=value))]
-    return serialized(ParameterEvent(node=node, new_parameters=parameters))
+    return serialize(ParameterEvent(node=node, new_parameters=parameters))
 
 
 def test_what_was_latched_before_is_kept_as_it_was_last(tmp_path: Path) -> None:
@@ -135,7 +136,9 @@ def test_what_was_latched_before_is_kept_as_it_was_last(tmp_path: Path) -> None:
     kept = contents(tmp_path / "cut")
     begin_ns = kept[0].log_time_ns
     (transform,) = of(kept, "/tf_static")
-    assert transform == BagMessage("/tf_static", "std_msgs/msg/String", serialized(String(data="two")), begin_ns, 6)
+    assert transform == BagMessage(
+        "/tf_static", "std_msgs/msg/String", serialize_message(String(data="two")), begin_ns, 6
+    )
     assert not of(kept, "/notes")
     assert len(of(kept, INFO)) == 1
     reader = BagReader(bag)
@@ -207,6 +210,6 @@ def test_a_bag_without_sensor_is_cut_by_time(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag") as bag:
         bag.add_topic("/notes", "std_msgs/msg/String")
         for number in range(5):
-            bag.write("/notes", serialized(String(data=str(number))), number, number)
+            bag.write("/notes", serialize_message(String(data=str(number))), number, number)
     cut(tmp_path / "bag", tmp_path / "cut", Range(1, 3))
     assert [m.log_time_ns for m in contents(tmp_path / "cut")] == [1, 2, 3]

@@ -27,7 +27,7 @@ STORAGES = {
 }
 
 
-def converted(folder: Path, storage: str, version: int = 2) -> Path:
+def converted(folder: Path, storage: str, version: int = 3) -> Path:
     convert = [str(Path(sys.executable).with_name("rosbags-convert")), *STORAGES[storage]]
     paths = ["--src", str(REFERENCE.parent / f"version_{version}"), "--dst", str(folder)]
     subprocess.run([*convert, *paths], check=True, timeout=60)  # noqa: S603 (our own bags)
@@ -52,7 +52,7 @@ def test_messages_topics_and_profiles_are_the_same(storage: str, tmp_path: Path)
     assert list(reader.messages([])) == []
 
 
-@pytest.mark.parametrize("version", [0, 1])
+@pytest.mark.parametrize("version", [0, 1, 2])
 def test_messages_of_older_versions_are_read(version: int, tmp_path: Path) -> None:
     reader = BagReader(converted(tmp_path / "bag", "sqlite3", version))
     source = BagReader(REFERENCE.parent / f"version_{version}")

@@ -13,19 +13,22 @@ import pytest
 import yaml
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
-from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
 from sal_height.bag import qos
-from sal_height.bag.definitions import Definition, installed_definition, message_class
+from sal_height.bag.definitions import Definition, known_definition
 from sal_height.bag.file_writer import CHUNK_SIZE
+from sal_height.bag.qos import RELIABLE, TRANSIENT_LOCAL, VOLATILE, Qos
 from sal_height.bag.reader import BagReader
 from sal_height.bag.writer import BagWriter, Packing
 from sal_height.errors import UserError
+from sal_height.messages import serialize
+from sal_height.messages.types import KeyValue
 
 STRING = "std_msgs/msg/String"
 HELLO = serialize_message(String(data="hello"))
+PAIR, PAIRED = "diagnostic_msgs/msg/KeyValue", serialize(KeyValue(key="hello", value="x"))
 MAGIC_BYTES = 8
 
 
@@ -35,9 +38,9 @@ def bag(tmp_path: Path) -> Path:
     return write_bag(tmp_path / "run")
 
 
-def write_bag(directory: Path, definition: Definition | None = None) -> Path:
+def write_bag(directory: Path, definition: Definition | None = None, type_name: str = STRING) -> Path:
     with BagWriter(directory) as writer:
-        writer.add_topic("/greeting", STRING, definition=definition)
+        writer.add_topic("/greeting", type_name, definition=definition)
         writer.write("/greeting", HELLO, 7, 6)
     return directory
 
@@ -106,11 +109,11 @@ def test_a_bag_of_several_files_is_one_sequence(tmp_path: Path) -> None:
 def test_decoding_gives_the_message(bag: Path) -> None:
     reader = BagReader(bag)
     (message,) = reader.messages()
-    assert reader.decode(message.type_name, message.cdr) == String(data="hello")
+    assert reader.decode(message.type_name, message.cdr).data == "hello"
 
 
 def test_the_offered_qos_comes_back(tmp_path: Path) -> None:
-    latched = QoSProfile(depth=3, durability=DurabilityPolicy.TRANSIENT_LOCAL, liveliness=LivelinessPolicy.AUTOMATIC)
+    latched = Qos(depth=3, durability=TRANSIENT_LOCAL, liveliness="automatic")
     with BagWriter(tmp_path / "run") as writer:
         writer.add_topic("/greeting", STRING, [latched])
     assert BagReader(tmp_path / "run").topics["/greeting"].offered_qos == (latched,)
@@ -141,40 +144,64 @@ def test_a_bag_written_by_rosbag2_is_decoded(shared_data: Callable[[str], Path])
     logs = [reader.decode(m.type_name, m.cdr) for m in reader.messages(["/rosout"])]
     assert logs[0].name == "minimal_publisher"
     (profile,) = reader.topics["/topic"].offered_qos
-    assert profile.reliability == ReliabilityPolicy.RELIABLE
-    assert profile.durability == DurabilityPolicy.VOLATILE
+    assert profile.reliability == RELIABLE
+    assert profile.durability == VOLATILE
 
 
 def test_a_definition_with_another_hash_is_refused(tmp_path: Path) -> None:
-    text, type_hash = installed_definition(STRING).text, "RIHS01_" + "0" * 64
-    reader = BagReader(write_bag(tmp_path / "run", Definition(text, type_hash)))
-    with pytest.raises(UserError, match=f"^Topic .* another definition of {STRING} \\({type_hash}\\) than .*\\.$"):
-        reader.decode(STRING, HELLO)
+    text, type_hash = known_definition(PAIR).text, "RIHS01_" + "0" * 64
+    reader = BagReader(write_bag(tmp_path / "run", Definition(text, type_hash), PAIR))
+    with pytest.raises(UserError, match=f"^Topic .* another definition of {PAIR} \\({type_hash}\\) than .*\\.$"):
+        reader.decode(PAIR, PAIRED)
 
 
 @pytest.mark.parametrize(
     ("text", "same"),
     [
-        ("string data", True),
-        ("# the text\n\n  string   data   # said\nuint8 OK=0\n", True),
-        ("string data 'default'", True),
-        ("string text", False),
-        ("wstring data", False),
-        ("string data\nuint8 more", False),
+        ("string key\nstring value", True),
+        ("# the text\n\n  string   key   # said\nuint8 OK=0\nstring value\n", True),
+        ("string key\nstring value 'default'", True),
+        ("string value\nstring key", False),
+        ("wstring key\nstring value", False),
+        ("string key\nstring value\nuint8 more", False),
         ("", False),
     ],
 )
 def test_without_a_hash_the_fields_decide(tmp_path: Path, text: str, same: bool) -> None:
-    reader = BagReader(write_bag(tmp_path / "run", Definition(text, "")))
+    reader = BagReader(write_bag(tmp_path / "run", Definition(text, ""), PAIR))
     if same:
-        assert reader.decode(STRING, HELLO).data == "hello"
+        assert reader.decode(PAIR, PAIRED) == KeyValue(key="hello", value="x")
     else:
         with pytest.raises(UserError, match="another definition"):
-            reader.decode(STRING, HELLO)
+            reader.decode(PAIR, PAIRED)
+
+
+@pytest.mark.parametrize("type_name", [STRING, "no_such_msgs/msg/Thing"])
+def test_a_type_of_others_is_decoded_by_the_definition_in_the_bag(tmp_path: Path, type_name: str) -> None:
+    """Whether or not it is installed."""
+    text = "uint8 OK=3\nstring data\n"
+    reader = BagReader(write_bag(tmp_path / "run", Definition(text, ""), type_name))
+    read = reader.decode(type_name, HELLO)
+    assert (read.data, read.OK, read.__msgtype__) == ("hello", 3, type_name)
+
+
+@pytest.mark.parametrize("text", ["string", "a/A data", "no text at all", "a_msgs/Other data"])
+def test_a_definition_that_is_none_is_refused(tmp_path: Path, text: str) -> None:
+    reader = BagReader(write_bag(tmp_path / "run", Definition(text, ""), "a/msg/A"))
+    with pytest.raises(UserError, match=r"^The definition of type a/msg/A in bag .* cannot be read: .*\.$"):
+        reader.decode("a/msg/A", HELLO)
+
+
+def test_a_type_with_two_definitions_in_a_bag_is_refused(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "run") as writer:
+        writer.add_topic("/one", "a/msg/A", definition=Definition("string data", ""))
+        writer.add_topic("/other", "a/msg/A", definition=Definition("string text", ""))
+    with pytest.raises(UserError, match=r"^Topic /other of bag .* another definition of a/msg/A"):
+        BagReader(tmp_path / "run").decode("a/msg/A", HELLO)
 
 
 def test_a_change_inside_a_contained_type_is_seen() -> None:
-    ours = installed_definition("std_msgs/msg/Header")
+    ours = known_definition("std_msgs/msg/Header")
     older = Definition(ours.text.replace("uint32 nanosec", "uint32 nsec"), "")
     assert ours.text != older.text
     assert not older.same_layout(ours)
@@ -184,13 +211,6 @@ def test_a_change_inside_a_contained_type_is_seen() -> None:
 def test_a_cut_message_is_refused(bag: Path) -> None:
     with pytest.raises(UserError, match=rf"^A message of type {STRING} in bag .* cannot be decoded: .*\.$"):
         BagReader(bag).decode(STRING, HELLO[:-3])
-
-
-def test_an_unknown_class_is_refused() -> None:
-    assert message_class(STRING) is String
-    for name in ("std_msgs/msg/Nothing", "no_msgs/msg/String"):
-        with pytest.raises(UserError, match=f"^Message type {name} is not installed .*\\.$"):
-            message_class(name)
 
 
 def test_what_is_not_a_bag_is_refused(tmp_path: Path) -> None:

@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from rosbags.rosbag2 import Reader
 from std_msgs.msg import String
 
 from sal_height.bag.file_writer import CHUNK_SIZE
 from sal_height.bag.index import read_index
+from sal_height.bag.qos import TRANSIENT_LOCAL, Qos
 from sal_height.bag.reader import BagReader
 from sal_height.bag.recovery import UNKNOWN
 from sal_height.bag.salvage import recover, salvage
@@ -33,7 +33,7 @@ STRING = "std_msgs/msg/String"
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from sal_height.bag.qos import TRANSIENT_LOCAL, Qos
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 from sal_height.bag.writer import BagWriter, Packing
@@ -263,7 +263,7 @@ def test_of_a_file_without_checksums_nothing_is_missed(tmp_path: Path) -> None:
 
 def mixed_bag(folder: Path, compression: str) -> tuple[bytes, set[tuple[str, bytes, int, int]]]:
     """A small bag of two topics, a latched one among them, in two dozen chunks: bytes of its file, and its messages."""
-    latched = [QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)]
+    latched = [Qos(depth=1, durability=TRANSIENT_LOCAL)]
     with BagWriter(folder, {"parameters": "{}"}, Packing(compression)) as writer:
         writer.add_topic("/notes", STRING, latched)
         writer.add_topic("/greeting", STRING)

@@ -13,20 +13,20 @@ from pathlib import Path
 import pytest
 import yaml
 from mcap.reader import make_reader
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from std_msgs.msg import String
 
 from sal_height.bag.file_writer import CHUNK_SIZE, COMPRESSIONS
+from sal_height.bag.qos import TRANSIENT_LOCAL, Qos
 from sal_height.bag.reader import BagReader
 from sal_height.bag.salvage import salvage
 from sal_height.bag.writer import BagWriter, Packing
 
 STRING = "std_msgs/msg/String"
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-DEEP = QoSProfile(depth=2, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+LATCHED = Qos(depth=1, durability=TRANSIENT_LOCAL)
+DEEP = Qos(depth=2, durability=TRANSIENT_LOCAL)
 SECOND = 1_000_000_000
 
 MESSAGES = 10
@@ -43,7 +43,7 @@ def write_bag(folder: Path, packing: Packing) -> Path:
         bag.add_topic("/info", STRING, [LATCHED])
         bag.add_topic("/frames", STRING, [LATCHED])
         bag.add_topic("/notes", STRING, [DEEP, LATCHED])
-        bag.add_topic("/samples", STRING, [LATCHED, QoSProfile(depth=9)])  # not all publishers keep theirs
+        bag.add_topic("/samples", STRING, [LATCHED, Qos(depth=9)])  # not all publishers keep theirs
         bag.write("/notes", text("zero"), 0, 0)
         for second in range(MESSAGES):
             now = second * SECOND

@@ -9,7 +9,7 @@ import pytest
 from bags_at_hand import REFERENCE
 
 from sal_height.bag.check import check_bag
-from sal_height.bag.definitions import installed_definition
+from sal_height.bag.definitions import known_definition
 from sal_height.bag.file_writer import COMPRESSIONS
 from sal_height.bag.files import ACCOUNT
 from sal_height.bag.reader import BagReader
@@ -20,7 +20,8 @@ from sal_height.commands import main
 OLD = {
     0: {"/ml/height", "/monopulse/height", "/phase_history", "/sensor_info", "/tracked/height"},
     1: {"/ml/height", "/monopulse/height", "/sensor_info", "/tracked/height"},
-    2: set[str](),
+    2: {"/ml/height", "/monopulse/height", "/sensor_info", "/tracked/height"},
+    3: set[str](),
 }
 """Topics by version whose messages have changed since."""
 
@@ -42,7 +43,7 @@ def test_the_result_has_the_definitions_of_today(version: int, tmp_path: Path) -
         assert not topic.is_old
         assert topic.offered_qos == old.topics[name].offered_qos
         if topic.type_name.startswith("sal_height_msgs"):
-            assert topic.definition == installed_definition(topic.type_name)
+            assert topic.definition == known_definition(topic.type_name)
         else:
             assert topic.definition == old.topics[name].definition
     assert check_bag(new.path, lambda *_: None) == []

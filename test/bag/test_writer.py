@@ -11,26 +11,26 @@ import yaml
 from helpers import file_size_limit
 from mcap.reader import NonSeekingReader, make_reader
 from mcap.stream_reader import CRCValidationError
-from nav_msgs.msg import Odometry
-from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import serialize_message
 from rosbags.highlevel import AnyReader
-from rosbags.interfaces import Qos, QosDurability, QosReliability
+from rosbags.interfaces import Qos as RosbagsQos
+from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import Reader
-from sal_height_msgs.msg import HeightImage, Surface
 from std_msgs.msg import String
 
-from sal_height.bag.codec import serialized
-from sal_height.bag.definitions import installed_definition
+from sal_height.bag.definitions import known_definition
 from sal_height.bag.file_writer import CHUNK_SIZE
+from sal_height.bag.qos import TRANSIENT_LOCAL, Qos
 from sal_height.bag.reader import BagReader
 from sal_height.bag.salvage import salvage
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
+from sal_height.messages import deserialize, serialize
+from sal_height.messages.parameters import parameter_of
+from sal_height.messages.types import HeightImage, Odometry, Surface
 
 STRING, HEIGHT = "std_msgs/msg/String", "sal_height_msgs/msg/HeightImage"
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+LATCHED = Qos(depth=1, durability=TRANSIENT_LOCAL)
 
 
 def height_image(dwell: int) -> HeightImage:
@@ -39,7 +39,7 @@ def height_image(dwell: int) -> HeightImage:
     image.grid.rows, image.grid.cols, image.grid.row_spacing = 2, 3, 0.05
     image.surfaces = [Surface(height=np.array([0.5, np.nan, -1.25, 3.0, 4.0, dwell], np.float32))]
     image.validity = np.array([0, 1, 0, 0, 0, 0], np.uint8)
-    image.provenance.parameters = [Parameter("ml_height.range_looks", value=4).to_parameter_msg()]
+    image.provenance.parameters = [parameter_of("ml_height.range_looks", 4)]
     return image
 
 
@@ -49,11 +49,11 @@ def bag(tmp_path: Path) -> Path:
     directory = tmp_path / "run"
     with BagWriter(directory) as writer:
         writer.add_topic("/note", STRING, [LATCHED])
-        writer.add_topic("/ml/height", HEIGHT, [QoSProfile(depth=4), QoSProfile(depth=4)])
+        writer.add_topic("/ml/height", HEIGHT, [Qos(depth=4), Qos(depth=4)])
         for i in range(3):
             writer.write("/note", serialize_message(String(data="x" * i)), 1000 + 10 * i, 990 + 10 * i)
         for dwell in range(2):
-            writer.write("/ml/height", serialized(height_image(dwell)), 1005 + 10 * dwell, 1004)
+            writer.write("/ml/height", serialize(height_image(dwell)), 1005 + 10 * dwell, 1004)
     return directory
 
 
@@ -75,14 +75,14 @@ def test_rosbags_reads_times_counts_hashes_and_qos_from_metadata_yaml(bag: Path)
         assert reader.ros_distro == "jazzy"
         note, heights = sorted(reader.connections, key=lambda connection: -connection.msgcount)
     assert (note.topic, note.msgtype, note.msgcount) == ("/note", STRING, 3)
-    assert note.digest == installed_definition(STRING).type_hash
+    assert note.digest == known_definition(STRING).type_hash
     assert [profile.durability for profile in offered(note)] == [QosDurability.TRANSIENT_LOCAL]
     assert [profile.durability for profile in offered(heights)] == [QosDurability.VOLATILE] * 2
     assert {profile.reliability for profile in offered(heights)} == {QosReliability.RELIABLE}
 
 
-def offered(connection: object) -> list[Qos]:
-    profiles: list[Qos] = connection.ext.offered_qos_profiles  # type: ignore[attr-defined]
+def offered(connection: object) -> list[RosbagsQos]:
+    profiles: list[RosbagsQos] = connection.ext.offered_qos_profiles  # type: ignore[attr-defined]
     return profiles
 
 
@@ -127,11 +127,12 @@ def test_mcap_alone_finds_everything_rosbag2_writes(bag: Path) -> None:
         "MSG: builtin_interfaces/Time",
         "MSG: geometry_msgs/Point",
         "MSG: geometry_msgs/Pose",
-        "MSG: geometry_msgs/PoseWithCovariance",
         "MSG: geometry_msgs/Quaternion",
         "MSG: geometry_msgs/Vector3",
         *(f"MSG: rcl_interfaces/{name}" for name in ("Parameter", "ParameterValue")),
         "MSG: sal_height_msgs/Aperture",
+        "MSG: sal_height_msgs/Doubt",
+        "MSG: sal_height_msgs/FitTest",
         "MSG: sal_height_msgs/ImageGrid",
         "MSG: sal_height_msgs/Provenance",
         "MSG: sal_height_msgs/Surface",
@@ -261,9 +262,9 @@ def test_an_odometry_message_comes_back(tmp_path: Path) -> None:
     odometry.pose.pose.position.z = 5000.0
     with BagWriter(tmp_path / "run") as writer:
         writer.add_topic("/platform/odometry", "nav_msgs/msg/Odometry")
-        writer.write("/platform/odometry", serialize_message(odometry), 1, 1)
+        writer.write("/platform/odometry", serialize(odometry), 1, 1)
     (message,) = BagReader(tmp_path / "run").messages()
-    assert deserialize_message(message.cdr, Odometry) == odometry
+    assert deserialize(message.cdr, Odometry) == odometry
 
 
 def test_custom_data_are_found_by_others_and_by_us(tmp_path: Path) -> None:

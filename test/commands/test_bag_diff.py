@@ -6,14 +6,14 @@ import json
 from pathlib import Path
 
 import pytest
-from rclpy.serialization import deserialize_message, serialize_message
-from sal_height_msgs.msg import HeightImage
 
 from sal_height.bag.reader import BagReader
 from sal_height.bag.writer import BagWriter
 from sal_height.commands import main
+from sal_height.messages import deserialize, serialize
+from sal_height.messages.types import HeightImage
 
-BAG = Path(__file__).parents[2] / "bags" / "version_2"
+BAG = Path(__file__).parents[2] / "bags" / "version_3"
 
 
 def moved(folder: Path, metres: float) -> Path:
@@ -25,10 +25,10 @@ def moved(folder: Path, metres: float) -> Path:
         for message in reader.messages():
             cdr = message.cdr
             if message.topic == "/ml/height":
-                image = deserialize_message(cdr, HeightImage)
+                image = deserialize(cdr, HeightImage)
                 place = next(n for n, validity in enumerate(image.validity) if validity == HeightImage.OK)
                 image.surfaces[0].height[place] += metres
-                cdr = serialize_message(image)
+                cdr = serialize(image)
             bag.write(message.topic, cdr, message.log_time_ns, message.log_time_ns)
     return folder
 

@@ -274,7 +274,7 @@ def test_commands_that_need_ros_say_what_to_install(missing: str, how: str, tmp_
 
 
 def test_view_says_how_to_install_the_viewer(tmp_path: Path) -> None:
-    words = ["view", str(Path(__file__).parents[2] / "bags" / "version_2"), "--save", str(tmp_path / "a.rrd")]
+    words = ["view", str(Path(__file__).parents[2] / "bags" / "version_3"), "--save", str(tmp_path / "a.rrd")]
     ((status, said, complaint),), _ = run_fresh([words], ["rerun"])
     assert (status, said) == (2, "")
     assert_one_sentence(complaint.strip().removeprefix("sal-height: "), "module rerun", 'pip install "rerun-sdk')

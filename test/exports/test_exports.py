@@ -19,13 +19,11 @@ import zarr
 from helpers import assert_one_sentence, make_aperture
 from PIL import Image
 from pyproj import CRS
-from rclpy.serialization import serialize_message
 from rio_cogeo.cogeo import cog_validate
-from sal_height_msgs.msg import ComplexImage, HeightImage, Provenance
-from std_msgs.msg import Header
 
 import sal_height
 from sal_height import messages
+from sal_height.bag import qos
 from sal_height.bag.topics import HEIGHT_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.elevation import Validity
@@ -34,7 +32,8 @@ from sal_height.exports import RecordedHeights, dataset, write_film, write_las, 
 from sal_height.exports import film as film_module
 from sal_height.exports.las import gps_time
 from sal_height.geometry import Grid, Origin, sphere_coordinates, sphere_point
-from sal_height.nodes.stage import LATCHED_QOS
+from sal_height.messages import serialize
+from sal_height.messages.types import ComplexImage, Header, HeightImage, Provenance
 from sal_height.relief import HeightField, Surface
 
 BAGS = Path(__file__).parents[2] / "bags"
@@ -68,9 +67,9 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A bag of height images with everything that they may have."""
     path = tmp_path_factory.mktemp("exported") / "bag"
     with BagWriter(path, {}) as writer:
-        writer.add_topic("/ml/height", HEIGHT_TYPE, [LATCHED_QOS])
+        writer.add_topic("/ml/height", HEIGHT_TYPE, [qos.LATCHED])
         for dwell in range(DWELLS):
-            writer.write("/ml/height", serialize_message(height_image(dwell)), dwell, dwell)
+            writer.write("/ml/height", serialize(height_image(dwell)), dwell, dwell)
     return path
 
 

@@ -11,14 +11,12 @@ import numpy as np
 import pytest
 from helpers import assert_one_sentence, direct_history, make_aperture
 from pyproj import Transformer
-from rclpy.serialization import serialize_message
-from sal_height_msgs.msg import ComplexImage, Provenance
 from sarkit import sicd
 from sarkit.sicd import projection
 from sarkit.verification import SicdConsistency
-from std_msgs.msg import Header
 
 from sal_height import messages
+from sal_height.bag import qos
 from sal_height.bag.topics import IMAGE_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.commands import main
@@ -27,7 +25,8 @@ from sal_height.exports import write_sicd
 from sal_height.geometry import Grid, Origin, Trajectory, aperture_at
 from sal_height.imaging import ImageSettings, Slc, focus_dwell
 from sal_height.imports import level_states
-from sal_height.nodes.stage import LATCHED_QOS
+from sal_height.messages import serialize
+from sal_height.messages.types import ComplexImage, Header, Provenance
 from sal_height.response import measure_brightest
 from sal_height.runs.images import images_of
 from sal_height.sensor import PhaseHistory, Sensor
@@ -86,12 +85,12 @@ def write_bag(
     stamp = messages.to_stamp(STAMP_NS)
     provenance = messages.derived(Provenance(config_hash=sensor.config_hash), "sar_compression", windows)
     with BagWriter(path, {}) as bag:
-        bag.add_topic("/sensor_info", SENSOR_TYPE, [LATCHED_QOS])
-        bag.add_topic(topic, IMAGE_TYPE, [LATCHED_QOS])
-        bag.write("/sensor_info", serialize_message(messages.sensor_to_message(sensor, stamp)), 0, 0)
+        bag.add_topic("/sensor_info", SENSOR_TYPE, [qos.LATCHED])
+        bag.add_topic(topic, IMAGE_TYPE, [qos.LATCHED])
+        bag.write("/sensor_info", serialize(messages.sensor_to_message(sensor, stamp)), 0, 0)
         labels = ComplexImage(dwell=7, header=Header(stamp=stamp))
         for image in messages.slc_to_messages(slc, labels, provenance) * times:
-            bag.write(topic, serialize_message(image), 1, 1)
+            bag.write(topic, serialize(image), 1, 1)
     return path
 
 
@@ -270,7 +269,7 @@ def test_what_cannot_be_written_is_said_in_a_sentence(tmp_path: Path, capsys: py
         write_sicd(twice, tmp_path / "both", ORIGIN)
     assert_one_sentence(str(refused.value), "two images of dwell 7, channel 0")
     with pytest.raises(UserError) as refused:
-        write_sicd(Path(__file__).parents[2] / "bags" / "version_2", tmp_path / "none", ORIGIN)
+        write_sicd(Path(__file__).parents[2] / "bags" / "version_3", tmp_path / "none", ORIGIN)
     assert_one_sentence(str(refused.value), "--record slc")
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "file").touch()

@@ -9,10 +9,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sal_height import messages
-from sal_height.bag.codec import serialized
 from sal_height.bag.reader import BagReader
 from sal_height.geometry import PlatformState
 from sal_height.imports import Collection, write_collection
+from sal_height.messages import serialize
 from sal_height.sensor import PhaseHistory
 from sal_height.simulation import flight_of, load_preset
 
@@ -39,7 +39,7 @@ def test_messages_of_a_bag_are_those_of_the_serializer(tmp_path: Path) -> None:
     ]
     write_collection(Collection(sensor, [dwell], states), tmp_path / "bag")
     reader = BagReader(tmp_path / "bag")
-    expected = [serialized(messages.state_to_message(one, messages.to_stamp(one.stamp_ns))) for one in states]
+    expected = [serialize(messages.state_to_message(one, messages.to_stamp(one.stamp_ns))) for one in states]
     assert [bytes(one.cdr) for one in reader.messages(["/platform/odometry"])] == expected
     frames = messages.history_to_messages(dwell, sensor, 0, messages.to_stamp(dwell.stamp_ns))
-    assert [bytes(one.cdr) for one in reader.messages(["/phase_history"])] == [serialized(one) for one in frames]
+    assert [bytes(one.cdr) for one in reader.messages(["/phase_history"])] == [serialize(one) for one in frames]

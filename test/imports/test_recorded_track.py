@@ -11,21 +11,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import Quaternion
 from helpers import assert_one_sentence
-from nav_msgs.msg import Odometry
 from pyproj import Transformer
 from scipy.spatial.transform import Rotation
-from sensor_msgs.msg import Imu, NavSatFix, NavSatStatus
-from std_msgs.msg import Header
 
 from sal_height import messages
-from sal_height.bag.codec import serialized
+from sal_height.bag import qos
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.geometry import Origin, PlatformState, rotation_matrix
 from sal_height.imports import read_recorded_track
-from sal_height.nodes.stage import ODOMETRY_QOS
+from sal_height.messages import serialize
+from sal_height.messages.types import Header, Imu, NavSatFix, NavSatStatus, Odometry, Quaternion
 
 ORIGIN = Origin(math.radians(48.1), math.radians(11.3), 560.0)
 START_NS = 1_700_000_000_000_000_000
@@ -80,10 +77,9 @@ def write(folder: Path, recorded: Iterable[tuple[str, Any]]) -> Path:
     listed = list(recorded)
     with BagWriter(folder, {}) as bag:
         for topic, kind in {topic: type(message) for topic, message in listed}.items():
-            package, _, _ = kind.__module__.partition(".")
-            bag.add_topic(topic, f"{package}/msg/{kind.__name__}", [ODOMETRY_QOS])
+            bag.add_topic(topic, kind.__msgtype__, [qos.ODOMETRY])
         for time_ns, (topic, message) in enumerate(listed, START_NS):
-            bag.write(topic, serialized(message), time_ns, time_ns)
+            bag.write(topic, serialize(message), time_ns, time_ns)
     return folder
 
 

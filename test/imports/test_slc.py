@@ -15,12 +15,10 @@ import rasterio
 import yaml
 from helpers import assert_one_sentence, circular, make_aperture, make_sensor
 from lxml import etree
-from rclpy.serialization import serialize_message
-from sal_height_msgs.msg import ComplexImage, Provenance
 from sarkit import sicd
-from std_msgs.msg import Header
 
 from sal_height import messages
+from sal_height.bag import qos
 from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import IMAGE_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter
@@ -30,7 +28,8 @@ from sal_height.exports import write_sicd
 from sal_height.geometry import Grid, Origin, aperture_at, look_direction
 from sal_height.imaging import Slc
 from sal_height.imports import import_slc
-from sal_height.nodes.stage import LATCHED_QOS
+from sal_height.messages import serialize
+from sal_height.messages.types import ComplexImage, Header, Provenance
 from sal_height.runs.conductor import Execution
 from sal_height.runs.entry import Part
 from sal_height.runs.replay import replay
@@ -88,7 +87,7 @@ def described(images: Sequence[Any], sensor: Sensor) -> dict[str, Any]:
     places = []
     for image in images:
         grid, aperture = messages.grid_from_message(image.grid), messages.aperture_from_message(image.aperture)
-        turn = image.aperture.pose.pose.orientation
+        turn = image.aperture.pose.orientation
         vectors = {
             "origin_m": grid.origin,
             "row_direction": grid.row_direction,
@@ -186,10 +185,10 @@ def write_bag(path: Path, slc: Slc, sensor: Sensor) -> Path:
     provenance = messages.derived(Provenance(config_hash=sensor.config_hash), "sar_compression", windows)
     with BagWriter(path, {}) as bag:
         for topic, kind in (("/sensor_info", SENSOR_TYPE), ("/slc", IMAGE_TYPE)):
-            bag.add_topic(topic, kind, [LATCHED_QOS])
-        bag.write("/sensor_info", serialize_message(messages.sensor_to_message(sensor, stamp)), 0, 0)
+            bag.add_topic(topic, kind, [qos.LATCHED])
+        bag.write("/sensor_info", serialize(messages.sensor_to_message(sensor, stamp)), 0, 0)
         for image in messages.slc_to_messages(slc, ComplexImage(header=Header(stamp=stamp)), provenance):
-            bag.write("/slc", serialize_message(image), 1, 1)
+            bag.write("/slc", serialize(image), 1, 1)
     return path
 
 

@@ -7,18 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import make_aperture
-from rcl_interfaces.msg import Parameter as ParameterMessage
-from rcl_interfaces.msg import ParameterValue
-from rclpy.serialization import deserialize_message
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
-from sal_height_msgs.msg import ComplexImage, HeightImage, Provenance, Surface
 
 from sal_height import __version__, messages
 from sal_height.errors import Rejected
 from sal_height.geometry import Grid
 from sal_height.imaging import ImageSettings, Slc
+from sal_height.messages import deserialize
 from sal_height.messages.provenance import HELD_PARAMETERS, _held_parameter, recorded
+from sal_height.messages.types import ComplexImage, HeightImage, ParameterValue, Provenance, Surface
+from sal_height.messages.types import Parameter as ParameterMessage
 from sal_height.settings import Settings
 
 
@@ -115,7 +114,7 @@ def test_serialized_heights_are_read_by_rclpy_and_to_the_last_byte_by_rosbags(st
         image = HeightImage(dwell=7, estimator="ml", validity=bytes(pixels), provenance=provenance)
         image.surfaces = [Surface(height=pixels * [1.5])]
         cdr = messages.serialized_height(image)
-        assert deserialize_message(cdr, HeightImage) == image
+        assert deserialize(cdr, HeightImage) == image
         assert store.deserialize_cdr(cdr, "sal_height_msgs/msg/HeightImage").dwell == 7
         assert image.provenance is provenance
 

@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers import elevation_at, make_sensor
-from rcl_interfaces.msg import Parameter
-from sal_height_msgs.msg import Provenance
 
 from sal_height import messages
 from sal_height.imaging.beams import image_beams
+from sal_height.messages.types import Parameter, Provenance
 
 ELEVATION = elevation_at(np.linspace(-1, 1, 5))
 STRIP = make_sensor(mode="stripmap", detector_rotation=0.26, pulse_repetition_frequency=20e3)

@@ -13,20 +13,19 @@ from collections.abc import Callable
 from pathlib import Path
 
 from chain_fixture import same_heights
-from diagnostic_msgs.msg import DiagnosticArray
-from nav_msgs.msg import Odometry
+from helpers import publisher_of
 from rclpy.node import Node
 from rclpy.qos import ReliabilityPolicy
-from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.rosbag2 import Reader
-from sal_height_msgs.msg import ChannelFrame, HeightImage, SensorInfo
 
-from sal_height.messages import received_frame
-from sal_height.nodes.account import DIAGNOSTICS, READY, Account
+from sal_height.messages import deserialize, received_frame, serialize
+from sal_height.messages.types import ChannelFrame, DiagnosticArray, HeightImage, Odometry, SensorInfo
+from sal_height.nodes.account import DIAGNOSTICS, Account
 from sal_height.nodes.graph import Graph
+from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 
-BAG = Path(__file__).parents[2] / "bags" / "version_2"
+BAG = Path(__file__).parents[2] / "bags" / "version_3"
 TIMEOUT_S = 60.0
 KINDS = {
     "/sensor_info": (SensorInfo, LATCHED_QOS),
@@ -49,8 +48,8 @@ class Feeder:
         self.heights: list[HeightImage] = []
         self.accounts: dict[str, Account] = {}
         self._graph, self._node = graph, graph.add(Node("feeder", context=graph.context))
-        self._node.create_subscription(HeightImage, HEIGHTS, self.heights.append, FRAMES_QOS)
-        self._node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._keep, FRAMES_QOS)
+        subscribe(self._node, HeightImage, HEIGHTS, self.heights.append, FRAMES_QOS)
+        subscribe(self._node, DiagnosticArray, DIAGNOSTICS, self._keep, FRAMES_QOS)
 
     def wait(self, condition: Callable[[], bool], what: str) -> None:
         """Run callbacks until a condition holds."""
@@ -63,7 +62,7 @@ class Feeder:
             offered = copy.copy(qos)
             if topic == "/phase_history" and not reliable:
                 offered.reliability = ReliabilityPolicy.BEST_EFFORT
-            publishers[topic] = self._node.create_publisher(kind, topic, offered)
+            publishers[topic] = publisher_of(self._node, kind, topic, offered)
         with Reader(bag) as reader:
             recorded = [(c.topic, cdr) for c, _, cdr in reader.messages() if c.topic in publishers]
         for latched in (True, False):
@@ -82,7 +81,7 @@ class Feeder:
 
     def _is_ready(self) -> bool:
         """Whether the nodes are ready, and every topic of theirs has its subscriber, as its publisher knows."""
-        if not all(name in self.accounts and self.accounts[name].count(READY) for name in NODES):
+        if not all(name in self.accounts and self.accounts[name].ready for name in NODES):
             return False
         heard = {topic: count for name in NODES for topic, count in self.accounts[name].subscribers.items()}
         return heard["slc"] > 0 and heard[HEIGHTS.lstrip("/")] > 0
@@ -93,7 +92,7 @@ class Feeder:
 
 def read_heights(folder: Path) -> dict[int, HeightImage]:
     """Height images by dwell, from files with their CDR."""
-    return {int(file.stem): deserialize_message(file.read_bytes(), HeightImage) for file in folder.glob("*.cdr")}
+    return {int(file.stem): deserialize(file.read_bytes(), HeightImage) for file in folder.glob("*.cdr")}
 
 
 def assert_same(heights: dict[int, HeightImage], others: dict[int, HeightImage]) -> None:
@@ -122,7 +121,7 @@ def main() -> None:
             feeder.wait(lambda: feeder.accounts["sar_compression"].received == frames, "the account of all frames")
         feeder.wait(is_settled, "the nodes to be done")
         for image in feeder.heights:
-            Path(out, f"{image.dwell}.cdr").write_bytes(serialize_message(image))
+            Path(out, f"{image.dwell}.cdr").write_bytes(serialize(image))
         for name, account in feeder.accounts.items():
             Path(out, f"{name}.json").write_text(json.dumps(dict(account.numbers)), encoding="utf-8")
 

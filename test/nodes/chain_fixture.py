@@ -6,15 +6,16 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-import numpy as np
-from nav_msgs.msg import Odometry
+from helpers import publisher_of
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from sal_height_msgs.msg import ChannelFrame, HeightImage, SensorInfo
 
 from sal_height import messages
+from sal_height.messages.plain import is_same
+from sal_height.messages.types import ChannelFrame, HeightImage, Odometry, SensorInfo
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.height import HEIGHT_NODES, HeightNode
+from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.sar_compression import SarCompression
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.simulation.flight import SimulatedFlight
@@ -64,16 +65,16 @@ class Chain:
         self.heights: dict[tuple[str, int], HeightImage] = {}
         self._feeder = graph.add(Node("feeder", context=graph.context))
         self._publishers = {
-            SensorInfo: self._feeder.create_publisher(SensorInfo, "sensor_info", LATCHED_QOS),
-            Odometry: self._feeder.create_publisher(Odometry, "platform/odometry", ODOMETRY_QOS),
-            ChannelFrame: self._feeder.create_publisher(ChannelFrame, "phase_history", FRAMES_QOS),
+            SensorInfo: publisher_of(self._feeder, SensorInfo, "sensor_info", LATCHED_QOS),
+            Odometry: publisher_of(self._feeder, Odometry, "platform/odometry", ODOMETRY_QOS),
+            ChannelFrame: publisher_of(self._feeder, ChannelFrame, "phase_history", FRAMES_QOS),
             **{
-                one.message_type: self._feeder.create_publisher(one.message_type, topic, ODOMETRY_QOS)
+                one.message_type: publisher_of(self._feeder, one.message_type, topic, ODOMETRY_QOS)
                 for topic, one in messages.AIR.items()
             },
         }
         for name in self.estimators:
-            self._feeder.create_subscription(HeightImage, f"{name}/height", self._keep, FRAMES_QOS)
+            subscribe(self._feeder, HeightImage, f"{name}/height", self._keep, FRAMES_QOS)
         self.wait(lambda: all(p.get_subscription_count() for p in self._publishers.values()), "the nodes to connect")
         self.wait(
             lambda: all(self._feeder.count_publishers(f"{name}/height") == 1 for name in self.estimators),
@@ -131,10 +132,4 @@ def next_dwell_is_exact(chain: Chain, reference: dict[tuple[str, int], HeightIma
 
 def same_heights(ours: HeightImage, theirs: HeightImage) -> bool:
     """Whether two height images agree value for value."""
-    if (ours.grid, ours.validity, len(ours.surfaces)) != (theirs.grid, theirs.validity, len(theirs.surfaces)):
-        return False
-    return all(
-        np.array_equal(np.array(getattr(mine, field)), np.array(getattr(other, field)), equal_nan=True)
-        for mine, other in zip(ours.surfaces, theirs.surfaces, strict=True)
-        for field in mine.get_fields_and_field_types()
-    )
+    return all(is_same(getattr(ours, name), getattr(theirs, name)) for name in ("grid", "validity", "surfaces"))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from bag_feeder import BAG, Feeder
 from chain_fixture import Chain
-from sal_height_msgs.msg import HeightImage
 
+from sal_height.messages.types import HeightImage
 from sal_height.nodes.domain import free_domain
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.height import HEIGHT_NODES

@@ -7,12 +7,11 @@ from functools import cache
 
 import numpy as np
 from flown_passes import STREET
-from nav_msgs.msg import Odometry
-from sal_height_msgs.msg import ComplexImage, HeightImage, Provenance, SensorInfo
 
 from sal_height import messages
 from sal_height.elevation import ESTIMATORS
 from sal_height.imaging import ImageSettings
+from sal_height.messages.types import ComplexImage, HeightImage, Odometry, Provenance, SensorInfo
 from sal_height.numeric import F64
 from sal_height.pipeline import Compressor, heights
 from sal_height.relief import HeightField

@@ -5,12 +5,22 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Twist, TwistStamped, Vector3
-from sensor_msgs.msg import Imu, NavSatFix, NavSatStatus
-from std_msgs.msg import Header
 
 from sal_height import messages
 from sal_height.geometry import PlatformState, quaternion_of, rotation_matrix
+from sal_height.messages.types import (
+    Header,
+    Imu,
+    NavSatFix,
+    NavSatStatus,
+    Point,
+    Pose,
+    PoseStamped,
+    Quaternion,
+    Twist,
+    TwistStamped,
+    Vector3,
+)
 
 
 def in_aviation_axes(state: PlatformState) -> PlatformState:

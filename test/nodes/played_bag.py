@@ -7,19 +7,19 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.serialization import serialize_message
-from sal_height_msgs.msg import Calibration, ChannelFrame, SensorInfo
-from sensor_msgs.msg import Temperature
 
 from sal_height import messages
+from sal_height.bag import qos
 from sal_height.bag.definitions import Definition
 from sal_height.bag.writer import BagWriter
+from sal_height.messages import serialize
+from sal_height.messages.types import Calibration, ChannelFrame, Odometry, SensorInfo, Temperature
 from sal_height.nodes.account import CALIBRATIONS
 from sal_height.nodes.cues import Cue, cues_to_text
 from sal_height.nodes.graph import Graph
+from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.player import Player
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS
 
@@ -40,10 +40,10 @@ def bag(folder: Path, recorded: Iterable[Any], other: Mapping[type, Definition] 
     topics = {**TOPICS, Calibration: "/calibration", Temperature: "/air/temperature"}
     with BagWriter(folder, {}) as writer:
         for kind, name in topics.items():
-            type_name = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
-            writer.add_topic(name, type_name, [FRAMES_QOS], definition=other.get(kind))
+            type_name = kind.__msgtype__
+            writer.add_topic(name, type_name, [qos.FRAMES], definition=other.get(kind))
         for time_ns, message in enumerate([info, *recorded], 1):
-            writer.write(topics[type(message)], serialize_message(message), time_ns, time_ns)
+            writer.write(topics[type(message)], serialize(message), time_ns, time_ns)
     return folder
 
 
@@ -54,8 +54,8 @@ class Listener(Node):
         super().__init__("listener", **node_arguments)
         self.dwells: list[int] = []
         self.calibrations: list[str] = []
-        self.create_subscription(ChannelFrame, "phase_history", lambda m: self.dwells.append(m.dwell), FRAMES_QOS)
-        self.create_subscription(Calibration, "calibration", lambda m: self.calibrations.append(m.id), LATCHED_QOS)
+        subscribe(self, ChannelFrame, "phase_history", lambda m: self.dwells.append(m.dwell), FRAMES_QOS)
+        subscribe(self, Calibration, "calibration", lambda m: self.calibrations.append(m.id), LATCHED_QOS)
 
 
 def player_of(graph: Graph, path: Path, *cues: Cue, **values: object) -> Player:

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from air_messages import humidity_at, pressure_at, temperature_at
 from helpers import assert_one_sentence, make_sensor
-from sal_height_msgs.msg import HeightImage, Provenance
 
 from sal_height import messages
 from sal_height.errors import Rejected
 from sal_height.geometry import PlatformState
 from sal_height.messages import AirSample, needed_air, read_air
+from sal_height.messages.types import HeightImage, Provenance
 from sal_height.nodes.air import MOST_SAMPLES, AirHistory, heard_air
 from sal_height.nodes.relief_tracker import Parameters as TrackerParameters
 from sal_height.nodes.relief_tracker import _series_of

@@ -9,21 +9,19 @@ from typing import Any
 import numpy as np
 import pytest
 from chain_fixture import DETECTORS, START_NS, Chain
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import TransformStamped
 from helpers import RAW_WAVEFORMS, with_waveform
 from instrument_messages import in_aviation_axes
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from sal_height_msgs.msg import HeightImage
-from sensor_msgs.msg import Image, PointCloud2
 
 from sal_height import messages
 from sal_height.elevation.estimate import MEASURED
 from sal_height.errors import UserError
 from sal_height.geometry.earth import height_of
+from sal_height.messages.types import DiagnosticArray, HeightImage, Image, PointCloud2, TransformStamped
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.height import HEIGHT_NODES
+from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.sar_compression import SarCompression
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.truth import truth_image
@@ -78,7 +76,7 @@ def test_odometry_in_axes_of_aviation_gives_the_same_heights(
     chain.publish(chain.sensor_info(), *odometry, *chain.frames(0))
     chain.await_heights(0)
     for key, ours in chain.heights.items():
-        assert ours.validity == reference[key].validity
+        assert np.array_equal(ours.validity, reference[key].validity)
         for name in ("height", "sigma", "east", "north"):
             mine, theirs = (np.array(getattr(one.surfaces[0], name)) for one in (ours, reference[key]))
             np.testing.assert_allclose(mine, theirs, rtol=0, atol=1e-4)
@@ -113,9 +111,9 @@ def test_position_of_a_pixel_has_its_height(fed: Any, graph: Graph) -> None:
     pictures: list[Image] = []
     frames: list[TransformStamped] = []
     listener = graph.add(Node("viewer", context=graph.context))
-    listener.create_subscription(TransformStamped, "ml/frame", frames.append, 10)
-    listener.create_subscription(PointCloud2, "ml/points", clouds.append, 10)
-    listener.create_subscription(Image, "ml/image", pictures.append, 10)
+    subscribe(listener, TransformStamped, "ml/frame", frames.append, 10)
+    subscribe(listener, PointCloud2, "ml/points", clouds.append, 10)
+    subscribe(listener, Image, "ml/image", pictures.append, 10)
     fed.wait(lambda: listener.count_publishers("ml/points") and listener.count_publishers("ml/image"), "discovery")
     fed.wait(lambda: all(p.subscribers for p in fed.stages["ml_height"]._offered[1:4]), "the viewer")
     fed.publish(*fed.odometry(1), *fed.frames(1))
@@ -145,7 +143,7 @@ def test_the_frame_of_the_points_is_on_tf_where_there_is_tf(fed: Any, graph: Gra
     transforms: list[Any] = []
     listener = graph.add(Node("viewer", context=graph.context))
     listener.create_subscription(tf2.TFMessage, "/tf", transforms.append, 100)
-    listener.create_subscription(PointCloud2, "ml/points", lambda _: None, 10)
+    subscribe(listener, PointCloud2, "ml/points", lambda _: None, 10)
     heard = [p for p in fed.stages["ml_height"]._offered if p.topic in {"/tf", "/ml/points"}]
     fed.wait(lambda: len(heard) == 2 and all(p.subscribers for p in heard), "the viewer")
     fed.publish(*fed.odometry(1), *fed.frames(1))
@@ -161,7 +159,7 @@ def test_every_message_is_accounted_for_in_the_diagnostics(fed: Any, graph: Grap
     def keep(message: DiagnosticArray) -> None:
         accounts.update({s.name: {v.key: v.value for v in s.values} for s in message.status})
 
-    graph.add(Node("watcher", context=graph.context)).create_subscription(DiagnosticArray, "/diagnostics", keep, 10)
+    subscribe(graph.add(Node("watcher", context=graph.context)), DiagnosticArray, "/diagnostics", keep, 10)
     fed.wait(lambda: {"sar_compression", "ml_height", "monopulse"} <= set(accounts), "diagnostics")
     for stage, out in (("sar_compression", 8), ("ml_height", 1), ("monopulse", 1)):
         fed.wait(lambda s=stage: accounts[s]["waiting"] == "0", "the work to end")

@@ -10,15 +10,16 @@ from typing import Any
 import made_offline
 import pytest
 from chain_fixture import START_NS, Chain
+from helpers import publisher_of
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from sal_height_msgs.msg import Calibration as CalibrationMessage
 from separate_processes import replayed, verdicts
 from test_psf_calibration import calibration_of, faulty
 
 from sal_height import messages
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
+from sal_height.messages.types import Calibration as CalibrationMessage
 from sal_height.nodes.cues import DwellKey
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.recorder import Recorder
@@ -67,7 +68,7 @@ class Calibrator(Node):
 
     def __init__(self, **node_arguments: Any) -> None:
         super().__init__("calibrator", **node_arguments)
-        self.calibration = self.create_publisher(CalibrationMessage, "calibration", LATCHED_QOS)
+        self.calibration = publisher_of(self, CalibrationMessage, "calibration", LATCHED_QOS)
 
 
 def fly(graph: Graph, flight: Any, folder: Path, deeds: Sequence[Deed | None], topics: Sequence[str] = HEIGHTS) -> Path:

@@ -7,18 +7,17 @@ from pathlib import Path
 from typing import Any
 
 from air_messages import temperature_at
-from nav_msgs.msg import Odometry
 from played_bag import bag, odometry
-from rclpy.serialization import serialize_message
-from sal_height_msgs.msg import ChannelFrame, SensorInfo
 from written_bag import frame
 
 from sal_height import messages
+from sal_height.bag import qos
 from sal_height.bag.reader import BagReader
 from sal_height.bag.writer import BagWriter
+from sal_height.messages import serialize
+from sal_height.messages.types import ChannelFrame, Odometry, SensorInfo
 from sal_height.nodes.delivery import delivered
 from sal_height.nodes.played import DwellRange
-from sal_height.nodes.stage import FRAMES_QOS
 
 NAMES = {
     "/sensor_info": "info",
@@ -127,8 +126,8 @@ def test_broken_messages_are_left_to_the_player(tmp_path: Path) -> None:
     """They come where they are in the bag, and no pass gives them another stamp."""
 
     with BagWriter(tmp_path / "bag", {}) as writer:
-        writer.add_topic("/platform/odometry", "nav_msgs/msg/Odometry", [FRAMES_QOS])
-        for number, cdr in enumerate([serialize_message(odometry(1.0)), b"\0\1\0\0", serialize_message(Odometry())], 1):
+        writer.add_topic("/platform/odometry", "nav_msgs/msg/Odometry", [qos.FRAMES])
+        for number, cdr in enumerate([serialize(odometry(1.0)), b"\0\1\0\0", serialize(Odometry())], 1):
             writer.write("/platform/odometry", cdr, number, number)
     found = list(delivered(BagReader(tmp_path / "bag"), ["/platform/odometry"], DwellRange(), 2))
     assert [one.log_time_ns for one, _ in found[:3]] == [1_000_000_000] * 3

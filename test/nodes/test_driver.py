@@ -11,10 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rclpy.node import Node
-from sal_height_msgs.msg import HeightImage
 
+from sal_height.messages.types import HeightImage
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.height import HEIGHT_NODES
+from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.sar_compression import SarCompression
 from sal_height.nodes.stage import FRAMES_QOS
 
@@ -44,9 +45,7 @@ def test_heights_of_the_driver_in_c_are_those_of_its_posts(
     compression = graph.add(SarCompression(context=graph.context))
     graph.add(HEIGHT_NODES["ml_height"](context=graph.context))
     images: list[HeightImage] = []
-    graph.add(Node("listener", context=graph.context)).create_subscription(
-        HeightImage, "ml/height", images.append, FRAMES_QOS
-    )
+    subscribe(graph.add(Node("listener", context=graph.context)), HeightImage, "ml/height", images.append, FRAMES_QOS)
     environment = {name: value for name, value in os.environ.items() if name != "LD_LIBRARY_PATH"}
     process = subprocess.Popen(  # noqa: S603 (our own program)
         [driver, str(height)], env=environment | {"ROS_DOMAIN_ID": str(domain_id)}

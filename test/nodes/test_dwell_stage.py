@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 from helpers import make_sensor
 from rclpy.parameter import Parameter
-from sal_height_msgs.msg import ChannelFrame
 
 from sal_height import messages
 from sal_height.errors import Rejected
+from sal_height.messages.types import ChannelFrame
 from sal_height.nodes.dwell_stage import (
     GONE_AFTER,
     HELD_EARLY,

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import pytest
+from helpers import publisher_of
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from std_msgs.msg import String
 
+from sal_height.messages.types import KeyValue
 from sal_height.nodes.account import Account
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, Stage
@@ -22,7 +23,7 @@ class Hearing(Stage):
     def __init__(self, graph: Graph, qos: QoSProfile) -> None:
         super().__init__("hearing", context=graph.context)
         self.heard: list[str] = []
-        self.listen(String, "words", lambda message: self.heard.append(message.data), qos)
+        self.listen(KeyValue, "words", lambda message: self.heard.append(message.value), qos)
         graph.add(self)
 
     @property
@@ -38,10 +39,10 @@ def test_messages_of_any_publisher_are_received(
 ) -> None:
     source = graph.add(Node("source", context=graph.context))
     offered = QoSProfile(depth=5, reliability=reliability, durability=durability)
-    publisher = source.create_publisher(String, "words", offered)
+    publisher = publisher_of(source, KeyValue, "words", offered)
     hearing = Hearing(graph, wanted)
     assert graph.spin_until(lambda: hearing.is_ready and publisher.get_subscription_count() == 1, TIMEOUT_S)
-    publisher.publish(String(data="hello"))
+    publisher.publish(KeyValue(value="hello"))
     assert graph.spin_until(lambda: hearing.heard == ["hello"], TIMEOUT_S)
     assert hearing.asks_for.reliability == reliability
     less = VOLATILE in {durability, wanted.durability}
@@ -50,14 +51,14 @@ def test_messages_of_any_publisher_are_received(
 
 def test_a_publisher_that_offers_less_than_another_does_not_make_a_node_ask_for_less(graph: Graph) -> None:
     source = graph.add(Node("source", context=graph.context))
-    reliable = source.create_publisher(String, "words", FRAMES_QOS)
+    reliable = publisher_of(source, KeyValue, "words", FRAMES_QOS)
     hearing = Hearing(graph, FRAMES_QOS)
     assert graph.spin_until(lambda: hearing.is_ready, TIMEOUT_S)
     subscription = hearing._inlets[0].subscription
-    source.create_publisher(String, "words", QoSProfile(depth=5, reliability=BEST_EFFORT))
+    publisher_of(source, KeyValue, "words", QoSProfile(depth=5, reliability=BEST_EFFORT))
     assert graph.spin_until(lambda: hearing._inlets[0].unsuited > 0, TIMEOUT_S)
     assert hearing._inlets[0].subscription is subscription
-    reliable.publish(String(data="hello"))
+    reliable.publish(KeyValue(value="hello"))
     assert graph.spin_until(lambda: hearing.heard == ["hello"], TIMEOUT_S)
     assert hearing.asks_for.reliability == RELIABLE
 
@@ -65,19 +66,19 @@ def test_a_publisher_that_offers_less_than_another_does_not_make_a_node_ask_for_
 def test_messages_that_the_middleware_has_lost_are_told(graph: Graph) -> None:
     """Those of before the first one that came, too; a latched topic is to deliver the last one only."""
     source = graph.add(Node("source", context=graph.context))
-    publishers = {name: source.create_publisher(String, name, FRAMES_QOS) for name in ("words", "others")}
+    publishers = {name: publisher_of(source, KeyValue, name, FRAMES_QOS) for name in ("words", "others")}
     few = QoSProfile(depth=3, reliability=RELIABLE)
     hearing = Hearing(graph, few)
-    hearing.listen(String, "others", lambda _: None, LATCHED_QOS)
+    hearing.listen(KeyValue, "others", lambda _: None, LATCHED_QOS)
     assert graph.spin_until(lambda: all(p.get_subscription_count() == 1 for p in publishers.values()), TIMEOUT_S)
     assert graph.spin_until(lambda: hearing.is_ready, TIMEOUT_S)
     for number in range(10):
         for publisher in publishers.values():
-            publisher.publish(String(data=str(number)))
+            publisher.publish(KeyValue(value=str(number)))
     assert graph.spin_until(lambda: hearing.heard[-1:] == ["9"], TIMEOUT_S)
     account = Account.of_status(hearing.diagnostics().status[0])
     assert account.missed == {"words": 10 - len(hearing.heard)}
     assert account.missed["words"] >= 5
-    publishers["words"].publish(String(data="after"))
+    publishers["words"].publish(KeyValue(value="after"))
     assert graph.spin_until(lambda: hearing.heard[-1] == "after", TIMEOUT_S)
     assert Account.of_status(hearing.diagnostics().status[0]).missed == account.missed

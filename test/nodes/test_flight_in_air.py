@@ -13,10 +13,7 @@ from air_messages import air_at
 from chain_fixture import Chain
 from helpers import assert_one_sentence, make_sensor
 from rclpy.parameter import Parameter
-from rclpy.serialization import serialize_message
 from rewritten_bag import rewritten
-from sal_height_msgs.msg import HeightImage
-from sensor_msgs.msg import Temperature
 
 from sal_height import messages
 from sal_height.bag.compare import CHANGED, EQUAL, compare_bags
@@ -26,6 +23,8 @@ from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.bag.tolerance import EXACT
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
+from sal_height.messages import serialize
+from sal_height.messages.types import HeightImage, Temperature
 from sal_height.nodes.domain import free_domain
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.recorder import Recorder
@@ -173,7 +172,7 @@ def test_another_air_gives_other_heights(flown: Path, tmp_path: Path) -> None:
             return one
         message: Temperature = BagReader(flown).decode(one.type_name, one.cdr)
         message.temperature += 1.0
-        return one._replace(cdr=serialize_message(message))
+        return one._replace(cdr=serialize(message))
 
     bag = changed_air(flown, tmp_path / "bag", warmer)
     assert made_offline.compared(bag, tmp_path, 3) == dict.fromkeys(HEIGHTS, (CHANGED, 3))
@@ -238,7 +237,7 @@ def test_the_source_does_not_run_ahead_of_air_that_is_heard(flown: Path) -> None
 
 def test_a_message_that_cannot_be_used_is_told(flown: Path, tmp_path: Path) -> None:
     """It is as if it had not come: the dwell has the air of the one before."""
-    nan = serialize_message(Temperature(temperature=math.nan))
+    nan = serialize(Temperature(temperature=math.nan))
     bag = changed_air(
         flown,
         tmp_path / "bag",

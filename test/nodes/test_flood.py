@@ -7,18 +7,26 @@ import threading
 from typing import Any
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from helpers import publisher_of
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.serialization import deserialize_message, serialize_message
-from sal_height_msgs.msg import ComplexImage, HeightImage, Provenance, SensorInfo
 
 from sal_height import messages
 from sal_height.imaging import ImageSettings, Slc
+from sal_height.messages import deserialize, serialize
+from sal_height.messages.types import (
+    ComplexImage,
+    DiagnosticArray,
+    DiagnosticStatus,
+    HeightImage,
+    Provenance,
+    SensorInfo,
+)
 from sal_height.nodes import height, stage
 from sal_height.nodes.account import DIAGNOSTICS, Account
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.height import HEIGHT_NODES
+from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.playlist import restamped
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS
 from sal_height.pipeline import Compressor, heights_of_dwells
@@ -51,10 +59,10 @@ def test_of_a_flood_whole_dwells_go_the_oldest_first_and_each_is_counted(
     overrides = [Parameter("max_queued_dwells", value=QUEUED)]
     node = graph.add(HEIGHT_NODES["monopulse"](context=graph.context, parameter_overrides=overrides))
     source, heights, states = graph.add(Node("source", context=graph.context)), [], []
-    source.create_subscription(HeightImage, "monopulse/height", heights.append, FRAMES_QOS)
-    source.create_subscription(DiagnosticArray, DIAGNOSTICS, lambda message: states.extend(message.status), 100)
-    publisher = source.create_publisher(ComplexImage, "slc", FRAMES_QOS)
-    source.create_publisher(SensorInfo, "sensor_info", LATCHED_QOS).publish(
+    subscribe(source, HeightImage, "monopulse/height", heights.append, FRAMES_QOS)
+    subscribe(source, DiagnosticArray, DIAGNOSTICS, lambda message: states.extend(message.status), 100)
+    publisher = publisher_of(source, ComplexImage, "slc", FRAMES_QOS)
+    publisher_of(source, SensorInfo, "sensor_info", LATCHED_QOS).publish(
         messages.sensor_to_message(flight.sensor, messages.to_stamp(0))
     )
     images, channels = images_of(flight), flight.sensor.detector_count
@@ -117,7 +125,7 @@ def test_dwells_that_wait_are_processed_at_once_and_one_that_cannot_be_fails_alo
 ) -> None:
     """The heights are those of dwells that come one by one."""
     images = [images_of(flight, dwell) for dwell in range(3)]
-    bad = deserialize_message(images[1][2], ComplexImage)
+    bad = deserialize(images[1][2], ComplexImage)
     bad.grid.row_spacing *= 1.01  # another grid than that of the other channels
     numbers: list[int] = []
 
@@ -128,9 +136,9 @@ def test_dwells_that_wait_are_processed_at_once_and_one_that_cannot_be_fails_alo
     monkeypatch.setattr(height, "heights_of_dwells", counted)
     node = graph.add(HEIGHT_NODES["monopulse"](context=graph.context))
     source, made = graph.add(Node("source", context=graph.context)), []
-    source.create_subscription(HeightImage, "monopulse/height", made.append, FRAMES_QOS)
-    publisher = source.create_publisher(ComplexImage, "slc", FRAMES_QOS)
-    source.create_publisher(SensorInfo, "sensor_info", LATCHED_QOS).publish(
+    subscribe(source, HeightImage, "monopulse/height", made.append, FRAMES_QOS)
+    publisher = publisher_of(source, ComplexImage, "slc", FRAMES_QOS)
+    publisher_of(source, SensorInfo, "sensor_info", LATCHED_QOS).publish(
         messages.sensor_to_message(flight.sensor, messages.to_stamp(0))
     )
     assert graph.spin_until(lambda: publisher.get_subscription_count() == 1 and node.is_ready, TIMEOUT_S)
@@ -147,7 +155,7 @@ def test_dwells_that_wait_are_processed_at_once_and_one_that_cannot_be_fails_alo
     held = threading.Event()
     node.submit(0, lambda: int(held.wait(TIMEOUT_S)))
     later = [[restamped(one, shift * INTERVAL_NS) for one in dwell] for shift in (10, 20) for dwell in images][:5]
-    broken = [*images[1][:2], serialize_message(bad), *images[1][3:]]
+    broken = [*images[1][:2], serialize(bad), *images[1][3:]]
     publish([*later, [restamped(image, 30 * INTERVAL_NS) for image in broken]])
     assert graph.spin_until(lambda: node.jobs == 7, TIMEOUT_S)
     held.set()

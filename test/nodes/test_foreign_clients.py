@@ -12,9 +12,8 @@ from pathlib import Path
 
 import pytest
 from bag_feeder import BAG, Feeder, assert_same, read_heights
-from diagnostic_msgs.msg import DiagnosticStatus
-from sal_height_msgs.msg import HeightImage
 
+from sal_height.messages.types import DiagnosticStatus, HeightImage
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.height import HEIGHT_NODES
 from sal_height.nodes.sar_compression import SarCompression

@@ -8,11 +8,9 @@ from typing import Any
 
 import numpy as np
 import rasterio
-from helpers import make_aperture
+from helpers import make_aperture, publisher_of
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from sal_height_msgs.msg import ComplexImage, HeightImage, Provenance, ReliefMap
-from std_msgs.msg import Header
 
 from sal_height import messages
 from sal_height.elevation.estimate import Validity
@@ -20,8 +18,10 @@ from sal_height.geometry.earth import sphere_point
 from sal_height.geometry.geodesy import Origin
 from sal_height.geometry.grid import Grid
 from sal_height.geometry.projection import Projection
+from sal_height.messages.types import ComplexImage, Header, HeightImage, Provenance, ReliefLayer, ReliefMap
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.ground_mapper import GroundMapper
+from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS
 from sal_height.relief.heights import HeightField, Surface
 
@@ -48,8 +48,8 @@ def first_map(graph: Graph, **parameters: Any) -> tuple[GroundMapper, ReliefMap]
     mapper = graph.add(GroundMapper(context=graph.context, parameter_overrides=overrides))
     maps: list[ReliefMap] = []
     node = graph.add(Node("feeder", context=graph.context))
-    node.create_subscription(ReliefMap, "ground/relief", maps.append, LATCHED_QOS)
-    publisher = node.create_publisher(HeightImage, "ml/height", FRAMES_QOS)
+    subscribe(node, ReliefMap, "ground/relief", maps.append, LATCHED_QOS)
+    publisher = publisher_of(node, HeightImage, "ml/height", FRAMES_QOS)
     assert graph.spin_until(lambda: publisher.get_subscription_count() == 1, TIMEOUT_S)
     publisher.publish(height_image())
     assert graph.spin_until(lambda: bool(maps), TIMEOUT_S)
@@ -58,10 +58,12 @@ def first_map(graph: Graph, **parameters: Any) -> tuple[GroundMapper, ReliefMap]
 
 def test_the_ground_is_published_with_its_kinds_and_written(graph: Graph, tmp_path: Path) -> None:
     mapper, found = first_map(graph, file=str(tmp_path / "ground.tif"))
-    height, kind = (np.asarray(values).reshape(found.rows, found.cols) for values in (found.height, found.kind))
+    height, kind = (
+        np.asarray(values).reshape(found.rows, found.cols) for values in (found.layers[0].height, found.layers[0].kind)
+    )
     assert np.isclose(found.cell_size, 0.05)
-    assert np.mean(kind == ReliefMap.MEASURED) > 0.85
-    assert kind[round(15 * SPACING / 0.05), round(10 * SPACING / 0.05)] == ReliefMap.INTERPOLATED
+    assert np.mean(kind == ReliefLayer.MEASURED) > 0.85
+    assert kind[round(15 * SPACING / 0.05), round(10 * SPACING / 0.05)] == ReliefLayer.INTERPOLATED
     assert np.nanmax(np.abs(height - 2.0)) < 1e-3
     mapper.conclude()
     with rasterio.open(tmp_path / "ground.tif") as file:
@@ -74,11 +76,13 @@ def test_the_ground_near_a_known_origin_is_in_utm(graph: Graph) -> None:
     """Its kinds are the same, and heights are above the ellipsoid."""
     place = {"origin_latitude_deg": 48.1, "origin_longitude_deg": 11.3, "origin_height_m": 560.0}
     _, found = first_map(graph, **place)
-    height, kind = (np.asarray(values).reshape(found.rows, found.cols) for values in (found.height, found.kind))
-    assert found.header.frame_id == "EPSG:32632"
+    height, kind = (
+        np.asarray(values).reshape(found.rows, found.cols) for values in (found.layers[0].height, found.layers[0].kind)
+    )
+    assert (found.crs, found.header.frame_id, found.layers[0].name) == ("EPSG:32632", "map", "ground")
     origin = Origin(math.radians(48.1), math.radians(11.3), 560.0)
     hole = sphere_point(WEST + 10 * SPACING, SOUTH + 15 * SPACING, 2.0)
     easting, northing, expected = Projection.of("utm", origin).coordinates(hole)
     row, col = round((northing - found.origin_north) / 0.05), round((easting - found.origin_east) / 0.05)
-    assert kind[row, col] == ReliefMap.INTERPOLATED
+    assert kind[row, col] == ReliefLayer.INTERPOLATED
     assert np.nanmax(np.abs(height - expected)) < 1e-3

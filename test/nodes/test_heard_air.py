@@ -7,15 +7,13 @@ from typing import Any
 import pytest
 from air_messages import air_at, pressure_at, temperature_at
 from chain_fixture import DETECTORS, START_NS, TIMEOUT_S, Chain, same_heights
-from helpers import assert_one_sentence
-from nav_msgs.msg import Odometry
+from helpers import assert_one_sentence, publisher_of
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from sal_height_msgs.msg import ChannelFrame, HeightImage, SensorInfo
-from sensor_msgs.msg import FluidPressure, Temperature
 
 from sal_height import messages
 from sal_height.geometry import height_of
+from sal_height.messages.types import ChannelFrame, FluidPressure, HeightImage, Odometry, SensorInfo, Temperature
 from sal_height.nodes.domain import free_domain
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.sar_compression import SarCompression
@@ -144,18 +142,18 @@ def test_a_node_that_is_to_hear_the_air_is_ready_once_somebody_tells_it(graph: G
     sensor = graph.add(Node("sensor", context=graph.context))
     kinds: dict[str, Any] = {"platform/odometry": Odometry, "phase_history": ChannelFrame}
     for topic, kind in kinds.items():
-        sensor.create_publisher(kind, topic, 10)
+        publisher_of(sensor, kind, topic, 10)
     described = messages.sensor_to_message(flight.sensor, messages.to_stamp(START_NS))
-    sensor.create_publisher(SensorInfo, "sensor_info", LATCHED_QOS).publish(described)
+    publisher_of(sensor, SensorInfo, "sensor_info", LATCHED_QOS).publish(described)
 
     def has_all_else() -> bool:
         return node._rehearsed and all(inlet.is_connected for inlet in node._inlets)
 
     assert graph.spin_until(has_all_else, TIMEOUT_S)
     assert not node.is_ready
-    sensor.create_publisher(FluidPressure, "air/pressure", 10)
+    publisher_of(sensor, FluidPressure, "air/pressure", 10)
     assert graph.spin_until(lambda: node._air_inlets["air/pressure"].is_connected, TIMEOUT_S)
     assert not node.is_ready
-    sensor.create_publisher(Temperature, "air/temperature", 10)
+    publisher_of(sensor, Temperature, "air/temperature", 10)
     assert graph.spin_until(lambda: node.is_ready, TIMEOUT_S)
     assert node.set_parameters([Parameter("air", value="none")])[0].successful

@@ -12,22 +12,28 @@ import numpy as np
 import pytest
 from flown_heights import STATED, FlownHeights, flown_heights
 from flown_passes import STREET
-from geometry_msgs.msg import PoseWithCovarianceStamped
-from helpers import assert_one_sentence
-from nav_msgs.msg import Odometry
+from helpers import assert_one_sentence, publisher_of
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from sal_height_msgs.msg import HeightImage, SensorInfo, Surface
-from sensor_msgs.msg import Image, PointCloud2
 from std_srvs.srv import Trigger
 
 from sal_height import messages
 from sal_height.adjustment import LEAST_POINTS, Window
 from sal_height.errors import UserError
 from sal_height.geometry import sphere_coordinates
+from sal_height.messages.types import (
+    HeightImage,
+    Image,
+    Odometry,
+    PointCloud2,
+    PoseWithCovarianceStamped,
+    SensorInfo,
+    Surface,
+)
 from sal_height.nodes.domain import free_domain
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.height_adjuster import HeightAdjuster
+from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.relief import HeightField
 from sal_height.sensor import Sensor
@@ -35,7 +41,7 @@ from sal_height.simulation.scenes import load_scene
 
 TIMEOUT_S = 30.0
 JITTER = {"jitter_rad": 1e-7}
-LAYERS = tuple(Surface.get_fields_and_field_types())
+LAYERS = Surface.__slots__
 
 
 class Adjusting:
@@ -48,9 +54,9 @@ class Adjusting:
         self.graph = graph
         self.heard: dict[str, list[Any]] = {}
         feeder = self.feeder = graph.add(Node("feeder", context=graph.context))
-        self.heights = feeder.create_publisher(HeightImage, "ml/height", FRAMES_QOS)
-        self.odometry = feeder.create_publisher(Odometry, "platform/odometry", ODOMETRY_QOS)
-        self.info = feeder.create_publisher(SensorInfo, "sensor_info", LATCHED_QOS)
+        self.heights = publisher_of(feeder, HeightImage, "ml/height", FRAMES_QOS)
+        self.odometry = publisher_of(feeder, Odometry, "platform/odometry", ODOMETRY_QOS)
+        self.info = publisher_of(feeder, SensorInfo, "sensor_info", LATCHED_QOS)
         kinds = {
             "height": (HeightImage, FRAMES_QOS),
             "image": (Image, FRAMES_QOS),
@@ -60,7 +66,7 @@ class Adjusting:
         }
         for name, (kind, qos) in kinds.items():
             heard = self.heard.setdefault(name, [])
-            feeder.create_subscription(kind, f"adjusted/{name}", heard.append, qos)
+            subscribe(feeder, kind, f"adjusted/{name}", heard.append, qos)
         self.wait(
             lambda: all(one.get_subscription_count() == 1 for one in (self.heights, self.odometry, self.info)),
             "subscriptions",

@@ -9,20 +9,22 @@ from typing import Any
 import numpy as np
 import pytest
 from chain_fixture import DETECTORS, START_NS, Chain, next_dwell_is_exact
+from helpers import publisher_of
 from instrument_messages import fix_at, imu_at, pose_of, twist_of
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.serialization import serialize_message
 from rosbags.rosbag2 import Reader
-from sal_height_msgs.msg import ComplexImage, HeightImage
 
 from benchmarks.hostile_messages import feed, hostile
 from sal_height import messages
 from sal_height.calibration import Calibration
 from sal_height.geometry import Origin
+from sal_height.messages import serialize
+from sal_height.messages.types import ComplexImage, HeightImage
 from sal_height.nodes.domain import free_domain
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.ground_mapper import GroundMapper
+from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.navigation import NavigationNode
 from sal_height.nodes.psf_calibration import PsfCalibration
 from sal_height.nodes.recorder import Recorder
@@ -49,7 +51,7 @@ def good(flight: SimulatedFlight) -> dict[str, Any]:
         chain = Chain(graph, flight, missing_after_s=30.0)
         images: list[ComplexImage] = []
         listener = graph.add(Node("listener", context=graph.context))
-        listener.create_subscription(ComplexImage, "slc", images.append, FRAMES_QOS)
+        subscribe(listener, ComplexImage, "slc", images.append, FRAMES_QOS)
         assert graph.spin_until(lambda: listener.count_publishers("slc") == 1, TIMEOUT_S)
         chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
         chain.await_heights(0)
@@ -101,7 +103,7 @@ def test_hostile_heights_do_not_make_a_node_fail(
         feed(node, "/ml/height", cdr)
         assert graph.spin_until(lambda: not node.jobs, TIMEOUT_S)
     before = node.tally.summary()["processed"]
-    feed(node, "/ml/height", serialize_message(good["/ml/height"]))
+    feed(node, "/ml/height", serialize(good["/ml/height"]))
     assert graph.spin_until(lambda: node.tally.summary()["processed"] == before + 1, TIMEOUT_S), node.last_rejection
     assert_nothing_unexpected(node)
 
@@ -113,7 +115,7 @@ def test_hostile_images_do_not_make_the_calibration_fail(
 ) -> None:
     parameters = [Parameter("dwell_step", value=1), Parameter("dwells", value=2), Parameter("timeout_s", value=0.05)]
     node = graph.add(PsfCalibration(context=graph.context, parameter_overrides=parameters))
-    feed(node, "/sensor_info", serialize_message(good["/sensor_info"]))
+    feed(node, "/sensor_info", serialize(good["/sensor_info"]))
     for cdr in hostile(good[topic], 400 * TIMES, np.random.default_rng(seed)):
         feed(node, topic, cdr)
     assert graph.spin_until(lambda: not node.jobs, TIMEOUT_S)
@@ -122,7 +124,7 @@ def test_hostile_images_do_not_make_the_calibration_fail(
     for channel in range(DETECTORS):  # of a dwell that nobody has spoilt
         image = good["/slc"]
         image.dwell, image.channel = 60_000, channel
-        feed(node, "/slc", serialize_message(image))
+        feed(node, "/slc", serialize(image))
     assert graph.spin_until(lambda: node.tally.summary()["waiting"] == 0, TIMEOUT_S)
     assert node.tally.summary()["in"] == before + DETECTORS
     assert_nothing_unexpected(node)
@@ -133,7 +135,7 @@ def test_hostile_messages_are_recorded_as_they_are(good: dict[str, Any], graph: 
     recorder = graph.add(Recorder(tmp_path / "bag", context=graph.context))
     feeder = graph.add(Node("feeder", context=graph.context))
     rng = np.random.default_rng(5)
-    publishers = {topic: feeder.create_publisher(type(message), topic, 1000) for topic, message in good.items()}
+    publishers = {topic: publisher_of(feeder, type(message), topic, 1000) for topic, message in good.items()}
     assert graph.spin_until(lambda: recorder.recorded.keys() >= publishers.keys(), TIMEOUT_S)
     assert graph.spin_until(lambda: all(p.get_subscription_count() for p in publishers.values()), TIMEOUT_S)
     sent = {topic: list(hostile(good[topic], 100 * TIMES, rng)) for topic in publishers}

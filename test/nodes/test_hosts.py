@@ -16,8 +16,8 @@ import bag_feeder
 import pytest
 from bag_feeder import BAG, assert_same, read_heights
 from hosts import Hosts, UnavailableError
-from sal_height_msgs.msg import HeightImage
 
+from sal_height.messages.types import HeightImage
 from sal_height.nodes.middleware import PROFILES, settings_for
 
 TIMEOUT_S = 90.0

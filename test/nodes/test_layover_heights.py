@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from chain_fixture import Chain
 from rclpy.parameter import Parameter
-from sal_height_msgs.msg import HeightImage
 
 from sal_height import messages
+from sal_height.messages.types import HeightImage
 from sal_height.nodes.graph import Graph
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset

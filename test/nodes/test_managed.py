@@ -9,18 +9,19 @@ from typing import Any
 import pytest
 import rasterio
 from chain_fixture import DETECTORS, Chain, next_dwell_is_exact, same_heights
-from diagnostic_msgs.msg import DiagnosticArray
+from helpers import publisher_of
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from sal_height_msgs.msg import Calibration as CalibrationMessage
-from sal_height_msgs.msg import HeightImage
 from std_srvs.srv import Trigger
 
+from sal_height.messages.types import Calibration as CalibrationMessage
+from sal_height.messages.types import DiagnosticArray, HeightImage
 from sal_height.nodes.account import DIAGNOSTICS, Account
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.map_stage import MapStage
+from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.psf_calibration import PsfCalibration
 from sal_height.nodes.relief_mapper import ReliefMapper
 from sal_height.nodes.relief_tracker import ReliefTracker
@@ -140,7 +141,7 @@ class Heights:
     def __init__(self, graph: Graph, node: Stage, image: HeightImage) -> None:
         self.graph, self.node, self.image, self.fed = graph, node, image, 0
         feeder = graph.add(Node("feeder", context=graph.context))
-        self.publisher = feeder.create_publisher(HeightImage, "ml/height", FRAMES_QOS)
+        self.publisher = publisher_of(feeder, HeightImage, "ml/height", FRAMES_QOS)
         assert graph.spin_until(lambda: self.publisher.get_subscription_count() == 1, TIMEOUT_S)
 
     def feed(self) -> None:
@@ -211,7 +212,7 @@ def test_a_tracker_that_is_reset_tracks_as_at_first(
 ) -> None:
     made: list[HeightImage] = []
     tracker = graph.add(ReliefTracker(context=graph.context))
-    manager.node.create_subscription(HeightImage, "tracked/height", made.append, FRAMES_QOS)
+    subscribe(manager.node, HeightImage, "tracked/height", made.append, FRAMES_QOS)
     heights = Heights(graph, tracker, reference["ml", 0])
     for number in range(3):
         if number == 2:
@@ -225,7 +226,7 @@ def test_a_tracker_that_is_reset_tracks_as_at_first(
 def test_a_calibration_is_made_when_it_is_asked_for(graph: Graph, flight: SimulatedFlight, manager: Manager) -> None:
     node = graph.add(PsfCalibration(context=graph.context, parameter_overrides=[Parameter("dwell_step", value=1)]))
     heard: list[CalibrationMessage] = []
-    manager.node.create_subscription(CalibrationMessage, "calibration", heard.append, LATCHED_QOS)
+    subscribe(manager.node, CalibrationMessage, "calibration", heard.append, LATCHED_QOS)
     assert manager.trigger("psf_calibration/save") == (False, "no dwell was used yet")
     chain = Chain(graph, flight, 30.0, {"range_window": "rectangular", "cols": 12})
     chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
@@ -242,7 +243,7 @@ def test_at_its_end_a_node_accounts_for_all_that_came(graph: Graph, flight: Simu
     def keep(message: DiagnosticArray) -> None:
         told.update({status.name: Account.of_status(status) for status in message.status})
 
-    manager.node.create_subscription(DiagnosticArray, DIAGNOSTICS, keep, 100)
+    subscribe(manager.node, DiagnosticArray, DIAGNOSTICS, keep, 100)
     chain = Chain(graph, flight, missing_after_s=30.0)
     compression, going = chain.stages["sar_compression"], Event()
     compression.submit(0, lambda: int(not going.wait(TIMEOUT_S)))

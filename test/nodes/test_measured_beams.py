@@ -8,10 +8,10 @@ import numpy as np
 import yaml
 from beam_tables import write_beam_tables
 from chain_fixture import Chain
-from sal_height_msgs.msg import HeightImage
 
 from sal_height.beams.pattern import pattern_named
 from sal_height.beams.table import BeamTable
+from sal_height.messages.types import HeightImage
 from sal_height.nodes.graph import Graph
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from chain_fixture import DETECTORS, Chain, next_dwell_is_exact, same_heights
 from helpers import assert_one_sentence
-from sal_height_msgs.msg import HeightImage
 from scipy.linalg import dft
 
 from sal_height import messages
+from sal_height.messages.types import HeightImage
 from sal_height.nodes.graph import Graph
 from sal_height.simulation.flight import SimulatedFlight
 

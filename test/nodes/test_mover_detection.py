@@ -9,16 +9,15 @@ from functools import cache
 
 import numpy as np
 import pytest
-from helpers import assert_one_sentence
+from helpers import assert_one_sentence, publisher_of
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from sal_height_msgs.msg import ComplexImage, Provenance, SensorInfo
-from sensor_msgs.msg import PointCloud2
 
 from sal_height import messages
 from sal_height.imaging import ImageSettings
-from sal_height.nodes.account import PROCESSED, PUBLISHED
+from sal_height.messages.types import ComplexImage, PointCloud2, Provenance, SensorInfo
 from sal_height.nodes.graph import Graph
+from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.mover_detection import MoverDetection
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS
 from sal_height.pipeline import Compressor
@@ -62,9 +61,9 @@ class Fed:
         self.node = graph.add(MoverDetection(context=graph.context, parameter_overrides=overrides))
         self.clouds: list[PointCloud2] = []
         feeder = graph.add(Node("feeder", context=graph.context))
-        feeder.create_subscription(PointCloud2, "movers", self.clouds.append, FRAMES_QOS)
-        self._info = feeder.create_publisher(SensorInfo, "sensor_info", LATCHED_QOS)
-        self._images = feeder.create_publisher(ComplexImage, "slc", FRAMES_QOS)
+        subscribe(feeder, PointCloud2, "movers", self.clouds.append, FRAMES_QOS)
+        self._info = publisher_of(feeder, SensorInfo, "sensor_info", LATCHED_QOS)
+        self._images = publisher_of(feeder, ComplexImage, "slc", FRAMES_QOS)
         self.wait(lambda: self._images.get_subscription_count() == 1 and feeder.count_publishers("movers") == 1)
 
     def wait(self, predicate: Callable[[], bool]) -> None:
@@ -97,7 +96,7 @@ def test_a_car_comes_out_with_place_height_and_speed_and_twice_the_same(graph: G
     assert abs(one["walk_velocity"] - RADIAL) < 4 * one["walk_sigma"] < 1.0
     assert 0 < one["sigma"] < 0.05
     assert one["walks"] == 1.0
-    fed.wait(lambda: fed.node.tally.summary()[PUBLISHED] == 5)
+    fed.wait(lambda: fed.node.tally.summary()["out"] == 5)
     fed.node.forget()
     fed.publish(sensor, [[shifted(image) for image in dwell] for dwell in dwells])
     fed.wait(lambda: len(fed.clouds) == 10)
@@ -108,7 +107,7 @@ def test_dwells_that_a_reset_leaves_untold_are_counted(graph: Graph) -> None:
     sensor, dwells = flown()
     fed = Fed(graph, timeout_s=3600.0)
     fed.publish(sensor, dwells)
-    fed.wait(lambda: fed.node.tally.summary()[PROCESSED] == 5 * sensor.detector_count)
+    fed.wait(lambda: fed.node.tally.summary()["processed"] == 5 * sensor.detector_count)
     untold = len(dwells) - len(fed.clouds)
     assert untold > 0
     fed.node.forget()

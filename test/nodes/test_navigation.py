@@ -8,20 +8,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PoseStamped, Twist, TwistStamped, Vector3
-from helpers import assert_one_sentence
+from helpers import assert_one_sentence, publisher_of
 from instrument_messages import fix_at, imu_at, in_aviation_axes, pose_of, twist_of
-from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import Imu, NavSatFix
-from std_msgs.msg import Header
 
 from sal_height import messages
 from sal_height.errors import UserError
 from sal_height.geometry import Origin, PlatformState, rotation_matrix
+from sal_height.messages.types import Header, Imu, NavSatFix, Odometry, PoseStamped, Twist, TwistStamped, Vector3
 from sal_height.nodes.graph import Graph
+from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.navigation import NavigationNode
 from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS
 from sal_height.simulation.flight import SimulatedFlight
@@ -43,10 +41,10 @@ class Instruments(Node):
         overrides = [Parameter(name, value=value) for name, value in parameters.items()]
         self.node = graph.add(NavigationNode(context=graph.context, parameter_overrides=overrides))
         self.odometry: list[Odometry] = []
-        self.create_subscription(Odometry, "platform/odometry", self.odometry.append, ODOMETRY_QOS)
+        subscribe(self, Odometry, "platform/odometry", self.odometry.append, ODOMETRY_QOS)
         kinds = {"pose": PoseStamped, "twist": TwistStamped, "fix": NavSatFix, "imu": Imu}
         qos = QoSProfile(depth=1000, reliability=reliability)
-        self.topics = {kind: self.create_publisher(kind, f"platform/{name}", qos) for name, kind in kinds.items()}
+        self.topics = {kind: publisher_of(self, kind, f"platform/{name}", qos) for name, kind in kinds.items()}
         needed = (2 if "position" in parameters else 1) + (parameters.get("velocity") != "positions")
         assert graph.spin_until(self.are_matched(needed), TIMEOUT_S)
 
@@ -137,7 +135,7 @@ def test_an_attitude_against_north_east_and_down_is_that_against_east_north_and_
 def test_the_origin_of_the_map_is_published_for_those_who_come_late(graph: Graph, parameters: dict[str, str]) -> None:
     instruments = Instruments(graph, **parameters, **ORIGIN_DEG)
     heard: list[NavSatFix] = []
-    instruments.create_subscription(NavSatFix, "map_origin", heard.append, LATCHED_QOS)
+    subscribe(instruments, NavSatFix, "map_origin", heard.append, LATCHED_QOS)
     assert graph.spin_until(lambda: bool(heard), TIMEOUT_S)
     found = messages.read_origin(heard[0], "map")
     assert (found.latitude, found.longitude, found.height) == pytest.approx((ORIGIN.latitude, ORIGIN.longitude, 550.0))

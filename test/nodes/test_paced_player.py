@@ -6,15 +6,16 @@ from pathlib import Path
 
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from sal_height_msgs.msg import ChannelFrame
 from std_srvs.srv import Trigger
 
 from sal_height import messages
+from sal_height.messages.types import ChannelFrame
 from sal_height.nodes.graph import Graph
+from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.paced_player import PacedPlayer
 from sal_height.nodes.stage import FRAMES_QOS
 
-BAG = Path(__file__).parents[2] / "bags" / "version_2"
+BAG = Path(__file__).parents[2] / "bags" / "version_3"
 TIMEOUT_S = 20.0
 
 
@@ -25,8 +26,12 @@ def test_who_asks_again_is_told_the_same(graph: Graph) -> None:
     graph.add(PacedPlayer(context=graph.context, parameter_overrides=overrides))
     asker = graph.add(Node("asker", context=graph.context))
     stamps: list[int] = []
-    asker.create_subscription(
-        ChannelFrame, "phase_history", lambda frame: stamps.append(messages.to_ns(frame.header.stamp)), FRAMES_QOS
+    subscribe(
+        asker,
+        ChannelFrame,
+        "phase_history",
+        lambda frame: stamps.append(messages.to_ns(frame.header.stamp)),
+        FRAMES_QOS,
     )
     client = asker.create_client(Trigger, "paced_player/start")
     assert graph.spin_until(client.service_is_ready, TIMEOUT_S)

@@ -9,11 +9,12 @@ from typing import Any
 
 import pytest
 from helpers import assert_one_sentence
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterType
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from sal_height.errors import UserError
+from sal_height.messages.types import ParameterType
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.parameters import LiveParameters
 from sal_height.settings import Settings, setting

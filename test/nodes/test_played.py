@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from air_messages import pressure_at, temperature_at
-from nav_msgs.msg import Odometry
-from rclpy.serialization import serialize_message
-from sal_height_msgs.msg import ChannelFrame, SensorInfo
-from sensor_msgs.msg import FluidPressure, Temperature
 from written_bag import frame, key
 
 from sal_height import messages
 from sal_height.bag.reader import BagMessage
+from sal_height.messages import serialize
+from sal_height.messages.types import ChannelFrame, FluidPressure, Odometry, SensorInfo, Temperature
 from sal_height.nodes.played import DwellRange, chosen, part_of, read_contents
 
 NAMES = {
@@ -38,7 +36,7 @@ def lasting(dwell: int, seconds: float) -> ChannelFrame:
 
 def played(dwells: DwellRange, *recorded: Any) -> list[float | str]:
     """What is played of messages: the times of odometry, and the numbers of dwells as a text."""
-    bag = [BagMessage(*NAMES[type(m)], serialize_message(m), n, n) for n, m in enumerate(recorded)]
+    bag = [BagMessage(*NAMES[type(m)], serialize(m), n, n) for n, m in enumerate(recorded)]
     found: list[float | str] = []
     for one, content in chosen(read_contents(iter(bag)), dwells):
         if content.part:
@@ -54,7 +52,7 @@ def played(dwells: DwellRange, *recorded: Any) -> list[float | str]:
 
 def test_a_frame_says_its_dwell_and_its_last_pulse() -> None:
     message = lasting(7, 0.5)
-    part = part_of(BagMessage(*NAMES[ChannelFrame], serialize_message(message), 0, 0))
+    part = part_of(BagMessage(*NAMES[ChannelFrame], serialize(message), 0, 0))
     assert part is not None
     assert part.dwell == key(7)
     assert part.end_ns == 7_500_000_000

@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 
 import pytest
 from played_bag import TIMEOUT_S, Listener, bag, odometry, played, player_of
-from rosgraph_msgs.msg import Clock
-from sal_height_msgs.msg import ChannelFrame
 from written_bag import calibration, frame, key
 
 from sal_height.bag.reader import BagMessage
+from sal_height.messages.types import ChannelFrame, Clock
 from sal_height.nodes.cues import Cue
 from sal_height.nodes.graph import Graph
+from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.player import Player
 from sal_height.nodes.simulated_clock import PERIOD_S, SimulatedClock
 
@@ -68,7 +68,7 @@ def test_messages_come_at_their_times_beside_the_clock(
     """The clock never passes what has not been published, nor runs back, and tells 40 times or more in a second."""
     heard: list[int] = []
     listener = graph.add(Listener(context=graph.context))
-    listener.create_subscription(Clock, "/clock", lambda m: heard.append(m.clock.sec), 10)
+    subscribe(listener, Clock, "/clock", lambda m: heard.append(m.clock.sec), 10)
     player = player_of(graph, bag(tmp_path / "bag", flight(4)), clock="paced", rate=rate)
     assert events[0][:2] == ("clock", 10.0)  # tells the time before anything is played
     del events[:]
@@ -120,7 +120,7 @@ def test_in_a_burst_nothing_waits_and_there_is_no_clock(graph: Graph, tmp_path: 
 def test_a_repetition_has_later_stamps_and_the_same_numbers(graph: Graph, tmp_path: Path) -> None:
     stamps: list[float] = []
     listener = graph.add(Listener(context=graph.context))
-    listener.create_subscription(ChannelFrame, "phase_history", lambda m: stamps.append(m.header.stamp.sec), 100)
+    subscribe(listener, ChannelFrame, "phase_history", lambda m: stamps.append(m.header.stamp.sec), 100)
     player = player_of(graph, bag(tmp_path / "bag", flight(2)), clock="burst", loops=3)
     play(graph, player)
     assert graph.spin_until(lambda: len(stamps) == len(listener.dwells) == 12, TIMEOUT_S)

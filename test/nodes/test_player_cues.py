@@ -7,13 +7,13 @@ from typing import Any
 
 import pytest
 from helpers import assert_one_sentence
-from nav_msgs.msg import Odometry
 from played_bag import Listener, bag, odometry, played, player_of
 from rclpy.parameter import Parameter
 from written_bag import calibration, frame, key
 
 from sal_height.bag.definitions import Definition
 from sal_height.errors import UserError
+from sal_height.messages.types import Odometry
 from sal_height.nodes.account import CALIBRATIONS
 from sal_height.nodes.cues import Cue
 from sal_height.nodes.graph import Graph

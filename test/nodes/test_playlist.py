@@ -6,18 +6,17 @@ from pathlib import Path
 
 import pytest
 from air_messages import temperature_at
-from nav_msgs.msg import Odometry
-from rclpy.serialization import deserialize_message, serialize_message
-from sal_height_msgs.msg import ChannelFrame
 
 from sal_height import messages
 from sal_height.bag.reader import BagReader
 from sal_height.bag.stamps import stamp_ns_of
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
+from sal_height.messages import deserialize, serialize
+from sal_height.messages.types import ChannelFrame, Odometry
 from sal_height.nodes.playlist import FRAMES, ODOMETRY, Playlist, _period, restamped
 
-BAG = Path(__file__).parents[2] / "bags" / "version_2"
+BAG = Path(__file__).parents[2] / "bags" / "version_3"
 
 
 @pytest.fixture(scope="module")
@@ -30,8 +29,8 @@ def playlist() -> Playlist:
 def test_a_message_is_the_same_but_for_its_stamp(kind: type, frame: str) -> None:
     message = kind()
     message.header.frame_id, message.header.stamp = frame, messages.to_stamp(1_699_999_999_900_000_000)
-    cdr = serialize_message(message)
-    moved = deserialize_message(restamped(cdr, 250_000_000), kind)
+    cdr = serialize(message)
+    moved = deserialize(restamped(cdr, 250_000_000), kind)
     assert messages.to_ns(moved.header.stamp) == stamp_ns_of(restamped(cdr, 250_000_000)) == 1_700_000_000_150_000_000
     moved.header.stamp = message.header.stamp
     assert moved == message
@@ -41,7 +40,7 @@ def test_frames_come_after_their_last_pulse_and_odometry_at_its_stamp(playlist: 
     assert [item.due_ns for item in playlist.items] == sorted(item.due_ns for item in playlist.items)
     for item in playlist.items:
         late_ns = item.due_ns - stamp_ns_of(item.cdr)
-        frame = deserialize_message(item.cdr, ChannelFrame) if item.topic == FRAMES else None
+        frame = deserialize(item.cdr, ChannelFrame) if item.topic == FRAMES else None
         assert late_ns == (round(frame.pulse_time[-1] * 1e9) if frame else 0)
 
 
@@ -64,13 +63,13 @@ def test_the_air_comes_at_its_stamp_after_what_the_first_dwell_needs(tmp_path: P
             bag.add_topic(name, topic.type_name)
         bag.add_topic("/air/temperature", "sensor_msgs/msg/Temperature")
         for number, stamp_ns in enumerate(stamps):
-            bag.write("/air/temperature", serialize_message(temperature_at(stamp_ns, number)), 1, 1)
+            bag.write("/air/temperature", serialize(temperature_at(stamp_ns, number)), 1, 1)
         for one in BagReader(BAG).messages():
             bag.write(one.topic, one.cdr, one.log_time_ns, one.publish_time_ns)
     items = Playlist.of_bag(BagReader(tmp_path / "bag"), 1e9).items
     air = [(item.due_ns, item.cdr) for item in items if item.topic == "air/temperature"]
     expected = [(begin_ns, used_ns, 1), (begin_ns, used_ns + 5, 2), (first_ns, first_ns, 3), (end_ns, end_ns, 4)]
-    assert air == [(due, serialize_message(temperature_at(stamp, number))) for due, stamp, number in expected]
+    assert air == [(due, serialize(temperature_at(stamp, number))) for due, stamp, number in expected]
     assert [item for item in items if item.topic != "air/temperature"] == playlist.items
 
 

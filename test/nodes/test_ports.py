@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
+from sal_height.messages.types import DiagnosticArray
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.leftovers import SHARED_MEMORY
+from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.ports import LOOK_S, LOOKS, Ports, ports_read
 from sal_height.runs.account_book import AccountBook
 from sal_height.runs.watch import Watcher
@@ -98,7 +99,7 @@ def test_a_node_that_stands_still_keeps_its_ports(program: subprocess.Popen[str]
     """By default, whoever sends to it would make them anew all the time, and it could be lost when it goes on."""
     watcher = graph.add(Node("watcher", context=graph.context))
     accounts: list[DiagnosticArray] = []
-    watcher.create_subscription(DiagnosticArray, "/diagnostics", accounts.append, 10)
+    subscribe(watcher, DiagnosticArray, "/diagnostics", accounts.append, 10)
     assert graph.spin_until(lambda: bool(accounts), 60.0)
     found = [SHARED_MEMORY / name for name in ports_read(Path(f"/proc/{program.pid}"))]
     assert len(found) >= 2

@@ -10,15 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 from chain_fixture import DETECTORS, START_NS, TIMEOUT_S, Chain
-from helpers import assert_one_sentence
+from helpers import assert_one_sentence, publisher_of
 from rclpy.parameter import Parameter
-from sal_height_msgs.msg import Calibration as CalibrationMessage
-from sal_height_msgs.msg import HeightImage
 
 from sal_height import messages
 from sal_height.calibration.calibration import Calibration, load_calibration, save_calibration
 from sal_height.errors import UserError
+from sal_height.messages.types import Calibration as CalibrationMessage
+from sal_height.messages.types import HeightImage
 from sal_height.nodes.graph import Graph
+from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.psf_calibration import PsfCalibration
 from sal_height.nodes.stage import LATCHED_QOS
 from sal_height.sensor.phase_history import PhaseHistory
@@ -119,7 +120,7 @@ def heard(graph: Graph) -> Iterator[list[CalibrationMessage]]:
     """Calibrations that come on the topic."""
     messages: list[CalibrationMessage] = []
     listener = graph.add(_node(graph, "listener"))
-    listener.create_subscription(CalibrationMessage, "calibration", messages.append, LATCHED_QOS)
+    subscribe(listener, CalibrationMessage, "calibration", messages.append, LATCHED_QOS)
     return messages
 
 
@@ -211,7 +212,7 @@ def test_images_wait_for_their_calibration_and_go_without_it(
     )
     feeder = _node(graph, "other_feeder")
     graph.add(feeder)
-    publisher = feeder.create_publisher(ComplexImage, "other", FRAMES_QOS)
+    publisher = publisher_of(feeder, ComplexImage, "other", FRAMES_QOS)
     assert graph.spin_until(lambda: publisher.get_subscription_count() == 1, TIMEOUT_S)
     with_file.publish(with_file.sensor_info())
     for image in images:
@@ -224,7 +225,7 @@ def _listen(graph: Graph, kind: type, into: list[Any]) -> None:
     from sal_height.nodes.stage import FRAMES_QOS
 
     node = graph.add(_node(graph, "images"))
-    node.create_subscription(kind, "slc", into.append, FRAMES_QOS)
+    subscribe(node, kind, "slc", into.append, FRAMES_QOS)
     assert graph.spin_until(lambda: node.count_publishers("slc") == 1, TIMEOUT_S)
 
 
@@ -233,7 +234,7 @@ def test_calibrations_that_are_none_are_counted_and_ignored(
 ) -> None:
     chain = Chain(graph, flight, 30.0, {"rows": 46, "cols": 12, "calibration": "topic"})
     feeder = graph.add(_node(graph, "calibration_feeder"))
-    publisher = feeder.create_publisher(CalibrationMessage, "calibration", LATCHED_QOS)
+    publisher = publisher_of(feeder, CalibrationMessage, "calibration", LATCHED_QOS)
     chain.wait(lambda: publisher.get_subscription_count() == 3, "the nodes to connect")
     stages = ["sar_compression", "ml_height", "monopulse"]
     good = messages.calibration_to_message(calibration_of(flight), messages.to_stamp(START_NS))

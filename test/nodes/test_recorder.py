@@ -15,11 +15,9 @@ from typing import Any
 
 import pytest
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from helpers import assert_one_sentence, file_size_limit
+from helpers import assert_one_sentence, file_size_limit, publisher_of
 from mcap.reader import make_reader
-from nav_msgs.msg import Odometry
-from rcl_interfaces.msg import Log, ParameterDescriptor, ParameterEvent
+from rcl_interfaces.msg import Log, ParameterDescriptor
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
@@ -29,17 +27,27 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.rosbag2 import Reader
-from rosgraph_msgs.msg import Clock
-from sal_height_msgs.msg import ChannelFrame, NodeAccount
 from std_msgs.msg import String
 
 from sal_height.bag.reader import BagReader
 from sal_height.bag.salvage import salvage
 from sal_height.errors import UserError
+from sal_height.messages import deserialize, serialize
+from sal_height.messages.parameters import parameter_of
+from sal_height.messages.types import (
+    ChannelFrame,
+    Clock,
+    DiagnosticArray,
+    DiagnosticStatus,
+    NodeAccount,
+    Odometry,
+    ParameterEvent,
+)
 from sal_height.nodes import parameter_reader
 from sal_height.nodes import recorder as module
 from sal_height.nodes.account import PROGRESS, Account
 from sal_height.nodes.graph import Graph
+from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.parameter_reader import ParameterReader
 from sal_height.nodes.recorder import Recorder
 
@@ -104,13 +112,13 @@ def test_every_message_is_recorded_byte_for_byte(graph: Graph, source: Node, bag
 
 
 def test_bursts_of_large_frames_lose_nothing(graph: Graph, source: Node, bag: Path) -> None:
-    publisher = source.create_publisher(ChannelFrame, "/phase_history", 32)
+    publisher = publisher_of(source, ChannelFrame, "/phase_history", 32)
     recorder = start(graph, bag)
     frames = []
     for channel in range(16):
         frame = ChannelFrame(channel=channel, pulse_count=512, sample_count=512)
         frame.samples.frombytes(bytes([channel]) * (8 * 512 * 512))
-        frames.append(serialize_message(frame))
+        frames.append(serialize(frame))
     for _ in range(2):
         publish(graph, recorder, publisher, frames)
     graph.close()
@@ -118,7 +126,7 @@ def test_bursts_of_large_frames_lose_nothing(graph: Graph, source: Node, bag: Pa
 
 
 def test_the_hash_in_the_bag_is_the_one_that_ros_announces(graph: Graph, source: Node, bag: Path) -> None:
-    publisher = source.create_publisher(ChannelFrame, "/phase_history", 1)
+    publisher = publisher_of(source, ChannelFrame, "/phase_history", 1)
     start(graph, bag)
     wait_until_matched(graph, publisher)
     (announced,) = source.get_publishers_info_by_topic("/phase_history")
@@ -133,8 +141,8 @@ def test_latched_messages_from_before_are_recorded_with_their_qos(graph: Graph, 
     assert graph.spin_until(lambda: recorder.recorded.get("/sensor_info") == 1, TIMEOUT_S)
     graph.close()
     (profile,) = BagReader(bag).topics["/sensor_info"].offered_qos
-    assert profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
-    assert profile.reliability == ReliabilityPolicy.RELIABLE
+    assert profile.durability == "transient_local"
+    assert profile.reliability == "reliable"
 
 
 def test_publishers_of_different_qos_are_all_recorded(graph: Graph, source: Node, bag: Path) -> None:
@@ -158,7 +166,7 @@ def test_a_topic_that_comes_later_is_recorded_and_ros_own_ones_are_not(graph: Gr
     recorder = start(graph, bag)
     first = source.create_publisher(String, "/first", 1)
     publish(graph, recorder, first, [String(data="1")])
-    second = source.create_publisher(Odometry, "/second", 1)
+    second = publisher_of(source, Odometry, "/second", 1)
     publish(graph, recorder, second, [Odometry()])
     assert recorder.recorded["/first"] == recorder.recorded["/second"] == 1
     graph.close()
@@ -177,7 +185,7 @@ def test_only_the_topics_asked_for_are_recorded_by_their_full_names(graph: Graph
 
 def test_topics_are_recorded_by_pattern_and_type(graph: Graph, source: Node, bag: Path) -> None:
     publishers = [source.create_publisher(String, name, 10) for name in ("/a/one", "/a/two", "/a/secret", "/b/one")]
-    odometry = source.create_publisher(Odometry, "/somewhere/odometry", 10)
+    odometry = publisher_of(source, Odometry, "/somewhere/odometry", 10)
     recorder = start(graph, bag, patterns=["/a/.*"], types=["nav_msgs/msg/Odometry"], excluded=[".*secret"])
     wait_until_matched(graph, publishers[0], publishers[1], odometry)
     late = source.create_publisher(String, "/a/late", 10)
@@ -254,7 +262,7 @@ def test_unusable_parameters_are_refused(
 
 
 def test_simulated_time_stamps_the_log(graph: Graph, source: Node, bag: Path) -> None:
-    clock = source.create_publisher(Clock, "/clock", 1)
+    clock = publisher_of(source, Clock, "/clock", 1)
     recorder = start(graph, bag, use_sim_time=True, topics=["/note"])
     publisher = source.create_publisher(String, "/note", 1)
     wait_until_matched(graph, publisher)  # discovery goes on although this clock stands still
@@ -289,7 +297,7 @@ def test_messages_that_wait_for_the_disk_are_bounded_by_memory(graph: Graph, sou
     overrides = [Parameter("topics", value=["/note"]), Parameter("max_memory_mb", value=10)]
     recorder = graph.add(SlowDisk(directory=bag, context=graph.context, parameter_overrides=overrides))
     status: dict[str, str] = {}
-    source.create_subscription(DiagnosticArray, "/diagnostics", lambda message: status.update(values(message)), 10)
+    subscribe(source, DiagnosticArray, "/diagnostics", lambda message: status.update(values(message)), 10)
     publisher = source.create_publisher(String, "/note", 100)
     wait_until_matched(graph, publisher)
     for number in range(8):  # the first is at the disk, and of the others there is room for three
@@ -345,7 +353,7 @@ def test_what_is_in_the_bag_is_told_at_once_to_whoever_listens(
     publisher = source.create_publisher(String, "/note", 1)
     recorder = start(graph, bag, topics=["/note", PROGRESS])
     told: list[Account] = []
-    source.create_subscription(NodeAccount, PROGRESS, lambda message: told.append(Account.of_message(message)), 10)
+    subscribe(source, NodeAccount, PROGRESS, lambda message: told.append(Account.of_message(message)), 10)
     assert graph.spin_until(lambda: recorder._teller.followers == 2, TIMEOUT_S)
     for number in (1, 2):
         publish(graph, recorder, publisher, [String()])
@@ -441,7 +449,7 @@ def parameters_in(file: Path) -> dict[str, dict[str, Any]]:
     """What the parameter events of a bag amount to, by node."""
     known: dict[str, dict[str, Any]] = {}
     for message in BagReader(file).messages(["/parameter_events"]):
-        event = deserialize_message(message.cdr, ParameterEvent)
+        event = deserialize(message.cdr, ParameterEvent)
         values = known.setdefault(event.node, {})
         for parameter in (*event.new_parameters, *event.changed_parameters):
             values[parameter.name] = Parameter.from_parameter_msg(parameter).value
@@ -565,7 +573,7 @@ def test_a_node_is_asked_once_its_name_is_known(graph: Graph) -> None:
     reader.look()
     asker.get_publishers_info_by_topic = found
     assert graph.spin_until(lambda: reader.look() or bool(told), TIMEOUT_S)
-    assert deserialize_message(told[0], ParameterEvent).node == "/source"
+    assert deserialize(told[0], ParameterEvent).node == "/source"
 
 
 def test_no_more_is_held_of_parameters_than_a_node_has(monkeypatch: pytest.MonkeyPatch, graph: Graph) -> None:
@@ -574,8 +582,8 @@ def test_no_more_is_held_of_parameters_than_a_node_has(monkeypatch: pytest.Monke
     reader = ParameterReader(graph.add(Node("asker", context=graph.context)), print, print)
 
     def event(node: str, text: str) -> bytes:
-        parameter = Parameter("name", value=text).to_parameter_msg()
-        return serialize_message(ParameterEvent(node=node, new_parameters=[parameter]))
+        parameter = parameter_of("name", text)
+        return serialize(ParameterEvent(node=node, new_parameters=[parameter]))
 
     assert [reader.take(event(name, "x")) is not None for name in ("/a", "/b", "/c")] == [True, True, False]
     assert reader.take(event("/a", "x" * 1000)) is None
@@ -650,7 +658,7 @@ def test_a_full_disk_is_reported_once_and_the_node_lives_on(
 ) -> None:
     errors = logged(graph, Log.ERROR)
     status: dict[str, str] = {}
-    source.create_subscription(DiagnosticArray, "/diagnostics", lambda message: status.update(values(message)), 10)
+    subscribe(source, DiagnosticArray, "/diagnostics", lambda message: status.update(values(message)), 10)
     publisher = source.create_publisher(String, "/note", 10)
     recorder = start(graph, bag, topics=["/note"])
     message = String(data="x" * 2**20)
@@ -686,7 +694,10 @@ def logged(graph: Graph, level: int) -> list[str]:
     texts: list[str] = []
     listener = graph.add(Node("listener", context=graph.context))
     listener.create_subscription(
-        Log, "/rosout", lambda log: texts.append(log.msg) if log.level == level else None, QoSProfile(depth=100)
+        Log,
+        "/rosout",
+        lambda log: texts.append(log.msg) if log.level == level else None,
+        QoSProfile(depth=100),
     )
     return texts
 

@@ -16,7 +16,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message
@@ -24,7 +23,9 @@ from std_msgs.msg import String
 
 from sal_height.bag.reader import BagReader
 from sal_height.bag.salvage import salvage
+from sal_height.messages.types import DiagnosticArray
 from sal_height.nodes.graph import Graph
+from sal_height.nodes.message_types import subscribe
 
 TIMEOUT_S = 60.0
 KILLS = int(os.environ.get("SAL_HEIGHT_KILLS", "3"))
@@ -102,7 +103,7 @@ def errors(graph: Graph) -> list[str]:
     def hear(message: DiagnosticArray) -> None:
         said.extend(s.message for s in message.status if s.name == "recorder" and s.level != b"\x00")
 
-    graph.add(Node("watcher", context=graph.context)).create_subscription(DiagnosticArray, "/diagnostics", hear, 100)
+    subscribe(graph.add(Node("watcher", context=graph.context)), DiagnosticArray, "/diagnostics", hear, 100)
     return said
 
 

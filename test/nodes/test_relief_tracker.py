@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import array
 import math
 from collections.abc import Callable
 from typing import Any
@@ -10,11 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import assert_one_sentence
+from helpers import assert_one_sentence, publisher_of
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from sal_height_msgs.msg import HeightImage, Provenance
-from sensor_msgs.msg import Image, PointCloud2
 
 from sal_height import messages
 from sal_height.errors import UserError
@@ -22,8 +19,10 @@ from sal_height.geometry.earth import height_of
 from sal_height.geometry.frames import ApertureState
 from sal_height.geometry.grid import Grid
 from sal_height.geometry.locate import locate_at_height
+from sal_height.messages.types import HeightImage, Image, PointCloud2, Provenance
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.height import LEFT_OUT
+from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.relief_tracker import HELD_SERIES, ReliefTracker
 from sal_height.nodes.stage import FRAMES_QOS
 from sal_height.relief.heights import HeightField, Surface
@@ -81,10 +80,10 @@ class Tracking:
         self.graph = graph
         self.received: dict[type, list[Any]] = {HeightImage: [], Image: [], PointCloud2: []}
         feeder = graph.add(Node("feeder", context=graph.context))
-        self.publisher = feeder.create_publisher(HeightImage, topic, FRAMES_QOS)
+        self.publisher = publisher_of(feeder, HeightImage, topic, FRAMES_QOS)
         names = {HeightImage: "height", Image: "image", PointCloud2: "points"}
         for kind, heard in self.received.items():
-            feeder.create_subscription(kind, f"tracked/{names[kind]}", heard.append, FRAMES_QOS)
+            subscribe(feeder, kind, f"tracked/{names[kind]}", heard.append, FRAMES_QOS)
         self.wait(lambda: self.publisher.get_subscription_count() == 1)
         self.wait(lambda: all(feeder.count_publishers(f"tracked/{name}") == 1 for name in names.values()))
 
@@ -221,8 +220,8 @@ def test_a_parameter_that_is_not_allowed_is_refused(graph: Graph, name: str, val
 def empty(image: HeightImage) -> None:
     image.grid.rows = image.grid.cols = 0
     for name in ("height", "sigma", "cnr_db", "east", "north"):
-        setattr(image.surfaces[0], name, array.array("f"))
-    image.validity = array.array("B")
+        setattr(image.surfaces[0], name, np.zeros(0, np.float32))
+    image.validity = np.zeros(0, np.uint8)
 
 
 def all_nan(image: HeightImage) -> None:

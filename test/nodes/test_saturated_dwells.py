@@ -10,10 +10,11 @@ import pytest
 from chain_fixture import DETECTORS, START_NS, Chain, same_heights
 from helpers import assert_one_sentence
 from rclpy.node import Node
-from sal_height_msgs.msg import ComplexImage, HeightImage
 
 from sal_height import messages
+from sal_height.messages.types import ComplexImage, HeightImage
 from sal_height.nodes.graph import Graph
+from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.stage import FRAMES_QOS
 from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.sensor.receivers import clipped
@@ -74,8 +75,8 @@ def test_a_clipped_block_is_told_by_the_images_of_a_strip_that_its_pulses_are_in
     chain = Chain(graph, flight, missing_after_s=30.0, image={"rows": 46, "cols": 128})
     images: dict[tuple[int, int], ComplexImage] = {}
     listener = graph.add(Node("listener", context=graph.context))
-    listener.create_subscription(
-        ComplexImage, "slc", lambda image: images.update({(image.dwell, image.channel): image}), FRAMES_QOS
+    subscribe(
+        listener, ComplexImage, "slc", lambda image: images.update({(image.dwell, image.channel): image}), FRAMES_QOS
     )
     chain.wait(lambda: listener.count_publishers("slc") == 1, "the images to connect")
     chain.publish(chain.sensor_info())

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 from chain_fixture import START_NS, Chain, same_heights
-from sal_height_msgs.msg import HeightImage
 
 from sal_height import messages
+from sal_height.messages.types import HeightImage
 from sal_height.nodes.domain import free_domain
 from sal_height.nodes.graph import Graph
 from sal_height.simulation import SimulatedFlight, flight_of, load_preset

@@ -8,22 +8,20 @@ import time
 from typing import Any
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from helpers import make_sensor
-from nav_msgs.msg import Odometry
+from helpers import make_sensor, publisher_of
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from sal_height_msgs.msg import NodeAccount
-from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from sal_height import messages
 from sal_height.errors import UserError
+from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, KeyValue, NodeAccount, Odometry
 from sal_height.nodes import stage
-from sal_height.nodes.account import DIAGNOSTICS, PROGRESS, READY, Account
+from sal_height.nodes.account import DIAGNOSTICS, PROGRESS, Account
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.height import HEIGHT_NODES
 from sal_height.nodes.held import HELD_CALIBRATIONS
+from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.relief_mapper import ReliefMapper
 from sal_height.nodes.sar_compression import SarCompression
 from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS, Stage
@@ -38,12 +36,12 @@ class Listening(Stage):
         super().__init__("listening", context=graph.context)
         self.words: list[str] = []
         self.failing = True
-        self.listen(String, "words", self._on_word)
+        self.listen(KeyValue, "words", self._on_word)
         graph.add(self)
 
-    def _on_word(self, message: String) -> None:
+    def _on_word(self, message: KeyValue) -> None:
         self.tally.receive()
-        self.submit(1, lambda: self._keep(message.data))
+        self.submit(1, lambda: self._keep(message.value))
 
     def _keep(self, word: str) -> int:
         self.words.append(word)
@@ -71,14 +69,14 @@ def test_an_error_in_a_timer_does_not_end_the_node_nor_the_timer(graph: Graph, l
 
 
 def test_an_error_in_a_subscription_does_not_end_the_node(graph: Graph, listening: Listening) -> None:
-    def refuse(_: String) -> None:
+    def refuse(_: KeyValue) -> None:
         raise ZeroDivisionError
 
-    listening.listen(String, "numbers", refuse)
-    publisher = graph.add(Node("source", context=graph.context)).create_publisher(String, "numbers", FRAMES_QOS)
+    listening.listen(KeyValue, "numbers", refuse)
+    publisher = publisher_of(graph.add(Node("source", context=graph.context)), KeyValue, "numbers", FRAMES_QOS)
     assert graph.spin_until(lambda: publisher.get_subscription_count() == 1, TIMEOUT_S)
     for number in range(1, 3):
-        publisher.publish(String())
+        publisher.publish(KeyValue())
         assert graph.spin_until(lambda n=number: ignored(listening) == n, TIMEOUT_S)
 
 
@@ -123,26 +121,26 @@ def test_messages_that_wait_in_the_middleware_are_bounded(
 ) -> None:
     """What the node has not taken yet when more come than the depth of the queue is lost, the oldest first."""
     heard: list[int] = []
-    listening.listen(String, "numbers", lambda message: heard.append(int(message.data)), qos)
+    listening.listen(KeyValue, "numbers", lambda message: heard.append(int(message.value)), qos)
     source = graph.add(Node("source", context=graph.context))
-    publisher = source.create_publisher(String, "numbers", qos)
+    publisher = publisher_of(source, KeyValue, "numbers", qos)
     assert graph.spin_until(lambda: publisher.get_subscription_count() == 1, TIMEOUT_S)
     assert graph.spin_until(lambda: listening.count_publishers("numbers") == 1, TIMEOUT_S)
     last = depth + 150
     for number in range(last + 1):
-        publisher.publish(String(data=str(number)))
+        publisher.publish(KeyValue(value=str(number)))
     assert graph.spin_until(lambda: heard[-1:] == [last], TIMEOUT_S)
     assert len(heard) <= depth + 1
 
 
 def test_of_a_latched_topic_only_the_last_message_is_kept(graph: Graph, listening: Listening) -> None:
-    outlet = listening.offer(String, "state", LATCHED_QOS)
+    outlet = listening.offer(KeyValue, "state", LATCHED_QOS)
     for number in range(3):
-        outlet.publish(String(data=str(number)))
+        outlet.publish(KeyValue(value=str(number)))
     heard: list[str] = []
     late = graph.add(Node("late", context=graph.context))
     deep = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    late.create_subscription(String, "state", lambda message: heard.append(message.data), deep)
+    subscribe(late, KeyValue, "state", lambda message: heard.append(message.value), deep)
     assert graph.spin_until(lambda: heard[-1:] == ["2"], TIMEOUT_S)
     assert heard == ["2"]
 
@@ -151,7 +149,7 @@ def state(graph: Graph, node: Stage) -> Any:
     """The level, message and hardware that the node publishes next."""
     seen: list[DiagnosticStatus] = []
     watcher = graph.add(Node("watcher", context=graph.context))
-    watcher.create_subscription(DiagnosticArray, "/diagnostics", lambda message: seen.extend(message.status), 10)
+    subscribe(watcher, DiagnosticArray, "/diagnostics", lambda message: seen.extend(message.status), 10)
     assert graph.spin_until(lambda: bool(seen), TIMEOUT_S)
     return seen[-1].level, seen[-1].message, seen[-1].hardware_id, node.get_name() == seen[-1].name
 
@@ -163,11 +161,15 @@ def told(graph: Graph, monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Accoun
     accounts: dict[str, list[Account]] = {DIAGNOSTICS: [], PROGRESS: []}
     watcher = graph.add(Node("watcher", context=graph.context))
     on_diagnostics, on_progress = accounts.values()
-    watcher.create_subscription(
-        DiagnosticArray, DIAGNOSTICS, lambda m: on_diagnostics.extend(map(Account.of_status, m.status)), 100
+    subscribe(
+        watcher, DiagnosticArray, DIAGNOSTICS, lambda m: on_diagnostics.extend(map(Account.of_status, m.status)), 100
     )
-    watcher.create_subscription(
-        NodeAccount, PROGRESS, lambda m: on_progress.append(Account.of_message(m, (on_progress or [None])[-1])), 100
+    subscribe(
+        watcher,
+        NodeAccount,
+        PROGRESS,
+        lambda m: on_progress.append(Account.of_message(m)),
+        100,
     )
     return accounts
 
@@ -178,18 +180,18 @@ def test_progress_is_told_at_once_to_whoever_listens(graph: Graph, told: dict[st
     for number in range(1, 4):
         listening.tally.receive()
         listening.submit(1, lambda: 0)
-        assert graph.spin_until(lambda n=number: told[PROGRESS][-1].count("processed") == n, TIMEOUT_S)
-    assert told[DIAGNOSTICS][-1].count("processed") == 0
+        assert graph.spin_until(lambda n=number: told[PROGRESS][-1].processed == n, TIMEOUT_S)
+    assert told[DIAGNOSTICS][-1].processed == 0
     assert told[PROGRESS][-1].numbers.keys() > told[DIAGNOSTICS][-1].numbers.keys()  # of which it was told nothing new
 
 
 def test_subscribers_are_told_of_at_once(graph: Graph, told: dict[str, list[Account]]) -> None:
     """Whoever waits until a graph is connected need not wait for the next account."""
-    Listening(graph).offer(String, "answers")
+    Listening(graph).offer(KeyValue, "answers")
     assert graph.spin_until(lambda: all(told.values()), TIMEOUT_S)
     other = graph.add(Node("other", context=graph.context))
     for number in (1, 2):
-        other.create_subscription(String, "answers", lambda _: None, FRAMES_QOS)
+        subscribe(other, KeyValue, "answers", lambda _: None, FRAMES_QOS)
         assert graph.spin_until(
             lambda n=number: all(accounts[-1].subscribers == {"answers": n} for accounts in told.values()), TIMEOUT_S
         )
@@ -217,21 +219,21 @@ def test_a_node_is_ready_while_its_topics_have_publishers_and_says_so_at_once(
     Listening(graph)
     other = graph.add(Node("other", context=graph.context))
     assert graph.spin_until(lambda: all(told.values()), TIMEOUT_S)
-    assert not any(those[-1].count(READY) for those in told.values())
-    publisher = other.create_publisher(String, "words", FRAMES_QOS)
-    assert graph.spin_until(lambda: all(those[-1].count(READY) for those in told.values()), TIMEOUT_S)
-    other.destroy_publisher(publisher)
-    assert graph.spin_until(lambda: not any(those[-1].count(READY) for those in told.values()), TIMEOUT_S)
+    assert not any(those[-1].ready for those in told.values())
+    publisher = publisher_of(other, KeyValue, "words", FRAMES_QOS)
+    assert graph.spin_until(lambda: all(those[-1].ready for those in told.values()), TIMEOUT_S)
+    other.destroy_publisher(publisher._publisher)
+    assert graph.spin_until(lambda: not any(those[-1].ready for those in told.values()), TIMEOUT_S)
 
 
 def test_what_is_done_without_messages_is_told_at_once(graph: Graph, told: dict[str, list[Account]]) -> None:
     """As that a node is ready."""
     listening = Listening(graph)
-    graph.add(Node("other", context=graph.context)).create_publisher(String, "words", FRAMES_QOS)
-    assert graph.spin_until(lambda: all(those and those[-1].count(READY) for those in told.values()), TIMEOUT_S)
+    publisher_of(graph.add(Node("other", context=graph.context)), KeyValue, "words", FRAMES_QOS)
+    assert graph.spin_until(lambda: all(those and those[-1].ready for those in told.values()), TIMEOUT_S)
     listening.submit(0, lambda: setattr(Listening, "is_ready", False) or 0)
     try:
-        assert graph.spin_until(lambda: not any(those[-1].count(READY) for those in told.values()), TIMEOUT_S)
+        assert graph.spin_until(lambda: not any(those[-1].ready for those in told.values()), TIMEOUT_S)
     finally:
         del Listening.is_ready
 
@@ -246,12 +248,12 @@ def test_a_node_that_gets_nothing_is_stale_and_says_what_it_waits_for(graph: Gra
 
 def test_a_topic_that_is_published_in_another_namespace_is_named(graph: Graph, listening: Listening) -> None:
     others = graph.add(Node("source", namespace="radar", context=graph.context))
-    others.create_publisher(String, "words", FRAMES_QOS)
-    others.create_publisher(String, "other_words", FRAMES_QOS)
+    publisher_of(others, KeyValue, "words", FRAMES_QOS)
+    publisher_of(others, KeyValue, "other_words", FRAMES_QOS)
     assert graph.spin_until(lambda: listening.count_publishers("/radar/words") == 1, TIMEOUT_S)
     said = "waiting for /words (there is /radar/words: is the namespace right?)"
     assert state(graph, listening)[:2] == (DiagnosticStatus.STALE, said)
-    others.create_publisher(String, "/words", FRAMES_QOS)
+    publisher_of(others, KeyValue, "/words", FRAMES_QOS)
     assert graph.spin_until(lambda: listening.is_ready, TIMEOUT_S)
     assert state(graph, listening)[:2] == (DiagnosticStatus.STALE, "waiting for /words")
 
@@ -259,12 +261,12 @@ def test_a_topic_that_is_published_in_another_namespace_is_named(graph: Graph, l
 def test_two_sources_of_odometry_are_named(graph: Graph) -> None:
     node = graph.add(SarCompression(context=graph.context))
     sources = [graph.add(Node(name, context=graph.context)) for name in ("one", "other")]
-    publishers = [source.create_publisher(Odometry, "platform/odometry", ODOMETRY_QOS) for source in sources]
+    publishers = [publisher_of(source, Odometry, "platform/odometry", ODOMETRY_QOS) for source in sources]
     assert graph.spin_until(lambda: bool(node.source_warning), TIMEOUT_S)
     level, message, *_ = state(graph, node)
     assert level == DiagnosticStatus.WARN
     assert message == "2 nodes publish /platform/odometry: stop all but one. 0 dropped or ignored in all"
-    sources[1].destroy_publisher(publishers[1])
+    sources[1].destroy_publisher(publishers[1]._publisher)
     assert graph.spin_until(lambda: not node.source_warning, TIMEOUT_S)
     assert state(graph, node)[0] == DiagnosticStatus.STALE
 

@@ -9,21 +9,21 @@ from typing import Any
 import numpy as np
 import pytest
 from chain_fixture import DETECTORS, START_NS, Chain, same_heights
-from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
+from helpers import publisher_of
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from sal_height_msgs.msg import HeightImage
 from scipy.spatial.transform import Rotation
 
 from sal_height import messages
 from sal_height.errors import UserError
 from sal_height.geometry import Mounting
+from sal_height.messages.types import HeightImage, Quaternion, TFMessage, TransformStamped, Vector3
 from sal_height.nodes import static_frames
 from sal_height.nodes.domain import free_domain
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.sar_compression import SarCompression
 from sal_height.nodes.static_frames import StaticFrames
-from sal_height.nodes.transforms import TF_STATIC_QOS, TFMessage
+from sal_height.nodes.transforms import TF_STATIC_QOS, has_transforms
 
 IMAGE = {"rows": 46, "cols": 12}
 NEEDS_TF2 = "tf2_msgs is not on PyPI; a ROS installation has it"
@@ -111,7 +111,7 @@ def test_no_more_frames_are_held_than_a_platform_has(monkeypatch: pytest.MonkeyP
     assert frames.place("sensor", "base_link").translation[0] == 1.0
 
 
-@pytest.mark.skipif(TFMessage is not None, reason="there is a ROS installation with tf2_msgs")
+@pytest.mark.skipif(has_transforms(), reason="there is a ROS installation with tf2_msgs")
 def test_without_tf2_msgs_the_node_says_what_is_missing(graph: Graph) -> None:
     with pytest.raises(UserError, match="mounting_from_tf needs the package tf2_msgs"):
         SarCompression(context=graph.context, parameter_overrides=[Parameter("mounting_from_tf", value=True)])
@@ -131,7 +131,7 @@ def from_tf(graph: Graph, flight: Any) -> Chain:
 def broadcast(chain: Chain, *transforms: TransformStamped) -> None:
     """Publish transforms as a node does that knows no more of the platform."""
     node = chain.graph.add(Node("broadcaster", context=chain.graph.context))
-    publisher = node.create_publisher(TFMessage, "/tf_static", TF_STATIC_QOS)
+    publisher = publisher_of(node, TFMessage, "/tf_static", TF_STATIC_QOS)
     publisher.publish(TFMessage(transforms=transforms))
 
 

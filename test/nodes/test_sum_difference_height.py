@@ -11,12 +11,12 @@ import pytest
 from chain_fixture import ESTIMATORS, Chain
 from helpers import assert_one_sentence
 from rclpy.parameter import Parameter
-from sal_height_msgs.msg import HeightImage
 
 from sal_height import messages
 from sal_height.elevation.estimate import Validity
 from sal_height.errors import UserError
 from sal_height.messages.provenance import recorded
+from sal_height.messages.types import HeightImage
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.height import HEIGHT_NODES
 from sal_height.simulation.flight import SimulatedFlight

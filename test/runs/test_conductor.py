@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import array
 import dataclasses
 import errno
 import json
@@ -16,13 +15,20 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from nav_msgs.msg import Odometry
+from helpers import publisher_of
 from rclpy.node import Node
-from sal_height_msgs.msg import ChannelFrame, NodeAccount, SensorInfo
 
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
+from sal_height.messages.types import (
+    ChannelFrame,
+    DiagnosticArray,
+    DiagnosticStatus,
+    KeyValue,
+    NodeAccount,
+    Odometry,
+    SensorInfo,
+)
 from sal_height.nodes.account import Account
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.height import HEIGHT_NODES, HeightNode
@@ -62,7 +68,7 @@ def status(name: str, **values: object) -> DiagnosticStatus:
 
 def test_diagnostics_of_others_are_ignored(graph: Graph) -> None:
     watching = graph.add(Conductor(plan_of(["monopulse"]), context=graph.context))
-    publisher = graph.add(Node("stages", context=graph.context)).create_publisher(DiagnosticArray, "/diagnostics", 10)
+    publisher = publisher_of(graph.add(Node("stages", context=graph.context)), DiagnosticArray, "/diagnostics", 10)
     assert graph.spin_until(lambda: publisher.get_subscription_count() == 1, 10)
     ours = [status("recorder", unwritten=0), status("simulator", **{"in": 1, "out": 8, "waiting": 0, "note": "slow"})]
     foreign = [
@@ -74,31 +80,27 @@ def test_diagnostics_of_others_are_ignored(graph: Graph) -> None:
     publisher.publish(DiagnosticArray(status=[*ours, *foreign, end]))
     assert graph.spin_until(lambda: "monopulse" in watching.accounts, 10)
     assert {name: account.numbers for name, account in watching.accounts.items()} == {
-        "recorder": {"unwritten": 0.0},
-        "simulator": {"in": 1.0, "out": 8.0, "waiting": 0.0},
-        "monopulse": {"in": 8.0, "out": 1.0, "waiting": 0.0},
+        "recorder": {"unwritten": 0},
+        "simulator": {"in": 1, "processed": 0, "out": 8, "waiting": 0, "jobs": 0, "ready": 0},
+        "monopulse": {"in": 8, "processed": 0, "out": 1, "waiting": 0, "jobs": 0, "ready": 0},
     }
 
 
-def test_what_a_node_does_not_tell_is_as_it_was_told_before(graph: Graph) -> None:
-    """After a piece of work it tells the counts alone; those of others are ignored."""
+def test_accounts_of_others_are_ignored(graph: Graph) -> None:
     watching = graph.add(Conductor(plan_of(["monopulse"]), in_steps=True, context=graph.context))
-    publisher = graph.add(Node("stages", context=graph.context)).create_publisher(NodeAccount, "/progress", 10)
+    publisher = publisher_of(graph.add(Node("stages", context=graph.context)), NodeAccount, "/progress", 10)
     assert graph.spin_until(lambda: publisher.get_subscription_count() == 1, 10)
-    for node, whole, numbers in (
-        ("monopulse", True, {"in": 0, "waiting": 0, "ready": 1, "cpu_s": 0.5}),
-        ("player", True, {"in": 1, "waiting": 0}),
-        ("monopulse", False, {"in": 8, "waiting": 0, "latency_p50_ms": math.nan}),
-        ("simulator", True, {"temperature": 40}),
-        ("recorder", True, {"unwritten": 0}),
+    for account in (
+        NodeAccount(node="monopulse", ready=True, latency_p50_ms=math.nan),
+        NodeAccount(node="player", received=1),
+        NodeAccount(node="monopulse", received=8, ready=True, cpu_s=0.5, latency_p50_ms=math.nan),
+        NodeAccount(node="recorder"),
     ):
-        values = array.array("d", [*map(float, numbers.values()), 7.0])  # one more than there are names
-        publisher.publish(NodeAccount(node=node, whole=whole, names=list(numbers), numbers=values))
+        publisher.publish(account)
     assert graph.spin_until(lambda: "recorder" in watching.accounts, 10)
-    assert {name: account.numbers for name, account in watching.accounts.items()} == {
-        "recorder": {"unwritten": 0.0},
-        "monopulse": {"in": 8.0, "waiting": 0.0, "ready": 1.0, "cpu_s": 0.5},
-    }
+    assert watching.accounts.keys() == {"monopulse", "recorder"}
+    known = watching.accounts["monopulse"]
+    assert (known.received, known.ready, known.cpu_s) == (8, True, 0.5)
 
 
 def test_a_dwell_is_settled_when_its_heights_are_in_the_map(graph: Graph) -> None:
@@ -107,24 +109,26 @@ def test_a_dwell_is_settled_when_its_heights_are_in_the_map(graph: Graph) -> Non
     watching = graph.add(Conductor(plan, context=graph.context))
 
     def recorded(count: int) -> Account:
-        return Account({"unwritten": 0, "recorded./monopulse/height": count})
+        return Account.of_numbers({"unwritten": 0, "recorded./monopulse/height": count})
 
     before = {
         "recorder": recorded(1),
-        "simulator": Account({"in": 0, "waiting": 0, "published./phase_history": 8, "published./platform/odometry": 9}),
-        "sar_compression": Account({"in": 8, "waiting": 0, "published./slc": 8}),
-        "monopulse": Account({"in": 8, "waiting": 0, "published./monopulse/height": 1}),
-        "ml_height": Account({"in": 8, "waiting": 0, "published./ml/height": 0}),
-        "relief_mapper": Account({"in": 1, "waiting": 0}),
+        "simulator": Account.of_numbers(
+            {"in": 0, "waiting": 0, "published./phase_history": 8, "published./platform/odometry": 9}
+        ),
+        "sar_compression": Account.of_numbers({"in": 8, "waiting": 0, "published./slc": 8}),
+        "monopulse": Account.of_numbers({"in": 8, "waiting": 0, "published./monopulse/height": 1}),
+        "ml_height": Account.of_numbers({"in": 8, "waiting": 0, "published./ml/height": 0}),
+        "relief_mapper": Account.of_numbers({"in": 1, "waiting": 0}),
     }
     watching.accounts = before
     assert watching.settled()
     for name, changed in (
-        ("relief_mapper", Account({"in": 0, "waiting": 0})),
-        ("relief_mapper", Account({"in": 1, "waiting": 1})),
-        ("relief_mapper", Account({"in": 2, "waiting": 0})),
-        ("simulator", Account({"in": 1, "waiting": 0, "published./phase_history": 8})),
-        ("simulator", Account({"in": 0, "waiting": 0, "published./phase_history": 16})),
+        ("relief_mapper", Account.of_numbers({"in": 0, "waiting": 0})),
+        ("relief_mapper", Account.of_numbers({"in": 1, "waiting": 1})),
+        ("relief_mapper", Account.of_numbers({"in": 2, "waiting": 0})),
+        ("simulator", Account.of_numbers({"in": 1, "waiting": 0, "published./phase_history": 8})),
+        ("simulator", Account.of_numbers({"in": 0, "waiting": 0, "published./phase_history": 16})),
         ("recorder", recorded(0)),
     ):
         watching.accounts = {**before, name: changed}
@@ -137,13 +141,15 @@ def test_what_got_lost_on_the_way_is_not_waited_for_and_is_dropped_in_the_end(gr
     watching = graph.add(Conductor(plan, context=graph.context))
     latched = {"recorded./sensor_info": 1, "missed./sensor_info": 1, "missed./diagnostics": 5}  # which is no loss
     watching.accounts = before = {
-        "recorder": Account({"unwritten": 0, "recorded./slc": 6, "missed./slc": 2, **latched}),
-        "simulator": Account({"in": 0, "waiting": 0, "published./phase_history": 16}),
-        "sar_compression": Account({"in": 11, "waiting": 0, "missed./phase_history": 5, "published./slc": 8}),
+        "recorder": Account.of_numbers({"unwritten": 0, "recorded./slc": 6, "missed./slc": 2, **latched}),
+        "simulator": Account.of_numbers({"in": 0, "waiting": 0, "published./phase_history": 16}),
+        "sar_compression": Account.of_numbers(
+            {"in": 11, "waiting": 0, "missed./phase_history": 5, "published./slc": 8}
+        ),
     }
     assert watching.settled()
     for name, missed in (("recorder", "missed./slc"), ("sar_compression", "missed./phase_history")):
-        watching.accounts = {**before, name: Account({**before[name].numbers, missed: 1})}
+        watching.accounts = {**before, name: Account.of_numbers({**before[name].numbers, missed: 1})}
         assert not watching.settled(), name
     watching.accounts = before
     final = watching.final_accounts()
@@ -160,15 +166,17 @@ def test_a_calibration_is_settled_when_all_have_it_and_is_no_dwell(graph: Graph)
     watching = graph.add(Conductor(plan, context=graph.context))
     watching._steps = 3
     watching.accounts = before = {
-        "recorder": Account({"unwritten": 0, "recorded./calibration": 2}),
-        "player": Account({"in": 3, "waiting": 0, "published./phase_history": 8, "calibrations": 2, "dwells": 1}),
-        "sar_compression": Account({"in": 8, "waiting": 0, "published./slc": 8, "calibrations": 2}),
-        "monopulse": Account({"in": 8, "waiting": 0, "calibrations": 3}),  # and one of another node's
+        "recorder": Account.of_numbers({"unwritten": 0, "recorded./calibration": 2}),
+        "player": Account.of_numbers(
+            {"in": 3, "waiting": 0, "published./phase_history": 8, "calibrations": 2, "dwells": 1}
+        ),
+        "sar_compression": Account.of_numbers({"in": 8, "waiting": 0, "published./slc": 8, "calibrations": 2}),
+        "monopulse": Account.of_numbers({"in": 8, "waiting": 0, "calibrations": 3}),  # and one of another node's
     }
     assert watching.settled()
     assert watching.played == 1
     for name, key in (("recorder", "recorded./calibration"), ("sar_compression", "calibrations")):
-        watching.accounts = {**before, name: Account({**before[name].numbers, key: 1})}
+        watching.accounts = {**before, name: Account.of_numbers({**before[name].numbers, key: 1})}
         assert not watching.settled(), name
 
 
@@ -197,9 +205,9 @@ def test_no_dwell_is_asked_for_before_all_nodes_know_the_sensor(
 def test_a_dwell_is_not_settled_before_its_sensor_is_recorded(graph: Graph) -> None:
     """A bag that does not say of which sensor it is cannot be replayed."""
     watching = graph.add(Conductor(plan_of(["sar_compression"], recorded=["sensor_info"]), context=graph.context))
-    others = {"simulator": Account({"published./slc": 0}), "sar_compression": Account({})}
+    others = {"simulator": Account.of_numbers({"published./slc": 0}), "sar_compression": Account.of_numbers({})}
     for count in (0, 1):
-        watching.accounts = {**others, "recorder": Account({"recorded./sensor_info": count})}
+        watching.accounts = {**others, "recorder": Account.of_numbers({"recorded./sensor_info": count})}
         assert watching.settled() == bool(count)
 
 
@@ -345,7 +353,7 @@ def test_a_dead_node_ends_the_wait_for_a_step(
 def test_a_publisher_of_any_input_is_refused(
     topic: str, graph: Graph, beside: Execution, two_dwells: Preset, tmp_path: Path
 ) -> None:
-    graph.add(Node("other", context=graph.context)).create_publisher(INPUTS[topic], topic, 1)
+    publisher_of(graph.add(Node("other", context=graph.context)), INPUTS[topic], topic, 1)
     with pytest.raises(UserError, match=f"on /{topic} in this ROS domain; .* another domain"):
         run(two_dwells, SEED, tmp_path / "run", {}, beside)
 
@@ -366,7 +374,7 @@ def test_a_sensor_that_comes_later_is_refused(
     def with_company(self: Conductor, *arguments: Any) -> Any:
         if not publishers:
             node = graph.add(Node("other", context=graph.context))
-            publishers.append(node.create_publisher(ChannelFrame, "phase_history", 1))
+            publishers.append(publisher_of(node, ChannelFrame, "phase_history", 1))
         return original(self, *arguments)
 
     monkeypatch.setattr(Conductor, moment, with_company)

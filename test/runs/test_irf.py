@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 from helpers import assert_one_sentence, make_aperture, make_sensor
 from matplotlib.image import imread
-from rclpy.serialization import serialize_message
-from sal_height_msgs.msg import ChannelFrame, Provenance
 
 from sal_height import messages
 from sal_height.bag.writer import BagWriter
 from sal_height.commands import main
 from sal_height.geometry.grid import Grid
 from sal_height.imaging.focus import Slc
+from sal_height.messages import serialize
+from sal_height.messages.types import ChannelFrame, Provenance
 from sal_height.runs import irf as irf_module
 
-REFERENCE = Path(__file__).parents[2] / "bags" / "version_2"
+REFERENCE = Path(__file__).parents[2] / "bags" / "version_3"
 
 ROWS, COLS = 60, 80
 CELLS = (1.6, 2.2)
@@ -54,14 +54,14 @@ def write_bag(path: Path, dwells: int = 2, info: bool = True, **changes: Any) ->
         bag.add_topic("/sensor_info", "sal_height_msgs/msg/SensorInfo")
         bag.add_topic("/slc", "sal_height_msgs/msg/ComplexImage")
         if info:
-            bag.write("/sensor_info", serialize_message(messages.sensor_to_message(sensor, stamp)), 0, 0)
+            bag.write("/sensor_info", serialize(messages.sensor_to_message(sensor, stamp)), 0, 0)
         for dwell in range(dwells):
             frame, provenance = ChannelFrame(dwell=dwell), Provenance(config_hash=sensor.config_hash)
             image = Slc(slc, GRID, aperture, np.zeros(3), np.zeros(3))
             for message in messages.slc_to_messages(image, frame, provenance):
                 for name, value in changes.items():
                     setattr(message, name, value)
-                bag.write("/slc", serialize_message(message), dwell + 1, dwell + 1)
+                bag.write("/slc", serialize(message), dwell + 1, dwell + 1)
     return path
 
 

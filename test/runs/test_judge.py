@@ -6,10 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from PIL import Image
-from rclpy.serialization import serialize_message
-from sal_height_msgs.msg import HeightImage, Surface
 
 from sal_height.bag.compare import CHANGED, EQUAL, WITHIN, Comparison, compare_bags
 from sal_height.bag.reader import BagReader
@@ -17,6 +14,8 @@ from sal_height.bag.tolerance import Tolerance, Tolerances
 from sal_height.bag.topics import HEIGHT_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
+from sal_height.messages import serialize
+from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, HeightImage, KeyValue, Surface
 from sal_height.runs.judge import PICTURE, as_json, draw_worst_dwell, topics_to_compare, verdict_of
 
 ROWS, COLS = 8, 6
@@ -31,10 +30,10 @@ def write(folder: Path, heights: dict[int, np.ndarray], latency_ms: float = 5.0)
             message = HeightImage(dwell=dwell, validity=np.zeros(values.size, np.uint8))
             message.grid.rows, message.grid.cols = values.shape
             message.surfaces = [Surface(height=values.ravel().astype(np.float32))]
-            bag.write("/ml/height", serialize_message(message), dwell, dwell)
+            bag.write("/ml/height", serialize(message), dwell, dwell)
         for time, latency in ((0, 1.0), (99, latency_ms)):
             status = DiagnosticStatus(name="ml_height", values=[KeyValue(key="latency_p50_ms", value=str(latency))])
-            bag.write("/diagnostics", serialize_message(DiagnosticArray(status=[status])), time, time)
+            bag.write("/diagnostics", serialize(DiagnosticArray(status=[status])), time, time)
     return BagReader(folder)
 
 

@@ -50,11 +50,11 @@ def test_the_next_dwell_is_asked_for_when_all_nodes_are_done_with_all_but_the_la
     watching, lead = graph.add(Conductor(plan, context=graph.context)), Lead(2, CHANNELS)
     watching._steps = 3
     watching.accounts = before = {
-        "recorder": Account({"unwritten": 0, "recorded./phase_history": 8}),
-        "player": Account({"in": 3, "waiting": 0, "published./phase_history": 24}),
-        "sar_compression": Account({"in": 24, "waiting": 16, "published./slc": 8}),
-        "ml_height": Account({"in": 8, "waiting": 0, "published./ml/height": 1}),
-        "relief_tracker": Account({"in": 1, "waiting": 0}),
+        "recorder": Account.of_numbers({"unwritten": 0, "recorded./phase_history": 8}),
+        "player": Account.of_numbers({"in": 3, "waiting": 0, "published./phase_history": 24}),
+        "sar_compression": Account.of_numbers({"in": 24, "waiting": 16, "published./slc": 8}),
+        "ml_height": Account.of_numbers({"in": 8, "waiting": 0, "published./ml/height": 1}),
+        "relief_tracker": Account.of_numbers({"in": 1, "waiting": 0}),
     }
     assert watching.caught_up(lead)
     assert not watching.caught_up(IN_STEP)
@@ -67,7 +67,7 @@ def test_the_next_dwell_is_asked_for_when_all_nodes_are_done_with_all_but_the_la
         ("ml_height", {"in": 8, "waiting": 1, "published./ml/height": 1}),
         ("relief_tracker", {"in": 0, "waiting": 0}),
     ):
-        watching.accounts = {**before, name: Account(changed)}
+        watching.accounts = {**before, name: Account.of_numbers(changed)}
         assert not watching.caught_up(lead), (name, changed)
 
 

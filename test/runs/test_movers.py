@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import assert_one_sentence
-from nav_msgs.msg import Odometry
-from rclpy.serialization import deserialize_message, serialize_message
 from rewritten_bag import rewritten
 
 from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.errors import UserError
+from sal_height.messages import deserialize, serialize
+from sal_height.messages.types import Odometry
 from sal_height.runs.movers import find_in_bag
 from sal_height.runs.replay import replay
 from sal_height.runs.sensor_bag import record_sensor
@@ -32,9 +32,9 @@ def without_covariance(one: BagMessage, _number: int) -> BagMessage:
     """The message; odometry with covariances that are not finite."""
     if one.topic != "/platform/odometry":
         return one
-    state = deserialize_message(one.cdr, Odometry)
+    state = deserialize(one.cdr, Odometry)
     state.pose.covariance = np.full(36, np.nan)
-    return one._replace(cdr=serialize_message(state))
+    return one._replace(cdr=serialize(state))
 
 
 def recorded(folder: Path, preset: str, **changes: object) -> Path:

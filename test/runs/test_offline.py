@@ -10,9 +10,7 @@ from typing import Any
 import made_offline
 import pytest
 from helpers import assert_one_sentence
-from rclpy.serialization import serialize_message
 from rewritten_bag import rewritten
-from sal_height_msgs.msg import Calibration
 
 from sal_height.bag.compare import CHANGED, EQUAL
 from sal_height.bag.namespace import NamespacedReader
@@ -20,6 +18,8 @@ from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.bag.tolerance import ROUNDING
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
+from sal_height.messages import serialize
+from sal_height.messages.types import Calibration
 from sal_height.runs import offline
 from sal_height.runs.campaign import Case, plan
 from sal_height.runs.flight_record import FlightRecord
@@ -147,13 +147,13 @@ def test_the_first_of_contradictory_descriptions_stays_in_force_and_those_that_a
 ) -> None:
     message, info = of_topic(BagReader(recorded / "bag"), "/sensor_info")
     info.waveform.wavelength *= 2
-    contradiction = message._replace(cdr=serialize_message(info), log_time_ns=message.log_time_ns + 1)
+    contradiction = message._replace(cdr=serialize(info), log_time_ns=message.log_time_ns + 1)
     info.waveform.wavelength = math.nan
     bag = with_more(
         recorded / "bag",
         tmp_path / "disputed",
         contradiction,
-        message._replace(cdr=serialize_message(info), log_time_ns=message.log_time_ns + 2),
+        message._replace(cdr=serialize(info), log_time_ns=message.log_time_ns + 2),
     )
     assert set(made_offline.compared(bag, tmp_path).values()) == {(EQUAL, 2)}
     (warning,) = json.loads(made_offline.make(bag, tmp_path / "again", 1)["warnings"])
@@ -163,7 +163,7 @@ def test_the_first_of_contradictory_descriptions_stays_in_force_and_those_that_a
 def test_a_calibration_that_cannot_be_used_is_told(recorded: Path, tmp_path: Path) -> None:
     first, bare = next(BagReader(recorded / "bag").messages()), Calibration(id="bare", config_hash="of nothing")
     times = first.log_time_ns, first.publish_time_ns
-    one = BagMessage("/calibration", "sal_height_msgs/msg/Calibration", serialize_message(bare), *times)
+    one = BagMessage("/calibration", "sal_height_msgs/msg/Calibration", serialize(bare), *times)
     bag = with_more(recorded / "bag", tmp_path / "uncalibrated", one)
     row = made_offline.make(bag, tmp_path, 1, sar_compression={"calibration": "topic"})
     assert (row["images"], row["dropped"]) == (6, 0)
@@ -184,7 +184,7 @@ def test_a_bag_without_a_frame_that_can_be_read_is_refused(recorded: Path, tmp_p
 def test_a_bag_with_a_strip_among_its_sensors_is_one_part(recorded: Path, tmp_path: Path) -> None:
     message, info = of_topic(BagReader(recorded / "bag"), "/sensor_info")
     info.config_hash, info.mode = "strip", "stripmap"
-    bag = with_more(recorded / "bag", tmp_path / "both", message._replace(cdr=serialize_message(info)))
+    bag = with_more(recorded / "bag", tmp_path / "both", message._replace(cdr=serialize(info)))
     assert len(plan(Case(bag, tmp_path / "out", {}, {}), 1).works) == 1
     assert len(plan(Case(recorded / "bag", tmp_path / "out", {}, {}), 1).works) == 2
 

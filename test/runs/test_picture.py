@@ -7,16 +7,15 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from matplotlib.colors import Normalize
 from PIL import Image
-from rclpy.serialization import serialize_message
 
+from sal_height.bag import qos
 from sal_height.bag.writer import BagWriter
 from sal_height.elevation import ESTIMATORS
 from sal_height.geometry.grid import Grid
-from sal_height.nodes.account import LATENCY_P50, LATENCY_P95
-from sal_height.nodes.stage import FRAMES_QOS
+from sal_height.messages import serialize
+from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, KeyValue
 from sal_height.relief import GroundEstimate, HeightField, Surface
 from sal_height.runs.calibration_picture import beyond_error
 from sal_height.runs.campaign_picture import _style
@@ -250,16 +249,16 @@ def test_shares_of_cells_are_of_those_chosen() -> None:
 def test_latencies_of_a_bag_are_those_that_nodes_told_over_time(tmp_path: Path) -> None:
     """Two nodes, of which one tells no latency before the second time; a third tells none at all."""
     with BagWriter(tmp_path / "run" / "bag") as bag:
-        bag.add_topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", [FRAMES_QOS])
+        bag.add_topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", [qos.FRAMES])
         for step, told in enumerate(
             ({"ml_height": (4.0, 9.0), "sink": None}, {"ml_height": (5.0, 8.0), "map": (1.0, 2.0)})
         ):
             states = []
             for name, numbers in told.items():
-                values = zip((LATENCY_P50, LATENCY_P95), numbers or (), strict=False)
+                values = zip(("latency_p50_ms", "latency_p95_ms"), numbers or (), strict=False)
                 states.append(DiagnosticStatus(name=name, values=[KeyValue(key=k, value=str(v)) for k, v in values]))
             stamp = 10**9 + step * 500_000_000
-            bag.write("/diagnostics", serialize_message(DiagnosticArray(status=states)), stamp, stamp)
+            bag.write("/diagnostics", serialize(DiagnosticArray(status=states)), stamp, stamp)
     found = told_latencies(tmp_path / "run" / "bag")
     assert found.keys() == {"ml_height", "map"}
     np.testing.assert_allclose(found["ml_height"], [[0.0, 0.5], [4.0, 5.0], [9.0, 8.0]])

@@ -12,15 +12,15 @@ import pytest
 import rasterio
 from helpers import assert_one_sentence
 from rasterio.transform import Affine
-from rclpy.serialization import serialize_message
 from rosbags.highlevel import AnyReader
 
 from sal_height import messages
+from sal_height.bag import qos
 from sal_height.bag.namespace import open_bag
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.geometry import Origin, Projection, sphere_point
-from sal_height.nodes.stage import LATCHED_QOS
+from sal_height.messages import serialize
 from sal_height.runs.entry import FROM_HEIGHTS, Part, origin_of
 from sal_height.runs.replay import replay
 from sal_height.runs.replay_parameters import recorded_parameters
@@ -86,9 +86,9 @@ def test_a_bag_without_parameters_is_placed_by_its_topic(tmp_path: Path, caplog:
     empty = messages.origin_to_message(Origin(0.0, 0.0, 0.0), messages.to_stamp(5), "map")
     good = messages.origin_to_message(ORIGIN, messages.to_stamp(6), "map")
     with BagWriter(tmp_path / "bag", {}) as bag:
-        bag.add_topic("/map_origin", "sensor_msgs/msg/NavSatFix", [LATCHED_QOS])
+        bag.add_topic("/map_origin", "sensor_msgs/msg/NavSatFix", [qos.LATCHED])
         for stamp_ns, message in enumerate((empty, good)):
-            bag.write("/map_origin", serialize_message(message), stamp_ns, stamp_ns)
+            bag.write("/map_origin", serialize(message), stamp_ns, stamp_ns)
     reader = open_bag(tmp_path / "bag", None, ["/map_origin"])
     with caplog.at_level(logging.WARNING):
         values = recorded_parameters(reader)

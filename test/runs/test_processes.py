@@ -12,7 +12,7 @@ import pytest
 
 from sal_height.commands import main
 
-REFERENCE = Path(__file__).parents[2] / "bags" / "version_2"
+REFERENCE = Path(__file__).parents[2] / "bags" / "version_3"
 
 PRELUDE = """
 import json, os, signal, sys, threading

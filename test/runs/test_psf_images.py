@@ -14,8 +14,6 @@ from helpers import assert_one_sentence, make_aperture, make_sensor
 from matplotlib.backend_bases import RendererBase
 from matplotlib.figure import Figure
 from matplotlib.image import imread
-from rclpy.serialization import serialize_message
-from sal_height_msgs.msg import ChannelFrame, Provenance
 
 from sal_height import messages
 from sal_height.bag.writer import BagWriter
@@ -25,6 +23,8 @@ from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Saturati
 from sal_height.geometry.grid import Grid
 from sal_height.imaging.focus import Slc
 from sal_height.imaging.pixels import azimuth_resolution
+from sal_height.messages import serialize
+from sal_height.messages.types import ChannelFrame, Provenance
 from sal_height.numeric.fft import frequencies
 from sal_height.numeric.windows import window
 from sal_height.response.impulse import measure_brightest
@@ -257,7 +257,7 @@ def write_bag(path: Path, dwells: int = 2, stretched: float = 1.0, made: dict[st
     with BagWriter(path) as bag:
         bag.add_topic("/sensor_info", "sal_height_msgs/msg/SensorInfo")
         bag.add_topic("/slc", "sal_height_msgs/msg/ComplexImage")
-        bag.write("/sensor_info", serialize_message(messages.sensor_to_message(sensor, messages.to_stamp(0))), 0, 0)
+        bag.write("/sensor_info", serialize(messages.sensor_to_message(sensor, messages.to_stamp(0))), 0, 0)
         for dwell in range(dwells):
             spacing = GRID.col_spacing * (stretched if dwell == dwells - 1 else 1)
             grid = Grid(GRID.origin, GRID.row_direction, GRID.col_direction, GRID.row_spacing, spacing, *GRID.shape)
@@ -268,7 +268,7 @@ def write_bag(path: Path, dwells: int = 2, stretched: float = 1.0, made: dict[st
             provenance.parameters = messages.with_stage([], "sar_compression", made or {})
             image = Slc(slc.astype(np.complex64), grid, aperture, np.zeros(3), np.zeros(3))
             for message in messages.slc_to_messages(image, frame, provenance):
-                bag.write("/slc", serialize_message(message), dwell + 1, dwell + 1)
+                bag.write("/slc", serialize(message), dwell + 1, dwell + 1)
     return path
 
 

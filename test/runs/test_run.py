@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import array
 import dataclasses
 import json
 import signal
@@ -159,9 +158,7 @@ def test_the_power_of_an_image_is_the_sum_of_that_of_its_surfaces(recorded: Path
     np.testing.assert_allclose(level[~several], first[~several], atol=1e-6)
     image.surfaces = [image.surfaces[0], image.surfaces[0]]
     there = field.validity == Validity.OK
-    image.validity = array.array(
-        "B", np.where(there, Validity.TWO_SCATTERERS, field.validity).astype(np.uint8).tobytes()
-    )
+    image.validity = np.where(there, Validity.TWO_SCATTERERS, field.validity).astype(np.uint8).ravel()
     np.testing.assert_allclose(powers_db(image)[there], first[there] + 10 * np.log10(2), atol=1e-5)
 
 

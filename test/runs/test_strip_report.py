@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers import blocks
-from sal_height_msgs.msg import ComplexImage, HeightImage, Provenance
 
 from sal_height import messages
 from sal_height.elevation.looks import look_grid
@@ -16,6 +15,7 @@ from sal_height.geometry.frames import aperture_at
 from sal_height.geometry.locate import locate_at_elevation
 from sal_height.imaging.pixels import azimuth_resolution, slant_plane_grid
 from sal_height.messages import to_floats
+from sal_height.messages.types import ComplexImage, HeightImage, Provenance
 from sal_height.relief.heights import HeightField, Surface
 from sal_height.runs.report import mosaic, statistics
 from sal_height.simulation.flight import SimulatedFlight

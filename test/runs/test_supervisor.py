@@ -17,13 +17,14 @@ from typing import Any
 
 import pytest
 from rclpy.node import Node
-from sal_height_msgs.msg import HeightImage
 from std_srvs.srv import Trigger
 
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
+from sal_height.messages.types import HeightImage
 from sal_height.nodes.domain import free_domain
 from sal_height.nodes.graph import Graph
+from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.stage import FRAMES_QOS
 from sal_height.runs.account_book import AccountBook
 from sal_height.runs.ensemble import Member
@@ -143,7 +144,7 @@ class Program:
     @property
     def recorded(self) -> int:
         """Number of heights that all processes of the recorder have written."""
-        return self.book.entries["lidar/recorder"].account.count("recorded./lidar/ml/height")
+        return self.book.entries["lidar/recorder"].account.recorded.get("lidar/ml/height", 0)
 
     def node(self, name: str) -> int:
         """Number of the process of a node; 0: there is none."""
@@ -217,7 +218,7 @@ def _listener(graph: Graph, stamps: dict[str, list[int]], namespace: str) -> Nod
         return keep
 
     for topic in stamps:
-        node.create_subscription(HeightImage, f"{namespace}/{topic}", keeper(topic), FRAMES_QOS)
+        subscribe(node, HeightImage, f"{namespace}/{topic}", keeper(topic), FRAMES_QOS)
     return node
 
 
@@ -272,10 +273,10 @@ def test_at_the_end_files_are_whole_and_restarts_are_told(program: Program) -> N
     program.await_new("ml/height")
     never.wait(1.2)  # the recorder hands what it has to the system within a second
     mapper = program.book.entries["lidar/relief_mapper"]
-    before = mapper.account.count("processed")
+    before = mapper.account.processed
     names = {Path(f"/proc/{pid}/comm").read_text().strip() for pid in children(program.process.pid)}
     assert names == {name[:15] for name in NODES}
-    program.wait_for(lambda: mapper.account.count("processed") > before)
+    program.wait_for(lambda: mapper.account.processed > before)
     program.process.send_signal(signal.SIGINT)
     said, errors = program.process.communicate(timeout=DEADLINE_S)
     assert program.process.returncode == 0, errors

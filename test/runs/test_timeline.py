@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from sal_height_msgs.msg import SensorInfo
 from written_bag import calibration, changed, frame, heights, key, told, written
 
+from sal_height.messages.types import SensorInfo
 from sal_height.runs.timeline import Timeline, timeline_of
 
 LOOKS = ("ml_height", "range_looks")

@@ -8,10 +8,10 @@ import sys
 from collections.abc import Callable
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rich.console import Console
 
 from sal_height.commands import main
+from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, KeyValue
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.relief_tracker import ReliefTracker
 from sal_height.nodes.sar_compression import SarCompression
@@ -50,7 +50,7 @@ def test_a_node_that_was_started_again_goes_on_counting_and_its_rates_begin_anew
     book.take(told("ml_height", **{"in": 2, "processed": 2, "waiting": 0, "cpu_s": 1.0, "pid": 2}), 5.0)
     entry = book.entries["ml_height"]
     assert entry.lives == 2
-    assert (entry.account.received, entry.account.count("processed")) == (10, 7)
+    assert (entry.account.received, entry.account.processed) == (10, 7)
     assert entry.account.dropped == {"lost with its process": 3}
     assert entry.cpu_per_second == 0.0
     assert "ml_height was started 2 times." in drawn(book, 5.0)

@@ -7,12 +7,11 @@ from collections import Counter
 from collections.abc import Callable
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
-from nav_msgs.msg import Odometry
+from helpers import publisher_of
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from sal_height_msgs.msg import ComplexImage, HeightImage
 
+from sal_height.messages.types import ComplexImage, DiagnosticArray, HeightImage, Odometry
 from sal_height.nodes.graph import Graph
 from sal_height.view.drawings import Heard
 from sal_height.view.listener import ITEM_BYTES, LOST, TOO_SLOW, Listener
@@ -43,7 +42,7 @@ def heard_within(listener: Listener, enough: Callable[[], bool], take: Callable[
 def test_sensors_of_a_namespace_are_heard_whatever_their_quality_of_service(graph: Graph, domain_id: int) -> None:
     source = graph.add(Node("source", context=graph.context))
     others = {"/uav2/ml/height": (HeightImage, RELIABLE), "/uav1/phase": (Odometry, RELIABLE)}
-    publishers = {t: source.create_publisher(kind, t, qos) for t, (kind, qos) in (SENSOR | others).items()}
+    publishers = {t: publisher_of(source, kind, t, qos) for t, (kind, qos) in (SENSOR | others).items()}
     got: Counter[str] = Counter()
 
     def take(heard: Heard) -> None:
@@ -67,7 +66,7 @@ def test_a_viewer_that_takes_nothing_costs_the_oldest_messages_and_the_publisher
     graph: Graph, domain_id: int
 ) -> None:
     source = graph.add(Node("source", context=graph.context))
-    publisher = source.create_publisher(HeightImage, "ml/height", RELIABLE)
+    publisher = publisher_of(source, HeightImage, "ml/height", RELIABLE)
     image = HeightImage(validity=bytes(20_000))
     count, room = 200, 10
     with Listener("", room * (20_000 + 2 * ITEM_BYTES), domain_id) as listener:

@@ -17,17 +17,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import assert_one_sentence
-from nav_msgs.msg import Odometry
+from helpers import assert_one_sentence, publisher_of
 from rclpy.node import Node
-from sal_height_msgs.msg import HeightImage
 
 from benchmarks.hostile_messages import hostile
+from sal_height.bag import qos
 from sal_height.bag.reader import BagReader
 from sal_height.bag.writer import BagWriter
 from sal_height.commands import main
 from sal_height.errors import UserError
 from sal_height.messages import field_from_message, to_ns
+from sal_height.messages.types import HeightImage, Odometry
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.stage import FRAMES_QOS
 from sal_height.view.drawings import Heard, Picture, Sheet
@@ -41,7 +41,7 @@ from sal_height.view.screen import file_screen, page_screen  # noqa: E402
 from sal_height.view.viewer import open_window  # noqa: E402
 
 ROOT = Path(__file__).parents[2]
-BAG = ROOT / "bags" / "version_2"
+BAG = ROOT / "bags" / "version_3"
 TOOL = ROOT / "tools" / "view_picture.py"
 TIMEOUT_S = 60.0
 
@@ -64,7 +64,7 @@ def rows_of(file: Path) -> dict[str, list[dict[str, Any]]]:
     return rows
 
 
-@pytest.mark.parametrize("version", ["version_0", "version_1", "version_2"])
+@pytest.mark.parametrize("version", ["version_0", "version_1", "version_2", "version_3"])
 def test_a_bag_becomes_a_file_that_the_viewers_own_reader_reads(version: str, tmp_path: Path) -> None:
     bag, file = ROOT / "bags" / version, tmp_path / "new" / "flight.rrd"
     assert main(["view", str(bag), "--save", str(file)]) == 0
@@ -87,7 +87,9 @@ def test_a_bag_becomes_a_file_that_the_viewers_own_reader_reads(version: str, tm
             assert np.allclose(row["height_m"].as_py(), first.height[there], atol=1e-6)
             assert np.allclose(row["sigma_m"].as_py(), first.sigma[there], rtol=1e-5)
     assert len(rows["/map/platform/track"]) >= 1
-    assert bool(rows["/rates/ml_height/offered"]) == (version == "version_2")  # nodes did not tell it before
+    assert bool(rows["/rates/ml_height/offered"]) == (
+        version in {"version_2", "version_3"}
+    )  # nodes did not tell it before
     assert rows["/latency/ml_height/p95"]
     assert rows["/drops/ml_height"][-1]["Scalars:scalars"].as_py() == [0.0]
     assert len(rr.chunk.RrdReader(file).blueprints()) >= 1
@@ -101,7 +103,7 @@ def test_a_bad_message_is_skipped_and_counted_and_the_others_are_shown(
     decoded = reader.decode(HEIGHT_IMAGE, good[0].cdr)
     spoilt = [good[0].cdr[:100], *hostile(decoded, 40, rng)]
     with BagWriter(tmp_path / "bag") as bag:
-        bag.add_topic("/ml/height", HEIGHT_IMAGE, [FRAMES_QOS])
+        bag.add_topic("/ml/height", HEIGHT_IMAGE, [qos.FRAMES])
         for time_ns, cdr in enumerate([good[0].cdr, *spoilt, good[1].cdr]):
             bag.write("/ml/height", cdr, time_ns + 1, time_ns + 1)
     assert main(["view", str(tmp_path / "bag"), "--save", str(tmp_path / "a.rrd")]) == 0
@@ -125,8 +127,8 @@ def test_a_live_graph_is_shown_until_it_is_over(
     states = [reader.decode(m.type_name, m.cdr) for m in reader.messages(["/platform/odometry"])]
     source = graph.add(Node("source", context=graph.context))
     publishers = {
-        HeightImage: source.create_publisher(HeightImage, "ml/height", FRAMES_QOS),
-        Odometry: source.create_publisher(Odometry, "platform/odometry", FRAMES_QOS),
+        HeightImage: publisher_of(source, HeightImage, "ml/height", FRAMES_QOS),
+        Odometry: publisher_of(source, Odometry, "platform/odometry", FRAMES_QOS),
     }
     taken: Counter[str] = Counter()
     expected = {"/ml/height": len(heights), "/platform/odometry": len(states)}
@@ -160,7 +162,7 @@ def test_a_live_graph_is_shown_until_it_is_over(
 def test_a_live_view_ends_at_an_interrupt_with_a_complete_file(graph: Graph, domain_id: int, tmp_path: Path) -> None:
     image = next(iter(BagReader(BAG).messages(["/ml/height"])))
     source = graph.add(Node("source", context=graph.context))
-    publisher = source.create_publisher(HeightImage, "ml/height", FRAMES_QOS)
+    publisher = publisher_of(source, HeightImage, "ml/height", FRAMES_QOS)
     words = ["view", "--domain", str(domain_id), "--save", str(tmp_path / "a.rrd")]
     with subprocess.Popen([sys.executable, "-m", "sal_height", *words], stdout=subprocess.PIPE, text=True) as view:  # noqa: S603
         assert graph.spin_until(lambda: publisher.get_subscription_count() == 1, TIMEOUT_S)

@@ -21,7 +21,7 @@ from sal_height.nodes.usage import ACCOUNTS, LIFE_CYCLE
 from sal_height.runs.catalogue import NODES
 from tools.reference.markdown import page, plain, table
 
-BAG = str(Path(__file__).parents[2] / "bags" / "version_2")
+BAG = str(Path(__file__).parents[2] / "bags" / "version_3")
 
 TRIED: Mapping[str, list[dict[str, Any]]] = {
     "simulator": [{"preset": "small", "period_s": 0.0}],

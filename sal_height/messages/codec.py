@@ -1,0 +1,154 @@
+"""Messages as plain objects, to CDR bytes and back, by the text of their definitions and without ROS.
+
+A type has a class, a function that reads its messages and one that writes them; `programs` writes their source, once
+for each type that is used. Equal messages give equal bytes: padding is zero, and nothing follows the last field.
+
+The layout is that of plain CDR (OMG DDS-XTypes 1.3, section 7.4.3), which ROS middlewares use. Texts are read as rclpy
+reads them: they end at their first zero byte, and bytes that are not UTF-8 are replaced. Bytes after the last field,
+which some serializers append, are passed over. Lists of numbers are views of the bytes, but for numbers of eight bytes,
+which are copied.
+"""
+
+from __future__ import annotations
+
+import functools
+import struct
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from sal_height.messages.cdr_parts import ENCAPSULATION
+from sal_height.messages.definition import Definition, shipped_layout
+from sal_height.messages.layout import Layout, read_layouts
+from sal_height.messages.programs import Programs, Read
+
+BIG_ENDIAN, LITTLE_ENDIAN = b"\x00\x00", b"\x00\x01"
+"""First bytes of a message in plain CDR."""
+
+HEAD = LITTLE_ENDIAN + b"\x00\x00"
+
+
+class BrokenMessage(RuntimeError):  # noqa: N818 (not an error of the program)
+    """Bytes that are not a message of their type; the text continues a sentence."""
+
+
+class TypeStore:
+    """Types of messages, and what reads and writes them."""
+
+    def __init__(self, layout_of: Callable[[str], Layout], module: str = __name__) -> None:
+        """Know types.
+
+        Args:
+            layout_of: gives the layout of a type by its name, or raises KeyError.
+            module: where the classes can be imported from.
+        """
+        self._programs = Programs(layout_of, module)
+        self._readers: dict[tuple[str, bool], Callable[[bytes], Any]] = {}
+
+    def layout(self, type_name: str) -> Layout:
+        """The fields of a type.
+
+        Raises:
+            KeyError: it is not known.
+        """
+        return self._programs.layout(type_name)
+
+    def message_class(self, type_name: str) -> type[Any]:
+        """The class of the messages of a type.
+
+        Raises:
+            KeyError: it is not known.
+        """
+        return self._programs.message_class(type_name)
+
+    def reader(self, type_name: str, *, shared: bool = False) -> Callable[[bytes], Any]:
+        """The function that makes a message of a type of its bytes, or raises BrokenMessage if they are none.
+
+        Args:
+            type_name: name of the type.
+            shared: whether messages may share their provenance, which is then to be left as it is.
+
+        Raises:
+            KeyError: the type is not known.
+        """
+        key = type_name, shared
+        if key not in self._readers:
+            self._readers[key] = _guarded(
+                self._programs.reader(type_name, "<", shared=shared),
+                self._programs.reader(type_name, ">", shared=shared),
+            )
+        return self._readers[key]
+
+    def fields_reader(self, type_name: str, first: str, last: str) -> Read:
+        """The function that reads neighbouring fields of a message of a type, from `first` to `last`.
+
+        It takes little-endian bytes and the offset where the first field may begin, and returns a tuple of values, of
+        which a provenance is shared and to be left as it is, and the offset after them. It raises ValueError or
+        struct.error if the bytes are not laid out so.
+        """
+        return self._programs.fields_reader(type_name, first, last, "<", shared=True)
+
+    def serialize(self, message: Any, *, shared: bool = False) -> bytes:
+        """The bytes of a message.
+
+        Args:
+            message: message of a class of this store.
+            shared: whether its provenance is never changed, so that its bytes can be kept for further messages.
+
+        Raises:
+            ValueError, TypeError, struct.error, AttributeError: a field has a value that its type does not allow.
+        """
+        parts = [HEAD]
+        self._programs.writer(message.__msgtype__, shared=shared)(message, parts.append, ENCAPSULATION)
+        return b"".join(parts)
+
+
+def _guarded(read_little: Read, read_big: Read) -> Callable[[bytes], Any]:
+    """What reads a message by the one function or the other, and raises BrokenMessage if it cannot."""
+
+    def read(cdr: bytes) -> Any:
+        try:
+            if cdr.startswith(LITTLE_ENDIAN):
+                return read_little(cdr, ENCAPSULATION)[0]
+            if cdr.startswith(BIG_ENDIAN):
+                return read_big(cdr, ENCAPSULATION)[0]
+        except struct.error as error:
+            raise BrokenMessage("it ends before its last field") from error
+        except ValueError as error:
+            raise BrokenMessage(str(error)) from error
+        raise BrokenMessage("it is not in plain CDR")
+
+    return read
+
+
+SHIPPED = TypeStore(shipped_layout, "sal_height.messages.types")
+"""The types of this package and those of ROS that it reads and writes."""
+
+
+def serialize(message: Any) -> bytes:
+    """The bytes of a message of a shipped type: zeros as padding, nothing after the last field.
+
+    Raises:
+        ValueError, TypeError, struct.error, AttributeError: a field has a value that its type does not allow.
+    """
+    return SHIPPED.serialize(message)
+
+
+def deserialize(cdr: bytes, kind: type[Any] | str) -> Any:
+    """The message of a shipped type that these bytes are; `kind` is its class or its name.
+
+    Raises:
+        BrokenMessage: they are none.
+        KeyError: the type is not shipped.
+    """
+    return SHIPPED.reader(kind if isinstance(kind, str) else kind.__msgtype__)(cdr)
+
+
+@functools.lru_cache(maxsize=64)
+def recorded_types(type_name: str, definition: Definition) -> TypeStore:
+    """The types that a definition in a bag describes, `type_name` and those that it contains.
+
+    Raises:
+        ValueError: the text is no definition.
+    """
+    layouts: Mapping[str, Layout] = read_layouts(type_name, definition.text)
+    return TypeStore(layouts.__getitem__)

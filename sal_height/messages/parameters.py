@@ -1,0 +1,84 @@
+"""ROS parameters as messages: their values by type, as rclpy has them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sal_height.errors import UserError
+from sal_height.messages.types import Parameter, ParameterType, ParameterValue
+
+FIELDS = {
+    ParameterType.PARAMETER_NOT_SET: "",
+    ParameterType.PARAMETER_BOOL: "bool_value",
+    ParameterType.PARAMETER_INTEGER: "integer_value",
+    ParameterType.PARAMETER_DOUBLE: "double_value",
+    ParameterType.PARAMETER_STRING: "string_value",
+    ParameterType.PARAMETER_BYTE_ARRAY: "byte_array_value",
+    ParameterType.PARAMETER_BOOL_ARRAY: "bool_array_value",
+    ParameterType.PARAMETER_INTEGER_ARRAY: "integer_array_value",
+    ParameterType.PARAMETER_DOUBLE_ARRAY: "double_array_value",
+    ParameterType.PARAMETER_STRING_ARRAY: "string_array_value",
+}
+"""Field of ParameterValue by its type."""
+
+SINGLE: tuple[tuple[type[Any], int], ...] = (
+    (bool, ParameterType.PARAMETER_BOOL),
+    (int, ParameterType.PARAMETER_INTEGER),
+    (float, ParameterType.PARAMETER_DOUBLE),
+    (str, ParameterType.PARAMETER_STRING),
+)
+"""Types of parameters by those of their values, a bool before the integers, of which it is one."""
+
+LISTS: tuple[tuple[type[Any], int], ...] = (
+    (bytes, ParameterType.PARAMETER_BYTE_ARRAY),
+    (bool, ParameterType.PARAMETER_BOOL_ARRAY),
+    (int, ParameterType.PARAMETER_INTEGER_ARRAY),
+    (float, ParameterType.PARAMETER_DOUBLE_ARRAY),
+    (str, ParameterType.PARAMETER_STRING_ARRAY),
+)
+"""The same of lists by the type of all their elements; an empty one is of bytes."""
+
+
+def parameter_of(name: str, value: Any) -> Parameter:
+    """The message of a parameter.
+
+    Raises:
+        TypeError: no parameter can have that value.
+    """
+    kind = _kind_of(value)
+    if field := FIELDS[kind]:
+        stored = b"".join(value) if kind == ParameterType.PARAMETER_BYTE_ARRAY else value
+        return Parameter(name=name, value=ParameterValue(type=kind, **{field: stored}))
+    return Parameter(name=name)
+
+
+def value_of(message: ParameterValue) -> Any:
+    """The value of a parameter; None: it has none.
+
+    Raises:
+        UserError: it is of a type that ROS does not have.
+    """
+    if message.type not in FIELDS:
+        raise UserError(f"A parameter is of type {message.type}; 0 to 9 are allowed.")
+    field = FIELDS[message.type]
+    if not field:
+        return None
+    value = getattr(message, field)
+    if message.type == ParameterType.PARAMETER_BYTE_ARRAY:
+        return [bytes([byte]) for byte in value]
+    if message.type < ParameterType.PARAMETER_BYTE_ARRAY:
+        return value
+    return value.tolist() if hasattr(value, "tolist") else list(value)
+
+
+def _kind_of(value: Any) -> int:
+    if value is None:
+        return int(ParameterType.PARAMETER_NOT_SET)
+    for kind, number in SINGLE:
+        if isinstance(value, kind):
+            return number
+    if isinstance(value, list | tuple):
+        for kind, number in LISTS:
+            if all(isinstance(one, kind) for one in value):
+                return number
+    raise TypeError(f"{value!r} is no value of a parameter")

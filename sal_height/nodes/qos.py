@@ -1,0 +1,38 @@
+"""Quality of service as rclpy has it."""
+
+from __future__ import annotations
+
+from rclpy.duration import Duration
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
+
+from sal_height.bag.qos import Qos
+
+
+def to_profile(qos: Qos) -> QoSProfile:
+    """The profile of rclpy that says what a quality of service does."""
+    return QoSProfile(
+        history=HistoryPolicy[qos.history.upper()],
+        depth=qos.depth,
+        reliability=ReliabilityPolicy[qos.reliability.upper()],
+        durability=DurabilityPolicy[qos.durability.upper()],
+        deadline=Duration(nanoseconds=qos.deadline_ns),
+        lifespan=Duration(nanoseconds=qos.lifespan_ns),
+        liveliness=LivelinessPolicy[qos.liveliness.upper()],
+        liveliness_lease_duration=Duration(nanoseconds=qos.liveliness_lease_ns),
+        avoid_ros_namespace_conventions=qos.avoid_ros_namespace_conventions,
+    )
+
+
+def from_profile(profile: QoSProfile) -> Qos:
+    """The quality of service that a profile of rclpy says."""
+    return Qos(
+        history=profile.history.short_key,
+        depth=profile.depth,
+        reliability=profile.reliability.short_key,
+        durability=profile.durability.short_key,
+        deadline_ns=profile.deadline.nanoseconds,
+        lifespan_ns=profile.lifespan.nanoseconds,
+        liveliness=profile.liveliness.short_key,
+        liveliness_lease_ns=profile.liveliness_lease_duration.nanoseconds,
+        avoid_ros_namespace_conventions=profile.avoid_ros_namespace_conventions,
+    )

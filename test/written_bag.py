@@ -10,6 +10,7 @@ from rcl_interfaces.msg import ParameterEvent
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from sal_height_msgs.msg import Calibration, ChannelFrame, HeightImage, Provenance, SensorInfo
+from sensor_msgs.msg import NavSatFix
 
 from sal_height import messages
 from sal_height.bag.reader import BagReader
@@ -23,6 +24,7 @@ TOPICS = {
     ParameterEvent: "/parameter_events",
     Calibration: "/calibration",
     SensorInfo: "/sensor_info",
+    NavSatFix: "/map_origin",
 }
 
 
@@ -63,11 +65,18 @@ def calibration(name: str, sensor: str = "sensor") -> Calibration:
 
 def written(folder: Path, recorded: Iterable[Any], custom_data: Mapping[str, str] | None = None) -> BagReader:
     """A bag with these messages, one after the other."""
-    listed = list(recorded)
+    return written_apart(folder, {"": recorded}, custom_data)
+
+
+def written_apart(
+    folder: Path, recorded: Mapping[str, Iterable[Any]], custom_data: Mapping[str, str] | None = None
+) -> BagReader:
+    """A bag with these messages in namespaces, such as "/lidar", one after the other."""
+    listed = [(space, message) for space, messages_there in recorded.items() for message in messages_there]
     with BagWriter(folder, custom_data or {}) as writer:
-        for kind in {type(message) for message in listed}:
+        for space, kind in {(space, type(message)) for space, message in listed}:
             package, _, _ = kind.__module__.partition(".")
-            writer.add_topic(TOPICS[kind], f"{package}/msg/{kind.__name__}", [FRAMES_QOS])
-        for time_ns, message in enumerate(listed, 1):
-            writer.write(TOPICS[type(message)], serialize_message(message), time_ns, time_ns)
+            writer.add_topic(f"{space}{TOPICS[kind]}", f"{package}/msg/{kind.__name__}", [FRAMES_QOS])
+        for time_ns, (space, message) in enumerate(listed, 1):
+            writer.write(f"{space}{TOPICS[type(message)]}", serialize_message(message), time_ns, time_ns)
     return BagReader(folder)

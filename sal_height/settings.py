@@ -38,6 +38,7 @@ def setting(
     maximum: float | None = None,
     choices: Sequence[str] = (),
     read_only: bool = False,
+    names_file: bool = False,
 ) -> Any:
     """Declare a field of a `Settings` class.
 
@@ -49,8 +50,9 @@ def setting(
         maximum: greatest value allowed.
         choices: the texts that are allowed; empty: every text is.
         read_only: whether a node takes the value only when it starts.
+        names_file: whether the value is the path of a file.
     """
-    extra: Any = {"unit": unit, "choices": list(choices), "read_only": read_only}
+    extra: Any = {"unit": unit, "choices": list(choices), "read_only": read_only, "names_file": names_file}
     return Field(default, description=description, ge=minimum, le=maximum, json_schema_extra=extra)
 
 
@@ -100,6 +102,7 @@ class Setting:
     maximum: float | None
     choices: tuple[str, ...]
     read_only: bool
+    names_file: bool
 
     @property
     def text(self) -> str:
@@ -158,6 +161,7 @@ def _entry(name: str, field: FieldInfo) -> Setting:
         maximum=next((float(str(bound.le)) for bound in field.metadata if isinstance(bound, Le)), None),
         choices=tuple(extra.get("choices", ())),
         read_only=extra.get("read_only", False),
+        names_file=extra.get("names_file", False),
     )
 
 

@@ -25,6 +25,13 @@ from sal_height.simulation.scene import Scene, VisibleSurface
 
 Array = npt.NDArray[np.float64]
 
+AS_VERSION_2: dict[str, dict[str, Any]] = {
+    "sar_compression": {"azimuth_window": "taylor"},
+    "ml_height": {"min_cnr_db": -60.0},
+    "monopulse": {"min_cnr_db": -60.0},
+}
+"""Parameters of bags/version_2 whose defaults were others when the older bags of the same flight were recorded."""
+
 BEAMWIDTH = 1.55e-4
 """Beamwidth of the SAL presets, rad: estimators are tested with it, so that a mixed-up unit shows."""
 

@@ -12,7 +12,7 @@ from sal_height.bag.reader import BagReader
 from sal_height.bag.writer import BagWriter
 from sal_height.messages import serialize
 from sal_height.messages.parameters import parameter_of
-from sal_height.messages.types import Calibration, ChannelFrame, HeightImage, ParameterEvent, Provenance, SensorInfo
+from sal_height.messages.types import Calibration, ChannelFrame, HeightImage, NavSatFix, ParameterEvent, Provenance, SensorInfo
 from sal_height.nodes.cues import DwellKey
 
 TOPICS = {
@@ -21,6 +21,7 @@ TOPICS = {
     ParameterEvent: "/parameter_events",
     Calibration: "/calibration",
     SensorInfo: "/sensor_info",
+    NavSatFix: "/map_origin",
 }
 
 
@@ -61,10 +62,17 @@ def calibration(name: str, sensor: str = "sensor") -> Calibration:
 
 def written(folder: Path, recorded: Iterable[Any], custom_data: Mapping[str, str] | None = None) -> BagReader:
     """A bag with these messages, one after the other."""
-    listed = list(recorded)
+    return written_apart(folder, {"": recorded}, custom_data)
+
+
+def written_apart(
+    folder: Path, recorded: Mapping[str, Iterable[Any]], custom_data: Mapping[str, str] | None = None
+) -> BagReader:
+    """A bag with these messages in namespaces, such as "/lidar", one after the other."""
+    listed = [(space, message) for space, messages_there in recorded.items() for message in messages_there]
     with BagWriter(folder, custom_data or {}) as writer:
-        for kind in {type(message) for message in listed}:
-            writer.add_topic(TOPICS[kind], kind.__msgtype__, [qos.FRAMES])
-        for time_ns, message in enumerate(listed, 1):
-            writer.write(TOPICS[type(message)], serialize(message), time_ns, time_ns)
+        for space, kind in {(space, type(message)) for space, message in listed}:
+            writer.add_topic(f"{space}{TOPICS[kind]}", kind.__msgtype__, [qos.FRAMES])
+        for time_ns, (space, message) in enumerate(listed, 1):
+            writer.write(f"{space}{TOPICS[type(message)]}", serialize(message), time_ns, time_ns)
     return BagReader(folder)

@@ -24,7 +24,7 @@ from sal_height.numeric import F64, U8
 from sal_height.relief import HeightField
 from sal_height.runs.catalogue import MAPPERS
 from sal_height.runs.entry import origin_of
-from sal_height.runs.replay_parameters import recorded_parameters
+from sal_height.runs.recorded_parameters import recorded_parameters
 
 _LOG = logging.getLogger(__name__)
 

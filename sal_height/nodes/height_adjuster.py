@@ -78,6 +78,9 @@ LONGEST_DELAY_S = 100.0
 BETWEEN_NS = 1_000_000_000
 """Longest time between dwells whose odometry is told as well."""
 
+POSE_ERROR = "pose_error"
+"""Name in the provenance, beside the node's parameters, of the error of the pose that was removed."""
+
 KNOWN = "boresight_sigma_rad", "lever_arm_sigma_m", "odometry_delay_sigma_s"
 """Parameters that the compression has as well, whose values there count if they are not 0."""
 
@@ -107,6 +110,7 @@ class Parameters(FrameParameters, DwellParameters, AdjustmentSettings):
         "",
         "path of an elevation model of known ground, .tif or .npz, around the origin of map; empty: none",
         read_only=True,
+        names_file=True,
     )
     terrain_sigma_m: float = setting(
         0.1, "standard deviation of its heights", unit="m", minimum=1e-4, maximum=1000.0, read_only=True
@@ -116,6 +120,7 @@ class Parameters(FrameParameters, DwellParameters, AdjustmentSettings):
         "path of a CSV file of targets at known places in map, with the columns east_m, north_m, height_m and, if it "
         "is not 0.01, sigma_m; empty: none",
         read_only=True,
+        names_file=True,
     )
 
 
@@ -427,7 +432,7 @@ class HeightAdjuster(DwellStage):
 
     def _moved(self, image: HeightImage, found: Adjusted, parameters: Parameters) -> HeightImage:
         """The heights where they are."""
-        told = {**dict(parameters), "pose_error": found.off.error.tolist()}
+        told = {**dict(parameters), POSE_ERROR: found.off.error.tolist()}
         provenance = messages.derived(image.provenance, self.get_name(), told)
         looks = image.range_looks, image.azimuth_looks
         return messages.height_to_message(found.field, found.aperture, looks, PREFIX, image, provenance)

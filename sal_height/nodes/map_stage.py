@@ -59,6 +59,7 @@ class MapParameters(OriginParameters, MapFrameParameters, StageParameters):
         "",
         "path of the GeoTIFF that the map is written to when the node ends; an existing file is replaced; empty: none",
         read_only=True,
+        names_file=True,
     )
     crs: str = setting(
         UTM,

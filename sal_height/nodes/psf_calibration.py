@@ -46,7 +46,9 @@ class Parameters(ChannelParameters, CalibrationSettings):
         read_only=True,
     )
     file: str = setting(
-        "", "path of the .npz file that each calibration is written to; an existing file is replaced; empty: none"
+        "",
+        "path of the .npz file that each calibration is written to; an existing file is replaced; empty: none",
+        names_file=True,
     )
 
 

@@ -57,6 +57,7 @@ class Parameters(FrameParameters, AirParameters, ImageSettings, ChannelParameter
         "path of a calibration file, which is applied to the images and published on topic calibration; 'topic': apply "
         "the last calibration received on topic calibration; empty: none",
         read_only=True,
+        names_file=True,
     )
     max_odometry_gap_s: float = setting(
         0.5, "longest time between two odometry samples during a dwell", unit="s", minimum=1e-6, maximum=3600.0

@@ -16,10 +16,10 @@ from sal_height.io import new_folder, or_null, writing
 from sal_height.nodes.played import SENSOR
 from sal_height.nodes.psf_calibration import MOST_DWELLS
 from sal_height.runs.calibration_picture import beam_width, draw_calibration
-from sal_height.runs.catalogue import CALIBRATOR, NodeParameters, check_parameters
+from sal_height.runs.catalogue import CALIBRATOR, NodeParameters
 from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
 from sal_height.runs.entry import air_in, check_air, contents
-from sal_height.runs.replay_parameters import recorded_parameters
+from sal_height.runs.recorded_parameters import recorded_at_start
 from sal_height.runs.reporting import PARAMETERS, conclude, merged, reporting
 
 STAGES = ["sar_compression", CALIBRATOR]
@@ -52,8 +52,9 @@ def calibrate(
     sensor, dwells = contents(reader)
     unweighted = {"sar_compression": {"range_window": "rectangular", "rows": 0, "calibration": ""}}
     wanted = {CALIBRATOR: {"dwells": min(dwells, MOST_DWELLS), "dwell_step": 1, "file": str(out / CALIBRATION)}}
-    recorded = {name: recorded_parameters(reader).get(name, {}) for name in STAGES}
-    values = check_parameters(merged(merged(merged(recorded, unweighted), wanted), parameters), STAGES)
+    recorded = recorded_at_start(reader, nodes=STAGES)
+    own = {name: recorded.values.get(name, {}) for name in STAGES}
+    values = recorded.check(merged(merged(own, unweighted), wanted), parameters, STAGES)
     air = air_in(reader)
     check_air(values, [sensor], air, f"Bag {bag}")
     folder = new_folder(out)

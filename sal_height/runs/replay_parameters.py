@@ -2,37 +2,30 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-import yaml
-
-from sal_height.bag.files import parameters_file
 from sal_height.bag.reader import BagReader, LogTimes
-from sal_height.bag.sensor_topics import MAP_ORIGIN
-from sal_height.errors import UserError
 from sal_height.messages import to_ns
 from sal_height.nodes.cues import Cue, DwellKey, cues_to_text
 from sal_height.nodes.played import IMAGES, DwellRange
 from sal_height.nodes.playlist import FRAMES
 from sal_height.nodes.sar_compression import HEARD
-from sal_height.runs.catalogue import NODES, NodeParameters, check_parameters, placed
-from sal_height.runs.entry import Chain, Part, check_air, check_given, origin_of, sensors_of
+from sal_height.runs.catalogue import NODES, NodeParameters, parameters_of
+from sal_height.runs.entry import Chain, Part, check_air, check_given, sensors_of
 from sal_height.runs.flight_record import FlightRecord
-from sal_height.runs.reporting import PARAMETERS, merged
-from sal_height.runs.timeline import PROVENANCE, Applied, Change, Parameter, Timeline, timeline_of
+from sal_height.runs.recorded_parameters import RecordedParameters, parameters_in, recorded_at_start
+from sal_height.runs.reporting import merged
+from sal_height.runs.timeline import NO_FILE, PROVENANCE, Applied, Change, Parameter, Timeline, timeline_of
 from sal_height.settings import settings_of
 
 _LOG = logging.getLogger(__name__)
 
-COMMAND_LINE, CUSTOM_DATA, DEFAULT, CHOSEN = "command line", "custom data of the bag", "default", "chosen by the replay"
-TOPIC = f"topic {MAP_ORIGIN} of the bag"
-"""Where the value of a parameter comes from, besides those of `timeline.Value`."""
+COMMAND_LINE, DEFAULT, CHOSEN = "command line", "default", "chosen by the replay"
+"""Where the value of a parameter comes from, besides the sources of `RecordedParameters`."""
 
 APPLIED = Parameter("sar_compression", "calibration")
 """Says which calibration is applied."""
@@ -129,14 +122,15 @@ def processing_of(
         held = FlightRecord(reader, chain.dwell_topics).dwells
     dwells = part.dwells_of(list(held))
     played = {dwell: frames for dwell, frames in held.items() if dwell in dwells}
-    own, sources = _at_start(reader, timeline, chosen, given)
-    values = check_parameters(merged(own, given))
+    recorded = recorded_at_start(reader, timeline, chain.stages, chain.makers)
+    own, sources = _at_start(recorded, timeline, chosen, given)
+    values = recorded.check(own, given)
     wanted = [
         one
         for one in timeline.changes
         if one.parameter.node in chain.stages and one.parameter.name not in given.get(one.parameter.node, {})
     ]
-    changes = [_checked(one) for one in wanted if not _is_read_only(one.parameter)]
+    changes = [recorded.check_change(one) for one in wanted if not _is_read_only(one.parameter)]
     if chain.entry == FRAMES:
         sensors = list(sensors_of(reader)[0].values())
         for one in (values, *({parameter.node: {parameter.name: value}} for _, parameter, value, _ in changes)):
@@ -145,7 +139,9 @@ def processing_of(
     if not calibrations and given.get(APPLIED.node, {}).get(APPLIED.name) == HEARD:
         calibrations = timeline.come  # which nobody applied in flight
     warnings = [
-        *([] if _custom_data(reader) is not None else _forgotten(timeline)),
+        *_forgotten(timeline, chain),
+        *_unopened(timeline, chain, sources),
+        *_unmade(recorded, values, given),
         *(_restarted(one) for one in wanted if _is_read_only(one.parameter)),
         *(_not_held(one) for one in timeline.missing if _applies_calibrations(chain, values)),
     ]
@@ -164,109 +160,17 @@ def processing_of(
     )
 
 
-def _checked(change: Change) -> Change:
-    """The change with the value as it is today.
-
-    Raises:
-        UserError: it is not allowed.
-    """
-    node, name = change.parameter.node, change.parameter.name
-    return change._replace(value=check_parameters({node: {name: change.value}})[node][name])
-
-
-def recorded_parameters(reader: BagReader) -> dict[str, dict[str, Any]]:
-    """Node parameters that a bag was made with, at its first dwell; none, with a warning, if it does not say.
-
-    They are in the bag's custom data; older bags have a file parameters.yaml beside them instead. Other programs, such
-    as rosbags-convert, leave both behind, and a recorder that was started by itself has neither. What nodes said of
-    their parameters, and heights in the bag of their provenance, is used then.
-
-    Raises:
-        UserError: they are not what this program writes.
-    """
-    values, _ = _recorded(reader, timeline_of(reader) if _custom_data(reader) is None else Timeline())
-    return values
-
-
 def _at_start(
-    reader: BagReader, timeline: Timeline, chosen: NodeParameters, given: NodeParameters
+    recorded: RecordedParameters, timeline: Timeline, chosen: NodeParameters, given: NodeParameters
 ) -> tuple[dict[str, dict[str, Any]], dict[Parameter, str]]:
     """Values of parameters at the first dwell without those that are given, and where all of them come from."""
-    recorded, sources = _recorded(reader, timeline)
-    own = merged(chosen, recorded)
-    sources = dict.fromkeys(_parameters(chosen), CHOSEN) | sources
-    if timeline.calibrations and own.get(APPLIED.node, {}).get(APPLIED.name, HEARD) != HEARD:
-        own[APPLIED.node][APPLIED.name] = HEARD  # for the file may be gone, or another one today
+    own = merged(chosen, recorded.values)
+    sources = dict.fromkeys(parameters_in(chosen), CHOSEN) | recorded.sources
+    applied = own.get(APPLIED.node, {}).get(APPLIED.name, timeline.files.get(APPLIED, ""))
+    if timeline.calibrations and applied not in NO_FILE:
+        own.setdefault(APPLIED.node, {})[APPLIED.name] = HEARD  # for the file may be gone, or another one today
         sources[APPLIED] = CHOSEN
-    return own, sources | dict.fromkeys(_parameters(given), COMMAND_LINE)
-
-
-def _recorded(reader: BagReader, timeline: Timeline) -> tuple[dict[str, dict[str, Any]], dict[Parameter, str]]:
-    """Parameters that a bag was made with, and where they come from.
-
-    Custom data has what its maker set; heights in the bag say more of a value only if it was set anew before them. What
-    is in the provenance alone may be a default of that time, for which custom data has the default of today.
-
-    Raises:
-        UserError: they cannot be read.
-    """
-    known = dict(timeline.start)
-    custom = _custom_data(reader)
-    if custom is None:
-        if not known:
-            _LOG.warning(
-                "Bag %s does not hold the parameters it was made with; it is processed with the defaults of the nodes "
-                "and what --param sets.",
-                reader.path,
-            )
-        custom, sources = {}, {}
-    else:
-        sources = dict.fromkeys(_parameters(custom), CUSTOM_DATA)
-        known = {
-            one: value
-            for one, value in known.items()
-            if one in sources and value.source == PROVENANCE and value.value != custom[one.node][one.name]
-        }
-    on_earth = placed(origin_of(reader))
-    sources = dict.fromkeys(_parameters(on_earth), TOPIC) | sources
-    values = merged(on_earth, custom)
-    for one, (value, source) in known.items():
-        values.setdefault(one.node, {})[one.name] = value
-        sources[one] = source
-    return values, sources
-
-
-def _custom_data(reader: BagReader) -> dict[str, dict[str, Any]] | None:
-    """Node parameters in the custom data of a bag, or in a file beside it; None if there are neither.
-
-    Raises:
-        UserError: they are not what this program writes.
-    """
-    path = parameters_file(reader.path)
-    try:
-        text = reader.custom_data.get(PARAMETERS) or (path.read_text(encoding="utf-8") if path.is_file() else "")
-        values = _read(text)
-    except (OSError, ValueError, yaml.YAMLError) as error:
-        raise UserError(
-            f"The parameters of bag {reader.path} cannot be read: {' '.join(str(error).split())}."
-        ) from error
-    if not text:
-        return None
-    values = values or {}
-    if not (isinstance(values, dict) and all(isinstance(entry, dict) for entry in values.values())):
-        raise UserError(f"The parameters of bag {reader.path} must map node names to mappings of names to values.")
-    return values
-
-
-def _read(text: str) -> Any:
-    """What a text in JSON says, or else in YAML, for which 1e-05 is no number."""
-    with suppress(json.JSONDecodeError):
-        return json.loads(text)
-    return yaml.safe_load(text)
-
-
-def _parameters(values: NodeParameters) -> list[Parameter]:
-    return [Parameter(node, name) for node, of_node in values.items() for name in of_node]
+    return own, sources | dict.fromkeys(parameters_in(given), COMMAND_LINE)
 
 
 def _is_read_only(parameter: Parameter) -> bool:
@@ -327,11 +231,40 @@ def _cues(
     return cues
 
 
-def _forgotten(timeline: Timeline) -> list[str]:
-    """Sentences on parameters that do not exist any more."""
+def _forgotten(timeline: Timeline, chain: Chain) -> list[str]:
+    """Sentences on parameters of nodes at work that do not exist any more, and on nodes that there are not."""
+    unknown = {node: source for (node, _), source in timeline.forgotten.items() if node not in NODES}
     return [
-        f"Node {node} had a parameter {name} in flight ({source}), which does not exist today and is left out."
-        for (node, name), source in timeline.forgotten.items()
+        *(
+            f"Node {node} had a parameter {name} in flight ({source}), which does not exist today and is left out."
+            for (node, name), source in timeline.forgotten.items()
+            if node in chain.stages
+        ),
+        *(
+            f"No node of a replay is called {node}; the parameters that it had in flight ({source}) are left out."
+            for node, source in unknown.items()
+            if chain.entry == FRAMES
+        ),
+    ]
+
+
+def _unopened(timeline: Timeline, chain: Chain, sources: Mapping[Parameter, str]) -> list[str]:
+    """Sentences on files that only the provenance names."""
+    return [
+        f"Node {parameter.node} used the file {path!r} in flight ({PROVENANCE}); a replay opens no file that only the "
+        f"provenance names, and goes on without it: set --param {'.'.join(parameter)}=FILE to use it."
+        for parameter, path in timeline.files.items()
+        if parameter.node in chain.stages and parameter not in sources
+    ]
+
+
+def _unmade(recorded: RecordedParameters, values: NodeParameters, given: NodeParameters) -> list[str]:
+    """Sentences on heights that nodes used in flight, and that are not made."""
+    return [
+        f"Node {parameter.node} used the heights of {value!r} in flight ({source}), which are not made here; it uses "
+        f"those of {parameters_of(parameter.node, values.get(parameter.node, {})).estimator!r}."
+        for parameter, (value, source) in recorded.unmade.items()
+        if parameter.name not in given.get(parameter.node, {})
     ]
 
 

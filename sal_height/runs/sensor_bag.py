@@ -25,7 +25,7 @@ from sal_height.nodes.playlist import FRAMES, ODOMETRY, SENSOR_INFO, Playlist
 from sal_height.runs.catalogue import HEIGHTS, TRACKER, suited
 from sal_height.runs.entry import contents
 from sal_height.runs.processes import Forked, beside
-from sal_height.runs.replay_parameters import recorded_parameters
+from sal_height.runs.recorded_parameters import recorded_parameters
 from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, merged
 from sal_height.runs.simulate import processing_of
 from sal_height.sensor import Sensor
@@ -68,7 +68,8 @@ class Feed:
         reader = BagReader(bag)
         sensor, _ = contents(reader)
         made = [name for name in HEIGHTS.values() if f"/{name}/height" in reader.topics and name != HEIGHTS[TRACKER]]
-        return cls(bag, sensor, suited(sensor, estimators or made), recorded_parameters(reader), reader.custom_data)
+        makers = suited(sensor, estimators or made)
+        return cls(bag, sensor, makers, recorded_parameters(reader, makers), reader.custom_data)
 
     @classmethod
     def simulated(cls, preset: Preset, seed: int, folder: Path) -> Self:

@@ -13,7 +13,10 @@ from typing import Any, NamedTuple, TypeVar
 
 from sal_height.bag.reader import BagReader, LogTimes
 from sal_height.nodes.cues import DwellKey
+from sal_height.nodes.dwell_stage import DwellParameters
 from sal_height.nodes.height import LEFT_OUT
+from sal_height.nodes.height_adjuster import POSE_ERROR
+from sal_height.nodes.sar_compression import HEARD
 from sal_height.runs.catalogue import NODES, SETTABLE
 from sal_height.runs.flight_record import FlightRecord, Heard, Said, tells_of_its_making
 from sal_height.settings import settings_of
@@ -21,8 +24,15 @@ from sal_height.settings import settings_of
 PROVENANCE, EVENT, MESSAGE = "provenance", "parameter event", "order of the bag"
 """How it is known what was in force for a dwell."""
 
-NO_SETTINGS = {"use_sim_time", "start_type_description_service", LEFT_OUT}
+NO_SETTINGS = {"use_sim_time", "start_type_description_service", LEFT_OUT, POSE_ERROR}
 """Names beside the parameters of our nodes: those that rclpy gives to every node, and what provenance adds."""
+
+OF_MACHINE = frozenset({"autostart", "latency_budget_s"})
+"""Parameters of all nodes that suited the machine of the flight; none changes heights. `recorded_parameters` says why a
+replay does not repeat them."""
+
+NO_FILE = "", HEARD
+"""Values of parameters that name files which are no paths."""
 
 Recorded = TypeVar("Recorded", Said, Heard)
 
@@ -64,7 +74,9 @@ class Timeline:
 
     Attributes:
         dwells: when the frames of each dwell were recorded, in the order of their first frames.
-        start: values of parameters at the first dwell, as far as they are known.
+        start: values of parameters at the first dwell, as far as they are known, but for those `OF_MACHINE`.
+        files: paths in the provenance, by the parameter that names the file; they are neither in `start` nor in
+            `changes`, unless the node itself stated them.
         changes: of parameters, later on.
         calibrations: that the bag holds and that were applied.
         missing: calibrations that were applied and that the bag does not hold.
@@ -74,6 +86,7 @@ class Timeline:
 
     dwells: Mapping[DwellKey, LogTimes] = field(default_factory=dict)
     start: dict[Parameter, Value] = field(default_factory=dict)
+    files: dict[Parameter, str] = field(default_factory=dict)
     changes: list[Change] = field(default_factory=list)
     calibrations: list[Applied] = field(default_factory=list)
     missing: list[Applied] = field(default_factory=list)
@@ -142,10 +155,14 @@ class _Parameters:
                     if said == value:
                         del self._said[parameter]
                     self._set(dwell, parameter, Value(value, PROVENANCE), is_change and said == value)
-        for parameter in [one for one in self._said if one.name not in stages.get(one.node, {})]:
+        for parameter in [one for one in self._said if not self._is_stated(one, stages)]:
             value, is_change = self._said.pop(parameter)
             self._set(dwell, parameter, Value(value, EVENT), is_change)
             self._stated.pop(parameter.node, None)
+
+    def _is_stated(self, parameter: Parameter, stages: Mapping[str, Mapping[str, Any]]) -> bool:
+        """Whether the provenance states a value of a parameter that is used."""
+        return parameter.name in stages.get(parameter.node, {}) and parameter not in self._timeline.files
 
     def enter_what_was_told_late(self) -> None:
         """Take values that nodes told after the last dwell for those that they had all the time."""
@@ -162,13 +179,18 @@ class _Parameters:
         self._now[parameter] = value.value
 
     def _known(self, node: str, values: Mapping[str, Any], source: str) -> Iterator[tuple[Parameter, Any]]:
-        """The values of parameters that can be set today; the others are entered as forgotten."""
+        """The values of parameters that can be set today; others are entered as forgotten, and paths as files."""
         today = settings_of(NODES[node].parameters) if node in SETTABLE else {}
         for name, value in values.items():
-            if name in today:
-                yield Parameter(node, name), _plain(value)
+            parameter = Parameter(node, name)
+            if name in OF_MACHINE:
+                continue
+            if name in today and source == PROVENANCE and today[name].names_file and value not in NO_FILE:
+                self._timeline.files.setdefault(parameter, str(value))
+            elif name in today:
+                yield parameter, _plain(value)
             elif "." not in name and name not in NO_SETTINGS and (node in SETTABLE or source == PROVENANCE):
-                self._timeline.forgotten.setdefault(Parameter(node, name), source)
+                self._timeline.forgotten.setdefault(parameter, source)
 
 
 class _Calibrations:

@@ -13,8 +13,8 @@ from sal_height.bag.compare import EQUAL
 from sal_height.bag.reader import BagReader
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.recorder import Recorder
+from sal_height.runs.recorded_parameters import recorded_parameters
 from sal_height.runs.replay import replay
-from sal_height.runs.replay_parameters import recorded_parameters
 
 SENSOR_TOPICS = ["/sensor_info", "/platform/odometry", "/phase_history"]
 HEIGHTS = ["/ml/height", "/monopulse/height"]

@@ -14,8 +14,8 @@ from sal_height.elevation import ESTIMATORS
 from sal_height.errors import UserError
 from sal_height.nodes.height import HEIGHT_NODES
 from sal_height.runs.catalogue import HEIGHTS, NODES, SETTABLE, consumers, suited
+from sal_height.runs.recorded_parameters import recorded_parameters
 from sal_height.runs.replay import replay
-from sal_height.runs.replay_parameters import recorded_parameters
 from sal_height.runs.simulate import fly, run
 from sal_height.settings import settings_of
 from sal_height.simulation import load_preset, parse_preset

@@ -30,13 +30,14 @@ def test_every_value_has_a_source(tmp_path: Path) -> None:
     reader = written(tmp_path / "bag", [frame(0), heights(0, ml_height=made)], custom)
     found = processing(reader, {"ml_height": {"objective": "numerator"}})
     assert found.values == {
-        "ml_height": {"range_looks": 4, "azimuth_looks": 1, "objective": "numerator"},
+        "ml_height": {"range_looks": 4, "azimuth_looks": 1, "min_cnr_db": 17.0, "objective": "numerator"},
         "relief_tracker": {"estimator": "capon"},
     }
     sources = found.sources["ml_height"]
     assert sources["range_looks"] == "custom data of the bag"
     assert sources["azimuth_looks"] == "provenance"  # somebody set it before the first dwell
-    assert sources["min_cnr_db"] == "default"  # may have been the default of that time
+    assert sources["min_cnr_db"] == "provenance"  # may have been the default of that time
+    assert sources["layover"] == "default"  # which nothing states
     assert sources["objective"] == "command line"
     assert found.sources["relief_tracker"]["estimator"] == "chosen by the replay"
     assert set(found.sources["sar_compression"].values()) == {"default"}

@@ -109,6 +109,21 @@ def test_parameters_that_do_not_exist_today_are_told(tmp_path: Path) -> None:
     }
 
 
+def test_paths_in_the_provenance_are_apart_unless_nodes_state_them(tmp_path: Path) -> None:
+    """What is no path is a value like any other, and how dwells wait is none."""
+    made = {"terrain": "a.tif", "targets": "", "timeout_s": 1.0}
+    said = [frame(0), heights(0, height_adjuster=made, sar_compression={"calibration": "topic"})]
+    flight = found(tmp_path / "alone", *said)
+    assert flight.files == {("height_adjuster", "terrain"): "a.tif"}
+    assert flight.start == {
+        ("height_adjuster", "targets"): ("", "provenance"),
+        ("sar_compression", "calibration"): ("topic", "provenance"),
+    }
+    stated = found(tmp_path / "stated", told("height_adjuster", **made), *said)
+    assert stated.start == {**flight.start, ("height_adjuster", "terrain"): ("a.tif", "parameter event")}
+    assert not stated.changes
+
+
 def test_a_calibration_comes_before_the_dwell_that_names_it(tmp_path: Path) -> None:
     """It was heard before dwell 1, which was complete by then for the node."""
     flight = found(

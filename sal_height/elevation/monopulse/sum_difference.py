@@ -72,6 +72,7 @@ class SumDifferenceSettings(HeightSettings):
         "path of a CSV file with a measured characteristic, which replaces inverse; its columns are angle_rad (from "
         "the equisignal direction) and gamma; empty: none",
         read_only=True,
+        names_file=True,
     )
 
     @field_validator("slope_table")

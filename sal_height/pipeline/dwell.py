@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Self
 
 import numpy as np
@@ -17,16 +16,11 @@ import numpy as np
 from sal_height.beams import Beams, column_squint
 from sal_height.calibration import Calibration
 from sal_height.elevation import (
-    ESTIMATORS,
     CellResponse,
     ElevationEstimate,
     ElevationEstimator,
     HeightSettings,
     Looks,
-    MakeChannels,
-    Window,
-    axis_looks,
-    live_detectors,
     look_grid,
     moving_squint,
     sidelobe_variance,
@@ -35,8 +29,7 @@ from sal_height.elevation import (
     without_imprecise,
     without_saturated,
 )
-from sal_height.errors import Rejected, UserError
-from sal_height.geometry import Grid, Trajectory, aperture_at
+from sal_height.geometry import Grid, Trajectory
 from sal_height.imaging import (
     Corrected,
     CorrectionSettings,
@@ -47,16 +40,12 @@ from sal_height.imaging import (
     cell_response,
     correct_dwell,
     focus_dwell,
-    image_beams,
     with_known_errors,
 )
-from sal_height.movers import DwellImage, Looked, MoverSettings, ShownDwell, check_sensor, find_movers
-from sal_height.numeric import C64, C128, Bool, Index
+from sal_height.numeric import Index
+from sal_height.pipeline.channels import channel_sets, channels_and_beams, live_channels
 from sal_height.relief import HeightField, height_field, joined_rows, level_turn
-from sal_height.sensor import Channels, PhaseHistory, Sensor, count_saturated, range_compressed, with_powers
-
-NOISE_DIGITS = 9
-"""Decimals of the ratios of channels' noise powers: rounding makes them differ from dwell to dwell in the 16th."""
+from sal_height.sensor import PhaseHistory, Sensor, count_saturated, range_compressed
 
 
 class Compressor:
@@ -297,155 +286,3 @@ def judged(estimate: ElevationEstimate, seen: Observed, settings: HeightSettings
     estimate = with_foreign_power(estimate, foreign)
     estimate = without_imprecise(estimate, settings.max_sigma_beamwidths * beams.beamwidth)
     return without_saturated(estimate) if seen.saturated_share > settings.max_saturated_share else estimate
-
-
-def movers(slc: Slc, sensor: Sensor, settings: MoverSettings, calibration: Calibration | None = None) -> Looked:
-    """What moves in an image of a strip, its place, height and radial velocity.
-
-    Args:
-        slc: images of all channels.
-        sensor: whose phase history they were made from.
-        settings: of the search.
-        calibration: that the images were made with; None: the beams are as the sensor describes them.
-
-    Raises:
-        Rejected: too few channels have a signal, too many samples are clipped, or the image has too few columns.
-        UserError: the sensor is in spotlight (`dwell_with_movers`) or cannot tell movers (`movers.check_sensor`), or
-            noise powers are not known.
-    """
-    if sensor.mode != "stripmap":
-        raise UserError(
-            f"Sensor {sensor.name} is of mode {sensor.mode}; one image tells movers in stripmap only, where the beam "
-            "passes them. In spotlight the dwells before and after tell (pipeline.dwell_with_movers)."
-        )
-    images, beams = _images_for_movers(slc, sensor, settings, calibration)
-    return find_movers(images, beams, slc, sensor, settings)
-
-
-def dwell_with_movers(
-    slc: Slc, seconds: float, sensor: Sensor, settings: MoverSettings, calibration: Calibration | None = None
-) -> ShownDwell:
-    """A spotlight dwell as `movers.DwellMovers` takes it, which finds what moves over dwells that follow each other.
-
-    Args:
-        slc: images of all channels, of all Doppler frequencies.
-        seconds: time of the dwell.
-        sensor: whose phase history they were made from.
-        settings: of the search.
-        calibration: as of `movers`.
-
-    Raises:
-        Rejected: as `movers`; or the images do not have all Doppler frequencies.
-        UserError: as `movers`.
-    """
-    images, beams = _images_for_movers(slc, sensor, settings, calibration)
-    return ShownDwell(DwellImage.of(images, slc, seconds, sensor), slc, beams, sensor)
-
-
-def _images_for_movers(
-    slc: Slc, sensor: Sensor, settings: MoverSettings, calibration: Calibration | None
-) -> tuple[C128, Beams]:
-    """Images of channels of independent noise of one power, and their beams in one direction."""
-    check_sensor(sensor)
-    live = live_channels(slc.images, sensor)
-    if (clipped := float(slc.saturated_share[live].max())) > settings.max_saturated_share:
-        raise Rejected(
-            "saturated",
-            f"A channel has {clipped:.2g} of its samples clipped, which spoils elevations; max_saturated_share allows "
-            f"{settings.max_saturated_share:g}.",
-        )
-    channels, beams = channels_and_beams(slc, sensor, ESTIMATORS["ml"], calibration, live)
-    images = np.tensordot(channels.transform, slc.images[live], 1)
-    # In one direction at a time, not averaged over those that an image is made from.
-    return images, replace(beams, aspects=np.zeros(1), weights=np.ones(1))
-
-
-def channels_and_beams(
-    slc: Slc, sensor: Sensor, estimator: ElevationEstimator, calibration: Calibration | None, live: Index
-) -> tuple[Channels, Beams]:
-    """The channels that an estimator takes, of those that are `live`, and their beams; other arguments as of `heights`.
-
-    They depend on the ratios of the noise powers, which are rounded to NOISE_DIGITS, and hardly ever change from dwell
-    to dwell: these have the very same beams then, and all that is held for them. Powers are in units of the highest.
-    """
-    powers = slc.noise_power[live]
-    level = powers.max() if np.all(np.isfinite(powers) & (powers > 0)) else 1.0
-    ratios = tuple(np.round(powers / level, NOISE_DIGITS).tolist())
-    channels, beams = _channels_and_beams(
-        sensor, estimator.channels, calibration, slc.azimuth_window, tuple(live.tolist()), ratios
-    )
-    return replace(channels, transform=channels.transform / np.sqrt(level)), beams
-
-
-@lru_cache(maxsize=8)
-def _channels_and_beams(
-    sensor: Sensor,
-    make_channels: MakeChannels,
-    calibration: Calibration | None,
-    azimuth_window: str,
-    live: tuple[int, ...],
-    noise_power: tuple[float, ...],
-) -> tuple[Channels, Beams]:
-    indices = np.array(live)
-    square = np.ix_(indices, indices)
-    powers = np.zeros(sensor.detector_count)
-    powers[indices] = noise_power
-    channels = make_channels(with_powers(sensor.noise_covariance, powers)[square], sensor.mixing[square])
-    # The beams as the images have them, and as wide and as well known as the calibration has found them.
-    beams = image_beams(sensor, azimuth_window)
-    if calibration:
-        uncertainty = np.hypot(beams.uncertainty, calibration.beam_uncertainty(beams))
-        beams = replace(calibration.beams(beams), uncertainty=float(uncertainty))
-    return channels, beams.detectors(indices).combined(channels.matrix)
-
-
-def channel_sets(slc: Slc, sensor: Sensor, down: Window) -> list[tuple[Index, Bool]]:
-    """Sets of channels to estimate heights from, and the rows of height pixels that each is for, (rows,).
-
-    A channel is left out of a row if it is dead, or blanked in one of the looks or less than the spacing of the pixels
-    from it, where the response of a scatterer is cut off. Sets of fewer than two channels are none, nor are parts of
-    channels that are mixtures of detectors.
-
-    Args:
-        slc: images of all channels.
-        sensor: that took them.
-        down: looks in range.
-
-    Raises:
-        Rejected: no row has enough channels.
-    """
-    live, grid = live_channels(slc.images, sensor), slc.grid
-    if not sensor.blanked_ranges:
-        return [(live, np.ones(down.pixels(grid.rows), np.bool_))]
-    points = grid.points(np.arange(grid.rows)[:, None], np.array([0, grid.cols // 2, grid.cols - 1]))
-    slant_range = np.linalg.norm(points - aperture_at(points, slc.aperture).position, axis=-1)
-    spacing = grid.row_spacing
-    received = sensor.receives(slant_range.min(axis=1) - spacing, slant_range.max(axis=1) + spacing)[live]
-    sees = axis_looks(down, grid.rows, None).looks.down((~received.T).astype(np.float64)) == 0
-    sets, of_row = np.unique(sees, axis=0, return_inverse=True)
-    least = len(live) if sensor.is_mixed else 2
-    found = [(live[one], of_row == number) for number, one in enumerate(sets) if np.count_nonzero(one) >= least]
-    if not found:
-        raise Rejected(
-            "blanked channels",
-            f"No row of the images is received by {least} channels or more; SensorInfo channels.blanked_ranges leaves "
-            "too few to tell elevations.",
-        )
-    return found
-
-
-def live_channels(images: C64, sensor: Sensor) -> Index:
-    """Numbers of the channels that are not dead (`looks.live_detectors`).
-
-    Raises:
-        Rejected: there are fewer than two, or one is missing of channels that are mixtures of detectors.
-    """
-    live = live_detectors(images)
-    if len(live) < len(images) and sensor.is_mixed:
-        dead = sorted(set(range(len(images))) - set(live.tolist()))
-        raise Rejected(
-            "dead channels",
-            f"Channels {dead} have no finite sample other than 0 in the images; the detectors cannot be told apart "
-            "without one of the channels that the channel matrix of SensorInfo mixes them into.",
-        )
-    return live

@@ -35,8 +35,6 @@ from sal_height.imaging import (
     CorrectionSettings,
     ImageSettings,
     Slc,
-    StripDelay,
-    StripFocuser,
     cell_response,
     correct_dwell,
     focus_dwell,
@@ -44,6 +42,7 @@ from sal_height.imaging import (
 )
 from sal_height.numeric import Index
 from sal_height.pipeline.channels import channel_sets, channels_and_beams, live_channels
+from sal_height.pipeline.strip import StripBuffer
 from sal_height.relief import HeightField, height_field, joined_rows, level_turn
 from sal_height.sensor import PhaseHistory, Sensor, count_saturated, range_compressed
 
@@ -56,10 +55,8 @@ class Compressor:
     """
 
     def __init__(self) -> None:
-        """Begin without a strip."""
-        self._strip = StripFocuser()
-        self._strip_of = ("", "")
-        self._strip_delay = StripDelay()
+        """Start without a strip."""
+        self._strip = StripBuffer()
 
     def add(
         self,
@@ -84,19 +81,15 @@ class Compressor:
                 the calibration of another sensor.
         """
         # Samples over frequency, without the errors that are known.
-        spectrum, track, sensor, delay = corrected_spectrum(history, track, sensor, settings, calibration)
+        corrected = corrected_spectrum(history, track, sensor, settings, calibration)
         # Azimuth compression, with one and the same filter for all channels.
         if sensor.mode == "spotlight":
-            slc: Slc | None = focus_dwell(spectrum, track, sensor, settings)
+            slc: Slc | None = focus_dwell(corrected.history, corrected.track, corrected.sensor, settings)
         else:
-            strip_of = (sensor.config_hash, calibration.id if calibration else "")
-            if strip_of != self._strip_of:
-                self._strip, self._strip_of, self._strip_delay = StripFocuser(), strip_of, StripDelay()
-            spectrum = self._strip_delay.joined(spectrum, delay, sensor)
-            slc = self._strip.focus_block(spectrum, track, sensor, settings)
+            slc = self._strip.focus_block(corrected, settings, calibration)
         # What the corrections leave is an error that all pixels share.
         if slc:
-            slc = replace(slc, aperture=with_known_errors(slc.aperture, sensor, settings))
+            slc = replace(slc, aperture=with_known_errors(slc.aperture, corrected.sensor, settings))
         # The calibration has raised the noise of channels that were weak.
         if slc and calibration:
             slc = replace(slc, noise_power=calibration.noise_gains(settings.range_window) * slc.noise_power)

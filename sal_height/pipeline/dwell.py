@@ -1,15 +1,14 @@
-"""The whole way from phase history to heights, each step one line.
+"""From the phase history of a dwell to its heights: the whole procedure, to be read from top to bottom.
 
-`Compressor` makes the images of all channels of a dwell, or of what a block completes of a strip; `heights` makes the
-heights of one such set of images, `heights_of_dwells` those of several at once. The ROS nodes only turn messages into
-these calls and back.
+Steps 1 to 5 make the images of all channels (`Compressor`), steps 6 to 15 the heights of these images by one estimator
+(`heights`; `heights_of_dwells` takes several dwells at once). Step 16, which follows the relief from dwell to dwell, is
+`relief.track`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Self
 
 import numpy as np
 
@@ -40,7 +39,7 @@ from sal_height.imaging import (
     focus_dwell,
     with_known_errors,
 )
-from sal_height.numeric import Index
+from sal_height.numeric import Bool, Index
 from sal_height.pipeline.channels import channel_sets, channels_and_beams, live_channels
 from sal_height.pipeline.strip import StripBuffer
 from sal_height.relief import HeightField, height_field, joined_rows, level_turn
@@ -51,7 +50,7 @@ class Compressor:
     """From the phase history of dwells to the images of all channels.
 
     In spotlight each dwell is an image. In stripmap dwells are consecutive blocks of pulses; those that the next image
-    still needs are held, with their track and their shares of clipped samples.
+    still needs are kept, with their track and their shares of clipped samples.
     """
 
     def __init__(self) -> None:
@@ -80,10 +79,9 @@ class Compressor:
             UserError: an image that cannot be made, a track that does not cover the pulses, air that is not known, or
                 the calibration of another sensor.
         """
-        # Samples over frequency, without the errors that are known.
         corrected = corrected_spectrum(history, track, sensor, settings, calibration)
-        # Azimuth compression, with one and the same filter for all channels.
-        if sensor.mode == "spotlight":
+        # 5  Azimuth compression, autofocus included, with one and the same filter for all channels.
+        if corrected.sensor.mode == "spotlight":
             slc: Slc | None = focus_dwell(corrected.history, corrected.track, corrected.sensor, settings)
         else:
             slc = self._strip.focus_block(corrected, settings, calibration)
@@ -97,7 +95,7 @@ class Compressor:
 
     @property
     def shortfall(self) -> str:
-        """Why the block that began a strip completed no image, a sentence; empty: it did, or was not the last one."""
+        """Why the block that started a strip completed no image, a sentence; empty: it did, or was not the last one."""
         return self._strip.shortfall
 
 
@@ -115,15 +113,15 @@ def corrected_spectrum(
     Raises:
         UserError: air that is not known, or the calibration of another sensor.
     """
-    # Clipped samples are counted while they are still those of the receivers.
+    # 1  Clipped samples are counted while they are still those of the receivers.
     counted = count_saturated(history, sensor)
-    # Range compression: samples over fast-time frequency, whatever the waveform.
+    # 2  Range compression: samples over fast-time frequency, whatever the waveform.
     spectrum, sensor = range_compressed(counted, sensor)
-    # Calibration: all channels get one response over the band.
+    # 3  Calibration: all channels get one response over the band.
     if calibration:
         calibration.check(sensor)
         spectrum = calibration.equalised(spectrum)
-    # Errors that are known: clocks, delays, and air.
+    # 4  Errors that are known: clocks, delays, and air.
     return correct_dwell(spectrum, track, sensor, settings)
 
 
@@ -149,31 +147,23 @@ def heights_of_dwells(
     settings: HeightSettings,
     calibration: Calibration | None = None,
 ) -> list[HeightField]:
-    """`heights` of several dwells, the same as one by one, in less time: elevations are estimated of all at once."""
-    dwells = [
-        [
-            (rows, Observed.of(slc, sensor, estimator, settings, calibration, channels))
-            for channels, rows in channel_sets(slc, sensor, settings.windows[0])
-        ]
-        for slc in slcs
+    """`heights` of several dwells, the same as one by one, in less time; arguments and errors as of `elevations`."""
+    # 6  Channels that receive: of each row of pixels those that are neither dead nor blanked.
+    parts = [
+        (number, rows, _observe(slc, sensor, estimator, settings, calibration, channels))
+        for number, slc in enumerate(slcs)
+        for channels, rows in channel_sets(slc, sensor, settings.windows[0])
     ]
-    estimates = iter(estimate_together([seen for dwell in dwells for _, seen in dwell], estimator, settings))
-    # Range, Doppler and elevation give the place on the ground.
-    side, velocity = sensor.look_side, settings.radial_velocity_mps
-    return [
-        joined_rows(
-            [
-                (
-                    rows,
-                    height_field(
-                        next(estimates), seen.looks, slc.grid, seen.grid, slc.aperture, side, velocity, seen.beams
-                    ),
-                )
-                for rows, seen in dwell
-            ]
-        )
-        for slc, dwell in zip(slcs, dwells, strict=True)
-    ]
+    # 11  Elevation from the ratios between channels.
+    estimates = estimator.estimate_dwells([(seen.looks, seen.beams) for *_, seen in parts], settings)
+    fields: list[list[tuple[Bool, HeightField]]] = [[] for _ in slcs]
+    for (number, rows, seen), estimate in zip(parts, estimates, strict=True):
+        judged, grid, aperture = _judge(estimate, seen, settings), slcs[number].grid, slcs[number].aperture
+        # 15  Range, Doppler and elevation give the place on the ground.
+        side, velocity = sensor.look_side, settings.radial_velocity_mps
+        field = height_field(judged, seen.looks, grid, seen.grid, aperture, side, velocity, seen.beams)
+        fields[number].append((rows, field))
+    return [joined_rows(of_dwell) for of_dwell in fields]
 
 
 def elevations(
@@ -198,13 +188,14 @@ def elevations(
         Rejected: too few channels have a signal, or they are not those that the estimator needs.
         UserError: looks that do not fit in the image, or noise powers that are not known.
     """
-    seen = Observed.of(slc, sensor, estimator, settings, calibration, channels_used)
-    (estimate,) = estimate_together([seen], estimator, settings)
-    return estimate, seen.looks, seen.grid, seen.beams
+    channels = live_channels(slc.images, sensor) if channels_used is None else channels_used
+    seen = _observe(slc, sensor, estimator, settings, calibration, channels)
+    (estimate,) = estimator.estimate_dwells([(seen.looks, seen.beams)], settings)
+    return _judge(estimate, seen, settings), seen.looks, seen.grid, seen.beams
 
 
 @dataclass(frozen=True, eq=False)
-class Observed:
+class _Observed:
     """What an estimator takes of a dwell, and what its estimate is judged by.
 
     Attributes:
@@ -212,7 +203,7 @@ class Observed:
         beams: of the channels; those of the next dwell are the same object if nothing has changed.
         grid: of the height pixels.
         response: of the images.
-        saturated_share: the greatest of the channels.
+        saturated_share: greatest share of clipped samples of a channel.
     """
 
     looks: Looks
@@ -221,61 +212,38 @@ class Observed:
     response: CellResponse
     saturated_share: float
 
-    @classmethod
-    def of(
-        cls,
-        slc: Slc,
-        sensor: Sensor,
-        estimator: ElevationEstimator,
-        settings: HeightSettings,
-        calibration: Calibration | None,
-        channels_used: Index | None,
-    ) -> Self:
-        """The looks of a dwell; arguments and errors as of `elevations`."""
-        # Channels without any signal are left out.
-        live = live_channels(slc.images, sensor) if channels_used is None else channels_used
-        images = slc.images if len(live) == len(slc.images) else slc.images[live]
-        # The channels that the estimator takes, of equal noise, or sum and difference; and their beams.
-        channels, beams = channels_and_beams(slc, sensor, estimator, calibration, live)
-        # The height pixels, and the squint of each column; a target that moves is seen at another one than its pixel.
-        grid = look_grid(slc.grid, *settings.windows)
-        squint = column_squint(grid, slc.aperture, sensor.beams, sensor.look_side)
-        squint = moving_squint(squint, settings.radial_velocity_mps, np.linalg.norm(slc.aperture.velocity))
-        # Looks: the covariance of the channels in each of them, and what sidelobes and other ranges bring to a pixel.
-        response = cell_response(slc, sensor)
-        turn = level_turn(float(np.mean(beams.span)), slc.grid, slc.aperture, sensor.look_side)
-        looks = windowed_looks(images, settings.windows, squint, channels, beams.is_complex, response, turn)
-        return cls(looks, beams, grid, response, float(slc.saturated_share[live].max()))
 
-    @property
-    def kind(self) -> Hashable:
-        """Looks of the same kind can be put side by side; those that are too large to be held are of none."""
-        covariance = self.looks.covariance
-        held = None if isinstance(covariance, np.ndarray) else id(covariance)
-        return held, id(self.beams), covariance.shape, tuple(self.looks.noise_powers.tolist())
+def _observe(
+    slc: Slc,
+    sensor: Sensor,
+    estimator: ElevationEstimator,
+    settings: HeightSettings,
+    calibration: Calibration | None,
+    used: Index,
+) -> _Observed:
+    """Observe a dwell by the channels of the numbers `used`; other arguments and errors as of `elevations`."""
+    images = slc.images if len(used) == len(slc.images) else slc.images[used]
+    # 7  The channels that the estimator takes, of equal noise, or sum and difference; and their beams.
+    channels, beams = channels_and_beams(slc, sensor, estimator, calibration, used)
+    # 8  The height pixels.
+    grid = look_grid(slc.grid, *settings.windows)
+    # 9  The squint of each column; a target that moves is seen at another one than its pixel.
+    squint = column_squint(grid, slc.aperture, sensor.beams, sensor.look_side)
+    squint = moving_squint(squint, settings.radial_velocity_mps, np.linalg.norm(slc.aperture.velocity))
+    # 10  Looks: the covariance of the channels in each pixel, and what sidelobes and other ranges bring to it.
+    response = cell_response(slc, sensor)
+    turn = level_turn(float(np.mean(beams.span)), slc.grid, slc.aperture, sensor.look_side)
+    looks = windowed_looks(images, settings.windows, squint, channels, beams.is_complex, response, turn)
+    return _Observed(looks, beams, grid, response, float(slc.saturated_share[used].max()))
 
 
-def estimate_together(
-    observed: Sequence[Observed], estimator: ElevationEstimator, settings: HeightSettings
-) -> list[ElevationEstimate]:
-    """Elevation of every height pixel of some dwells; those whose looks are of one kind are estimated at once."""
-    kinds: dict[Hashable, list[int]] = {}
-    for number, seen in enumerate(observed):
-        kinds.setdefault(seen.kind, []).append(number)
-    found: dict[int, ElevationEstimate] = {}
-    for numbers in kinds.values():
-        # Elevation from the ratios between channels, which clipped samples spoil.
-        looks = Looks.side_by_side([observed[number].looks for number in numbers])
-        estimate = estimator.estimate(looks, observed[numbers[0]].beams, settings)
-        found |= dict(zip(numbers, estimate.of_dwells(len(numbers)), strict=True))
-    return [judged(found[number], seen, settings) for number, seen in enumerate(observed)]
-
-
-def judged(estimate: ElevationEstimate, seen: Observed, settings: HeightSettings) -> ElevationEstimate:
+def _judge(estimate: ElevationEstimate, seen: _Observed, settings: HeightSettings) -> ElevationEstimate:
     """The estimate with the error by scatterers elsewhere, without what is imprecise, or spoilt by clipped samples."""
     looks, beams = seen.looks, seen.beams
-    # The error by scatterers elsewhere, whose sidelobes are in the pixel, and pixels that noise leaves uncertain.
+    # 12  The error by scatterers elsewhere, whose sidelobes are in the pixel.
     foreign = sidelobe_variance(estimate.elevation, looks, beams, settings.windows, seen.response)
     estimate = with_foreign_power(estimate, foreign)
+    # 13  Pixels that noise leaves uncertain.
     estimate = without_imprecise(estimate, settings.max_sigma_beamwidths * beams.beamwidth)
+    # 14  Clipped samples spoil the ratios between channels.
     return without_saturated(estimate) if seen.saturated_share > settings.max_saturated_share else estimate

@@ -3,6 +3,8 @@
 Steps 1 to 5 make the images of all channels (`Compressor`), steps 6 to 15 the heights of these images by one estimator
 (`heights`; `heights_of_dwells` takes several dwells at once). Step 16, which follows the relief from dwell to dwell, is
 `relief.track`.
+
+All of it is the same to the last bit for a dwell alone and among others, and for any number of threads.
 """
 
 from __future__ import annotations
@@ -39,7 +41,7 @@ from sal_height.imaging import (
     focus_dwell,
     with_known_errors,
 )
-from sal_height.numeric import Bool, Index
+from sal_height.numeric import Bool, Index, one_blas_thread
 from sal_height.pipeline.channels import channel_sets, channels_and_beams, live_channels
 from sal_height.pipeline.strip import StripBuffer
 from sal_height.relief import HeightField, height_field, joined_rows, level_turn
@@ -57,6 +59,7 @@ class Compressor:
         """Start without a strip."""
         self._strip = StripBuffer()
 
+    @one_blas_thread()
     def add(
         self,
         history: PhaseHistory,
@@ -99,6 +102,7 @@ class Compressor:
         return self._strip.shortfall
 
 
+@one_blas_thread()
 def corrected_spectrum(
     history: PhaseHistory,
     track: Trajectory,
@@ -140,6 +144,7 @@ def heights(
     return heights_of_dwells([slc], sensor, estimator, settings, calibration)[0]
 
 
+@one_blas_thread()
 def heights_of_dwells(
     slcs: Sequence[Slc],
     sensor: Sensor,
@@ -166,6 +171,7 @@ def heights_of_dwells(
     return [joined_rows(of_dwell) for of_dwell in fields]
 
 
+@one_blas_thread()
 def elevations(
     slc: Slc,
     sensor: Sensor,

@@ -12,11 +12,12 @@ from sal_height.elevation import ESTIMATORS
 from sal_height.errors import Rejected, UserError
 from sal_height.imaging import Slc
 from sal_height.movers import DwellImage, Looked, MoverSettings, ShownDwell, check_sensor, find_movers
-from sal_height.numeric import C128
+from sal_height.numeric import C128, one_blas_thread
 from sal_height.pipeline.channels import channels_and_beams, live_channels
 from sal_height.sensor import Sensor
 
 
+@one_blas_thread()
 def movers(slc: Slc, sensor: Sensor, settings: MoverSettings, calibration: Calibration | None = None) -> Looked:
     """What moves in an image of a strip, its place, height and radial velocity.
 
@@ -40,6 +41,7 @@ def movers(slc: Slc, sensor: Sensor, settings: MoverSettings, calibration: Calib
     return find_movers(images, beams, slc, sensor, settings)
 
 
+@one_blas_thread()
 def dwell_with_movers(
     slc: Slc, seconds: float, sensor: Sensor, settings: MoverSettings, calibration: Calibration | None = None
 ) -> ShownDwell:

@@ -51,6 +51,7 @@ setup(
         "rich",
         "rosbags",
         "scipy>=1.16",
+        "threadpoolctl>=3.8",
         "tqdm",
     ],
     extras_require={

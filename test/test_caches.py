@@ -22,7 +22,7 @@ from sal_height.elevation.search import SEARCHES_HELD, SQUINTS_AT_ONCE, PeakSear
 from sal_height.messages.frames import _fault_of_pulses
 from sal_height.numeric.range_profiles import _deconvolution
 from sal_height.numeric.windows import HELD, _half_power_width, broadening, window
-from sal_height.pipeline import _channels_and_beams
+from sal_height.pipeline.channels import _channels_and_beams
 from sal_height.sensor import whitened_channels
 from sal_height.sensor.waveform import _waveform
 

@@ -32,7 +32,7 @@ def test_one_version() -> None:
     assert len(versions) == 1
 
 
-BY_PIP = {"annotated-types", "cyclopts", "finufft", "mcap", "numba", "pydantic", "rosbags"}
+BY_PIP = {"annotated-types", "cyclopts", "finufft", "mcap", "numba", "pydantic", "rosbags", "threadpoolctl"}
 """Requirements that package.xml leaves to pip, and names in a comment: rosdep has no fitting package for them."""
 
 NAMED_OTHERWISE = {"pyyaml": "python3-yaml"}

@@ -6,9 +6,9 @@ Every estimator is a function `estimate(looks, beams, settings)` that returns an
 `spatial_prior` (help from neighbours), `several` (two and three scatterers in a pixel), `extended` (one surface that is
 spread over elevation), `order` (how probable each of these is), `layover` (which one a pixel is given) and
 `maximum_likelihood`, which joins these; `capon` and `music` (the two spectra known from tomography, on the same
-search), `monopulse` (pairs; sum and difference), `bounds` (the Cramér-Rao bounds) and `registry` (the estimators by
-name). `profile` tells the reflectivity at all elevations of a pixel instead, as tomography of vegetation needs it, and
-`canopy_ground` the ground below it.
+search), `monopulse` (pairs; sum and difference), `bounds` (the Cramér-Rao bounds), `registry` (the estimators by name)
+and `dwells` (several dwells at once). `profile` gives the reflectivity at all elevations of a pixel instead, as
+tomography of vegetation needs it, and `canopy_ground` the ground below it.
 """
 
 from sal_height.elevation.beam_error import common_deviation

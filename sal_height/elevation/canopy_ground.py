@@ -126,7 +126,7 @@ def canopy_ground_elevation(looks: Looks, beams: Beams, settings: CanopyGroundSe
     in_parallel(work, shape[1])
     detected = explained * looks.floor >= detection_limit(looks, beams.count, settings)
     told = (evidence > chdtri(1, 2 * settings.false_alarm_rate)).all(axis=0) & (canopy > LAYER_BEAMWIDTHS)
-    gain = beams.power(np.where(np.isfinite(elevation), elevation, first), looks.squint)
+    gain = looks.columns.each(beams.power, np.where(np.isfinite(elevation), elevation, first), looks.squint)
     received = looks.power / (looks.count * looks.noise_power) - beams.count
     inside = (elevation > first) & (power >= settings.min_cnr) & (power * gain > LEAST_SHARE * received)
     precise = sigma <= settings.max_sigma_beamwidths * beams.beamwidth

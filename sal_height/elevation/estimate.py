@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import gammainccinv
 
 from sal_height.elevation.beam_error import PowerLaw
@@ -120,24 +119,6 @@ class ElevationEstimate:
     def cnr(self) -> F64:
         """Of the strongest scatterer, power ratio."""
         return self.first.cnr
-
-    def of_dwells(self, dwells: int) -> list[Self]:
-        """The estimates of so many dwells whose pixels are side by side, `Looks.side_by_side`."""
-        if dwells == 1:
-            return [self]
-        cols = self.validity.shape[1] // dwells
-
-        def part(values: npt.NDArray[Any], dwell: int) -> Any:
-            return np.ascontiguousarray(values[:, dwell * cols : (dwell + 1) * cols])
-
-        return [
-            type(self)(
-                tuple(Scatterer(*(part(getattr(one, f.name), n) for f in fields(one))) for one in self.scatterers),
-                part(self.validity, n),
-                None if self.order_probability is None else part(self.order_probability, n),
-            )
-            for n in range(dwells)
-        ]
 
     def with_sigma(self, sigma: F64) -> Self:
         """The estimate with another standard deviation of the strongest scatterer, rad."""

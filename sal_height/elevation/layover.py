@@ -47,7 +47,7 @@ def resolve(
     here = row, col
     models = fit_models(here, single, evidence, looks, beams)
     evidence[here] = models.evidence.T
-    chances = log_probabilities(evidence, here, looks.dwells)
+    chances = log_probabilities(evidence, here, looks.columns)
     taken = _taken(models, chances[here].T, here, single, looks, beams, settings)
     probability = np.exp(chances)
     probability[~looks.finite] = np.nan

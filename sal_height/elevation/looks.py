@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from typing import Protocol, Self, TypeAlias
 
 import numpy as np
@@ -12,6 +11,7 @@ import numpy.typing as npt
 
 from sal_height.elevation._look_kernels import sum_covariances, sum_powers, sum_samples
 from sal_height.elevation.cell_response import CellResponse
+from sal_height.elevation.dwell_columns import DwellColumns
 from sal_height.elevation.look_windows import EVEN_VARIANCE, Window, axis_looks
 from sal_height.elevation.noise_floor import foreign_power
 from sal_height.errors import Rejected, UserError
@@ -68,8 +68,8 @@ class Looks:
             all its scatterers are at one elevation.
         unplaced: share of the variance of the ranges in a pixel that is within its samples: where in them their power
             comes from is not known.
-        dwells: number of images side by side, of equal width: pixels of one are no neighbours of those of another.
-            `level_spread` and `unplaced` are then those of each column, shape (cols,).
+        dwells: number of dwells side by side (`dwells.estimate_dwells`); of several, `level_spread` and `unplaced` are
+            those of each column, shape (cols,).
     """
 
     covariance: Covariances
@@ -111,21 +111,10 @@ class Looks:
             finite=np.ones((rows, cols), np.bool_),
         )
 
-    @classmethod
-    def side_by_side(cls, several: Sequence[Self]) -> Self:
-        """The looks of several dwells as one image, the columns of one after those of the other.
-
-        They must have the same channels, noise powers and shape, and hold their covariances as arrays.
-        """
-        first = several[0]
-        if len(several) == 1:
-            return first
-        cols = len(first.squint)
-        each = {f.name: [getattr(looks, f.name) for looks in several] for f in fields(cls)}
-        by_pixel = {name: np.concatenate(values, axis=1) for name, values in each.items() if np.ndim(values[0]) > 1}
-        by_dwell = {name: np.repeat(each[name], cols) for name in ("level_spread", "unplaced")}
-        squint = np.concatenate(each["squint"])
-        return replace(first, **by_pixel, **by_dwell, squint=squint, dwells=len(several))
+    @property
+    def columns(self) -> DwellColumns:
+        """Which columns belong to which dwell."""
+        return DwellColumns(self.dwells, len(self.squint) // self.dwells)
 
     @property
     def receiver_noise(self) -> float:

@@ -22,6 +22,7 @@ from sal_height.beams import Beams
 from sal_height.elevation._kernels import GRID_STEP
 from sal_height.elevation._order_kernels import learn_from_neighbours, weigh_priors
 from sal_height.elevation.bounds import information
+from sal_height.elevation.dwell_columns import DwellColumns
 from sal_height.elevation.estimate import ORDERS
 from sal_height.elevation.extended import GREATEST_SPREAD, LEAST_SPREAD, free_looks, log_prior
 from sal_height.elevation.several import CNR_RANGE, SeveralScatterers, fit_powers, power_of
@@ -105,19 +106,22 @@ def _gain_of_spread(along_slope: F64, looks: F64, level: F64) -> F64:
     return along_slope * (1 - 1 / level) - free_looks(looks) * np.log(level)
 
 
-def log_probabilities(log_evidence: F64, here: tuple[Index, Index], dwells: int = 1) -> F64:
+def log_probabilities(log_evidence: F64, here: tuple[Index, Index], columns: DwellColumns) -> F64:
     """Logarithm of the posterior probability of each model from log-evidences against noise, (rows, cols, ORDERS).
 
     How often TWO, THREE and SPREAD are among the pixels that are not single is a matter of the place: kerbs have pairs,
     forests do not. For each of the pixels `here` it is estimated from the others of NEIGHBOURS pixels each way (the EM
     algorithm; Dempster, Laird and Rubin, J. Royal Statistical Society B 39, 1977), and one more with shares as PRIOR.
-    `dwells` is the number of images side by side, which say nothing of each other.
+
+    Args:
+        log_evidence: shape (rows, cols, ORDERS).
+        here: rows and columns of some pixels, row by row.
+        columns: of the dwells: pixels of one say nothing of another.
     """
     found = log_evidence + np.log(PRIOR)
     found -= _log_sum(found, axis=-1)
     some, shares = found[here], np.zeros((*log_evidence.shape[:2], ORDERS - TWO))
-    cols = shares.shape[1] // dwells
-    learn_from_neighbours(log_evidence[here], here, cols, PRIOR, NEIGHBOURS // 2, EM_STEPS, some, shares)
+    learn_from_neighbours(log_evidence[here], here, columns.cols, PRIOR, NEIGHBOURS // 2, EM_STEPS, some, shares)
     found[here] = some
     return found
 

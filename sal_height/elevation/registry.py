@@ -6,13 +6,13 @@ ESTIMATORS. Its node, topics, console script, settings, and its place in reports
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from sal_height.beams import Beams
 from sal_height.elevation.canopy_ground import CanopyGroundSettings, canopy_ground_elevation
 from sal_height.elevation.capon import CaponSettings, capon_elevation
+from sal_height.elevation.dwells import Estimate, estimate_dwells
 from sal_height.elevation.estimate import ElevationEstimate
 from sal_height.elevation.looks import Looks
 from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
@@ -26,9 +26,6 @@ from sal_height.sensor import Channels, Sensor, sum_difference_channels, whitene
 
 MakeChannels = Callable[[C128, C128], Channels]
 """From the noise covariance of the sensor's channels and its channel matrix to the channels that an estimator takes."""
-
-Estimate = Callable[[Looks, Beams, Any], ElevationEstimate]
-"""From looks and beams of the estimator's channels, and its own settings, to the elevation of every pixel."""
 
 
 def has_several_detectors(sensor: Sensor) -> bool:
@@ -76,6 +73,12 @@ class ElevationEstimator:
     suits: Callable[[Sensor], bool] = has_several_detectors
     channels: MakeChannels = whitened_channels
     by_default: bool = False
+
+    def estimate_dwells(
+        self, observed: Sequence[tuple[Looks, Beams]], settings: HeightSettings
+    ) -> list[ElevationEstimate]:
+        """The `estimate` of each of several dwells, from their looks and beams, in less time than one by one."""
+        return estimate_dwells(self.estimate, observed, settings)
 
 
 def _sum_and_difference(noise_covariance: C128, channel_matrix: C128) -> Channels:

@@ -6,10 +6,10 @@ From this follows which pixels may hold more than a point, and how probable that
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Self
 
 import numpy as np
-from scipy.ndimage import uniform_filter
 
 from sal_height.beams import Beams
 from sal_height.elevation.estimate import ORDERS, ElevationEstimate, noise_limit, sidelobe_limit
@@ -98,33 +98,40 @@ class Levels:
     @classmethod
     def of(cls, noise: PixelNoise, looks: Looks, beams: Beams, settings: LayoverSettings) -> Self:
         """The levels for the number of looks of every pixel."""
-        # The path over elevation changes by a thousandth in such a step of squint.
-        step = SQUINT_STEP * beams.track_beamwidth
-        squints = looks.squint.reshape(looks.dwells, -1)
-        ends = np.rint(np.stack([squints.min(axis=1), squints.max(axis=1)], axis=1) / step) * step
-        lengths = [max(path_length(beams, squint) for squint in of_dwell) for of_dwell in ends.tolist()]
-        counts, which = np.unique(looks.count, return_inverse=True)
-        number = which.reshape(looks.count.shape), np.arange(looks.dwells).repeat(squints.shape[1])
+        longest = looks.columns.each(partial(_longest_path, beams), looks.squint)
+        values, of_col = np.unique(longest, return_inverse=True)
+        lengths: list[float] = values.tolist()
+        counts, of_pixel = np.unique(looks.count, return_inverse=True)
+        of_pixel = of_pixel.reshape(looks.count.shape)
         sidelobes = sidelobe_limit(looks.leaked, settings.sidelobe_rate)
 
         def level(of_noise: F64, rate: float) -> F64:
             # Errors of the beams are those of one look, too, but differ between directions.
             errors = sidelobe_limit(noise.beam_error, rate)
-            return (of_noise[number] + sidelobes + errors) / noise.raised
+            return (of_noise + sidelobes + errors) / noise.raised
 
         rarely = settings.layover_false_alarm
         often = min(SUSPICIOUS * rarely, 0.5)
-        alike = np.repeat(noise_limit(free_looks(counts), settings.spread_false_alarm)[:, None], looks.dwells, axis=1)
-        spread = level(alike, settings.spread_false_alarm)
+        spread = noise_limit(free_looks(counts), settings.spread_false_alarm)[of_pixel]
         tried, several = (
             np.array([[detection_threshold(length, count, rate) for length in lengths] for count in counts.tolist()])
             for rate in (often, rarely)
         )
         return cls(
-            tried=level(tried, often / beams.count),
-            several=level(several, rarely / beams.count),
-            spread=spread * noise.along_slope,
+            tried=level(tried[of_pixel, of_col], often / beams.count),
+            several=level(several[of_pixel, of_col], rarely / beams.count),
+            spread=level(spread, settings.spread_false_alarm) * noise.along_slope,
         )
+
+
+def _longest_path(beams: Beams, squint: F64) -> F64:
+    """Length of the longest path over the boresights at the squints (rad) of a dwell, the same for each of them.
+
+    It is longest at one of the ends, and changes by a thousandth in SQUINT_STEP.
+    """
+    step = SQUINT_STEP * beams.track_beamwidth
+    ends = np.rint(np.array([squint.min(), squint.max()]) / step) * step
+    return np.full(len(squint), max(path_length(beams, end) for end in ends.tolist()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,8 +155,7 @@ class Spread:
         free = np.where(looks.finite, free_looks(looks.count), 0.0)
         along = np.where(looks.finite, np.minimum(peaks.along_slope, 2 * levels.spread), 0.0)
         excess, unit = along - free * noise.along_slope, np.where(looks.finite, free * power * peaks.turning, 0.0)
-        of_dwells = np.stack([excess, unit]).reshape(2, len(excess), looks.dwells, -1)
-        pooled, units = uniform_filter(of_dwells, NEIGHBOURS, axes=(1, 3), mode="nearest").reshape(2, *excess.shape)
+        pooled, units = looks.columns.mean_of_neighbours(np.stack([excess, unit]), NEIGHBOURS)
         around = np.divide(np.maximum(pooled, 0.0), units, where=units > 0, out=np.zeros_like(units))
         level = noise.along_slope
         own = spread_of(peaks.along_slope / level, looks.count, power / level, peaks.turning)

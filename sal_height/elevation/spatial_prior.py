@@ -21,6 +21,7 @@ import numpy as np
 
 from sal_height.beams import Beams
 from sal_height.elevation._kernels import send_along
+from sal_height.elevation.dwell_columns import DwellColumns
 from sal_height.elevation.likelihood import OBJECTIVES, peak_elevation, search_guard
 from sal_height.elevation.looks import Looks
 from sal_height.elevation.search import PeakSearch, PeakSearches, Pixels
@@ -76,7 +77,7 @@ def smoothed_peaks(looks: Looks, beams: Beams, strength: float) -> F64:
     normalised, guard = OBJECTIVES["normalised"], search_guard(beams)
     elevation = peak_elevation(looks, beams, normalised, guard)
     searches = PeakSearches.over(beams, normalised, guard)
-    for tile in _tiles(len(elevation), len(looks.squint), looks.dwells):
+    for tile in _tiles(len(elevation), looks.columns):
         own, has_data = _log_likelihood(looks, tile, searches)
         messages = _messages(own, has_data, strength)
         own += messages
@@ -84,14 +85,14 @@ def smoothed_peaks(looks: Looks, beams: Beams, strength: float) -> F64:
     return elevation
 
 
-def _tiles(rows: int, cols: int, dwells: int) -> Iterator[_Tile]:
-    """The tiles of images side by side, each of which lies in one of them."""
-    wide = cols // dwells
-    for begin, top, left in product(range(0, cols, wide), range(0, rows, TILE), range(0, wide, TILE)):
+def _tiles(rows: int, columns: DwellColumns) -> Iterator[_Tile]:
+    """The tiles of an image, each of which lies in one dwell."""
+    wide = columns.cols
+    for dwell, top, left in product(columns.slices, range(0, rows, TILE), range(0, wide, TILE)):
         first_row, first_col = max(0, top - MARGIN), max(0, left - MARGIN)
         yield _Tile(
             rows=np.arange(first_row, min(top + TILE + MARGIN, rows)),
-            cols=begin + np.arange(first_col, min(left + TILE + MARGIN, wide)),
+            cols=dwell.start + np.arange(first_col, min(left + TILE + MARGIN, wide)),
             core=(slice(top - first_row, top - first_row + TILE), slice(left - first_col, left - first_col + TILE)),
         )
 

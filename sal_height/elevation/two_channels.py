@@ -17,10 +17,9 @@ weaker. It is taken to be none if hardly a pixel of the dwell is half as bright 
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
-from scipy.ndimage import uniform_filter
 
 from sal_height.beams import Beams
 from sal_height.elevation.bounds import unit_vectors
@@ -32,7 +31,7 @@ from sal_height.elevation.order import NEIGHBOURS
 from sal_height.elevation.settings import HeightSettings
 from sal_height.elevation.several import power_of
 from sal_height.elevation.single import PixelNoise
-from sal_height.numeric import F64
+from sal_height.numeric import F64, U8
 
 CHANCE = 0.5
 """Standard errors of what the pixels around have along the slope by noise alone, below which it counts as noise."""
@@ -82,10 +81,8 @@ def layover_variance(sigma: F64, peaks: SinglePeaks, looks: Looks, beams: Beams,
     # What the pixels around have beyond noise, as a power of one look, over their own power: the spread of elevations.
     turning = power_of(peaks.explained / noise.raised, count) * peaks.turning / noise.along_slope
     values = np.where(known, np.stack([along - free, free * turning, free]), 0.0)
-    of_dwells = values.reshape(3, len(free), looks.dwells, -1)
-    pooled = uniform_filter(of_dwells, NEIGHBOURS, axes=(1, 3), mode="nearest")
-    number = min(NEIGHBOURS, of_dwells.shape[1]) * min(NEIGHBOURS, of_dwells.shape[3])
-    more, unit, variance = pooled.reshape(3, *free.shape)
+    more, unit, variance = looks.columns.mean_of_neighbours(values, NEIGHBOURS)
+    number = min(NEIGHBOURS, len(free)) * min(NEIGHBOURS, looks.columns.cols)
     sure = np.maximum(more - CHANCE * np.sqrt(np.maximum(variance, 0.0) / number), 0.0)
     spread = np.divide(sure, unit, where=unit > 0, out=np.zeros_like(unit))
     # Noise alone has much power now and then: the pixel's own is believed as far as those around have more, too.
@@ -111,17 +108,18 @@ def _without_sidelobes(
     weaker = sidelobe_power(beams)
     if not weaker:
         return estimate
-    middle = beams.power(float(np.mean(beams.span)), looks.squint)
-    seen, validity = np.maximum(peaks.explained / looks.count - 1, 0.0), estimate.validity.copy()
+    middle = looks.columns.each(partial(beams.power, float(np.mean(beams.span))), looks.squint)
+    seen = np.maximum(peaks.explained / looks.count - 1, 0.0)
     inside, beside = seen / peaks.array_power, seen / (weaker * middle)
-    for columns in np.split(np.arange(len(looks.squint)), looks.dwells):
-        usable = validity[:, columns] == Validity.OK
-        if usable.any():
-            brightest = BRIGHTER * np.quantile(inside[:, columns][usable], 1 - BRIGHT_SHARE, method="higher")
-            validity[:, columns] = np.where(
-                usable & (beside[:, columns] <= brightest), np.uint8(Validity.AMBIGUOUS), validity[:, columns]
-            )
-    return replace(estimate, validity=validity)
+
+    def marked(validity: U8, inside: F64, beside: F64) -> U8:
+        usable = validity == Validity.OK
+        if not usable.any():
+            return validity
+        brightest = BRIGHTER * np.quantile(inside[usable], 1 - BRIGHT_SHARE, method="higher")
+        return np.where(usable & (beside <= brightest), np.uint8(Validity.AMBIGUOUS), validity)
+
+    return replace(estimate, validity=looks.columns.each(marked, estimate.validity, inside, beside))
 
 
 @lru_cache(maxsize=8)

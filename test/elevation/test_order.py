@@ -10,6 +10,7 @@ from scipy.ndimage import uniform_filter
 
 from sal_height.beams.array import Beams
 from sal_height.elevation._order_kernels import invert_diagonals, weigh_priors
+from sal_height.elevation.dwell_columns import DwellColumns
 from sal_height.elevation.extended import STEEPNESS
 from sal_height.elevation.looks import Looks
 from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
@@ -84,7 +85,7 @@ def test_evidence_of_spread_is_the_mean_over_the_prior() -> None:
 
 def test_probabilities_are_those_of_bayes_rule() -> None:
     evidence = np.array([[[0.0, 3.0, 2.0, -np.inf, 1.0], [900.0, 0.0, 0.0, 0.0, 905.0]]])
-    found = np.exp(log_probabilities(evidence, NOWHERE))[0]
+    found = np.exp(log_probabilities(evidence, NOWHERE, DwellColumns(1, 2)))[0]
     np.testing.assert_allclose(found.sum(axis=1), 1, rtol=1e-12)
     expected = PRIOR * np.exp(evidence[0, 0])
     np.testing.assert_allclose(found[0], expected / expected.sum(), rtol=1e-12)
@@ -97,12 +98,13 @@ def test_pixels_around_say_what_is_frequent() -> None:
     evidence[..., 2] = 20.0
     evidence[3, 3, [2, 4]] = 20.0
     everywhere = tuple(np.indices((7, 7)).reshape(2, -1))
-    found = np.exp(log_probabilities(evidence, everywhere))[3, 3]
+    found = np.exp(log_probabilities(evidence, everywhere, DwellColumns(1, 7)))[3, 3]
     pairs, spread = 48 + PRIOR[2] / PRIOR[2:].sum(), PRIOR[4] / PRIOR[2:].sum()
     assert found[2] / found[4] == pytest.approx(pairs / spread, rel=1e-3)
     # A pixel is no evidence of what is frequent around itself.
     evidence[3, 3, 2] = 21.0
-    alone = np.exp(log_probabilities(evidence[3:4, 3:4], (np.array([0]), np.array([0]))))[0, 0]
+    here = np.array([0]), np.array([0])
+    alone = np.exp(log_probabilities(evidence[3:4, 3:4], here, DwellColumns(1, 1)))[0, 0]
     assert alone[2] / alone[4] == pytest.approx(np.e * PRIOR[2] / PRIOR[4], rel=1e-9)
 
 
@@ -171,7 +173,18 @@ def test_shares_of_the_models_are_those_of_moving_averages() -> None:
     rng = np.random.default_rng(64)
     evidence = rng.normal(0, 3, (13, 9, 5))
     here = np.nonzero(rng.random((13, 9)) < 0.7)
-    np.testing.assert_allclose(np.exp(log_probabilities(evidence, here)), shared_by_filters(evidence, here), rtol=1e-9)
+    found = np.exp(log_probabilities(evidence, here, DwellColumns(1, 9)))
+    np.testing.assert_allclose(found, shared_by_filters(evidence, here), rtol=1e-9)
+
+
+def test_pixels_of_another_dwell_are_no_neighbours() -> None:
+    """The probabilities of three dwells side by side are those of each alone, to the last bit."""
+    rng = np.random.default_rng(65)
+    evidence, chosen = rng.normal(0, 3, (13, 12, 5)), rng.random((13, 12)) < 0.7
+    together, one = log_probabilities(evidence, np.nonzero(chosen), DwellColumns(3, 4)), DwellColumns(1, 4)
+    for part in DwellColumns(3, 4).slices:
+        alone = log_probabilities(evidence[:, part], np.nonzero(chosen[:, part]), one)
+        np.testing.assert_array_equal(together[:, part], alone)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])

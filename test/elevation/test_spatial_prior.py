@@ -13,6 +13,7 @@ from sal_height.beams.array import Beams
 from sal_height.beams.pattern import Pattern
 from sal_height.elevation import spatial_prior
 from sal_height.elevation._kernels import FREE_NODES
+from sal_height.elevation.dwell_columns import DwellColumns
 from sal_height.elevation.estimate import explained_power
 from sal_height.elevation.likelihood import GUARD, OBJECTIVES, estimate_of, peak_elevation, peaks_at, search_guard
 from sal_height.elevation.looks import Looks
@@ -179,7 +180,7 @@ def test_likelihood_is_the_greatest_over_the_power_of_the_amplitudes() -> None:
     covariance[0, 1] *= np.float32(0.05)  # weaker than noise almost everywhere: P = 0 is best
     searches = PeakSearches.over(beams, NORMALISED, 0.0)
     seen = Looks.of(covariance, looks, noise_power=noise_power)
-    own, has_data = spatial_prior._log_likelihood(seen, next(spatial_prior._tiles(1, 2, 1)), searches)
+    own, has_data = spatial_prior._log_likelihood(seen, next(spatial_prior._tiles(1, DwellColumns(1, 2))), searches)
     assert has_data.all()
     powers = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 4001)])
     nodes = np.linspace(*beams.domain(0.0), own.shape[2])

@@ -16,6 +16,7 @@ from functools import lru_cache
 import numpy as np
 
 from sal_height.beams import Beams
+from sal_height.elevation.dwell_columns import DwellColumns
 from sal_height.elevation.monopulse._kernels import INSIDE, NO_DOMAIN, NOT_FINITE, UNKNOWN, look_up
 from sal_height.elevation.monopulse.discriminant import (
     FARTHEST,
@@ -80,7 +81,7 @@ class InverseTable:
         return found, reason
 
 
-def invert_pairs(beams: Beams, mu: F64, pair: Index, squint: F64) -> PairElevation:
+def invert_pairs(beams: Beams, mu: F64, pair: Index, squint: F64, columns: DwellColumns) -> PairElevation:
     """Invert the discriminant of each pixel for its pair of neighbouring detectors, within ALLOWED_ERROR.
 
     Args:
@@ -88,6 +89,7 @@ def invert_pairs(beams: Beams, mu: F64, pair: Index, squint: F64) -> PairElevati
         mu: discriminants, shape (rows, cols); NaN is NOT_FINITE.
         pair: number of the lower detector of each one's pair, same shape.
         squint: of the columns, rad, shape (cols,).
+        columns: of the dwells. By the beams, each is inverted alone: all discriminants of a pair share a table then.
 
     Raises:
         UserError: the patterns of two neighbouring detectors have no angle in common.
@@ -105,14 +107,20 @@ def invert_pairs(beams: Beams, mu: F64, pair: Index, squint: F64) -> PairElevati
         )
     elevation, slope, sum_gain, imaginary = found
     inverse = PairElevation(elevation, slope, reason, sum_gain, np.hypot(mu, imaginary))
-    unknown = reason == UNKNOWN
-    for lower in np.unique(pair[unknown]).tolist() if unknown.any() else []:
+    for of_dwell in columns.slices if np.any(reason == UNKNOWN) else []:
+        _invert_unknown(inverse, beams, mu, pair, squint, of_dwell)
+    return inverse
+
+
+def _invert_unknown(inverse: PairElevation, beams: Beams, mu: F64, pair: Index, squint: F64, columns: slice) -> None:
+    """Invert by the beams what the tables do not know in the columns of a dwell: changes `inverse` in place."""
+    mu, pair, unknown = mu[:, columns], pair[:, columns], inverse.reason[:, columns] == UNKNOWN
+    for lower in np.unique(pair[unknown]).tolist():
         here, two = unknown & (pair == lower), beams.pair(lower)
-        angle = np.broadcast_to(squint, mu.shape)[here]
+        angle = np.broadcast_to(squint[columns], mu.shape)[here]
         exact = PairElevation.of(two, invert(two, mu[here], angle), angle)
         for one in fields(inverse):
-            getattr(inverse, one.name)[here] = getattr(exact, one.name)
-    return inverse
+            getattr(inverse, one.name)[:, columns][here] = getattr(exact, one.name)
 
 
 def squint_step(beams: Beams) -> float:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from enum import IntEnum
 from typing import Self
 
@@ -85,6 +86,11 @@ class PairElevation(Inversion):
         with np.errstate(divide="ignore", invalid="ignore"):
             modulus = np.abs(upper - lower) / np.abs(upper + lower)
         return cls(found.elevation, found.slope, found.reason, np.abs(upper + lower) ** 2, modulus)
+
+    @classmethod
+    def side_by_side(cls, several: Sequence[Self]) -> Self:
+        """What was found for parts of an image, which are some columns each."""
+        return cls(*(np.concatenate([getattr(one, f.name) for one in several], axis=-1) for f in fields(cls)))
 
 
 def invert(pair: Beams, mu: npt.ArrayLike, squint: npt.ArrayLike) -> Inversion:

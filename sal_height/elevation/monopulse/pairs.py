@@ -68,7 +68,7 @@ def monopulse_elevation(looks: Looks, beams: Beams, settings: MonopulseSettings)
     pair, sums = strongest_pairs(looks)
     noise_powers = (2 * looks.receiver_noise, 2 * looks.receiver_noise)
     mu = discriminate(sums, DISCRIMINANTS[settings.discriminant], noise_powers)
-    found = invert_pairs(beams, mu, pair, looks.squint)
+    found = invert_pairs(beams, mu, pair, looks.squint, looks.columns)
     sigma, cnr = accuracy(sums, found, noise_powers, beams.uncertainty)
 
     first, last = beams.span

@@ -22,6 +22,7 @@ import numpy as np
 from pydantic import field_validator, model_validator
 
 from sal_height.beams import Beams
+from sal_height.elevation.dwell_columns import DwellColumns
 from sal_height.elevation.estimate import ElevationEstimate, Fit, Validity, decide_validity, detection_limit
 from sal_height.elevation.likelihood import SinglePeaks
 from sal_height.elevation.looks import Looks
@@ -34,7 +35,7 @@ from sal_height.elevation.monopulse.estimators import (
     whitened_products,
 )
 from sal_height.elevation.monopulse.inverse_table import invert_pairs
-from sal_height.elevation.monopulse.inversion import UNPAIRED, PairElevation, invert_linear
+from sal_height.elevation.monopulse.inversion import UNPAIRED, Inversion, PairElevation, invert_linear
 from sal_height.elevation.monopulse.slope_table import SlopeTable, read_slope_table
 from sal_height.elevation.settings import HeightSettings
 from sal_height.elevation.two_channels import in_two_channels
@@ -42,13 +43,24 @@ from sal_height.errors import UserError
 from sal_height.numeric import F64
 from sal_height.settings import setting
 
-Inverse = Callable[[Beams, F64, F64], PairElevation]
-"""Function of the pair of beams, gamma (rows, cols) and the squint of each column (rad) that returns elevations."""
+Inverse = Callable[[Beams, F64, F64, DwellColumns], PairElevation]
+"""Function of the pair of beams, gamma (rows, cols), the squint of each column (rad) and the columns of each dwell that
+returns elevations."""
 
-INVERSES: dict[str, Inverse] = {
-    "exact": lambda pair, gamma, squint: invert_pairs(pair, gamma, np.zeros(gamma.shape, np.intp), squint),
-    "linear": lambda pair, gamma, squint: PairElevation.of(pair, invert_linear(pair, gamma, squint), squint),
-}
+
+def _dwell_by_dwell(invert: Callable[[Beams, F64, F64], Inversion]) -> Inverse:
+    def inverse(pair: Beams, gamma: F64, squint: F64, columns: DwellColumns) -> PairElevation:
+        parts = zip(columns.split(gamma), columns.split(squint), strict=True)
+        return PairElevation.side_by_side([PairElevation.of(pair, invert(pair, g, s), s) for g, s in parts])
+
+    return inverse
+
+
+def _by_tables(pair: Beams, gamma: F64, squint: F64, columns: DwellColumns) -> PairElevation:
+    return invert_pairs(pair, gamma, np.zeros(gamma.shape, np.intp), squint, columns)
+
+
+INVERSES: dict[str, Inverse] = {"exact": _by_tables, "linear": _dwell_by_dwell(invert_linear)}
 """Inversions that follow from the beams, by name."""
 
 
@@ -98,8 +110,7 @@ def _slope_table(path: str) -> SlopeTable:
 
 
 def _by_slope_table(path: str) -> Inverse:
-    table = _slope_table(path)
-    return lambda pair, gamma, squint: PairElevation.of(pair, table.invert(pair, gamma, squint), squint)
+    return _dwell_by_dwell(_slope_table(path).invert)
 
 
 def sum_difference_elevation(looks: Looks, pair: Beams, settings: SumDifferenceSettings) -> ElevationEstimate:
@@ -124,7 +135,7 @@ def sum_difference_elevation(looks: Looks, pair: Beams, settings: SumDifferenceS
     sums, noise_powers = products_of_looks(looks), (float(looks.noise_powers[0]), float(looks.noise_powers[1]))
     gamma = discriminate(sums, DISCRIMINANTS[settings.discriminant], noise_powers)
     inverse = _by_slope_table(settings.slope_table) if settings.slope_table else INVERSES[settings.inverse]
-    found = inverse(pair, gamma, looks.squint)
+    found = inverse(pair, gamma, looks.squint, looks.columns)
     sigma, cnr = accuracy(sums, found, noise_powers, pair.uncertainty)
     even, scale = whitened_products(sums, noise_powers)
     explained, left = _eigenvalues(even) / noise_powers[0]

@@ -9,6 +9,7 @@ import pytest
 from helpers import BEAMWIDTH, circular, make_beams
 
 from sal_height.beams import PATTERNS, Beams, detector_pattern
+from sal_height.elevation.dwell_columns import DwellColumns
 from sal_height.elevation.looks import Looks
 from sal_height.elevation.monopulse._kernels import INSIDE, NO_DOMAIN, UNKNOWN
 from sal_height.elevation.monopulse.inverse_table import (
@@ -46,6 +47,11 @@ def drawn(rng: np.random.Generator, reach: float = 0.5) -> tuple[np.ndarray, np.
     return mu, rng.integers(0, 3, mu.shape), rng.uniform(-reach, reach, 12) * BEAMWIDTH
 
 
+def of_one(squint: np.ndarray) -> DwellColumns:
+    """Columns of a single dwell."""
+    return DwellColumns(1, len(squint))
+
+
 def by_beams(beams: Beams, mu: np.ndarray, pair: np.ndarray, squint: np.ndarray) -> PairElevation:
     angle = np.broadcast_to(squint, mu.shape)
     parts: dict[str, np.ndarray] = {}
@@ -63,7 +69,7 @@ def test_tables_give_what_the_beams_give(name: str) -> None:
     """Times its slope, elevation is right to ALLOWED_ERROR, where one look at 60 dB leaves 7e-4; slopes to 2e-4."""
     beams = arrays()[name]
     mu, pair, squint = drawn(np.random.default_rng(18))
-    found, exact = invert_pairs(beams, mu, pair, squint), by_beams(beams, mu, pair, squint)
+    found, exact = invert_pairs(beams, mu, pair, squint, of_one(squint)), by_beams(beams, mu, pair, squint)
     np.testing.assert_array_equal(found.reason, exact.reason)
     inside = exact.reason == Reason.INSIDE
     assert 0.3 < inside.mean() < 0.99
@@ -87,7 +93,7 @@ def test_nearly_all_steps_of_squint_of_an_image_are_tabulated() -> None:
 def test_where_a_main_lobe_ends_the_beams_are_asked(pattern: str) -> None:
     beams = make_beams(pattern, count=4)
     mu, pair, squint = drawn(np.random.default_rng(19), reach=2.5)
-    found, exact = invert_pairs(beams, mu, pair, squint), by_beams(beams, mu, pair, squint)
+    found, exact = invert_pairs(beams, mu, pair, squint, of_one(squint)), by_beams(beams, mu, pair, squint)
     np.testing.assert_array_equal(found.reason, exact.reason)
     np.testing.assert_allclose(found.elevation, exact.elevation, rtol=0, atol=1e-5 * BEAMWIDTH)
     pages = {round(page) for page in np.floor(squint / BEAMWIDTH + 0.5).tolist()}
@@ -99,23 +105,37 @@ def test_what_is_found_depends_on_the_pixel_alone() -> None:
     """Value for value, in any order, alone or with others, and after other tables were made."""
     beams, again = (make_beams("jinc", count=4) for _ in range(2))
     mu, pair, squint = drawn(np.random.default_rng(20), reach=0.9)
-    found, order = invert_pairs(beams, mu, pair, squint), np.random.default_rng(21).permutation(12)
-    shuffled = invert_pairs(again, mu[:, order], pair[:, order], squint[order])
+    found, order = invert_pairs(beams, mu, pair, squint, of_one(squint)), np.random.default_rng(21).permutation(12)
+    shuffled = invert_pairs(again, mu[:, order], pair[:, order], squint[order], of_one(squint))
     np.testing.assert_array_equal(shuffled.elevation, found.elevation[:, order])
     for column in range(0, 12, 5):
         one = slice(column, column + 1)
-        alone = invert_pairs(beams, mu[3:4, one], pair[3:4, one], squint[one])
+        alone = invert_pairs(beams, mu[3:4, one], pair[3:4, one], squint[one], DwellColumns(1, 1))
         np.testing.assert_array_equal(alone.elevation, found.elevation[3:4, one])
         np.testing.assert_array_equal(alone.slope, found.slope[3:4, one])
 
 
+def test_dwells_side_by_side_are_inverted_as_each_alone() -> None:
+    """Value for value, also by the beams, whose table is as fine as the squints of the dwell that need it are few."""
+    beams = make_beams("jinc", count=4)
+    mu, pair, squint = drawn(np.random.default_rng(24), reach=2.5)
+    columns, one = DwellColumns(3, 4), DwellColumns(1, 4)
+    together = invert_pairs(beams, mu, pair, squint, columns)
+    apart = [invert_pairs(beams, mu[:, part], pair[:, part], squint[part], one) for part in columns.slices]
+    expected, as_one = PairElevation.side_by_side(apart), invert_pairs(beams, mu, pair, squint, of_one(squint))
+    for field in fields(PairElevation):
+        np.testing.assert_array_equal(getattr(together, field.name), getattr(expected, field.name))
+    assert np.nanmax(np.abs(as_one.slope - together.slope)) > 0  # the table of all at once is another
+
+
 def test_without_a_discriminant_or_a_squint_there_is_no_elevation() -> None:
     beams, squint = make_beams("jinc", count=4), np.array([0.0, 0.1 * BEAMWIDTH, np.nan])
-    found = invert_pairs(beams, np.array([[0.1, np.nan, 0.1], [np.inf, -np.inf, 0.2]]), np.zeros((2, 3), int), squint)
+    mu, columns = np.array([[0.1, np.nan, 0.1], [np.inf, -np.inf, 0.2]]), of_one(squint)
+    found = invert_pairs(beams, mu, np.zeros((2, 3), int), squint, columns)
     none = int(Reason.NOT_FINITE)
     assert found.reason.tolist() == [[0, none, none], [none, none, none]]
     assert np.isnan(found.elevation).sum() == 5
-    assert invert_pairs(beams, np.empty((0, 3)), np.empty((0, 3), int), squint).elevation.shape == (0, 3)
+    assert invert_pairs(beams, np.empty((0, 3)), np.empty((0, 3), int), squint, columns).elevation.shape == (0, 3)
 
 
 def test_steps_of_squint_are_a_share_of_the_narrower_beam() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,8 +13,7 @@ from sal_height.elevation import ESTIMATORS, MEASURED, MlSettings, Validity, sca
 from sal_height.errors import UserError
 from sal_height.geometry import Trajectory
 from sal_height.imaging import ImageSettings, Slc
-from sal_height.pipeline import Compressor, channels_and_beams, heights, heights_of_dwells
-from sal_height.relief import HeightField
+from sal_height.pipeline import Compressor, channels_and_beams, heights
 from sal_height.sensor import Channels, PhaseHistory, clipped, whitened_channels
 from sal_height.simulation import SimulatedFlight, flight_of, load_preset
 from sal_height.simulation.receivers import receiver_noise
@@ -194,37 +193,3 @@ def test_dwells_have_the_very_same_beams_whatever_their_noise_level(small: tuple
     np.testing.assert_allclose(uneven.noise_powers, direct.noise_powers / highest**2, rtol=1e-8)
     scaled = flight.sensor.beams.combined(direct.matrix).response(flight.sensor.beams.span[0], 0.0)
     np.testing.assert_allclose(other.response(flight.sensor.beams.span[0], 0.0), scaled, atol=1e-8)
-
-
-def numbers_of(field: HeightField) -> list[np.ndarray]:
-    """All arrays of some heights."""
-    surfaces = [getattr(surface, f.name) for surface in field.surfaces for f in fields(surface)]
-    return [array for array in [field.validity, field.order_probability, *surfaces] if array is not None]
-
-
-@pytest.mark.parametrize(
-    ("estimator", "changes"),
-    [*((name, {}) for name in ESTIMATORS if name != "sum_difference"), ("ml", {"prior_strength": 0.75})],
-)
-def test_heights_of_dwells_at_once_are_those_of_each_alone(estimator: str, changes: dict[str, float]) -> None:
-    """Dwells that differ in scene, geometry, noise, and in whether pixels beside the border are missing.
-
-    Rounding differs: compiled loops and NumPy treat the last numbers of an array in another way than the others.
-    """
-    flight, made = flight_of(load_preset("small"), seed=7), []
-    for dwell in range(3):
-        history, image = flight.phase_history(dwell), ImageSettings(rows=46, cols=12)
-        made.append(Compressor().add(history, flight.track(dwell), flight.sensor, image))
-    made[1].images[:, :20, -1] = np.nan
-    turned = replace(made[2].aperture, position=made[2].aperture.position + np.array([0.5, -2.0, 0.3]))
-    made[2] = replace(made[2], noise_power=1.7 * made[2].noise_power, aperture=turned)
-    entry = ESTIMATORS[estimator]
-    settings = entry.settings(**changes)
-    together = heights_of_dwells(made, flight.sensor, entry, settings)
-    each = [heights(slc, flight.sensor, entry, settings) for slc in made]
-    measured = sum(np.count_nonzero(np.isin(alone.validity, MEASURED)) for alone in each)
-    assert measured > 50 or estimator == "canopy_ground"  # there is no canopy
-    for one, alone in zip(together, each, strict=True):
-        np.testing.assert_array_equal(one.validity, alone.validity)
-        for mine, theirs in zip(numbers_of(one), numbers_of(alone), strict=True):
-            np.testing.assert_allclose(mine, theirs, rtol=1e-9, atol=1e-12)

@@ -1,0 +1,22 @@
+"""The whole way from phase history to heights.
+
+Read `dwell` first, then `channels` (which channels a dwell has, and their beams), `strip` (what a strip keeps from
+block to block) and `moving` (what moves in images).
+"""
+
+from sal_height.pipeline.channels import channel_sets, channels_and_beams, live_channels
+from sal_height.pipeline.dwell import Compressor, corrected_spectrum, elevations, heights, heights_of_dwells
+from sal_height.pipeline.moving import dwell_with_movers, movers
+
+__all__ = [
+    "Compressor",
+    "channel_sets",
+    "channels_and_beams",
+    "corrected_spectrum",
+    "dwell_with_movers",
+    "elevations",
+    "heights",
+    "heights_of_dwells",
+    "live_channels",
+    "movers",
+]

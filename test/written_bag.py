@@ -12,7 +12,15 @@ from sal_height.bag.reader import BagReader
 from sal_height.bag.writer import BagWriter
 from sal_height.messages import serialize
 from sal_height.messages.parameters import parameter_of
-from sal_height.messages.types import Calibration, ChannelFrame, HeightImage, NavSatFix, ParameterEvent, Provenance, SensorInfo
+from sal_height.messages.types import (
+    Calibration,
+    ChannelFrame,
+    HeightImage,
+    NavSatFix,
+    ParameterEvent,
+    Provenance,
+    SensorInfo,
+)
 from sal_height.nodes.cues import DwellKey
 
 TOPICS = {

@@ -34,9 +34,9 @@ import yaml
 
 from sal_height.bag.files import parameters_file
 from sal_height.bag.reader import BagReader
+from sal_height.bag.sensor_topics import MAP_ORIGIN
 from sal_height.errors import UserError
 from sal_height.nodes.playlist import FRAMES
-from sal_height.nodes.stage import MAP_ORIGIN
 from sal_height.runs.catalogue import HEIGHTS, NODES, SETTABLE, TRACKER, NodeParameters, check_parameters, placed
 from sal_height.runs.entry import origin_of
 from sal_height.runs.flight_record import products_of

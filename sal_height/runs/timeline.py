@@ -13,7 +13,6 @@ from typing import Any, NamedTuple, TypeVar
 
 from sal_height.bag.reader import BagReader, LogTimes
 from sal_height.nodes.cues import DwellKey
-from sal_height.nodes.dwell_stage import DwellParameters
 from sal_height.nodes.height import LEFT_OUT
 from sal_height.nodes.height_adjuster import POSE_ERROR
 from sal_height.nodes.sar_compression import HEARD

@@ -27,7 +27,7 @@ from sal_height.relief.map import fitting_cell_size
 from sal_height.runs.catalogue import NODES, TRACKER, consumers, suited
 from sal_height.runs.entry import contents
 from sal_height.runs.processes import ONE_THREAD
-from sal_height.runs.replay_parameters import recorded_parameters
+from sal_height.runs.recorded_parameters import recorded_parameters
 from sal_height.runs.reporting import merged
 from sal_height.sensor import PhaseHistory
 

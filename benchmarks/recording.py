@@ -35,8 +35,8 @@ from sal_height.nodes.stage import FRAMES_QOS
 from sal_height.runs.catalogue import TRACKER, consumers, suited
 from sal_height.runs.conductor import Execution
 from sal_height.runs.entry import contents
+from sal_height.runs.recorded_parameters import recorded_parameters
 from sal_height.runs.replay import replay
-from sal_height.runs.replay_parameters import recorded_parameters
 from sal_height.runs.reporting import merged
 from sal_height.runs.self_test import core_rate_hz
 from sal_height.runs.sensor_bag import record_sensor

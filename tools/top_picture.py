@@ -6,6 +6,7 @@ The sensor is that of the preset `small`, twenty times slower than it is, so tha
 from __future__ import annotations
 
 import io
+import math
 import re
 import subprocess
 import sys
@@ -16,7 +17,6 @@ from pathlib import Path
 
 from rich.console import Console
 
-from sal_height.nodes.account import LATENCY_P50
 from sal_height.runs.account_book import AccountBook
 from sal_height.runs.live_table import node_table
 from sal_height.runs.watch import watch
@@ -54,7 +54,7 @@ def _until_settled() -> Callable[[AccountBook], None]:
     since: list[float] = []
 
     def look(book: AccountBook) -> None:
-        if any(LATENCY_P50 in one.account.numbers and "height" in name for name, one in book.entries.items()):
+        if any(math.isfinite(one.account.latency_p50_ms) and "height" in name for name, one in book.entries.items()):
             since.append(time.monotonic())
         if since and since[-1] - since[0] > SETTLED_S:
             raise KeyboardInterrupt

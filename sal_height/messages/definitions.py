@@ -635,8 +635,8 @@ geometry_msgs/Quaternion rotation
 # Covariance of that rotation about the axes of base_link [rad^2], 9 numbers, row-major. Empty: not known; zeros: exact.
 float64[] rotation_covariance
 """,
-        "sal_height_msgs/msg/NodeAccount": r"""# What became of a node's messages so far: on /progress, several times a second while somebody subscribes. At any time
-# received = processed + dropped + waiting.
+        "sal_height_msgs/msg/NodeAccount": r"""# What became of a node's messages so far: on /progress, several times a second and after every piece of work, while
+# somebody subscribes. At any time received = processed + dropped + waiting.
 
 # stamp: when it was published, by the node's clock. frame_id: empty.
 std_msgs/Header header
@@ -723,12 +723,12 @@ float32[] autofocus_phase
 
 # Values of name.
 string MEAN = "mean"          # mean of all height images, each weighted by inverse variance
-string GROUND = "ground"      # lowest surface
-string SURFACE = "surface"    # highest surface
+string GROUND = "ground"      # ground that is estimated from all surfaces of all height images, the highest of each cell
+string SURFACE = "surface"    # highest surface of each cell, whatever it is of
 string name
 
-# Height [m] of the ground at the centre of the cell, from the strongest scatterer of each pixel and the weaker ones that
-# are all but certain to be there; NaN where nothing was seen.
+# Height [m] at the centre of the cell; in MEAN that of the ground, from the strongest scatterer of each pixel and the
+# weaker ones that are all but certain to be there. NaN where nothing was seen.
 float32[] height
 
 # Standard deviation [m] of that height at that place: errors move a point to the side as well, so that it depends on the
@@ -757,8 +757,8 @@ uint32[] count
 """,
         "sal_height_msgs/msg/ReliefMap": r"""# Heights of successive dwells in one grid on the ground, in one or more layers. Where the origin of the map frame on the
 # earth is known, the grid is one of a coordinate reference system, and heights are above its ellipsoid, or above its geoid
-# if it names one. Otherwise they are above the sphere of radius HeightImage.EARTH_RADIUS, which touches the origin of the map
-# frame from below.
+# if it names one. Otherwise they are above the sphere of radius HeightImage.EARTH_RADIUS, which touches the origin of the
+# map frame from below.
 
 # stamp: that of the last height image entered. frame_id: the map frame, "map" (ENU), in which the sensor's poses are.
 std_msgs/Header header

@@ -21,6 +21,9 @@ from sal_height.messages.layout import ARRAY, LIST, NO_FIELD, TEXT, Field
 NAMES = {"bool": "boolean", "byte": "octet", "char": "uint8", "float32": "float", "float64": "double"}
 """Names that rclpy has for numbers, where they are others."""
 
+OURS = "sal_height_msgs"
+"""Package of our messages."""
+
 
 @functools.cache
 def message_class(type_name: str) -> type[Any]:
@@ -46,7 +49,13 @@ def message_class(type_name: str) -> type[Any]:
 
 
 def class_of(kind: type[Any]) -> type[Any]:
-    """Class of rclpy for the type of plain messages; errors as of `message_class`."""
+    """Class of rclpy for the type of plain messages; errors as of `message_class`.
+
+    Raises:
+        ModuleNotFoundError: the package of our messages is not installed, which no node can do without.
+    """
+    if kind.__msgtype__.startswith(f"{OURS}/"):
+        importlib.import_module(OURS)
     return message_class(kind.__msgtype__)
 
 

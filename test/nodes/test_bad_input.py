@@ -324,16 +324,16 @@ def test_a_bad_image_is_rejected_with_its_reason(
 
 def test_bad_images_are_counted_by_the_estimators(chain: Chain, reference: Any, graph: Graph) -> None:
     """One image of a wrong size, and a dwell whose images do not share a grid."""
-    images: list[ComplexImage] = []
+    heard: list[ComplexImage] = []
     tap = graph.add(Node("tap", context=graph.context))
-    subscribe(tap, ComplexImage, "slc", lambda image: images.append(copy.deepcopy(image)), 100)
+    subscribe(tap, ComplexImage, "slc", lambda image: heard.append(copy.deepcopy(image)), 100)
     chain.wait(lambda: chain.stages["sar_compression"]._offered[0].subscribers == 3, "the tap")
     chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
     chain.await_heights(0)
-    chain.wait(lambda: len(images) == DETECTORS, "the images")
+    chain.wait(lambda: len(heard) == DETECTORS, "the images")
     source = publisher_of(tap, ComplexImage, "slc", 100)
     chain.wait(lambda: source.get_subscription_count() == 3, "the estimators")
-    images = images[:DETECTORS]
+    images = heard[:DETECTORS]
     images[0].grid.row_spacing *= 2
     for image in images:
         image.dwell = 55

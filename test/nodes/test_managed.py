@@ -17,7 +17,7 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from sal_height.messages.types import Calibration as CalibrationMessage
-from sal_height.messages.types import DiagnosticArray, HeightImage
+from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, HeightImage
 from sal_height.nodes.account import DIAGNOSTICS, Account
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.map_stage import MapStage
@@ -88,7 +88,7 @@ def test_a_node_that_does_not_start_by_itself_waits_for_its_manager(graph: Graph
     node = graph.add(ReliefTracker(context=graph.context, parameter_overrides=[Parameter("autostart", value=False)]))
     assert manager.state("relief_tracker") == State.PRIMARY_STATE_UNCONFIGURED
     status = node.diagnostics().status[0]
-    assert (status.level, status.message) == (b"\x00", "inactive")
+    assert (status.level, status.message) == (DiagnosticStatus.OK, "inactive")
     manager.change("relief_tracker", Transition.TRANSITION_CONFIGURE)
     assert not node.is_active
     manager.change("relief_tracker", Transition.TRANSITION_ACTIVATE)

@@ -13,6 +13,7 @@ from pathlib import Path
 from threading import Event
 from typing import Any
 
+import numpy as np
 import pytest
 import rclpy
 from helpers import assert_one_sentence, file_size_limit, publisher_of
@@ -117,7 +118,7 @@ def test_bursts_of_large_frames_lose_nothing(graph: Graph, source: Node, bag: Pa
     frames = []
     for channel in range(16):
         frame = ChannelFrame(channel=channel, pulse_count=512, sample_count=512)
-        frame.samples.frombytes(bytes([channel]) * (8 * 512 * 512))
+        frame.samples = np.full(8 * 512 * 512, channel, np.uint8)
         frames.append(serialize(frame))
     for _ in range(2):
         publish(graph, recorder, publisher, frames)
@@ -648,9 +649,9 @@ def test_a_type_that_is_not_installed_is_left_out(
     assert graph.spin_until(
         lambda: any("Topic /note is not recorded. Message type" in text for text in warnings), TIMEOUT_S
     )
-    assert recorder.recorded == {}
+    assert recorder.recorded.keys() <= {"/diagnostics"}, "whose definition comes with the program"
     graph.close()
-    assert BagReader(bag).topics == {}
+    assert "/note" not in BagReader(bag).topics
 
 
 def test_a_full_disk_is_reported_once_and_the_node_lives_on(

@@ -23,7 +23,7 @@ from std_msgs.msg import String
 
 from sal_height.bag.reader import BagReader
 from sal_height.bag.salvage import salvage
-from sal_height.messages.types import DiagnosticArray
+from sal_height.messages.types import DiagnosticArray, DiagnosticStatus
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.message_types import subscribe
 
@@ -101,7 +101,7 @@ def errors(graph: Graph) -> list[str]:
     said: list[str] = []
 
     def hear(message: DiagnosticArray) -> None:
-        said.extend(s.message for s in message.status if s.name == "recorder" and s.level != b"\x00")
+        said.extend(s.message for s in message.status if s.name == "recorder" and s.level != DiagnosticStatus.OK)
 
     subscribe(graph.add(Node("watcher", context=graph.context)), DiagnosticArray, "/diagnostics", hear, 100)
     return said

@@ -32,7 +32,7 @@ def hostile(good: Any, count: int, rng: np.random.Generator) -> Iterator[bytes]:
             _spoil(message, rng)
         try:
             yield serialize(message)
-        except (ValueError, struct.error):  # a list that is longer than its type allows, a number out of range
+        except (ValueError, OverflowError, struct.error):  # a list too long for its type, a number out of range
             yield _broken(sound, rng)
 
 

@@ -134,7 +134,7 @@ def test_arrays_give_the_heights_of_the_flight(
     made = heights_of(tmp_path / "out" / "bag")
     assert [image.dwell for image in made] == [image.dwell for image in expected] == [0, 1]
     for mine, true in zip(made, expected, strict=True):
-        assert mine.validity == true.validity
+        np.testing.assert_array_equal(mine.validity, true.validity)
         found, wanted = (np.array(image.surfaces[0].height) for image in (mine, true))
         np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-4)
     assert messages.to_ns(made[0].header.stamp) == 10**18

@@ -242,7 +242,7 @@ def test_accounts_become_series_at_the_stamp_of_the_last_data(recorded: dict[str
     status.name = "ml_height"
     numbers = {"in": 16, "processed": 8, "offered_hz": 2.5, "achieved_hz": 2.0, "latency_p50_ms": 3.0}
     numbers |= {"latency_p95_ms": 7.0, "dropped.overload": 5, "dropped.queue full": 3}
-    status.values = Account(numbers, "Too much came.").to_values()
+    status.values = Account.of_numbers(numbers, "Too much came.").to_values()
     (early,) = painter.paint(heard("/diagnostics", DIAGNOSTICS, 7), message)
     assert (early.stamp_ns, early.heard_ns) == (None, 7)
     assert {d.path: d.value for d in early.drawings if isinstance(d, Number)} == {

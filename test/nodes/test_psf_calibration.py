@@ -194,8 +194,7 @@ def test_images_wait_for_their_calibration_and_go_without_it(
     """A height node that has not heard what beams the calibration found makes no heights."""
     images: list[Any] = []
     with_file = flown(graph, faulty(flight), saved(tmp_path, calibration_of(faulty(flight))))
-    from sal_height_msgs.msg import ComplexImage
-
+    from sal_height.messages.types import ComplexImage
     from sal_height.nodes.height import HEIGHT_NODES
     from sal_height.nodes.stage import FRAMES_QOS
 

@@ -110,8 +110,8 @@ def test_parameters_that_do_not_exist_today_are_told(tmp_path: Path) -> None:
 
 
 def test_paths_in_the_provenance_are_apart_unless_nodes_state_them(tmp_path: Path) -> None:
-    """What is no path is a value like any other, and how dwells wait is none."""
-    made = {"terrain": "a.tif", "targets": "", "timeout_s": 1.0}
+    """What is no path is a value like any other, and the latency budget is none."""
+    made = {"terrain": "a.tif", "targets": "", "latency_budget_s": 1.0}
     said = [frame(0), heights(0, height_adjuster=made, sar_compression={"calibration": "topic"})]
     flight = found(tmp_path / "alone", *said)
     assert flight.files == {("height_adjuster", "terrain"): "a.tif"}

@@ -149,7 +149,7 @@ def test_your_own_sensor_becomes_a_bag_that_can_be_replayed(fresh_folder: Path) 
     assert BagReader(fresh_folder / "out" / "flight").topics["/phase_history"].count == 2
     values = {"sar_compression": {"rows": 64, "cols": 32}}
     outcome = replay(fresh_folder / "out" / "flight", fresh_folder / "again", values, estimators=["ml"]).outcome
-    assert outcome.stages["sar_compression"].count("processed") == 2, outcome.losses
+    assert outcome.stages["sar_compression"].processed == 2, outcome.losses
 
 
 def test_heights_are_an_xarray_dataset(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

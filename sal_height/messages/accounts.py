@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import Any
 
 from sal_height.messages.types import Count, NodeAccount
 
@@ -50,26 +51,40 @@ MOST = 2**32 - 1
 """Greatest count that is believed."""
 
 
+UNKNOWN: Mapping[str, float] = MappingProxyType(
+    dict.fromkeys(("offered_hz", "achieved_hz", "latency_p50_ms", "latency_p95_ms"), math.nan)
+)
+"""Fields that are not a number where nothing states them."""
+
+
 def account_of_numbers(numbers: Mapping[str, float]) -> NodeAccount:
-    """The account that numbers say; those that are not finite, or no count where one is due, are left out."""
-    account = NodeAccount(offered_hz=math.nan, achieved_hz=math.nan, latency_p50_ms=math.nan, latency_p95_ms=math.nan)
+    """The account that numbers state; those that are not finite, or no count where one is due, are left out."""
+    fields = fields_of_numbers(numbers)
+    for name in (*COUNTED.values(), EVENTS):
+        fields[name] = [Count(name=key, count=count) for key, count in fields.get(name, {}).items()]
+    return NodeAccount(**{**UNKNOWN, **fields})
+
+
+def fields_of_numbers(numbers: Mapping[str, float]) -> dict[str, Any]:
+    """The fields of the account that numbers state, with counts by name as dictionaries, without absent fields."""
+    fields: dict[str, Any] = {}
     for name, number in numbers.items():
         if not math.isfinite(number):
             continue
         if name in MEASURED:
-            setattr(account, name, float(number))
+            fields[name] = float(number)
         elif 0 <= number <= MOST:
-            _enter(account, name, int(number))
-    return account
+            _enter(fields, name, int(number))
+    return fields
 
 
-def _enter(account: NodeAccount, name: str, count: int) -> None:
+def _enter(fields: dict[str, Any], name: str, count: int) -> None:
     """Enter a count."""
     if name in WHOLE:
-        setattr(account, WHOLE[name], count)
+        fields[WHOLE[name]] = count
     elif name == READY:
-        account.ready = count > 0
+        fields["ready"] = count > 0
     else:
         prefix = next((prefix for prefix in COUNTED if name.startswith(prefix)), "")
         field = COUNTED[prefix] if prefix else EVENTS
-        getattr(account, field).append(Count(name=name.removeprefix(prefix), count=count))
+        fields.setdefault(field, {})[name.removeprefix(prefix)] = count

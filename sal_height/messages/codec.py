@@ -95,7 +95,8 @@ class TypeStore:
             shared: whether its provenance is never changed, so that its bytes can be kept for further messages.
 
         Raises:
-            ValueError, TypeError, struct.error, AttributeError: a field has a value that its type does not allow.
+            ValueError, TypeError, OverflowError, struct.error, AttributeError: a field has a value that its type does
+                not allow.
         """
         parts = [HEAD]
         self._programs.writer(message.__msgtype__, shared=shared)(message, parts.append, ENCAPSULATION)
@@ -128,7 +129,8 @@ def serialize(message: Any) -> bytes:
     """The bytes of a message of a shipped type: zeros as padding, nothing after the last field.
 
     Raises:
-        ValueError, TypeError, struct.error, AttributeError: a field has a value that its type does not allow.
+        ValueError, TypeError, OverflowError, struct.error, AttributeError: a field has a value that its type does
+            not allow.
     """
     return SHIPPED.serialize(message)
 

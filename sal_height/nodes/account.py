@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, Self
 
 from sal_height.messages import to_stamp
-from sal_height.messages.accounts import COUNTED, EVENTS, MEASURED, READY, WHOLE, account_of_numbers
+from sal_height.messages.accounts import COUNTED, EVENTS, MEASURED, READY, WHOLE, fields_of_numbers
 from sal_height.messages.types import Count, DiagnosticStatus, Header, KeyValue, NodeAccount
 
 DIAGNOSTICS = "/diagnostics"
@@ -96,13 +96,11 @@ class Account:
     @classmethod
     def of_numbers(cls, numbers: Mapping[str, float], last_drop: str = "") -> Self:
         """The account that numbers by their names on /diagnostics say."""
-        account = cls.of_message(account_of_numbers(numbers))
-        return replace(
-            account,
-            unpublished=account.unpublished if "untold" in numbers else None,
-            kind=STAGE if {"in", "waiting"} & numbers.keys() else RECORDER if "unwritten" in numbers else OTHER,
-            last_drop=last_drop,
-        )
+        values = fields_of_numbers(numbers)
+        for name in OF_TOPICS:
+            values[name] = {key.removeprefix("/"): count for key, count in values.get(name, {}).items()}
+        kind = STAGE if {"in", "waiting"} & numbers.keys() else RECORDER if "unwritten" in numbers else OTHER
+        return cls(**values, last_drop=last_drop, kind=kind)
 
     @classmethod
     def of_message(cls, message: NodeAccount) -> Self:

@@ -27,6 +27,7 @@ def moved(folder: Path, metres: float) -> Path:
             if message.topic == "/ml/height":
                 image = deserialize(cdr, HeightImage)
                 place = next(n for n, validity in enumerate(image.validity) if validity == HeightImage.OK)
+                image.surfaces[0].height = image.surfaces[0].height.copy()
                 image.surfaces[0].height[place] += metres
                 cdr = serialize(image)
             bag.write(message.topic, cdr, message.log_time_ns, message.log_time_ns)

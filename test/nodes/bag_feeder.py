@@ -113,7 +113,7 @@ def main() -> None:
         def is_settled() -> bool:
             """Whether no node holds anything: a dwell that lacks frames is given up seconds after the last one."""
             compression, heights = (feeder.accounts[name] for name in NODES)
-            came = compression.received > 0 and heights.received == compression.published["slc"]
+            came = compression.received > 0 and heights.received == compression.published_on["slc"]
             return came and not (compression.waiting or heights.waiting)
 
         if not options:

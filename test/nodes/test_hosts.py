@@ -63,7 +63,8 @@ def start_node(start: Start, host: int, name: str, **variables: str) -> subproce
 
 def feed(start: Start, out: Path, *options: str, **variables: str) -> dict[str, dict[str, float]]:
     """The accounts of all nodes after a bag was published from the first host."""
-    process = start(0, bag_feeder.__file__, BAG, out, *options, **variables)
+    tests = str(Path(bag_feeder.__file__).parents[1])  # of whose modules the feeder takes helpers
+    process = start(0, bag_feeder.__file__, BAG, out, *options, PYTHONPATH=tests, **variables)
     assert process.wait(TIMEOUT_S) == 0
     return {file.stem: json.loads(file.read_text(encoding="utf-8")) for file in out.glob("*.json")}
 

@@ -427,7 +427,7 @@ def test_rosbags_reads_an_imported_gotcha_bag_by_the_schema_in_it(
             found[connection.topic] = reader.deserialize(raw, connection.msgtype)
             assert bytes(reader.typestore.serialize_cdr(found[connection.topic], connection.msgtype)) == raw
     info, frame = found["/sensor_info"], found["/phase_history"]
-    assert (info.contract_version, info.name, info.waveform.kind) == (2, "afrl_gotcha_HH", "spectrum")
+    assert (info.contract_version, info.name, info.waveform.kind) == (3, "afrl_gotcha_HH", "spectrum")
     assert (info.waveform.sample_count, info.pulse_count) == (424, frame.pulse_count)
     assert len(frame.samples) == 8 * 424 * frame.pulse_count
     assert set(found) == {"/sensor_info", "/platform/odometry", "/phase_history"}

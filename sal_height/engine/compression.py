@@ -1,0 +1,470 @@
+"""Stage sar_compression: forms the images of all channels from the phase history and the odometry."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from sal_height.calibration import Calibration
+from sal_height.engine.air import (
+    AIR_PARAMETERS,
+    AIR_PORTS,
+    HEARD_AIR,
+    OTHER_CLOCK_S,
+    USED_AIR,
+    AirHistory,
+    AirSettings,
+    air_of_dwell,
+    may_have_air,
+    needed_air,
+)
+from sal_height.engine.calibrations import (
+    CALIBRATION,
+    CALIBRATION_PORT,
+    CALIBRATIONS_ARRIVED,
+    CALIBRATIONS_KEPT,
+    StatedCalibration,
+)
+from sal_height.engine.dwells import SENSOR_INFO, SENSOR_PORT, SENSORS_KEPT, DwellStage, WholeDwell
+from sal_height.engine.frame_items import Frame, check_frame, history_of
+from sal_height.engine.gathering import Dwell
+from sal_height.engine.image_items import AIR_LEFT, AIR_REMOVED, Images, Source
+from sal_height.engine.kept import Kept, Latest
+from sal_height.engine.provenance import of_compression
+from sal_height.engine.settings import ChannelSettings, FrameSettings
+from sal_height.engine.stage import FOREVER_NS, DwellKey, FileInput, Job, Notice, Port, Product, Result
+from sal_height.engine.static_frames import StaticFrames, StaticTransform
+from sal_height.engine.track import Arrival, OdometryHistory, longest_gap_s
+from sal_height.errors import Rejected, UserError
+from sal_height.geometry import Motion, Mounting, PlatformState, Trajectory
+from sal_height.imaging import ImageSettings, Slc
+from sal_height.pipeline import Compressor
+from sal_height.rehearsal import once, rehearsed_slc
+from sal_height.sensor import Sensor
+from sal_height.settings import setting
+
+PHASE_HISTORY, ODOMETRY, SLC, TF_STATIC = "phase_history", "platform/odometry", "slc", "/tf_static"
+
+SENSOR = (SENSOR_INFO, ODOMETRY, PHASE_HISTORY)
+"""Topics of a sensor."""
+
+ODOMETRY_PORT = Port(ODOMETRY, PlatformState, "state of the platform, nav_msgs/Odometry")
+
+SLC_PORT = Port(SLC, Images, "complex image of one channel and dwell in each message", per_channel=True)
+
+HEARD = "topic"
+"""Value of the parameter calibration: apply the calibration that arrives on the topic calibration."""
+
+ODOMETRY_GAP, NO_AIR, NO_MOUNTING = "odometry gap", "no air", "no mounting"
+"""Reasons for which a dwell waits."""
+
+USED_MOUNTING = "used_mounting"
+"""Beginning of the names, beside the parameters of the compression, of a mounting that was not that of sensor_info; and
+the port of a `UsedMounting`, on which no messages arrive."""
+
+NOT_TRUSTED = "autofocus found no phase error that it can trust; the image is focused with the odometry alone."
+
+
+class CompressionSettings(FrameSettings, AirSettings, ImageSettings, ChannelSettings):
+    """Settings of the images, and what the stage needs besides."""
+
+    calibration: str = setting(
+        "",
+        "path of a calibration file, which is applied to the images and published on topic calibration; 'topic': apply "
+        "the last calibration received on topic calibration; empty: none",
+        read_only=True,
+        names_file=True,
+    )
+    max_odometry_gap_s: float = setting(
+        0.5, "longest time between two odometry samples during a dwell", unit="s", minimum=1e-6, maximum=3600.0
+    )
+    odometry_interval_s: float = setting(
+        0.05,
+        "longest time between two odometry samples that is no gap; in a gap the covariance of the pose grows by what "
+        "the platform may have done meanwhile",
+        unit="s",
+        minimum=1e-6,
+        maximum=3600.0,
+    )
+    acceleration_noise: float = setting(
+        0.1,
+        "acceleration that odometry does not show, for gaps",
+        unit="m/s^2/sqrt(Hz)",
+        minimum=0.0,
+        maximum=1000.0,
+    )
+    turning_noise: float = setting(
+        0.01,
+        "angular acceleration that odometry does not show, for gaps",
+        unit="rad/s^2/sqrt(Hz)",
+        minimum=0.0,
+        maximum=1000.0,
+    )
+    mounting_from_tf: bool = setting(
+        False,
+        "take the place of the sensor on the platform from /tf_static, where frame_id of its mounting is to be found, "
+        "and not from sensor_info",
+        read_only=True,
+    )
+    odometry_held_s: float = setting(
+        100.0,
+        "time for which odometry is held; a dwell must be complete within it",
+        unit="s",
+        minimum=1.0,
+        maximum=86400.0,
+        read_only=True,
+    )
+
+    @property
+    def motion(self) -> Motion:
+        """What gaps in the odometry leave open."""
+        return Motion(self.acceleration_noise, self.turning_noise, self.odometry_interval_s)
+
+
+class UsedMounting(NamedTuple):
+    """The mounting that a flight used for a sensor (config_hash) instead of that of its description."""
+
+    sensor: str
+    mounting: Mounting
+
+
+class Supplies(NamedTuple):
+    """What a dwell is compressed with besides its frames.
+
+    Attributes:
+        states: odometry from the last sample before the first pulse to the first after the last pulse.
+        calibration: of the sensor's receivers; None: none is applied.
+        mounting: of the sensor on the platform.
+        air: that was received, as values of the parameters that state a measured one; None: none is used.
+    """
+
+    states: list[PlatformState]
+    calibration: Calibration | None
+    mounting: Mounting
+    air: Mapping[str, float] | None = None
+
+
+class Compression(DwellStage):
+    """Forms the images of all channels of a dwell, each with the same filter."""
+
+    usual_name = "sar_compression"
+    about = "Forms the images of all channels of a dwell, each with the same filter."
+    settings = CompressionSettings
+    dwell_port = PHASE_HISTORY
+    is_parallel = True
+    niceness: ClassVar[int] = 4
+    changeable: ClassVar = ("_received", "_mountings")
+
+    def __init__(self, *arguments: Any, **others: Any) -> None:
+        super().__init__(*arguments, **others)
+        self._odometry = OdometryHistory(self._settings.odometry_held_s)
+        self._last_pulse_ns = 0
+        self._awaited_ns = math.inf
+        """Earliest stamp of odometry that a dwell waits for, as far as known; infinity: none does."""
+        self._received = Kept[Calibration](CALIBRATIONS_KEPT)
+        """Calibrations that arrived, by config_hash of their sensor."""
+        self._frames = StaticFrames()
+        self._air = AirHistory()
+        self._awaits_air = False
+        self._mountings: dict[str, Mounting] = {}
+        self._applied_from: dict[str, Sequence[DwellKey]] = {}
+        """Of calibrations, by identity, the dwells from which on they are applied; none once they have arrived."""
+        # The heavy side.
+        self._strips = Latest[Compressor](SENSORS_KEPT, Compressor)
+        """Of the blocks of each sensor in stripmap, by config_hash."""
+
+    @classmethod
+    def inputs(cls, settings: Any) -> Sequence[Port]:
+        """Frames, their sensor, the odometry, and what the settings ask for."""
+        frames = Port(
+            PHASE_HISTORY, Frame, "samples of one channel and dwell in each message", per_channel=True, counted=True
+        )
+        ports = [SENSOR_PORT, ODOMETRY_PORT, frames, *AIR_PORTS]
+        if settings.calibration == HEARD:
+            ports.append(
+                CALIBRATION_PORT._replace(about="calibration to apply, only if the parameter calibration is topic")
+            )
+        if settings.mounting_from_tf:
+            about = "frame of the sensor on the platform, only if the parameter mounting_from_tf is true"
+            ports.append(Port(TF_STATIC, StaticTransform, about, latched=True))
+        return ports
+
+    @classmethod
+    def described_inputs(cls) -> Sequence[Port]:
+        """All ports that it accepts items on with some settings."""
+        return cls.inputs(cls.settings(calibration=HEARD, mounting_from_tf=True))
+
+    @classmethod
+    def described_outputs(cls) -> Sequence[Port]:
+        """All ports that it makes products for with some settings."""
+        return cls.outputs(cls.settings(calibration="FILE"))
+
+    @classmethod
+    def outputs(cls, settings: Any) -> Sequence[Port]:
+        """The images, and the calibration of a file."""
+        of_file = settings.calibration not in {"", HEARD}
+        about = "calibration of the file that the parameter calibration names"
+        return [SLC_PORT, *([CALIBRATION_PORT._replace(about=about)] if of_file else [])]
+
+    @classmethod
+    def files(cls, settings: Any) -> Sequence[FileInput]:
+        """The calibration."""
+        source = settings.calibration
+        return [FileInput(CALIBRATION, CALIBRATION, source)] if source not in {"", HEARD} else []
+
+    def begin(self, stamp_ns: int) -> None:
+        """Publish the calibration of the file."""
+        if self._of_file:
+            self.add(Product(CALIBRATION, StatedCalibration(self._of_file, stamp_ns)))
+
+    @property
+    def _of_file(self) -> Calibration | None:
+        found: Calibration | None = self._files.get(CALIBRATION)
+        return found
+
+    def state_mounting(self, sensor: str, mounting: Mounting) -> None:
+        """Use a mounting for a sensor (config_hash) instead of that of its description, as a flight did."""
+        self._mountings[sensor] = mounting
+
+    def state_calibrations(self, applied_from: Mapping[str, Sequence[DwellKey]]) -> None:
+        """Apply calibrations (by identity) from these dwells on, as a flight did, and not once they arrive."""
+        self._applied_from = dict(applied_from)
+
+    @property
+    def needed_ports(self) -> Sequence[str]:
+        """The air, if it is to be taken from messages."""
+        if self._settings.air != HEARD_AIR:
+            return ()
+        sensors = map(self._sensors.get, self._sensors)
+        return [port for sensor in sensors if sensor for port in needed_air(sensor.wavelength)]
+
+    def check(self, message: Frame, sensor: Sensor) -> None:
+        """Check size, samples and pulse times of a frame."""
+        check_frame(message, sensor)
+        self._last_pulse_ns = max(self._last_pulse_ns, message.end_ns)
+
+    def supplies(self, key: DwellKey, messages: list[Frame], sensor: Sensor) -> Supplies:
+        """Odometry from before the first pulse to after the last without gaps, and calibration and air to use.
+
+        Raises:
+            Rejected: the odometry does not cover the pulses yet, or has a gap; the sensor's frame, or the air, is not
+                known yet.
+            UserError: the sensor's frame is nowhere on a platform.
+        """
+        frame, settings = messages[0], self._settings
+        delay_ns = settings.odometry_delay_ns
+        states = self._odometry.around(key.stamp_ns + delay_ns, frame.end_ns + delay_ns)
+        gap = longest_gap_s(states)
+        if gap <= settings.max_odometry_gap_s:
+            try:
+                air = air_of_dwell(self._air, frame, sensor, states, settings)
+            except Rejected:
+                self._awaits_air = True
+                raise
+            if gap > settings.odometry_interval_s:
+                self.count("odometry.bridged")
+            return Supplies(states, self._calibration_for(sensor), self._mounting_of(sensor), air)
+        self._awaited_ns = min(self._awaited_ns, frame.end_ns + delay_ns)
+        found = f"there are {gap:g} s between two" if states else self._describe_odometry(key.stamp_ns)
+        raise Rejected(
+            ODOMETRY_GAP,
+            f"Dwell {key.number}: {ODOMETRY} must reach from its first pulse to its last with a sample every "
+            f"{settings.max_odometry_gap_s:g} s (max_odometry_gap_s); {found}.{self.describe_sources()}",
+        )
+
+    def is_hopeless(self, dwell: Dwell[Frame], missing: Rejected) -> bool:
+        """Whether odometry, air or a transform that a dwell waits for will not arrive."""
+        settings, none_before = self._settings, self._none_before
+        if missing.reason == ODOMETRY_GAP:
+            start_ns = dwell.key.stamp_ns + settings.odometry_delay_ns
+            end_ns = dwell.messages[0].end_ns + settings.odometry_delay_ns
+            none_before_ns = none_before.get(ODOMETRY, start_ns)
+            return not self._odometry.may_cover(start_ns, end_ns, none_before_ns, settings.max_odometry_gap_s)
+        if missing.reason == NO_AIR:
+            return not may_have_air(self._air, none_before, dwell.key, dwell.sensor, settings)
+        if missing.reason == NO_MOUNTING:
+            return none_before.get(TF_STATIC, 0) == FOREVER_NS
+        return super().is_hopeless(dwell, missing)
+
+    def series_of(self, whole: WholeDwell) -> str | None:
+        """Blocks of a strip follow each other."""
+        return f"{self.name} strip" if whole.sensor.mode == "stripmap" else None
+
+    @property
+    def own_series(self) -> str:
+        """Series of what changes the strip."""
+        return f"{self.name} strip"
+
+    def receive_other(self, port: str, item: Any) -> None:
+        """Take odometry, air, a calibration, a mounting or a transform."""
+        if port == ODOMETRY:
+            self._receive_odometry(item)
+        elif port in AIR_PARAMETERS:
+            self._air.add(port, item)
+            if self._awaits_air:
+                self._awaits_air = False  # dwells that go on waiting will say so
+                self.hand_over_complete()
+        elif port == CALIBRATION:
+            self._receive_calibration(item)
+        elif port == USED_MOUNTING:
+            self._mountings[item.sensor] = item.mounting
+        else:
+            try:
+                self._frames.add(item)
+            except UserError as error:
+                self.warn("transform", error)
+            self.hand_over_complete()
+
+    def forget(self) -> None:
+        """Forget odometry, unfinished dwells, and the strip that dwells are blocks of."""
+        self._odometry = OdometryHistory(self._settings.odometry_held_s)
+        self._last_pulse_ns, self._awaited_ns = 0, math.inf
+        super().forget()
+
+    def forget_work(self) -> Iterator[Result]:
+        """Start new strips."""
+        self._strips.take_all()
+        yield from ()
+
+    def rehearse_for(self, sensor: Sensor, settings: Any) -> None:
+        """Compress made-up dwells."""
+        once(
+            (sensor.digest, settings),
+            lambda: rehearsed_slc(sensor, settings, Compressor(), np.random.default_rng(0)),
+        )
+
+    def work_on(self, whole: WholeDwell, job: Job) -> Iterator[Result]:
+        """Compress a dwell, or the columns that a block completes of a strip."""
+        compressor, number = self._compressor_of(whole.sensor), whole.key.number
+        images = self._compress(whole, job, compressor)
+        if images is None:
+            if compressor.shortfall:
+                yield Notice("strip incomplete", f"Dwell {number}: {compressor.shortfall}", whole.key)
+            return
+        slc, product = images
+        if slc.focus and not slc.focus.trusted:
+            yield Notice("autofocus", f"Dwell {number}: {NOT_TRUSTED}", whole.key)
+        if slc.doubt:
+            yield Notice("odometry", f"Dwell {number}: {slc.doubt}", whole.key)
+        yield Product(SLC, product)
+
+    def _compressor_of(self, sensor: Sensor) -> Compressor:
+        """What has compressed the blocks of a sensor so far; a spotlight dwell depends on none before it."""
+        if sensor.mode != "stripmap":
+            return Compressor()
+        compressor = self._strips.of(sensor.config_hash)
+        self._strips.take_surplus()
+        return compressor
+
+    def _compress(self, whole: WholeDwell, job: Job, compressor: Compressor) -> tuple[Slc, Images] | None:
+        """The images of all channels of a dwell, or of the columns that a block completes of a strip.
+
+        Returns:
+            The images as they were formed, and as a product; None: of too few pulses as yet.
+
+        Raises:
+            UserError: the dwell cannot be compressed.
+        """
+        settings: CompressionSettings = job.settings
+        sensor, supplies = whole.sensor, whole.supplies
+        stated: dict[str, Any] = dict(settings)
+        if supplies.mounting != sensor.mounting:
+            sensor = _mounted(sensor, supplies.mounting)
+            stated[USED_MOUNTING] = {
+                "frame_id": supplies.mounting.frame_id,
+                "lever_arm": list(supplies.mounting.lever_arm),
+                "rotation": list(supplies.mounting.rotation),
+            }
+        history, calibration = history_of(whole.messages), supplies.calibration
+        track = Trajectory(supplies.states, motion=settings.motion)
+        used = settings
+        if supplies.air is not None:
+            used = settings.changed(air="measured", **supplies.air)
+            stated[USED_AIR] = supplies.air
+        slc = compressor.add(history, track, sensor, used, calibration)
+        if slc is None:
+            return None
+        applied = calibration.id if calibration else sensor.calibration_id
+        provenance = of_compression(self.name, stated, slc, sensor.config_hash, applied)
+        air_delay = AIR_LEFT if used.air == "none" else AIR_REMOVED
+        source = Source(whole.messages, sensor, supplies.states, calibration, slc, settings)
+        return slc, Images.made_of(
+            whole.key, settings.map_frame, slc, provenance, air_delay=air_delay, order=job.order, source=source
+        )
+
+    def _calibration_for(self, sensor: Sensor) -> Calibration | None:
+        """The calibration to apply to a sensor's frames: that of the file, or its own if one has arrived."""
+        return self._of_file or self._received.use(sensor.config_hash)
+
+    def _mounting_of(self, sensor: Sensor) -> Mounting:
+        """Where the sensor is on the platform.
+
+        Raises:
+            Rejected: its frame is not known yet.
+            UserError: it is nowhere on a platform.
+        """
+        settings = self._settings
+        if sensor.config_hash in self._mountings:
+            return self._mountings[sensor.config_hash]
+        if not settings.mounting_from_tf:
+            return sensor.mounting
+        name, body = sensor.mounting.frame_id, settings.body_frame
+        place = self._frames.place(name, body)
+        if place is None:
+            raise Rejected(
+                NO_MOUNTING,
+                f"Nothing on {TF_STATIC} says where {name!r} (sensor_info, mounting.frame_id) is in {body!r}; publish "
+                "it, as static_transform_publisher does, or set mounting_from_tf to false.",
+            )
+        mounting = Mounting(name, tuple(place.translation.tolist()), tuple(place.rotation.as_quat().tolist()))
+        found: Mounting = settings.frames.axes.mounting(mounting)
+        return found
+
+    def _describe_odometry(self, start_ns: int) -> str:
+        """Which odometry there is, relative to a dwell that it does not cover."""
+        if self._odometry.span_ns is None:
+            return "no sample has come (is its QoS compatible?)"
+        first, last = ((stamp_ns - start_ns) * 1e-9 for stamp_ns in self._odometry.span_ns)
+        kept = f"samples are held from {first:.6g} s to {last:.6g} s after its first pulse"
+        return f"{kept}: frames and odometry have different clocks" if abs(first) > OTHER_CLOCK_S else kept
+
+    def _receive_calibration(self, item: StatedCalibration) -> None:
+        name = item.calibration.id
+        if name in self._applied_from and not self._is_applying:
+            for dwell in self._applied_from[name]:
+                self.schedule(dwell, CALIBRATION, item)
+            self._applied_from[name] = ()
+        else:
+            self._received.put(item.calibration.config_hash, item.calibration)
+            self.count(CALIBRATIONS_ARRIVED)
+
+    def _receive_odometry(self, state: PlatformState) -> None:
+        if state.stamp_ns <= self._last_pulse_ns + self._settings.odometry_delay_ns:
+            self.note_progress()  # what dwells still wait for is on its way
+        arrival = self._odometry.add(state)
+        if arrival is Arrival.SET_ASIDE:
+            self.warn("odometry out of time", UserError(_out_of_time(state, self._odometry)))
+        elif arrival is not Arrival.IN_ORDER:
+            self.count(f"odometry.{arrival.value}")
+        if state.stamp_ns >= self._awaited_ns or arrival is not Arrival.IN_ORDER:
+            self._awaited_ns = math.inf  # dwells that go on waiting will say so
+            self.hand_over_complete()
+
+
+@lru_cache(maxsize=8)
+def _mounted(sensor: Sensor, mounting: Mounting) -> Sensor:
+    """A sensor that is elsewhere on the platform."""
+    return replace(sensor, mounting=mounting)
+
+
+def _out_of_time(state: PlatformState, history: OdometryHistory) -> str:
+    _, last_ns = history.span_ns or (0, 0)
+    return (
+        f"A sample is stamped {(state.stamp_ns - last_ns) * 1e-9:.6g} s after the latest one; it is used only if the "
+        "next sample continues it, as when the clock has started anew."
+    )

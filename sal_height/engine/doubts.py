@@ -1,0 +1,52 @@
+"""What speaks against a product, and how well the data fit what was assumed."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+ALL_CHANNELS = -1
+"""Value of `channel`: the dwell as a whole."""
+
+
+class Doubt(NamedTuple):
+    """A reason to distrust a product: something that nobody stated, or that the data contradict.
+
+    Attributes:
+        name: a few words that do not change from dwell to dwell.
+        sentence: what is doubtful, by how much, and what to do about it.
+        channel: that it concerns; ALL_CHANNELS: the dwell.
+        size: of what was found; NaN: it has none.
+        unit: of the size.
+        p_value: probability of so much or more if nothing is wrong; NaN: not tested.
+    """
+
+    name: str
+    sentence: str
+    channel: int = ALL_CHANNELS
+    size: float = np.nan
+    unit: str = ""
+    p_value: float = np.nan
+
+
+class FitTest(NamedTuple):
+    """A test of the data of a dwell or channel against what was assumed of the sensor.
+
+    Attributes:
+        name: what was tested.
+        channel: that was tested; ALL_CHANNELS: the dwell.
+        statistic: value of the test.
+        p_value: probability of so much or more if the assumptions hold.
+        size: departure that fits best; NaN: not estimated.
+        sigma: its standard deviation.
+        unit: of both.
+    """
+
+    name: str
+    channel: int = ALL_CHANNELS
+    statistic: float = np.nan
+    p_value: float = np.nan
+    size: float = np.nan
+    sigma: float = np.nan
+    unit: str = ""

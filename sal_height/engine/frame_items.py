@@ -1,0 +1,204 @@
+"""The phase history of one channel and dwell, as a frame has it: checks, samples, and the history of all channels."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sal_height.engine.stage import DwellKey
+from sal_height.errors import Rejected
+from sal_height.numeric import C64, F32, F64, U8
+from sal_height.sensor import PhaseHistory, Sensor
+
+LONGEST_DWELL = 3600.0
+"""Greatest time from the stamp of a frame to its last pulse, s."""
+
+GREATEST_RANGE = 1e8
+"""Greatest reference range of a frame, m."""
+
+COMPLEX_FLOAT32, COMPLEX_INT16 = "complex_float32", "complex_int16"
+
+SAMPLE_BYTES = {COMPLEX_FLOAT32: 8, COMPLEX_INT16: 4}
+"""Bytes per complex sample by encoding."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """Samples of one channel in one dwell.
+
+    Attributes:
+        key: sensor, number and stamp of the dwell.
+        frame_id: name of the sensor's frame of coordinates.
+        channel: number of the channel.
+        pulse_count: number of pulses.
+        sample_count: samples in each pulse.
+        pulse_time: time of every pulse after the stamp, s, shape (pulses,).
+        reference_range: range to which each pulse's phase refers, m, shape (pulses,).
+        encoding: one of SAMPLE_BYTES.
+        scale: unit of the receiver per integer step.
+        samples: bytes of the samples, in the encoding.
+        size: bytes of the message.
+    """
+
+    key: DwellKey
+    frame_id: str
+    channel: int
+    pulse_count: int
+    sample_count: int
+    pulse_time: F64
+    reference_range: F64
+    encoding: str
+    scale: float
+    samples: U8
+    size: int = 0
+
+    @property
+    def end_ns(self) -> int:
+        """Time of the last pulse, ns."""
+        return self.key.stamp_ns + round(float(self.pulse_time[-1]) * 1e9)
+
+    def blank(self, channel: int) -> Frame:
+        """A frame of zeros for a channel that is missing: estimators leave such a channel out as dead."""
+        return replace(self, channel=channel, samples=np.zeros_like(self.samples))
+
+
+def frames_of(history: PhaseHistory, sensor: Sensor, dwell: int, stamp_ns: int | None = None) -> list[Frame]:
+    """The frames of all channels of a dwell, with samples encoded as "complex_float32".
+
+    Args:
+        history: phase history of all channels.
+        sensor: that took it.
+        dwell: number of the dwell.
+        stamp_ns: time of the first pulse, ns; None: that of the history.
+    """
+    key = DwellKey(sensor.config_hash, dwell, history.stamp_ns if stamp_ns is None else stamp_ns)
+    return [
+        Frame(
+            key,
+            sensor.mounting.frame_id,
+            channel,
+            samples.shape[0],
+            samples.shape[1],
+            history.pulse_times,
+            history.reference_range,
+            COMPLEX_FLOAT32,
+            0.0,
+            np.ascontiguousarray(samples, dtype="<c8").reshape(-1).view(np.uint8),
+            samples.nbytes,
+        )
+        for channel, samples in enumerate(history.samples)
+    ]
+
+
+def check_frame(frame: Frame, sensor: Sensor) -> None:
+    """Check that a frame has the sizes that its sensor states, and values that can be processed.
+
+    Raises:
+        Rejected: it has not; the sentence names the field, its value and what is allowed.
+    """
+    where = f"ChannelFrame of dwell {frame.key.number}, channel {frame.channel}"
+    check_channel(frame.channel, sensor, where)
+    expected = (sensor.pulse_count, sensor.sample_count)
+    if (frame.pulse_count, frame.sample_count) != expected:
+        raise Rejected(
+            "contradicts sensor info",
+            f"{where}: the frame has {frame.pulse_count} pulses of {frame.sample_count} samples; SensorInfo states "
+            f"{expected[0]} of {expected[1]}.",
+        )
+    if frame.encoding not in SAMPLE_BYTES:
+        raise Rejected(
+            "unknown encoding", f"{where}: encoding is {frame.encoding!r}; allowed are {', '.join(SAMPLE_BYTES)}."
+        )
+    size = SAMPLE_BYTES[frame.encoding] * expected[0] * expected[1]
+    wanted = {"samples": size, "pulse_time": expected[0], "reference_range": expected[0]}
+    for field, count in wanted.items():
+        if len(getattr(frame, field)) != count:
+            raise Rejected(
+                "wrong size", f"{where}: {field} has {len(getattr(frame, field))} entries; it must have {count}."
+            )
+    if frame.encoding == COMPLEX_INT16 and not 0 < frame.scale < np.inf:
+        raise Rejected("wrong scale", f"{where}: scale is {frame.scale}; it must be finite and greater than 0.")
+    if not _are_finite(samples_of(frame).view(np.float32).ravel()):
+        raise Rejected("not finite", f"{where}: samples has NaN or infinite entries; all must be finite.")
+    if fault := _fault_of_pulses(frame.pulse_time.tobytes(), frame.reference_range.tobytes()):
+        raise Rejected(fault[0], f"{where}: {fault[1]}")
+
+
+def check_channel(channel: int, sensor: Sensor, where: str) -> None:
+    """Check that the sensor has a channel of that number.
+
+    Raises:
+        Rejected: it has not; the sentence begins with `where`.
+    """
+    if not 0 <= channel < sensor.detector_count:
+        raise Rejected("unknown channel", f"{where}: SensorInfo has channels 0 to {sensor.detector_count - 1}.")
+
+
+def samples_of(frame: Frame) -> C64:
+    """The samples of a frame in the unit of the receiver, complex64, shape (pulses, samples).
+
+    Of "complex_float32" they are a view, of "complex_int16" a copy multiplied by the scale.
+    """
+    shape = frame.pulse_count, frame.sample_count
+    if frame.encoding == COMPLEX_FLOAT32:
+        return np.frombuffer(frame.samples, "<c8").reshape(shape)
+    scaled = np.frombuffer(frame.samples, "<i2") * np.float32(frame.scale)
+    return scaled.view(np.complex64).reshape(shape)
+
+
+def history_of(frames: Sequence[Frame]) -> PhaseHistory:
+    """The phase history of a dwell from the frames of all channels, in order, that `check_frame` has passed.
+
+    Raises:
+        Rejected: the channels differ in pulse times or reference ranges.
+    """
+    first = frames[0]
+    times, ranges = first.pulse_time.tobytes(), first.reference_range.tobytes()
+    for frame in frames[1:]:
+        if frame.pulse_time.tobytes() != times or frame.reference_range.tobytes() != ranges:
+            raise Rejected(
+                "channels disagree",
+                f"Dwell {first.key.number}: channel {frame.channel} has other pulse times or reference ranges than "
+                f"channel {first.channel}; those of all channels must be equal.",
+            )
+    return PhaseHistory(
+        stamp_ns=first.key.stamp_ns,
+        pulse_times=np.array(first.pulse_time),
+        reference_range=np.array(first.reference_range),
+        samples=np.stack([samples_of(frame) for frame in frames]),
+    )
+
+
+def _are_finite(numbers: F32) -> bool:
+    """Whether all numbers are finite, as they are if the sum of their squares is, which takes less time to find."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return bool(np.isfinite(np.dot(numbers, numbers)) or np.isfinite(numbers).all())
+
+
+@functools.lru_cache(maxsize=2)
+def _fault_of_pulses(pulse_time: bytes, reference_range: bytes) -> tuple[str, str] | None:
+    """What is wrong with the times and ranges of a dwell's pulses, which all its frames share: reason and sentence."""
+    times, ranges = np.frombuffer(pulse_time), np.frombuffer(reference_range)
+    for field, numbers in (("pulse_time", times), ("reference_range", ranges)):
+        if not np.isfinite(numbers).all():
+            return "not finite", f"{field} has NaN or infinite entries; all must be finite."
+    if (times[1:] < times[:-1]).any() or times[0] < 0 or not times[0] < times[-1] <= LONGEST_DWELL:
+        return (
+            "wrong pulse times",
+            (
+                f"pulse_time runs from {times[0]:g} to {times[-1]:g} s; it must not decrease, must not be constant, "
+                f"and must lie between 0 and {LONGEST_DWELL:g} s."
+            ),
+        )
+    if not (ranges.min() > 0 and ranges.max() <= GREATEST_RANGE):
+        return (
+            "wrong reference range",
+            (
+                f"reference_range runs from {ranges.min():g} to {ranges.max():g} m; it must be greater than 0 and at "
+                f"most {GREATEST_RANGE:g} m."
+            ),
+        )
+    return None

@@ -1,0 +1,421 @@
+"""Stages that enter the heights of all dwells into one map, published now and then and written at the end.
+
+relief_mapper averages all heights; ground_mapper estimates the ground from all surfaces of all dwells.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol
+
+from sal_height.elevation import ESTIMATORS
+from sal_height.engine.frames import PlacedOrigin
+from sal_height.engine.height_items import Heights
+from sal_height.engine.provenance import Provenance
+from sal_height.engine.settings import MapFrameSettings, OriginSettings
+from sal_height.engine.stage import (
+    Answer,
+    DwellKey,
+    FileProduct,
+    Job,
+    Loss,
+    Notice,
+    Port,
+    Product,
+    Remark,
+    Reset,
+    Result,
+    Stage,
+    StageSettings,
+)
+from sal_height.engine.tracker import PREFIX as TRACKED
+from sal_height.errors import UserError
+from sal_height.geometry import UTM, ApertureState, Origin, Projection, find_system
+from sal_height.relief import (
+    GroundMap,
+    GroundSettings,
+    HeightField,
+    ProjectedAxes,
+    Relief,
+    ReliefMap,
+    fine_cell_size,
+    fitting_cell_size,
+    ground_spacings,
+)
+from sal_height.settings import setting
+
+ADJUSTED = "adjusted"
+"""Prefix of adjusted heights."""
+
+LOCAL = "local"
+"""Name for the coordinates of a map that is not placed on the earth."""
+
+MAP_ORIGIN = "map_origin"
+"""Port that states where on the earth the origin of the map frame is."""
+
+ORIGIN_PORT = Port(
+    MAP_ORIGIN,
+    PlacedOrigin,
+    "place of the origin of the map frame on the earth, sensor_msgs/NavSatFix, latched",
+    latched=True,
+    optional=True,
+)
+
+PUBLISH, SAVE, CONCLUDE = "publish", "save", "conclude"
+"""Inputs of jobs of the stage's own."""
+
+
+class MapSettings(OriginSettings, MapFrameSettings, StageSettings):
+    """Settings of every stage that makes a map."""
+
+    estimator: str = setting(
+        "ml",
+        "estimator whose heights enter the map; they come on topic <estimator>/height",
+        choices=(*ESTIMATORS, TRACKED, ADJUSTED),
+        read_only=True,
+    )
+    max_cells: int = setting(
+        4_000_000,
+        "greatest number of cells of the map; heights that would need more are left out",
+        minimum=1,
+        maximum=1_000_000_000,
+        read_only=True,
+    )
+    period_s: float = setting(
+        2.0, "shortest time between two maps published", unit="s", minimum=0.1, maximum=3600.0, read_only=True
+    )
+    file: str = setting(
+        "",
+        "path of the GeoTIFF that the map is written to when the node ends; an existing file is replaced; empty: none",
+        read_only=True,
+        names_file=True,
+    )
+    crs: str = setting(
+        UTM,
+        "coordinate reference system of the map where its origin is known: utm is the zone of the origin, others are "
+        f"named as PROJ does, such as EPSG:25832 or EPSG:32632+5773; {LOCAL} is arc distances from the origin",
+        read_only=True,
+    )
+
+
+class ReliefMapSettings(MapSettings):
+    """Settings of the map of averages."""
+
+    cell_size_m: float = setting(
+        0.0,
+        "side of a cell of the map; 0: the smallest of 1, 2 or 5 times a power of ten that holds a pixel of the first "
+        "height image",
+        unit="m",
+        minimum=0.0,
+        maximum=1e5,
+        read_only=True,
+    )
+
+
+class GroundMapSettings(MapSettings, GroundSettings):
+    """Settings of the map of the ground."""
+
+    cell_size_m: float = setting(
+        0.0,
+        "side of a cell; 0: the greatest of 1, 2 or 5 times a power of ten that is at most 3/4 of a pixel of the first "
+        "height image on the ground",
+        unit="m",
+        minimum=0.0,
+        maximum=1e5,
+        read_only=True,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedRelief:
+    """A map as it stands.
+
+    Attributes:
+        key: of the last dwell.
+        frame_id: name of the frame of the map.
+        layer: name of the layer.
+        relief: the map, in coordinates of the projection.
+        projection: coordinate reference system; None: the coordinates are local.
+        images: number of height images entered.
+        estimator: that made them.
+        provenance: of the last height image, with the parameters of this stage.
+    """
+
+    key: DwellKey
+    frame_id: str
+    layer: str
+    relief: Relief
+    projection: Projection | None
+    images: int
+    estimator: str
+    provenance: Provenance
+
+    @property
+    def crs(self) -> str:
+        """Name of the coordinate reference system; empty: the coordinates are local."""
+        return self.projection.name if self.projection else ""
+
+
+class GrowingMap(Protocol):
+    """A map that grows with what is seen."""
+
+    def relief(self) -> Relief | None:
+        """The map as it stands; None if nothing was seen yet."""
+
+
+class Mapper(Stage):
+    """Enters height images into one map, which is published now and then, and written at the end.
+
+    Where the origin of the map frame is known, by settings or by port map_origin, the map is one in a projection
+    (setting crs).
+    """
+
+    settings = MapSettings
+    prefix: ClassVar[str]
+    """Prefix of the topics."""
+    layer: ClassVar[str]
+    """Name of the layer of the map."""
+    concludes = True
+    commands: ClassVar = {SAVE: "write the map as it stands to its file"}
+    niceness = 10  # a map is as good a second later
+
+    def __init__(self, *arguments: Any, **others: Any) -> None:
+        super().__init__(*arguments, **others)
+        if self._settings.crs not in {LOCAL, UTM}:
+            find_system(self._settings.crs)
+        self._origin = self._settings.origin
+        self._has_news = False
+        self._publishing = False
+        self._due_s = math.inf
+        # The heavy side.
+        self._axes = _axes_about(self._origin, self._settings.crs)
+        self._map: GrowingMap | None = None
+        self._map_axes: ProjectedAxes | None = None
+        self._images = 0
+        self._last: Heights | None = None
+
+    @classmethod
+    def inputs(cls, settings: Any) -> Sequence[Port]:
+        """Heights of an estimator, and the origin of the map frame where the settings do not give it."""
+        heights = Port(
+            f"{settings.estimator}/height", Heights, "heights of the estimator that the parameter names", counted=True
+        )
+        takes_origin = settings.origin is None and settings.crs != LOCAL
+        return [heights, *([ORIGIN_PORT] if takes_origin else [])]
+
+    @classmethod
+    def described_inputs(cls) -> Sequence[Port]:
+        """All ports that it accepts items on; the estimator is that of a setting."""
+        own = f"{cls.settings().estimator}/height"
+        ports = cls.inputs(cls.settings())
+        return [port._replace(name="<estimator>/height") if port.name == own else port for port in ports]
+
+    @classmethod
+    def outputs(cls, settings: Any) -> Sequence[Port]:  # noqa: ARG003
+        """The map."""
+        about = "map of heights and of their standard deviations, latched"
+        return [Port(f"{cls.prefix}/relief", PlacedRelief, about, latched=True)]
+
+    @classmethod
+    def written_files(cls, settings: Any) -> Sequence[tuple[type, str]]:
+        """The file of the map."""
+        return [(PlacedRelief, settings.file)] if settings.file else []
+
+    def entered(
+        self, field: HeightField, aperture: ApertureState, grown: GrowingMap | None, settings: Any
+    ) -> GrowingMap:
+        """Enter a height image seen from `aperture` into a map, or into an empty one, and return that.
+
+        Raises:
+            Rejected: the map cannot take it, and has not changed.
+        """
+        raise NotImplementedError
+
+    def settle(self, grown: GrowingMap) -> None:
+        """Make the map final; all height images have been entered."""
+
+    def receive(self, port: str, item: Any) -> None:
+        """Make a job of the heights of a dwell, or of another origin."""
+        if port != MAP_ORIGIN:
+            self.apply_scheduled(item.key)
+            self.add_job(item.key, item, size=item.size, series=self.name)
+        elif item.origin != self._origin:
+            try:
+                _axes_about(item.origin, self._settings.crs)
+            except UserError as error:
+                self.warn("origin", error)
+                return
+            self._origin = item.origin
+            self.add_own_job(item.origin, self.name)
+
+    def tick(self, *, busy: bool) -> None:  # noqa: ARG002
+        """Publish the map if it has changed and some time has passed."""
+        if math.isinf(self._due_s):
+            self._due_s = self._now_s + self._settings.period_s
+        if self._has_news and not self._publishing and self._now_s >= self._due_s:
+            self._has_news, self._publishing, self._due_s = False, True, self._now_s + self._settings.period_s
+            self.add_own_job(PUBLISH, self.name)
+
+    def follow(self, job: Job, results: Sequence[Result]) -> None:
+        """Publish the map later if it has changed, and again once it has been published."""
+        if isinstance(job.inputs, Heights):
+            self._has_news = self._has_news or not any(isinstance(one, Loss) for one in results)
+        elif isinstance(job.inputs, Reset):
+            self._has_news = False
+        elif job.inputs == PUBLISH:
+            self._publishing = False
+
+    def forget(self) -> None:
+        """Start an empty map."""
+        self.add_own_job(Reset(), self.name)
+
+    def command(self, name: str) -> Sequence[Any]:
+        """Write the map as it stands."""
+        return self._collected(lambda: self.add_own_job(name, self.name))
+
+    def conclude(self) -> None:
+        """Make the map final, publish it and write the file."""
+        self.add_own_job(CONCLUDE, self.name)
+
+    def work(self, job: Job) -> Iterator[Result]:
+        """Enter heights, or do what was asked for."""
+        if isinstance(job.inputs, Heights):
+            yield from self._enter(job.inputs, job.settings)
+        elif isinstance(job.inputs, Reset):
+            self._map, self._last, self._images = None, None, 0
+        elif job.inputs == PUBLISH:
+            yield from self._published(job.settings)
+        elif job.inputs == SAVE:
+            yield from self._saved(job.settings)
+        elif job.inputs == CONCLUDE:
+            if self._map is not None:
+                self.settle(self._map)
+            yield from self._published(job.settings)
+            yield from self._written(job.settings)
+        else:
+            yield from self._moved(job.inputs, job.settings)
+
+    def _enter(self, heights: Heights, settings: Any) -> Iterator[Result]:
+        """Enter a height image into the map; one that is refused leaves the map unchanged."""
+        heights.check_frame(settings.map_frame)
+        field, aperture = heights.field, heights.aperture.state
+        if bad := heights.bad_pixels:
+            yield Notice("bad pixels", str(heights.bad_pixel_warning(bad)), heights.key)
+        axes = self._axes if self._map is None else self._map_axes
+        if axes:
+            field, aperture = axes.field(field, aperture)
+        self._map = self.entered(field, aperture, self._map, settings)
+        self._map_axes, self._last = axes, heights
+        self._images += 1
+
+    def _moved(self, origin: Origin, settings: Any) -> Iterator[Result]:
+        """Place the next map that starts."""
+        self._axes = _axes_about(origin, settings.crs)
+        if self._map is not None:
+            yield Notice(
+                "origin after the begin",
+                "The origin of the map frame came, or changed, after the map had begun, which stays where it is until "
+                "service ~/reset begins a new one; publish the origin latched and before the first dwell, or set "
+                "origin_latitude_deg and origin_longitude_deg.",
+            )
+
+    def _placed(self, settings: Any) -> PlacedRelief | None:
+        """The map as it stands; None: nothing was seen yet."""
+        relief, last = self._map.relief() if self._map else None, self._last
+        if relief is None or last is None:
+            return None
+        axes = self._map_axes
+        return PlacedRelief(
+            last.key,
+            last.frame_id,
+            self.layer,
+            axes.relief(relief) if axes else relief,
+            axes.projection if axes else None,
+            self._images,
+            last.estimator,
+            last.provenance.derived(self.name, settings),
+        )
+
+    def _published(self, settings: Any) -> Iterator[Result]:
+        if placed := self._placed(settings):
+            yield Product(f"{self.prefix}/relief", placed)
+
+    def _saved(self, settings: Any) -> Iterator[Result]:
+        if not settings.file:
+            yield Answer(success=False, sentence="parameter file is empty; it must be the path of a GeoTIFF")
+            return
+        written = list(self._written(settings))
+        yield from written
+        made = any(isinstance(one, FileProduct) for one in written)
+        yield Answer(made, settings.file if made else "no height was seen")
+
+    def _written(self, settings: Any) -> Iterator[Result]:
+        """The file of the map, if one is wanted."""
+        path = settings.file
+        if not path:
+            return
+        placed = self._placed(settings)
+        if placed is None:
+            yield Remark(f"No height was seen: there is no map to write to {path}.")
+            return
+        is_local = placed.projection is None and settings.crs != LOCAL
+        remark = (
+            f"{path} has local coordinates; set origin_latitude_deg and origin_longitude_deg, or publish topic "
+            f"{MAP_ORIGIN}, to place it on the earth."
+        )
+        yield FileProduct(path, placed, remark if is_local else "")
+
+
+class ReliefMapper(Mapper):
+    """Averages the heights of all dwells in the cells of one map."""
+
+    usual_name = "relief_mapper"
+    about = "Averages the heights of all dwells in the cells of one map."
+    settings = ReliefMapSettings
+    prefix = "map"
+    layer = "mean"
+
+    def entered(self, field: HeightField, aperture: ApertureState, grown: Any, settings: Any) -> ReliefMap:
+        """Enter the scatterers of each pixel; the cells of the map contain a pixel of the first height image."""
+        if grown is None:
+            cell_size = settings.cell_size_m or fitting_cell_size(field.grid, aperture)
+            grown = ReliefMap(cell_size, settings.max_cells)
+        grown.add(field)
+        found: ReliefMap = grown
+        return found
+
+
+class GroundMapper(Mapper):
+    """Brings the estimate of the ground up to date with each dwell, and estimates all of it at once at the end."""
+
+    usual_name = "ground_mapper"
+    about = "Brings the estimate of the ground up to date with each dwell, and estimates all of it at once at the end."
+    settings = GroundMapSettings
+    prefix = "ground"
+    layer = "ground"
+
+    def entered(self, field: HeightField, aperture: ApertureState, grown: Any, settings: Any) -> GroundMap:
+        """Enter all surfaces of all pixels."""
+        if grown is None:
+            cell_size = settings.cell_size_m or fine_cell_size(field.grid)
+            grown = GroundMap(cell_size, max(ground_spacings(field.grid)), settings.max_cells, settings)
+        grown.add(field, aperture)
+        found: GroundMap = grown
+        return found
+
+    def settle(self, grown: Any) -> None:
+        """Estimate all of the ground at once."""
+        grown.settle()
+
+
+def _axes_about(origin: Origin | None, crs: str) -> ProjectedAxes | None:
+    """The axes of a map whose frame has that origin; None: it is local.
+
+    Raises:
+        UserError: the system that setting crs names does not suit the place.
+    """
+    if origin is None or crs == LOCAL:
+        return None
+    return ProjectedAxes.around(Projection.of(crs, origin))

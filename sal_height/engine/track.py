@@ -1,0 +1,160 @@
+"""The platform's track: odometry samples in the order of their stamps, and those that cover a dwell."""
+
+from __future__ import annotations
+
+import bisect
+import math
+from array import array
+from collections.abc import Sequence
+from dataclasses import replace
+from enum import Enum
+from itertools import pairwise
+
+import numpy as np
+
+from sal_height.engine.stage import FOREVER_NS
+from sal_height.geometry import GREATEST_POSE, GREATEST_VELOCITY, REORDERED_NS, PlatformState, known_covariance
+from sal_height.numeric import F64
+
+MOST_STATES = 200_000
+"""Greatest number of samples that are kept, 100 s at 2 kHz (20 MB), whatever time they span."""
+
+OLD = 4
+"""Samples that are too old are dropped once they are one part in so many of all: each is moved three times then."""
+
+NUMBERS = 10
+"""Of a sample: position, orientation and velocity."""
+
+
+class Arrival(Enum):
+    """How an odometry sample was handled."""
+
+    IN_ORDER = "in order"
+    REORDERED = "reordered"
+    REPEATED = "repeated"
+    SET_ASIDE = "set aside"
+    RESTARTED = "restarted"
+
+
+class OdometryHistory:
+    """Odometry samples of the last seconds.
+
+    A sample that is far from the others in time is set aside. Only if the next one continues it has the clock, or its
+    source, started again; a single wrong stamp costs no other sample.
+
+    A clock that steps back by less than REORDERED_NS is taken for samples that arrive out of order: they are sorted
+    among those of before the step. Known fault: dwells around such a step are processed with a track that mixes both.
+    """
+
+    def __init__(self, held_s: float) -> None:
+        """Keep samples for at least `held_s` seconds, in terms of their stamps."""
+        self._held_ns = round(held_s * 1e9)
+        self._stamps = array("q")
+        self._numbers = array("d")  # as plain numbers: objects would take ten times as much memory
+        self._covariances: list[tuple[F64, F64]] = []  # of pose and velocity; equal ones are one
+        self._apart: PlatformState | None = None
+
+    def __len__(self) -> int:
+        """Number of samples that are kept."""
+        return len(self._stamps)
+
+    @property
+    def span_ns(self) -> tuple[int, int] | None:
+        """Stamps of the first and the last sample; None if there is none."""
+        return (self._stamps[0], self._stamps[-1]) if self._stamps else None
+
+    def add(self, state: PlatformState) -> Arrival:
+        """Insert a sample: in constant time on average if samples arrive in order."""
+        if not self._stamps or -REORDERED_NS <= state.stamp_ns - self._stamps[-1] <= self._held_ns:
+            self._apart = None
+            return self._insert(state)
+        apart, self._apart = self._apart, state
+        if apart is None or not self._is_continued(apart, state):
+            return Arrival.SET_ASIDE
+        self._apart = None
+        self._drop(bisect.bisect_left(self._stamps, apart.stamp_ns), len(self))
+        self._put(len(self), apart)
+        self._put(len(self), state)
+        return Arrival.RESTARTED
+
+    def around(self, start_ns: int, end_ns: int) -> list[PlatformState]:
+        """The samples from the last before `start_ns` to the first after `end_ns`; none if these are not covered."""
+        first = bisect.bisect_right(self._stamps, start_ns) - 1
+        last = bisect.bisect_left(self._stamps, end_ns)
+        return [self._at(place) for place in range(first, last + 1)] if 0 <= first < last < len(self) else []
+
+    def may_cover(self, start_ns: int, end_ns: int, none_before_ns: int, gap_s: float = math.inf) -> bool:
+        """Whether samples that arrive later can make these cover a time that they do not cover yet.
+
+        Args:
+            start_ns: start of the time.
+            end_ns: its end.
+            none_before_ns: earliest stamp that samples which arrive later can have.
+            gap_s: longest time between two samples that is allowed, s.
+        """
+        if none_before_ns <= start_ns:
+            return True
+        first = bisect.bisect_right(self._stamps, start_ns) - 1
+        known = self._stamps[max(0, first) : bisect.bisect_left(self._stamps, none_before_ns)]
+        reaches_end = bool(known) and known[-1] >= end_ns
+        if first < 0 or reaches_end or none_before_ns == FOREVER_NS:
+            return False
+        return all((later - earlier) * 1e-9 <= gap_s for earlier, later in pairwise([*known, none_before_ns]))
+
+    def _is_continued(self, apart: PlatformState, state: PlatformState) -> bool:
+        """Whether a sample follows the one set aside, and is closer to it than to the latest one."""
+        step_ns = state.stamp_ns - apart.stamp_ns
+        return 0 < step_ns < abs(state.stamp_ns - self._stamps[-1])
+
+    def _insert(self, state: PlatformState) -> Arrival:
+        if not self._stamps or state.stamp_ns > self._stamps[-1]:
+            self._put(len(self), state)
+            self._forget()
+            return Arrival.IN_ORDER
+        place = bisect.bisect_left(self._stamps, state.stamp_ns)
+        if self._stamps[place] == state.stamp_ns:
+            self._drop(place, place + 1)
+            self._put(place, state)
+            return Arrival.REPEATED
+        self._put(place, state)
+        return Arrival.REORDERED
+
+    def _forget(self) -> None:
+        """Drop what is too old once it is a good part of all, so that each sample is moved a few times on average."""
+        oldest_ns = self._stamps[-1] - self._held_ns
+        if self._stamps[len(self) // OLD] < oldest_ns:
+            self._drop(0, bisect.bisect_left(self._stamps, oldest_ns))
+        elif len(self) > MOST_STATES:
+            self._drop(0, len(self) // OLD)
+
+    def _at(self, place: int) -> PlatformState:
+        numbers = np.array(self._numbers[NUMBERS * place : NUMBERS * (place + 1)])
+        return PlatformState(self._stamps[place], numbers[:3], numbers[3:7], numbers[7:], *self._covariances[place])
+
+    def _put(self, place: int, state: PlatformState) -> None:
+        """Insert a sample before the one at `place`."""
+        covariances = state.covariance, state.velocity_covariance
+        if place and all(map(np.array_equal, covariances, self._covariances[place - 1])):
+            covariances = self._covariances[place - 1]
+        self._stamps.insert(place, state.stamp_ns)
+        numbers = array("d", (*state.position, *state.orientation, *state.velocity))
+        self._numbers[NUMBERS * place : NUMBERS * place] = numbers
+        self._covariances.insert(place, covariances)
+
+    def _drop(self, first: int, end: int) -> None:
+        del self._stamps[first:end], self._covariances[first:end], self._numbers[NUMBERS * first : NUMBERS * end]
+
+
+def longest_gap_s(states: Sequence[PlatformState]) -> float:
+    """The longest time between two samples of odometry, s; infinity without samples."""
+    return max(((later.stamp_ns - earlier.stamp_ns) * 1e-9 for earlier, later in pairwise(states)), default=math.inf)
+
+
+def without_delay(state: PlatformState, delay_ns: int) -> PlatformState:
+    """A state without the delay of its stamp (ns), whose covariances can be calculated with."""
+    return replace(
+        state,
+        stamp_ns=state.stamp_ns - delay_ns,
+        covariance=known_covariance(state.covariance, GREATEST_POSE),
+        velocity_covariance=known_covariance(state.velocity_covariance, GREATEST_VELOCITY),
+    )

@@ -1,0 +1,173 @@
+"""Stage relief_tracker: smooths the heights of an estimator into tracked heights.
+
+The prior with which a dwell is smoothed follows from it and from those before it of the same series: one sensor, and
+heights made and tracked with the same parameters. The same dwells in the same order give the same heights.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Hashable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from sal_height.elevation import ESTIMATORS
+from sal_height.engine.geometry_items import Aperture
+from sal_height.engine.height_items import Heights, packed
+from sal_height.engine.heights import HEIGHTS_ABOUT
+from sal_height.engine.provenance import LEFT_OUT, Provenance
+from sal_height.engine.settings import MapFrameSettings
+from sal_height.engine.stage import DwellKey, Job, Notice, Port, Product, Rehearsal, Reset, Result, Stage, StageSettings
+from sal_height.rehearsal import made_up_heights
+from sal_height.relief import PriorEstimate, TrackingSettings, track
+from sal_height.settings import setting
+
+PREFIX = "tracked"
+"""Prefix of the topics, and estimator of the heights."""
+
+SERIES_KEPT = 8
+"""Number of series of dwells whose priors are kept: those that arrived last."""
+
+
+_NOWHERE = DwellKey("", 0, 0)
+"""Of made-up heights."""
+
+
+class TrackerSettings(MapFrameSettings, StageSettings, TrackingSettings):
+    """Settings of the stage."""
+
+    estimator: str = setting(
+        "ml",
+        "estimator whose heights are smoothed; they come on topic <estimator>/height",
+        choices=tuple(ESTIMATORS),
+        read_only=True,
+    )
+
+
+class Tracker(Stage):
+    """Smooths the heights of each image with a Gauss-Markov prior, along range and along track."""
+
+    usual_name = "relief_tracker"
+    about = "Smooths the heights of each image with a Gauss-Markov prior, along range and along track."
+    settings = TrackerSettings
+
+    def __init__(self, *arguments: Any, **others: Any) -> None:
+        super().__init__(*arguments, **others)
+        self._rehearsed = False
+        # The heavy side.
+        self._priors: dict[Hashable, PriorEstimate] = {}
+
+    @classmethod
+    def inputs(cls, settings: Any) -> Sequence[Port]:
+        """Heights of an estimator."""
+        return [
+            Port(
+                f"{settings.estimator}/height",
+                Heights,
+                "heights of the estimator that the parameter names",
+                counted=True,
+            )
+        ]
+
+    @classmethod
+    def described_inputs(cls) -> Sequence[Port]:
+        """All ports that it accepts items on; the estimator is that of a setting."""
+        own = f"{cls.settings().estimator}/height"
+        ports = cls.inputs(cls.settings())
+        return [port._replace(name="<estimator>/height") if port.name == own else port for port in ports]
+
+    @classmethod
+    def outputs(cls, settings: Any) -> Sequence[Port]:  # noqa: ARG003
+        """The smoothed heights."""
+        return [Port(f"{PREFIX}/height", Heights, HEIGHTS_ABOUT)]
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether made-up heights have been tracked: the first dwell takes no longer then."""
+        return self._rehearsed
+
+    def begin(self, stamp_ns: int) -> None:  # noqa: ARG002
+        """Rehearse."""
+        self.add_own_job(Rehearsal())
+
+    def receive(self, port: str, item: Heights) -> None:  # noqa: ARG002
+        """Make a job of the heights of a dwell."""
+        self.apply_scheduled(item.key)
+        self.add_job(item.key, item, size=item.size, series=self.name)
+
+    def forget(self) -> None:
+        """Track the next dwell as the first one."""
+        self.add_own_job(Reset(), self.name)
+
+    def follow(self, job: Job, results: Sequence[Result]) -> None:  # noqa: ARG002
+        """Be ready once it has rehearsed."""
+        self._rehearsed = self._rehearsed or isinstance(job.inputs, Rehearsal)
+
+    def work(self, job: Job) -> Iterator[Result]:
+        """Smooth the heights of a dwell."""
+        if isinstance(job.inputs, Reset):
+            self._priors = {}
+        elif isinstance(job.inputs, Heights):
+            yield from self.smoothed(job.inputs, job.settings)
+        else:
+            self._rehearse(job.settings)
+
+    def smoothed(self, heights: Heights, settings: TrackerSettings) -> Iterator[Result]:
+        """The smoothed heights of a dwell, and a warning if it has bad pixels.
+
+        Raises:
+            UserError: the heights cannot be smoothed.
+        """
+        heights.check_frame(settings.map_frame)
+        field = heights.field
+        if bad := heights.bad_pixels:
+            yield Notice("bad pixels", str(heights.bad_pixel_warning(bad)), heights.key)
+        series = _series_of(heights, settings)
+        before = self._priors.pop(series, PriorEstimate())  # to be the last that is forgotten
+        tracked, prior, after = track(field, heights.aperture.state, before, settings)
+        self._priors = dict([*self._priors.items(), (series, after)][-SERIES_KEPT:])
+        stated = {**dict(settings), "prior": dataclasses.asdict(prior)}
+        product = dataclasses.replace(
+            heights,
+            estimator=PREFIX,
+            aperture=Aperture.of(heights.aperture.state),
+            provenance=heights.provenance.derived(self.name, stated),
+            **packed(tracked),
+        )
+        yield Product(f"{PREFIX}/height", product)
+
+    def _rehearse(self, settings: TrackerSettings) -> None:
+        spare = Tracker(settings)
+        field, aperture = made_up_heights(np.random.default_rng(0))
+        made_up = Heights(
+            key=_NOWHERE,
+            frame_id=settings.map_frame,
+            estimator="ml",
+            aperture=Aperture.of(aperture),
+            looks=(1, 1),
+            provenance=Provenance(),
+            **packed(field),
+        )
+        list(spare.smoothed(made_up, settings))
+
+
+def _series_of(heights: Heights, settings: TrackerSettings) -> tuple[Hashable, ...]:
+    """What the heights of a series have in common: sensor, calibration, and how they are made and tracked.
+
+    Which channels had to be left out, and what was found in the data, whose names have a dot, may change from dwell to
+    dwell, and does not end a series.
+    """
+    provenance = heights.provenance
+    made = repr(
+        {
+            stage: {name: value for name, value in values.items() if _is_set(name)}
+            for stage, values in provenance.stages.items()
+        }
+    )
+    return provenance.config_hash, provenance.calibration_id, heights.estimator, made, settings
+
+
+def _is_set(name: str) -> bool:
+    """Whether a name in the provenance is that of a parameter."""
+    return "." not in name and name != LEFT_OUT

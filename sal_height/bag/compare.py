@@ -22,7 +22,7 @@ from sal_height.elevation import Validity
 EQUAL, WITHIN, CHANGED = "equal", "within tolerance", "changed"
 """Verdicts, the best first."""
 
-NOT_COMPARED = frozenset({"provenance"})
+NOT_COMPARED = frozenset({"provenance", "order"})
 """Fields of messages that say how they were made, not what came out."""
 
 NAMED = 5
@@ -119,7 +119,9 @@ def compare_bags(
     counts: Callable[[Any], bool] | None = None,
     counts_too: Callable[[Any], bool] | None = None,
 ) -> dict[str, Comparison]:
-    """Match the messages of two bags by topic and dwell, and compare all their fields but their provenance.
+    """Match the messages of two bags by topic and dwell, and compare their fields.
+
+    Provenance and the order of processing are not compared.
 
     Args:
         golden: the bag that is right.

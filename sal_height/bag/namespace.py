@@ -19,6 +19,7 @@ class NamespacedReader(BagReader):
 
     Attributes:
         namespace: with a leading slash; empty: none.
+        renamed: other names of topics by those that are recorded.
     """
 
     def __init__(self, path: Path, namespace: str, renamed: Mapping[str, str] = MappingProxyType({})) -> None:
@@ -30,6 +31,7 @@ class NamespacedReader(BagReader):
             renamed: other names of topics by those that are recorded, both with leading slash and namespace.
         """
         super().__init__(path)
+        self.renamed = renamed
         self.namespace = f"/{namespace.strip('/')}" if namespace.strip("/") else ""
         kept = {name: name for name in self.topics if name not in {*renamed, *renamed.values()}}
         known = kept | {new: old for old, new in renamed.items() if old in self.topics}

@@ -5,6 +5,9 @@ types of messages and those of the core. Samples are read without a copy (but fo
 messages that are made have views of the arrays that they are made of, until they are serialized.
 """
 
+from sal_height.engine.frame_items import LONGEST_DWELL
+from sal_height.engine.frames import BODY_FRAME, MAP_FRAME, Frames
+from sal_height.engine.provenance import autofocus_values
 from sal_height.messages.air import (
     AIR,
     AIR_LATENCY_NS,
@@ -15,13 +18,8 @@ from sal_height.messages.air import (
     needed_air,
     read_air,
 )
-from sal_height.messages.autofocus import autofocus_values, placement_of
 from sal_height.messages.basics import (
-    BODY_FRAME,
-    MAP_FRAME,
-    Frames,
     aperture_from_message,
-    check_geometry,
     complex_view,
     float_view,
     grid_from_message,
@@ -33,7 +31,6 @@ from sal_height.messages.basics import (
 from sal_height.messages.calibrations import calibration_from_message, calibration_to_message
 from sal_height.messages.codec import BrokenMessage, deserialize, serialize
 from sal_height.messages.frames import (
-    LONGEST_DWELL,
     check_frame,
     history_from_messages,
     history_to_messages,
@@ -45,8 +42,6 @@ from sal_height.messages.frames import (
 )
 from sal_height.messages.heights import (
     POINT_FIELDS,
-    bad_pixel_warning,
-    bad_pixels,
     field_from_message,
     frame_near,
     height_picture,
@@ -107,12 +102,9 @@ __all__ = [
     "air_to_messages",
     "aperture_from_message",
     "autofocus_values",
-    "bad_pixel_warning",
-    "bad_pixels",
     "calibration_from_message",
     "calibration_to_message",
     "check_frame",
-    "check_geometry",
     "check_slc",
     "complex_view",
     "derived",
@@ -132,7 +124,6 @@ __all__ = [
     "mover_points",
     "needed_air",
     "origin_to_message",
-    "placement_of",
     "read_air",
     "read_attitude",
     "read_fix",

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from sal_height.calibration import Calibration
+from sal_height.engine.frames import BODY_FRAME
 from sal_height.errors import UserError
-from sal_height.messages.basics import BODY_FRAME, complex_pairs, from_complex_pairs
+from sal_height.messages.basics import complex_pairs, from_complex_pairs
 from sal_height.messages.types import Calibration as CalibrationMessage
 from sal_height.messages.types import Header, Time
 

@@ -11,9 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from sal_height.engine.frames import Frames
 from sal_height.errors import Rejected
 from sal_height.geometry import Mounting, Origin, Sample
-from sal_height.messages.basics import Frames, check_finite, check_rotation, to_ns, vector_of
+from sal_height.messages.basics import check_finite, check_rotation, to_ns, vector_of
 from sal_height.messages.types import (
     Header,
     Imu,

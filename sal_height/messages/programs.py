@@ -9,10 +9,11 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any, Generic, Literal, TypeVar
+from typing import Any, Literal
 
 import numpy as np
 
+from sal_height.engine.provenance import Same
 from sal_height.messages import cdr_parts as parts
 from sal_height.messages.layout import ARRAY, CODES, LIST, TEXT, Field, Layout
 from sal_height.messages.plain import DTYPES, Message, attribute, message_class
@@ -34,25 +35,6 @@ Order = Literal["<", ">"]
 
 Read = Callable[[bytes, int], tuple[Any, int]]
 Write = Callable[[Any, parts.Put, int], int]
-
-Kept = TypeVar("Kept")
-
-
-class Same(Generic[Kept]):
-    """An object that is never changed, as a key: equal to nothing but itself."""
-
-    __slots__ = ("one",)
-
-    def __init__(self, one: Kept) -> None:
-        self.one = one
-
-    def __hash__(self) -> int:
-        """By identity, which lasts as long as this key keeps the object."""
-        return id(self.one)
-
-    def __eq__(self, other: object) -> bool:
-        """Whether it is the very same object."""
-        return isinstance(other, Same) and other.one is self.one
 
 
 class Programs:

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from sal_height import __version__
+from sal_height.engine.provenance import Same
 from sal_height.errors import Rejected, UserError
 from sal_height.messages.parameters import parameter_of, value_of
-from sal_height.messages.programs import Same
 from sal_height.messages.types import Parameter, Provenance
 from sal_height.settings import Settings
 

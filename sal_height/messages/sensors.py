@@ -6,9 +6,10 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.beams import BeamTable
+from sal_height.engine.frames import BODY_FRAME
 from sal_height.errors import UserError
 from sal_height.geometry import Mounting
-from sal_height.messages.basics import BODY_FRAME, complex_pairs, from_complex_pairs
+from sal_height.messages.basics import complex_pairs, from_complex_pairs
 from sal_height.messages.types import BeamModel, ChannelModel, Header, Quaternion, SensorInfo, Time, Vector3, Waveform
 from sal_height.messages.types import BeamTable as TableMessage
 from sal_height.messages.types import Mounting as MountingMessage

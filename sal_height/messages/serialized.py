@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from sal_height.engine.frames import MAP_FRAME
 from sal_height.imaging import Slc
-from sal_height.messages.basics import MAP_FRAME
 from sal_height.messages.codec import SHIPPED
 from sal_height.messages.images import Labelled, slc_to_messages
 from sal_height.messages.types import HeightImage, Provenance

@@ -1,0 +1,186 @@
+"""What of a bag is played: its topics, and the dwells that are chosen of it."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from sal_height import messages
+from sal_height.bag.stamps import stamp_ns_of
+from sal_height.bag.topics import FRAME_TYPE, HEIGHT_TYPE, IMAGE_TYPE, ODOMETRY_TYPE, BagMessage
+from sal_height.engine.stage import DwellKey
+from sal_height.messages.types import Provenance
+
+MARGIN_NS = 1_000_000_000
+"""Odometry and the air are played from so long before the first pulse of a chosen dwell to so long after its last,
+besides the last sample before and the first one after."""
+
+MOST, LATEST_NS = 2**32 - 1, 2**63 - 1
+"""Greatest number of a dwell, and latest stamp, ns."""
+
+
+LOCKSTEP, PACED, BURST = CLOCKS = "lockstep", "paced", "burst"
+"""When what a bag holds is played: dwell by dwell as it is asked for, at the times of its stamps, or at once."""
+
+
+class DwellPart(NamedTuple):
+    """What a message is part of.
+
+    Attributes:
+        dwell: its dwell.
+        end_ns: stamp of the dwell's last pulse, as far as the message says, ns.
+        provenance: how it was made, to be left as it is; None: it is what the sensor delivered.
+    """
+
+    dwell: DwellKey
+    end_ns: int
+    provenance: Provenance | None = None
+
+    def later(self, shift_ns: int) -> DwellPart:
+        """The same of a message with a stamp that is later, ns."""
+        dwell = self.dwell._replace(stamp_ns=self.dwell.stamp_ns + shift_ns)
+        return self._replace(dwell=dwell, end_ns=self.end_ns + shift_ns)
+
+
+def part_of(recorded: BagMessage) -> DwellPart | None:
+    """The dwell of a frame, image or height image; None: it is another message.
+
+    Raises:
+        RuntimeError: the message is broken.
+    """
+    if recorded.type_name == FRAME_TYPE:
+        frame = messages.received_frame(recorded.cdr)
+        duration = max((t for t in frame.pulse_time.tolist() if 0 < t <= messages.LONGEST_DWELL), default=0.0)
+        return DwellPart(
+            DwellKey(frame.config_hash, frame.dwell, frame.stamp_ns), frame.stamp_ns + round(duration * 1e9)
+        )
+    if recorded.type_name == IMAGE_TYPE:
+        image = messages.received_image(recorded.cdr)
+        return DwellPart(DwellKey(image.config_hash, image.dwell, image.stamp_ns), image.stamp_ns, image.provenance)
+    if recorded.type_name == HEIGHT_TYPE:
+        origin = messages.height_origin(recorded.cdr)
+        dwell = DwellKey(str(origin.provenance.config_hash), origin.dwell, origin.stamp_ns)
+        return DwellPart(dwell, origin.stamp_ns, origin.provenance)
+    return None
+
+
+class Content(NamedTuple):
+    """What matters of a message to whoever plays it.
+
+    Attributes:
+        part: of a dwell; None: it is part of none.
+        odometry_ns: stamp of odometry, ns; None: it is none.
+        air_ns: stamp of a message on the air, ns; None: it is none.
+        fault: why nothing is known of it, for it is broken; empty: it is not.
+    """
+
+    part: DwellPart | None = None
+    odometry_ns: int | None = None
+    air_ns: int | None = None
+    fault: str = ""
+
+    @property
+    def sample_ns(self) -> int | None:
+        """Stamp of what was sampled besides dwells, ns; None: it was not."""
+        return self.odometry_ns if self.air_ns is None else self.air_ns
+
+    @property
+    def delivered_ns(self) -> int | None:
+        """When the sensor delivered it, by its stamp, ns; None: it does not say."""
+        return self.part.end_ns if self.part else self.odometry_ns
+
+    def later(self, shift_ns: int) -> Content:
+        """What matters of the same message with a stamp that is later, ns."""
+        odometry_ns, air_ns = (None if one is None else one + shift_ns for one in (self.odometry_ns, self.air_ns))
+        return Content(self.part and self.part.later(shift_ns), odometry_ns, air_ns, self.fault)
+
+
+class Played(NamedTuple):
+    """A message that is played, and what matters of it, which is read once."""
+
+    recorded: BagMessage
+    content: Content
+
+
+def read_contents(recorded: Iterator[BagMessage]) -> Iterator[Played]:
+    """Messages with what matters of them; broken ones are among them."""
+    return (Played(one, _content_of(one)) for one in recorded)
+
+
+def _content_of(recorded: BagMessage) -> Content:
+    try:
+        if recorded.type_name == ODOMETRY_TYPE:
+            return Content(odometry_ns=messages.received_pose(recorded.cdr).stamp_ns)
+        if recorded.type_name in messages.AIR_TYPES:
+            return Content(air_ns=stamp_ns_of(recorded.cdr))
+        return Content(part_of(recorded))
+    except Exception as error:  # noqa: BLE001 (whatever broken bytes lead to)
+        return Content(fault=str(error))
+
+
+@dataclass(frozen=True)
+class DwellRange:
+    """The dwells that are chosen of a bag, by number and by time.
+
+    Attributes:
+        first: number of the first one.
+        last: number of the last one.
+        start_ns: earliest stamp, ns.
+        end_ns: latest stamp, ns.
+    """
+
+    first: int = 0
+    last: int = MOST
+    start_ns: int = 0
+    end_ns: int = LATEST_NS
+
+    def __contains__(self, dwell: DwellKey) -> bool:
+        """Whether a dwell is chosen."""
+        return self.first <= dwell.number <= self.last and self.start_ns <= dwell.stamp_ns <= self.end_ns
+
+
+ALL = DwellRange()
+
+
+def chosen(items: Iterator[Played], dwells: DwellRange) -> Iterator[Played]:
+    """The messages of chosen dwells, and odometry and air around them; descriptions of the sensor are never left out.
+
+    Broken messages are left to whoever plays them.
+    """
+    if dwells == ALL:
+        yield from items
+        return
+    held: dict[str, deque[tuple[int, Played]]] = {}
+    covered_ns: dict[str, int] = {}
+    needed_ns, passed_ns = -math.inf, -math.inf
+    for one in items:
+        part, stamp_ns, topic = one.content.part, one.content.sample_ns, one.recorded.topic
+        if stamp_ns is not None:
+            if covered_ns.get(topic, -math.inf) < needed_ns or stamp_ns <= needed_ns + MARGIN_NS:
+                covered_ns[topic] = stamp_ns
+                yield one
+            else:
+                samples = held.setdefault(topic, deque())
+                samples.append((stamp_ns, one))
+                _forget(samples, passed_ns)
+        elif part is None:
+            yield one
+        elif part.dwell in dwells:
+            needed_ns = max(needed_ns, part.end_ns)
+            for name, samples in held.items():
+                _forget(samples, part.dwell.stamp_ns)
+                while samples:
+                    covered_ns[name], sample = samples.popleft()
+                    yield sample
+            yield one
+        else:
+            passed_ns = part.dwell.stamp_ns
+
+
+def _forget(samples: deque[tuple[int, Played]], time_ns: float) -> None:
+    """Leave out what is longer than the margin before a time, but for the last sample before it."""
+    while len(samples) > 1 and samples[1][0] < time_ns - MARGIN_NS:
+        samples.popleft()

@@ -1,0 +1,32 @@
+"""What nodes leave out, one message for each loss."""
+
+from __future__ import annotations
+
+from sal_height.engine.stage import DwellKey, Loss
+from sal_height.messages.basics import to_stamp
+from sal_height.messages.types import DwellLoss, Header
+
+LOSSES = "losses"
+"""Topic of what nodes leave out."""
+
+
+def loss_to_message(node: str, loss: Loss, stamp_ns: int) -> DwellLoss:
+    """The message of a loss.
+
+    Args:
+        node: that left it out, with its namespace.
+        loss: what it left out.
+        stamp_ns: when, ns.
+    """
+    key = loss.dwell or DwellKey("", 0, 0)
+    return DwellLoss(
+        header=Header(stamp=to_stamp(max(0, stamp_ns))),
+        node=node,
+        of_dwell=loss.dwell is not None,
+        config_hash=key.sensor,
+        dwell=key.number,
+        dwell_stamp=to_stamp(key.stamp_ns),
+        messages=loss.messages,
+        reason=loss.reason,
+        sentence=loss.sentence,
+    )

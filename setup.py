@@ -9,6 +9,12 @@ version = re.search(r'__version__ = "(.+)"', Path("sal_height/__init__.py").read
 estimators = Path("sal_height/elevation/registry.py").read_text(encoding="utf-8")
 height_nodes = re.findall(r'\bnode="(\w+)"', estimators)
 
+processing_nodes = sorted(
+    name
+    for module in Path("sal_height/engine").glob("*.py")
+    for name in re.findall(r'^    usual_name = "(\w+)"', module.read_text(encoding="utf-8"), re.MULTILINE)
+)
+
 SHARED = ("config", "launch")
 
 setup(
@@ -70,18 +76,10 @@ setup(
         "console_scripts": [
             "sal-height = sal_height.commands:main",
             "simulator = sal_height.nodes.simulator:main",
-            "navigation = sal_height.nodes.navigation:main",
-            "sar_compression = sal_height.nodes.sar_compression:main",
-            *(f"{node} = sal_height.nodes.height:main" for node in height_nodes),
-            "relief_tracker = sal_height.nodes.relief_tracker:main",
-            "height_adjuster = sal_height.nodes.height_adjuster:main",
+            *(f"{node} = sal_height.nodes.processing:main" for node in (*height_nodes, *processing_nodes)),
             "paced_player = sal_height.nodes.paced_player:main",
             "player = sal_height.nodes.player:main",
             "recorder = sal_height.nodes.recorder:main",
-            "mover_detection = sal_height.nodes.mover_detection:main",
-            "psf_calibration = sal_height.nodes.psf_calibration:main",
-            "relief_mapper = sal_height.nodes.relief_mapper:main",
-            "ground_mapper = sal_height.nodes.ground_mapper:main",
         ],
     },
 )

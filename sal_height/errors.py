@@ -1,5 +1,7 @@
 """The one exception whose text is written for the user."""
 
+from typing import Self
+
 LONGEST, LONGEST_END = 1000, 300
 """Characters that a sentence may have, and those that are left of the end of a longer one."""
 
@@ -28,6 +30,10 @@ class Rejected(UserError):  # noqa: N818 (not an error of the program)
     def __init__(self, reason: str, sentence: str) -> None:
         super().__init__(sentence)
         self.reason = reason
+
+    def __reduce__(self) -> tuple[type[Self], tuple[str, str]]:
+        """Class and arguments, for copies in other processes."""
+        return type(self), (self.reason, str(self))
 
 
 class NotDetermined(UserError):  # noqa: N818 (not an error of the program)

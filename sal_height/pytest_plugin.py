@@ -1,4 +1,4 @@
-"""Plugin of pytest: bags under test. A replay through the real nodes must give the heights of a golden bag.
+"""Plugin of pytest: bags under test. A replay, through nodes where ROS is, must give the heights of a golden bag.
 
     def test_the_flight_of_may_is_as_it_was(assert_replay_matches):
         assert_replay_matches("bags/may", golden="bags/may_golden")
@@ -9,7 +9,9 @@ written.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping
+from importlib.util import find_spec
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -54,6 +56,8 @@ def replay_and_compare(
     tolerances = read_tolerances(Path(tolerance)) if tolerance else ROUNDING
     against = Against(Path(golden) if golden else None, tolerances)
     values = {name: dict(one) for name, one in (parameters or {}).items()}
+    if find_spec("rclpy") is None:
+        warnings.warn("ROS is not installed here: bags are replayed without nodes, as by --jobs 1.", stacklevel=2)
     done = replay(Path(bag), out, values, against=against)
     if verdict_of(done.compared) == CHANGED:
         said = comparison_table(done.compared) if done.compared else "The golden bag has no heights to compare with."

@@ -2,12 +2,14 @@
 
 Read `calibration` first (the result: responses, gains, width of the beams, each with its standard error), then
 `accumulate` (`Calibrator`: many dwells to one calibration), `receivers` (differences between channels over the band),
-`beams` with `beam_likelihood` (gains and beam width), `reference_target` (a reflector of known place) and `settings`.
+`beams` with `beam_likelihood` (gains and beam width), `reference_target` (a reflector of known place), `files` (a
+calibration in a file) and `settings`.
 """
 
 from sal_height.calibration.accumulate import Calibrator
 from sal_height.calibration.beams import BeamCalibration, calibrate_beams
-from sal_height.calibration.calibration import Calibration, load_calibration, save_calibration
+from sal_height.calibration.calibration import Calibration
+from sal_height.calibration.files import load_calibration, save_calibration
 from sal_height.calibration.settings import CalibrationSettings
 
 __all__ = [

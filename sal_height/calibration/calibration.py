@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-import io
-import zipfile
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
-from pathlib import Path
+from functools import cached_property, lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from sal_height.beams import ZERNIKE, Beams
 from sal_height.errors import UserError
-from sal_height.io import write_whole
 from sal_height.numeric import C64, C128, F64, window
 from sal_height.sensor import PhaseHistory, Sensor
 
@@ -92,6 +89,10 @@ class Calibration:
             digest = hashlib.sha256(b"".join(value.tobytes() for value in values)).hexdigest()
             object.__setattr__(self, "id", digest[:16])
 
+    def __reduce__(self) -> tuple[Any, tuple[Any, ...]]:
+        """What makes the calibration again in another process, where equal ones are one object."""
+        return _calibration_of, tuple(_hashable(getattr(self, one.name)) for one in fields(self))
+
     @cached_property
     def equaliser(self) -> C64:
         """Weights of the channels' frequencies that leave all channels with one response, flat where it can be.
@@ -159,49 +160,29 @@ class Calibration:
         return np.abs(self.equaliser) ** 2 @ power / np.sum(power)
 
 
-def save_calibration(path: Path, calibration: Calibration) -> None:
-    """Write a calibration to an .npz file, whole or not at all.
+class _Bytes(NamedTuple):
+    """A number or an array, whose NaN are equal to themselves."""
 
-    Raises:
-        UserError: it cannot be written.
-    """
-    stream = io.BytesIO()
-    np.savez(stream, **{one.name: getattr(calibration, one.name) for one in fields(calibration)})
-    write_whole(path, stream.getvalue())
+    content: bytes
+    kind: str
+    shape: tuple[int, ...] | None
 
 
-def load_calibration(path: Path) -> Calibration:
-    """Read what `save_calibration` wrote.
-
-    Raises:
-        UserError: it cannot be read, or is no calibration.
-    """
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            return Calibration(
-                config_hash=str(stored["config_hash"]),
-                response=np.asarray(stored["response"], dtype=np.complex128),
-                response_sigma=_measured(stored["response_sigma"]),
-                gain_sigma=_measured(stored["gain_sigma"]),
-                phase_sigma=_measured(stored["phase_sigma"]),
-                width_factor=float(stored["width_factor"]),
-                width_sigma=float(_measured(stored["width_sigma"])),
-                pupil=np.asarray(stored.get("pupil", np.zeros(0))),
-                pupil_sigma=np.asarray(stored.get("pupil_sigma", np.zeros(0))),
-                pupil_misfit=float(stored.get("pupil_misfit", np.nan)),
-                pupil_p_value=float(stored.get("pupil_p_value", np.nan)),
-                dwells=int(stored["dwells"]),
-                id=str(stored["id"]) if "id" in stored else "",
-            )
-    except OSError as error:
-        raise UserError(f"Calibration {path} cannot be read: {error.strerror or error}.") from error
-    except UserError as error:
-        raise UserError(f"File {path}: {error}") from error
-    except (ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile) as error:
-        reason = " ".join(str(error).split())
-        raise UserError(f"File {path} is no calibration that psf_calibration wrote: {reason}.") from error
+def _hashable(value: Any) -> Any:
+    if isinstance(value, str | int):
+        return value
+    array = np.asarray(value)
+    return _Bytes(array.tobytes(), array.dtype.str, array.shape if isinstance(value, np.ndarray) else None)
 
 
-def _measured(sigma: F64) -> F64:
-    """Return standard errors with NaN for 0, which meant "not measured" before version 1 of the messages."""
-    return np.where(sigma > 0, sigma, np.nan).astype(np.float64)
+def _restored(value: Any) -> Any:
+    if not isinstance(value, _Bytes):
+        return value
+    array = np.frombuffer(value.content, value.kind)
+    return array[0].item() if value.shape is None else array.reshape(value.shape).copy()
+
+
+@lru_cache(maxsize=16)
+def _calibration_of(*values: Any) -> Calibration:
+    """The calibration with these values of its fields; the same object for the same values."""
+    return Calibration(*map(_restored, values))

@@ -13,6 +13,7 @@ from sal_height.commands._options import (
     FAILED,
     PROCESSING,
     Bag,
+    Jobs,
     NodeParameters,
     OutputFolder,
     Places,
@@ -62,6 +63,7 @@ def adjust(
     ] = None,
     set_: Settings = (),
     param: NodeParameters = (),
+    jobs: Jobs = 1,
     out: OutputFolder = None,
 ) -> int:
     """Find errors of navigation and mounting, so that heights of overlapping dwells agree.
@@ -106,7 +108,7 @@ def adjust(
     known = (*(Target(*place) for place in target), *(read_targets(targets) if targets else ()))
     references = References(known, ground)
     folder = output_folder(out, f"adjust_{bag_name(bag)}")
-    adjusted = adjust_bag(bag, folder, estimator, node_parameters(param), settings_values(set_), references)
+    adjusted = adjust_bag(bag, folder, estimator, node_parameters(param), settings_values(set_), references, jobs)
     print(adjustment_table(adjusted.summary))
     complain(adjusted.warnings)
     corrected = f"heights with the corrected odometry: sal-height replay {adjusted.bag}"

@@ -43,14 +43,14 @@ def batch(
     estimators: Estimators = (),
     workers: Annotated[int, Parameter(metavar="N", validator=Number(gte=0), show_default=False)] = 0,
     scheduler: Annotated[str, Parameter(metavar="ADDRESS", show_default=False)] = "",
-    dwells: Annotated[int, Parameter(metavar="N", validator=Number(gte=1))] = 100,
+    dwells: Annotated[int | None, Parameter(metavar="N", validator=Number(gte=1), show=False)] = None,
 ) -> int:
     """Make the heights of many recorded bags again, side by side.
 
     The same heights as those of `sal-height replay`, value for value, but without
-    nodes: each worker of Dask processes a part of a bag at a time. What a bag's
-    parts have made is tracked, compared with the heights in the bag, and with the
-    truth if the flight was simulated.
+    nodes and without ROS: each worker of Dask processes a bag at a time, a single
+    bag is processed by several. The heights are tracked, compared with those in the
+    bag, and with the truth if the flight was simulated.
 
     The output folder holds a bag with the heights of each BAG and a table,
     summary.parquet: a row for each bag and setting. After an interruption, or when
@@ -63,13 +63,15 @@ def batch(
             tried in turn, each with those of other parameters, and compared in comparison.png.
         workers: Processes on this machine. Default: one for each processor.
         scheduler: Address of a Dask cluster that does the work instead; it must see the same files.
-        dwells: Longest part of a bag, in dwells; of a strip, all dwells are one part.
+        dwells: Has no effect any more.
     """
     from sal_height.runs.batch import SUMMARY, Campaign, Workers, run_campaign
     from sal_height.runs.tables import campaign_table
 
     given, varied = _settings(param)
-    campaign = Campaign(bags, given, varied, estimators, dwells)
+    if dwells is not None:
+        complain(["Option --dwells has no effect any more: the dwells of a bag are processed side by side."])
+    campaign = Campaign(bags, given, varied, estimators)
     try:
         rows = run_campaign(campaign, out, Workers(workers, scheduler))
     except KeyboardInterrupt:

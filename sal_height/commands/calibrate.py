@@ -9,6 +9,7 @@ from sal_height.commands._options import (
     PROCESSING,
     Bag,
     GraphOptions,
+    Jobs,
     NodeParameters,
     OutputFolder,
     command,
@@ -28,7 +29,9 @@ app = command("calibrate", PROCESSING, EXAMPLES)
 
 
 @app.default
-def calibrate(bag: Bag, /, *, graph: GraphOptions = GRAPH, out: OutputFolder = None, param: NodeParameters = ()) -> int:
+def calibrate(
+    bag: Bag, /, *, jobs: Jobs = 1, graph: GraphOptions = GRAPH, out: OutputFolder = None, param: NodeParameters = ()
+) -> int:
     """Measure a sensor's receivers and beams on the scene of a recorded bag.
 
     The bag is focused without range weighting. On the images of all its dwells
@@ -56,7 +59,7 @@ def calibrate(bag: Bag, /, *, graph: GraphOptions = GRAPH, out: OutputFolder = N
     from sal_height.runs.calibrate import calibrate as measure
 
     folder = output_folder(out, f"calibrate_{bag_name(bag)}")
-    outcome, calibration = measure(bag, folder, node_parameters(param), graph.execution())
+    outcome, calibration = measure(bag, folder, node_parameters(param), graph.execution(), jobs)
     complain(outcome.losses)
     if calibration is None:
         print(f"interrupted; see {folder}/report.json")

@@ -6,6 +6,7 @@ from sal_height.commands._options import (
     DONE,
     PROCESSING,
     Bag,
+    Jobs,
     NodeParameters,
     OutputFolder,
     Settings,
@@ -30,7 +31,9 @@ app = command("movers", PROCESSING, EXAMPLES)
 
 
 @app.default
-def movers(bag: Bag, /, *, set_: Settings = (), param: NodeParameters = (), out: OutputFolder = None) -> int:
+def movers(
+    bag: Bag, /, *, set_: Settings = (), param: NodeParameters = (), jobs: Jobs = 1, out: OutputFolder = None
+) -> int:
     """Find what moves in the strips or dwells of a bag: place, height and radial velocity.
 
     A mover's image lies beside it along the flight, by range times radial velocity
@@ -53,7 +56,7 @@ def movers(bag: Bag, /, *, set_: Settings = (), param: NodeParameters = (), out:
     from sal_height.runs.movers import find_in_bag
 
     folder = output_folder(out, f"movers_{bag_name(bag)}")
-    found = find_in_bag(bag, folder, node_parameters(param), settings_values(set_))
+    found = find_in_bag(bag, folder, node_parameters(param), settings_values(set_), jobs)
     print(found.table())
     complain(found.warnings)
     print(f"see {folder}/report.json")

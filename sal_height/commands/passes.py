@@ -11,6 +11,7 @@ from cyclopts import Parameter, Token
 from sal_height.commands._options import (
     DONE,
     PROCESSING,
+    Jobs,
     NodeParameters,
     OutputFolder,
     Places,
@@ -64,6 +65,7 @@ def passes(
             negative=(),
         ),
     ] = None,
+    jobs: Jobs = 1,
     set_: Settings = (),
     param: NodeParameters = (),
     out: OutputFolder = None,
@@ -96,7 +98,8 @@ def passes(
     references = [ReferencePoint(np.array(place), ties=True) for place in tie]
     references += [ReferencePoint(np.array(place)) for place in compare]
     folder = output_folder(out, "passes")
-    made = heights_of_bags(bags, folder, estimator, node_parameters(param), settings_values(set_), references, centre)
+    given, wanted = node_parameters(param), settings_values(set_)
+    made = heights_of_bags(bags, folder, estimator, given, wanted, references, centre, jobs)
     print(passes_table(made.summary))
     complain(made.warnings)
     print(f"see {folder}/passes.png and {folder}/report.json")

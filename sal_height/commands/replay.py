@@ -21,6 +21,7 @@ from sal_height.commands._options import (
     Estimators,
     Flag,
     GraphOptions,
+    Jobs,
     NodeParameters,
     OutputFolder,
     Tolerance,
@@ -37,6 +38,7 @@ EXAMPLES = """
   sal-height replay out/sal_spotlight/bag --estimators ml,capon
   sal-height replay out/sal_spotlight/bag --against golden/bag
   sal-height replay out/sal_spotlight/bag --tolerance tolerances.yaml
+  sal-height replay out/sal_spotlight/bag --jobs 2
   sal-height replay out/sal_spotlight/bag --dwells 10:19
   sal-height replay out/sal_spotlight/bag --from heights
   sal-height replay out/sal_spotlight/bag --record slc --record ml/points
@@ -118,6 +120,7 @@ def replay(
     rate: Annotated[float | None, Parameter(metavar="R", validator=Number(gte=1e-6, lte=1e6))] = None,
     loop: Loop = 1,
     remap: Remap = (),
+    jobs: Jobs | None = None,
     processes: Flag = False,
 ) -> int:
     """Play a recorded bag through the same nodes and compare the heights with those recorded.
@@ -136,31 +139,34 @@ def replay(
         entry: Begin with the complex images (slc) or the heights in the bag. Heights go to tracker and mapper alone.
         namespace: Play the topics of this namespace. Needed only if several have what is played.
         rate: Play so many times as fast as the sensor was, with --clock paced. Default: 1.
-        processes: Run each node in a process of its own, which takes little more than half the time for a long bag.
+        jobs: Process the dwells without nodes, so many side by side; the heights are the same. Where ROS is not
+            installed, this is so by itself. Topic diagnostics, points and pictures are made by nodes only.
+        processes: Has no effect any more: nodes of a replay share a process. Use --jobs 2 for long bags.
         against: Bag with the heights to compare with. Default: those of BAG.
         out: Output folder, new or empty. Default: out/replay_BAG, or the next free of out/replay_BAG_2, ….
     """
-    from sal_height.runs.processes import use_one_thread
+    from sal_height.runs.processes import use_one_blas_thread
 
-    if processes:
-        use_one_thread()
+    if jobs:
+        use_one_blas_thread()
 
+    from sal_height.bag.played import MOST
     from sal_height.bag.tolerance import ROUNDING, read_tolerances
-    from sal_height.nodes.played import MOST
     from sal_height.runs.entry import Part
     from sal_height.runs.playing import Playing
     from sal_height.runs.replay import Against
     from sal_height.runs.replay import replay as play_again
     from sal_height.runs.tables import comparison_table, images_table, results_table
 
+    if processes:
+        complain(["Option --processes has no effect on a replay; --jobs 2 processes two dwells side by side."])
     first, last = dwells or (0, MOST)
     part = Part(entry, first, last, start, math.inf if end is None else end, namespace)
     playing = Playing(clock, rate, loop)
     folder = output_folder(out, f"replay_{bag_name(bag)}")
     golden = Against(against, read_tolerances(tolerance) if tolerance else ROUNDING)
-    result = play_again(
-        bag, folder, node_parameters(param), graph.execution(processes), golden, estimators, part, playing, remap
-    )
+    execution = graph.execution()
+    result = play_again(bag, folder, node_parameters(param), execution, golden, estimators, part, playing, remap, jobs)
     print(images_table(result.images) if result.images else results_table(result.outcome, result.accuracy))
     if result.compared:
         print(f"\n{comparison_table(result.compared)}")

@@ -75,15 +75,10 @@ def run(
         looks: Pixels averaged in range x azimuth, for example 2x2. Default: the preset's.
         origin: Place of the map's origin on the earth: latitude and longitude in degrees, height above the WGS-84
             ellipsoid in m. The map is in UTM there. Default: that of the scene, if its file has one, or the preset's.
-        processes: Run each node in a process of its own.
+        processes: Has no effect any more: the nodes of a run share a process.
         out: Output folder, new or empty. Default: out/PRESET, or the next free of out/PRESET_2, ….
     """
-    from sal_height.runs.processes import use_one_thread
-
-    if processes:
-        use_one_thread()
-
-    from sal_height.runs.simulate import RELIEF_MAP
+    from sal_height.runs.reporting import RELIEF_MAP
     from sal_height.runs.simulate import run as simulate
     from sal_height.runs.tables import achieved, results_table
     from sal_height.simulation import load_preset
@@ -99,8 +94,10 @@ def run(
             "estimators": estimators or None,
         },
     )
+    if processes:
+        complain(["Option --processes has no effect on a run any more: its nodes share a process."])
     folder = output_folder(out, changed.name)
-    result = simulate(changed, seed, folder, node_parameters(param), graph.execution(processes))
+    result = simulate(changed, seed, folder, node_parameters(param), graph.execution())
     outcome = result.outcome
     print(results_table(outcome, result.accuracy.statistics))
     if sentence := achieved(result.accuracy.statistics):

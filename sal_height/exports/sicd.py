@@ -97,7 +97,10 @@ def write_sicd(bag: Path, folder: Path, origin: Origin | None = None) -> int:
         _write(sicd, path, image, f"{bag_name(bag)} {path.stem}")
         count += 1
     if not count:
-        raise UserError(f"Bag {bag} has no complex images; record them: sal-height replay {bag} --record slc.")
+        raise UserError(
+            f"Bag {bag} has no complex images, and no phase history that gives some; record one of the topics slc and "
+            "phase_history."
+        )
     return count
 
 

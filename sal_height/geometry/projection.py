@@ -64,6 +64,10 @@ class Projection:
         found._check()
         return found
 
+    def __reduce__(self) -> tuple[Any, tuple[Any, ...]]:
+        """What makes the projection again in another process, where PROJ looks for the way to it by itself."""
+        return type(self).of, (self.name, self.origin)
+
     @property
     def has_geoid(self) -> bool:
         """Whether heights are above something else than the ellipsoid."""

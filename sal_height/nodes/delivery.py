@@ -10,10 +10,10 @@ import heapq
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 
+from sal_height.bag.played import Content, DwellRange, Played, chosen, read_contents
 from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import ODOMETRY_TYPE
-from sal_height.nodes.cues import DwellKey
-from sal_height.nodes.played import Content, DwellRange, Played, chosen, read_contents
+from sal_height.engine.stage import DwellKey
 from sal_height.nodes.playlist import restamped
 
 

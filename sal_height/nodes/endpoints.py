@@ -79,6 +79,7 @@ class Inlet:
         latched: whether one message is enough for all time.
         has_one_source: whether several publishers would contradict each other.
         heard_at: when the last message came, s of the monotonic clock.
+        received: messages that have arrived.
         missed: messages that the publisher has numbered up to the last one and that have not come; since its start.
         unsuited: how often a publisher was found whose quality of service does not suit the subscription.
         strangers: publishers that define the type of the messages otherwise, as of the last `look_for_strangers`.
@@ -119,14 +120,13 @@ class Inlet:
         self._node, self._name, self._type_name = node, topic, message_type.__msgtype__
         self._profile = copy.copy(qos)
 
-        came = 0
+        self.received = 0
 
         def take(cdr: bytes, info: dict[str, Any]) -> None:
-            nonlocal came
             self.heard_at = time.monotonic()
-            came += 1
             receive(cdr)
-            self.missed = max(0, info.get("publication_sequence_number", 0) - came)
+            self.received += 1
+            self.missed = max(0, info.get("publication_sequence_number", 0) - self.received)
 
         def subscribe(overrides: QoSOverridingOptions | None) -> Subscription:
             events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._ask_for_less, fail), matched=matched)

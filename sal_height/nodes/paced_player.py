@@ -9,22 +9,25 @@ from typing import Any, ClassVar
 
 from sal_height import messages
 from sal_height.bag.reader import BagReader
+from sal_height.bag.sensor_topics import FRAMES, ODOMETRY, SENSOR_INFO
+from sal_height.engine.air import AIR_PORTS
+from sal_height.engine.stage import StageSettings
 from sal_height.errors import UserError
 from sal_height.messages.types import ChannelFrame, Odometry, SensorInfo
-from sal_height.nodes.air import AIR_TOPICS
 from sal_height.nodes.managed import INACTIVE
 from sal_height.nodes.pace import Pace
-from sal_height.nodes.playlist import FRAMES, ODOMETRY, SENSOR_INFO, Playlist, restamped
+from sal_height.nodes.playlist import Playlist, restamped
 from sal_height.nodes.program import run_node
+from sal_height.nodes.quality import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.nodes.role import Topics
-from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS, RESET, SENSOR_TOPICS, Stage, StageParameters
+from sal_height.nodes.worker import RESET, SENSOR_TOPICS, WorkerNode
 from sal_height.settings import setting
 
 LEAD_S = 0.05
 """From the call that starts the sensor to its first message."""
 
 
-class Parameters(StageParameters):
+class Parameters(StageSettings):
     """Parameters of the node."""
 
     bag: str = setting("", "path of the bag: its folder or its .mcap file", read_only=True)
@@ -33,7 +36,7 @@ class Parameters(StageParameters):
     )
 
 
-class PacedPlayer(Stage):
+class PacedPlayer(WorkerNode):
     """Publishes odometry, air and frames when the sensor would, from the call of ~/start until it ends.
 
     The bag is played from memory and begins anew after its end. Stamps go on: they begin with the time of the call,
@@ -43,7 +46,7 @@ class PacedPlayer(Stage):
     """
 
     parameters = Parameters
-    outputs: ClassVar[Topics] = {**SENSOR_TOPICS, **AIR_TOPICS}
+    outputs: ClassVar[Topics] = {**SENSOR_TOPICS, **{port.name: port.about for port in AIR_PORTS}}
     answers: ClassVar[Topics] = {**RESET, "~/start": "begin to deliver"}
     begin_service = "start"
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import threading
 from typing import Any, Generic, TypeVar
 
@@ -11,82 +10,13 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from sal_height.errors import UserError
-from sal_height.geometry import BODY_AXES, MAP_AXES, ROS_AXES, Axes, Origin
-from sal_height.messages import BODY_FRAME, MAP_FRAME, Frames
-from sal_height.settings import Setting, Settings, setting, settings_of
+from sal_height.settings import Setting, Settings, settings_of
 
 SettingsT = TypeVar("SettingsT", bound=Settings)
 
 INTEGER_LIMITS = (-(2**63), 2**63 - 1)
 FLOAT_LIMITS = (-1.7976931348623157e308, 1.7976931348623157e308)
 """Range of a parameter that is bounded on one side only: ROS knows no open ranges."""
-
-
-class MapFrameParameters(Settings):
-    """The parameter of nodes that take or make what is placed in the map."""
-
-    map_frame: str = setting(
-        MAP_FRAME, "name of the frame of the map (x east, y north, z up) in headers", read_only=True
-    )
-
-
-class FrameParameters(MapFrameParameters):
-    """Parameters of nodes that take or make states of the platform."""
-
-    body_frame: str = setting(
-        BODY_FRAME, "name of the frame of the platform (x forward, y left, z up) in headers", read_only=True
-    )
-    map_axes: str = setting(
-        ROS_AXES.map,
-        "how the axes x, y, z of the positions and attitudes that come in point: enu is east, north, up, ned is north, "
-        "east, down",
-        choices=tuple(MAP_AXES),
-        read_only=True,
-    )
-    body_axes: str = setting(
-        ROS_AXES.body,
-        "how the axes x, y, z of the platform in what comes in point: flu is forward, left, up, frd is forward, right, "
-        "down",
-        choices=tuple(BODY_AXES),
-        read_only=True,
-    )
-
-    @property
-    def frames(self) -> Frames:
-        """Names and axes of the frames of odometry that comes in."""
-        return Frames(self.map_frame, self.body_frame, Axes(self.map_axes, self.body_axes))
-
-
-class OriginParameters(Settings):
-    """Parameters of nodes that must know where on the earth the map is."""
-
-    origin_latitude_deg: float = setting(
-        0.0,
-        "latitude of the map's origin; if it and the longitude are 0, they are not given",
-        unit="deg",
-        minimum=-90.0,
-        maximum=90.0,
-        read_only=True,
-    )
-    origin_longitude_deg: float = setting(
-        0.0, "longitude of the map's origin", unit="deg", minimum=-180.0, maximum=180.0, read_only=True
-    )
-    origin_height_m: float = setting(
-        0.0,
-        "height of the map's origin above the WGS-84 ellipsoid",
-        unit="m",
-        minimum=-1000.0,
-        maximum=10_000.0,
-        read_only=True,
-    )
-
-    @property
-    def origin(self) -> Origin | None:
-        """The origin of the map; None: it is not given."""
-        if not (self.origin_latitude_deg or self.origin_longitude_deg):
-            return None
-        latitude, longitude = math.radians(self.origin_latitude_deg), math.radians(self.origin_longitude_deg)
-        return Origin(latitude, longitude, self.origin_height_m)
 
 
 class LiveParameters(Generic[SettingsT]):
@@ -139,6 +69,12 @@ class LiveParameters(Generic[SettingsT]):
         return self.current.changed(
             **{p.name: _from_ros(p.value, self._entries[p.name]) for p in parameters if p.name in self._entries}
         )
+
+
+def parameter_of(name: str, value: Any) -> Parameter:
+    """A parameter; rclpy cannot tell the type of an empty list, which is one of texts here."""
+    value = list(value) if isinstance(value, tuple) else value
+    return Parameter(name, Parameter.Type.STRING_ARRAY, []) if value == [] else Parameter(name, value=value)
 
 
 def _override(node: Node, entry: Setting) -> Any:

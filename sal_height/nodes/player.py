@@ -5,47 +5,51 @@ It does so dwell by dwell, at the pace of the sensor beside /clock, or as fast a
 
 from __future__ import annotations
 
+import bisect
 import threading
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, ClassVar
 
+from rclpy.qos import QoSProfile
+
 from sal_height import messages
 from sal_height.bag.namespace import NamespacedReader
-from sal_height.bag.reader import BagMessage, BagReader
+from sal_height.bag.played import (
+    CLOCKS,
+    LATEST_NS,
+    LOCKSTEP,
+    MOST,
+    PACED,
+    Content,
+    DwellRange,
+    Played,
+    chosen,
+    read_contents,
+)
+from sal_height.bag.reader import BagMessage, BagReader, LogTimes
+from sal_height.bag.sensor_topics import FRAMES, ODOMETRY, SENSOR_INFO
 from sal_height.bag.topics import HEIGHT_TYPE, SENSOR_TYPE, Topic
+from sal_height.engine.calibrations import CALIBRATION
+from sal_height.engine.compression import SENSOR
+from sal_height.engine.stage import FOREVER_NS, DwellKey, StageSettings
 from sal_height.errors import UserError
 from sal_height.messages.codec import SHIPPED
 from sal_height.messages.definition import shipped_definition
 from sal_height.messages.types import Calibration as CalibrationMessage
 from sal_height.nodes.account import CALIBRATIONS, DWELLS
-from sal_height.nodes.cues import DwellKey, cues_of_text
 from sal_height.nodes.delivery import delivered
 from sal_height.nodes.managed import INACTIVE
-from sal_height.nodes.played import LATEST_NS, MOST, SENSOR, Content, DwellRange, Played, chosen, qos_of, read_contents
-from sal_height.nodes.playlist import SENSOR_INFO
 from sal_height.nodes.program import run_node
-from sal_height.nodes.reel import Group, Reel
-from sal_height.nodes.remote_parameters import RemoteParameters
+from sal_height.nodes.quality import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.nodes.role import Topics
 from sal_height.nodes.simulated_clock import CLOCK, SimulatedClock
-from sal_height.nodes.stage import (
-    LATCHED_QOS,
-    RESET,
-    SENSOR_TOPICS,
-    Stage,
-    StageParameters,
-)
+from sal_height.nodes.worker import RESET, SENSOR_TOPICS, WorkerNode
 from sal_height.settings import setting
 
-CALIBRATION_TOPIC = "calibration"
 
-LOCKSTEP, PACED, BURST = CLOCKS = "lockstep", "paced", "burst"
-"""When what a bag holds is played: dwell by dwell as it is asked for, at the times of its stamps, or at once."""
-
-
-class Parameters(StageParameters):
+class Parameters(StageSettings):
     """Parameters of the node."""
 
     bag: str = setting("", "path of the bag: its folder or its .mcap file", read_only=True)
@@ -84,26 +88,29 @@ class Parameters(StageParameters):
         maximum=1_000_000_000,
         read_only=True,
     )
-    cues: str = setting(
-        "",
-        "what happened in flight, as a replay finds it: a list of dwell, parameters and calibrations in JSON",
-        read_only=True,
-    )
 
 
-class Player(Stage):
-    """Publishes the recorded bytes of one group of dwells at each call of ~/step, or of all dwells at one call.
+MOST_FRAMES, MOST_SAMPLES = 128, 2000
+"""Frames, and other messages, that are published in one step at most: half of what a subscription keeps."""
 
-    The first sensor info comes before that, so that the nodes can get ready for the sensor. The first step begins with
-    the first message on each topic of the air, which dwells before it have waited for in flight. A dwell before which
-    something happened in flight (`cues`) begins a group; a calibration is published at a step of its own. So does a
-    step end there that plays all that follows: whoever asks for the next one can wait until the nodes are done before.
+
+def qos_of(topic: str) -> QoSProfile:
+    """The quality of service of a topic that is played."""
+    return {SENSOR_INFO: LATCHED_QOS, **dict.fromkeys((ODOMETRY, *messages.AIR), ODOMETRY_QOS)}.get(topic, FRAMES_QOS)
+
+
+class Player(WorkerNode):
+    """Publishes the recorded bytes of one dwell at each call of ~/step, or of all dwells at one call.
+
+    The first sensor info is published before that, so that the nodes can get ready for the sensor. The first step
+    begins with the first message on each topic of the air, which dwells before it have waited for in flight. A
+    calibration that was applied from a dwell on is published at a step of its own before that dwell.
     """
 
     parameters = Parameters
     outputs: ClassVar[Topics] = {
         **SENSOR_TOPICS,
-        CALIBRATION_TOPIC: "calibrations that the parameter cues names",
+        CALIBRATION: "calibrations that were applied in the flight, in a replay",
         CLOCK: "time of the sensor, if the parameter clock is paced",
     }
     answers: ClassVar[Topics] = {**RESET, "~/step": "publish the next dwell; if paced or burst, all of them"}
@@ -115,15 +122,19 @@ class Player(Stage):
             UserError: the bag cannot be used or lacks a topic.
         """
         super().__init__("player", **node_arguments)
-        self._others = RemoteParameters(self, ())
         self._time: SimulatedClock | None = None
         self._ending = threading.Event()
+        self._applied: dict[DwellKey, list[str]] = {}
+        self._calibrations: dict[str, bytes] = {}
+        self._ends_ns: list[int] = []
+        self._none_before: list[int] = []
+        self._begun: set[DwellKey] = set()
         try:
             self._open()
         except UserError:
             self.destroy_node()
             raise
-        self.serve("~/step", self._step)
+        self.serve("~/step", self.step)
 
     def destroy_node(self) -> None:
         """Stop playing, and end the node."""
@@ -131,6 +142,41 @@ class Player(Stage):
         if self._time:
             self._time.end()
         super().destroy_node()
+
+    def schedule(self, calibrations: Mapping[DwellKey, Sequence[str]], frames: Mapping[DwellKey, LogTimes]) -> None:
+        """Say what a replay knows of the bag, before the first step.
+
+        Args:
+            calibrations: identities of those that are published before dwells.
+            frames: when the frames of each dwell were recorded.
+
+        Raises:
+            UserError: the bag does not hold a calibration.
+        """
+        self._applied = {dwell: list(names) for dwell, names in calibrations.items() if names}
+        self._calibrations = self._named_calibrations()
+        dwells = sorted(frames.items(), key=lambda item: item[1].last_ns)
+        self._ends_ns = [times.last_ns for _, times in dwells]
+        self._none_before = list(accumulate((dwell.stamp_ns for dwell, _ in reversed(dwells)), min))[::-1]
+
+    def announced(self) -> dict[str, int]:
+        """Of each topic the stamp (ns) before which nothing more will be published."""
+        item = self._next
+        if item is None:
+            return dict.fromkeys(self._topics, FOREVER_NS)
+        done = bisect.bisect_left(self._ends_ns, item.recorded.log_time_ns)
+        return {FRAMES: self._none_before[done]} if done < len(self._none_before) else {}
+
+    def step(self) -> tuple[bool, str]:
+        """Publish what is next, on the worker thread; whether there is anything, and words for it."""
+        if not self.is_active:
+            return False, INACTIVE
+        if self._next is None:
+            return False, "the bag has ended"
+        self.tally.receive()
+        in_lockstep = self.current_parameters().clock == LOCKSTEP
+        self.submit(1, self._publish_step if in_lockstep else self._deliver)
+        return True, "next dwell" if in_lockstep else "all dwells up to the next calibration"
 
     def _open(self) -> None:
         """Open the bag, offer what is in it, and publish the first sensor info.
@@ -150,22 +196,20 @@ class Player(Stage):
             )
         for name in parameters.topics:  # their bytes go out as they are
             self._reader.check_type(recorded[name].type_name)
+        self._topics = parameters.topics
         self._outlets = {
             recorded[name].name: self.offer(_class_of(recorded[name]), name, qos_of(name)) for name in parameters.topics
         }
         self._detectors = sum(recorded[name].type_name == HEIGHT_TYPE for name in parameters.topics)
-        self._cues = cues_of_text(parameters.cues)
-        self._others = RemoteParameters(self, {name for cue in self._cues.values() for name in cue.parameters})
-        self._calibrations = self._named_calibrations()
-        self._calibration = self.offer(CalibrationMessage, CALIBRATION_TOPIC, LATCHED_QOS)
+        self._calibration = self.offer(CalibrationMessage, CALIBRATION, LATCHED_QOS)
         info, air = (
             self._first_of([recorded[name].name for name in names if name in parameters.topics])
             for names in ([SENSOR_INFO], messages.AIR)
         )
-        self._reel = Reel(_brought_forward(air, _without(info, self._played(parameters))))
-        self._last_odometry_ns = 0
-        if parameters.clock == PACED and self._reel.next:
-            self._time = SimulatedClock(self, self._reel.next.recorded.log_time_ns, parameters.rate)
+        self._items = _brought_forward(air, _without(info, self._played(parameters)))
+        self._next = next(self._items, None)
+        if parameters.clock == PACED and self._next:
+            self._time = SimulatedClock(self, self._next.recorded.log_time_ns, parameters.rate)
         for announced in info:
             if self._is_usable(Played(announced, Content())):
                 self._publish(announced)
@@ -191,102 +235,91 @@ class Player(Stage):
             return delivered(self._reader, topics, dwells, parameters.loops)
         return chosen(read_contents(self._reader.messages(topics)), dwells)
 
-    @property
-    def is_ready(self) -> bool:
-        """Whether it has a bag, and nodes whose parameters it is to set can be reached."""
-        return self._others.are_ready and super().is_ready
-
     def _named_calibrations(self) -> dict[str, bytes]:
-        """The serialized calibrations that the cues name, by identity.
+        """The serialized calibrations that are published, by identity.
 
         Raises:
             UserError: the bag does not hold one of them.
         """
-        named = {name for cue in self._cues.values() for name in cue.calibrations}
+        named = {name for names in self._applied.values() for name in names}
         if not named:
             return {}
         found = {name: cdr for name, cdr in calibrations_of(self._reader) if name in named}
         if missing := sorted(named - found.keys()):
-            raise UserError(f"Bag {self._reader.path} has no calibration {missing[0]!r} on topic {CALIBRATION_TOPIC}.")
+            raise UserError(f"Bag {self._reader.path} has no calibration {missing[0]!r} on topic {CALIBRATION}.")
         return found
 
-    def _step(self) -> tuple[bool, str]:
-        if not self.is_active:
-            return False, INACTIVE
-        if self._reel.next is None:
-            return False, "the bag has ended"
-        self.tally.receive()
-        in_lockstep = self.current_parameters().clock == LOCKSTEP
-        self.submit(1, self._publish_group if in_lockstep else self._deliver)
-        return True, "next dwell" if in_lockstep else "all dwells up to the next change in flight"
+    def _advance(self) -> None:
+        """Go on to the next message.
 
-    def _deliver(self) -> int:
-        """Publish what is due when it is, up to a dwell that something is to happen before; the number of frames.
+        Raises:
+            UserError: the bag is damaged; the message at hand was its last, so that none is played twice.
+        """
+        try:
+            self._next = next(self._items, None)
+        except UserError:
+            self._next = None
+            raise
+
+    def _publish_step(self) -> int:
+        """Publish a dwell, up to the first message of another one; the number of frames.
 
         What cannot be decoded is counted and left out.
         """
-        group = Group()
-        while (item := self._reel.next) is not None and self._is_due(item.recorded) and self.is_active:
+        frames, others, dwells = 0, 0, set[DwellKey]()
+        while (item := self._next) is not None:
             if self._is_usable(item):
-                dwell = item.content.part.dwell if item.content.part else None
-                if dwell in self._cues and (group.frames or self._is_held_up(dwell, group)):
+                part = item.content.part
+                if part is None:
+                    others += 1
+                else:
+                    if part.dwell in self._applied:
+                        return frames if frames or others else self._publish_calibration(part.dwell)
+                    if frames >= max(1, self._detectors) and part.dwell not in dwells:
+                        break
+                    frames += 1
+                    dwells.add(part.dwell)
+                self._play(item)
+            self._advance()
+            if frames >= MOST_FRAMES or others >= MOST_SAMPLES:
+                break
+        return frames
+
+    def _deliver(self) -> int:
+        """Publish what is due when it is, up to a dwell before which a calibration is published; the number of frames.
+
+        What cannot be decoded is counted and left out.
+        """
+        frames = 0
+        while (item := self._next) is not None and self._is_due(item.recorded) and self.is_active:
+            if self._is_usable(item):
+                part = item.content.part
+                if part and part.dwell in self._applied:
+                    if not frames:
+                        self._publish_calibration(part.dwell)
                     break
-                self._play(item, group)
-            self._reel.advance()
+                frames += part is not None
+                self._play(item)
+            self._advance()
         if self._time:
             self._time.stand_still()
-        return group.frames.total()
+        return frames
 
     def _is_due(self, recorded: BagMessage) -> bool:
         """Wait until a message is due, if there is a clock; False if the node ends before."""
         return self._time.wait_until(recorded.log_time_ns) if self._time else not self._ending.is_set()
 
-    def _publish_group(self) -> int:
-        """Publish up to the first frame that is not of this group; the number of frames.
-
-        What cannot be decoded is counted and left out.
-        """
-        group = Group(self._last_odometry_ns)
-        while (item := self._reel.next) is not None:
-            if self._is_usable(item):
-                if part := item.content.part:
-                    if group.closed(self._detectors, part.dwell) or self._is_held_up(part.dwell, group):
-                        break
-                    if self._comes_later(part.dwell, group):
-                        group.set_aside.append(item)
-                        self._reel.advance()
-                        continue
-                self._play(item, group)
-            self._reel.advance()
-        self._last_odometry_ns = group.last_odometry_ns if group.set_aside else 0
-        self._reel.put_back(group.set_aside)
-        return group.frames.total()
-
-    def _comes_later(self, dwell: DwellKey, group: Group) -> bool:
-        """Whether frames of a dwell are to wait until a group, which has begun before it, has been played."""
-        return dwell not in group.frames and bool(group.set_aside or (group.frames and dwell in self._cues))
-
-    def _is_held_up(self, dwell: DwellKey, group: Group) -> bool:
-        """Do what is to happen before a dwell, if it begins a group; whether the step ends with that.
-
-        Raises:
-            UserError: a node does not take its parameters.
-        """
-        if group.frames or dwell not in self._cues:
-            return False
-        cue = self._cues.pop(dwell)
-        if cue.calibrations:
-            first, *others = cue.calibrations
-            self._cues[dwell] = replace(cue, calibrations=tuple(others))
-            self._calibration.publish(self._calibrations[first])
-            self.tell(CALIBRATIONS)
-            return True
-        for name, values in cue.parameters.items():
-            self._others.set(name, values, lambda: self.is_ending)
-        return False
+    def _publish_calibration(self, dwell: DwellKey) -> int:
+        """Publish the next calibration that is applied from a dwell on; returns the number of frames, 0."""
+        names = self._applied[dwell]
+        self._calibration.publish(self._calibrations[names.pop(0)])
+        if not names:
+            del self._applied[dwell]
+        self.tell(CALIBRATIONS)
+        return 0
 
     def _is_usable(self, item: Played) -> bool:
-        """Whether a message can be decoded, or else it is told; takes note of the detectors of a sensor info."""
+        """Whether a message can be decoded, or else it is counted; takes note of the detectors of a sensor info."""
         recorded, fault = item.recorded, item.content.fault
         if recorded.type_name == SENSOR_TYPE:
             try:
@@ -298,12 +331,12 @@ class Player(Stage):
             self.ignore(f"broken {recorded.topic}", UserError(f"A message cannot be decoded: {fault}"))
         return not fault
 
-    def _play(self, item: Played, group: Group) -> None:
-        """Publish a message of a group, and count the dwell that it may begin."""
+    def _play(self, item: Played) -> None:
+        """Publish a message, and count the dwell that it may begin."""
         recorded, content = item
-        if content.part and content.part.dwell not in group.frames:
+        if content.part and content.part.dwell not in self._begun:
+            self._begun.add(content.part.dwell)
             self.tally.note(DWELLS)
-        group.add(content)
         self._publish(recorded)
 
     def _publish(self, recorded: BagMessage) -> None:
@@ -350,7 +383,7 @@ def calibrations_of(reader: BagReader) -> Iterator[tuple[str, bytes]]:
     Raises:
         UserError: the bag is damaged.
     """
-    for recorded in reader.messages([name for name in reader.topics if name.lstrip("/") == CALIBRATION_TOPIC]):
+    for recorded in reader.messages([name for name in reader.topics if name.lstrip("/") == CALIBRATION]):
         yield reader.decode(recorded.type_name, recorded.cdr).id, recorded.cdr
 
 

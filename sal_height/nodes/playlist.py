@@ -9,6 +9,7 @@ import numpy as np
 
 from sal_height import messages
 from sal_height.bag.reader import BagReader
+from sal_height.bag.sensor_topics import FRAMES, ODOMETRY, SENSOR_INFO
 from sal_height.bag.stamps import STAMP, STAMP_AT, stamp_ns_of
 from sal_height.errors import UserError
 from sal_height.messages.types import ChannelFrame, Odometry, SensorInfo
@@ -113,9 +114,6 @@ class Playlist(NamedTuple):
     def dwell_rate_hz(self) -> float:
         """Dwells that the sensor delivers in a second."""
         return self.dwells * 1e9 / self.period_ns
-
-
-SENSOR_INFO, ODOMETRY, FRAMES = "sensor_info", "platform/odometry", "phase_history"
 
 
 def restamped(cdr: bytes, shift_ns: int) -> bytes:

@@ -128,6 +128,14 @@ class Recorder(Role, Node):
         """Number of messages in the bag, by topic; 0 for a topic that has just been subscribed to."""
         return {topic: ledger.written for topic, ledger in self._ledgers.items()}
 
+    def missed(self, topic: str) -> int:
+        """Messages of a topic that its publisher has sent and that have not arrived."""
+        return self._ledgers[topic].missed if topic in self._ledgers else 0
+
+    def account(self) -> Account:
+        """Its account as it is now."""
+        return self._told()[0]
+
     @property
     def ledgers(self) -> dict[str, Ledger]:
         """What became of the messages of each topic."""

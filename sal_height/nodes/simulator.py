@@ -6,17 +6,19 @@ from typing import Any, ClassVar
 
 from sal_height import messages
 from sal_height.bag.sensor_topics import MAP_ORIGIN
+from sal_height.engine.stage import FOREVER_NS, StageSettings
 from sal_height.messages.types import ChannelFrame, NavSatFix, Odometry, SensorInfo
 from sal_height.nodes.account import DWELLS
 from sal_height.nodes.managed import INACTIVE
 from sal_height.nodes.program import run_node
+from sal_height.nodes.quality import LATCHED_QOS, ODOMETRY_QOS
 from sal_height.nodes.role import Topics
-from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS, ORIGIN, RESET, SENSOR_TOPICS, Stage, StageParameters
+from sal_height.nodes.worker import ORIGIN, RESET, SENSOR_TOPICS, WorkerNode
 from sal_height.settings import setting
 from sal_height.simulation import flight_of, load_preset
 
 
-class Parameters(StageParameters):
+class Parameters(StageSettings):
     """Parameters of the node."""
 
     preset: str = setting("sal_spotlight", "name of a preset, or path of its YAML file", read_only=True)
@@ -31,7 +33,7 @@ class Parameters(StageParameters):
     )
 
 
-class Simulator(Stage):
+class Simulator(WorkerNode):
     """Publishes one dwell after the other, on a timer or at each call of ~/step, until the flight ends.
 
     Stamps begin at the time of start; everything else follows from preset and seed alone.
@@ -55,6 +57,7 @@ class Simulator(Stage):
         parameters = self.current_parameters()
         self.flight = flight_of(load_preset(parameters.preset), parameters.seed)
         self._next_dwell = 0
+        self._published_ns = 0
         self._start_ns = self.get_clock().now().nanoseconds
         self._info = self.offer(SensorInfo, "sensor_info", LATCHED_QOS)
         self._odometry = self.offer(Odometry, "platform/odometry", ODOMETRY_QOS)
@@ -64,14 +67,20 @@ class Simulator(Stage):
         if origin := self.flight.scene.origin:
             map_origin.publish(messages.origin_to_message(origin, self._stamp(0), messages.MAP_FRAME))
         self._air = {topic: self.offer(one.message_type, topic, ODOMETRY_QOS) for topic, one in messages.AIR.items()}
-        self.serve("~/step", self._step)
+        self.serve("~/step", self.step)
         if parameters.period_s > 0:
             self.every(parameters.period_s, self._begin_dwell, self.get_clock())
 
     def _stamp(self, ns_after_start: int) -> Any:
         return messages.to_stamp(self._start_ns + ns_after_start)
 
-    def _step(self) -> tuple[bool, str]:
+    def announced(self) -> dict[str, int]:
+        """Of each topic the stamp (ns) before which nothing more will be published."""
+        after_ns = FOREVER_NS if self._next_dwell >= self.flight.dwells else self._published_ns + 1
+        return dict.fromkeys(SENSOR_TOPICS, after_ns)
+
+    def step(self) -> tuple[bool, str]:
+        """Simulate and publish the next dwell, on the worker thread; whether there is one, and words for it."""
         if not self.is_active:
             return False, INACTIVE
         dwell = self._begin_dwell()
@@ -94,6 +103,7 @@ class Simulator(Stage):
         for state in self.flight.platform_states(dwell):
             self._odometry.publish(messages.state_to_message(state, self._stamp(state.stamp_ns)))
         history = self.flight.phase_history(dwell)
+        self._published_ns = self._start_ns + history.stamp_ns
         stamp = self._stamp(history.stamp_ns)
         frames = messages.history_to_messages(history, self.flight.sensor, dwell, stamp)
         for frame in frames:

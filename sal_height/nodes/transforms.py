@@ -11,9 +11,6 @@ from sal_height.nodes.message_types import class_of
 TF = "/tf"
 """Topic of the frames that move, of all nodes in whatever namespace."""
 
-TF_STATIC = "/tf_static"
-"""Topic of the frames that are fixed to others, of all nodes in whatever namespace."""
-
 TF_QOS = QoSProfile(depth=100)
 TF_STATIC_QOS = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 

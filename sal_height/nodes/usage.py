@@ -13,8 +13,10 @@ from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
 from sal_height.errors import UserError
+from sal_height.messages.losses import LOSSES
 from sal_height.nodes.account import DIAGNOSTICS, PROGRESS
 from sal_height.nodes.managed import Managed
+from sal_height.nodes.worker import WorkerNode
 from sal_height.settings import settings_of, unknown_name
 
 WIDTH = 100
@@ -23,6 +25,8 @@ ACCOUNTS = {
     DIAGNOSTICS: "message counts and state of the node",
     PROGRESS: "the counts as numbers, also after every piece of work, made while somebody subscribes",
 }
+
+LEFT_OUT = {LOSSES: "what the node leaves out, one message for each loss"}
 
 LIFE_CYCLE = {"~/change_state": "life cycle, as by ros2 lifecycle; the node tells of it on ~/transition_event"}
 
@@ -38,12 +42,13 @@ def usage(node: type[Any], program: str) -> str:
         program: name of its executable.
     """
     parameters = settings_of(node.parameters).values()
+    losses = LEFT_OUT if issubclass(node, WorkerNode) else {}
     example = next(iter(parameters)).name
     sections = [
         f"usage: {program} [--ros-args -p {example}:=VALUE --params-file FILE -r TOPIC:=OTHER …]",
         inspect.getdoc(node) or "",
         _listed("Topics that the node subscribes to:", node.inputs),
-        _listed("Topics that it publishes:", {**node.outputs, **ACCOUNTS}),
+        _listed("Topics that it publishes:", {**node.outputs, **losses, **ACCOUNTS}),
         _listed("Services that it offers:", {**node.answers, **(LIFE_CYCLE if issubclass(node, Managed) else {})}),
         "Parameters (-p NAME:=VALUE):",
         *(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,15 +13,16 @@ import numpy as np
 
 from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import HEIGHT_TYPE
-from sal_height.errors import Rejected
+from sal_height.errors import Rejected, UserError
 from sal_height.messages import field_from_message
 from sal_height.messages.types import HeightImage
 from sal_height.relief import GroundEstimate
 from sal_height.runs.catalogue import HEIGHTS, TRACKER
 from sal_height.runs.ground_report import TrueGround, ground_of, ground_statistics, true_ground
 from sal_height.runs.report import mosaic, statistics
+from sal_height.runs.reporting import PRESET, SEED
 from sal_height.runs.surface_report import TOLERANCE_BEAMWIDTHS, Judged, height_beamwidth, judged, surface_statistics
-from sal_height.simulation import SimulatedFlight
+from sal_height.simulation import SimulatedFlight, flight_of, parse_preset
 
 _LOG = logging.getLogger(__name__)
 
@@ -38,6 +40,20 @@ class Accuracy:
     heights: Mapping[str, Judged]
     grounds: Mapping[str, tuple[GroundEstimate, TrueGround]]
     statistics: Mapping[str, Mapping[str, Any]]
+
+
+def recorded_flight(reader: BagReader) -> SimulatedFlight | None:
+    """The simulated flight that a bag is from; None if it is from no simulation, or from one that cannot be made again.
+
+    It cannot be if, for example, the elevation model of its scene is no longer there.
+    """
+    if PRESET not in reader.custom_data:
+        return None
+    try:
+        preset = parse_preset(json.loads(reader.custom_data[PRESET]), f"in bag {reader.path}")
+        return flight_of(preset, int(reader.custom_data[SEED]))
+    except (UserError, ValueError, KeyError):
+        return None
 
 
 def read_accuracy(bag: Path, flight: SimulatedFlight, stages: Sequence[str]) -> Accuracy:

@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 from sal_height import messages
 from sal_height.adjustment import (
@@ -28,27 +28,22 @@ from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import CALIBRATION_TYPE, FIX_TYPE, FRAME_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.elevation import ESTIMATORS
+from sal_height.engine.compression import ODOMETRY, SLC
+from sal_height.engine.height_items import Heights
+from sal_height.engine.image_items import Images, Source
+from sal_height.engine.losses import Losses
+from sal_height.engine.stage import DwellKey, Loss, Product
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Mounting, PlatformState, Trajectory
-from sal_height.imaging import Slc, correct_track
+from sal_height.imaging import correct_track
 from sal_height.io import bag_name, new_folder, writing
-from sal_height.pipeline import heights
 from sal_height.runs.adjustment_picture import draw_adjustment
 from sal_height.runs.adjustment_report import summary_of, summary_of_images
-from sal_height.runs.campaign import Case, plan
 from sal_height.runs.catalogue import NodeParameters, check_estimator, parameters_of, suited
+from sal_height.runs.chain_runs import COMPRESSION, BagRun, Scheme, only_sensor, plan
 from sal_height.runs.entry import Part, sensors_of
-from sal_height.runs.recorded_dwells import (
-    COMPRESSION,
-    MOST_DWELLS,
-    ODOMETRY_TOPIC,
-    Compressed,
-    Losses,
-    RecordedDwells,
-    Work,
-)
 from sal_height.runs.reporting import PARAMETERS, reporting
-from sal_height.sensor import PhaseHistory, Sensor
+from sal_height.sensor import Sensor
 
 Observed = TypeVar("Observed", bound=ObservedDwell)
 
@@ -83,6 +78,7 @@ def adjust_bag(
     given: NodeParameters | None = None,
     wanted: Mapping[str, Any] | None = None,
     references: References = UNKNOWN_GROUND,
+    jobs: int = 1,
 ) -> Adjusted:
     """Adjust the dwells of a bag to each other; leaves report.json, adjustment.png and a new bag in `out`.
 
@@ -93,6 +89,7 @@ def adjust_bag(
         given: parameters of nodes that replace recorded ones.
         wanted: settings of the adjustment by name; of the mounting and the delay those that the bag's compression had.
         references: known ground.
+        jobs: dwells that are processed side by side.
 
     Raises:
         UserError: the bag cannot be used, or a parameter or a setting is not allowed.
@@ -108,27 +105,26 @@ def adjust_bag(
         for sensor in sensors:
             check_estimator(estimator, sensor)
     estimators = () if by_images else (estimator,)
-    scheme = plan(Case(bag, out, {}, given or {}, estimators), MOST_DWELLS, for_heights=not by_images)
+    scheme = plan(bag, given or {}, estimators, for_heights=not by_images)
     compression = scheme.parameters.get(COMPRESSION, {})
     stated = {name: compression[name] for name in KNOWN if compression.get(name)}
     settings = (ImageAdjustmentSettings if by_images else AdjustmentSettings)(**{**stated, **(wanted or {})})
     folder = new_folder(out)
     with reporting(folder, {"bag": bag.name, "settings": settings.model_dump()}) as report:
-        work = scheme.works[0]
-        reader = NamespacedReader(work.bag, work.namespace)
-        found = _adjusted(work, reader, estimator, settings, references, report)
+        reader = NamespacedReader(scheme.bag, scheme.namespace)
+        found = _adjusted(scheme, jobs, estimator, settings, references, report)
         adjustment, mounting, summary = found.adjustment, found.mounting, found.summary
-        warnings = [*scheme.warnings, *found.losses.told(len(work.dwells)), *found.sentences]
+        warnings = [*scheme.warnings, *found.losses.described(len(scheme.frames)), *found.sentences]
         report |= {**summary, "warnings": warnings}
         with writing(folder / "adjustment.png"):
             draw_adjustment(adjustment, folder / "adjustment.png")
 
         def corrected(states: Sequence[PlatformState]) -> list[PlatformState]:
-            seconds = [(state.stamp_ns - epoch_of(work)) * 1e-9 for state in states]
+            seconds = [(state.stamp_ns - scheme.epoch_ns) * 1e-9 for state in states]
             return corrected_states(states, seconds, adjustment, mounting, settings)
 
         if adjustment.comparisons:
-            odometry = _corrected_odometry(work, reader, corrected)
+            odometry = _corrected_odometry(scheme, reader, corrected)
             known = {**KNOWN, "map_axes": "enu", "body_axes": "flu"}
         else:
             odometry, known = None, {}
@@ -149,8 +145,8 @@ class _Found:
 
 
 def _adjusted(
-    work: Work,
-    reader: BagReader,
+    scheme: Scheme,
+    jobs: int,
     estimator: str,
     settings: AdjustmentSettings,
     references: References,
@@ -164,14 +160,16 @@ def _adjusted(
         UserError: there is none, or nothing that could be wrong with images.
     """
     if not isinstance(settings, ImageAdjustmentSettings):
-        dwells, sensor, losses = _observe(_Observing(work, reader, estimator), reader, report)
+        run = BagRun(scheme, [COMPRESSION, ESTIMATORS[estimator].node], jobs=jobs, wanted=[SLC, f"{estimator}/height"])
+        dwells, sensor, losses = _in_order(run, _observe(run, estimator, run.losses), report)
         adjustment = adjust(dwells, sensor.mounting, settings, references)
         summary, sentences = summary_of(adjustment, dwells, sensor.mounting, settings, references)
         return _Found(adjustment, sensor.mounting, losses, summary, sentences)
-    images, sensor, losses = _observe(_ObservingImages(work, reader, settings), reader, report)
+    run = BagRun(scheme, [COMPRESSION], jobs=jobs, wanted=[SLC])
+    images, sensor, losses = _in_order(run, _observe_images(run, settings, run.losses), report)
     if not any(image.stated.pose[:3, :3].any() for image in images):
         raise UserError(
-            f"The odometry of bag {work.bag} states no errors of position, so that there is nothing to find; say how "
+            f"The odometry of bag {scheme.bag} states no errors of position, so that there is nothing to find; say how "
             "large they may be by --set position_sigma_m=0.3 and, if they change from dwell to dwell, "
             "velocity_sigma_mps and position_step_m."
         )
@@ -181,98 +179,71 @@ def _adjusted(
     return _Found(adjustment, sensor.mounting, losses, summary | of_images, [*sentences, *on_images])
 
 
-class _Gathering(RecordedDwells, Generic[Observed]):
-    """The dwells of a bag of one sensor as an adjustment takes them."""
-
-    def __init__(self, work: Work, reader: BagReader) -> None:
-        """Begin without dwells.
-
-        Raises:
-            UserError: as its base; or the bag describes several sensors.
-        """
-        super().__init__(work, reader)
-        if len(self.sensors) > 1:
-            names = ", ".join(sensor.name for sensor in self.sensors.values())
-            raise UserError(f"Bag {work.bag} describes several sensors ({names}); cut it by `sal-height bag cut`.")
-        self.dwells: list[Observed] = []
-
-    def of_pulses(self, compressed: Compressed) -> tuple[Slc, Sensor, Trajectory, PhaseHistory]:
-        """Images of a dwell, their sensor, the track of base_link, and the pulses."""
-        settings = self.in_force.of(COMPRESSION)
-        track = correct_track(Trajectory(compressed.supplies.states, motion=settings.motion), settings)
-        return compressed.slc, compressed.sensor, track, messages.history_from_messages(compressed.frames)
+def _observe(run: BagRun, estimator: str, losses: Losses) -> Iterator[ObservedDwell]:
+    """The dwells of a bag with heights of an estimator."""
+    node, images = ESTIMATORS[estimator].node, dict[DwellKey, Images]()
+    for made in run.results("dwells"):
+        if not isinstance(made.result, Product):
+            continue
+        item = made.result.item
+        if isinstance(item, Images):
+            images[item.key] = item
+        elif isinstance(item, Heights) and (source := images.pop(item.key).source) is not None:
+            try:
+                yield ObservedDwell.of(
+                    item.field, source.slc, source.sensor, _track_of(source), source.pulses, run.scheme.epoch_ns
+                )
+            except Rejected as few:
+                losses.add(node, Loss(item.key, 0, few.reason, str(few)))
 
 
-class _Observing(_Gathering[ObservedDwell]):
-    """Dwells with heights of an estimator."""
-
-    def __init__(self, work: Work, reader: BagReader, estimator: str) -> None:
-        super().__init__(work, reader)
-        self._estimator = ESTIMATORS[estimator]
-
-    def made(self, compressed: Compressed) -> None:
-        """Make the heights of a dwell, and keep their points."""
-        parameters = self.in_force.of(self._estimator.node)
+def _observe_images(run: BagRun, settings: ImageAdjustmentSettings, losses: Losses) -> Iterator[ObservedImage]:
+    """The images of a bag of one detector, on cells as of the first one."""
+    cell = 0.0
+    for made in run.results("dwells"):
+        if not (isinstance(made.result, Product) and isinstance(made.result.item, Images)):
+            continue
+        source = made.result.item.source
+        if source is None:
+            continue
+        cell = cell or cell_size(source.slc)
         try:
-            field = heights(compressed.slc, compressed.sensor, self._estimator, parameters, compressed.calibration)
-        except UserError as error:
-            self.losses.drop(self._estimator.node, error)
-            return
-        try:
-            self.dwells.append(ObservedDwell.of(field, *self.of_pulses(compressed), epoch_of(self.work)))
-        except Rejected as few:
-            self.losses.drop(self._estimator.node, few)
-
-
-class _ObservingImages(_Gathering[ObservedImage]):
-    """Images of one detector."""
-
-    def __init__(self, work: Work, reader: BagReader, settings: ImageAdjustmentSettings) -> None:
-        super().__init__(work, reader)
-        self._settings, self._cell = settings, 0.0
-
-    def made(self, compressed: Compressed) -> None:
-        """Keep what a dwell shows of the ground, on cells as of the first one."""
-        slc, sensor, track, history = self.of_pulses(compressed)
-        self._cell = self._cell or cell_size(slc)
-        try:
-            self.dwells.append(
-                ObservedImage.of_image(slc, sensor, track, history, self._settings, self._cell, epoch_of(self.work))
+            yield ObservedImage.of_image(
+                source.slc, source.sensor, _track_of(source), source.pulses, settings, cell, run.scheme.epoch_ns
             )
         except Rejected as strip:
-            self.losses.drop(COMPRESSION, strip)
+            losses.add(COMPRESSION, Loss(made.dwell, 0, strip.reason, str(strip)))
 
 
-def epoch_of(work: Work) -> int:
-    """The time from which the seconds of an adjustment count, ns."""
-    return min(dwell.stamp_ns for dwell in work.dwells)
+def _track_of(source: Source) -> Trajectory:
+    """The track of base_link during a dwell."""
+    track: Trajectory = correct_track(Trajectory(source.states, motion=source.settings.motion), source.settings)
+    return track
 
 
-def _observe(
-    observing: _Gathering[Observed], reader: BagReader, report: dict[str, Any]
+def _in_order(
+    run: BagRun, observed: Iterator[Observed], report: dict[str, Any]
 ) -> tuple[list[Observed], Sensor, Losses]:
     """The dwells of a bag in the order of time, their sensor, and what was left out, which the report has then.
 
     Raises:
-        UserError: there is none.
+        UserError: there is none, or the bag describes several sensors.
     """
-    observing.read(reader, "dwells")
-    losses, work = observing.losses, observing.work
-    report |= {"dwells": len(observing.dwells), **losses.counts()}
-    if not observing.dwells:
-        why = losses.told(len(work.dwells)) or ["No dwell could be compressed."]
-        raise UserError(f"Bag {work.bag} has no dwell that can be adjusted. {' '.join(why)}")
-    (sensor,) = observing.sensors.values()
-    return sorted(observing.dwells, key=lambda dwell: dwell.seconds), sensor, losses
+    sensor, dwells, losses = only_sensor(run), list(observed), run.losses
+    report |= {"dwells": len(dwells), **losses.counts()}
+    if not dwells:
+        why = losses.described(len(run.scheme.frames)) or ["No dwell could be compressed."]
+        raise UserError(f"Bag {run.scheme.bag} has no dwell that can be adjusted. {' '.join(why)}")
+    return sorted(dwells, key=lambda dwell: dwell.seconds), sensor, losses
 
 
 def _corrected_odometry(
-    work: Work, reader: BagReader, corrected: Callable[[Sequence[PlatformState]], list[PlatformState]]
+    scheme: Scheme, reader: BagReader, corrected: Callable[[Sequence[PlatformState]], list[PlatformState]]
 ) -> Iterator[bytes | None]:
     """The samples of the odometry in the order of the bag, serialized; None: one that cannot be used."""
-    frames = parameters_of(COMPRESSION, work.parameters.get(COMPRESSION, {})).frames
+    frames = parameters_of(COMPRESSION, scheme.parameters.get(COMPRESSION, {})).frames
     states: list[PlatformState | None] = []
-    for recorded in reader.messages([ODOMETRY_TOPIC]):
+    for recorded in reader.messages([f"/{ODOMETRY}"]):
         try:
             states.append(messages.state_of_pose(messages.received_pose(recorded.cdr), frames))
         except (UserError, RuntimeError):  # the compression leaves it out, too
@@ -295,12 +266,12 @@ def _write(
     """
     copied = [topic for topic in reader.topics.values() if topic.type_name in COPIED and topic.count]
     with BagWriter(folder, {**reader.custom_data, **custom_data}, kept_packing(reader)) as bag:
-        for topic in [*copied, reader.topics[ODOMETRY_TOPIC]]:
+        for topic in [*copied, reader.topics[f"/{ODOMETRY}"]]:
             bag.add_topic(topic.name, topic.type_name, topic.offered_qos)
         names = [topic.name for topic in copied]
-        for recorded in reader.messages([*names, ODOMETRY_TOPIC]):
+        for recorded in reader.messages([*names, f"/{ODOMETRY}"]):
             cdr: bytes | None = recorded.cdr
-            if recorded.topic == ODOMETRY_TOPIC and odometry:
+            if recorded.topic == f"/{ODOMETRY}" and odometry:
                 cdr = next(odometry)
             if cdr is not None:
                 bag.write(recorded.topic, cdr, recorded.log_time_ns, recorded.publish_time_ns)

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 
 from sal_height.nodes.domain import ros_domain
 from sal_height.runs.account_book import AccountBook
-from sal_height.runs.conductor import Execution, Interruption
 from sal_height.runs.ensemble import Ensemble, Member
+from sal_height.runs.interruption import Interruption
+from sal_height.runs.plan import Execution
 from sal_height.runs.supervisor import Supervisor
 from sal_height.runs.watch import Watcher, looks
 

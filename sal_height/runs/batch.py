@@ -6,11 +6,10 @@ import itertools
 import json
 import logging
 import os
-import shutil
 import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -18,10 +17,11 @@ from typing import Any
 from tqdm import tqdm
 
 from sal_height import __version__
+from sal_height.engine.movers import MOVERS
 from sal_height.errors import UserError
 from sal_height.io import bag_name, write_text, writing
-from sal_height.nodes.mover_detection import MOVERS
-from sal_height.runs.campaign import Case, Scheme, conclude_bag, is_done, known, parts_of, plan, process_part
+from sal_height.numeric import available_processors
+from sal_height.runs.campaign import Case, is_done, known, process_case
 from sal_height.runs.catalogue import ADJUSTER, HEIGHTS, NodeParameters, check_parameters
 from sal_height.runs.processes import ONE_THREAD
 from sal_height.runs.reporting import merged
@@ -44,14 +44,12 @@ class Campaign:
         given: parameters of nodes that replace recorded ones.
         varied: values that a parameter gets in turn, by "node.name"; each is combined with each of the others.
         estimators: names of those whose heights are made; none: those whose heights a bag holds, or the standard ones.
-        most_dwells: of a part, which is what one worker processes at a time.
     """
 
     bags: Sequence[Path]
     given: NodeParameters = field(default_factory=dict)
     varied: Mapping[str, Sequence[Any]] = field(default_factory=dict)
     estimators: tuple[str, ...] = ()
-    most_dwells: int = 100
 
     def cases(self, out: Path) -> list[Case]:
         """The bags with all settings; folders have the names of the bags, and of the settings if there are several."""
@@ -72,7 +70,6 @@ class Campaign:
             "parameters": self.given,
             "varied": self.varied,
             "estimators": self.estimators,
-            "most_dwells": self.most_dwells,
         }
 
 
@@ -111,14 +108,14 @@ def run_campaign(campaign: Campaign, out: Path, workers: Workers) -> list[dict[s
     for case in cases:
         check_parameters(case.given)
     _enter(campaign, out)
-    progress = _Progress(campaign, cases)
-    if progress.remaining:
-        with _client(workers) as client:
-            progress.go_on(client)
+    progress = _Progress(cases)
+    remaining, processes = len(progress.remaining), workers.count or available_processors()
+    if remaining == 1 and not workers.scheduler:
+        progress.go_on_here(processes)
+    elif remaining:
+        with _client(replace(workers, count=min(processes, remaining))) as client:
+            progress.go_on(client, 1 if workers.scheduler else max(1, processes // remaining))
     rows = progress.rows()
-    for case in cases:
-        if is_done(case.folder):
-            shutil.rmtree(parts_of(case), ignore_errors=True)
     _write_summary(rows, out / SUMMARY)
     if campaign.varied:
         from sal_height.runs.campaign_picture import draw_settings  # noqa: PLC0415 (brings Matplotlib)
@@ -131,15 +128,10 @@ def run_campaign(campaign: Campaign, out: Path, workers: Workers) -> list[dict[s
 class _Progress:
     """What is done and what remains to be done of a campaign."""
 
-    def __init__(self, campaign: Campaign, cases: Sequence[Case]) -> None:
+    def __init__(self, cases: Sequence[Case]) -> None:
         """Find out what is done already."""
-        self._most_dwells, self._cases = campaign.most_dwells, cases
-        self._client: Any = None
-        self._schemes: dict[int, Scheme] = {}
-        self._open: dict[int, int] = {}
-        """Number of parts of each case that are not done."""
+        self._cases = cases
         self._rows = {number: known(case.folder) for number, case in enumerate(cases) if is_done(case.folder)}
-        self._next: dict[Any, Callable[[Any], list[Any]]] = {}
 
     @property
     def remaining(self) -> list[int]:
@@ -150,67 +142,29 @@ class _Progress:
         """A row for each case."""
         return [self._rows[number] for number in range(len(self._cases))]
 
-    def go_on(self, client: Any) -> None:
-        """Have a cluster do what remains."""
+    def go_on(self, client: Any, jobs: int) -> None:
+        """Have a cluster do what remains, each case with a number of jobs."""
         from distributed import as_completed  # noqa: PLC0415 (an extra)
 
-        self._client = client
-        first = [self._submit(self._process, n, plan, self._cases[n], self._most_dwells) for n in self.remaining]
-        with tqdm(total=len(first), unit="part", desc="batch") as progress:
-            tasks = as_completed(first)
-            for future in tasks:
+        numbers = {
+            client.submit(attempt, process_case, self._cases[number], jobs, pure=False): number
+            for number in self.remaining
+        }
+        with tqdm(total=len(numbers), unit="bag", desc="batch") as progress:
+            for future in as_completed(list(numbers)):
                 found = future.result() if future.status == "finished" else (None, _lost(future))
-                more = self._next.pop(future.key)(found)
-                progress.total += len(more)
+                self._enter(numbers[future], found)
                 progress.update()
-                tasks.update(more)
 
-    def _submit(
-        self, then: Callable[[Any, int], list[Any]], number: int, function: Callable[..., Any], *arguments: Any
-    ) -> Any:
-        """Have a function called by a worker, and then `then` here, which returns what is to be done next."""
-        future = self._client.submit(attempt, function, *arguments, pure=False)
+    def go_on_here(self, jobs: int) -> None:
+        """Do what remains in this process, with a number of jobs."""
+        for number in tqdm(self.remaining, unit="bag", desc="batch"):
+            self._enter(number, attempt(process_case, self._cases[number], jobs))
 
-        def go_on(found: tuple[Any, str]) -> list[Any]:
-            result, failure = found
-            if failure:
-                self._fail(number, failure)
-                return []
-            return then(result, number)
-
-        self._next[future.key] = go_on
-        return future
-
-    def _process(self, scheme: Scheme, number: int) -> list[Any]:
-        self._schemes[number], self._open[number] = scheme, len(scheme.works)
-        parts = self._parts(number)
-        return [
-            self._submit(self._conclude, number, process_part, work, part)
-            for work, part in zip(scheme.works, parts, strict=True)
-        ]
-
-    def _conclude(self, _: None, number: int) -> list[Any]:
-        self._open[number] -= 1
-        if self._open[number] or number in self._rows:
-            return []
-        return [
-            self._submit(
-                self._take_row, number, conclude_bag, self._cases[number], self._schemes[number], self._parts(number)
-            )
-        ]
-
-    def _take_row(self, row: dict[str, Any], number: int) -> list[Any]:
-        self._rows[number] = row
-        return []
-
-    def _fail(self, number: int, failure: str) -> None:
+    def _enter(self, number: int, found: tuple[Any, str]) -> None:
+        row, failure = found
         case = self._cases[number]
-        self._rows[number] = {"bag": str(case.bag), **case.values, "failure": failure}
-
-    def _parts(self, number: int) -> list[Path]:
-        """Folders of the parts of a case."""
-        folder = parts_of(self._cases[number])
-        return [folder / str(part) for part in range(len(self._schemes[number].works))]
+        self._rows[number] = {"bag": str(case.bag), **case.values, "failure": failure} if failure else row
 
 
 def attempt(function: Callable[..., Any], *arguments: Any) -> tuple[Any, str]:
@@ -236,7 +190,8 @@ def _client(workers: Workers) -> Iterator[Any]:
         UserError: Dask is not installed, or there is no cluster at the address.
     """
     try:
-        from distributed import Client, LocalCluster  # noqa: PLC0415 (an extra)
+        import dask  # noqa: PLC0415 (an extra)
+        from distributed import Client, LocalCluster  # noqa: PLC0415
     except ImportError as error:
         raise UserError(EXTRA.format("distributed")) from error
     for name in ("distributed", "tornado.application"):  # what matters of its cluster is in the results
@@ -250,6 +205,7 @@ def _client(workers: Workers) -> Iterator[Any]:
             yield client
         return
     with _deaf_to_interruption():
+        dask.config.set({"distributed.worker.daemon": False})  # a worker may have jobs of its own
         cluster = LocalCluster(
             n_workers=workers.count or os.cpu_count(),
             threads_per_worker=1,

@@ -8,18 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from sal_height.bag.reader import BagReader
 from sal_height.beams import ZERNIKE
 from sal_height.calibration import Calibration, load_calibration
+from sal_height.engine.calibrator import MOST_DWELLS
+from sal_height.engine.dwells import SENSOR_INFO
 from sal_height.errors import UserError
 from sal_height.io import new_folder, or_null, writing
-from sal_height.nodes.played import SENSOR
-from sal_height.nodes.psf_calibration import MOST_DWELLS
+from sal_height.runs.by_calls import perform_by_calls
 from sal_height.runs.calibration_picture import beam_width, draw_calibration
-from sal_height.runs.catalogue import CALIBRATOR, NodeParameters
-from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
-from sal_height.runs.entry import air_in, check_air, contents
-from sal_height.runs.recorded_parameters import recorded_at_start
+from sal_height.runs.catalogue import CALIBRATOR, NodeParameters, check_parameters
+from sal_height.runs.chain_runs import COMPRESSION, plan
+from sal_height.runs.entry import Part, contents
+from sal_height.runs.plan import DEFAULT, Execution, Outcome, Plan
 from sal_height.runs.reporting import PARAMETERS, conclude, merged, reporting
 
 STAGES = ["sar_compression", CALIBRATOR]
@@ -29,9 +29,9 @@ CALIBRATION = "calibration.npz"
 
 
 def calibrate(
-    bag: Path, out: Path, parameters: NodeParameters, execution: Execution = DEFAULT
+    bag: Path, out: Path, parameters: NodeParameters, execution: Execution = DEFAULT, jobs: int = 1
 ) -> tuple[Outcome, Calibration | None]:
-    """Calibrate a sensor on the scene of a bag; leaves calibration.npz, its picture and report.json in `out`.
+    """Calibrate a sensor on the scene of a bag; leaves calibration.npz, its picture, a bag and report.json in `out`.
 
     The images are formed with the recorded parameters, except that they cover the whole range window, are not weighted
     in range and have no calibration applied.
@@ -40,30 +40,34 @@ def calibrate(
         bag: folder of the recorded bag, or its .mcap file.
         out: folder; must be new or empty.
         parameters: values that replace recorded parameters of nodes.
-        execution: how the run is carried out.
+        execution: what is recorded besides the calibration.
+        jobs: dwells that are compressed side by side.
 
     Returns:
-        What the run did, and the calibration; None if the run was interrupted.
+        What was done, and the calibration; None if the user has interrupted.
 
     Raises:
         UserError: the bag cannot be used, or too much of it was dropped for a calibration.
     """
-    reader = BagReader(bag)
-    sensor, dwells = contents(reader)
-    unweighted = {"sar_compression": {"range_window": "rectangular", "rows": 0, "calibration": ""}}
+    sensor, dwells = contents(Part().open(bag))
+    unweighted = {COMPRESSION: {"range_window": "rectangular", "rows": 0, "calibration": ""}}
     wanted = {CALIBRATOR: {"dwells": min(dwells, MOST_DWELLS), "dwell_step": 1, "file": str(out / CALIBRATION)}}
-    recorded = recorded_at_start(reader, nodes=STAGES)
-    own = {name: recorded.values.get(name, {}) for name in STAGES}
-    values = recorded.check(merged(merged(own, unweighted), wanted), parameters, STAGES)
-    air = air_in(reader)
-    check_air(values, [sensor], air, f"Bag {bag}")
+    check_parameters(parameters, STAGES)
+    scheme = plan(bag, merged(merged(unweighted, wanted), parameters), for_heights=False)
+    values = {name: scheme.parameters.get(name, {}) for name in STAGES}
     folder = new_folder(out)
-    made, played = folder / "bag", [*SENSOR, *air]
-    with reporting(folder, {"bag": bag.name}) as report:
-        nodes = {**values, "player": {"bag": str(bag), "topics": played}}
-        topics = ["sensor_info", "calibration", "diagnostics"]
-        custom_data = {PARAMETERS: json.dumps(values)}
-        outcome = perform(Plan("player", STAGES, topics, made, nodes, dwells, custom_data, played), execution)
+    with reporting(folder, {"bag": bag.name, "warnings": scheme.warnings}) as report:
+        asked = Plan(
+            "player",
+            STAGES,
+            ["sensor_info", "calibration"],
+            folder / "bag",
+            values,
+            len(scheme.frames),
+            {PARAMETERS: json.dumps(values)},
+            [SENSOR_INFO, *scheme.topics],
+        )
+        outcome = perform_by_calls(asked, scheme, execution, jobs)
         conclude(outcome, values, report)
         path = Path(values[CALIBRATOR]["file"])
         if outcome.interrupted:

@@ -1,6 +1,6 @@
-"""The tasks of a campaign: a bag is planned, its parts are processed, and what they made is put together and judged.
+"""The tasks of a campaign: the heights of a bag are made on the chain host and judged.
 
-Each task leaves its result in a file of its own, at once and whole, and is not done again where it is there already.
+Each task leaves its result in a folder of its own, at once and whole, and is not done again where it is there already.
 """
 
 from __future__ import annotations
@@ -8,8 +8,7 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,22 +16,19 @@ from typing import Any
 import numpy as np
 
 from sal_height.bag.compare import compare_bags
-from sal_height.bag.reader import BagReader, LogTimes
+from sal_height.bag.reader import BagReader
 from sal_height.bag.tolerance import ROUNDING
 from sal_height.bag.topics import HEIGHT_TYPE
 from sal_height.bag.writer import BagWriter
-from sal_height.errors import UserError
+from sal_height.engine.height_items import Heights
+from sal_height.engine.stage import Product
 from sal_height.io import write_text
-from sal_height.nodes.cues import Cue
-from sal_height.nodes.playlist import FRAMES
-from sal_height.runs.accuracy import read_accuracy, read_images
-from sal_height.runs.catalogue import ADJUSTER, DETECTOR, NodeParameters, consumers
-from sal_height.runs.entry import Part, chain_of, sensors_of
+from sal_height.messages.kinds import write_heights
+from sal_height.runs.accuracy import read_accuracy, read_images, recorded_flight
+from sal_height.runs.catalogue import HEIGHTS, NodeParameters
+from sal_height.runs.chain_runs import BagRun, Scheme, plan
+from sal_height.runs.entry import Part
 from sal_height.runs.judge import verdict_of
-from sal_height.runs.offline import process, track
-from sal_height.runs.recorded_dwells import InForce, Losses, Work
-from sal_height.runs.replay import recorded_flight
-from sal_height.runs.replay_parameters import processing_of
 from sal_height.runs.reporting import PARAMETERS
 
 DONE = "done.json"
@@ -58,125 +54,44 @@ class Case:
     estimators: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class Scheme:
-    """How a bag is processed.
+def process_case(case: Case, jobs: int) -> dict[str, Any]:
+    """Make the heights of a bag, track them and judge them, unless that is done; returns a row of the summary.
 
-    Attributes:
-        namespace: of its topics.
-        stages: nodes that work on it.
-        parameters: of all nodes at the first dwell, by node and name.
-        cues: what happens before later dwells.
-        works: parts that can be processed on their own, in the order of their dwells.
-        warnings: sentences on what cannot be done as in flight.
-    """
-
-    namespace: str
-    stages: tuple[str, ...]
-    parameters: NodeParameters
-    cues: tuple[Cue, ...]
-    works: tuple[Work, ...]
-    warnings: tuple[str, ...]
-
-
-def plan(case: Case, most_dwells: int, *, for_heights: bool = True) -> Scheme:
-    """Find out how a bag is to be processed, in parts of so many dwells at most; a strip is one part.
-
-    A bag of one detector is refused, unless its heights are not asked for.
+    Args:
+        case: the bag, and how it is processed.
+        jobs: dwells that are processed side by side.
 
     Raises:
-        UserError: the bag cannot be used, or a parameter is not allowed.
-    """
-    part = Part()
-    reader = part.open(case.bag)
-    chain = chain_of(reader, FRAMES, case.estimators)
-    makers, stages = (
-        [name for name in names if name not in (ADJUSTER, DETECTOR)] for names in (chain.makers, chain.stages)
-    )
-    if for_heights and not makers:
-        raise UserError(f"Bag {case.bag} is of a sensor with one detector, of which no heights can be made.")
-    processing = processing_of(reader, chain, part, consumers(makers), case.given, names_dwells=True)
-    if not processing.frames:
-        raise UserError(
-            f"Bag {case.bag} has no readable frame on topic {FRAMES}; see `sal-height bag check {case.bag}`."
-        )
-    dwells = list(processing.frames)
-    sensors, _ = sensors_of(reader)
-    size = len(dwells) if any(sensor.mode == "stripmap" for sensor in sensors.values()) else most_dwells
-    in_force, come = InForce(processing.values, processing.cues), list[str]()
-    works = []
-    for begin in range(0, len(dwells), size):
-        chosen = dwells[begin : begin + size]
-        within = dict.fromkeys(chosen[1:])
-        come += in_force.go_on_to(chosen[0])
-        works.append(
-            Work(
-                case.bag,
-                reader.namespace,
-                tuple(makers),
-                in_force.values(),
-                tuple(cue for cue in processing.cues if cue.dwell in within),
-                tuple(come),
-                frozenset(chosen),
-                LogTimes(
-                    min(processing.frames[dwell].first_ns for dwell in chosen),
-                    max(processing.frames[dwell].last_ns for dwell in chosen),
-                ),
-            )
-        )
-        for dwell in within:
-            come += in_force.go_on_to(dwell)
-    return Scheme(
-        reader.namespace,
-        tuple(stages),
-        processing.values,
-        tuple(processing.cues),
-        tuple(works),
-        tuple(processing.warnings),
-    )
-
-
-def process_part(work: Work, folder: Path) -> None:
-    """Make the heights of a part in the new folder `folder`, unless they are there.
-
-    Raises:
-        UserError: the bag cannot be read, or the heights cannot be written.
+        UserError: the bag cannot be used, a parameter is not allowed, or the heights cannot be written.
     """
 
     def make(new: Path) -> dict[str, Any]:
-        return vars(process(work, new / "bag"))
-
-    _once(folder, make)
-
-
-def conclude_bag(case: Case, scheme: Scheme, parts: Sequence[Path]) -> dict[str, Any]:
-    """Put the heights of the parts of a bag together, track them, and judge them; returns a row of the summary.
-
-    Raises:
-        UserError: a bag cannot be read or written.
-    """
-
-    def make(new: Path) -> dict[str, Any]:
-        losses, results = Losses(), [known(part) for part in parts]
-        for one in results:
-            dropped, of_messages, warned = (Counter(one.get(name, {})) for name in ("dropped", "messages", "warned"))
-            losses.add(Losses(dropped, of_messages, warned, one["sentences"]))
+        scheme = plan(case.bag, case.given, case.estimators)
+        topics = [f"{HEIGHTS[node]}/height" for node in scheme.stages if node in HEIGHTS]
+        begun, images = time.monotonic(), 0
+        run = BagRun(scheme, scheme.stages, jobs=jobs, wanted=topics)
         reader = Part(namespace=scheme.namespace).open(case.bag)
         custom_data = {**reader.custom_data, PARAMETERS: json.dumps(scheme.parameters)}
-        begun = time.monotonic()
         with BagWriter(new / "bag", custom_data) as bag:
-            images, lost_there = track([part / "bag" for part in parts], scheme.parameters, scheme.cues, bag)
-        losses.add(lost_there)
+            for topic in topics:
+                bag.add_topic(f"/{topic}", HEIGHT_TYPE)
+            for made in run.results():
+                if isinstance(made.result, Product) and isinstance(item := made.result.item, Heights):
+                    time_ns = run.time_of(item.key)
+                    for cdr in write_heights(item):
+                        bag.write(f"/{made.result.port}", cdr, time_ns, time_ns)
+                    images += 1
+        losses = run.losses
         row = {
             "bag": str(case.bag),
             **case.values,
             "failure": "",
-            "dwells": sum(len(work.dwells) for work in scheme.works),
+            "dwells": len(scheme.frames),
             "dropped": losses.dropped.total(),
             "drops": json.dumps(losses.dropped),
             "warnings": json.dumps([*scheme.warnings, *losses.sentences.values()]),
             "images": images,
-            "seconds": sum(one["seconds"] for one in results) + time.monotonic() - begun,
+            "seconds": time.monotonic() - begun,
         }
         return row | _judged(reader, new / "bag", scheme)
 
@@ -196,7 +111,7 @@ def _judged(reader: BagReader, made: Path, scheme: Scheme) -> dict[str, Any]:
     flight = recorded_flight(reader)
     if flight is None:
         return columns
-    for prefix, numbers in read_accuracy(made, flight, scheme.stages).statistics.items():
+    for prefix, numbers in read_accuracy(made, flight, list(scheme.stages)).statistics.items():
         for name in ACCURACY:
             columns[f"{prefix}_{name}"] = numbers.get(name)
     return columns
@@ -217,16 +132,15 @@ def _once(folder: Path, make: Callable[[Path], dict[str, Any]]) -> dict[str, Any
     shutil.rmtree(new, ignore_errors=True)
     new.mkdir(parents=True)
     begun = time.monotonic()
-    result = make(new)
+    try:
+        result = make(new)
+    except BaseException:
+        shutil.rmtree(new, ignore_errors=True)
+        raise
     result.setdefault("seconds", time.monotonic() - begun)
     write_text(new / DONE, json.dumps(result, indent=2) + "\n")
     new.rename(folder)
     return result
-
-
-def parts_of(case: Case) -> Path:
-    """Folder of the parts of a case, until it is done."""
-    return case.folder.with_name(f"{case.folder.name}.parts")
 
 
 def is_done(folder: Path) -> bool:

@@ -1,4 +1,4 @@
-"""The nodes that there are, their parameters, and what connects them."""
+"""The stages of a run by the names of their nodes, their settings, and what connects them; without ROS."""
 
 from __future__ import annotations
 
@@ -7,47 +7,21 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from sal_height.elevation import ESTIMATORS, ElevationEstimator
+from sal_height.engine.adjuster import ADJUSTED_ODOMETRY
+from sal_height.engine.compression import HEARD, SENSOR
+from sal_height.engine.movers import MOVERS
+from sal_height.engine.registry import STAGES, product_of, takes_heights, takes_images
 from sal_height.errors import UserError
 from sal_height.geometry import Origin
-from sal_height.nodes.ground_mapper import GroundMapper
-from sal_height.nodes.height import HEIGHT_NODES
-from sal_height.nodes.height_adjuster import ADJUSTED_ODOMETRY, HeightAdjuster
-from sal_height.nodes.mover_detection import MOVERS, MoverDetection
-from sal_height.nodes.navigation import NavigationNode
-from sal_height.nodes.paced_player import PacedPlayer
-from sal_height.nodes.played import SENSOR
-from sal_height.nodes.player import Player
-from sal_height.nodes.psf_calibration import PsfCalibration
-from sal_height.nodes.recorder import Recorder
-from sal_height.nodes.relief_mapper import ReliefMapper
-from sal_height.nodes.relief_tracker import ReliefTracker
-from sal_height.nodes.sar_compression import HEARD, SarCompression
-from sal_height.nodes.simulator import Simulator
+from sal_height.messages.losses import LOSSES
 from sal_height.sensor import Sensor
-from sal_height.settings import settings_of, unknown_name
+from sal_height.settings import Settings, settings_of, unknown_name
 
-NODES: dict[str, type[Any]] = {
-    "simulator": Simulator,
-    "player": Player,
-    "paced_player": PacedPlayer,
-    "navigation": NavigationNode,
-    "sar_compression": SarCompression,
-    **HEIGHT_NODES,
-    "psf_calibration": PsfCalibration,
-    "mover_detection": MoverDetection,
-    "relief_mapper": ReliefMapper,
-    "ground_mapper": GroundMapper,
-    "relief_tracker": ReliefTracker,
-    "height_adjuster": HeightAdjuster,
-    "recorder": Recorder,
-}
-"""Every node by its name; what runs know of a node are the attributes of its class (`nodes.role`)."""
+HEIGHTS = {name: product for name, stage in STAGES.items() if (product := product_of(stage))}
+"""Stages whose products are height images, and the prefix of their topics."""
 
-HEIGHTS = {name: node.product for name, node in NODES.items() if node.product}
-"""Nodes whose products are height images, and the prefix of their topics."""
-
-SETTABLE = tuple(name for name, node in NODES.items() if node.settable)
-"""Nodes of a run or replay whose parameters users may set."""
+SETTABLE = tuple(name for name in STAGES if name != "navigation")
+"""Stages of a run or replay whose settings users may set."""
 
 TRACKER = "relief_tracker"
 """Node that tracks the heights of one estimator."""
@@ -78,15 +52,23 @@ def check_parameters(parameters: NodeParameters, settable: Sequence[str] = SETTA
     for name, values in parameters.items():
         if name not in settable:
             raise UserError(f"There is no node {name!r} with parameters to set; allowed are {', '.join(settable)}.")
-        model = NODES[name].parameters
-        if unknown := [key for key in values if key not in settings_of(model)]:
-            raise UserError(unknown_name(unknown[0], settings_of(model), f"Node {name}"))
-        try:
-            accepted = parameters_of(name, values)
-            checked[name] = {key: getattr(accepted, key) for key in values}
-        except UserError as error:
-            raise UserError(f"Node {name}: {error}") from error
+        checked[name] = check_values(name, STAGES[name].settings, values)
     return checked
+
+
+def check_values(node: str, model: type[Settings], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Check values of parameters of a node, and convert them to the types that `model` declares.
+
+    Raises:
+        UserError: a parameter does not exist, or a value is not allowed.
+    """
+    if unknown := [key for key in values if key not in settings_of(model)]:
+        raise UserError(unknown_name(unknown[0], settings_of(model), f"Node {node}"))
+    try:
+        accepted = _settings_with(model, values)
+    except UserError as error:
+        raise UserError(f"Node {node}: {error}") from error
+    return {key: getattr(accepted, key) for key in values}
 
 
 def parameters_of(node: str, values: Mapping[str, Any]) -> Any:
@@ -95,8 +77,12 @@ def parameters_of(node: str, values: Mapping[str, Any]) -> Any:
     Raises:
         UserError: a value is not allowed.
     """
-    plain = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
-    return NODES[node].parameters(**plain)
+    return _settings_with(STAGES[node].settings, values)
+
+
+def _settings_with(model: type[Settings], values: Mapping[str, Any]) -> Any:
+    plain: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+    return model(**plain)
 
 
 def suited(sensor: Sensor, asked: Collection[str] = ()) -> list[str]:
@@ -180,7 +166,7 @@ def recorded_topics(stages: list[str], parameters: NodeParameters, played: Seque
     calibration = ["calibration"] if applied else []
     odometry = [ADJUSTED_ODOMETRY] if ADJUSTER in stages else []
     found = [MOVERS] if DETECTOR in stages else []
-    return [*played, "diagnostics", *calibration, *(heights or ["slc"]), *odometry, *found]
+    return [*played, "diagnostics", LOSSES, *calibration, *(heights or ["slc"]), *odometry, *found]
 
 
 def height_sources(stages: list[str], parameters: NodeParameters, played: Sequence[str] = SENSOR) -> dict[str, str]:
@@ -196,7 +182,7 @@ def height_sources(stages: list[str], parameters: NodeParameters, played: Sequen
     """
     given = [topic.removesuffix("/height") for topic in played if topic.endswith("/height")]
     sources = {}
-    for name in (stage for stage in stages if NODES[stage].takes_heights):
+    for name in (stage for stage in stages if takes_heights(STAGES[stage])):
         prefix = parameters.get(name, {}).get("estimator", "ml")
         makers = [*given, *(HEIGHTS[node] for node in stages if node in HEIGHTS and node != name)]
         if prefix not in makers:
@@ -219,5 +205,5 @@ def stage_inputs(stages: list[str], parameters: NodeParameters, played: Sequence
     Raises:
         UserError: a stage takes heights that no other stage makes.
     """
-    inputs = {name: "slc" if NODES[name].takes_images else "phase_history" for name in stages}
+    inputs = {name: "slc" if takes_images(STAGES[name]) else "phase_history" for name in stages}
     return inputs | height_sources(stages, parameters, played)

@@ -9,9 +9,10 @@ from typing import Any
 
 from sal_height.errors import UserError
 from sal_height.nodes.account import DIAGNOSTICS, PROGRESS
-from sal_height.runs.catalogue import NODES, check_parameters
+from sal_height.runs.catalogue import check_values
 from sal_height.runs.deployment import Deployment, NodeEntry
 from sal_height.runs.ensemble import Member
+from sal_height.runs.node_classes import NODES
 
 NAME = r"[A-Za-z_]\w*"
 
@@ -63,10 +64,7 @@ def _checked(name: str, kind: str, values: Mapping[str, Any]) -> dict[str, Any]:
             allowed = "true or false" if key in OF_ROS else "a text or a whole number"
             raise UserError(f"Node {name}: parameter {key} is {value!r}; it must be {allowed}.")
     own = {key: value for key, value in values.items() if key not in beside}
-    try:
-        return {**check_parameters({kind: own}, [kind])[kind], **beside}
-    except UserError as error:
-        raise UserError(str(error).replace(f"Node {kind}", f"Node {name}", 1)) from error
+    return {**check_values(name, NODES[kind].parameters, own), **beside}
 
 
 def _check_topic(name: str, topic: str, node: type[Any]) -> None:

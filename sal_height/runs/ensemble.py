@@ -19,7 +19,8 @@ from rclpy.parameter import Parameter
 from sal_height.errors import UserError
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.program import run_node
-from sal_height.runs.catalogue import NODES
+from sal_height.runs.node_classes import NODES
+from sal_height.runs.plan import RECORDER, Plan
 from sal_height.runs.processes import ONE_THREAD, Forked, can_fork, end_with_parent, name_process
 
 
@@ -60,6 +61,25 @@ class Member:
         return [*self.names, *chain.from_iterable(values)]
 
 
+def members_of(plan: Plan) -> list[Member]:
+    """The nodes of a plan, in the order in which they end: the recorder first and the source last.
+
+    The recorder leaves parameters out unless the plan says otherwise: they are in its custom data.
+    """
+    topics = [f"/{topic}" for topic in plan.on_wire(plan.recorded)]
+    time_source = {"use_sim_time": True} if plan.simulated_time else {}
+    custom_data = [f"{name}={text}" for name, text in plan.custom_data.items()]
+    recording: dict[str, Any] = {"directory": str(plan.bag), "topics": topics, "node_parameters": False}
+    if custom_data:
+        recording["custom_data"] = custom_data
+    recording |= plan.parameters.get(RECORDER, {})
+    others = {name: plan.parameters.get(name, {}) for name in [*reversed(plan.stages), plan.source]}
+    return [
+        Member(RECORDER, parameters={**recording, **time_source}),  # which is told the names as they are published
+        *(Member(name, "", {**values, **time_source}, plan.remapped) for name, values in others.items()),
+    ]
+
+
 class Ensemble:
     """The nodes of a run, all in this process or each in its own, and a graph beside them; a context manager.
 
@@ -74,6 +94,8 @@ class Ensemble:
         """Choose the nodes; they are started on entering."""
         self.members = {member.name: member for member in members}
         self.graph: Graph
+        self.nodes: dict[str, Any] = {}
+        """The nodes of this process, by name."""
         self._separate = processes
         self._processes: dict[str, subprocess.Popen[bytes] | Forked] = {}
 
@@ -117,7 +139,7 @@ class Ensemble:
             if not self._separate:
                 for member in self.members.values():
                     overrides = [Parameter(key, value=value) for key, value in member.parameters.items()]
-                    self.graph.add(
+                    self.nodes[member.name] = self.graph.add(
                         member.node(context=self.graph.context, parameter_overrides=overrides, cli_args=member.names)
                     )
             self._at_end = on_failure.pop_all()

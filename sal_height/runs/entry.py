@@ -11,18 +11,19 @@ from types import MappingProxyType
 
 from sal_height import messages
 from sal_height.bag.namespace import NamespacedReader, open_bag
+from sal_height.bag.played import ALL, LATEST_NS, MOST, DwellRange
 from sal_height.bag.reader import BagReader
-from sal_height.bag.sensor_topics import MAP_ORIGIN
+from sal_height.bag.sensor_topics import FRAMES, IMAGES, MAP_ORIGIN, SENSOR_INFO
 from sal_height.bag.topics import FIX_TYPE
 from sal_height.elevation import ESTIMATORS
+from sal_height.engine.compression import SENSOR
+from sal_height.engine.dwells import CONTRADICTION
+from sal_height.engine.movers import MOVERS
+from sal_height.engine.registry import STAGES
+from sal_height.engine.stage import DwellKey
 from sal_height.errors import UserError
 from sal_height.geometry import Origin
-from sal_height.nodes.cues import DwellKey
-from sal_height.nodes.dwell_stage import CONTRADICTION
-from sal_height.nodes.mover_detection import MOVERS
-from sal_height.nodes.played import ALL, IMAGES, LATEST_NS, MOST, SENSOR, DwellRange
-from sal_height.nodes.playlist import FRAMES, SENSOR_INFO
-from sal_height.runs.catalogue import ADJUSTER, HEIGHTS, NODES, TRACKER, NodeParameters, suited
+from sal_height.runs.catalogue import ADJUSTER, HEIGHTS, TRACKER, NodeParameters, suited
 from sal_height.sensor import Sensor
 
 _LOG = logging.getLogger(__name__)
@@ -257,7 +258,7 @@ def check_given(given: NodeParameters, chain: Chain) -> None:
     Raises:
         UserError: there are such.
     """
-    if chain.entry != FRAMES and (idle := [name for name in given if name in NODES and name not in chain.stages]):
+    if chain.entry != FRAMES and (idle := [name for name in given if name in STAGES and name not in chain.stages]):
         raise UserError(
             f"Node {idle[0]} does not work in a replay from {chain.entry}; set parameters of {', '.join(chain.stages)}."
         )

@@ -9,11 +9,12 @@ from typing import Any, NamedTuple
 from sal_height import messages
 from sal_height.bag.namespace import NamespacedReader
 from sal_height.bag.parameter_events import PARAMETER_EVENTS
+from sal_height.bag.played import part_of
 from sal_height.bag.reader import BagMessage, BagReader, LogTimes
+from sal_height.bag.sensor_topics import IMAGES
+from sal_height.engine.stage import DwellKey
 from sal_height.errors import UserError
 from sal_height.messages.parameters import value_of
-from sal_height.nodes.cues import DwellKey
-from sal_height.nodes.played import IMAGES, part_of
 from sal_height.runs.catalogue import HEIGHTS
 
 

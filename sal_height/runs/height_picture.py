@@ -17,8 +17,8 @@ from matplotlib.image import AxesImage
 from matplotlib.patches import Patch
 from scipy.spatial import cKDTree
 
+from sal_height.engine.tracker import PREFIX
 from sal_height.messages.types import HeightImage
-from sal_height.nodes.relief_tracker import PREFIX
 from sal_height.numeric import F64
 from sal_height.runs.comparison import FOUND_ORDERS, TRUE_ORDERS
 from sal_height.runs.picture import (

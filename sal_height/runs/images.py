@@ -1,4 +1,4 @@
-"""Images to be measured: those of array files here, those of bags in `recorded_images`, which needs ROS."""
+"""Images to be measured: those of array files here, those of bags in `recorded_images`."""
 
 from __future__ import annotations
 
@@ -80,7 +80,10 @@ def images_of(path: Path, dwell: int | None, channel: int | None, azimuth_axis: 
             found = True
             yield image
     if not dwells:
-        raise UserError(f"Bag {path} holds no images; sal-height irf --help says how to record them during a replay.")
+        raise UserError(
+            f"Bag {path} holds no images, and no phase history that gives some; record one of the topics slc and "
+            "phase_history."
+        )
     if not found:
         raise UserError(
             f"File {path} has no image of the requested dwell and channel; it has {_span('dwell', dwells)} and "
@@ -93,7 +96,7 @@ def _all_images(path: Path, azimuth_axis: int) -> Iterator[Image]:
         return _array_images(path, azimuth_axis)
     if path.is_file() and path.suffix != ".mcap":
         complex_images(path)  # says what it may be
-    from sal_height.runs.recorded_images import bag_images  # noqa: PLC0415 (array files can be measured without ROS)
+    from sal_height.runs.recorded_images import bag_images  # noqa: PLC0415 (not needed for array files)
 
     return bag_images(path)
 

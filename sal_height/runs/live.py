@@ -15,7 +15,9 @@ from typing import Any
 import numpy as np
 from rclpy.task import Future
 
+from sal_height.bag.sensor_topics import ODOMETRY, SENSOR_INFO
 from sal_height.bag.stamps import stamp_ns_of
+from sal_height.engine.movers import MOVERS
 from sal_height.errors import UserError
 from sal_height.io import new_folder
 from sal_height.messages import AIR
@@ -23,14 +25,15 @@ from sal_height.messages.types import HeightImage
 from sal_height.nodes.account import Account
 from sal_height.nodes.domain import ros_domain
 from sal_height.nodes.middleware import provide_shared_memory
-from sal_height.nodes.mover_detection import MOVERS
-from sal_height.nodes.playlist import ODOMETRY, SENSOR_INFO, Playlist
+from sal_height.nodes.playlist import Playlist
 from sal_height.numeric import available_processors
 from sal_height.runs.account_book import AccountBook
 from sal_height.runs.catalogue import DETECTOR, HEIGHTS, TRACKER, check_parameters, consumers
-from sal_height.runs.conductor import RECORDER, Conductor, Execution, Interruption, Plan, members_of
-from sal_height.runs.ensemble import Ensemble
+from sal_height.runs.conductor import Conductor
+from sal_height.runs.ensemble import Ensemble, members_of
 from sal_height.runs.entry import check_air
+from sal_height.runs.interruption import Interruption
+from sal_height.runs.plan import RECORDER, Execution, Plan
 from sal_height.runs.processes import beside, process_age_s
 from sal_height.runs.reporting import PARAMETERS, PRESET, merged, reporting
 from sal_height.runs.self_test import core_rate_hz, make_tables

@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sal_height.bag.namespace import NamespacedReader
-from sal_height.bag.reader import BagReader
-from sal_height.errors import Rejected, UserError
+from sal_height.engine.movers import MOVERS, MoverDetection
+from sal_height.engine.movers import FoundMovers as Movers
+from sal_height.engine.stage import DwellKey, Product
+from sal_height.errors import UserError
 from sal_height.geometry import sphere_coordinates
 from sal_height.io import new_folder
-from sal_height.movers import ALONE, DwellMovers, Looked, Mover, MoverSettings, check_sensor
-from sal_height.pipeline import dwell_with_movers, movers
-from sal_height.runs.campaign import Case, plan
-from sal_height.runs.catalogue import NodeParameters
-from sal_height.runs.recorded_dwells import COMPRESSION, MOST_DWELLS, Compressed, RecordedDwells, Work
+from sal_height.movers import Mover, MoverSettings, check_sensor
+from sal_height.runs.catalogue import DETECTOR, NodeParameters, parameters_of
+from sal_height.runs.chain_runs import COMPRESSION, BagRun, Scheme, plan
+from sal_height.runs.entry import sensors_of
+from sal_height.runs.plan import DwellChanges
 from sal_height.runs.reporting import reporting
 from sal_height.sensor import Sensor
+
+STAGES_OF_MOVERS = (COMPRESSION, DETECTOR)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +123,11 @@ class FoundMovers:
 
 
 def find_in_bag(
-    bag: Path, out: Path, given: NodeParameters | None = None, wanted: Mapping[str, Any] | None = None
+    bag: Path,
+    out: Path,
+    given: NodeParameters | None = None,
+    wanted: Mapping[str, Any] | None = None,
+    jobs: int = 1,
 ) -> FoundMovers:
     """Compress the strips or dwells of a bag and find what moves; leaves report.json in `out`.
 
@@ -127,95 +136,70 @@ def find_in_bag(
         out: folder; must be new or empty.
         given: parameters of nodes that replace recorded ones.
         wanted: settings of the search by name.
+        jobs: dwells that are processed side by side.
 
     Raises:
         UserError: the bag cannot be used or has no image in which movers could be told, or a parameter or a setting is
             not allowed.
     """
     settings = MoverSettings(**(wanted or {}))
-    scheme = plan(Case(bag, out, {}, given or {}, ("ml",)), MOST_DWELLS)
+    scheme = plan(bag, given or {}, ("ml",))
     with reporting(new_folder(out), {"bag": bag.name, "settings": settings.model_dump()}) as report:
-        work = scheme.works[0]
-        reader = NamespacedReader(work.bag, work.namespace)
-        looking = _Looking(work, reader, settings, "cols" in (given or {}).get(COMPRESSION, {}))
-        looking.read(reader, "images")
-        told = looking.losses.told(len(work.dwells))
-        warnings = [*scheme.warnings, *told]
-        report |= {"dwells": len(work.dwells), **looking.losses.counts(), "warnings": warnings}
-        if not looking.images:
-            raise UserError(f"Bag {bag} has no image in which movers could be looked for. {' '.join(told)}".rstrip())
-        candidates = sum(one.candidates for one in looking.images)
+        sensors, _ = sensors_of(NamespacedReader(scheme.bag, scheme.namespace))
+        for sensor in sensors.values():
+            check_sensor(sensor)
+        first, scheme = _with_columns(scheme, sensors, given or {})
+        own = MoverDetection.settings(**dict(settings))
+        run = BagRun(scheme, STAGES_OF_MOVERS, jobs=jobs, wanted=[MOVERS], settings={COMPRESSION: first, DETECTOR: own})
+        items = (made.result.item for made in run.results("images") if isinstance(made.result, Product))
+        found = [item for item in items if isinstance(item, Movers)]
+        looked, seen = [one.looked for one in found], [mover for one in found for mover in _seen(one)]
+        dwells = len(scheme.frames)
+        said = run.losses.described(dwells)
+        warnings = [*scheme.warnings, *said]
+        report |= {"dwells": dwells, **run.losses.counts(), "warnings": warnings}
+        if not looked:
+            raise UserError(f"Bag {bag} has no image in which movers could be looked for. {' '.join(said)}".rstrip())
+        candidates = sum(one.candidates for one in looked)
         if not candidates:
             warnings.append(
                 f"No pixel is {settings.prominence_db:g} dB brighter than what is around it, so none was looked at; "
                 "set prominence_db to less."
             )
         report |= {
-            "images": len(looking.images),
+            "images": len(looked),
             "candidates": candidates,
             "expected_false_alarms_at_most": settings.false_alarm_rate * candidates,
-            "fastest_mps": min((one.fastest for one in looking.images), default=0.0),
-            "ground_lag_rad": [list(one.ground_lag) for one in looking.images],
-            "movers": [one.summary() for one in looking.seen],
+            "fastest_mps": min((one.fastest for one in looked), default=0.0),
+            "ground_lag_rad": [list(one.ground_lag) for one in looked],
+            "movers": [one.summary() for one in seen],
         }
-    return FoundMovers(looking.seen, candidates, len(looking.images), len(work.dwells), looking.losses.dwells, warnings)
+    return FoundMovers(seen, candidates, len(looked), dwells, run.losses.dwells, warnings)
 
 
-class _Looking(RecordedDwells):
-    """The strips or dwells of a bag, in which movers are looked for."""
+def _settings_for(scheme: Scheme, sensors: Mapping[str, Sensor], given: NodeParameters, dwell: DwellKey) -> Any:
+    """Settings of the compression: of spotlight a column for each Doppler frequency, as many as pulses."""
+    settings = parameters_of(COMPRESSION, scheme.parameters.get(COMPRESSION, {}))
+    sensor = sensors.get(dwell.sensor)
+    if sensor is None or sensor.mode != "spotlight" or "cols" in given.get(COMPRESSION, {}):
+        return settings
+    return settings.changed(cols=sensor.pulse_count)
 
-    def __init__(self, work: Work, reader: BagReader, settings: MoverSettings, cols_given: bool) -> None:
-        """Look with these settings; images of dwells have all Doppler frequencies, unless their columns are given.
 
-        Raises:
-            UserError: as its base; or a sensor of the bag cannot tell movers.
-        """
-        super().__init__(work, reader)
-        for sensor in self.sensors.values():
-            check_sensor(sensor)
-        self._settings = settings
-        self._cols_given = cols_given
-        self._dwells = DwellMovers[Compressed](settings)
-        self.images: list[Looked] = []
-        self.seen: list[SeenMover] = []
+def _with_columns(scheme: Scheme, sensors: Mapping[str, Sensor], given: NodeParameters) -> tuple[Any, Scheme]:
+    """Settings of the compression at the first dwell, and the scheme with those of dwells of other sensors."""
+    dwells = sorted(scheme.frames, key=lambda dwell: scheme.frames[dwell].first_ns)
+    first = _settings_for(scheme, sensors, given, dwells[0])
+    changes = list(scheme.changes)
+    for before, dwell in pairwise(dwells):
+        if before.sensor != dwell.sensor:
+            cols = _settings_for(scheme, sensors, given, dwell).cols
+            changes.append(DwellChanges(dwell, {COMPRESSION: {"cols": cols}}))
+    return first, replace(scheme, changes=tuple(changes))
 
-    def compression_of(self, sensor: Sensor) -> Any:
-        """Parameters of the compression: of dwells with a column for each Doppler frequency, as many as pulses."""
-        parameters = super().compression_of(sensor)
-        if sensor.mode != "spotlight" or self._cols_given:
-            return parameters
-        return parameters.changed(cols=sensor.pulse_count)
 
-    def made(self, compressed: Compressed) -> None:
-        """Look for movers in an image."""
-        slc, sensor, calibration = compressed.slc, compressed.sensor, compressed.calibration
-        try:
-            if sensor.mode == "stripmap":
-                self._take(compressed, movers(slc, sensor, self._settings, calibration))
-                return
-            seconds = 1e-9 * compressed.frames[0].stamp_ns
-            dwell = dwell_with_movers(slc, seconds, sensor, self._settings, calibration)
-        except UserError as error:
-            self.losses.drop("movers", error)
-            return
-        self._tell(self._dwells.add(dwell, compressed))
-
-    def end(self) -> None:
-        """Process the dwells that are left, and tell what moves in the last ones."""
-        super().end()
-        self._tell(self._dwells.end())
-
-    def _tell(self, found: Sequence[tuple[Compressed, Looked | None]]) -> None:
-        """Take what was found in dwells."""
-        for compressed, one in found:
-            if one:
-                self._take(compressed, one)
-            else:
-                self.losses.drop("movers", Rejected("no overlap", ALONE.format(compressed.frames[0].dwell)))
-
-    def _take(self, compressed: Compressed, found: Looked) -> None:
-        """Keep what was found in an image."""
-        frame = compressed.frames[0]
-        self.images.append(found)
-        in_order = sorted(found.movers, key=lambda one: float(np.dot(one.position, compressed.slc.aperture.direction)))
-        self.seen += [SeenMover(frame.dwell, frame.stamp_ns, one) for one in in_order]
+def _seen(found: Movers) -> list[SeenMover]:
+    """What was found in an image, in the order of the flight."""
+    direction = found.images.slc.aperture.direction
+    in_order = sorted(found.looked.movers, key=lambda one: float(np.dot(one.position, direction)))
+    return [SeenMover(found.key.number, found.key.stamp_ns, one) for one in in_order]

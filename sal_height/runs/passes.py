@@ -15,6 +15,10 @@ from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import FIX_TYPE, HEIGHT_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.elevation import ESTIMATORS, ElevationEstimator, HeightSettings, Validity
+from sal_height.engine.compression import SLC
+from sal_height.engine.frame_items import history_of
+from sal_height.engine.image_items import Images, Source
+from sal_height.engine.stage import Loss, Product
 from sal_height.errors import UserError
 from sal_height.geometry import Grid, Trajectory
 from sal_height.imaging import apply_phase, line_of_sight
@@ -33,11 +37,10 @@ from sal_height.passes import (
 )
 from sal_height.pipeline import corrected_spectrum
 from sal_height.relief import HeightField, Surface
-from sal_height.runs.campaign import Case, plan
 from sal_height.runs.catalogue import NodeParameters
+from sal_height.runs.chain_runs import COMPRESSION, BagRun, plan
 from sal_height.runs.passes_picture import draw_passes
 from sal_height.runs.passes_report import Comparison, compared, summary_of, warnings_of
-from sal_height.runs.recorded_dwells import COMPRESSION, MOST_DWELLS, Compressed, RecordedDwells, Work
 from sal_height.runs.reporting import reporting
 from sal_height.settings import Settings
 
@@ -65,6 +68,7 @@ def heights_of_bags(
     wanted: Mapping[str, Any] | None = None,
     references: Sequence[ReferencePoint] = (),
     centre: tuple[float, float] | None = None,
+    jobs: int = 1,
 ) -> FromPasses:
     """Make heights from bags; leaves report.json, passes.png and, if there are heights, a bag with them in `out`.
 
@@ -76,6 +80,7 @@ def heights_of_bags(
         wanted: settings by name, of the passes and of the estimator.
         references: points of known place.
         centre: east and north of the middle of the scene, m; None: where the passes look, in the median.
+        jobs: dwells of a bag that are compressed side by side.
 
     Raises:
         UserError: a bag cannot be used, too few passes go together, or a setting is not allowed.
@@ -89,7 +94,7 @@ def heights_of_bags(
     folder = new_folder(out)
     known = {"bags": [bag.name for bag in bags], "estimator": estimator, "settings": settings.model_dump()}
     with reporting(folder, known) as report:
-        gathered = _gathered(bags, out, given)
+        gathered = _gathered(bags, given, jobs)
         aims = np.median([aim for _, aim in gathered.passes], axis=0) if gathered.passes else np.zeros(3)
         middle = np.array([*(aims[:2] if centre is None else centre), settings.ground_m])
         passes = [one for one, _ in gathered.passes]
@@ -135,7 +140,7 @@ class Gathered:
     warnings: list[str]
 
 
-def _gathered(bags: Sequence[Path], out: Path, given: NodeParameters | None) -> Gathered:
+def _gathered(bags: Sequence[Path], given: NodeParameters | None, jobs: int) -> Gathered:
     passes: list[tuple[Pass, F64]] = []
     warnings: list[str] = []
     readers = []
@@ -144,48 +149,47 @@ def _gathered(bags: Sequence[Path], out: Path, given: NodeParameters | None) -> 
         if names.count(bag.resolve()) > 1:
             raise UserError(f"Bag {bag} is named twice; name each bag once.")
     for bag in bags:
-        scheme = plan(Case(bag, out, {}, given or {}), MOST_DWELLS, for_heights=False)
-        work = scheme.works[0]
-        readers.append(NamespacedReader(work.bag, work.namespace))
-        flown = _Flown(work, readers[-1])
-        flown.read(readers[-1], f"images of {bag.name}")
-        passes += flown.passes
-        warnings += [f"Bag {bag}: {sentence}" for sentence in (*scheme.warnings, *flown.losses.sentences.values())]
+        scheme = plan(bag, given or {}, for_heights=False)
+        readers.append(NamespacedReader(scheme.bag, scheme.namespace))
+        run = BagRun(scheme, [COMPRESSION], jobs=jobs, wanted=[SLC])
+        passes += _passes_of(run, f"images of {bag.name}")
+        warnings += [f"Bag {bag}: {sentence}" for sentence in (*scheme.warnings, *run.losses.sentences.values())]
     return Gathered(passes, readers[0], warnings)
 
 
-class _Flown(RecordedDwells):
-    """The dwells of a bag as passes."""
+def _passes_of(run: BagRun, doing: str) -> list[tuple[Pass, F64]]:
+    """The dwells of a bag as passes, each with the point that it aims at."""
+    passes: list[tuple[Pass, F64]] = []
+    for made in run.results(doing):
+        images = made.result.item if isinstance(made.result, Product) else None
+        if not isinstance(images, Images) or images.source is None:
+            continue
+        source, number = images.source, images.key.number
+        if source.sensor.mode != "spotlight":
+            sentence = f"Dwell {number} is one of a strip; passes must be spotlight."
+            run.losses.add("passes", Loss(made.dwell, 0, "cannot be processed", sentence))
+            continue
+        several = len(run.scheme.frames) > 1
+        name = run.scheme.bag.name
+        passes.append(_pass_of(source, f"{name} dwell {number}" if several else name))
+    return passes
 
-    def __init__(self, work: Work, reader: BagReader) -> None:
-        """Take them all."""
-        super().__init__(work, reader)
-        self.passes: list[tuple[Pass, F64]] = []
 
-    def made(self, compressed: Compressed) -> None:
-        """Take the phase history of a dwell, with what autofocus took out of it."""
-        settings, slc = self.in_force.of(COMPRESSION), compressed.slc
-        frame, several = compressed.frames[0], len(self.work.dwells) > 1
-        name = f"{self.work.bag.name} dwell {frame.dwell}" if several else self.work.bag.name
-        if compressed.sensor.mode != "spotlight":
-            self.losses.drop("passes", UserError(f"Dwell {frame.dwell} is one of a strip; passes must be spotlight."))
-            return
-        track = Trajectory(compressed.supplies.states, compressed.supplies.mounting, settings.motion)
-        history, track, sensor, _ = corrected_spectrum(
-            messages.history_from_messages(compressed.frames),
-            track,
-            compressed.sensor,
-            settings,
-            compressed.calibration,
-        )
-        antenna = track.positions(history.stamp_ns, history.pulse_times)
-        sight = line_of_sight(sensor, slc.aperture)
-        if slc.focus and slc.focus.trusted:
-            history = apply_phase(history, slc.focus.phase)
-        seconds = history.pulse_times - (history.pulse_times[0] + history.pulse_times[-1]) / 2
-        antenna = slc.placement.moved(antenna, seconds, sight)
-        aim = slc.aperture.position + float(history.reference_range[len(antenna) // 2]) * sight
-        self.passes.append((Pass(name, sensor, history, antenna), aim))
+def _pass_of(source: Source, name: str) -> tuple[Pass, F64]:
+    """The phase history of a dwell with what autofocus took out of it, and the point that it aims at, m."""
+    settings, slc = source.settings, source.slc
+    track = Trajectory(source.states, source.sensor.mounting, settings.motion)
+    history, track, sensor, _ = corrected_spectrum(
+        history_of(source.frames), track, source.sensor, settings, source.calibration
+    )
+    antenna = track.positions(history.stamp_ns, history.pulse_times)
+    sight = line_of_sight(sensor, slc.aperture)
+    if slc.focus and slc.focus.trusted:
+        history = apply_phase(history, slc.focus.phase)
+    seconds = history.pulse_times - (history.pulse_times[0] + history.pulse_times[-1]) / 2
+    antenna = slc.placement.moved(antenna, seconds, sight)
+    aim = slc.aperture.position + float(history.reference_range[len(antenna) // 2]) * sight
+    return Pass(name, sensor, history, antenna), aim
 
 
 def field_of(points: Points, result: PassHeights) -> HeightField:

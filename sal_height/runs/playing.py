@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from sal_height.bag.played import LOCKSTEP, PACED
 from sal_height.errors import UserError
-from sal_height.nodes.player import LOCKSTEP, PACED
 from sal_height.runs.replay_parameters import Processing
 
 
@@ -43,7 +43,9 @@ class Playing:
         Raises:
             UserError: something changed after the first dwell that is played.
         """
-        if self.loops > 1 and (late := [cue.dwell.number for cue in processing.cues if cue.dwell != processing.first]):
+        if self.loops > 1 and (
+            late := [one.dwell.number for one in processing.changes if one.dwell != processing.first]
+        ):
             raise UserError(
                 f"Option --loop cannot repeat what changed in flight before dwell {late[0]}; set the parameters for "
                 "all dwells by --param, or choose dwells without a change by --dwells."

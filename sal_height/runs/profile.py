@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from sal_height import messages
+from sal_height.engine.tracker import PREFIX
 from sal_height.messages.types import HeightImage
-from sal_height.nodes.relief_tracker import PREFIX
 from sal_height.numeric import F64, I64
 from sal_height.relief import HeightField
 from sal_height.runs.picture import FAULT, look_of, page

@@ -18,7 +18,7 @@ from sal_height.nodes.domain import DomainChoice, ros_domain
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.ledger import Ledger
 from sal_height.nodes.recorder import Recorder
-from sal_height.runs.conductor import Interruption
+from sal_height.runs.interruption import Interruption
 from sal_height.runs.watch import looks
 
 DEFAULT_FOLDER = Path("out/recorded")

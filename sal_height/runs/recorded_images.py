@@ -1,7 +1,8 @@
-"""Complex images of a bag, without the phase of range."""
+"""Complex images of a bag, without the phase of range: those recorded in it, or else those of its phase history."""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,14 +11,20 @@ import numpy as np
 
 from sal_height import messages
 from sal_height.bag.reader import BagReader
-from sal_height.bag.topics import IMAGE_TYPE, SENSOR_TYPE
+from sal_height.bag.topics import FRAME_TYPE, IMAGE_TYPE, SENSOR_TYPE
+from sal_height.engine.compression import SLC, SLC_PORT
+from sal_height.engine.stage import Product
 from sal_height.errors import UserError
 from sal_height.geometry import Grid, without_range_phase
 from sal_height.imaging import azimuth_resolution
+from sal_height.messages.kinds import kind_of
 from sal_height.numeric import WINDOWS, Complex, window
 from sal_height.response import ShapedNoise
+from sal_height.runs.chain_runs import COMPRESSION, BagRun, plan
 from sal_height.runs.images import AXES, Image
 from sal_height.sensor import Sensor, processed_angle
+
+_LOG = logging.getLogger(__name__)
 
 WINDOW_NODES = 1025
 """Weights of a window of which the shape of noise is computed."""
@@ -33,6 +40,8 @@ def bag_images(path: Path) -> Iterator[Image]:
 def recorded_slc(bag: Path) -> Iterator[tuple[str, Any, Complex, Grid, Sensor]]:
     """Read topic, message, pixels without the phase of range, grid and sensor of each ComplexImage of a bag.
 
+    Of a bag with phase history and without images these are made as in flight, by calls.
+
     Raises:
         UserError: the bag cannot be read, an image in it is damaged, or its sensor_info is missing.
     """
@@ -41,8 +50,8 @@ def recorded_slc(bag: Path) -> Iterator[tuple[str, Any, Complex, Grid, Sensor]]:
     for recorded in reader.messages(_topics(reader, SENSOR_TYPE)):
         message = reader.decode(recorded.type_name, recorded.cdr)
         sensors[message.config_hash] = messages.sensor_from_message(message)
-    for recorded in reader.messages(_topics(reader, IMAGE_TYPE)):
-        message = reader.decode(recorded.type_name, recorded.cdr)
+    for topic, cdr in _serialized_images(reader, bag):
+        message = reader.decode(IMAGE_TYPE, cdr)
         sensor = sensors.get(message.provenance.config_hash)
         if sensor is None:
             raise UserError(
@@ -55,7 +64,23 @@ def recorded_slc(bag: Path) -> Iterator[tuple[str, Any, Complex, Grid, Sensor]]:
             raise UserError(f"Bag {bag}: {error}") from error
         grid, aperture = messages.grid_from_message(message.grid), messages.aperture_from_message(message.aperture)
         stored = messages.complex_view(message.samples, grid.shape)
-        yield recorded.topic, message, without_range_phase(stored, grid, aperture, sensor.wavelength), grid, sensor
+        yield topic, message, without_range_phase(stored, grid, aperture, sensor.wavelength), grid, sensor
+
+
+def _serialized_images(reader: BagReader, bag: Path) -> Iterator[tuple[str, bytes]]:
+    """Topic and bytes of each image that a bag holds, or that is made of its phase history."""
+    images = [topic for topic in _topics(reader, IMAGE_TYPE) if reader.topics[topic].count]
+    if images or not any(reader.topics[topic].count for topic in _topics(reader, FRAME_TYPE)):
+        yield from ((recorded.topic, recorded.cdr) for recorded in reader.messages(images))
+        return
+    scheme = plan(bag, {}, for_heights=False)
+    run = BagRun(scheme, [COMPRESSION], wanted=[SLC])
+    write = kind_of(SLC_PORT).write
+    for made in run.results("images"):
+        if isinstance(made.result, Product) and made.result.port == SLC:
+            yield from ((f"/{SLC}", cdr) for cdr in write(made.result.item, run.settings[COMPRESSION]))
+    for sentence in [*scheme.warnings, *run.losses.described(len(scheme.frames))]:
+        _LOG.warning(sentence)
 
 
 def _noise_shape(message: Any, grid: Grid, sensor: Sensor) -> ShapedNoise | None:

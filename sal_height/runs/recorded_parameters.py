@@ -34,10 +34,11 @@ import yaml
 
 from sal_height.bag.files import parameters_file
 from sal_height.bag.reader import BagReader
-from sal_height.bag.sensor_topics import MAP_ORIGIN
+from sal_height.bag.sensor_topics import FRAMES
+from sal_height.engine.mapper import MAP_ORIGIN
+from sal_height.engine.registry import STAGES, takes_heights
 from sal_height.errors import UserError
-from sal_height.nodes.playlist import FRAMES
-from sal_height.runs.catalogue import HEIGHTS, NODES, SETTABLE, TRACKER, NodeParameters, check_parameters, placed
+from sal_height.runs.catalogue import HEIGHTS, SETTABLE, TRACKER, NodeParameters, check_parameters, placed
 from sal_height.runs.entry import origin_of
 from sal_height.runs.flight_record import products_of
 from sal_height.runs.reporting import PARAMETERS, merged
@@ -111,7 +112,7 @@ class RecordedParameters:
 
     def _refusal(self, error: UserError, node: str, values: Mapping[str, Any], given: Collection[str]) -> UserError:
         """The sentence on a node whose parameters are refused; if it names a bag's value, with what can be done."""
-        if node not in SETTABLE or values.keys() - settings_of(NODES[node].parameters).keys():
+        if node not in SETTABLE or values.keys() - settings_of(STAGES[node].settings).keys():
             return error
         of_bag = self.values.get(node, {})
         for name, value in values.items():
@@ -198,7 +199,7 @@ def parameters_in(values: NodeParameters) -> list[Parameter]:
 
 def _is_unmade(parameter: Parameter, value: Any, made: Collection[str]) -> bool:
     """Whether a value names heights that are not made."""
-    names_heights = parameter.name == "estimator" and NODES[parameter.node].takes_heights
+    names_heights = parameter.name == "estimator" and takes_heights(STAGES[parameter.node])
     return names_heights and isinstance(value, str) and value not in made
 
 

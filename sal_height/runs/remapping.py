@@ -6,17 +6,13 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from rclpy.exceptions import InvalidTopicNameException
-from rclpy.validate_full_topic_name import validate_full_topic_name
-
 from sal_height.bag.reader import BagReader
+from sal_height.bag.sensor_topics import FRAMES, IMAGES, ODOMETRY, SENSOR_INFO
 from sal_height.bag.topics import FRAME_TYPE, HEIGHT_TYPE, IMAGE_TYPE, ODOMETRY_TYPE, SENSOR_TYPE
+from sal_height.engine.calibrations import CALIBRATION
 from sal_height.errors import UserError
 from sal_height.messages import AIR, AIR_TYPES
-from sal_height.nodes.played import IMAGES
-from sal_height.nodes.player import CALIBRATION_TOPIC
-from sal_height.nodes.playlist import FRAMES, ODOMETRY, SENSOR_INFO
-from sal_height.runs.catalogue import HEIGHTS, NODES
+from sal_height.runs.catalogue import HEIGHTS
 from sal_height.runs.entry import FROM_HEIGHTS
 
 KNOWN: Mapping[str, str] = {
@@ -57,6 +53,8 @@ class Remapping:
         Raises:
             UserError: there is such a name.
         """
+        if not self.of_nodes:
+            return
         known = _topics_of(played, stages)
         for old, new in self.of_nodes.items():
             if old not in known:
@@ -128,6 +126,9 @@ def _names_of(rule: str) -> tuple[str, str]:
     Raises:
         UserError: it has another form.
     """
+    from rclpy.exceptions import InvalidTopicNameException  # noqa: PLC0415 (replays without rules need no ROS)
+    from rclpy.validate_full_topic_name import validate_full_topic_name  # noqa: PLC0415
+
     names = rule.split(":=")
     try:
         old, new = (name if name.startswith("/") else f"/{name}" for name in names)
@@ -143,5 +144,7 @@ def _names_of(rule: str) -> tuple[str, str]:
 
 def _topics_of(played: Sequence[str], stages: Collection[str]) -> set[str]:
     """The topics of the nodes of a replay but those of ROS itself, such as /clock."""
+    from sal_height.runs.node_classes import NODES  # noqa: PLC0415 (replays without rules need no ROS)
+
     named = {topic for stage in stages for topic in (*NODES[stage].inputs, *NODES[stage].outputs)}
-    return {*played, CALIBRATION_TOPIC, *(topic for topic in named if not topic.startswith(("/", "<")))}
+    return {*played, CALIBRATION, *(topic for topic in named if not topic.startswith(("/", "<")))}

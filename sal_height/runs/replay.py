@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -11,26 +12,26 @@ from typing import Any
 
 from sal_height.bag.compare import CHANGED, Comparison, compare_bags
 from sal_height.bag.namespace import NamespacedReader, open_bag
-from sal_height.bag.reader import BagReader
+from sal_height.bag.played import LOCKSTEP
+from sal_height.bag.sensor_topics import FRAMES, SENSOR_INFO
 from sal_height.bag.tolerance import ROUNDING, Tolerances
+from sal_height.engine.calibrations import CALIBRATION
 from sal_height.errors import UserError
 from sal_height.io import new_folder, or_null, writing
-from sal_height.nodes.player import CALIBRATION_TOPIC, LOCKSTEP
-from sal_height.nodes.playlist import FRAMES
 from sal_height.response import measure_brightest
-from sal_height.runs.accuracy import read_accuracy
+from sal_height.runs.accuracy import read_accuracy, recorded_flight
 from sal_height.runs.catalogue import HEIGHTS, TRACKER, NodeParameters, consumers, recorded_topics
-from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
-from sal_height.runs.entry import FROM_HEIGHTS, MAPPER, WHOLE, Part, chain_of, contents
+from sal_height.runs.chain_runs import Scheme
+from sal_height.runs.entry import FROM_HEIGHTS, MAPPER, WHOLE, Part, chain_of
 from sal_height.runs.judge import as_json, draw_worst_dwell
-from sal_height.runs.lead import IN_STEP, lead_of
+from sal_height.runs.plan import DEFAULT, Execution, Outcome, Plan
 from sal_height.runs.playing import IN_LOCKSTEP, Playing
 from sal_height.runs.recorded_images import recorded_slc
 from sal_height.runs.remapping import remapping_of
-from sal_height.runs.replay_parameters import processing_of
-from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, conclude, merged, reporting
-from sal_height.runs.simulate import RELIEF_MAP
-from sal_height.simulation import SimulatedFlight, flight_of, parse_preset
+from sal_height.runs.replay_parameters import Processing, processing_of
+from sal_height.runs.reporting import PARAMETERS, RELIEF_MAP, conclude, merged, reporting
+
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -98,6 +99,7 @@ def replay(
     part: Part = WHOLE,
     playing: Playing = IN_LOCKSTEP,
     remap: Sequence[str] = (),
+    jobs: int | None = None,
 ) -> Replay:
     """Play the phase history of `bag` through the graph and record the products in `out`/bag.
 
@@ -115,6 +117,8 @@ def replay(
         part: what of the bag is played, if not all of its phase history.
         playing: when it is played, how fast and how often. Of several passes the first one is compared.
         remap: other names of topics of the bag and of nodes, each OLD:=NEW.
+        jobs: dwells that are processed side by side without nodes; None: nodes process them one after the other,
+            where ROS is installed.
 
     Raises:
         UserError: the bag cannot be used, a parameter is not allowed, or the replay failed.
@@ -123,8 +127,14 @@ def replay(
     reader = part.open(bag, remapping.of_bag)
     golden = open_bag(against.golden, None, HEIGHT_TOPICS) if against.golden else reader
     chain = chain_of(reader, part.entry, estimators)
-    processing = processing_of(reader, chain, part, consumers(chain.makers), parameters, names_dwells=playing.loops > 1)
+    processing = processing_of(reader, chain, part, consumers(chain.makers), parameters)
     playing.check(processing)
+    jobs = jobs_without_ros(jobs)
+    if jobs is not None and playing != IN_LOCKSTEP:
+        raise UserError(
+            f"Only nodes can be told when messages are played; give --clock {playing.clock} without --jobs, where ROS "
+            "is installed."
+        )
     stages, values = chain.stages, processing.values
     played = chain.played(values)
     remapping.check(played, stages)
@@ -138,11 +148,9 @@ def replay(
         if MAPPER in stages and "file" not in parameters.get(MAPPER, {}):
             nodes = merged(nodes, {MAPPER: {"file": str(folder / RELIEF_MAP) if find_spec("rasterio") else ""}})
         topics = recorded_topics(stages, values, played)
-        topics += [CALIBRATION_TOPIC] if processing.plays_calibrations else []
+        topics += [CALIBRATION] if processing.plays_calibrations else []
         custom_data = {**reader.custom_data, PARAMETERS: json.dumps(values)}
         dwells = processing.count * playing.loops
-        in_step = playing.clock != LOCKSTEP or part.entry != FRAMES or bool(processing.cues)
-        lead = IN_STEP if in_step else lead_of(contents(reader)[0], stages, nodes)
         plan = Plan(
             "player",
             stages,
@@ -154,9 +162,12 @@ def replay(
             played,
             remapping.of_nodes,
             playing.is_paced,
-            lead,
+            processing.changes,
+            processing.mountings,
+            announces=playing.clock == LOCKSTEP and part.entry == FRAMES,
+            frames=processing.frames,
         )
-        outcome = perform(plan, execution)
+        outcome = _perform(plan, execution, reader, processing, jobs)
         conclude(outcome, values, report)
         compared = {}
         all_made = not estimators and part.entry != FROM_HEIGHTS
@@ -175,6 +186,45 @@ def replay(
         report["estimators"] = accuracy
         report["images"] = images
     return Replay(outcome, compared, accuracy, images)
+
+
+def _perform(
+    plan: Plan, execution: Execution, reader: NamespacedReader, processing: Processing, jobs: int | None
+) -> Outcome:
+    """Process the dwells by nodes, or without them.
+
+    Raises:
+        UserError: the run has failed, or needs nodes where there is no ROS.
+    """
+    if jobs is None:
+        from sal_height.runs.lockstep import perform  # noqa: PLC0415 (needs ROS)
+
+        return perform(plan, execution)
+    from sal_height.runs.by_calls import perform_by_calls  # noqa: PLC0415 (not needed by nodes)
+
+    scheme = Scheme(
+        reader.path,
+        reader.namespace,
+        (),
+        tuple(plan.stages),
+        plan.parameters,
+        tuple(plan.changes),
+        plan.frames,
+        plan.mountings,
+        tuple(processing.warnings),
+        tuple(topic for topic in plan.played if topic != SENSOR_INFO),
+        processing.dwells,
+        reader.renamed,
+    )
+    return perform_by_calls(plan, scheme, execution, jobs)
+
+
+def jobs_without_ros(asked: int | None) -> int | None:
+    """Jobs of a replay: as asked for; 1 where nodes are asked for and ROS is not installed, which is said."""
+    if asked is None and find_spec("rclpy") is None:
+        _LOG.warning("ROS is not installed here: the dwells are processed without nodes, as with --jobs 1.")
+        return 1
+    return asked
 
 
 def _measure_images(folder: Path) -> list[dict[str, Any]]:
@@ -197,17 +247,3 @@ def _measure_images(folder: Path) -> list[dict[str, Any]]:
             }
         )
     return measured
-
-
-def recorded_flight(reader: BagReader) -> SimulatedFlight | None:
-    """The simulated flight that a bag is from; None if it is from no simulation, or from one that cannot be made again.
-
-    It cannot be if, for example, the elevation model of its scene is no longer there.
-    """
-    if PRESET not in reader.custom_data:
-        return None
-    try:
-        preset = parse_preset(json.loads(reader.custom_data[PRESET]), f"in bag {reader.path}")
-        return flight_of(preset, int(reader.custom_data[SEED]))
-    except (UserError, ValueError, KeyError):
-        return None

@@ -8,15 +8,18 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+from sal_height.bag.played import DwellRange
 from sal_height.bag.reader import BagReader, LogTimes
+from sal_height.bag.sensor_topics import FRAMES, IMAGES
+from sal_height.engine.compression import HEARD
+from sal_height.engine.registry import STAGES
+from sal_height.engine.stage import DwellKey
+from sal_height.geometry import Mounting
 from sal_height.messages import to_ns
-from sal_height.nodes.cues import Cue, DwellKey, cues_to_text
-from sal_height.nodes.played import IMAGES, DwellRange
-from sal_height.nodes.playlist import FRAMES
-from sal_height.nodes.sar_compression import HEARD
-from sal_height.runs.catalogue import NODES, NodeParameters, parameters_of
+from sal_height.runs.catalogue import NodeParameters, parameters_of
 from sal_height.runs.entry import Chain, Part, check_air, check_given, sensors_of
 from sal_height.runs.flight_record import FlightRecord
+from sal_height.runs.plan import DwellChanges
 from sal_height.runs.recorded_parameters import RecordedParameters, parameters_in, recorded_at_start
 from sal_height.runs.reporting import merged
 from sal_height.runs.timeline import NO_FILE, PROVENANCE, Applied, Change, Parameter, Timeline, timeline_of
@@ -38,24 +41,26 @@ class Processing:
     Attributes:
         values: of the nodes' parameters at the start.
         sources: where the values of all parameters of the nodes at work come from, by node and name.
-        cues: what happens before dwells.
-        changes: the same for the report, in the order of the dwells.
+        changes: what happens before dwells.
+        listed: the same for the report, in the order of the dwells.
         warnings: a sentence on each thing of the flight that cannot be done again.
         dwells: those that are played.
         count: how many these are.
         begins_with_bag: whether the first dwell of the bag is among them: tracked heights follow from those before.
-        frames: when the frames of each of them were recorded; none: it was not looked for.
+        frames: when the frames of each of them were recorded.
+        mountings: of sensors (config_hash) on the platform, where the flight had others than their descriptions state.
     """
 
     values: dict[str, dict[str, Any]]
     sources: dict[str, dict[str, str]]
-    cues: list[Cue]
-    changes: list[dict[str, Any]]
+    changes: list[DwellChanges]
+    listed: list[dict[str, Any]]
     warnings: list[str]
     dwells: DwellRange
     count: int
     begins_with_bag: bool
     frames: Mapping[DwellKey, LogTimes] = field(default_factory=dict)
+    mountings: Mapping[str, Mounting] = field(default_factory=dict)
 
     @property
     def first(self) -> DwellKey | None:
@@ -65,18 +70,19 @@ class Processing:
     @property
     def plays_calibrations(self) -> bool:
         """Whether calibrations of the bag are published."""
-        return any(cue.calibrations for cue in self.cues)
+        return any(one.calibrations for one in self.changes)
 
     @property
     def for_player(self) -> dict[str, Any]:
         """Parameters of the player."""
         dwells = self.dwells
         bounds = {"first_dwell": dwells.first, "last_dwell": dwells.last}
-        return {**bounds, "start_ns": dwells.start_ns, "end_ns": dwells.end_ns, "cues": cues_to_text(self.cues)}
+        return {**bounds, "start_ns": dwells.start_ns, "end_ns": dwells.end_ns}
 
     def plays(self, image: Any) -> bool:
         """Whether the dwell of a height image is played."""
-        return DwellKey(image.dwell, to_ns(image.header.stamp)) in self.dwells
+        key = DwellKey(image.provenance.config_hash, image.dwell, to_ns(image.header.stamp))
+        return key in self.dwells
 
     def is_of_first_pass(self, image: Any) -> bool:
         """Whether a height image was made of a dwell with the stamp that is in the bag, not of a repetition."""
@@ -88,7 +94,7 @@ class Processing:
 
     def report(self) -> dict[str, Any]:
         """What the report says of it."""
-        return {"parameter_sources": self.sources, "changes_in_flight": self.changes, "warnings": self.warnings}
+        return {"parameter_sources": self.sources, "changes_in_flight": self.listed, "warnings": self.warnings}
 
 
 def processing_of(
@@ -97,8 +103,6 @@ def processing_of(
     part: Part,
     chosen: NodeParameters,
     given: NodeParameters,
-    *,
-    names_dwells: bool = False,
 ) -> Processing:
     """Find out how the dwells of a bag were processed in flight, and what of that the user wants otherwise.
 
@@ -110,7 +114,6 @@ def processing_of(
         part: what of the bag is replayed.
         chosen: values where neither the bag nor the user says anything.
         given: values of the user's, which hold for all dwells.
-        names_dwells: whether the dwells are looked for in any case, which may take a reading of the bag.
 
     Raises:
         UserError: the bag's parameters cannot be read, a value is not allowed today, or the bag lacks the air.
@@ -118,12 +121,15 @@ def processing_of(
     check_given(given, chain)
     timeline = timeline_of(reader, chain.dwell_topics)
     held = timeline.dwells
-    if (part.is_limited or names_dwells) and not held:
+    if not held:
         held = FlightRecord(reader, chain.dwell_topics).dwells
     dwells = part.dwells_of(list(held))
     played = {dwell: frames for dwell, frames in held.items() if dwell in dwells}
     recorded = recorded_at_start(reader, timeline, chain.stages, chain.makers)
     own, sources = _at_start(recorded, timeline, chosen, given)
+    if timeline.mountings and own.get(APPLIED.node, {}).get("mounting_from_tf"):
+        own[APPLIED.node]["mounting_from_tf"] = False  # for what was on /tf_static is in the provenance
+        sources[Parameter(APPLIED.node, "mounting_from_tf")] = CHOSEN
     values = recorded.check(own, given)
     wanted = [
         one
@@ -157,6 +163,7 @@ def processing_of(
         len(played) or chain.dwells,
         not held or next(iter(held)) in dwells,
         played,
+        timeline.mountings if chain.entry == FRAMES else {},
     )
 
 
@@ -174,7 +181,7 @@ def _at_start(
 
 
 def _is_read_only(parameter: Parameter) -> bool:
-    return settings_of(NODES[parameter.node].parameters)[parameter.name].read_only
+    return settings_of(STAGES[parameter.node].settings)[parameter.name].read_only
 
 
 def _applies_calibrations(chain: Chain, values: NodeParameters) -> bool:
@@ -185,7 +192,7 @@ def _applies_calibrations(chain: Chain, values: NodeParameters) -> bool:
 
 def _of_stages(sources: Mapping[Parameter, str], stages: Sequence[str]) -> dict[str, dict[str, str]]:
     """Where the values of all parameters of some nodes come from, by node and name."""
-    names = {node: settings_of(NODES[node].parameters) for node in stages}
+    names = {node: settings_of(STAGES[node].settings) for node in stages}
     return {node: {name: sources.get(Parameter(node, name), DEFAULT) for name in names[node]} for node in stages}
 
 
@@ -209,9 +216,9 @@ def _described(one: Change | Applied) -> dict[str, Any]:
 
 def _cues(
     held: Iterable[DwellKey], dwells: DwellRange, changes: Sequence[Change], calibrations: Sequence[Applied]
-) -> list[Cue]:
+) -> list[DwellChanges]:
     """What happens before each dwell that is played; what happened before others holds for the next one."""
-    cues: list[Cue] = []
+    cues: list[DwellChanges] = []
     happened: dict[DwellKey, list[Change | Applied]] = {}
     for change in changes:
         happened.setdefault(change.dwell, []).append(change)
@@ -226,14 +233,14 @@ def _cues(
             else:
                 values.setdefault(one.parameter.node, {})[one.parameter.name] = one.value
         if dwell in dwells and (values or applied):
-            cues.append(Cue(dwell, values, tuple(applied)))
+            cues.append(DwellChanges(dwell, values, tuple(applied)))
             values, applied = {}, []
     return cues
 
 
 def _forgotten(timeline: Timeline, chain: Chain) -> list[str]:
     """Sentences on parameters of nodes at work that do not exist any more, and on nodes that there are not."""
-    unknown = {node: source for (node, _), source in timeline.forgotten.items() if node not in NODES}
+    unknown = {node: source for (node, _), source in timeline.forgotten.items() if node not in STAGES}
     return [
         *(
             f"Node {node} had a parameter {name} in flight ({source}), which does not exist today and is left out."

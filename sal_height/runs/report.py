@@ -11,11 +11,11 @@ import numpy as np
 from sal_height import messages
 from sal_height.beams import column_squint
 from sal_height.elevation import speckle_crb
+from sal_height.engine.tracker import PREFIX
 from sal_height.geometry import sphere_coordinates
 from sal_height.imaging import azimuth_resolution, image_beams
 from sal_height.io import or_null
 from sal_height.messages.types import HeightImage
-from sal_height.nodes.relief_tracker import PREFIX
 from sal_height.numeric import F64, Bool
 from sal_height.relief import height_variance
 from sal_height.simulation import SimulatedFlight, VisibleSurface, truth_image

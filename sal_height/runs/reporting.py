@@ -14,13 +14,16 @@ from sal_height.errors import UserError
 from sal_height.io import or_null, write_text
 from sal_height.nodes.account import Account
 from sal_height.runs.catalogue import NodeParameters
-from sal_height.runs.conductor import Outcome
+from sal_height.runs.plan import Outcome
 
 PARAMETERS = files.PARAMETERS
 """Name of the nodes' parameters (JSON) in the custom data of a bag."""
 
 PRESET, SEED = "preset", "seed"
 """Names of the preset (JSON) and the seed of a simulated flight in the custom data of a bag."""
+
+RELIEF_MAP = "relief_map.tif"
+"""Name of the relief map in an output folder."""
 
 
 @contextmanager

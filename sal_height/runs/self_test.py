@@ -12,14 +12,17 @@ from typing import Any
 import numpy as np
 
 from sal_height import messages
+from sal_height.elevation import ElevationEstimator
+from sal_height.engine.heights import HeightStage
+from sal_height.engine.registry import STAGES
 from sal_height.errors import UserError
 from sal_height.geometry import PlatformState, Trajectory
-from sal_height.nodes.height import HeightNode
 from sal_height.nodes.playlist import Playlist
 from sal_height.pipeline import Compressor, heights
 from sal_height.rehearsal import made_up_heights, rehearse_heights
 from sal_height.relief import PriorEstimate, track
-from sal_height.runs.catalogue import NODES, TRACKER
+from sal_height.runs.catalogue import TRACKER
+from sal_height.runs.node_classes import NODES
 from sal_height.sensor import Sensor
 
 TEST_S = 0.25
@@ -37,7 +40,7 @@ def make_tables(sensor: Sensor, stages: list[str], values: Mapping[str, Mapping[
     parameters = {name: NODES[name].parameters(**values.get(name, {})) for name in stages}
     rng = np.random.default_rng(0)
     with suppress(UserError):  # its node will say why
-        estimators = [(NODES[n].estimator, parameters[n]) for n in stages if issubclass(NODES[n], HeightNode)]
+        estimators = [(estimator, parameters[name]) for name, estimator in _estimators(stages).items()]
         rehearse_heights(sensor, parameters["sar_compression"], estimators, rng)
         if TRACKER in stages:
             track(*made_up_heights(rng), PriorEstimate(), parameters[TRACKER])
@@ -59,7 +62,7 @@ def core_rate_hz(
         processors: that the nodes may use.
     """
     parameters = {name: NODES[name].parameters(**values.get(name, {})) for name in stages}
-    estimators = {name: NODES[name].estimator for name in stages if issubclass(NODES[name], HeightNode)}
+    estimators = _estimators(stages)
     states = [messages.state_from_message(message) for message in playlist.odometry]
     compressor, prior = Compressor(), PriorEstimate()
     begun: float | None = None
@@ -94,3 +97,8 @@ def _track_of(states: list[PlatformState], begin_ns: int, end_ns: int) -> Trajec
     stamps = [state.stamp_ns for state in states]
     first = max(0, bisect.bisect_right(stamps, begin_ns) - 1)
     return Trajectory(states[first : bisect.bisect_left(stamps, end_ns) + 1])
+
+
+def _estimators(stages: list[str]) -> dict[str, ElevationEstimator]:
+    """Those of the stages that estimate heights, by the name of the stage."""
+    return {name: stage.estimator for name in stages if issubclass(stage := STAGES[name], HeightStage)}

@@ -17,11 +17,11 @@ from sal_height import messages
 from sal_height.bag import qos
 from sal_height.bag.qos import Qos
 from sal_height.bag.reader import BagReader
-from sal_height.bag.sensor_topics import MAP_ORIGIN
+from sal_height.bag.sensor_topics import FRAMES, MAP_ORIGIN, ODOMETRY, SENSOR_INFO
 from sal_height.bag.topics import FIX_TYPE, FRAME_TYPE, ODOMETRY_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
-from sal_height.nodes.playlist import FRAMES, ODOMETRY, SENSOR_INFO, Playlist
+from sal_height.nodes.playlist import Playlist
 from sal_height.runs.catalogue import HEIGHTS, TRACKER, suited
 from sal_height.runs.entry import contents
 from sal_height.runs.processes import Forked, beside

@@ -12,13 +12,13 @@ from typing import Any
 import yaml
 
 from sal_height.bag.sensor_topics import MAP_ORIGIN
+from sal_height.engine.registry import STAGES, takes_images
 from sal_height.errors import UserError
 from sal_height.io import new_folder, write_text, writing
 from sal_height.messages import AIR
 from sal_height.runs.accuracy import Accuracy, read_accuracy, read_images
 from sal_height.runs.catalogue import (
     HEIGHTS,
-    NODES,
     TRACKER,
     NodeParameters,
     check_parameters,
@@ -28,13 +28,12 @@ from sal_height.runs.catalogue import (
     recorded_topics,
     suited,
 )
-from sal_height.runs.conductor import DEFAULT, Execution, Outcome, Plan, perform
 from sal_height.runs.entry import check_air
-from sal_height.runs.lead import lead_of
-from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, conclude, merged, reporting
+from sal_height.runs.lockstep import perform
+from sal_height.runs.plan import DEFAULT, Execution, Outcome, Plan
+from sal_height.runs.reporting import PARAMETERS, PRESET, RELIEF_MAP, SEED, conclude, merged, reporting
 from sal_height.simulation import Preset, SimulatedFlight, flight_of
 
-RELIEF_MAP = "relief_map.tif"
 """File of the relief map in the folder of a run."""
 
 
@@ -100,9 +99,9 @@ def fly(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
         write_text(settings, yaml.safe_dump(json.loads(flown), sort_keys=False))
         custom_data = {PARAMETERS: json.dumps(values), PRESET: flown, SEED: str(seed)}
         nodes = merged({"simulator": simulator, "relief_mapper": relief}, values)
-        topics, lead = recorded_topics(stages, values), lead_of(flight.sensor, stages, nodes)
+        topics = recorded_topics(stages, values)
         topics += [*air, *([MAP_ORIGIN] if flight.scene.origin else [])]
-        plan = Plan("simulator", stages, topics, bag, nodes, preset.dwells, custom_data, lead=lead)
+        plan = Plan("simulator", stages, topics, bag, nodes, preset.dwells, custom_data)
         outcome = perform(plan, execution)
         conclude(outcome, values, report)
         report["relief_map"] = RELIEF_MAP if (folder / RELIEF_MAP).is_file() else None
@@ -122,7 +121,7 @@ def processing_of(flight: SimulatedFlight, estimators: list[str]) -> dict[str, d
     looks = {"range_looks": preset.looks[0], "azimuth_looks": preset.looks[1]}
     own = {
         "sar_compression": {"rows": preset.image.rows, "cols": preset.image.cols},
-        **{name: dict(looks) for name in estimators if name in HEIGHTS and NODES[name].takes_images},
+        **{name: dict(looks) for name in estimators if name in HEIGHTS and takes_images(STAGES[name])},
     }
     return merged(merged(own, consumers(estimators)), placed(flight.scene.origin))
 

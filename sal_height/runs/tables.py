@@ -6,8 +6,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from sal_height.bag.compare import Comparison
-from sal_height.runs.catalogue import HEIGHTS, NODES
-from sal_height.runs.conductor import Outcome
+from sal_height.engine.registry import STAGES, takes_heights
+from sal_height.runs.catalogue import HEIGHTS
+from sal_height.runs.plan import Outcome
 from sal_height.tables import aligned
 
 ABSENT = "-"
@@ -39,7 +40,7 @@ def results_table(outcome: Outcome, accuracy: Mapping[str, Mapping[str, Any]]) -
                     _number(errors.get("valid"), ".1f", 100.0),
                     _number(errors.get("bias_m"), "+.4g"),
                     _number(errors.get("s68_m"), ".4g"),
-                    ABSENT if NODES[node].takes_heights else _number(errors.get("crb_m"), ".4g"),
+                    ABSENT if takes_heights(STAGES[node]) else _number(errors.get("crb_m"), ".4g"),
                     _number(errors.get("within_1_sigma"), ".1f", 100.0),
                 ]
             )
@@ -53,7 +54,7 @@ def achieved(accuracy: Mapping[str, Mapping[str, Any]]) -> str:
         accuracy: statistics of each estimator (`report.statistics`) by prefix of its topics.
     """
     known = {name: errors for name, errors in accuracy.items() if errors.get("s68_m") and errors.get("crb_m")}
-    bounded = [name for node, name in HEIGHTS.items() if name in known and not NODES[node].takes_heights]
+    bounded = [name for node, name in HEIGHTS.items() if name in known and not takes_heights(STAGES[node])]
     if not bounded:
         return ""
     best = min(bounded, key=lambda name: float(known[name]["s68_m"]))

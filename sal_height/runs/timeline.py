@@ -8,15 +8,19 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeVar
 
 from sal_height.bag.reader import BagReader, LogTimes
-from sal_height.nodes.cues import DwellKey
-from sal_height.nodes.height import LEFT_OUT
-from sal_height.nodes.height_adjuster import POSE_ERROR
-from sal_height.nodes.sar_compression import HEARD
-from sal_height.runs.catalogue import NODES, SETTABLE
+from sal_height.engine.adjuster import POSE_ERROR
+from sal_height.engine.compression import HEARD, USED_MOUNTING
+from sal_height.engine.provenance import LEFT_OUT
+from sal_height.engine.registry import STAGES
+from sal_height.engine.stage import DwellKey
+from sal_height.errors import UserError
+from sal_height.geometry import Mounting
+from sal_height.runs.catalogue import SETTABLE
 from sal_height.runs.flight_record import FlightRecord, Heard, Said, tells_of_its_making
 from sal_height.settings import settings_of
 
@@ -81,6 +85,7 @@ class Timeline:
         missing: calibrations that were applied and that the bag does not hold.
         come: all calibrations that the bag holds, from the dwell on before which each came.
         forgotten: parameters of that time that the nodes do not have today, and how they are known.
+        mountings: of sensors (config_hash) on the platform, where the flight had others than their descriptions state.
     """
 
     dwells: Mapping[DwellKey, LogTimes] = field(default_factory=dict)
@@ -91,6 +96,7 @@ class Timeline:
     missing: list[Applied] = field(default_factory=list)
     come: list[Applied] = field(default_factory=list)
     forgotten: dict[Parameter, str] = field(default_factory=dict)
+    mountings: dict[str, Mounting] = field(default_factory=dict)
 
 
 def timeline_of(reader: BagReader, dwell_topics: Sequence[str] = ("/phase_history",)) -> Timeline:
@@ -112,7 +118,10 @@ def timeline_of(reader: BagReader, dwell_topics: Sequence[str] = ("/phase_histor
     for dwell, frames in record.dwells.items():
         for one in _until(frames.last_ns, said):
             parameters.hear(one)
-        parameters.enter(dwell, record.stages.get(dwell, {}))
+        stages = record.stages.get(dwell, {})
+        parameters.enter(dwell, stages)
+        if (mounting := _mounting_in(stages.get("sar_compression", {}))) is not None:
+            timeline.mountings.setdefault(dwell.sensor, mounting)
         for message in _until(frames.last_ns, heard):
             calibrations.hear(message)
         calibrations.enter(dwell, record.applied.get(dwell))
@@ -120,6 +129,17 @@ def timeline_of(reader: BagReader, dwell_topics: Sequence[str] = ("/phase_histor
         parameters.hear(one)
     parameters.enter_what_was_told_late()
     return timeline
+
+
+def _mounting_in(stage: Mapping[str, Any]) -> Mounting | None:
+    """The mounting that a provenance states of the compression; None: that of the sensor's description."""
+    names = [f"{USED_MOUNTING}.{name}" for name in ("frame_id", "lever_arm", "rotation")]
+    if any(name not in stage for name in names):
+        return None
+    frame_id, lever_arm, rotation = (stage[name] for name in names)
+    with suppress(UserError, TypeError):
+        return Mounting(str(frame_id), tuple(lever_arm), tuple(rotation))
+    return None
 
 
 def _until(time_ns: int, recorded: deque[Recorded]) -> Iterator[Recorded]:
@@ -179,7 +199,7 @@ class _Parameters:
 
     def _known(self, node: str, values: Mapping[str, Any], source: str) -> Iterator[tuple[Parameter, Any]]:
         """The values of parameters that can be set today; others are entered as forgotten, and paths as files."""
-        today = settings_of(NODES[node].parameters) if node in SETTABLE else {}
+        today = settings_of(STAGES[node].settings) if node in SETTABLE else {}
         for name, value in values.items():
             parameter = Parameter(node, name)
             if name in OF_MACHINE:

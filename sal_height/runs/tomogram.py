@@ -66,7 +66,7 @@ def tomogram(bag: Path, folder: Path, looks: tuple[int, int], row: int | None) -
     """Draw tomogram.png: reflectivity over height and the way of the flight, with ground and canopy if they are known.
 
     Args:
-        bag: with the images of all channels (topic slc).
+        bag: with the images of all channels (topic slc), or the phase history that gives them.
         folder: output folder, which is made.
         looks: range looks and azimuth looks of a pixel.
         row: of the cut, in pixels of these looks; None: the middle one.
@@ -81,8 +81,8 @@ def tomogram(bag: Path, folder: Path, looks: tuple[int, int], row: int | None) -
     dwells = list(_dwells(bag))
     if not dwells:
         raise UserError(
-            f"Bag {bag} holds no images of all channels; make them by sal-height replay BAG --record slc, or by "
-            "sal-height run with this option."
+            f"Bag {bag} has no images of all channels, and no phase history that gives some; record one of the topics "
+            "slc and phase_history."
         )
     start, cuts = dwells[0][0].aperture.position, []
     for slc, sensor in dwells:

@@ -18,7 +18,7 @@ from sal_height.nodes.graph import Graph
 from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.ports import LOOK_S, LOST, Ports
 from sal_height.runs.account_book import AccountBook
-from sal_height.runs.conductor import Interruption
+from sal_height.runs.interruption import Interruption
 
 SHOW_PERIOD_S = 1.0
 """Period at which what has been seen is shown."""

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from dataclasses import asdict, dataclass, fields, replace
+from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from scipy.constants import speed_of_light
@@ -108,6 +109,10 @@ class Sensor:
     def __hash__(self) -> int:
         """Equal sensors have equal config hashes; all else would take long to hash for every dwell."""
         return hash(self.config_hash)
+
+    def __reduce__(self) -> tuple[Any, tuple[Any, ...]]:
+        """What makes the sensor again in another process, where equal ones are one object, with one set of tables."""
+        return _sensor_of, tuple(getattr(self, one.name) for one in fields(self))
 
     @property
     def digest(self) -> str:
@@ -326,3 +331,9 @@ class Sensor:
             return receivers
         matrix = self.mixing
         return matrix @ receivers @ matrix.conj().T
+
+
+@lru_cache(maxsize=16)
+def _sensor_of(*values: Any) -> Sensor:
+    """The sensor with these values of its fields; the same object for the same values."""
+    return Sensor(*values)

@@ -1,0 +1,404 @@
+"""The node host: any stage of the engine as a ROS node.
+
+Topics, types, quality of service, parameters, services and accounts follow from what the stage declares. Callbacks only
+let the stage accept what arrives; the jobs that it makes are processed on the node's worker thread.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from typing import Any, ClassVar
+
+from rclpy._rclpy_pybind11 import RCLError
+from rclpy.duration import Duration
+from rclpy.qos import QoSProfile
+
+from sal_height.engine.air import AirSample
+from sal_height.engine.calibrations import CALIBRATIONS_ARRIVED
+from sal_height.engine.compression import Compression
+from sal_height.engine.height_items import Heights
+from sal_height.engine.navigation import Attitude, Fix, Pose, Twist
+from sal_height.engine.stage import (
+    Answer,
+    Decision,
+    DwellKey,
+    Event,
+    FileProduct,
+    Job,
+    Loss,
+    Notice,
+    Port,
+    Product,
+    Remark,
+    Result,
+    Stage,
+)
+from sal_height.engine.static_frames import StaticTransform
+from sal_height.errors import Rejected, UserError
+from sal_height.geometry import Mounting, PlatformState
+from sal_height.messages.codec import SHIPPED
+from sal_height.messages.kinds import kind_of
+from sal_height.nodes.parameters import parameter_of
+from sal_height.nodes.quality import FRAMES_QOS, INSTRUMENT_QOS, LATCHED_QOS, ODOMETRY_QOS
+from sal_height.nodes.role import Topics
+from sal_height.nodes.transforms import TF_STATIC_QOS, has_transforms
+from sal_height.nodes.viewing import VIEWERS
+from sal_height.nodes.worker import ENDED, WorkerNode
+from sal_height.stage_files import check_written, read_inputs, write_product
+
+TICK_S = 0.1
+"""Period at which the stage is told that time has passed."""
+
+LAST_WORDS_S = 2.0
+"""Longest wait at the end of the node for subscribers to receive the last latched messages."""
+
+OF_KIND: Mapping[type, QoSProfile] = {
+    PlatformState: ODOMETRY_QOS,
+    AirSample: ODOMETRY_QOS,
+    StaticTransform: TF_STATIC_QOS,
+    **dict.fromkeys((Pose, Fix, Attitude, Twist), INSTRUMENT_QOS),
+}
+"""Quality of service by the class of the items, where it is not that of frames."""
+
+
+def quality_of(port: Port) -> QoSProfile:
+    """The quality of service of a port."""
+    return OF_KIND.get(port.kind, LATCHED_QOS if port.latched else FRAMES_QOS)
+
+
+class StageNode(WorkerNode):
+    """A node that hosts a stage; subclasses by `node_of` name the stage and are otherwise empty."""
+
+    stage_class: ClassVar[type[Stage]]
+
+    def __init__(self, **node_arguments: Any) -> None:
+        """Make the node; `node_arguments` go to rclpy's Node.
+
+        Raises:
+            UserError: a parameter has a value that is not allowed, or a file cannot be used.
+        """
+        super().__init__(self.stage_class.usual_name, **node_arguments)
+        settings = self.current_parameters()
+        try:
+            check_written(self.stage_class, settings)
+            self.stage = self.stage_class(settings, read_inputs(self.stage_class, settings), self.get_name())
+            self._offer_and_listen(settings)
+        except UserError:
+            super().destroy_node()
+            raise
+        self._settings_known = settings
+        self._deciding = threading.RLock()  # the context may be shut down in another thread than the executor's
+        self._results: dict[int, tuple[Job, Sequence[Result]]] = {}
+        self._ended = self._is_finished = False
+        self.failure = ""
+        """Why a file could not be written, as a sentence; empty if there was no failure."""
+        self.stage.describe_sources = lambda: self.source_warning
+        self.stage.publishers_of = lambda port: self._inlets_of[port].publishers
+        for name in self.stage_class.commands:
+            self.serve(f"~/{name}", lambda name=name: self._command(name))  # type: ignore[misc]
+        self._decide(lambda: self.stage.start(self.get_clock().now().nanoseconds))
+        self.every(TICK_S, self._tick)
+        if self.stage_class.concludes:
+            self.context.on_shutdown(self.conclude)
+
+    def _offer_and_listen(self, settings: Any) -> None:
+        """Make publishers and subscriptions of the ports.
+
+        Raises:
+            UserError: the messages of a port do not exist in this environment.
+        """
+        self._outlets, self._viewers, self._latched = {}, {}, set[str]()
+        for port in self.stage_class.outputs(settings):
+            kind = kind_of(port)
+            self._outlets[port.name] = (
+                self.offer(SHIPPED.message_class(kind.type_name), port.name, quality_of(port)),
+                kind,
+            )
+            if port.latched:
+                self._latched.add(port.name)
+            if viewer := VIEWERS.get(port.kind):
+                self._viewers[port.name] = viewer(self, port)
+        self._inlets_of = {port.name: self._listen_to(port, settings) for port in self.stage_class.inputs(settings)}
+
+    def _listen_to(self, port: Port, settings: Any) -> Any:
+        """Subscribe to a port; what cannot be read is counted under the name of its kind."""
+        kind = kind_of(port)
+        if port.kind is StaticTransform and not has_transforms():
+            raise UserError(
+                "Parameter mounting_from_tf needs the package tf2_msgs, which a ROS installation has and PyPI has not; "
+                "source the installation, or state the mounting in sensor_info."
+            )
+
+        def accept(item: Any) -> None:
+            if not port.counted or self.takes():
+                self._decide(lambda: self.stage.accept(port.name, item, time.monotonic()))
+
+        def read(cdr: bytes) -> Sequence[Any]:
+            try:
+                return kind.read(cdr, settings)
+            except UserError as error:
+                if port.counted and self.takes():
+                    self.reject(1, self.unexpected(error))
+                elif not port.counted:
+                    self.ignore(kind.trouble or getattr(error, "reason", port.name), error)
+                return ()
+
+        def receive(items: Sequence[Any]) -> None:
+            for item in items:
+                accept(item)
+
+        return self.listen(
+            SHIPPED.message_class(kind.type_name),
+            port.name,
+            receive,
+            quality_of(port),
+            optional=port.optional,
+            read=read,
+        )
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether it works, what it needs has publishers, and what takes time before the first dwell is done."""
+        if not hasattr(self, "stage"):  # it was refused, and the node ends
+            return False
+        needed = all(self._inlets_of[port].is_connected for port in self.stage.needed_ports)
+        return needed and self.stage.is_ready and super().is_ready
+
+    @property
+    def unpublished(self) -> int:
+        """Dwells that have been processed and whose products follow once later ones have arrived."""
+        return self.stage.unpublished
+
+    def nothing_before(self, topic: str, stamp_ns: int) -> None:
+        """Let the stage know that nothing with an earlier stamp will arrive on a topic (run and replay)."""
+        if topic in self._inlets_of:
+            self._decide(lambda: self.stage.nothing_before(topic, stamp_ns))
+
+    def finish_stage(self) -> None:
+        """Let the stage know that nothing more arrives (run and replay)."""
+        self._decide(self.stage.finish)
+        self._is_finished = True
+
+    def set_before(self, dwell: DwellKey, values: Mapping[str, Any]) -> None:
+        """Set parameters that hold from a dwell on.
+
+        Raises:
+            UserError: a value is not allowed.
+        """
+        with self._deciding:
+            result = self.set_parameters_atomically([parameter_of(name, value) for name, value in values.items()])
+            if not result.successful:
+                said = ", ".join(f"{name}={value!r}" for name, value in values.items())
+                reason = result.reason.rstrip(".")
+                raise UserError(f"Node {self.get_name()} was to get {said}, as in flight, and refuses ({reason}).")
+            self._settings_known = self.current_parameters()
+            self.stage.change(self._settings_known, before=dwell)
+
+    def state_mounting(self, sensor: str, mounting: Mounting) -> None:
+        """Use a mounting for a sensor (config_hash) instead of that of its description, as a flight did."""
+        if isinstance(self.stage, Compression):
+            self.stage.state_mounting(sensor, mounting)
+
+    def state_calibrations(self, applied_from: Mapping[str, Sequence[DwellKey]]) -> None:
+        """Apply calibrations (by identity) from these dwells on, as a flight did, and not once they arrive."""
+        if isinstance(self.stage, Compression):
+            self.stage.state_calibrations(applied_from)
+
+    def forget(self) -> None:
+        """Forget what has been gathered of the dwells so far, once those that wait have been processed."""
+        self._decide(self.stage.reset)
+
+    def conclude(self) -> None:
+        """Process what waits, and do what is due at the end. May be called twice."""
+        with self._deciding:
+            if self._ended:
+                return
+            self._ended = True
+        self.finish()
+        for job in self._own_jobs([] if self._is_finished else self.stage.finish()):
+            self._report(self._processed([job])[0][1])
+        with suppress(RCLError):
+            for topic in self._latched:
+                self._outlets[topic][0].publisher.wait_for_all_acked(Duration(seconds=LAST_WORDS_S))
+
+    def destroy_node(self) -> None:
+        """Process or drop what waits, then end the node."""
+        if hasattr(self, "_deciding"):
+            if self.stage_class.concludes:
+                self.conclude()
+            else:
+                self._decide(self.stage.abandon)
+        super().destroy_node()
+
+    def _own_jobs(self, decisions: Sequence[Decision]) -> list[Job]:
+        """The jobs among decisions; the rest is published and counted."""
+        jobs = [one for one in decisions if isinstance(one, Job)]
+        _, losses = self._report([one for one in decisions if not isinstance(one, Job)])
+        for loss in losses:
+            self.reject(loss.messages, Rejected(loss.reason, loss.sentence), loss.dwell)
+        return jobs
+
+    def _tick(self) -> None:
+        self._decide(lambda: self.stage.advance(time.monotonic(), busy=self.jobs > 0))
+
+    def _decide(self, ask: Callable[[], Sequence[Decision]]) -> None:
+        """Ask the stage, and do what it decides."""
+        with self._deciding:
+            now = self.current_parameters()
+            if now is not self._settings_known:
+                self._settings_known = now
+                self.stage.change(now)
+            decisions = ask()
+            self.hardware_id = self.stage.sensor_name
+            for job in self._own_jobs(decisions):
+                self._enqueue(job)
+
+    def _enqueue(self, job: Job) -> None:
+        if self._ended and job.messages:
+            self.reject(job.messages, ENDED, job.dwell)
+        else:
+            self.submit(job.messages, lambda: self._process_job(job), job.size, job)
+
+    def _process_job(self, job: Job) -> int:
+        """Process a job (on the worker thread), and publish its products; the number of messages published.
+
+        Raises:
+            Rejected: the stage has left it out.
+        """
+        published, losses = self._report(self._results_of(job))
+        if losses:
+            raise Rejected(losses[0].reason, losses[0].sentence)
+        return published
+
+    def _results_of(self, job: Job) -> Sequence[Result]:
+        """The results of a job, which may have been processed ahead; if not, those that wait are processed with it."""
+        if id(job) not in self._results:
+            waiting = self.waiting()[: self.stage.at_once - 1] if self.stage.at_once > 1 else []
+            found = self._processed([job, *(one for one in waiting if isinstance(one, Job))])
+            self._results = {id(one): (one, results) for one, results in found}
+        return self._results.pop(id(job))[1]
+
+    def _processed(self, jobs: Sequence[Job]) -> list[tuple[Job, Sequence[Result]]]:
+        """Process jobs; each with its results, of which the stage is told."""
+        found = list(zip(jobs, self.stage.process(jobs), strict=True))
+        for job, results in found:
+            self._decide(lambda job=job, results=results: self.stage.note_done(job, results))  # type: ignore[misc]
+        return found
+
+    def _report(self, results: Sequence[Result]) -> tuple[int, list[Loss]]:
+        """Publish products, count and log the rest; the number of messages published, and the losses of jobs."""
+        published, losses = 0, list[Loss]()
+        for one in results:
+            if isinstance(one, Product):
+                published += self._publish(one)
+            elif isinstance(one, Loss):
+                losses.append(one)
+                self._log_trace(one.trace)
+            elif isinstance(one, Notice):
+                self._log_trace(one.trace)
+                self.ignore(one.kind, UserError(one.sentence))
+            elif isinstance(one, Event):
+                self._count(one)
+            elif isinstance(one, FileProduct):
+                self._write(one)
+            elif isinstance(one, Remark):
+                self.get_logger().warning(one.sentence)
+        return published, losses
+
+    def _count(self, event: Event) -> None:
+        if event.name == CALIBRATIONS_ARRIVED:
+            self.tell(event.name)
+        else:
+            self.tally.note(event.name)
+
+    def _publish(self, product: Product) -> int:
+        """Publish a product, and what viewers show of it while somebody subscribes; the number of its messages."""
+        if not (self.is_active or product.port in self._latched):
+            return 0
+        outlet, kind = self._outlets[product.port]
+        with suppress(RCLError):  # the context may have ended: nobody is left to publish to
+            if viewer := self._viewers.get(product.port):
+                viewer.publish(product.item)
+            serialized = kind.write(product.item, self.current_parameters())
+            for cdr in serialized:
+                outlet.publish(cdr)
+            return len(serialized)
+        return 0
+
+    def _write(self, product: FileProduct) -> None:
+        try:
+            write_product(product)
+        except UserError as error:
+            self.failure = str(error)
+            self.count_ignored("file", error)
+            self.get_logger().error(self.failure)
+        else:
+            if product.remark:
+                self.get_logger().warning(product.remark)
+
+    def _log_trace(self, trace: str) -> None:
+        if trace:
+            self.get_logger().error(f"Unexpected failure, please report it: {trace}")
+
+    def _command(self, name: str) -> tuple[bool, str]:
+        """Have the stage do something that was asked for by hand, and wait for its answer."""
+        if self._ended:
+            return False, "the node is ending"
+        answers: list[Answer] = []
+
+        def work() -> str:
+            self.failure = ""
+            for _, results in self._processed(self._own_jobs(self.stage.command(name))):
+                self._report(results)
+                answers.extend(one for one in results if isinstance(one, Answer))
+            return ""
+
+        if late := self.wait_for(work):
+            return False, late
+        answer = answers[0] if answers else Answer(success=False, sentence="no answer")
+        return answer.success and not self.failure, self.failure or answer.sentence
+
+
+def node_of(stage: type[Stage], *, settable: bool = True) -> type[StageNode]:
+    """The class of a stage's node, with what runs know of it (`nodes.role`).
+
+    Args:
+        stage: class of the stage.
+        settable: whether users may set its parameters in a run or replay.
+    """
+    settings = stage.settings()
+    inputs, outputs = stage.inputs(settings), stage.described_outputs()
+    heights = next((port.name.removesuffix("/height") for port in outputs if port.kind is Heights), "")
+    takes_heights = any(port.kind is Heights for port in inputs)
+    attributes = {
+        "stage_class": stage,
+        "parameters": stage.settings,
+        "niceness": stage.niceness,
+        "inputs": _described(stage.described_inputs()),
+        "outputs": {**_described(outputs), **_views(outputs)},
+        "answers": {**WorkerNode.answers, **{f"~/{name}": about for name, about in stage.commands.items()}},
+        "product": heights,
+        "takes_images": any(port.name == "slc" for port in inputs),
+        "takes_heights": takes_heights,
+        "settable": settable,
+        "completes_file": bool(stage.concludes and stage.commands),
+        "__doc__": stage.__doc__,
+        "__module__": __name__,
+    }
+    return type(stage.__name__, (StageNode,), attributes)
+
+
+def _described(ports: Sequence[Port]) -> Topics:
+    return {port.name: port.about for port in ports}
+
+
+def _views(ports: Sequence[Port]) -> Topics:
+    return {
+        name: about
+        for port in ports
+        if (viewer := VIEWERS.get(port.kind))
+        for name, about in viewer.topics(port).items()
+    }

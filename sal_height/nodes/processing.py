@@ -1,0 +1,28 @@
+"""The nodes that process: one for each stage of the engine."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+from sal_height.engine.registry import STAGES
+from sal_height.nodes.host import StageNode, node_of
+from sal_height.nodes.program import run_node
+
+PROCESSING: Mapping[str, type[StageNode]] = {
+    name: node_of(stage, settable=name != "navigation") for name, stage in STAGES.items()
+}
+"""Classes of the processing nodes by the usual name of the node."""
+
+
+def main() -> int:
+    """Console script of all processing nodes; the name of the script says which node it is."""
+    return run_node(PROCESSING[Path(sys.argv[0]).stem])
+
+
+if __name__ == "__main__":
+    if len(sys.argv) < 2 or sys.argv[1] not in PROCESSING:
+        sys.exit(f"Which node is to be started must come first; allowed are {', '.join(PROCESSING)}.")
+    sys.argv.pop(0)
+    raise SystemExit(main())

@@ -1,0 +1,469 @@
+"""What the processing nodes share: a worker thread, accounting of every message, diagnostics."""
+
+from __future__ import annotations
+
+import copy
+import math
+import os
+import threading
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any, ClassVar
+
+from rclpy._rclpy_pybind11 import RCLError
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.qos import QoSProfile
+from std_srvs.srv import Trigger
+
+from sal_height.bag.sensor_topics import MAP_ORIGIN
+from sal_height.engine.stage import DwellKey, Loss, StageSettings
+from sal_height.errors import Rejected, UserError
+from sal_height.messages.codec import SHIPPED, BrokenMessage
+from sal_height.messages.losses import LOSSES, loss_to_message
+from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, DwellLoss
+from sal_height.nodes.account import Account
+from sal_height.nodes.endpoints import QOS_OVERRIDES, RECENT_S, Inlet, Outlet
+from sal_height.nodes.guard import guarded
+from sal_height.nodes.jobs import Job, JobQueue
+from sal_height.nodes.managed import INACTIVE, Managed
+from sal_height.nodes.message_types import class_of
+from sal_height.nodes.parameters import LiveParameters
+from sal_height.nodes.process_numbers import process_numbers
+from sal_height.nodes.quality import FRAMES_QOS, LATCHED_KEPT, LATCHED_QOS, ODOMETRY_QOS
+from sal_height.nodes.role import Role, Topics
+from sal_height.nodes.tally import Pace, Tally
+from sal_height.nodes.teller import State, Teller
+
+SENSOR_TOPICS = {
+    "sensor_info": "description of the sensor, latched",
+    "platform/odometry": "state of the platform, nav_msgs/Odometry",
+    "phase_history": "samples of one channel and dwell in each message",
+}
+"""What a sensor publishes."""
+
+IMAGES = {"slc": "complex image of one channel and dwell in each message"}
+"""What the compression publishes."""
+
+CALIBRATION = {"calibration": "calibration of receivers and beams, latched"}
+"""What a calibration is published on."""
+
+ORIGIN = {MAP_ORIGIN: "place of the origin of the map frame on the earth, sensor_msgs/NavSatFix, latched"}
+"""What is published and read there."""
+
+RESET = {"~/reset": "forget what was gathered of the dwells so far"}
+"""The service that every stage offers."""
+
+ENDED = Rejected("ended", "The node is ending; what waits and what comes now is left out.")
+
+DIAGNOSTICS_PERIOD_S = 0.5
+
+ANSWER_S = 30.0
+"""Longest time that a service makes its caller wait for the worker."""
+
+
+class WorkerNode(Role, Managed):
+    """A node whose callbacks only accept messages; a worker thread processes them in order."""
+
+    answers: ClassVar[Topics] = RESET
+    parameters: type[StageSettings] = StageSettings
+    """The node's ROS parameters."""
+
+    niceness: ClassVar[int] = 0
+    """How far the node's work gives way to other threads, as in nice(1). Under overload, early stages that do leave out
+    what later ones could not take, before work has gone into it; and messages are received while a dwell is processed.
+    """
+
+    def __init__(self, name: str, **node_arguments: Any) -> None:
+        """Make the node; `node_arguments` go to rclpy's Node (context, parameter_overrides, ...).
+
+        Raises:
+            UserError: a parameter has a value that is not allowed.
+        """
+        super().__init__(name, **node_arguments)
+        try:
+            self._parameters_now = LiveParameters(self, self.parameters)
+        except UserError:
+            super().destroy_node()
+            raise
+        self.tally = Tally()
+        self.last_rejection = ""
+        self.last_drop = ""
+        self.hardware_id = ""
+        self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self._jobs = JobQueue()
+        self._lost_at = -math.inf
+        self._pace = Pace()
+        self._slow_numbers: dict[str, Any] = {}
+        """Fields of the account that take time to find, as they were last."""
+        self._offered: list[Outlet] = []
+        self._inlets: list[Inlet] = []
+        self._optional: list[Inlet] = []
+        self._on_match = guarded(lambda _: self._publish_account(), self._fail)
+        """Whoever waits for a graph to be connected is told of a subscription or publisher when it comes or goes."""
+        self._matched = PublisherEventCallbacks(matched=self._on_match)
+        self._teller = Teller(self, self._on_match)
+        self._losses = self.offer(DwellLoss, LOSSES)
+        self.every(DIAGNOSTICS_PERIOD_S, self._measure_pace)
+        self._worker = threading.Thread(target=self._work, name=name, daemon=True)
+        self._worker.start()
+        self.serve("~/reset", self._reset)
+        if self.current_parameters().autostart:
+            self.start()
+
+    def current_parameters(self) -> Any:
+        """The parameters as they are now: a frozen object of the class `parameters`."""
+        return self._parameters_now.current
+
+    def offer(self, message_type: type[Any], topic: str, qos: QoSProfile = FRAMES_QOS) -> Outlet:
+        """A publisher of plain messages of a class, whose messages and subscribers are counted in the diagnostics."""
+        publisher = self.create_publisher(
+            class_of(message_type),
+            topic,
+            copy.copy(qos),
+            qos_overriding_options=QOS_OVERRIDES,
+            event_callbacks=self._matched,
+        )
+        self._offered.append(Outlet(publisher))
+        return self._offered[-1]
+
+    def listen(
+        self,
+        message_type: type[Any],
+        topic: str,
+        callback: Callable[[Any], None],
+        qos: QoSProfile = FRAMES_QOS,
+        *,
+        optional: bool = False,
+        read: Callable[[bytes], Any] | None = None,
+    ) -> Inlet:
+        """Subscribe; if the only publishers offer less than `qos`, with what they offer.
+
+        Args:
+            message_type: class of plain messages of the type.
+            topic: name of the topic.
+            callback: takes a message; an error in it is counted and logged.
+            qos: quality of service.
+            optional: whether the node can do its work without a message on this topic.
+            read: makes what the callback takes of a serialized message, or raises BrokenMessage; None: the plain
+                message.
+        """
+        read = read or SHIPPED.reader(message_type.__msgtype__)
+        profile = copy.copy(qos)
+        profile.depth = LATCHED_KEPT if qos is LATCHED_QOS else qos.depth
+
+        def receive(cdr: bytes) -> None:
+            if inlet.has_only_strangers:
+                self.ignore("another definition", UserError(inlet.warning.strip()))
+                return
+            try:
+                message = read(cdr)
+            except BrokenMessage as error:
+                self.ignore("broken message", UserError(f"A message on {topic} cannot be decoded: {error}."))
+            else:
+                callback(message)
+
+        def matched(_: Any) -> None:
+            inlet.look_for_strangers()
+            self._publish_account()
+
+        inlet = Inlet(
+            self,
+            message_type,
+            topic,
+            receive,
+            profile,
+            guarded(matched, self._fail),
+            self._fail,
+            has_one_source=qos is ODOMETRY_QOS,
+        )
+        (self._optional if optional else self._inlets).append(inlet)
+        return inlet
+
+    def every(self, period_s: float, callback: Callable[[], Any], clock: Clock | None = None) -> None:
+        """Call `callback` again and again, by a clock that never stands still unless another one is given."""
+        self.create_timer(period_s, guarded(callback, self._fail), clock=clock or self.steady_clock)
+
+    def serve(self, name: str, callback: Callable[[], tuple[bool, str]]) -> None:
+        """Offer a service of type Trigger; `callback` returns whether it succeeded, and a message."""
+
+        def respond(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            failure = False, "internal error; the log of the node says more"
+            response.success, response.message = guarded(callback, self._fail)() or failure
+            return response
+
+        self.create_service(Trigger, name, respond)
+
+    def submit(self, messages: int, work: Callable[[], int], size: int = 0, item: Any = None) -> None:
+        """Have `work` done on the worker thread.
+
+        What it rejects or fails at is counted and logged, and does not end the node.
+
+        Args:
+            messages: number of messages that it consumes.
+            work: returns the number of messages it published.
+            size: bytes that the messages hold.
+            item: what is worked on; `waiting` gives it to work that looks ahead.
+        """
+        arrived = time.monotonic()
+        if messages:
+            self.tally.offer()
+
+        def run() -> None:
+            try:
+                self._check_budget(messages, time.monotonic() - arrived)
+                published = work()
+            except Exception as error:  # noqa: BLE001 (no message may end the node)
+                over = not (isinstance(error, UserError) or self.context.ok())  # nobody is left to publish to
+                self.reject(messages, ENDED if over else self.unexpected(error), _dwell_of(item))
+            else:
+                self.tally.finish(messages, published, time.monotonic() - arrived)
+            if messages:
+                self._teller.tell_counts(self._counts)
+            else:
+                self._publish_account()  # the node may be ready now
+
+        parameters = self.current_parameters()
+        capacity, policy = parameters.max_queued_dwells, parameters.queue_policy
+        full = (
+            f"Processing falls behind: {capacity} dwells (max_queued_dwells) or {parameters.max_memory_mb} MB "
+            f"(max_memory_mb) wait already, and the {policy} dwell was dropped (queue_policy)."
+        )
+        for job in self._jobs.put(Job(run, messages, size, item), capacity, parameters.max_memory_bytes, policy):
+            reason = ENDED if self._jobs.closed else Rejected("queue full", full)
+            self.reject(job.messages, reason, _dwell_of(job.item))
+
+    def wait_for(self, work: Callable[[], str]) -> str:
+        """Have `work` done on the worker thread, after what waits, and wait for what it returns.
+
+        It is for services that are called by hand: the node takes no messages meanwhile.
+        """
+        done: Future[str] = Future()
+
+        def run() -> int:
+            try:
+                done.set_result(work())
+            except BaseException:
+                done.set_result("internal error; the log of the node says more")
+                raise
+            return 0
+
+        self.submit(0, run)
+        try:
+            return done.result(ANSWER_S)
+        except TimeoutError:
+            return f"the node has not come to it within {ANSWER_S:g} s, and goes on"
+
+    def waiting(self) -> list[Any]:
+        """The items of the jobs that wait, in their order."""
+        return self._jobs.items()
+
+    def _check_budget(self, messages: int, waited_s: float) -> None:
+        """Leave a dwell out that has waited too long: those that came later are worth more to whoever looks on.
+
+        Raises:
+            Rejected: it has.
+        """
+        budget_s = self.current_parameters().latency_budget_s
+        if messages and 0 < budget_s < waited_s:
+            raise Rejected(
+                "overload",
+                f"Dwells come faster than they are processed: one that had waited {waited_s:.3g} s was left out, more "
+                f"than {budget_s:g} s (latency_budget_s).",
+            )
+
+    def takes(self) -> bool:
+        """Count a message as received; whether it is to be worked on: an inactive node drops it."""
+        self.tally.receive()
+        if not self.is_active:
+            self.reject(1, Rejected("inactive", f"A message was left out: {INACTIVE}."))
+        return self.is_active
+
+    def forget(self) -> None:
+        """Forget what has been gathered of the dwells so far, once those that wait have been processed."""
+        self.submit(0, self.forget_results)
+
+    def forget_results(self) -> int:
+        """Forget what the worker has gathered of the dwells so far; returns the number of messages published."""
+        return 0
+
+    def _reset(self) -> tuple[bool, str]:
+        self.forget()
+        return True, "what was gathered is forgotten once the dwells that wait have been processed"
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether it works, what it needs has publishers, and what takes time before the first dwell is done."""
+        return self.is_active and all(inlet.is_connected for inlet in self._inlets)
+
+    @property
+    def jobs(self) -> int:
+        """Jobs that wait or run: above 0, the node is working."""
+        return self._jobs.unfinished
+
+    def unexpected(self, error: Exception) -> Rejected:
+        """Why messages are dropped after an error; one that no input should cause is logged in full."""
+        if isinstance(error, Rejected):
+            return error
+        if isinstance(error, UserError):
+            return Rejected("cannot be processed", str(error))
+        trace = "".join(traceback.format_exception(error))
+        self.get_logger().error(f"Unexpected failure, please report it: {trace}")
+        return Rejected("internal error", repr(error))
+
+    def _fail(self, error: Exception) -> None:
+        """Count and log an error in a callback."""
+        reason = self.unexpected(error)
+        self.ignore(reason.reason, reason)
+
+    def reject(self, messages: int, error: Rejected, dwell: DwellKey | None = None) -> None:
+        """Count messages that are dropped, publish and log why.
+
+        Args:
+            messages: how many.
+            error: why.
+            dwell: that they are of; None: not known, or none.
+        """
+        self.last_rejection = f"{error.reason}: {error}"
+        self.last_drop = str(error)  # before it is counted, so that no account has a drop without a reason
+        self._lost_at = time.monotonic()
+        self.tally.drop(messages, error.reason)
+        self._publish_loss(messages, error, dwell)
+        self.get_logger().warning(f"Dropped {messages} ({error.reason}): {error}", throttle_duration_sec=1.0)
+
+    def _publish_loss(self, messages: int, error: Rejected, dwell: DwellKey | None) -> None:
+        loss = loss_to_message(
+            _plain(self.get_fully_qualified_name()),
+            Loss(dwell, messages, error.reason, str(error)),
+            self.get_clock().now().nanoseconds,
+        )
+        with suppress(RCLError):  # the context may have ended: nobody is left to publish to
+            self._losses.publish(loss)
+
+    def ignore(self, what: str, error: UserError) -> None:
+        """Count a message beside the dwells (sensor info, odometry, ...) that cannot be used, and log why."""
+        self.count_ignored(what, error)
+        self.get_logger().warning(f"Ignored {what}: {error}", throttle_duration_sec=1.0)
+
+    def count_ignored(self, what: str, error: UserError) -> None:
+        """Count a message that cannot be used, or something else that goes wrong, without a word in the log."""
+        self._lost_at = time.monotonic()
+        self.tally.ignore(what)
+        self.last_rejection = f"{what}: {error}"
+
+    def tell(self, event: str) -> None:
+        """Count something that costs no message, and publish the account at once: somebody may wait for it."""
+        self.tally.note(event)
+        self._publish_account()
+
+    @property
+    def outlets(self) -> Sequence[Outlet]:
+        """Its publishers."""
+        return self._offered
+
+    @property
+    def inlets(self) -> Sequence[Inlet]:
+        """Its subscriptions."""
+        return (*self._inlets, *self._optional)
+
+    def account(self) -> Account:
+        """Its account as it is now."""
+        return self._told()[0]
+
+    def _measure_pace(self) -> None:
+        for inlet in (*self._inlets, *self._optional):
+            inlet.look_for_strangers()  # names of nodes come after their publishers
+        self._pace.sample(time.monotonic(), self.tally.offered, self.tally.finished)
+        self._publish_account()
+
+    def _publish_account(self) -> None:
+        self._teller.tell(self._told)
+
+    def _counts(self) -> Account:
+        """The account; what changes without a piece of work is as it was last."""
+        inlets = (*self._inlets, *self._optional)
+        missed = {_plain(inlet.topic): inlet.missed for inlet in inlets if inlet.missed and not inlet.latched}
+        account = self.tally.account()  # before what is published, and after what has come
+        published = {_plain(outlet.topic): outlet.published for outlet in self._offered if outlet.keeps_all}
+        account = replace(account, jobs=self.jobs, missed=missed, published_on=published, last_drop=self.last_drop)
+        return replace(account, **self._slow_numbers)
+
+    def _told(self) -> tuple[Account, State]:
+        """All numbers, and how the node is."""
+        subscribers = {_plain(outlet.topic): outlet.subscribers for outlet in self._offered}
+        ready = {"ready": self.is_ready, "subscribers": subscribers}
+        self._slow_numbers = {**ready, **process_numbers(), **self._pace.rates()}
+        account = self._counts()
+        level, message = self._state(sum(account.dropped.values()) + sum(account.ignored.values()))
+        return account, State(level, message, self.hardware_id)
+
+    def diagnostics(self) -> DiagnosticArray:
+        """The stage's account and state, as the conventions have them."""
+        return self._teller.diagnostics(*self._told())
+
+    @property
+    def source_warning(self) -> str:
+        """Sentences, each after a space, on publishers that are not right; else nothing."""
+        return "".join(inlet.warning for inlet in (*self._inlets, *self._optional))
+
+    def silent_topics(self) -> list[str]:
+        """The topics that the node needs and on which no message has come lately, and where they might be found."""
+        described = []
+        for inlet in (inlet for inlet in self._inlets if inlet.is_silent(time.monotonic())):
+            elsewhere = ", ".join(inlet.published_elsewhere())
+            hint = f" (there is {elsewhere}: is the namespace right?)" if elsewhere else ""
+            described.append(f"{inlet.topic}{hint}")
+        return described
+
+    def _state(self, lost: int) -> tuple[Any, str]:
+        """Level and message of the diagnostics, as of the last seconds.
+
+        WARN: messages were lost, two sources contradict each other, or one knows other messages; STALE: messages that
+        the node needs do not come; OK: none of these, or the node is not active.
+        """
+        if warning := self.source_warning:
+            return DiagnosticStatus.WARN, f"{warning.strip()} {lost} dropped or ignored in all"
+        if time.monotonic() - self._lost_at < RECENT_S:
+            return DiagnosticStatus.WARN, f"{lost} dropped or ignored in all, last {self.last_rejection}"
+        if not self.is_active:
+            return DiagnosticStatus.OK, "inactive"
+        if not self.jobs and (silent := self.silent_topics()):
+            return DiagnosticStatus.STALE, f"waiting for {', '.join(silent)}"
+        return DiagnosticStatus.OK, "processing"
+
+    def finish(self) -> None:
+        """Finish all jobs that wait, and take no more; may be called twice."""
+        self._jobs.close()
+        self._worker.join()
+
+    def destroy_node(self) -> None:
+        """Finish the job at hand, drop what still waits, tell the last account, and end the node."""
+        for job in self._jobs.clear():
+            if job.messages:
+                self.reject(job.messages, ENDED, _dwell_of(job.item))
+        self.finish()
+        if waiting := self.tally.account().waiting:
+            self.get_logger().error(f"{waiting} messages are not accounted for; please report it.")
+        self._publish_account()
+        super().destroy_node()
+
+    def _work(self) -> None:
+        thread = threading.get_native_id()
+        os.setpriority(os.PRIO_PROCESS, thread, os.getpriority(os.PRIO_PROCESS, thread) + self.niceness)
+        while job := self._jobs.get():
+            job.run()
+
+
+def _dwell_of(item: Any) -> DwellKey | None:
+    """The dwell of a job of a stage; None: it is none."""
+    return getattr(item, "dwell", None)
+
+
+def _plain(topic: str) -> str:
+    """A topic without its leading slash."""
+    return topic.removeprefix("/")

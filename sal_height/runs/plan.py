@@ -1,0 +1,127 @@
+"""What a run of the graph is made of, how it is carried out, and what it did."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from sal_height.bag.reader import LogTimes
+from sal_height.engine.compression import SENSOR
+from sal_height.engine.stage import DwellKey
+from sal_height.errors import UserError
+from sal_height.geometry import Mounting
+from sal_height.nodes.account import Account
+from sal_height.nodes.domain import DomainChoice
+from sal_height.runs.catalogue import NodeParameters
+
+RECORDER = "recorder"
+
+UNCOUNTED = ("diagnostics",)
+"""Recorded topics of which the publishers count neither messages nor subscribers."""
+
+
+@dataclass(frozen=True)
+class DwellChanges:
+    """What happens before a dwell.
+
+    Attributes:
+        dwell: the dwell.
+        parameters: values that nodes get, by node and name.
+        calibrations: identities of the calibrations that are published, in this order.
+    """
+
+    dwell: DwellKey
+    parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    calibrations: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a run of the graph is made of.
+
+    Attributes:
+        source: name of the node that publishes dwells, "simulator" or "player".
+        stages: names of the processing nodes, sar_compression first.
+        recorded: topics to record, without leading slash.
+        bag: folder of the new bag.
+        parameters: values of the nodes' parameters.
+        dwells: number of dwells to expect, for the progress bar.
+        custom_data: texts by name to store in the bag.
+        played: topics of the source.
+        remapped: other names of topics of all nodes, by their own; all without leading slash.
+        simulated_time: whether all nodes take the time from /clock, which the source publishes.
+        changes: what happens before dwells.
+        mountings: of sensors (config_hash) on the platform, where the flight had others than their descriptions state.
+        announces: whether the source knows what no longer arrives, so that nothing waits for a time-out.
+        frames: when the frames of each dwell of a bag were recorded.
+    """
+
+    source: str
+    stages: list[str]
+    recorded: list[str]
+    bag: Path
+    parameters: NodeParameters
+    dwells: int
+    custom_data: Mapping[str, str] = field(default_factory=dict)
+    played: Sequence[str] = SENSOR
+    remapped: Mapping[str, str] = field(default_factory=dict)
+    simulated_time: bool = False
+    changes: Sequence[DwellChanges] = ()
+    mountings: Mapping[str, Mounting] = field(default_factory=dict)
+    announces: bool = True
+    frames: Mapping[DwellKey, LogTimes] = field(default_factory=dict)
+
+    def on_wire(self, topics: Iterable[str]) -> list[str]:
+        """The names under which topics of the nodes are published."""
+        return [self.remapped.get(topic, topic) for topic in topics]
+
+
+@dataclass(frozen=True)
+class Execution:
+    """How a run is carried out; the heights do not depend on it.
+
+    Attributes:
+        processes: whether each node of a live graph gets a process of its own; others run in one process.
+        domain: the ROS domain of the nodes.
+        record: topics to record besides those that the run needs, with or without leading slash.
+        timeout_s: how long to wait while no node works and no message moves, s, before the run is given up. A dwell may
+            take longer, as long as a node works on it.
+    """
+
+    processes: bool = False
+    domain: DomainChoice = "free"
+    record: Sequence[str] = ()
+    timeout_s: float = 120.0
+
+
+DEFAULT = Execution()
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run did.
+
+    Attributes:
+        stages: account of the source and of every stage, by node name; of the recorder, if it has missed messages.
+        dwells: number of dwells that were played.
+        interrupted: whether the user stopped the run.
+        failure: why the run ended early, unless the user stopped it.
+        elapsed_s: from the first step until the last dwell was settled, or until the run ended, s.
+    """
+
+    stages: dict[str, Account]
+    dwells: int
+    interrupted: bool
+    failure: UserError | None = None
+    elapsed_s: float = 0.0
+
+    @property
+    def losses(self) -> list[str]:
+        """A sentence for each node that dropped messages."""
+        return [
+            f"Node {name} dropped {count} messages ({reason})."
+            for name, account in self.stages.items()
+            for reason, count in account.dropped.items()
+        ]

@@ -1,0 +1,451 @@
+"""The chain host with worker processes: jobs that do not depend on each other are processed side by side.
+
+A dwell goes to a worker as the job of the first stage, and comes back as the products of all stages that work on
+single dwells: its images never leave the worker unless a stage here consumes them. What depends on the dwells before is
+processed here, in the order in which the jobs were made, so that the products are those of one process.
+
+Large arrays go to a worker through memory that both share; sensors, settings and calibrations go once.
+"""
+
+from __future__ import annotations
+
+import functools
+import io
+import mmap
+import multiprocessing
+import os
+import pickle
+import signal
+from collections import deque
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection, wait
+from types import TracebackType
+from typing import Any, NamedTuple, Self, TypeAlias
+
+import numpy as np
+
+from sal_height.calibration import Calibration
+from sal_height.engine.calibrations import CALIBRATION
+from sal_height.engine.chain import Chain, Made
+from sal_height.engine.dwells import SENSOR_INFO
+from sal_height.engine.image_items import Images
+from sal_height.engine.provenance import Provenance
+from sal_height.engine.stage import DwellKey, Job, Product, Rehearsal, Result, Stage
+from sal_height.errors import UserError
+from sal_height.sensor import Sensor
+from sal_height.settings import Settings
+
+SHARED = (Sensor, Settings, Calibration, Provenance)
+"""Classes of objects that are never changed, and of which workers keep the ones that they were sent."""
+
+LEAST_SHARED_BYTES = 16_384
+"""Smallest array that goes through shared memory."""
+
+CONTROLS = (SENSOR_INFO, CALIBRATION)
+"""Ports of what is no dwell, which all workers must know."""
+
+TOGETHER = 8
+"""Jobs that a worker is sent at a time: heights are estimated together."""
+
+ENDS_WITHIN_S = 5.0
+"""Longest wait for a worker to end."""
+
+DWELLS_AHEAD = 16
+"""Dwells that a worker has been sent, at most, beside those that it has returned."""
+
+RING_BYTES = 256_000_000
+"""Shared memory of a worker; arrays beyond it are sent as other objects are."""
+
+
+class Remote(NamedTuple):
+    """Jobs of one stage that a worker is sent together.
+
+    Attributes:
+        stage: number of the stage.
+        jobs: to be processed.
+    """
+
+    stage: int
+    jobs: Sequence[Job]
+
+
+class Scheduled(NamedTuple):
+    """What a stage accepts right before the job of a dwell is made; port "": other settings."""
+
+    stage: int
+    before: DwellKey
+    port: str
+    item: Any
+
+
+@dataclass(frozen=True)
+class Unsent:
+    """Stands for an item of a product that nobody outside the worker needs.
+
+    Attributes:
+        messages: number of messages that it would be.
+    """
+
+    messages: int
+
+
+def count_messages(item: Any) -> int:
+    """Number of messages that an item is."""
+    if isinstance(item, Unsent):
+        return item.messages
+    return item.count if isinstance(item, Images) else 1
+
+
+class Control(NamedTuple):
+    """An item that the stages of a worker accept beside dwells.
+
+    Attributes:
+        port: of the item.
+        item: such as the description of a sensor.
+    """
+
+    port: str
+    item: Any
+
+
+Sent: TypeAlias = tuple[int, DwellKey | None, Result]
+"""Number of a stage, the dwell that a job was about, and what it made or left out."""
+
+
+@dataclass
+class Ring:
+    """Memory that two processes share; what is written is released in the order in which it was written."""
+
+    memory: mmap.mmap
+    size: int
+    at: int = 0
+    used: int = 0
+    taken: int = 0
+    """Bytes taken by the message at hand."""
+
+    @classmethod
+    def of(cls, size: int) -> Ring:
+        """A ring of `size` bytes, which processes that are forked share."""
+        return cls(mmap.mmap(-1, size), size)
+
+    def put(self, array: np.ndarray[Any, np.dtype[Any]]) -> int | None:
+        """Copy an array into the ring and return its offset; None: there is no room for it."""
+        room = -(-array.nbytes // 64) * 64
+        skipped = self.size - self.at if self.at + room > self.size else 0
+        if self.used + skipped + room > self.size:
+            return None
+        at = 0 if skipped else self.at
+        np.frombuffer(self.memory, array.dtype, array.size, at)[:] = array.reshape(-1)
+        self.at, self.used, self.taken = at + room, self.used + skipped + room, self.taken + skipped + room
+        return at
+
+    def release(self, taken: int) -> None:
+        """Give back what the oldest message has taken."""
+        self.used -= taken
+
+
+@functools.cache
+def _is_shared(kind: type) -> bool:
+    """Whether objects of a class are sent once."""
+    return issubclass(kind, SHARED)
+
+
+class _Pickler(pickle.Pickler):
+    """Sends shared objects once, and large arrays through the ring."""
+
+    def __init__(self, file: io.BytesIO, known: dict[int, tuple[int, Any]], ring: Ring | None) -> None:
+        super().__init__(file, protocol=5)
+        self._known, self._ring = known, ring
+
+    def persistent_id(self, obj: Any) -> Any:
+        """How an object is sent that is not sent as it is; called for every one, however small."""
+        kind = type(obj)
+        if kind is np.ndarray:
+            if self._ring and obj.nbytes >= LEAST_SHARED_BYTES and obj.flags.c_contiguous:
+                at = self._ring.put(obj)
+                if at is not None:
+                    return "array", at, obj.dtype.str, obj.shape
+            return None
+        if not _is_shared(kind):  # type: ignore[arg-type]
+            return None
+        if id(obj) in self._known:
+            return "known", self._known[id(obj)][0]
+        number = len(self._known)
+        self._known[id(obj)] = number, obj
+        return "new", number, pickle.dumps(obj, protocol=5)
+
+
+class _Unpickler(pickle.Unpickler):
+    """Reads what `_Pickler` has written."""
+
+    def __init__(self, file: io.BytesIO, known: dict[int, Any], ring: Ring | None) -> None:
+        super().__init__(file)
+        self._known, self._ring = known, ring
+
+    def persistent_load(self, pid: Any) -> Any:
+        """The object that was sent otherwise."""
+        kind, *rest = pid
+        if kind == "array" and self._ring:
+            at, dtype, shape = rest
+            return np.frombuffer(self._ring.memory, dtype, int(np.prod(shape)), at).reshape(shape)
+        if kind == "new":
+            self._known[rest[0]] = pickle.loads(rest[1])  # noqa: S301 (our own process wrote it)
+        return self._known[rest[0]]
+
+
+@dataclass
+class _Worker:
+    """A worker process, as its parent knows it."""
+
+    process: Any
+    pipe: Connection
+    ring: Ring
+    known: dict[int, tuple[int, Any]] = field(default_factory=dict)
+    received: dict[int, Any] = field(default_factory=dict)
+    sent: deque[tuple[int, int, int]] = field(default_factory=deque)
+    """Of each message with jobs its number, the bytes that it takes of the ring, and how many jobs it has."""
+
+    @property
+    def dwells(self) -> int:
+        """Dwells that it has been sent and not returned."""
+        return sum(jobs for _, _, jobs in self.sent)
+
+    def send(self, message: Any) -> int:
+        """Send a message; returns the bytes that it takes of the ring."""
+        file = io.BytesIO()
+        self.ring.taken = 0
+        _Pickler(file, self.known, self.ring).dump(message)
+        self.pipe.send_bytes(file.getbuffer())
+        return self.ring.taken
+
+    def receive(self) -> tuple[int, Sequence[Sent]]:
+        """The number of the oldest message with jobs, and what was made of it.
+
+        Raises:
+            UserError: the process has ended.
+        """
+        number, taken, _ = self.sent.popleft()
+        try:
+            results = _Unpickler(io.BytesIO(self.pipe.recv_bytes()), self.received, None).load()
+        except EOFError as error:
+            raise UserError("A worker process has ended, for example for lack of memory; use fewer --jobs.") from error
+        self.ring.release(taken)
+        return number, results
+
+
+class SideBySide(Chain):
+    """A chain whose jobs that do not depend on each other are processed by worker processes; a context manager."""
+
+    def __init__(self, stages: Sequence[Stage], settings: Sequence[Any], jobs: int, wanted: Collection[str]) -> None:
+        """Join stages.
+
+        Args:
+            stages: in the order of the data.
+            settings: of each.
+            jobs: number of processes that work beside this one, 1 or more.
+            wanted: ports whose products the caller needs; others are returned only if a stage here consumes them.
+
+        Raises:
+            UserError: this system cannot fork processes.
+        """
+        super().__init__(stages, settings)
+        if "fork" not in multiprocessing.get_all_start_methods():
+            raise UserError("Several jobs at a time need a system that can fork processes; use --jobs 1.")
+        self._jobs = jobs
+        self._workers: list[_Worker] = []
+        self._sent = self._given_back = 0
+        self._returned: dict[int, Sequence[Sent]] = {}
+        self._remote = [stage.is_parallel and not self._has_feedback for stage in stages]
+        local = {
+            port for port, consumers in self._consumers.items() if any(not self._is_remote(one) for one in consumers)
+        }
+        self._kept = local.union(wanted)
+        self._cold = {stage for stage, remote in zip(stages, self._remote, strict=True) if remote}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def _start(self) -> None:
+        """Fork the workers, which begin with all that this process has loaded and all tables that it has made."""
+        context = multiprocessing.get_context("fork")
+        pipes = [context.Pipe() for _ in range(self._jobs)]
+        for ours, theirs in pipes:
+            ring = Ring.of(RING_BYTES)
+            others = [pipe for pair in pipes for pipe in pair if pipe is not theirs]
+            process = context.Process(target=self._serve, args=(theirs, others, ring), daemon=True)
+            process.start()
+            self._workers.append(_Worker(process, ours, ring))
+        for _, theirs in pipes:
+            theirs.close()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for worker in self._workers:
+            worker.pipe.close()
+        for worker in self._workers:
+            worker.process.join(ENDS_WITHIN_S)
+            if worker.process.is_alive():
+                worker.process.kill()
+                worker.process.join()
+        self._workers.clear()
+
+    def change(self, stage: Stage, settings: Any, before: DwellKey) -> None:
+        """Have a stage use other settings from a dwell on, here and in the workers."""
+        super().change(stage, settings, before)
+        self._tell(stage, Scheduled(self.stages.index(stage), before, "", settings))
+
+    def schedule(self, stage: Stage, before: DwellKey, port: str, item: Any) -> None:
+        """Have a stage accept an item right before the job of a dwell is made, here and in the workers."""
+        super().schedule(stage, before, port, item)
+        self._tell(stage, Scheduled(self.stages.index(stage), before, port, item))
+
+    def give(self, stage: Stage, port: str, item: Any) -> None:
+        """Have a stage accept an item now, here and in the workers."""
+        super().give(stage, port, item)
+        if self._is_remote(stage):
+            for worker in self._workers:
+                worker.send(Control(port, item))
+
+    def _tell(self, stage: Stage, message: Scheduled) -> None:
+        if self._is_remote(stage):
+            for worker in self._workers:
+                worker.send(message)
+
+    def _is_remote(self, stage: Stage) -> bool:
+        return self._remote[self.stages.index(stage)]
+
+    def _deliver(self, port: str, item: Any) -> None:
+        """Besides what a chain does: let workers know what is no dwell, and keep what they process from stages here."""
+        super()._deliver(port, item)
+        if port in CONTROLS and any(map(self._is_remote, self._consumers.get(port, ()))):
+            for worker in self._workers:
+                worker.send(Control(port, item))
+
+    def _results(self, *, drain: bool) -> Iterator[Made]:
+        """Send jobs to workers, process the others here, and give what was made."""
+        while True:
+            yield from super()._results(drain=drain)
+            sent = self._send_jobs(drain=drain)
+            self._receive(blocking=False)
+            if not self._give_back():
+                waits = self._waits_for_workers(drain=drain)
+                if not waits and not sent:
+                    break
+                if waits:
+                    self._receive(blocking=True)
+                    self._give_back()
+        yield from self._given()
+
+    def _due(self, *, drain: bool) -> list[tuple[Stage, list[Job]]]:
+        """The jobs that are processed here: those of other stages, and those that depend on each other.
+
+        Until every stage has processed a job, all are, one by one: what takes time at first is done once, and not by
+        each worker, and no job waits when the workers start, so that none overtakes another.
+        """
+        alone = not self._workers
+        for number, stage in enumerate(self.stages):
+            pending, remote = self._pending[stage], self._remote[number]
+            if alone or not remote:
+                most = self._at_once[stage]
+                if len(pending) >= most or (pending and (drain or (alone and remote))):
+                    self._cold.discard(stage)
+                    return [(stage, [pending.popleft() for _ in range(min(most, len(pending)))])]
+            elif pending and pending[0].series is not None:
+                return [(stage, [pending.popleft()])]
+        if alone and any(self._remote) and not (self._cold or drain):
+            self._start()
+        return []
+
+    def _send_jobs(self, *, drain: bool) -> bool:
+        """Send jobs that are due to the workers with the fewest; whether there were any."""
+        sent = False
+        for number, stage in enumerate(self.stages):
+            pending = self._pending[stage]
+            while self._workers and self._remote[number] and pending and (drain or len(pending) >= TOGETHER):
+                worker = min(self._workers, key=lambda one: one.dwells)
+                if worker.dwells >= DWELLS_AHEAD:
+                    break
+                jobs = [pending.popleft() for _ in range(min(TOGETHER, len(pending)))]
+                taken = worker.send(Remote(number, jobs))
+                worker.sent.append((self._sent, taken, len(jobs)))
+                self._sent += 1
+                sent = True
+        return sent
+
+    def _waits_for_workers(self, *, drain: bool) -> bool:
+        """Whether nothing can go on here before a worker has returned something."""
+        if not any(worker.sent for worker in self._workers):
+            return False
+        crowded = any(
+            self._remote[number] and len(self._pending[stage]) >= TOGETHER for number, stage in enumerate(self.stages)
+        )
+        return drain or crowded
+
+    def _receive(self, *, blocking: bool) -> None:
+        """Take what workers have returned; if blocking, wait for one of them."""
+        busy = {worker.pipe: worker for worker in self._workers if worker.sent}
+        for pipe in wait(list(busy), None if blocking else 0):
+            number, results = busy[pipe].receive()  # type: ignore[index]
+            self._returned[number] = results
+
+    def _give_back(self) -> bool:
+        """Take what was made in the order in which the jobs were sent; whether there was any."""
+        before = self._given_back
+        while (results := self._returned.pop(self._given_back, None)) is not None:
+            self._given_back += 1
+            for number, dwell, result in results:
+                stage = self.stages[number]
+                self._made.append(Made(stage, dwell, result))
+                if isinstance(result, Product) and not isinstance(result.item, Unsent):
+                    for consumer in self._consumers.get(result.port, ()):
+                        if not self._is_remote(consumer):
+                            self._take(consumer, consumer.accept(result.port, result.item))
+        return self._given_back > before
+
+    def _serve(self, pipe: Connection, others: Sequence[Connection], ring: Ring) -> None:
+        """Process what the parent sends until it closes its end (in the worker)."""
+        for other in others:
+            other.close()
+        known: dict[int, Any] = {}
+        sent_back: dict[int, tuple[int, Any]] = {}
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all; the parent ends in order
+        while True:
+            try:
+                message = _Unpickler(io.BytesIO(pipe.recv_bytes()), known, ring).load()
+            except (EOFError, OSError):
+                os._exit(0)
+            if isinstance(message, Scheduled):
+                self.stages[message.stage].schedule(message.before, message.port, message.item)
+            elif isinstance(message, Control):
+                for stage in filter(self._is_remote, self._consumers.get(message.port, ())):
+                    stage.accept(message.port, message.item)
+            else:
+                file = io.BytesIO()
+                _Pickler(file, sent_back, None).dump(self._made_of(message))
+                pipe.send_bytes(file.getbuffer())
+
+    def _made_of(self, remote: Remote) -> list[Sent]:
+        """What the stages of a worker make of jobs, in the order of the stages (in the worker)."""
+        made: list[Sent] = []
+        waiting: dict[int, list[Job]] = {remote.stage: list(remote.jobs)}
+        while waiting:
+            number = min(waiting)
+            jobs = waiting.pop(number)
+            for job, results in zip(jobs, self.stages[number].process(jobs), strict=True):
+                for result in results:
+                    if not isinstance(result, Product):
+                        made.append((number, job.dwell, result))
+                        continue
+                    is_kept = result.port in self._kept
+                    sent = result if is_kept else Product(result.port, Unsent(count_messages(result.item)))
+                    made.append((number, job.dwell, sent))
+                    for consumer in filter(self._is_remote, self._consumers.get(result.port, ())):
+                        other = self.stages.index(consumer)
+                        for one in consumer.accept(result.port, result.item):
+                            if not isinstance(one, Job):
+                                made.append((other, job.dwell, one))
+                            elif not isinstance(one.inputs, Rehearsal):
+                                waiting.setdefault(other, []).append(one)
+        return made

@@ -19,7 +19,7 @@ from sal_height.elevation.monopulse.sum_difference import _slope_table
 from sal_height.elevation.noise_floor import _speckle_contrast
 from sal_height.elevation.response_spread import shares_of_pixels, squared_pull
 from sal_height.elevation.search import SEARCHES_HELD, SQUINTS_AT_ONCE, PeakSearches, _searches
-from sal_height.messages.frames import _fault_of_pulses
+from sal_height.engine.frame_items import _fault_of_pulses
 from sal_height.numeric.range_profiles import _deconvolution
 from sal_height.numeric.windows import HELD, _half_power_width, broadening, window
 from sal_height.pipeline.channels import _channels_and_beams

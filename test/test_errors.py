@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 
 import pytest
@@ -27,3 +28,8 @@ def test_a_hostile_value_is_not_quoted_at_its_length() -> None:
         replace(sensor, mode="a" * 10**6, config_hash="")
     assert len(str(refused.value)) <= LONGEST
     assert str(refused.value).endswith("allowed are spotlight, stripmap.")
+
+
+def test_a_refusal_reaches_another_process() -> None:
+    refusal = pickle.loads(pickle.dumps(Rejected("late", "Dwell 3 was late.")))  # noqa: S301 (our own)
+    assert (refusal.reason, str(refusal)) == ("late", "Dwell 3 was late.")

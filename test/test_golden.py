@@ -11,8 +11,10 @@ from typing import Any
 import pytest
 from helpers import AS_VERSION_2
 
-from sal_height.bag.compare import CHANGED
+from sal_height.bag.compare import CHANGED, EQUAL
+from sal_height.bag.tolerance import EXACT
 from sal_height.errors import UserError
+from sal_height.runs.replay import Against, replay
 
 BAGS = Path(__file__).parents[1] / "bags"
 GOLDEN = sorted(
@@ -23,8 +25,17 @@ LARGEST = 4e6
 
 
 @pytest.mark.parametrize("name", GOLDEN)
-def test_a_replay_gives_the_heights_of_a_golden_bag(name: str, assert_replay_matches: Callable[..., Any]) -> None:
+def test_a_replay_gives_the_heights_of_a_golden_bag(
+    name: str, assert_replay_matches: Callable[..., Any], tmp_path: Path
+) -> None:
+    """Through nodes within what processors differ by, and by calls, of one job or two, value for value the same."""
     done = assert_replay_matches(BAGS / name)
+    by_nodes = Against(tmp_path / "replay_1" / "bag", EXACT)
+    for jobs in (1, 2):
+        by_calls = replay(BAGS / name, tmp_path / f"jobs_{jobs}", {}, against=by_nodes, jobs=jobs)
+        assert {topic: (one.verdict, one.matched) for topic, one in by_calls.compared.items()} == {
+            topic: (EQUAL, one.matched) for topic, one in done.compared.items()
+        }
     assert sum(one.matched for one in done.compared.values()) > 0
     assert sum(file.stat().st_size for file in (BAGS / name).iterdir()) < LARGEST
 

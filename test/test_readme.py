@@ -9,10 +9,7 @@ from pathlib import Path
 import pytest
 
 from sal_height.commands._program import program
-from sal_height.nodes.height import HEIGHT_NODES
-from sal_height.nodes.psf_calibration import PsfCalibration
-from sal_height.nodes.relief_mapper import ReliefMapper
-from sal_height.nodes.sar_compression import SarCompression
+from sal_height.nodes.processing import PROCESSING
 from sal_height.settings import settings_of
 from sal_height.simulation.impairments import Impairments
 from sal_height.simulation.preset import (
@@ -29,10 +26,10 @@ ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
 DOCUMENTS = [README, ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 NODES = {
-    **HEIGHT_NODES,
-    "sar_compression": SarCompression,
-    "psf_calibration": PsfCalibration,
-    "relief_mapper": ReliefMapper,
+    **PROCESSING,
+    "sar_compression": PROCESSING["sar_compression"],
+    "psf_calibration": PROCESSING["psf_calibration"],
+    "relief_mapper": PROCESSING["relief_mapper"],
 }
 
 EXAMPLES = re.findall(r"^```python\n(.*?)^```", README.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)

@@ -12,7 +12,7 @@ import sal_height_msgs.msg as message_classes
 import sal_height.commands
 from sal_height.nodes.domain import free_domain
 from sal_height.nodes.graph import Graph
-from sal_height.runs.catalogue import NODES
+from sal_height.runs.node_classes import NODES
 from tools.reference import messages, topics
 from tools.reference.pages import DOCS, PAGES
 
@@ -66,7 +66,9 @@ def test_nodes_have_no_topic_that_their_classes_do_not_tell() -> None:
     with free_domain() as domain, Graph(domain) as graph:
         for name, node in NODES.items():
             ends = topics.ends_of(graph, node, topics.TRIED.get(name, [{}]))
-            told = {f"/{topic.lstrip('/')}" for topic in (*node.inputs, *node.outputs, *topics.ACCOUNTS)}
+            told = {
+                f"/{topic.lstrip('/')}" for topic in (*node.inputs, *node.outputs, *topics.ACCOUNTS, *topics.LEFT_OUT)
+            }
             told |= {"/ml/height"} if node.takes_heights else set()  # what the parameter names by default
             assert {topic for _, topic in ends} <= told | OF_ROS, name
 

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
-from rclpy.parameter import Parameter
 
 from sal_height.beams import Beams
 from sal_height.elevation import ESTIMATORS, ElevationEstimate, ElevationEstimator, HeightSettings, Looks, Validity
+from sal_height.engine.registry import STAGES
 from sal_height.imaging import ImageSettings
-from sal_height.nodes.graph import Graph
-from sal_height.nodes.height import HEIGHT_NODES
-from sal_height.nodes.sar_compression import SarCompression
 from sal_height.pipeline import Compressor, heights
 from sal_height.rehearsal import (
     MOST_REMEMBERED,
@@ -106,26 +102,24 @@ def test_what_was_rehearsed_lately_is_not_again() -> None:
 
 
 @pytest.mark.parametrize(
-    ("node", "work"),
+    ("name", "work", "changed"),
     [
-        (SarCompression, "sal_height.nodes.sar_compression.rehearsed_slc"),
-        (HEIGHT_NODES["ml_height"], "sal_height.nodes.height.rehearse_heights"),
+        ("sar_compression", "sal_height.engine.compression.rehearsed_slc", "max_odometry_gap_s"),
+        ("ml_height", "sal_height.engine.heights.rehearse_heights", "min_cnr_db"),
     ],
 )
-def test_nodes_rehearse_once_for_a_sensor_and_their_parameters(
-    node: Any, work: str, graph: Graph, monkeypatch: pytest.MonkeyPatch
+def test_stages_rehearse_once_for_a_sensor_and_their_settings(
+    name: str, work: str, changed: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     done: list[str] = []
     monkeypatch.setattr(work, lambda *_: done.append("rehearsed"))
     preset = load_preset("small")
     sensors = [replace(preset, sensor=replace(preset.sensor, pulse_count=n)).make_sensor() for n in (33, 35)]
-    nodes = [graph.add(node(context=graph.context)) for _ in range(2)]
+    settings = STAGES[name].settings()
+    stages = [STAGES[name](settings) for _ in range(2)]
     for sensor in sensors:
-        for one in nodes:
-            one.rehearse(sensor)
+        for one in stages:
+            one.rehearse_for(sensor, settings)
     assert len(done) == len(sensors)
-    names = ("min_cnr_db", "max_odometry_gap_s")
-    name = next(name for name in names if nodes[0].has_parameter(name))
-    assert nodes[0].set_parameters([Parameter(name, value=7.0)])[0].successful
-    nodes[0].rehearse(sensors[0])
+    stages[0].rehearse_for(sensors[0], settings.changed(**{changed: 7.0}))
     assert len(done) == len(sensors) + 1

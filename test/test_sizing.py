@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+from helpers import publisher_of
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -16,10 +17,10 @@ from benchmarks.idle_nodes import IDLE
 from benchmarks.processes import OWN, Usage, memory_bytes
 from benchmarks.sizes import lidar, made_up_images
 from sal_height import messages
-from sal_height.messages.types import ChannelFrame, Header, HeightImage, Provenance
+from sal_height.messages.types import ChannelFrame, ComplexImage, Header, HeightImage, Provenance, SensorInfo
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.message_types import subscribe
-from sal_height.nodes.stage import FRAMES_QOS
+from sal_height.nodes.quality import FRAMES_QOS, LATCHED_QOS
 
 OFFERED_HZ, SECONDS = 80.0, 20.0
 
@@ -115,13 +116,17 @@ def test_idle_nodes_publish_the_same_products_again_with_the_stamp_of_the_dwell(
     subscribe(listener, HeightImage, "monopulse/height", received.append, FRAMES_QOS)
     looks = [Parameter("range_looks", value=2), Parameter("azimuth_looks", value=2)]
     node = graph.add(IDLE["monopulse"](context=graph.context, parameter_overrides=looks))
-    assert graph.spin_until(lambda: node.count_subscribers("monopulse/height") == 1, 10.0)
+    info = publisher_of(listener, SensorInfo, "sensor_info", LATCHED_QOS)
+    frames = publisher_of(listener, ComplexImage, "slc", FRAMES_QOS)
+    info.publish(messages.sensor_to_message(sensor, messages.to_stamp(0)))
+    assert graph.spin_until(lambda: node.is_ready and node.count_subscribers("monopulse/height") == 1, 60.0)
     stamps = [messages.to_stamp(second * 10**9) for second in (1, 2, 3)]
     for number, stamp in enumerate(stamps):
         frame = ChannelFrame(header=Header(stamp=stamp), dwell=number)
         images = messages.slc_to_messages(slc, frame, Provenance(config_hash=sensor.config_hash))
-        assert node.process(images, sensor, None) == 1
-    assert graph.spin_until(lambda: len(received) == len(stamps), 10.0)
+        for image in images:
+            frames.publish(image)
+        assert graph.spin_until(lambda number=number: len(received) == number + 1, 20.0)
     assert [image.header.stamp for image in received] == stamps
     assert {image.dwell for image in received} == {0}  # of the first dwell, the only one that was processed
     assert len({image.surfaces[0].height.tobytes() for image in received}) == 1

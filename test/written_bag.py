@@ -10,6 +10,7 @@ from sal_height import messages
 from sal_height.bag import qos
 from sal_height.bag.reader import BagReader
 from sal_height.bag.writer import BagWriter
+from sal_height.engine.stage import DwellKey
 from sal_height.messages import serialize
 from sal_height.messages.parameters import parameter_of
 from sal_height.messages.types import (
@@ -21,7 +22,6 @@ from sal_height.messages.types import (
     Provenance,
     SensorInfo,
 )
-from sal_height.nodes.cues import DwellKey
 
 TOPICS = {
     ChannelFrame: "/phase_history",
@@ -34,7 +34,7 @@ TOPICS = {
 
 
 def key(dwell: int) -> DwellKey:
-    return DwellKey(dwell, dwell * 1_000_000_000)
+    return DwellKey("", dwell, dwell * 1_000_000_000)
 
 
 def frame(dwell: int, channel: int = 0) -> ChannelFrame:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import pickle
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers import make_sensor
 
-from sal_height.calibration.calibration import Calibration, load_calibration, save_calibration
+from sal_height.calibration.calibration import Calibration
+from sal_height.calibration.files import load_calibration, save_calibration
 from sal_height.errors import UserError
 from sal_height.numeric.windows import window
 from sal_height.sensor.phase_history import PhaseHistory
@@ -173,3 +175,13 @@ def test_files_that_are_none_are_refused(tmp_path: Path) -> None:
     ):
         with pytest.raises(UserError, match=sentence):
             load_calibration(tmp_path / f"{name}.npz")
+
+
+def test_copies_in_another_process_are_one_object_with_all_values() -> None:
+    """Also where values are NaN: tables that are made for a calibration are looked up by its identity."""
+    calibration = made(any_response(), width_factor=1.1, **PUPIL)
+    first, second = (pickle.loads(pickle.dumps(calibration)) for _ in range(2))  # noqa: S301 (our own)
+    assert first is second
+    for one in fields(Calibration):
+        np.testing.assert_array_equal(getattr(first, one.name), getattr(calibration, one.name))
+    assert pickle.loads(pickle.dumps(replace(calibration, dwells=7))) is not first  # noqa: S301

@@ -23,7 +23,7 @@ from rio_cogeo.cogeo import cog_validate
 
 import sal_height
 from sal_height import messages
-from sal_height.bag import qos
+from sal_height.bag.qos import LATCHED
 from sal_height.bag.topics import HEIGHT_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.elevation import Validity
@@ -67,7 +67,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A bag of height images with everything that they may have."""
     path = tmp_path_factory.mktemp("exported") / "bag"
     with BagWriter(path, {}) as writer:
-        writer.add_topic("/ml/height", HEIGHT_TYPE, [qos.LATCHED])
+        writer.add_topic("/ml/height", HEIGHT_TYPE, [LATCHED])
         for dwell in range(DWELLS):
             writer.write("/ml/height", serialize(height_image(dwell)), dwell, dwell)
     return path

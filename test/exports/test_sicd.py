@@ -16,7 +16,7 @@ from sarkit.sicd import projection
 from sarkit.verification import SicdConsistency
 
 from sal_height import messages
-from sal_height.bag import qos
+from sal_height.bag.qos import LATCHED
 from sal_height.bag.topics import IMAGE_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.commands import main
@@ -85,8 +85,8 @@ def write_bag(
     stamp = messages.to_stamp(STAMP_NS)
     provenance = messages.derived(Provenance(config_hash=sensor.config_hash), "sar_compression", windows)
     with BagWriter(path, {}) as bag:
-        bag.add_topic("/sensor_info", SENSOR_TYPE, [qos.LATCHED])
-        bag.add_topic(topic, IMAGE_TYPE, [qos.LATCHED])
+        bag.add_topic("/sensor_info", SENSOR_TYPE, [LATCHED])
+        bag.add_topic(topic, IMAGE_TYPE, [LATCHED])
         bag.write("/sensor_info", serialize(messages.sensor_to_message(sensor, stamp)), 0, 0)
         labels = ComplexImage(dwell=7, header=Header(stamp=stamp))
         for image in messages.slc_to_messages(slc, labels, provenance) * times:
@@ -269,8 +269,8 @@ def test_what_cannot_be_written_is_said_in_a_sentence(tmp_path: Path, capsys: py
         write_sicd(twice, tmp_path / "both", ORIGIN)
     assert_one_sentence(str(refused.value), "two images of dwell 7, channel 0")
     with pytest.raises(UserError) as refused:
-        write_sicd(Path(__file__).parents[2] / "bags" / "version_3", tmp_path / "none", ORIGIN)
-    assert_one_sentence(str(refused.value), "--record slc")
+        write_sicd(write_bag(tmp_path / "empty", slc, sensor, windows, times=0), tmp_path / "none", ORIGIN)
+    assert_one_sentence(str(refused.value), "no complex images", "slc")
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "file").touch()
     with pytest.raises(UserError) as refused:

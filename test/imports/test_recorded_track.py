@@ -16,7 +16,7 @@ from pyproj import Transformer
 from scipy.spatial.transform import Rotation
 
 from sal_height import messages
-from sal_height.bag import qos
+from sal_height.bag.qos import ODOMETRY
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.geometry import Origin, PlatformState, rotation_matrix
@@ -77,7 +77,7 @@ def write(folder: Path, recorded: Iterable[tuple[str, Any]]) -> Path:
     listed = list(recorded)
     with BagWriter(folder, {}) as bag:
         for topic, kind in {topic: type(message) for topic, message in listed}.items():
-            bag.add_topic(topic, kind.__msgtype__, [qos.ODOMETRY])
+            bag.add_topic(topic, kind.__msgtype__, [ODOMETRY])
         for time_ns, (topic, message) in enumerate(listed, START_NS):
             bag.write(topic, serialize(message), time_ns, time_ns)
     return folder

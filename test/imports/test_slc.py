@@ -18,7 +18,7 @@ from lxml import etree
 from sarkit import sicd
 
 from sal_height import messages
-from sal_height.bag import qos
+from sal_height.bag.qos import LATCHED
 from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import IMAGE_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter
@@ -30,8 +30,8 @@ from sal_height.imaging import Slc
 from sal_height.imports import import_slc
 from sal_height.messages import serialize
 from sal_height.messages.types import ComplexImage, Header, Provenance
-from sal_height.runs.conductor import Execution
 from sal_height.runs.entry import Part
+from sal_height.runs.plan import Execution
 from sal_height.runs.replay import replay
 from sal_height.runs.sensor_bag import record_sensor
 from sal_height.sensor import Sensor
@@ -185,7 +185,7 @@ def write_bag(path: Path, slc: Slc, sensor: Sensor) -> Path:
     provenance = messages.derived(Provenance(config_hash=sensor.config_hash), "sar_compression", windows)
     with BagWriter(path, {}) as bag:
         for topic, kind in (("/sensor_info", SENSOR_TYPE), ("/slc", IMAGE_TYPE)):
-            bag.add_topic(topic, kind, [qos.LATCHED])
+            bag.add_topic(topic, kind, [LATCHED])
         bag.write("/sensor_info", serialize(messages.sensor_to_message(sensor, stamp)), 0, 0)
         for image in messages.slc_to_messages(slc, ComplexImage(header=Header(stamp=stamp)), provenance):
             bag.write("/slc", serialize(image), 1, 1)

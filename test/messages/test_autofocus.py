@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from sal_height import messages
+from sal_height.engine.provenance import Provenance
 from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Grid
 from sal_height.imaging import Centroid, Placement, Slc
-from sal_height.messages.autofocus import residual_phase_of
+from sal_height.messages.products import provenance_of
+from sal_height.messages.types import Provenance as ProvenanceMessage
 
 PLACED = [
     Placement(0.001, -2e-5, 0.0005, Centroid(0.0023, 1e-4, 3e-4)),
@@ -29,10 +33,14 @@ SLC = Slc(
 )
 
 
+def stated(values: Mapping[str, Any]) -> Provenance:
+    """What a message states of the compression."""
+    return provenance_of(ProvenanceMessage(parameters=messages.with_stage([], "sar_compression", values)))
+
+
 def through_messages(slc: Slc) -> tuple[Placement, float]:
-    parameters = messages.with_stage([], "sar_compression", {"rows": 3, **messages.autofocus_values(slc)})
-    stage = messages.stages_of(parameters)["sar_compression"]
-    return messages.placement_of(stage), residual_phase_of(stage)
+    found = stated({"rows": 3, **messages.autofocus_values(slc)})
+    return found.placement, found.residual_phase
 
 
 @pytest.mark.parametrize("placement", PLACED)
@@ -58,10 +66,10 @@ def test_what_data_did_not_tell_is_not_told() -> None:
 )
 def test_numbers_that_are_none_are_refused(name: str, value: object) -> None:
     with pytest.raises(Rejected, match=f"sar_compression.placement.{name}"):
-        messages.placement_of({f"placement.{name}": value})
+        _ = stated({f"placement.{name}": value}).placement
 
 
 @pytest.mark.parametrize("value", [float("nan"), -0.1, "much"])
 def test_a_phase_that_is_none_is_refused(value: object) -> None:
     with pytest.raises(Rejected, match=r"sar_compression.residual.phase_rad"):
-        residual_phase_of({"residual.phase_rad": value})
+        _ = stated({"residual.phase_rad": value}).residual_phase

@@ -21,6 +21,7 @@ from sal_height.geometry.mounting import Mounting
 from sal_height.geometry.trajectory import PlatformState
 from sal_height.imaging.focus import Slc
 from sal_height.messages import deserialize, serialize
+from sal_height.messages.heights import heights_of
 from sal_height.messages.types import (
     BeamModel,
     ChannelFrame,
@@ -302,13 +303,13 @@ def test_a_bad_pixel_is_masked_and_its_neighbours_stay(layer: str, value: float)
     slc = ComplexImage(header=Header(frame_id="map"))
     field = HeightField(grid, two, 2 * (Surface.at(grid.pixels(), ones, ones, ones),))
     message = messages.height_to_message(field, aperture, (1, 1), "ml", slc, Provenance())
-    assert messages.bad_pixels(message, messages.field_from_message(message)) == 0
+    assert heights_of(message).bad_pixels == 0
     getattr(message.surfaces[0], layer)[2] = value
     masked = messages.field_from_message(message)
     assert masked.validity.ravel().tolist() == [6, 6, Validity.MISSING_DATA, 6]
     assert np.isnan(masked.first.height).ravel().tolist() == [False, False, True, False]
     assert np.isnan(masked.first.positions[1, 0]).all()
-    assert messages.bad_pixels(message, masked) == 1
+    assert heights_of(message).bad_pixels == 1
 
 
 @pytest.mark.parametrize("layover", [False, True])
@@ -392,7 +393,7 @@ def test_what_is_known_of_a_surface_survives_its_message(rng: np.random.Generato
     slc = ComplexImage(header=Header(frame_id="map"))
     message = through_the_wire(messages.height_to_message(field, aperture, (1, 1), "ml", slc, Provenance()))
     read = messages.field_from_message(message)
-    assert messages.bad_pixels(message, read) == 0
+    assert heights_of(message).bad_pixels == 0
     np.testing.assert_array_equal(read.validity, validity)
     np.testing.assert_allclose(read.order_probability, probability, rtol=1e-6)
     for ours, theirs in zip(read.surfaces, surfaces, strict=True):
@@ -439,13 +440,13 @@ def test_a_pixel_whose_covariance_is_impossible_is_masked(name: str, triangle: t
     slc = ComplexImage(header=Header(frame_id="map"))
     field = HeightField(grid, np.zeros((1, 2), np.uint8), (surface,))
     message = messages.height_to_message(field, aperture, (1, 1), "ml", slc, Provenance())
-    assert messages.bad_pixels(message, messages.field_from_message(message)) == 0
+    assert heights_of(message).bad_pixels == 0
     numbers = np.array(getattr(message.surfaces[0], name))
     numbers[6:] = triangle
     setattr(message.surfaces[0], name, numbers)
     masked = messages.field_from_message(message)
     assert masked.validity.tolist() == [[Validity.OK, Validity.MISSING_DATA]]
-    assert messages.bad_pixels(message, masked) == 1
+    assert heights_of(message).bad_pixels == 1
 
 
 def test_where_no_covariance_is_told_it_follows_from_sigma_and_the_pose() -> None:

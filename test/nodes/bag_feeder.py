@@ -23,7 +23,7 @@ from sal_height.messages.types import ChannelFrame, DiagnosticArray, HeightImage
 from sal_height.nodes.account import DIAGNOSTICS, Account
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.message_types import subscribe
-from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
+from sal_height.nodes.quality import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 
 BAG = Path(__file__).parents[2] / "bags" / "version_3"
 TIMEOUT_S = 60.0

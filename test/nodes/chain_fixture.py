@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
@@ -14,10 +15,10 @@ from sal_height import messages
 from sal_height.messages.plain import is_same
 from sal_height.messages.types import ChannelFrame, HeightImage, Odometry, SensorInfo
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.height import HEIGHT_NODES, HeightNode
+from sal_height.nodes.host import StageNode
 from sal_height.nodes.message_types import subscribe
-from sal_height.nodes.sar_compression import SarCompression
-from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
+from sal_height.nodes.processing import PROCESSING
+from sal_height.nodes.quality import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.simulation.flight import SimulatedFlight
 
 START_NS = 1_700_000_000_123_456_789
@@ -26,7 +27,7 @@ TIMEOUT_S = 120.0
 DETECTORS = 8
 
 
-ESTIMATORS = {"monopulse": HEIGHT_NODES["monopulse"], "ml": HEIGHT_NODES["ml_height"]}
+ESTIMATORS = {"monopulse": PROCESSING["monopulse"], "ml": PROCESSING["ml_height"]}
 
 
 class Chain:
@@ -41,7 +42,7 @@ class Chain:
         heights: Mapping[str, Any] = MappingProxyType({}),
         monopulse: Mapping[str, Any] = MappingProxyType({}),
         ml_height: Mapping[str, Any] = MappingProxyType({}),
-        estimators: Mapping[str, type[HeightNode]] = MappingProxyType(ESTIMATORS),
+        estimators: Mapping[str, type[StageNode]] = MappingProxyType(ESTIMATORS),
         own: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
     ) -> None:
         """Parameters: `image` of sar_compression, `heights` of all height nodes, the others of one (`own` by name)."""
@@ -55,7 +56,7 @@ class Chain:
             return {"parameter_overrides": [Parameter(name, value=value) for name, value in values.items()]}
 
         nodes = [
-            SarCompression(context=graph.context, **overrides(image)),
+            PROCESSING["sar_compression"](context=graph.context, **overrides(image)),
             *(
                 node(context=graph.context, **overrides({**heights, **own.get(name, {})}))
                 for name, node in estimators.items()
@@ -100,7 +101,8 @@ class Chain:
     def frames(self, dwell: int) -> list[ChannelFrame]:
         history = self.flight.phase_history(dwell)
         stamp = messages.to_stamp(START_NS + history.stamp_ns)
-        return messages.history_to_messages(history, self.flight.sensor, dwell, stamp)
+        frames = messages.history_to_messages(history, self.flight.sensor, dwell, stamp)
+        return [copy.deepcopy(frame) for frame in frames]  # of which each can be spoiled alone
 
     def await_heights(self, dwell: int) -> None:
         expected = {(name, dwell) for name in self.estimators}

@@ -9,8 +9,7 @@ from chain_fixture import Chain
 from sal_height.messages.types import HeightImage
 from sal_height.nodes.domain import free_domain
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.height import HEIGHT_NODES
-from sal_height.nodes.sar_compression import SarCompression
+from sal_height.nodes.processing import PROCESSING
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
 from sal_height.simulation.scenes import load_scene
@@ -45,6 +44,6 @@ def reference(flight: SimulatedFlight) -> dict[tuple[str, int], HeightImage]:
 def bag_heights() -> dict[int, HeightImage]:
     """Heights of the dwells of the newest reference bag, as they are today, when rclpy publishes it here."""
     with free_domain() as domain, Graph(domain) as graph:
-        graph.add(SarCompression(context=graph.context))
-        graph.add(HEIGHT_NODES["ml_height"](context=graph.context))
+        graph.add(PROCESSING["sar_compression"](context=graph.context))
+        graph.add(PROCESSING["ml_height"](context=graph.context))
         return Feeder(graph).heights_of(BAG)

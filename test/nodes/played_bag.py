@@ -17,11 +17,11 @@ from sal_height.bag.writer import BagWriter
 from sal_height.messages import serialize
 from sal_height.messages.types import Calibration, ChannelFrame, Odometry, SensorInfo, Temperature
 from sal_height.nodes.account import CALIBRATIONS
-from sal_height.nodes.cues import Cue, cues_to_text
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.player import Player
-from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS
+from sal_height.nodes.quality import FRAMES_QOS, LATCHED_QOS
+from sal_height.runs.plan import DwellChanges
 
 TIMEOUT_S = 20.0
 TOPICS = {SensorInfo: "/sensor_info", Odometry: "/platform/odometry", ChannelFrame: "/phase_history"}
@@ -40,8 +40,7 @@ def bag(folder: Path, recorded: Iterable[Any], other: Mapping[type, Definition] 
     topics = {**TOPICS, Calibration: "/calibration", Temperature: "/air/temperature"}
     with BagWriter(folder, {}) as writer:
         for kind, name in topics.items():
-            type_name = kind.__msgtype__
-            writer.add_topic(name, type_name, [qos.FRAMES], definition=other.get(kind))
+            writer.add_topic(name, kind.__msgtype__, [qos.FRAMES], definition=other.get(kind))
         for time_ns, message in enumerate([info, *recorded], 1):
             writer.write(topics[type(message)], serialize(message), time_ns, time_ns)
     return folder
@@ -58,11 +57,11 @@ class Listener(Node):
         subscribe(self, Calibration, "calibration", lambda m: self.calibrations.append(m.id), LATCHED_QOS)
 
 
-def player_of(graph: Graph, path: Path, *cues: Cue, **values: object) -> Player:
-    """A player of a bag, with these values of its other parameters."""
-    values = {"bag": str(path), "cues": cues_to_text(cues), **values}
-    overrides = [Parameter(name, value=value) for name, value in values.items()]
+def player_of(graph: Graph, path: Path, *changes: DwellChanges, **values: object) -> Player:
+    """A player of a bag, with the calibrations of these changes and these values of its other parameters."""
+    overrides = [Parameter(name, value=value) for name, value in {"bag": str(path), **values}.items()]
     player = graph.add(Player(context=graph.context, parameter_overrides=overrides))
+    player.schedule({change.dwell: change.calibrations for change in changes}, {})
     assert graph.spin_until(lambda: player.is_ready, TIMEOUT_S)
     return player
 
@@ -72,7 +71,7 @@ def played(graph: Graph, player: Player, listener: Listener) -> list[list[int]]:
     steps: list[list[int]] = []
     outlet = player._outlets["/phase_history"]
     assert graph.spin_until(lambda: outlet.subscribers == 1, TIMEOUT_S)
-    while player._step()[0]:
+    while player.step()[0]:
         assert graph.spin_until(lambda: not player.jobs, TIMEOUT_S)
         assert graph.spin_until(lambda: len(listener.dwells) == outlet.published, TIMEOUT_S)
         sent = player.tally.summary().get(CALIBRATIONS, 0)  # a latched topic keeps only the last

@@ -20,9 +20,8 @@ from sal_height.errors import UserError
 from sal_height.geometry.earth import height_of
 from sal_height.messages.types import DiagnosticArray, HeightImage, Image, PointCloud2, TransformStamped
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.height import HEIGHT_NODES
 from sal_height.nodes.message_types import subscribe
-from sal_height.nodes.sar_compression import SarCompression
+from sal_height.nodes.processing import PROCESSING
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.truth import truth_image
 
@@ -115,7 +114,8 @@ def test_position_of_a_pixel_has_its_height(fed: Any, graph: Graph) -> None:
     subscribe(listener, PointCloud2, "ml/points", clouds.append, 10)
     subscribe(listener, Image, "ml/image", pictures.append, 10)
     fed.wait(lambda: listener.count_publishers("ml/points") and listener.count_publishers("ml/image"), "discovery")
-    fed.wait(lambda: all(p.subscribers for p in fed.stages["ml_height"]._offered[1:4]), "the viewer")
+    shown = [p for p in fed.stages["ml_height"]._offered if p.topic in {"/ml/points", "/ml/frame", "/ml/image"}]
+    fed.wait(lambda: len(shown) == 3 and all(p.subscribers for p in shown), "the viewer")
     fed.publish(*fed.odometry(1), *fed.frames(1))
     fed.await_heights(1)
     fed.wait(lambda: clouds and pictures and frames, "points, their frame and picture")
@@ -209,12 +209,12 @@ def test_a_parameter_set_at_run_time_takes_effect_at_the_next_dwell(fed: Any) ->
 @pytest.mark.parametrize(
     ("node", "name", "value", "said"),
     [
-        (HEIGHT_NODES["ml_height"], "objective", "best", "normalised, numerator"),
-        (HEIGHT_NODES["ml_height"], "range_looks", 0, "from 1 to 4096"),
-        (HEIGHT_NODES["ml_height"], "range_looks", "many", "whole number"),
-        (HEIGHT_NODES["monopulse"], "discriminant", "mean", "tls, ratio, noise_subtraction"),
-        (SarCompression, "range_window", "square", "hamming, rectangular, taylor"),
-        (SarCompression, "timeout_s", -1.0, "from 0.01 to 3600"),
+        (PROCESSING["ml_height"], "objective", "best", "normalised, numerator"),
+        (PROCESSING["ml_height"], "range_looks", 0, "from 1 to 4096"),
+        (PROCESSING["ml_height"], "range_looks", "many", "whole number"),
+        (PROCESSING["monopulse"], "discriminant", "mean", "tls, ratio, noise_subtraction"),
+        (PROCESSING["sar_compression"], "range_window", "square", "hamming, rectangular, taylor"),
+        (PROCESSING["sar_compression"], "timeout_s", -1.0, "from 0.01 to 3600"),
     ],
 )
 def test_a_wrong_parameter_is_refused_in_one_sentence(
@@ -231,14 +231,14 @@ def test_a_wrong_parameter_at_run_time_changes_nothing(fed: Any) -> None:
     stage = fed.stages["ml_height"]
     for wrong in (Parameter("objective", value="best"), Parameter("range_looks", value=0)):
         assert not stage.set_parameters([wrong])[0].successful
-    assert stage.current_parameters() == HEIGHT_NODES["ml_height"].parameters(timeout_s=0.5)
+    assert stage.current_parameters() == PROCESSING["ml_height"].parameters(timeout_s=0.5)
 
 
 def test_every_node_is_a_program(tmp_path: Path) -> None:
     import subprocess
     import sys
 
-    programs = [["simulator"], ["sar_compression"], ["height", "monopulse"], ["height", "ml_height"], ["player"]]
+    programs = [["simulator"], ["player"], *(["processing", name] for name in ("sar_compression", "ml_height"))]
     wrong = ["--ros-args", "-p", "no_such_thing:=1", "-p", "preset:=no_such_preset", "-p", "timeout_s:=-1.0"]
     wrong += ["-p", f"bag:={tmp_path}"]
     started = [

@@ -13,17 +13,16 @@ from chain_fixture import START_NS, Chain
 from helpers import publisher_of
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from separate_processes import replayed, verdicts
 from test_psf_calibration import calibration_of, faulty
 
 from sal_height import messages
 from sal_height.bag.reader import BagReader
+from sal_height.engine.stage import DwellKey
 from sal_height.errors import UserError
 from sal_height.messages.types import Calibration as CalibrationMessage
-from sal_height.nodes.cues import DwellKey
 from sal_height.nodes.graph import Graph
+from sal_height.nodes.quality import LATCHED_QOS
 from sal_height.nodes.recorder import Recorder
-from sal_height.nodes.stage import LATCHED_QOS
 from sal_height.runs import replay_parameters
 from sal_height.runs.entry import Part
 from sal_height.runs.playing import Playing
@@ -50,7 +49,7 @@ def calibrate(graph: Graph, chain: Chain) -> None:
     """Publish a calibration, and wait until all nodes have it."""
     publisher = next(node for node in graph.nodes if node.get_name() == "calibrator").calibration
     stamp = messages.to_stamp(START_NS)
-    before = len(chain.stages["sar_compression"]._heard)
+    before = len(chain.stages["sar_compression"].stage._received)
     scaled = calibration_of(chain.flight, id=f"number {before}", width_factor=1.0 + 0.05 * before, width_sigma=0.01)
     publisher.publish(messages.calibration_to_message(scaled, stamp))
     nodes = [chain.stages[name] for name in ("sar_compression", "ml_height", "monopulse")]
@@ -104,7 +103,7 @@ def fly(graph: Graph, flight: Any, folder: Path, deeds: Sequence[Deed | None], t
 
 
 def key(flight: Any, dwell: int) -> DwellKey:
-    return DwellKey(dwell, START_NS + flight.phase_history(dwell).stamp_ns)
+    return DwellKey(faulty(flight).sensor.config_hash, dwell, START_NS + flight.phase_history(dwell).stamp_ns)
 
 
 def result_of(bag: Path, out: Path, **given: Any) -> dict[str, tuple[bool, int]]:
@@ -139,9 +138,12 @@ def test_what_flew_is_replayed_as_flown(
         replay(bag, tmp_path / "loop", {}, playing=Playing("burst", loops=2))
 
     again = tmp_path / "replay" / "bag"  # which can be replayed in its turn
-    apart = replayed(again, tmp_path / "again")
-    assert verdicts(apart) == dict.fromkeys([*HEIGHTS, "/tracked/height"], ("equal", 3))
-    assert apart["changes_in_flight"] == report["changes_in_flight"]
+    compared = replay(again, tmp_path / "again", {}).compared
+    assert {topic: (one.verdict, one.matched) for topic, one in compared.items()} == dict.fromkeys(
+        [*HEIGHTS, "/tracked/height"], ("equal", 3)
+    )
+    repeated = json.loads((tmp_path / "again" / "report.json").read_text())
+    assert repeated["changes_in_flight"] == report["changes_in_flight"]
 
     given = result_of(bag, tmp_path / "given", ml_height={"range_looks": 2})
     assert given == {**EQUAL, "/ml/height": ("changed", 3)}  # but for the first dwell, for which it was 1
@@ -150,7 +152,7 @@ def test_what_flew_is_replayed_as_flown(
     assert report["parameter_sources"]["ml_height"]["range_looks"] == "command line"
 
     assert made_offline.compared(bag, tmp_path / "offline") == EQUAL
-    assert made_offline.compared(bag, tmp_path / "in_one", most_dwells=3) == EQUAL
+    assert made_offline.compared(bag, tmp_path / "side_by_side", jobs=2) == EQUAL
 
     monkeypatch.setattr(replay_parameters, "timeline_of", lambda *_: Timeline(found.dwells, found.start))
     assert result_of(bag, tmp_path / "ignored") == dict.fromkeys(HEIGHTS, ("changed", 3))

@@ -12,12 +12,12 @@ from written_bag import frame
 
 from sal_height import messages
 from sal_height.bag import qos
+from sal_height.bag.played import DwellRange
 from sal_height.bag.reader import BagReader
 from sal_height.bag.writer import BagWriter
 from sal_height.messages import serialize
 from sal_height.messages.types import ChannelFrame, Odometry, SensorInfo
 from sal_height.nodes.delivery import delivered
-from sal_height.nodes.played import DwellRange
 
 NAMES = {
     "/sensor_info": "info",

@@ -14,10 +14,9 @@ from rclpy.node import Node
 
 from sal_height.messages.types import HeightImage
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.height import HEIGHT_NODES
 from sal_height.nodes.message_types import subscribe
-from sal_height.nodes.sar_compression import SarCompression
-from sal_height.nodes.stage import FRAMES_QOS
+from sal_height.nodes.processing import PROCESSING
+from sal_height.nodes.quality import FRAMES_QOS
 
 FOLDER = Path(__file__).parents[2] / "examples" / "driver"
 TIMEOUT_S = 60.0
@@ -42,8 +41,8 @@ def driver(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_heights_of_the_driver_in_c_are_those_of_its_posts(
     driver: Path, height: float, domain_id: int, graph: Graph
 ) -> None:
-    compression = graph.add(SarCompression(context=graph.context))
-    graph.add(HEIGHT_NODES["ml_height"](context=graph.context))
+    compression = graph.add(PROCESSING["sar_compression"](context=graph.context))
+    graph.add(PROCESSING["ml_height"](context=graph.context))
     images: list[HeightImage] = []
     subscribe(graph.add(Node("listener", context=graph.context)), HeightImage, "ml/height", images.append, FRAMES_QOS)
     environment = {name: value for name, value in os.environ.items() if name != "LD_LIBRARY_PATH"}

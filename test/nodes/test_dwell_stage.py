@@ -2,85 +2,112 @@
 
 from __future__ import annotations
 
-import array
 import time
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from threading import Event
 from typing import Any
 
+import numpy as np
 import pytest
 from helpers import make_sensor
 from rclpy.parameter import Parameter
 
-from sal_height import messages
-from sal_height.errors import Rejected
-from sal_height.messages.types import ChannelFrame
-from sal_height.nodes.dwell_stage import (
+from sal_height.engine.dwells import (
+    EARLY_KEPT,
     GONE_AFTER,
-    HELD_EARLY,
-    HELD_SENSORS,
     REHEARSED_BYTES,
-    ChannelParameters,
+    SENSOR_INFO,
+    SENSOR_PORT,
+    SENSORS_KEPT,
     DwellStage,
+    WholeDwell,
 )
+from sal_height.engine.frame_items import COMPLEX_INT16, Frame
+from sal_height.engine.settings import ChannelSettings
+from sal_height.engine.stage import DwellKey, Job, Port, Result
+from sal_height.errors import Rejected
 from sal_height.nodes.graph import Graph
+from sal_height.nodes.host import node_of
 from sal_height.sensor import Sensor
 
-SAMPLES = array.array("B", [1]) * 1_000_000
+SAMPLES = np.ones(1_000_000, np.uint8)
 """Of a frame: 1 MB."""
 
 TIMEOUT_S = 20.0
 
 
-class Gate(DwellStage):
+class GateStage(DwellStage):
     """A stage whose dwells are supplied when the test says so, and which keeps what it is handed."""
 
-    parameters = ChannelParameters
+    usual_name = "gate"
+    about = "Keeps what it is handed."
+    settings = ChannelSettings
+    dwell_port = "phase_history"
 
-    def __init__(self, graph: Graph, **parameters: Any) -> None:
-        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+    def __init__(self, *arguments: Any, **others: Any) -> None:
+        super().__init__(*arguments, **others)
         self.supply: Any = "supplied"
-        self.processed: list[tuple[list[int], Any]] = []
+        self.handed: list[tuple[list[int], Any]] = []
         self.rehearsed: list[str] = []
         self.may_work, self.at_work = Event(), Event()
         self.may_work.set()
-        super().__init__("gate", ChannelFrame, "phase_history", context=graph.context, parameter_overrides=overrides)
+
+    @classmethod
+    def inputs(cls, settings: Any) -> Sequence[Port]:  # noqa: ARG003
+        return [SENSOR_PORT, Port(cls.dwell_port, Frame, "frames", per_channel=True, counted=True)]
+
+    @classmethod
+    def outputs(cls, settings: Any) -> Sequence[Port]:  # noqa: ARG003
+        return []
+
+    def check(self, message: Frame, sensor: Sensor) -> None:
+        """Every frame will do."""
+
+    def rehearse_for(self, sensor: Sensor, settings: Any) -> None:  # noqa: ARG002
+        self.rehearsed.append(sensor.name)
+
+    def supplies(self, key: DwellKey, messages: Any, sensor: Sensor) -> Any:  # noqa: ARG002
+        if self.supply is None:
+            raise Rejected("no supply", f"Dwell {key.number}: nothing was supplied.")
+        return self.supply
+
+    def work_on(self, whole: WholeDwell, job: Job) -> Iterator[Result]:  # noqa: ARG002
+        self.at_work.set()
+        assert self.may_work.wait(TIMEOUT_S)
+        assert [frame.channel for frame in whole.messages] == list(range(SENSOR.detector_count))
+        self.handed.append(([frame.channel for frame in whole.messages if frame.samples.any()], whole.supplies))
+        yield from ()
+
+
+class Gate(node_of(GateStage)):  # type: ignore[misc]
+    """The node of the stage."""
+
+    def __init__(self, graph: Graph, **parameters: Any) -> None:
+        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+        super().__init__(context=graph.context, parameter_overrides=overrides)
         graph.add(self)
         self.graph = graph
 
-    def check(self, message: ChannelFrame, sensor: Sensor) -> None:
-        """Every frame will do."""
-
-    def rehearse(self, sensor: Sensor) -> None:
-        self.rehearsed.append(sensor.name)
-
-    def supplies(self, dwell: list[Any], _: Sensor) -> Any:
-        if self.supply is None:
-            raise Rejected("no supply", f"Dwell {dwell[0].dwell}: nothing was supplied.")
-        return self.supply
-
-    def process(self, dwell: list[Any], _: Sensor, supplies: Any) -> int:
-        self.at_work.set()
-        assert self.may_work.wait(TIMEOUT_S)
-        self.processed.append(
-            ([frame.channel for frame in dwell if len(frame.samples) and any(frame.samples)], supplies)
-        )
-        return len(dwell)
-
     def hear(self, dwell: int, *channels: int, sensor: Sensor | None = None, stamp: float | None = None) -> None:
         """Take in frames of a dwell as if they came by the topic; they are a second apart."""
+        stamp_ns = round(1e9 * (1000.0 + (dwell if stamp is None else stamp)))
+        key = DwellKey((sensor or SENSOR).config_hash, dwell, stamp_ns)
         for channel in channels:
-            frame = ChannelFrame(dwell=dwell, channel=channel, config_hash=(sensor or SENSOR).config_hash)
-            frame.samples = SAMPLES
-            frame.header.stamp = messages.to_stamp(round(1e9 * (1000.0 + (dwell if stamp is None else stamp))))
-            self._on_message(messages.ReceivedFrame.of(frame))
+            frame = Frame(key, "", channel, 0, 0, PULSES, PULSES, COMPLEX_INT16, 0.0, SAMPLES, SAMPLES.nbytes)
+            assert self.takes()
+            self._decide(lambda frame=frame: self.stage.accept("phase_history", frame, time.monotonic()))
 
     def describe(self, sensor: Sensor) -> None:
         """Take in a sensor description."""
-        self._on_sensor_info(messages.sensor_to_message(sensor, messages.to_stamp(0)))
+        self._decide(lambda: self.stage.accept(SENSOR_INFO, sensor, time.monotonic()))
+
+    def advance(self) -> None:
+        """Let the stage know that time has passed."""
+        self._tick()
 
     def counts(self) -> dict[str, float]:
-        """The account without latencies, zeros, and what is of the last minute only."""
+        """The account without latencies, zeros, and what is of the last minute only; nothing is published."""
         return {k: v for k, v in self.tally.summary().items() if v and not k.startswith(("latency", "last_minute"))}
 
     def await_counts(self, **wanted: float) -> None:
@@ -89,6 +116,7 @@ class Gate(DwellStage):
 
 
 SENSOR = make_sensor()
+PULSES = np.zeros(1)
 
 
 def other_sensor(number: int) -> Sensor:
@@ -103,17 +131,17 @@ def gate(graph: Graph) -> Gate:
 
 
 def test_a_dwell_is_handed_over_with_what_there_is_when_it_becomes_complete(gate: Gate) -> None:
-    gate.supply = None
+    gate.stage.supply = None
     gate.hear(0, 0, 1, 2)
-    gate.supply = "then"
+    gate.stage.supply = "then"
     gate.advance()
-    gate.supply = "later"
-    gate.await_counts(**{"in": 3, "processed": 3, "out": 3})
-    assert gate.processed == [([0, 1, 2], "then")]
+    gate.stage.supply = "later"
+    gate.await_counts(**{"in": 3, "processed": 3})
+    assert gate.stage.handed == [([0, 1, 2], "then")]
 
 
 def test_a_dwell_of_a_sensor_that_is_forgotten_is_dropped_for_what_it_waits_for(gate: Gate) -> None:
-    gate.supply = None
+    gate.stage.supply = None
     gate.hear(0, 0, 1, 2)
     gate.hear(1, 0)
     early = other_sensor(4)
@@ -123,10 +151,10 @@ def test_a_dwell_of_a_sensor_that_is_forgotten_is_dropped_for_what_it_waits_for(
         gate.hear(100, 0, sensor=other_sensor(number))
     counts = gate.counts()
     assert counts == {"in": 9, "waiting": 5, "dropped.no supply": 3, "dropped.incomplete dwell": 1}
-    gate.supply = "now"
+    gate.stage.supply = "now"
     gate.hear(5, 1, 2, sensor=early)  # the frame that came before its description has been taken in
     lost = {"dropped.no supply": 3, "dropped.incomplete dwell": 1}
-    gate.await_counts(**{"in": 11, "processed": 3, "out": 3, "waiting": 4, **lost})
+    gate.await_counts(**{"in": 11, "processed": 3, "waiting": 4, **lost})
 
 
 def dropped(gate: Gate) -> dict[str, float]:
@@ -150,7 +178,7 @@ def test_the_oldest_unfinished_dwell_goes_when_there_are_too_many(gate: Gate) ->
     assert "waited for channels [1, 2]" in gate.last_drop
     assert "sal-height transport" in gate.last_drop
     gate.hear(1, 1, 2)
-    gate.await_counts(**{"in": 11, "processed": 3, "out": 3, "waiting": 7, "dropped.buffer full": 1})
+    gate.await_counts(**{"in": 11, "processed": 3, "waiting": 7, "dropped.buffer full": 1})
 
 
 def test_unfinished_dwells_are_bounded_by_memory(graph: Graph) -> None:
@@ -166,10 +194,10 @@ def test_unfinished_dwells_are_bounded_by_memory(graph: Graph) -> None:
 
 def test_messages_without_sensor_info_are_bounded_in_number(graph: Graph) -> None:
     gate = Gate(graph)
-    for dwell in range(HELD_EARLY):
+    for dwell in range(EARLY_KEPT):
         gate.hear(dwell, 0)
     assert dropped(gate) == {}
-    gate.hear(HELD_EARLY, 0)
+    gate.hear(EARLY_KEPT, 0)
     assert dropped(gate) == {"no sensor info": 1}
 
 
@@ -181,46 +209,46 @@ def test_messages_without_sensor_info_are_bounded_by_memory(graph: Graph) -> Non
 
 
 def test_descriptions_of_sensors_are_bounded(gate: Gate) -> None:
-    for number in range(HELD_SENSORS):
+    for number in range(SENSORS_KEPT):
         gate.describe(other_sensor(number))
     gate.hear(1, 0)
     assert gate.counts()["waiting"] == 1  # for a description that is no longer held
     gate.describe(SENSOR)
     gate.hear(1, 1, 2)
-    gate.await_counts(**{"in": 3, "processed": 3, "out": 3})
+    gate.await_counts(**{"in": 3, "processed": 3})
 
 
 def test_a_sensor_in_use_is_not_pushed_out_by_descriptions_of_others(gate: Gate) -> None:
     gate.hear(0, 0, 1, 2)
     gate.hear(1, 0)
-    for number in range(3 * HELD_SENSORS):
+    for number in range(3 * SENSORS_KEPT):
         gate.describe(other_sensor(number))
     gate.hear(1, 1, 2)
-    gate.await_counts(**{"in": 6, "processed": 6, "out": 6})
-    assert len(gate._sensors) == HELD_SENSORS
+    gate.await_counts(**{"in": 6, "processed": 6})
+    assert len(gate.stage._sensors) == SENSORS_KEPT
 
 
 def test_once_frames_have_come_no_other_sensor_is_rehearsed(gate: Gate) -> None:
     gate.hear(0, 0, 1, 2)
     gate.describe(other_sensor(1))
     gate.hear(1, 0, 1, 2)
-    gate.await_counts(**{"in": 6, "processed": 6, "out": 6})
-    assert gate.rehearsed == [SENSOR.name]
+    gate.await_counts(**{"in": 6, "processed": 6})
+    assert gate.stage.rehearsed == [SENSOR.name]
 
 
-def test_of_many_descriptions_at_once_the_last_is_rehearsed(graph: Graph) -> None:
+def test_of_many_descriptions_at_once_the_first_and_the_last_are_rehearsed(graph: Graph) -> None:
     gate = Gate(graph)
-    gate.may_work.clear()
+    gate.stage.may_work.clear()
     gate.describe(SENSOR)
     gate.hear(0, 0, 1, 2)
-    assert gate.at_work.wait(TIMEOUT_S)  # the worker has a dwell at hand, and SENSOR is rehearsed
-    gate._sensors._used.clear()
+    assert gate.stage.at_work.wait(TIMEOUT_S)  # the worker has a dwell at hand, and SENSOR is rehearsed
+    gate.stage._sensors._used.clear()
     for number in range(5):
         gate.describe(other_sensor(number))
     assert gate.jobs == 2
-    gate.may_work.set()
+    gate.stage.may_work.set()
     assert graph.spin_until(lambda: gate.jobs == 0, TIMEOUT_S)
-    assert gate.rehearsed == [SENSOR.name, "sensor 4"]
+    assert gate.stage.rehearsed == [SENSOR.name, "sensor 0", "sensor 4"]
 
 
 def test_large_dwells_are_not_rehearsed(graph: Graph) -> None:
@@ -229,76 +257,76 @@ def test_large_dwells_are_not_rehearsed(graph: Graph) -> None:
     for pulses, rehearsed in ((REHEARSED_BYTES // size + 1, []), (REHEARSED_BYTES // size, [SENSOR.name])):
         gate.describe(replace(SENSOR, pulse_count=pulses, config_hash=""))
         assert graph.spin_until(lambda: gate.jobs == 0, TIMEOUT_S)
-        assert gate.rehearsed == rehearsed
+        assert gate.stage.rehearsed == rehearsed
 
 
 def test_nothing_is_held_of_sensors_that_are_forgotten(gate: Gate) -> None:
-    for number in range(3 * HELD_SENSORS):
+    for number in range(3 * SENSORS_KEPT):
         gate.describe(other_sensor(number))
         gate.hear(number, 0, 1, 2, sensor=other_sensor(number))
         gate.hear(number + 100, 0, sensor=other_sensor(number))
-    assert len(gate._sensors) == HELD_SENSORS
-    assert set(gate._assembler._latest_ns) == set(gate._absences) == set(gate._sensors)
-    assert {dwell.key.config_hash for dwell in gate._assembler.held()} == set(gate._sensors)
+    assert len(gate.stage._sensors) == SENSORS_KEPT
+    assert set(gate.stage._assembler._latest_ns) == set(gate.stage._absences) == set(gate.stage._sensors)
+    assert {dwell.key.sensor for dwell in gate.stage._assembler.unfinished()} == set(gate.stage._sensors)
 
 
 @pytest.mark.parametrize(("policy", "kept"), [("newest", [1, 2, 3]), ("oldest", [1, 4, 5])])
 def test_dwells_that_wait_for_processing_are_bounded(graph: Graph, policy: str, kept: list[int]) -> None:
     gate = Gate(graph, max_queued_dwells=2, queue_policy=policy)
     gate.describe(SENSOR)
-    gate.may_work.clear()
+    gate.stage.may_work.clear()
     for dwell in range(1, 6):
-        gate.supply = dwell
+        gate.stage.supply = dwell
         gate.hear(dwell, 0, 1, 2)
-        assert gate.at_work.wait(TIMEOUT_S)  # the first is at work, and none of those that wait
+        assert gate.stage.at_work.wait(TIMEOUT_S)  # the first is at work, and none of those that wait
     assert dropped(gate) == {"queue full": 6}
     assert f"the {policy} dwell was dropped" in gate.last_drop
-    gate.may_work.set()
-    gate.await_counts(**{"in": 15, "processed": 9, "out": 9, "dropped.queue full": 6})
-    assert [supplies for _, supplies in gate.processed] == kept
+    gate.stage.may_work.set()
+    gate.await_counts(**{"in": 15, "processed": 9, "dropped.queue full": 6})
+    assert [supplies for _, supplies in gate.stage.handed] == kept
 
 
 def test_dwells_that_wait_for_processing_are_bounded_by_memory(graph: Graph) -> None:
     gate = Gate(graph, max_memory_mb=7)
     gate.describe(SENSOR)
-    gate.may_work.clear()
+    gate.stage.may_work.clear()
     for dwell in range(1, 5):  # 3 MB each
         gate.hear(dwell, 0, 1, 2)
-        assert gate.at_work.wait(TIMEOUT_S)
+        assert gate.stage.at_work.wait(TIMEOUT_S)
     assert dropped(gate) == {"queue full": 3}
-    gate.may_work.set()
-    gate.await_counts(**{"in": 12, "processed": 9, "out": 9, "dropped.queue full": 3})
+    gate.stage.may_work.set()
+    gate.await_counts(**{"in": 12, "processed": 9, "dropped.queue full": 3})
 
 
 def test_whole_dwells_that_have_waited_longer_than_the_budget_are_left_out(graph: Graph) -> None:
     gate = Gate(graph, latency_budget_s=0.2)
     gate.describe(SENSOR)
-    gate.may_work.clear()
+    gate.stage.may_work.clear()
     gate.hear(0, 0, 1, 2)
-    assert gate.at_work.wait(TIMEOUT_S)
-    gate.supply = "waits too long"
+    assert gate.stage.at_work.wait(TIMEOUT_S)
+    gate.stage.supply = "waits too long"
     gate.hear(1, 0, 1, 2)
     began = time.monotonic()
     assert graph.spin_until(lambda: time.monotonic() - began > 0.2, TIMEOUT_S)
-    gate.supply = "has just come"
+    gate.stage.supply = "has just come"
     gate.hear(2, 0, 1, 2)
-    gate.may_work.set()
-    gate.await_counts(**{"in": 9, "processed": 6, "out": 6, "dropped.overload": 3})
-    assert [supplies for _, supplies in gate.processed] == ["supplied", "has just come"]
+    gate.stage.may_work.set()
+    gate.await_counts(**{"in": 9, "processed": 6, "dropped.overload": 3})
+    assert [supplies for _, supplies in gate.stage.handed] == ["supplied", "has just come"]
     assert "more than 0.2 s (latency_budget_s)" in gate.last_drop
 
 
 def test_without_a_budget_dwells_wait_as_long_as_it_takes(graph: Graph) -> None:
     gate = Gate(graph)
     gate.describe(SENSOR)
-    gate.may_work.clear()
+    gate.stage.may_work.clear()
     for dwell in range(2):
         gate.hear(dwell, 0, 1, 2)
-        assert gate.at_work.wait(TIMEOUT_S)
+        assert gate.stage.at_work.wait(TIMEOUT_S)
     began = time.monotonic()
     assert graph.spin_until(lambda: time.monotonic() - began > 0.3, TIMEOUT_S)
-    gate.may_work.set()
-    gate.await_counts(**{"in": 6, "processed": 6, "out": 6})
+    gate.stage.may_work.set()
+    gate.await_counts(**{"in": 6, "processed": 6})
 
 
 def test_an_incomplete_dwell_is_dropped_after_an_idle_wait(graph: Graph) -> None:
@@ -311,16 +339,16 @@ def test_an_incomplete_dwell_is_dropped_after_an_idle_wait(graph: Graph) -> None
 def test_a_dwell_does_not_time_out_while_the_node_is_working(graph: Graph) -> None:
     """The clock on the wall passes the timeout ten times over meanwhile."""
     gate = overdue_gate(graph)
-    gate.may_work.clear()
+    gate.stage.may_work.clear()
     gate.hear(0, 0, 1, 2)
-    assert gate.at_work.wait(TIMEOUT_S)
+    assert gate.stage.at_work.wait(TIMEOUT_S)
     gate.hear(1, 0)
     began = time.monotonic()
     assert graph.spin_until(lambda: time.monotonic() - began > 0.3, TIMEOUT_S)
     assert dropped(gate) == {}
     gate.hear(1, 1, 2)
-    gate.may_work.set()
-    gate.await_counts(**{"in": 6, "processed": 6, "out": 6})
+    gate.stage.may_work.set()
+    gate.await_counts(**{"in": 6, "processed": 6})
 
 
 def test_a_dwell_does_not_time_out_while_its_messages_are_on_their_way(graph: Graph) -> None:
@@ -381,8 +409,8 @@ def test_a_message_of_an_unknown_sensor_waits_while_the_stamps_stand_still(graph
 def test_without_a_channel_dwells_proceed_if_that_is_allowed(graph: Graph) -> None:
     gate = overdue_gate(graph, missing_channels="proceed")
     gate.hear(0, 0, 2)
-    gate.await_counts(**{"in": 2, "processed": 2, "out": 3, "ignored.missing channels": 1})
-    assert gate.processed == [([0, 2], "supplied")]
+    gate.await_counts(**{"in": 2, "processed": 2, "ignored.missing channels": 1})
+    assert gate.stage.handed == [([0, 2], "supplied")]
     assert "without channels [1]" in gate.last_rejection
 
 
@@ -399,10 +427,10 @@ def test_a_channel_that_is_gone_is_no_longer_waited_for_until_it_returns(graph: 
         gate.hear(dwell, 0, 2)
     assert gate.counts()["ignored.missing channels"] == GONE_AFTER + 1  # the last one did not wait
     gate.hear(10, 1, 0)
-    gate.await_counts(**{"in": 10, "processed": 8, "out": 12, "waiting": 2, "ignored.missing channels": 4})
+    gate.await_counts(**{"in": 10, "processed": 8, "waiting": 2, "ignored.missing channels": 4})
     gate.hear(10, 2)
-    gate.await_counts(**{"in": 11, "processed": 11, "out": 15, "ignored.missing channels": 4})
-    assert gate.processed[-1] == ([0, 1, 2], "supplied")
+    gate.await_counts(**{"in": 11, "processed": 11, "ignored.missing channels": 4})
+    assert gate.stage.handed[-1] == ([0, 1, 2], "supplied")
 
 
 @pytest.mark.parametrize("part", ["check", "supplies"])
@@ -413,11 +441,11 @@ def test_an_error_that_no_input_should_cause_costs_its_message_only(
         raise ZeroDivisionError(part)
 
     with monkeypatch.context() as broken:
-        broken.setattr(gate, part, fail)
+        broken.setattr(gate.stage, part, fail)
         gate.hear(0, 0, 1, 2)
     assert gate.counts()["dropped.internal error"] == 3
     gate.hear(1, 0, 1, 2)
-    gate.await_counts(**{"in": 6, "processed": 3, "out": 3, "dropped.internal error": 3})
+    gate.await_counts(**{"in": 6, "processed": 3, "dropped.internal error": 3})
 
 
 def test_bytes_that_are_no_message_are_counted_and_end_nothing(gate: Gate) -> None:
@@ -426,4 +454,4 @@ def test_bytes_that_are_no_message_are_counted_and_end_nothing(gate: Gate) -> No
     assert gate.counts()["ignored.broken message"] == 1
     gate.describe(SENSOR)
     gate.hear(0, 0, 1, 2)
-    gate.await_counts(**{"in": 3, "processed": 3, "out": 3, "ignored.broken message": 1})
+    gate.await_counts(**{"in": 3, "processed": 3, "ignored.broken message": 1})

@@ -10,14 +10,15 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sal_height.messages.types import KeyValue
 from sal_height.nodes.account import Account
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, Stage
+from sal_height.nodes.quality import FRAMES_QOS, LATCHED_QOS
+from sal_height.nodes.worker import WorkerNode
 
 TIMEOUT_S = 20.0
 BEST_EFFORT, RELIABLE = ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE
 VOLATILE, LATCHED = DurabilityPolicy.VOLATILE, DurabilityPolicy.TRANSIENT_LOCAL
 
 
-class Hearing(Stage):
+class Hearing(WorkerNode):
     """A stage that keeps what it hears on a topic."""
 
     def __init__(self, graph: Graph, qos: QoSProfile) -> None:

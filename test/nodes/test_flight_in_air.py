@@ -8,7 +8,6 @@ from pathlib import Path
 
 import made_offline
 import pytest
-import separate_processes
 from air_messages import air_at
 from chain_fixture import Chain
 from helpers import assert_one_sentence, make_sensor
@@ -30,10 +29,9 @@ from sal_height.nodes.graph import Graph
 from sal_height.nodes.recorder import Recorder
 from sal_height.runs.adjust import _write
 from sal_height.runs.calibrate import calibrate
-from sal_height.runs.conductor import Execution
-from sal_height.runs.entry import Part, check_air, contents
-from sal_height.runs.lead import IN_STEP, lead_of
+from sal_height.runs.entry import Part, check_air
 from sal_height.runs.live import Live, live
+from sal_height.runs.plan import Execution
 from sal_height.runs.playing import Playing
 from sal_height.runs.replay import Replay, replay
 from sal_height.runs.sensor_bag import Feed
@@ -62,7 +60,7 @@ def flown(flight: SimulatedFlight, tmp_path_factory: pytest.TempPathFactory) -> 
         asked = {"/sar_compression", "/ml_height", "/monopulse"}
         chain.wait(lambda: recorder._reader._known.keys() >= asked, "the parameters")
         chain.publish(chain.sensor_info())
-        samples = chain.stages["sar_compression"]._air._samples
+        samples = chain.stages["sar_compression"].stage._air._samples
         for dwell, celsius in enumerate(CELSIUS):
             stamp_ns = messages.to_ns(chain.frames(dwell)[0].header.stamp) - SECOND
             chain.publish(*air_at(stamp_ns, celsius), *air_at(stamp_ns + 1, 40.0), *chain.odometry(dwell))
@@ -102,13 +100,8 @@ def test_each_dwell_had_its_air(flown: Path) -> None:
     assert celsius_of(flown) == list(CELSIUS)
 
 
-@pytest.mark.parametrize("processes", [False, True])
-def test_a_replay_makes_the_same_heights_and_keeps_the_air(flown: Path, tmp_path: Path, processes: bool) -> None:
-    if processes:
-        report = separate_processes.replayed(flown, tmp_path / "out", "--estimators", "ml,monopulse")
-        assert separate_processes.verdicts(report) == all_equal(3)
-    else:
-        assert verdicts(replay(flown, tmp_path / "out", {}, estimators=["ml", "monopulse"])) == all_equal(3)
+def test_a_replay_makes_the_same_heights_and_keeps_the_air(flown: Path, tmp_path: Path) -> None:
+    assert verdicts(replay(flown, tmp_path / "out", {}, estimators=["ml", "monopulse"])) == all_equal(3)
     made = tmp_path / "out" / "bag"
     assert celsius_of(made) == list(CELSIUS)
     before, after = ([one.cdr for one in BagReader(bag).messages([AIR[1]])] for bag in (flown, made))
@@ -154,14 +147,14 @@ def test_a_calibration_has_images_in_the_air_too(flown: Path, tmp_path: Path) ->
     assert calibration.dwells == 3
 
 
-@pytest.mark.parametrize("most_dwells", [1, 3])
-def test_heights_without_a_graph_are_the_same(flown: Path, tmp_path: Path, most_dwells: int) -> None:
-    assert made_offline.compared(flown, tmp_path, most_dwells) == all_equal(3)
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_heights_without_a_graph_are_the_same(flown: Path, tmp_path: Path, jobs: int) -> None:
+    assert made_offline.compared(flown, tmp_path, jobs) == all_equal(3)
 
 
-def test_air_that_was_told_long_before_its_dwell_is_found_for_each_part(flown: Path, tmp_path: Path) -> None:
+def test_air_that_was_told_long_before_its_dwell_is_found(flown: Path, tmp_path: Path) -> None:
     early = changed_air(flown, tmp_path / "bag", lambda one, _: one._replace(log_time_ns=one.log_time_ns - 30 * SECOND))
-    assert made_offline.compared(early, tmp_path, 1) == all_equal(3)
+    assert made_offline.compared(early, tmp_path, 2) == all_equal(3)
 
 
 def test_another_air_gives_other_heights(flown: Path, tmp_path: Path) -> None:
@@ -175,7 +168,7 @@ def test_another_air_gives_other_heights(flown: Path, tmp_path: Path) -> None:
         return one._replace(cdr=serialize(message))
 
     bag = changed_air(flown, tmp_path / "bag", warmer)
-    assert made_offline.compared(bag, tmp_path, 3) == dict.fromkeys(HEIGHTS, (CHANGED, 3))
+    assert made_offline.compared(bag, tmp_path) == dict.fromkeys(HEIGHTS, (CHANGED, 3))
 
 
 def test_dwells_before_the_first_message_have_its_air_with_and_without_a_graph(flown: Path, tmp_path: Path) -> None:
@@ -187,9 +180,9 @@ def test_dwells_before_the_first_message_have_its_air_with_and_without_a_graph(f
     result = replay(late, tmp_path / "replay", {}, estimators=["ml", "monopulse"])
     assert not result.outcome.losses
     assert celsius_of(tmp_path / "replay" / "bag") == [40.0] * 3
-    for most_dwells in (1, 3):
-        folder = tmp_path / f"{most_dwells}"
-        made_offline.make(late, folder, most_dwells, ml_height={}, monopulse={})
+    for jobs in (1, 2):
+        folder = tmp_path / f"{jobs}"
+        made_offline.make(late, folder, jobs, ml_height={}, monopulse={})
         golden, made = BagReader(tmp_path / "replay" / "bag"), BagReader(folder / "made" / "bag")
         compared = compare_bags(golden, made, EXACT, HEIGHTS)
         assert {topic: (one.verdict, one.matched) for topic, one in compared.items()} == all_equal(3)
@@ -201,13 +194,13 @@ def test_a_bag_without_the_air_is_refused_in_one_sentence(flown: Path, tmp_path:
     missing = ", ".join(topic[1:] for topic in lacking)
     for attempt in (
         lambda: replay(bag, tmp_path / "out", {}, estimators=["ml"]),
-        lambda: made_offline.make(bag, tmp_path, 1),
+        lambda: made_offline.make(bag, tmp_path),
     ):
         with pytest.raises(UserError) as refused:
             attempt()
         assert_one_sentence(str(refused.value), f"{bag} has no messages on {missing}, which", "set air to standard")
     assert not (tmp_path / "out").exists()
-    row = made_offline.make(bag, tmp_path / "standard", 3, sar_compression={"air": "standard"})
+    row = made_offline.make(bag, tmp_path / "standard", sar_compression={"air": "standard"})
     assert (row["images"], row["dropped"]) == (9, 0)
 
 
@@ -228,13 +221,6 @@ def test_sensors_whose_air_cannot_be_heard_are_refused_before_anything_is_starte
     assert not (tmp_path / "out").exists()
 
 
-def test_the_source_does_not_run_ahead_of_air_that_is_heard(flown: Path) -> None:
-    sensor, _ = contents(BagReader(flown))
-    stages = ["sar_compression", "ml_height"]
-    assert lead_of(sensor, stages, {}).dwells > 0
-    assert lead_of(sensor, stages, {"sar_compression": {"air": "heard"}}) == IN_STEP
-
-
 def test_a_message_that_cannot_be_used_is_told(flown: Path, tmp_path: Path) -> None:
     """It is as if it had not come: the dwell has the air of the one before."""
     nan = serialize(Temperature(temperature=math.nan))
@@ -243,7 +229,7 @@ def test_a_message_that_cannot_be_used_is_told(flown: Path, tmp_path: Path) -> N
         tmp_path / "bag",
         lambda one, number: one._replace(cdr=nan) if one.topic == "/air/temperature" and number == 2 else one,
     )
-    row = made_offline.make(bag, tmp_path, 3)
+    row = made_offline.make(bag, tmp_path)
     assert row["dropped"] == 0
     assert (
         "A message on air/temperature is not used. Temperature on air/temperature has temperature nan"
@@ -258,7 +244,7 @@ def test_a_cut_keeps_the_air_that_its_dwell_had(flown: Path, tmp_path: Path, num
     early = changed_air(flown, tmp_path / "bag", lambda one, _: one._replace(log_time_ns=one.log_time_ns - 30 * SECOND))
     cut(early, tmp_path / "cut", Range(dwells=(number, number)))
     assert BagReader(tmp_path / "cut").topics["/air/pressure"].count > 0
-    assert made_offline.compared(tmp_path / "cut", tmp_path, 1) == all_equal(1)
+    assert made_offline.compared(tmp_path / "cut", tmp_path) == all_equal(1)
 
 
 def test_a_bag_with_adjusted_odometry_has_the_air(flown: Path, tmp_path: Path) -> None:

@@ -12,6 +12,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from sal_height import messages
+from sal_height.engine import heights as height_stage
+from sal_height.engine.heights import AT_ONCE
 from sal_height.imaging import ImageSettings, Slc
 from sal_height.messages import deserialize, serialize
 from sal_height.messages.types import (
@@ -22,13 +24,13 @@ from sal_height.messages.types import (
     Provenance,
     SensorInfo,
 )
-from sal_height.nodes import height, stage
+from sal_height.nodes import worker
 from sal_height.nodes.account import DIAGNOSTICS, Account
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.height import HEIGHT_NODES
 from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.playlist import restamped
-from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS
+from sal_height.nodes.processing import PROCESSING
+from sal_height.nodes.quality import FRAMES_QOS, LATCHED_QOS
 from sal_height.pipeline import Compressor, heights_of_dwells
 from sal_height.relief import HeightField
 from sal_height.simulation.flight import SimulatedFlight
@@ -55,9 +57,10 @@ def images_of(flight: SimulatedFlight, dwell: int = 0) -> list[bytes]:
 def test_of_a_flood_whole_dwells_go_the_oldest_first_and_each_is_counted(
     graph: Graph, flight: SimulatedFlight, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(stage, "DIAGNOSTICS_PERIOD_S", 0.05)
+    monkeypatch.setattr(worker, "DIAGNOSTICS_PERIOD_S", 0.05)
+    monkeypatch.setattr(worker, "RECENT_S", 3600.0)
     overrides = [Parameter("max_queued_dwells", value=QUEUED)]
-    node = graph.add(HEIGHT_NODES["monopulse"](context=graph.context, parameter_overrides=overrides))
+    node = graph.add(PROCESSING["monopulse"](context=graph.context, parameter_overrides=overrides))
     source, heights, states = graph.add(Node("source", context=graph.context)), [], []
     subscribe(source, HeightImage, "monopulse/height", heights.append, FRAMES_QOS)
     subscribe(source, DiagnosticArray, DIAGNOSTICS, lambda message: states.extend(message.status), 100)
@@ -103,7 +106,7 @@ def test_of_a_flood_whole_dwells_go_the_oldest_first_and_each_is_counted(
 
     assert graph.spin_until(has_told, TIMEOUT_S), states[-1]
     assert states[-1].level == DiagnosticStatus.WARN
-    monkeypatch.setattr(stage, "RECENT_S", 0.3)
+    monkeypatch.setattr(worker, "RECENT_S", 0.3)
     later = itertools.count(BURSTS * BURST)
     sent = BURSTS * BURST * channels
 
@@ -133,8 +136,9 @@ def test_dwells_that_wait_are_processed_at_once_and_one_that_cannot_be_fails_alo
         numbers.append(len(slcs))
         return heights_of_dwells(slcs, *others)
 
-    monkeypatch.setattr(height, "heights_of_dwells", counted)
-    node = graph.add(HEIGHT_NODES["monopulse"](context=graph.context))
+    monkeypatch.setattr(height_stage, "heights_of_dwells", counted)
+    overrides = [Parameter("max_queued_dwells", value=2 * AT_ONCE)]
+    node = graph.add(PROCESSING["monopulse"](context=graph.context, parameter_overrides=overrides))
     source, made = graph.add(Node("source", context=graph.context)), []
     subscribe(source, HeightImage, "monopulse/height", made.append, FRAMES_QOS)
     publisher = publisher_of(source, ComplexImage, "slc", FRAMES_QOS)
@@ -154,13 +158,13 @@ def test_dwells_that_wait_are_processed_at_once_and_one_that_cannot_be_fails_alo
     assert numbers == [1, 1, 1]
     held = threading.Event()
     node.submit(0, lambda: int(held.wait(TIMEOUT_S)))
-    later = [[restamped(one, shift * INTERVAL_NS) for one in dwell] for shift in (10, 20) for dwell in images][:5]
+    later = [[restamped(one, shift * INTERVAL_NS) for one in dwell] for shift in (10, 20, 30) for dwell in images]
     broken = [*images[1][:2], serialize(bad), *images[1][3:]]
-    publish([*later, [restamped(image, 30 * INTERVAL_NS) for image in broken]])
-    assert graph.spin_until(lambda: node.jobs == 7, TIMEOUT_S)
+    publish([*later, [restamped(image, 40 * INTERVAL_NS) for image in broken]])
+    assert graph.spin_until(lambda: node.jobs == 11, TIMEOUT_S)
     held.set()
-    assert graph.spin_until(lambda: len(made) == 8 and node.jobs == 0, TIMEOUT_S), node.tally.summary()
-    assert numbers == [1, 1, 1, 4, 1]
+    assert graph.spin_until(lambda: len(made) == 12 and node.jobs == 0, TIMEOUT_S), node.tally.summary()
+    assert numbers == [1, 1, 1, AT_ONCE, 1]
     surfaces = [repr(one.surfaces) for one in made]
-    assert surfaces[3:] == surfaces[:3] + surfaces[:2]
+    assert surfaces[3:] == 3 * surfaces[:3]
     assert node.tally.summary()["dropped.channels disagree"] == flight.sensor.detector_count

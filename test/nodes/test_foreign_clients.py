@@ -15,9 +15,8 @@ from bag_feeder import BAG, Feeder, assert_same, read_heights
 
 from sal_height.messages.types import DiagnosticStatus, HeightImage
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.height import HEIGHT_NODES
-from sal_height.nodes.sar_compression import SarCompression
-from sal_height.nodes.stage import Stage
+from sal_height.nodes.processing import PROCESSING
+from sal_height.nodes.worker import WorkerNode
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("cyclonedds") is None,
@@ -33,8 +32,8 @@ class Nodes:
     """sar_compression and ml_height, on Fast DDS, and what feeds them by rclpy."""
 
     def __init__(self, graph: Graph) -> None:
-        self.compression: Stage = graph.add(SarCompression(context=graph.context))
-        graph.add(HEIGHT_NODES["ml_height"](context=graph.context))
+        self.compression: WorkerNode = graph.add(PROCESSING["sar_compression"](context=graph.context))
+        graph.add(PROCESSING["ml_height"](context=graph.context))
         self.feeder = Feeder(graph)
         self.wait = self.feeder.wait
 

@@ -20,9 +20,10 @@ from sal_height.geometry.grid import Grid
 from sal_height.geometry.projection import Projection
 from sal_height.messages.types import ComplexImage, Header, HeightImage, Provenance, ReliefLayer, ReliefMap
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.ground_mapper import GroundMapper
+from sal_height.nodes.host import StageNode
 from sal_height.nodes.message_types import subscribe
-from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS
+from sal_height.nodes.processing import PROCESSING
+from sal_height.nodes.quality import FRAMES_QOS, LATCHED_QOS
 from sal_height.relief.heights import HeightField, Surface
 
 TIMEOUT_S = 20.0
@@ -42,10 +43,10 @@ def height_image() -> HeightImage:
     return messages.height_to_message(field, make_aperture(), (2, 2), "ml", slc, Provenance())
 
 
-def first_map(graph: Graph, **parameters: Any) -> tuple[GroundMapper, ReliefMap]:
+def first_map(graph: Graph, **parameters: Any) -> tuple[StageNode, ReliefMap]:
     """A ground mapper, and what it makes of the image."""
     overrides = [Parameter(name, value=value) for name, value in {"period_s": 0.1, **parameters}.items()]
-    mapper = graph.add(GroundMapper(context=graph.context, parameter_overrides=overrides))
+    mapper = graph.add(PROCESSING["ground_mapper"](context=graph.context, parameter_overrides=overrides))
     maps: list[ReliefMap] = []
     node = graph.add(Node("feeder", context=graph.context))
     subscribe(node, ReliefMap, "ground/relief", maps.append, LATCHED_QOS)

@@ -16,8 +16,8 @@ from sal_height.geometry import height_of
 from sal_height.messages.types import ChannelFrame, FluidPressure, HeightImage, Odometry, SensorInfo, Temperature
 from sal_height.nodes.domain import free_domain
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.sar_compression import SarCompression
-from sal_height.nodes.stage import LATCHED_QOS
+from sal_height.nodes.processing import PROCESSING
+from sal_height.nodes.quality import LATCHED_QOS
 from sal_height.simulation.flight import SimulatedFlight
 
 SECOND = 1_000_000_000
@@ -71,7 +71,7 @@ def test_each_dwell_has_the_air_of_its_own_time_however_early_the_next_is_told(
     chain = Chain(graph, flight, 30.0, image=HEARD)
     first, second = (stamp_of(chain, dwell) - SECOND for dwell in (0, 1))
     assert first < second
-    air = chain.stages["sar_compression"]._air
+    air = chain.stages["sar_compression"].stage._air
     chain.publish(*air_at(second, celsius=-9.0), *air_at(first, celsius=-8.0), *air_at(first - 1, celsius=-7.0))
     chain.wait(lambda: all(len(air._samples[t]) == 3 for t in ("air/pressure", "air/temperature")), "the air")
     chain.publish(chain.sensor_info())
@@ -87,8 +87,8 @@ def test_a_dwell_waits_for_the_air(graph: Graph, flight: SimulatedFlight) -> Non
     node = chain.stages["sar_compression"]
     chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0), pressure_at(START_NS, 65_000.0))
     last_ns = messages.to_ns(chain.odometry(0)[-1].header.stamp)
-    chain.wait(lambda: (node._odometry.span_ns or (0, 0))[1] == last_ns, "the odometry")
-    chain.wait(lambda: node._air._samples["air/pressure"], "the pressure")
+    chain.wait(lambda: (node.stage._odometry.span_ns or (0, 0))[1] == last_ns, "the odometry")
+    chain.wait(lambda: node.stage._air._samples["air/pressure"], "the pressure")
     chain.wait(lambda: node.tally.summary()["in"] == node.tally.summary()["waiting"] == DETECTORS, "the frames")
     chain.publish(temperature_at(START_NS + SECOND, -7.5))
     chain.await_heights(0)
@@ -129,7 +129,7 @@ def test_it_can_be_heard_from_the_next_dwell_on(graph: Graph, flight: SimulatedF
     node = chain.stages["sar_compression"]
     chain.publish(chain.sensor_info(), *air_at(START_NS - 2 * SECOND), *chain.odometry(0), *chain.frames(0))
     chain.await_heights(0)
-    chain.wait(lambda: node._air._samples["air/temperature"], "the air")
+    chain.wait(lambda: node.stage._air._samples["air/temperature"], "the air")
     assert node.set_parameters([Parameter("air", value="heard")])[0].successful
     chain.publish(*chain.odometry(1), *chain.frames(1))
     chain.await_heights(1)
@@ -138,7 +138,9 @@ def test_it_can_be_heard_from_the_next_dwell_on(graph: Graph, flight: SimulatedF
 
 
 def test_a_node_that_is_to_hear_the_air_is_ready_once_somebody_tells_it(graph: Graph, flight: SimulatedFlight) -> None:
-    node = graph.add(SarCompression(context=graph.context, parameter_overrides=[Parameter("air", value="heard")]))
+    node = graph.add(
+        PROCESSING["sar_compression"](context=graph.context, parameter_overrides=[Parameter("air", value="heard")])
+    )
     sensor = graph.add(Node("sensor", context=graph.context))
     kinds: dict[str, Any] = {"platform/odometry": Odometry, "phase_history": ChannelFrame}
     for topic, kind in kinds.items():
@@ -147,12 +149,12 @@ def test_a_node_that_is_to_hear_the_air_is_ready_once_somebody_tells_it(graph: G
     publisher_of(sensor, SensorInfo, "sensor_info", LATCHED_QOS).publish(described)
 
     def has_all_else() -> bool:
-        return node._rehearsed and all(inlet.is_connected for inlet in node._inlets)
+        return node.stage.is_ready and all(inlet.is_connected for inlet in node._inlets)
 
     assert graph.spin_until(has_all_else, TIMEOUT_S)
     assert not node.is_ready
     publisher_of(sensor, FluidPressure, "air/pressure", 10)
-    assert graph.spin_until(lambda: node._air_inlets["air/pressure"].is_connected, TIMEOUT_S)
+    assert graph.spin_until(lambda: node._inlets_of["air/pressure"].is_connected, TIMEOUT_S)
     assert not node.is_ready
     publisher_of(sensor, Temperature, "air/temperature", 10)
     assert graph.spin_until(lambda: node.is_ready, TIMEOUT_S)

@@ -32,9 +32,9 @@ from sal_height.messages.types import (
 )
 from sal_height.nodes.domain import free_domain
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.height_adjuster import HeightAdjuster
 from sal_height.nodes.message_types import subscribe
-from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
+from sal_height.nodes.processing import PROCESSING
+from sal_height.nodes.quality import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.relief import HeightField
 from sal_height.sensor import Sensor
 from sal_height.simulation.scenes import load_scene
@@ -50,7 +50,7 @@ class Adjusting:
     def __init__(self, graph: Graph, sensor: SensorInfo | None, **parameters: Any) -> None:
         """Start it, and wait until it is connected and knows its sensor, if there is one."""
         overrides = [Parameter(name, value=value) for name, value in {**JITTER, **parameters}.items()]
-        self.node = graph.add(HeightAdjuster(context=graph.context, parameter_overrides=overrides))
+        self.node = graph.add(PROCESSING["height_adjuster"](context=graph.context, parameter_overrides=overrides))
         self.graph = graph
         self.heard: dict[str, list[Any]] = {}
         feeder = self.feeder = graph.add(Node("feeder", context=graph.context))
@@ -202,7 +202,9 @@ def test_known_ground_places_heights(graph: Graph, flown: FlownHeights, tmp_path
     after = flown.errors(fields_of(adjusting.fly(flown, range(12))))
     assert np.all(np.abs(after) < 0.05), after
     with pytest.raises(UserError) as refused:
-        HeightAdjuster(context=graph.context, parameter_overrides=[Parameter("terrain", value="ground.txt")])
+        PROCESSING["height_adjuster"](
+            context=graph.context, parameter_overrides=[Parameter("terrain", value="ground.txt")]
+        )
     assert_one_sentence(str(refused.value), "ground.txt", "allowed are .tif, .tiff and .npz")
 
 
@@ -236,7 +238,9 @@ def test_a_known_target_moves_heights_to_where_it_is(graph: Graph, flown: FlownH
 
 def test_a_file_of_targets_that_cannot_be_read_is_refused(graph: Graph) -> None:
     with pytest.raises(UserError) as refused:
-        HeightAdjuster(context=graph.context, parameter_overrides=[Parameter("targets", value="none.csv")])
+        PROCESSING["height_adjuster"](
+            context=graph.context, parameter_overrides=[Parameter("targets", value="none.csv")]
+        )
     assert_one_sentence(str(refused.value), "Cannot read none.csv with targets")
 
 

@@ -23,14 +23,11 @@ from sal_height.messages import serialize
 from sal_height.messages.types import ComplexImage, HeightImage
 from sal_height.nodes.domain import free_domain
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.ground_mapper import GroundMapper
 from sal_height.nodes.message_types import subscribe
-from sal_height.nodes.navigation import NavigationNode
-from sal_height.nodes.psf_calibration import PsfCalibration
+from sal_height.nodes.processing import PROCESSING
+from sal_height.nodes.quality import FRAMES_QOS
 from sal_height.nodes.recorder import Recorder
-from sal_height.nodes.relief_mapper import ReliefMapper
-from sal_height.nodes.relief_tracker import ReliefTracker
-from sal_height.nodes.stage import FRAMES_QOS, Stage
+from sal_height.nodes.worker import WorkerNode
 from sal_height.simulation import SimulatedFlight
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
@@ -70,7 +67,7 @@ def good(flight: SimulatedFlight) -> dict[str, Any]:
     }
 
 
-def assert_nothing_unexpected(*nodes: Stage) -> None:
+def assert_nothing_unexpected(*nodes: WorkerNode) -> None:
     for node in nodes:
         counts = node.tally.summary()
         assert not {"ignored.internal error", "dropped.internal error"} & set(counts), node.last_rejection
@@ -93,11 +90,13 @@ def test_hostile_messages_cost_no_good_dwell(
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("node_type", [ReliefTracker, ReliefMapper, GroundMapper])
+@pytest.mark.parametrize(
+    "node_type", [PROCESSING["relief_tracker"], PROCESSING["relief_mapper"], PROCESSING["ground_mapper"]]
+)
 def test_hostile_heights_do_not_make_a_node_fail(
-    node_type: type[Stage], seed: int, good: dict[str, Any], graph: Graph
+    node_type: type[WorkerNode], seed: int, good: dict[str, Any], graph: Graph
 ) -> None:
-    parameters = [Parameter("max_cells", value=100_000)] if node_type is not ReliefTracker else []
+    parameters = [Parameter("max_cells", value=100_000)] if node_type is not PROCESSING["relief_tracker"] else []
     node = graph.add(node_type(context=graph.context, parameter_overrides=parameters))
     for cdr in hostile(good["/ml/height"], 100 * TIMES, np.random.default_rng(seed)):
         feed(node, "/ml/height", cdr)
@@ -114,7 +113,7 @@ def test_hostile_images_do_not_make_the_calibration_fail(
     topic: str, seed: int, good: dict[str, Any], graph: Graph
 ) -> None:
     parameters = [Parameter("dwell_step", value=1), Parameter("dwells", value=2), Parameter("timeout_s", value=0.05)]
-    node = graph.add(PsfCalibration(context=graph.context, parameter_overrides=parameters))
+    node = graph.add(PROCESSING["psf_calibration"](context=graph.context, parameter_overrides=parameters))
     feed(node, "/sensor_info", serialize(good["/sensor_info"]))
     for cdr in hostile(good[topic], 400 * TIMES, np.random.default_rng(seed)):
         feed(node, topic, cdr)
@@ -156,7 +155,7 @@ def test_hostile_messages_are_recorded_as_they_are(good: dict[str, Any], graph: 
 def test_hostile_instruments_do_not_make_navigation_fail(source: str, graph: Graph, flight: SimulatedFlight) -> None:
     parameters = [Parameter("position", value=source), Parameter("origin_latitude_deg", value=48.1)]
     parameters.append(Parameter("origin_longitude_deg", value=11.3))
-    node = graph.add(NavigationNode(context=graph.context, parameter_overrides=parameters))
+    node = graph.add(PROCESSING["navigation"](context=graph.context, parameter_overrides=parameters))
     state = flight.platform_states(0)[-1]
     topics = {"/platform/twist": twist_of(state, "map")}
     if source == "pose":
@@ -174,7 +173,9 @@ def test_hostile_instruments_do_not_make_navigation_fail(source: str, graph: Gra
 def test_hostile_origins_do_not_make_mappers_fail(graph: Graph) -> None:
     """Some are of other places of the earth, which the map is laid to, as UTM may be."""
     origin = messages.origin_to_message(Origin(0.84, 0.2, 560.0), messages.to_stamp(5), "map")
-    mappers = [graph.add(node(context=graph.context)) for node in (ReliefMapper, GroundMapper)]
+    mappers = [
+        graph.add(node(context=graph.context)) for node in (PROCESSING["relief_mapper"], PROCESSING["ground_mapper"])
+    ]
     rng = np.random.default_rng(6)
     for cdr in hostile(origin, 100 * TIMES, rng):
         for mapper in mappers:

@@ -20,13 +20,11 @@ from sal_height.messages.types import Calibration as CalibrationMessage
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, HeightImage
 from sal_height.nodes.account import DIAGNOSTICS, Account
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.map_stage import MapStage
 from sal_height.nodes.message_types import subscribe
-from sal_height.nodes.psf_calibration import PsfCalibration
-from sal_height.nodes.relief_mapper import ReliefMapper
-from sal_height.nodes.relief_tracker import ReliefTracker
+from sal_height.nodes.processing import PROCESSING
+from sal_height.nodes.quality import FRAMES_QOS, LATCHED_QOS
 from sal_height.nodes.simulator import Simulator
-from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, Stage
+from sal_height.nodes.worker import WorkerNode
 from sal_height.simulation import SimulatedFlight
 
 TIMEOUT_S = 60.0
@@ -63,7 +61,7 @@ def manager(graph: Graph) -> Manager:
     return Manager(graph)
 
 
-def counts(node: Stage) -> dict[str, Any]:
+def counts(node: WorkerNode) -> dict[str, Any]:
     return node.tally.summary()
 
 
@@ -85,7 +83,9 @@ def test_an_inactive_node_drops_and_counts_and_begins_at_once_when_it_is_activat
 
 
 def test_a_node_that_does_not_start_by_itself_waits_for_its_manager(graph: Graph, manager: Manager) -> None:
-    node = graph.add(ReliefTracker(context=graph.context, parameter_overrides=[Parameter("autostart", value=False)]))
+    node = graph.add(
+        PROCESSING["relief_tracker"](context=graph.context, parameter_overrides=[Parameter("autostart", value=False)])
+    )
     assert manager.state("relief_tracker") == State.PRIMARY_STATE_UNCONFIGURED
     status = node.diagnostics().status[0]
     assert (status.level, status.message) == (DiagnosticStatus.OK, "inactive")
@@ -129,7 +129,7 @@ def test_a_reset_drops_what_is_unfinished_and_the_next_dwell_is_exact(
 
 def test_odometry_from_before_a_reset_is_forgotten(chain: Chain, manager: Manager) -> None:
     chain.publish(chain.sensor_info(), *chain.odometry(0))
-    chain.wait(lambda: len(chain.stages["sar_compression"]._odometry) > 0, "the odometry")
+    chain.wait(lambda: len(chain.stages["sar_compression"].stage._odometry) > 0, "the odometry")
     manager.trigger("sar_compression/reset")
     chain.publish(*chain.frames(0))
     chain.await_drops("sar_compression", "odometry gap", DETECTORS)
@@ -138,7 +138,7 @@ def test_odometry_from_before_a_reset_is_forgotten(chain: Chain, manager: Manage
 class Heights:
     """A node that takes heights, and somebody who publishes them."""
 
-    def __init__(self, graph: Graph, node: Stage, image: HeightImage) -> None:
+    def __init__(self, graph: Graph, node: WorkerNode, image: HeightImage) -> None:
         self.graph, self.node, self.image, self.fed = graph, node, image, 0
         feeder = graph.add(Node("feeder", context=graph.context))
         self.publisher = publisher_of(feeder, HeightImage, "ml/height", FRAMES_QOS)
@@ -155,7 +155,9 @@ def test_a_map_begins_anew_when_it_is_reset(
     way: str, graph: Graph, manager: Manager, reference: dict[tuple[str, int], HeightImage], tmp_path: Path
 ) -> None:
     file = tmp_path / "map.tif"
-    mapper = graph.add(ReliefMapper(context=graph.context, parameter_overrides=[Parameter("file", value=str(file))]))
+    mapper = graph.add(
+        PROCESSING["relief_mapper"](context=graph.context, parameter_overrides=[Parameter("file", value=str(file))])
+    )
     heights = Heights(graph, mapper, reference["ml", 0])
     heights.feed()
     heights.feed()
@@ -168,7 +170,7 @@ def test_a_map_begins_anew_when_it_is_reset(
         manager.change("relief_mapper", Transition.TRANSITION_CLEANUP)
         manager.change("relief_mapper", Transition.TRANSITION_CONFIGURE)
         manager.change("relief_mapper", Transition.TRANSITION_ACTIVATE)
-    assert graph.spin_until(lambda: mapper._map is None, TIMEOUT_S)
+    assert graph.spin_until(lambda: mapper.stage._map is None, TIMEOUT_S)
     assert manager.trigger("relief_mapper/save") == (False, "no height was seen")
     heights.feed()
     assert manager.trigger("relief_mapper/save")[0]
@@ -182,7 +184,7 @@ def images_in(file: Path) -> int:
 
 
 def test_a_map_without_a_file_is_not_saved(graph: Graph, manager: Manager) -> None:
-    node: MapStage = graph.add(ReliefMapper(context=graph.context))
+    node = graph.add(PROCESSING["relief_mapper"](context=graph.context))
     assert manager.trigger(f"{node.get_name()}/save") == (
         False,
         "parameter file is empty; it must be the path of a GeoTIFF",
@@ -196,7 +198,9 @@ def test_a_map_that_cannot_be_written_says_so(
     folder.mkdir()
     file = [Parameter("file", value=str(folder / "map.tif"))]
     heights = Heights(
-        graph, graph.add(ReliefMapper(context=graph.context, parameter_overrides=file)), reference["ml", 0]
+        graph,
+        graph.add(PROCESSING["relief_mapper"](context=graph.context, parameter_overrides=file)),
+        reference["ml", 0],
     )
     heights.feed()
     folder.rmdir()
@@ -211,7 +215,7 @@ def test_a_tracker_that_is_reset_tracks_as_at_first(
     graph: Graph, manager: Manager, reference: dict[tuple[str, int], HeightImage]
 ) -> None:
     made: list[HeightImage] = []
-    tracker = graph.add(ReliefTracker(context=graph.context))
+    tracker = graph.add(PROCESSING["relief_tracker"](context=graph.context))
     subscribe(manager.node, HeightImage, "tracked/height", made.append, FRAMES_QOS)
     heights = Heights(graph, tracker, reference["ml", 0])
     for number in range(3):
@@ -224,7 +228,9 @@ def test_a_tracker_that_is_reset_tracks_as_at_first(
 
 
 def test_a_calibration_is_made_when_it_is_asked_for(graph: Graph, flight: SimulatedFlight, manager: Manager) -> None:
-    node = graph.add(PsfCalibration(context=graph.context, parameter_overrides=[Parameter("dwell_step", value=1)]))
+    node = graph.add(
+        PROCESSING["psf_calibration"](context=graph.context, parameter_overrides=[Parameter("dwell_step", value=1)])
+    )
     heard: list[CalibrationMessage] = []
     subscribe(manager.node, CalibrationMessage, "calibration", heard.append, LATCHED_QOS)
     assert manager.trigger("psf_calibration/save") == (False, "no dwell was used yet")

@@ -18,14 +18,14 @@ from sal_height.imaging import ImageSettings
 from sal_height.messages.types import ComplexImage, PointCloud2, Provenance, SensorInfo
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.message_types import subscribe
-from sal_height.nodes.mover_detection import MoverDetection
-from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS
+from sal_height.nodes.processing import PROCESSING
+from sal_height.nodes.quality import FRAMES_QOS, LATCHED_QOS
 from sal_height.pipeline import Compressor
 from sal_height.sensor import Sensor
 from sal_height.simulation.flight import flight_of
 from sal_height.simulation.preset import TargetSettings, load_preset
 
-TIMEOUT_S = 30.0
+TIMEOUT_S = 60.0
 START_NS = 1_700_000_000_123_456_789
 RADIAL, EAST, NORTH, HEIGHT = 8.003, 0.1, 0.5, 0.8
 
@@ -58,7 +58,7 @@ class Fed:
         """Start the node, which tells the last dwells after so long."""
         overrides = [Parameter("timeout_s", value=timeout_s)]
         self.graph = graph
-        self.node = graph.add(MoverDetection(context=graph.context, parameter_overrides=overrides))
+        self.node = graph.add(PROCESSING["mover_detection"](context=graph.context, parameter_overrides=overrides))
         self.clouds: list[PointCloud2] = []
         feeder = graph.add(Node("feeder", context=graph.context))
         subscribe(feeder, PointCloud2, "movers", self.clouds.append, FRAMES_QOS)
@@ -67,7 +67,7 @@ class Fed:
         self.wait(lambda: self._images.get_subscription_count() == 1 and feeder.count_publishers("movers") == 1)
 
     def wait(self, predicate: Callable[[], bool]) -> None:
-        assert self.graph.spin_until(predicate, TIMEOUT_S)
+        assert self.graph.spin_until(predicate, TIMEOUT_S), (len(self.clouds), self.node.tally.summary())
 
     def publish(self, sensor: Sensor, dwells: Sequence[Sequence[ComplexImage]]) -> None:
         self._info.publish(messages.sensor_to_message(sensor, messages.to_stamp(START_NS)))

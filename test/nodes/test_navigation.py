@@ -20,8 +20,8 @@ from sal_height.geometry import Origin, PlatformState, rotation_matrix
 from sal_height.messages.types import Header, Imu, NavSatFix, Odometry, PoseStamped, Twist, TwistStamped, Vector3
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.message_types import subscribe
-from sal_height.nodes.navigation import NavigationNode
-from sal_height.nodes.stage import LATCHED_QOS, ODOMETRY_QOS
+from sal_height.nodes.processing import PROCESSING
+from sal_height.nodes.quality import LATCHED_QOS, ODOMETRY_QOS
 from sal_height.simulation.flight import SimulatedFlight
 
 TIMEOUT_S = 20.0
@@ -39,7 +39,7 @@ class Instruments(Node):
         self.graph = graph
         graph.add(self)
         overrides = [Parameter(name, value=value) for name, value in parameters.items()]
-        self.node = graph.add(NavigationNode(context=graph.context, parameter_overrides=overrides))
+        self.node = graph.add(PROCESSING["navigation"](context=graph.context, parameter_overrides=overrides))
         self.odometry: list[Odometry] = []
         subscribe(self, Odometry, "platform/odometry", self.odometry.append, ODOMETRY_QOS)
         kinds = {"pose": PoseStamped, "twist": TwistStamped, "fix": NavSatFix, "imu": Imu}
@@ -144,7 +144,7 @@ def test_the_origin_of_the_map_is_published_for_those_who_come_late(graph: Graph
 def test_fixes_without_an_origin_are_refused_at_the_start(graph: Graph) -> None:
     """A map at latitude and longitude 0 is not what anybody wants."""
     with pytest.raises(UserError) as refused:
-        NavigationNode(context=graph.context, parameter_overrides=[Parameter("position", value="fix")])
+        PROCESSING["navigation"](context=graph.context, parameter_overrides=[Parameter("position", value="fix")])
     assert_one_sentence(str(refused.value), "must know where on the earth", "set origin_latitude_deg")
 
 

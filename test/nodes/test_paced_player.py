@@ -13,7 +13,7 @@ from sal_height.messages.types import ChannelFrame
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.paced_player import PacedPlayer
-from sal_height.nodes.stage import FRAMES_QOS
+from sal_height.nodes.quality import FRAMES_QOS
 
 BAG = Path(__file__).parents[2] / "bags" / "version_3"
 TIMEOUT_S = 20.0

@@ -8,10 +8,10 @@ from air_messages import pressure_at, temperature_at
 from written_bag import frame, key
 
 from sal_height import messages
+from sal_height.bag.played import DwellRange, chosen, part_of, read_contents
 from sal_height.bag.reader import BagMessage
 from sal_height.messages import serialize
 from sal_height.messages.types import ChannelFrame, FluidPressure, Odometry, SensorInfo, Temperature
-from sal_height.nodes.played import DwellRange, chosen, part_of, read_contents
 
 NAMES = {
     Odometry: ("/platform/odometry", "nav_msgs/msg/Odometry"),

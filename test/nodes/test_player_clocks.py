@@ -12,11 +12,11 @@ from written_bag import calibration, frame, key
 
 from sal_height.bag.reader import BagMessage
 from sal_height.messages.types import ChannelFrame, Clock
-from sal_height.nodes.cues import Cue
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.player import Player
 from sal_height.nodes.simulated_clock import PERIOD_S, SimulatedClock
+from sal_height.runs.plan import DwellChanges
 
 LEAST_CLOCK_HZ = 40.0
 """Messages on /clock in a second that docs/replay.md promises."""
@@ -57,7 +57,7 @@ def flight(dwells: int) -> list[Any]:
 
 def play(graph: Graph, player: Player) -> None:
     assert graph.spin_until(lambda: player.is_ready, TIMEOUT_S)
-    while player._step()[0]:
+    while player.step()[0]:
         assert graph.spin_until(lambda: not player.jobs, TIMEOUT_S)
 
 
@@ -130,21 +130,23 @@ def test_a_repetition_has_later_stamps_and_the_same_numbers(graph: Graph, tmp_pa
 
 
 @pytest.mark.parametrize("clock", ["paced", "burst"])
-def test_a_step_ends_before_a_dwell_with_a_cue(clock: str, graph: Graph, tmp_path: Path, events: list[Event]) -> None:
+def test_a_step_ends_before_a_dwell_with_another_calibration(
+    clock: str, graph: Graph, tmp_path: Path, events: list[Event]
+) -> None:
     """So that the nodes can finish the dwells before; the clock stands still meanwhile."""
     order = [*flight(4), calibration("a")]
     listener = graph.add(Listener(context=graph.context))
     path = bag(tmp_path / "bag", order)
-    player = player_of(graph, path, Cue(key(12), calibrations=("a",)), Cue(key(13)), clock=clock, rate=20.0)
+    player = player_of(graph, path, DwellChanges(key(12), calibrations=("a",)), clock=clock, rate=20.0)
     steps = played(graph, player, listener)
-    assert steps == [[10, 10, 11, 11], [], [12, 12], [13, 13]]
+    assert steps == [[10, 10, 11, 11], [], [12, 12, 13, 13]]
     times = [one.time_s for one in events if one.kind == "clock"]
     assert times == sorted(times)
 
 
 def test_a_node_that_ends_waits_for_nothing(graph: Graph, tmp_path: Path) -> None:
     player = player_of(graph, bag(tmp_path / "bag", flight(4)), clock="paced", rate=1e-3)
-    assert player._step()[0]
+    assert player.step()[0]
     began = time.monotonic()
     graph.nodes.remove(player)
     graph.executor.remove_node(player)

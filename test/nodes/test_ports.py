@@ -24,8 +24,6 @@ from sal_height.runs.watch import Watcher
 STANDS_STILL_S = 3.0
 """Longer than two of the looks after which Fast DDS takes a process for dead by default."""
 
-NODE = "from sal_height.nodes.relief_tracker import main; raise SystemExit(main())"
-
 
 def own_ports() -> list[Path]:
     return [SHARED_MEMORY / name for name in ports_read()]
@@ -72,8 +70,8 @@ def test_who_watches_a_graph_says_that_nothing_more_can_be_seen(graph: Graph, ca
 @pytest.fixture
 def program(domain_id: int) -> Iterator[subprocess.Popen[str]]:
     """A node in a process of its own."""
-    process = subprocess.Popen(  # noqa: S603 (our own program)
-        [sys.executable, "-c", NODE],
+    process = subprocess.Popen(
+        [sys.executable, "-m", "sal_height.nodes.processing", "relief_tracker"],
         env=os.environ | {"ROS_DOMAIN_ID": str(domain_id)},
         stderr=subprocess.PIPE,
         text=True,

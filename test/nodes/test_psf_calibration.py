@@ -14,14 +14,17 @@ from helpers import assert_one_sentence, publisher_of
 from rclpy.parameter import Parameter
 
 from sal_height import messages
-from sal_height.calibration.calibration import Calibration, load_calibration, save_calibration
+from sal_height.calibration.calibration import Calibration
+from sal_height.calibration.files import load_calibration, save_calibration
+from sal_height.engine.stage import DwellKey
 from sal_height.errors import UserError
 from sal_height.messages.types import Calibration as CalibrationMessage
-from sal_height.messages.types import HeightImage
+from sal_height.messages.types import ComplexImage, HeightImage
 from sal_height.nodes.graph import Graph
+from sal_height.nodes.host import StageNode
 from sal_height.nodes.message_types import subscribe
-from sal_height.nodes.psf_calibration import PsfCalibration
-from sal_height.nodes.stage import LATCHED_QOS
+from sal_height.nodes.processing import PROCESSING
+from sal_height.nodes.quality import FRAMES_QOS, LATCHED_QOS
 from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.simulation.flight import SimulatedFlight
 
@@ -130,10 +133,10 @@ def _node(graph: Graph, name: str) -> Any:
     return Node(name, context=graph.context)
 
 
-def calibrator(graph: Graph, **parameters: Any) -> PsfCalibration:
+def calibrator(graph: Graph, **parameters: Any) -> StageNode:
     values = {"dwell_step": 1, "timeout_s": 30.0, **parameters}
     overrides = [Parameter(name, value=value) for name, value in values.items()]
-    return graph.add(PsfCalibration(context=graph.context, parameter_overrides=overrides))
+    return graph.add(PROCESSING["psf_calibration"](context=graph.context, parameter_overrides=overrides))
 
 
 def test_the_graph_calibrates_itself(
@@ -155,7 +158,7 @@ def test_the_graph_calibrates_itself(
     ratio -= ratio.mean()
     assert 8.686 * np.std(ratio.real) < 0.2
     assert np.degrees(np.std(ratio.imag)) < 4
-    chain.wait(lambda: len(chain.stages["sar_compression"]._heard) > 0, "the calibration to be heard")
+    chain.wait(lambda: len(chain.stages["sar_compression"].stage._received) > 0, "the calibration to be heard")
     chain.publish(*chain.odometry(8), *chain.frames(8))
     chain.await_heights(8)
     assert chain.heights["ml", 7].provenance.calibration_id == ""
@@ -194,16 +197,12 @@ def test_images_wait_for_their_calibration_and_go_without_it(
     """A height node that has not heard what beams the calibration found makes no heights."""
     images: list[Any] = []
     with_file = flown(graph, faulty(flight), saved(tmp_path, calibration_of(faulty(flight))))
-    from sal_height.messages.types import ComplexImage
-    from sal_height.nodes.height import HEIGHT_NODES
-    from sal_height.nodes.stage import FRAMES_QOS
-
     _listen(graph, ComplexImage, images)
     with_file.publish(*with_file.odometry(1), *with_file.frames(1))
     with_file.wait(lambda: len(images) == DETECTORS, "images")
     deaf = [Parameter("timeout_s", value=0.5)]
     late = graph.add(
-        HEIGHT_NODES["ml_height"](
+        PROCESSING["ml_height"](
             context=graph.context,
             parameter_overrides=deaf,
             cli_args=["--ros-args", "-r", "slc:=other", "-r", "calibration:=unheard", "-r", "__node:=late"],
@@ -221,8 +220,6 @@ def test_images_wait_for_their_calibration_and_go_without_it(
 
 
 def _listen(graph: Graph, kind: type, into: list[Any]) -> None:
-    from sal_height.nodes.stage import FRAMES_QOS
-
     node = graph.add(_node(graph, "images"))
     subscribe(node, kind, "slc", into.append, FRAMES_QOS)
     assert graph.spin_until(lambda: node.count_publishers("slc") == 1, TIMEOUT_S)
@@ -252,7 +249,7 @@ def test_calibrations_that_are_none_are_counted_and_ignored(
         assert sentence in chain.stages["ml_height"].last_rejection
     other = messages.calibration_from_message(good)
     publisher.publish(messages.calibration_to_message(replace(other, config_hash="other"), good.header.stamp))
-    chain.wait(lambda: len(chain.stages["sar_compression"]._heard) > 0, "the calibration of another sensor")
+    chain.wait(lambda: len(chain.stages["sar_compression"].stage._received) > 0, "the calibration of another sensor")
     chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
     chain.await_heights(0)
     assert np.array_equal(
@@ -260,6 +257,26 @@ def test_calibrations_that_are_none_are_counted_and_ignored(
         np.array(reference["ml", 0].surfaces[0].height),
         equal_nan=True,
     )
+
+
+def test_a_calibration_is_applied_from_the_dwells_on_that_a_replay_states(
+    graph: Graph, flight: SimulatedFlight
+) -> None:
+    """However early it arrives."""
+    chain = Chain(graph, flight, 30.0, {"rows": 46, "cols": 12, "calibration": "topic"})
+    found = calibration_of(flight, response=np.ones((DETECTORS, COUNT)))
+    node = chain.stages["sar_compression"]
+    node.state_calibrations({found.id: [DwellKey(flight.sensor.config_hash, 1, START_NS + flight.dwell_start_ns(1))]})
+    publisher = publisher_of(graph.add(_node(graph, "feeding")), CalibrationMessage, "calibration", LATCHED_QOS)
+    publisher.publish(messages.calibration_to_message(found, messages.to_stamp(START_NS)))
+    inlets = [chain.stages[name]._inlets_of["calibration"] for name in ("sar_compression", "ml_height", "monopulse")]
+    chain.wait(lambda: all(inlet.received == 1 for inlet in inlets), "the calibration to arrive")
+    chain.publish(chain.sensor_info())
+    for dwell in range(3):
+        chain.publish(*chain.odometry(dwell), *chain.frames(dwell))
+        chain.await_heights(dwell)
+    applied = [chain.heights["ml", dwell].provenance.calibration_id for dwell in range(3)]
+    assert applied == ["", found.id, found.id]
 
 
 def test_a_file_for_another_sensor_stops_every_frame_with_a_sentence(

@@ -9,6 +9,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from rclpy.publisher import Publisher
 
 from sal_height import messages
 from sal_height.elevation.estimate import Validity
+from sal_height.engine.stage import StageSettings
 from sal_height.errors import UserError
 from sal_height.geometry.earth import sphere_coordinates, sphere_point
 from sal_height.geometry.geodesy import Origin
@@ -46,15 +48,15 @@ from sal_height.messages.types import (
 )
 from sal_height.nodes.account import PROGRESS, Account
 from sal_height.nodes.graph import Graph
+from sal_height.nodes.host import StageNode
 from sal_height.nodes.message_types import subscribe
-from sal_height.nodes.relief_mapper import ReliefMapper
-from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, StageParameters
+from sal_height.nodes.processing import PROCESSING
+from sal_height.nodes.quality import FRAMES_QOS, LATCHED_QOS
 from sal_height.relief.heights import HeightField, Surface
 
 TIMEOUT_S = 20.0
 ROWS, COLS = 6, 9
 WEST, SOUTH = -4.0, -3503.0
-RUN_MAIN = "from sal_height.nodes.relief_mapper import main; raise SystemExit(main())"
 
 
 def height_image(dwell: int, shift: int = 0, level: float = 2.0) -> HeightImage:
@@ -81,7 +83,7 @@ def height_image(dwell: int, shift: int = 0, level: float = 2.0) -> HeightImage:
 class Mapped:
     """A relief mapper with somebody who publishes heights and listens to what comes of them."""
 
-    def __init__(self, graph: Graph, mapper: ReliefMapper | None) -> None:
+    def __init__(self, graph: Graph, mapper: StageNode | None) -> None:
         self.graph = graph
         self.mapper = mapper
         self.maps: list[ReliefMap] = []
@@ -120,10 +122,10 @@ class Mapped:
             self.account = Account.of_message(message)
 
 
-def start(graph: Graph, **parameters: Any) -> ReliefMapper:
+def start(graph: Graph, **parameters: Any) -> StageNode:
     values = {"period_s": 0.1, **parameters}
     overrides = [Parameter(name, value=value) for name, value in values.items()]
-    return graph.add(ReliefMapper(context=graph.context, parameter_overrides=overrides))
+    return graph.add(PROCESSING["relief_mapper"](context=graph.context, parameter_overrides=overrides))
 
 
 @pytest.fixture
@@ -370,12 +372,15 @@ def test_a_disk_that_is_full_leaves_the_older_file_and_nothing_half_written(mapp
 
 
 def test_heights_that_wait_for_the_worker_are_in_the_map(graph: Graph, tmp_path: Path) -> None:
-    mapper = start(graph, cell_size_m=1.0, file=str(tmp_path / "map.tif"))
-    for dwell in range(StageParameters().max_queued_dwells):
-        mapper._on_height(height_image(dwell))
-    mapper.conclude()
+    mapped, held = Mapped(graph, start(graph, cell_size_m=1.0, file=str(tmp_path / "map.tif"))), threading.Event()
+    mapped.mapper.submit(0, lambda: int(not held.wait(TIMEOUT_S)))
+    for dwell in range(StageSettings().max_queued_dwells):
+        mapped.publisher.publish(height_image(dwell))
+    mapped.wait(lambda: len(mapped.mapper.waiting()) == StageSettings().max_queued_dwells, "heights that wait")
+    held.set()
+    mapped.mapper.conclude()
     with rasterio.open(tmp_path / "map.tif") as file:
-        assert file.read(4).max() == StageParameters().max_queued_dwells
+        assert file.read(4).max() == StageSettings().max_queued_dwells
 
 
 def test_heights_after_the_end_are_counted(mapped: Mapped) -> None:
@@ -453,7 +458,7 @@ def test_the_program_ends_with_status_1_and_a_sentence_if_the_folder_is_gone(
 
 def run_main(domain_id: int, *arguments: str) -> subprocess.Popen[str]:
     environment = os.environ | {"ROS_DOMAIN_ID": str(domain_id)}
-    command = [sys.executable, "-c", RUN_MAIN, "--ros-args", *arguments]
+    command = [sys.executable, "-m", "sal_height.nodes.processing", "relief_mapper", "--ros-args", *arguments]
     return subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)  # noqa: S603
 
 
@@ -472,7 +477,7 @@ MUNICH = NavSatFix(header=Header(frame_id="map"), latitude=48.1, longitude=11.3,
 def test_a_map_with_a_published_origin_is_in_utm(graph: Graph) -> None:
     """Coordinates are eastings and northings, and the points are in the map frame where the pixels were."""
     mapped, _ = placed(graph, MUNICH)
-    mapped.wait(lambda: mapped.mapper._axes is not None, "the origin")
+    mapped.wait(lambda: mapped.mapper.stage._axes is not None, "the origin")
     mapped.feed(*(height_image(dwell) for dwell in range(2)))
     message = mapped.map_of(2)
     assert (message.crs, message.header.frame_id) == ("EPSG:32632", "map")
@@ -528,7 +533,7 @@ def test_an_origin_that_is_no_place_is_told_and_the_next_one_is_used(
     mapped.wait(lambda: f"ignored.{reason}" in mapped.mapper.tally.summary(), "a refusal")
     assert words in mapped.mapper.last_rejection
     publisher.publish(MUNICH)
-    mapped.wait(lambda: mapped.mapper._axes is not None, "the origin")
+    mapped.wait(lambda: mapped.mapper.stage._axes is not None, "the origin")
 
 
 def test_a_system_that_does_not_suit_the_published_origin_is_told(graph: Graph) -> None:

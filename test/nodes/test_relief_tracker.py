@@ -14,6 +14,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from sal_height import messages
+from sal_height.engine.provenance import LEFT_OUT
+from sal_height.engine.tracker import SERIES_KEPT
 from sal_height.errors import UserError
 from sal_height.geometry.earth import height_of
 from sal_height.geometry.frames import ApertureState
@@ -21,10 +23,9 @@ from sal_height.geometry.grid import Grid
 from sal_height.geometry.locate import locate_at_height
 from sal_height.messages.types import HeightImage, Image, PointCloud2, Provenance
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.height import LEFT_OUT
 from sal_height.nodes.message_types import subscribe
-from sal_height.nodes.relief_tracker import HELD_SERIES, ReliefTracker
-from sal_height.nodes.stage import FRAMES_QOS
+from sal_height.nodes.processing import PROCESSING
+from sal_height.nodes.quality import FRAMES_QOS
 from sal_height.relief.heights import HeightField, Surface
 
 Array = npt.NDArray[np.float64]
@@ -76,7 +77,7 @@ class Tracking:
     def __init__(self, graph: Graph, topic: str = "ml/height", **parameters: Any) -> None:
         """Start it with these parameters, and wait until it is connected."""
         overrides = [Parameter(name, value=value) for name, value in parameters.items()]
-        self.node = graph.add(ReliefTracker(context=graph.context, parameter_overrides=overrides))
+        self.node = graph.add(PROCESSING["relief_tracker"](context=graph.context, parameter_overrides=overrides))
         self.graph = graph
         self.received: dict[type, list[Any]] = {HeightImage: [], Image: [], PointCloud2: []}
         feeder = graph.add(Node("feeder", context=graph.context))
@@ -95,6 +96,7 @@ class Tracking:
         count = len(self.received[HeightImage])
         self.publisher.publish(image)
         self.wait(lambda: all(len(messages) > count for messages in self.received.values()))
+        self.wait(lambda: not self.node.jobs)
         return self.received[HeightImage][-1]
 
 
@@ -201,7 +203,7 @@ def test_a_prior_is_of_the_dwells_of_one_sensor_and_of_one_way_to_make_heights(g
 def test_priors_of_many_sensors_are_not_held(graph: Graph) -> None:
     """That of the one that came longest ago is forgotten: it begins anew, and the others go on."""
     tracking = Tracking(graph)
-    begun = [prior_of(tracking.track(of_sensor(str(number), 0))) for number in range(HELD_SERIES)]
+    begun = [prior_of(tracking.track(of_sensor(str(number), 0))) for number in range(SERIES_KEPT)]
     gone_on = prior_of(tracking.track(of_sensor("0", 1)))
     assert gone_on != prior_of(tracking.track(of_sensor("another", 1)))
     assert prior_of(tracking.track(of_sensor("1", 0))) == begun[1]
@@ -214,7 +216,7 @@ def test_priors_of_many_sensors_are_not_held(graph: Graph) -> None:
 )
 def test_a_parameter_that_is_not_allowed_is_refused(graph: Graph, name: str, value: Any) -> None:
     with pytest.raises(UserError, match=f"Parameter {name}"):
-        ReliefTracker(context=graph.context, parameter_overrides=[Parameter(name, value=value)])
+        PROCESSING["relief_tracker"](context=graph.context, parameter_overrides=[Parameter(name, value=value)])
 
 
 def empty(image: HeightImage) -> None:

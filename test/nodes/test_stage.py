@@ -14,22 +14,21 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_srvs.srv import Trigger
 
 from sal_height import messages
+from sal_height.engine.calibrations import CALIBRATION, CALIBRATIONS_KEPT, StatedCalibration
 from sal_height.errors import UserError
-from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, KeyValue, NodeAccount, Odometry
-from sal_height.nodes import stage
+from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, KeyValue, NodeAccount, Odometry, SensorInfo
+from sal_height.nodes import worker
 from sal_height.nodes.account import DIAGNOSTICS, PROGRESS, Account
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.height import HEIGHT_NODES
-from sal_height.nodes.held import HELD_CALIBRATIONS
 from sal_height.nodes.message_types import subscribe
-from sal_height.nodes.relief_mapper import ReliefMapper
-from sal_height.nodes.sar_compression import SarCompression
-from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS, Stage
+from sal_height.nodes.processing import PROCESSING
+from sal_height.nodes.quality import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
+from sal_height.nodes.worker import WorkerNode
 
 TIMEOUT_S = 20.0
 
 
-class Listening(Stage):
+class Listening(WorkerNode):
     """A stage that keeps the words it hears, in order, on its worker."""
 
     def __init__(self, graph: Graph) -> None:
@@ -58,7 +57,7 @@ def listening(graph: Graph) -> Listening:
     return Listening(graph)
 
 
-def ignored(node: Stage) -> int:
+def ignored(node: WorkerNode) -> int:
     return int(node.tally.summary().get("ignored.internal error", 0))
 
 
@@ -145,7 +144,7 @@ def test_of_a_latched_topic_only_the_last_message_is_kept(graph: Graph, listenin
     assert heard == ["2"]
 
 
-def state(graph: Graph, node: Stage) -> Any:
+def state(graph: Graph, node: WorkerNode) -> Any:
     """The level, message and hardware that the node publishes next."""
     seen: list[DiagnosticStatus] = []
     watcher = graph.add(Node("watcher", context=graph.context))
@@ -157,7 +156,7 @@ def state(graph: Graph, node: Stage) -> Any:
 @pytest.fixture
 def told(graph: Graph, monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Account]]:
     """The accounts that come on each topic, where none comes just because it is time."""
-    monkeypatch.setattr(stage, "DIAGNOSTICS_PERIOD_S", 1000.0)
+    monkeypatch.setattr(worker, "DIAGNOSTICS_PERIOD_S", 1000.0)
     accounts: dict[str, list[Account]] = {DIAGNOSTICS: [], PROGRESS: []}
     watcher = graph.add(Node("watcher", context=graph.context))
     on_diagnostics, on_progress = accounts.values()
@@ -193,12 +192,13 @@ def test_subscribers_are_told_of_at_once(graph: Graph, told: dict[str, list[Acco
     for number in (1, 2):
         subscribe(other, KeyValue, "answers", lambda _: None, FRAMES_QOS)
         assert graph.spin_until(
-            lambda n=number: all(accounts[-1].subscribers == {"answers": n} for accounts in told.values()), TIMEOUT_S
+            lambda n=number: all(those[-1].subscribers == {"answers": n, "losses": 0} for those in told.values()),
+            TIMEOUT_S,
         )
 
 
-@pytest.mark.parametrize("node", [SarCompression, HEIGHT_NODES["ml_height"], ReliefMapper])
-def test_work_gives_way_as_its_node_says(graph: Graph, node: type[Stage]) -> None:
+@pytest.mark.parametrize("node", [PROCESSING["sar_compression"], PROCESSING["ml_height"], PROCESSING["relief_mapper"]])
+def test_work_gives_way_as_its_node_says(graph: Graph, node: type[WorkerNode]) -> None:
     """Compression to the nodes after it, and to the thread that receives frames; the map to all that is late sooner."""
     made, found = graph.add(node(context=graph.context)), []
 
@@ -209,7 +209,9 @@ def test_work_gives_way_as_its_node_says(graph: Graph, node: type[Stage]) -> Non
     made.submit(0, look)
     assert graph.spin_until(lambda: bool(found), TIMEOUT_S)
     assert found == [os.getpriority(os.PRIO_PROCESS, threading.get_native_id()) + node.niceness]
-    assert ReliefMapper.niceness > SarCompression.niceness > HEIGHT_NODES["ml_height"].niceness
+    assert (
+        PROCESSING["relief_mapper"].niceness > PROCESSING["sar_compression"].niceness > PROCESSING["ml_height"].niceness
+    )
 
 
 def test_a_node_is_ready_while_its_topics_have_publishers_and_says_so_at_once(
@@ -239,10 +241,13 @@ def test_what_is_done_without_messages_is_told_at_once(graph: Graph, told: dict[
 
 
 def test_a_node_that_gets_nothing_is_stale_and_says_what_it_waits_for(graph: Graph) -> None:
-    node = graph.add(HEIGHT_NODES["ml_height"](context=graph.context))
+    node = graph.add(PROCESSING["ml_height"](context=graph.context))
     assert state(graph, node) == (DiagnosticStatus.STALE, "waiting for /sensor_info, /slc", "", True)
-    node._inlets[0].heard_at = node._inlets[1].heard_at = time.monotonic()
-    node._on_sensor_info(messages.sensor_to_message(make_sensor(), messages.to_stamp(0)))
+    source = graph.add(Node("source", context=graph.context))
+    publisher = publisher_of(source, SensorInfo, "sensor_info", LATCHED_QOS)
+    publisher.publish(messages.sensor_to_message(make_sensor(), messages.to_stamp(0)))
+    assert graph.spin_until(lambda: node.hardware_id == "test" and not node.jobs, TIMEOUT_S)
+    node._inlets_of["slc"].heard_at = time.monotonic()
     assert state(graph, node) == (DiagnosticStatus.OK, "processing", "test", True)
 
 
@@ -259,7 +264,7 @@ def test_a_topic_that_is_published_in_another_namespace_is_named(graph: Graph, l
 
 
 def test_two_sources_of_odometry_are_named(graph: Graph) -> None:
-    node = graph.add(SarCompression(context=graph.context))
+    node = graph.add(PROCESSING["sar_compression"](context=graph.context))
     sources = [graph.add(Node(name, context=graph.context)) for name in ("one", "other")]
     publishers = [publisher_of(source, Odometry, "platform/odometry", ODOMETRY_QOS) for source in sources]
     assert graph.spin_until(lambda: bool(node.source_warning), TIMEOUT_S)
@@ -280,23 +285,23 @@ def test_the_level_tells_of_the_last_seconds_and_the_counts_of_all_time(
         DiagnosticStatus.WARN,
         "1 dropped or ignored in all, last word: A word is wrong.",
     )
-    monkeypatch.setattr(stage, "RECENT_S", 0.0)
+    monkeypatch.setattr(worker, "RECENT_S", 0.0)
     monkeypatch.setattr(listening._inlets[0], "latched", True)
     assert state(graph, listening)[:2] == (DiagnosticStatus.OK, "processing")
     assert listening.tally.summary()["ignored.word"] == 1
 
 
-def test_calibrations_are_bounded(graph: Graph, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_calibrations_are_bounded(graph: Graph) -> None:
     class Known:
         def __init__(self, number: int) -> None:
             self.id = str(number)
 
-    node = graph.add(HEIGHT_NODES["ml_height"](context=graph.context))
-    monkeypatch.setattr(messages, "calibration_from_message", Known)
-    for number in range(HELD_CALIBRATIONS + 1):
-        node._on_calibration(number)
-    assert list(node._calibrations) == [str(number) for number in range(1, HELD_CALIBRATIONS + 1)]
-    assert node._calibrations.use("1")
+    stage: Any = graph.add(PROCESSING["ml_height"](context=graph.context)).stage
+    kept = stage._calibrations._kept
+    for number in range(CALIBRATIONS_KEPT + 1):
+        stage.accept(CALIBRATION, StatedCalibration(Known(number)))  # type: ignore[arg-type]
+    assert list(kept) == [str(number) for number in range(1, CALIBRATIONS_KEPT + 1)]
+    assert kept.use("1")
     for number in range(10, 20):
-        node._on_calibration(number)
-    assert set(node._calibrations) == {"1", "17", "18", "19"}
+        stage.accept(CALIBRATION, StatedCalibration(Known(number)))  # type: ignore[arg-type]
+    assert set(kept) == {"1", "17", "18", "19"}

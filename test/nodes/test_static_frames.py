@@ -15,14 +15,15 @@ from rclpy.parameter import Parameter
 from scipy.spatial.transform import Rotation
 
 from sal_height import messages
+from sal_height.engine import static_frames
+from sal_height.engine.static_frames import StaticFrames, StaticTransform
 from sal_height.errors import UserError
 from sal_height.geometry import Mounting
+from sal_height.messages.kinds import read_transforms
 from sal_height.messages.types import HeightImage, Quaternion, TFMessage, TransformStamped, Vector3
-from sal_height.nodes import static_frames
 from sal_height.nodes.domain import free_domain
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.sar_compression import SarCompression
-from sal_height.nodes.static_frames import StaticFrames
+from sal_height.nodes.processing import PROCESSING
 from sal_height.nodes.transforms import TF_STATIC_QOS, has_transforms
 
 IMAGE = {"rows": 46, "cols": 12}
@@ -42,9 +43,15 @@ def transform(
 
 def frames_of(*transforms: TransformStamped) -> StaticFrames:
     frames = StaticFrames()
-    for each in transforms:
-        frames.add(each)
+    for one in transforms:
+        frames.add(read(one))
     return frames
+
+
+def read(transform: TransformStamped) -> StaticTransform:
+    """What the stage is given of a transform in a message."""
+    (found,) = read_transforms(messages.serialize(TFMessage(transforms=[transform])))
+    return found
 
 
 def test_a_frame_is_placed_through_those_between() -> None:
@@ -91,7 +98,7 @@ def test_frames_in_a_circle_end_the_search() -> None:
 )
 def test_what_is_no_transform_is_refused(bad: TransformStamped, words: str) -> None:
     with pytest.raises(UserError, match=words):
-        StaticFrames().add(bad)
+        StaticFrames().add(read(bad))
 
 
 @pytest.mark.parametrize("w", [0.0, 0.98, 1.02, math.nan])
@@ -99,22 +106,24 @@ def test_a_rotation_must_be_a_unit_quaternion(w: float) -> None:
     bad = transform("base_link", "sensor")
     bad.transform.rotation.w = w
     with pytest.raises(UserError, match="norm 1"):
-        StaticFrames().add(bad)
+        StaticFrames().add(read(bad))
 
 
 def test_no_more_frames_are_held_than_a_platform_has(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(static_frames, "MOST_FRAMES", 2)
     frames = frames_of(transform("base_link", "sensor"), transform("base_link", "gps"))
     with pytest.raises(UserError, match="more than 2 frames; 'third' is left out"):
-        frames.add(transform("base_link", "third"))
-    frames.add(transform("base_link", "sensor", (1.0, 0.0, 0.0)))
+        frames.add(read(transform("base_link", "third")))
+    frames.add(read(transform("base_link", "sensor", (1.0, 0.0, 0.0))))
     assert frames.place("sensor", "base_link").translation[0] == 1.0
 
 
 @pytest.mark.skipif(has_transforms(), reason="there is a ROS installation with tf2_msgs")
 def test_without_tf2_msgs_the_node_says_what_is_missing(graph: Graph) -> None:
     with pytest.raises(UserError, match="mounting_from_tf needs the package tf2_msgs"):
-        SarCompression(context=graph.context, parameter_overrides=[Parameter("mounting_from_tf", value=True)])
+        PROCESSING["sar_compression"](
+            context=graph.context, parameter_overrides=[Parameter("mounting_from_tf", value=True)]
+        )
 
 
 def mounted(chain: Chain, mounting: Mounting) -> Any:
@@ -181,6 +190,7 @@ def test_a_sensor_farther_than_any_platform_costs_its_dwells_only(from_tf: Chain
     from_tf.await_drops("sar_compression", "cannot be processed", DETECTORS)
     assert "lever arm" in from_tf.stages["sar_compression"].last_drop
     broadcast(from_tf, transform("base_link", "sensor"))
-    from_tf.wait(lambda: from_tf.stages["sar_compression"]._frames.place("sensor", "base_link").translation[0] == 0, "")
+    frames = from_tf.stages["sar_compression"].stage._frames
+    from_tf.wait(lambda: frames.place("sensor", "base_link").translation[0] == 0, "the sensor's place")
     from_tf.publish(*from_tf.odometry(1), *from_tf.frames(1))
     from_tf.await_heights(1)

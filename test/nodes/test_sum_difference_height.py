@@ -18,12 +18,12 @@ from sal_height.errors import UserError
 from sal_height.messages.provenance import recorded
 from sal_height.messages.types import HeightImage
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.height import HEIGHT_NODES
+from sal_height.nodes.processing import PROCESSING
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import HybridSettings, load_preset
 from sal_height.simulation.scenes import load_scene
 
-WITH_SUM_DIFFERENCE = {**ESTIMATORS, "sum_difference": HEIGHT_NODES["sum_difference_height"]}
+WITH_SUM_DIFFERENCE = {**ESTIMATORS, "sum_difference": PROCESSING["sum_difference_height"]}
 
 
 def flown(pattern: str = "jinc", **hybrid: Any) -> SimulatedFlight:
@@ -149,7 +149,7 @@ def test_a_slope_table_that_cannot_be_used_is_refused_at_the_start(
     if text is not None:
         table.write_text(text)
     with pytest.raises(UserError) as refused:
-        HEIGHT_NODES["sum_difference_height"](
+        PROCESSING["sum_difference_height"](
             context=graph.context, parameter_overrides=[Parameter("slope_table", value=str(table))]
         )
     assert_one_sentence(str(refused.value), *parts)

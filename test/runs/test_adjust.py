@@ -19,7 +19,7 @@ from sal_height.bag.writer import BagWriter
 from sal_height.commands import main
 from sal_height.commands.adjust import DEFAULT_SIGMA_M, LEAST_SIGMA_M, MOST_SIGMA_M
 from sal_height.io import bag_name
-from sal_height.nodes.height_adjuster import HeightAdjuster
+from sal_height.nodes.processing import PROCESSING
 from sal_height.runs.adjust import ADJUSTED_FROM
 from sal_height.runs.reporting import PARAMETERS
 from sal_height.runs.sensor_bag import record_sensor
@@ -256,7 +256,7 @@ def test_why_no_dwell_can_be_adjusted_is_said_reason_by_reason(
 
 
 def test_known_ground_may_be_what_the_node_and_files_allow() -> None:
-    sigma = settings_of(HeightAdjuster.parameters)["terrain_sigma_m"]
+    sigma = settings_of(PROCESSING["height_adjuster"].parameters)["terrain_sigma_m"]
     assert (sigma.minimum, sigma.default, sigma.maximum) == (LEAST_SIGMA_M, DEFAULT_SIGMA_M, MOST_SIGMA_M)
 
 
@@ -277,8 +277,9 @@ def test_faults_together_cost_a_dwell_and_a_sample(flight: Path, tmp_path: Path)
     assert main(["adjust", str(broken), "--out", str(tmp_path / "out"), *KNOWN]) == 0
     report = report_of(tmp_path / "out")
     assert report["dwells"] == 14
-    assert sum(report["dropped"].values()) == 2
-    assert any("channels [3] are not in the bag" in sentence for sentence in report["warnings"])
+    assert report["dropped"] == {"sar_compression: incomplete dwell": 1}
+    assert report["ignored"] == {"sar_compression: odometry": 1}
+    assert any("channels [3] did not come" in sentence for sentence in report["warnings"])
     assert report["comparisons"] > 15
     after = BagReader(tmp_path / "out" / "bag")
     assert after.topics["/platform/odometry"].count == reader.topics["/platform/odometry"].count - 1

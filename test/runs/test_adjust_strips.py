@@ -10,14 +10,15 @@ import numpy as np
 import pytest
 from flown_passes import BORESIGHT, ERRORS
 
-from sal_height.bag.reader import BagReader
 from sal_height.commands import main
 from sal_height.elevation import ESTIMATORS
+from sal_height.engine.image_items import Images
+from sal_height.engine.stage import Product
 from sal_height.geometry import sphere_coordinates
 from sal_height.numeric import F64
 from sal_height.pipeline import heights
-from sal_height.runs.campaign import Case, plan
-from sal_height.runs.recorded_dwells import Compressed, RecordedDwells
+from sal_height.runs.catalogue import parameters_of
+from sal_height.runs.chain_runs import BagRun, plan
 from sal_height.runs.sensor_bag import record_sensor
 from sal_height.simulation import load_preset
 from sal_height.simulation.impairments import Impairments
@@ -50,26 +51,22 @@ def adjusted(flight: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-class Heights(RecordedDwells):
-    """Median errors of the heights of all images of a bag, where they are said to be, and their median sigmas, m."""
+def errors_of(bag: Path) -> F64:
+    """Median errors of the heights of all images of a bag, where they are said to be, and their median sigmas, m.
 
-    def __init__(self, bag: Path, folder: Path) -> None:
-        reader = BagReader(bag)
-        super().__init__(plan(Case(bag, folder, {}, {}, ("ml",)), 1000).works[0], reader)
-        self.found: list[tuple[float, float]] = []
-        self.read(reader, "heights")
-
-    def made(self, compressed: Compressed) -> None:
-        ml = ESTIMATORS["ml"]
-        first = heights(compressed.slc, compressed.sensor, ml, self.in_force.of(ml.node)).first
-        east, north, height = sphere_coordinates(first.positions)
-        error = np.nanmedian(height - street().heights(east, north))
-        self.found.append((float(error), float(np.nanmedian(first.sigma))))
-
-    @property
-    def by_strip(self) -> F64:
-        """Errors and sigmas, shape (strips, images, 2)."""
-        return np.array(self.found).reshape(STRIPS, IMAGES, 2)
+    Shape (strips, images, 2).
+    """
+    scheme, ml = plan(bag, {}, ("ml",)), ESTIMATORS["ml"]
+    settings = parameters_of(ml.node, scheme.parameters.get(ml.node, {}))
+    found: list[tuple[float, float]] = []
+    for made in BagRun(scheme, ["sar_compression"]).results():
+        if isinstance(made.result, Product) and isinstance(images := made.result.item, Images):
+            assert images.source
+            first = heights(images.slc, images.source.sensor, ml, settings).first
+            east, north, height = sphere_coordinates(first.positions)
+            error = np.nanmedian(height - street().heights(east, north))
+            found.append((float(error), float(np.nanmedian(first.sigma))))
+    return np.array(found).reshape(STRIPS, IMAGES, 2)
 
 
 def test_strips_of_a_bag_are_adjusted(adjusted: Path) -> None:
@@ -85,13 +82,9 @@ def test_strips_of_a_bag_are_adjusted(adjusted: Path) -> None:
     assert "Without known ground all dwells together may lie off by" in " ".join(report["warnings"])
 
 
-def test_a_replay_forms_strips_with_the_corrected_odometry_whose_heights_agree(
-    flight: Path, adjusted: Path, tmp_path: Path
-) -> None:
+def test_a_replay_forms_strips_with_the_corrected_odometry_whose_heights_agree(flight: Path, adjusted: Path) -> None:
     """Within 1 cm; before, they lie more than 20 cm apart. All together they are within 3 sigma of the truth."""
-    before, after = (
-        Heights(bag, tmp_path / name).by_strip for name, bag in (("before", flight), ("after", adjusted / "bag"))
-    )
+    before, after = errors_of(flight), errors_of(adjusted / "bag")
     assert np.ptp(np.median(before[..., 0], axis=1)) > 0.2
     assert np.ptp(np.median(after[..., 0], axis=1)) < 0.01, after
     assert abs(np.median(after[..., 0])) < 3 * np.median(after[..., 1])

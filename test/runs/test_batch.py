@@ -64,7 +64,7 @@ def test_bags_are_processed_and_one_that_cannot_be_does_not_stop_the_others(
     recorded: Path, tmp_path: Path, cluster: Workers
 ) -> None:
     bags = [recorded / "bag", damaged(recorded / "bag", tmp_path / "cut"), recorded / "bag"]
-    rows = run_campaign(Campaign(bags, most_dwells=1), tmp_path / "out", cluster)
+    rows = run_campaign(Campaign(bags), tmp_path / "out", cluster)
     assert_one_sentence(rows[1]["failure"], "cut off", str(tmp_path / "cut"))
     for row, name in ((rows[0], "recorded"), (rows[2], "recorded_2")):
         assert (row["failure"], row["dwells"], row["dropped"], row["images"]) == ("", 2, 0, 6)
@@ -164,7 +164,7 @@ def test_what_is_in_the_way_is_refused(recorded: Path, tmp_path: Path, monkeypat
         run_campaign(campaign, out, Workers())
     assert_one_sentence(str(error.value), str(out), "--out")
     (out / "file").unlink()
-    (out / CAMPAIGN).write_text(json.dumps({**campaign.as_json(), "most_dwells": 7}))
+    (out / CAMPAIGN).write_text(json.dumps({**campaign.as_json(), "estimators": ["ml"]}))
     with pytest.raises(UserError, match="holds another campaign"):
         run_campaign(campaign, out, Workers())
     wrong = Campaign([recorded / "bag"], varied={"ml_height.range_looks": [1, -1]})

@@ -12,8 +12,9 @@ from sal_height.bag.compare import EQUAL
 from sal_height.bag.reader import BagReader
 from sal_height.elevation import ESTIMATORS
 from sal_height.errors import UserError
-from sal_height.nodes.height import HEIGHT_NODES
-from sal_height.runs.catalogue import HEIGHTS, NODES, SETTABLE, consumers, suited
+from sal_height.nodes.processing import PROCESSING
+from sal_height.runs.catalogue import HEIGHTS, SETTABLE, consumers, suited
+from sal_height.runs.node_classes import NODES
 from sal_height.runs.recorded_parameters import recorded_parameters
 from sal_height.runs.replay import replay
 from sal_height.runs.simulate import fly, run
@@ -27,7 +28,7 @@ PAIR = load_preset("xband_sumdiff").make_sensor()
 def test_every_estimator_has_a_node_with_its_settings_and_topics() -> None:
     for name, estimator in ESTIMATORS.items():
         node = NODES[estimator.node]
-        assert node is HEIGHT_NODES[estimator.node]
+        assert node is PROCESSING[estimator.node]
         assert HEIGHTS[estimator.node] == node.product == name
         assert estimator.node in SETTABLE
         assert {*settings_of(estimator.settings), "timeout_s"} <= {*settings_of(node.parameters)}

@@ -278,8 +278,7 @@ def test_malformed_options_end_with_status_2(words: list[str], capsys: pytest.Ca
     assert words[0] in capsys.readouterr().err
 
 
-def test_a_bag_of_heights_says_how_to_get_images(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["irf", str(REFERENCE)]) == 2
-    assert "sal-height irf --help" in capsys.readouterr().err
-    assert main(["irf", "--help"]) == 0
-    assert "replay BAG --record slc" in capsys.readouterr().out
+def test_a_bag_without_images_is_measured_by_those_of_its_phase_history(tmp_path: Path) -> None:
+    assert main(["irf", str(REFERENCE), "--out", str(tmp_path / "out")]) == 0
+    entries = json.loads((tmp_path / "out" / "irf.json").read_text())
+    assert [(one["dwell"], one["channel"]) for one in entries] == [(n, channel) for n in (0, 1) for channel in range(8)]

@@ -117,10 +117,12 @@ def test_how_many_dwells_were_left_out_is_said(tmp_path: Path) -> None:
     found = find_in_bag(bag, tmp_path / "out")
     assert found.table().splitlines()[0].endswith(" of 4 images were looked at; 2 of 6 dwells were left out")
     told = " ".join(found.warnings)
-    assert "2 of 6 dwells were left out (sar_compression: incomplete dwell). Dwell 0: channels [1] are not in" in told
-    assert "1 message was left out (sar_compression: broken). A message cannot be decoded" in told
+    assert "2 of 6 dwells were left out (sar_compression: incomplete dwell). Dwell 0: channels [1] did not come" in told
+    assert (
+        "1 message was left out (sar_compression: broken message). A message on phase_history cannot be decoded" in told
+    )
     report = report_of(tmp_path / "out")
-    assert report["dropped"] == {"sar_compression: broken": 1, "sar_compression: incomplete dwell": 2}
+    assert report["dropped"] == {"sar_compression: broken message": 1, "sar_compression: incomplete dwell": 2}
     assert report["dwells"] == 6
     with pytest.raises(
         UserError, match=r"no image in which .* 4 of 6 dwells were left out \(sar_compression: odometry gap\)"

@@ -24,7 +24,8 @@ from sal_height.messages import serialize
 from sal_height.runs.entry import FROM_HEIGHTS, Part, origin_of
 from sal_height.runs.recorded_parameters import recorded_parameters
 from sal_height.runs.replay import replay
-from sal_height.runs.simulate import RELIEF_MAP, fly
+from sal_height.runs.reporting import RELIEF_MAP
+from sal_height.runs.simulate import fly
 from sal_height.simulation import Preset, flight_of
 from sal_height.simulation.preset import parse_preset
 

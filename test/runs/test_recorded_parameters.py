@@ -18,13 +18,14 @@ from sal_height import messages
 from sal_height.bag.compare import CHANGED
 from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import HEIGHT_TYPE
+from sal_height.engine.compression import HEARD
+from sal_height.engine.registry import STAGES as KINDS
 from sal_height.errors import UserError
 from sal_height.geometry import Origin
-from sal_height.nodes.cues import Cue
-from sal_height.nodes.sar_compression import HEARD
-from sal_height.runs.campaign import Case, plan
-from sal_height.runs.catalogue import NODES, SETTABLE, consumers, parameters_of
+from sal_height.runs.catalogue import SETTABLE, consumers, parameters_of
+from sal_height.runs.chain_runs import plan
 from sal_height.runs.entry import FROM_HEIGHTS, WHOLE, Chain, Part, chain_of
+from sal_height.runs.plan import DwellChanges
 from sal_height.runs.recorded_parameters import recorded_parameters
 from sal_height.runs.replay import replay
 from sal_height.runs.replay_parameters import Processing, processing_of
@@ -53,12 +54,12 @@ OTHER = {
 def other_defaults(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nodes whose defaults are `OTHER`."""
     for node, defaults in OTHER.items():
-        model = NODES[node].parameters
+        model = KINDS[node].settings
         fields: dict[str, Any] = {}
         for name, default in defaults.items():
             fields[name] = (model.model_fields[name].annotation, copy.copy(model.model_fields[name]))
             fields[name][1].default = default
-        monkeypatch.setattr(NODES[node], "parameters", create_model(model.__name__, __base__=model, **fields))
+        monkeypatch.setattr(KINDS[node], "settings", create_model(model.__name__, __base__=model, **fields))
         assert {name: getattr(parameters_of(node, {}), name) for name in defaults} == defaults
 
 
@@ -70,24 +71,24 @@ def stated_in(bag: Path) -> dict[str, dict[str, Any]]:
     for recorded in reader.messages(topics):
         image = reader.decode(recorded.type_name, recorded.cdr)
         for node, values in messages.stages_of(image.provenance.parameters).items():
-            known = settings_of(NODES[node].parameters).keys() - OF_MACHINE
+            known = settings_of(KINDS[node].settings).keys() - OF_MACHINE
             stated[node] = {name: value for name, value in values.items() if name in known}
     return stated
 
 
 @pytest.mark.usefixtures("other_defaults")
 @pytest.mark.parametrize("name", ALL)
-def test_the_values_of_a_bag_do_not_depend_on_the_defaults_of_today(name: str, tmp_path: Path) -> None:
+def test_the_values_of_a_bag_do_not_depend_on_the_defaults_of_today(name: str) -> None:
     """Of `replay`, `batch` and `live`; a parameter that did not exist then has the default of today."""
     stated = stated_in(BAGS / name)
     assert stated.keys() >= {"sar_compression"}
     reader = WHOLE.open(BAGS / name)
     chain = chain_of(reader, "phase_history", ())
     processing = processing_of(reader, chain, WHOLE, consumers(chain.makers), {})
-    scheme = plan(Case(BAGS / name, tmp_path / "out", {}, {}), 8)
+    scheme = plan(BAGS / name, {})
     live = Feed.of_bag(BAGS / name).parameters
     for node, values in stated.items():
-        for found in (processing.values, scheme.parameters, scheme.works[0].parameters, live):
+        for found in (processing.values, scheme.parameters, live):
             assert parameters_of(node, found[node]) == parameters_of(node, values)
             assert all(
                 getattr(parameters_of(node, found[node]), name) != OTHER[node][name]
@@ -98,7 +99,7 @@ def test_the_values_of_a_bag_do_not_depend_on_the_defaults_of_today(name: str, t
         assert {sources[one] for one in sources.keys() - values.keys()} <= {"default"}
     assert processing.sources["sar_compression"]["rows"] == "custom data of the bag"
     assert processing.sources["sar_compression"]["azimuth_window"] == "provenance"
-    assert (processing.warnings, processing.cues, scheme.warnings) == ([], [], ())
+    assert (processing.warnings, processing.changes, scheme.warnings) == ([], [], ())
 
 
 @pytest.mark.usefixtures("other_defaults")
@@ -147,7 +148,7 @@ def test_values_that_differ_between_products_are_changes_in_flight(tmp_path: Pat
     ]
     found = processing(written(tmp_path / "bag", said, custom()))
     assert found.values == {"ml_height": {"range_looks": 4}}
-    assert found.cues == [Cue(key(2), {"ml_height": {"range_looks": 2}})]
+    assert found.changes == [DwellChanges(key(2), {"ml_height": {"range_looks": 2}})]
 
 
 @pytest.mark.parametrize("flown", [{}, custom(ml_height={"latency_budget_s": 0.5})])
@@ -163,7 +164,7 @@ def test_how_dwells_waited_on_the_machine_of_the_flight_is_not_repeated(flown: d
     ]
     found = processing(written(tmp_path / "bag", said, flown))
     assert found.values["ml_height"] == {"range_looks": 3, **({"latency_budget_s": 0.5} if flown else {})}
-    assert (found.cues, found.warnings) == ([], [])
+    assert (found.changes, found.warnings) == ([], [])
     assert found.sources["ml_height"]["autostart"] == "default"
 
 
@@ -217,7 +218,7 @@ def test_calibrations_of_the_bag_take_the_place_of_their_file(
 
 
 def test_settings_say_which_of_them_name_files() -> None:
-    entries = [one for node in SETTABLE for one in settings_of(NODES[node].parameters).values()]
+    entries = [one for node in SETTABLE for one in settings_of(KINDS[node].settings).values()]
     assert {one.name for one in entries if one.names_file} == {
         "calibration",
         "file",
@@ -306,7 +307,7 @@ def test_a_change_that_is_not_allowed_today_is_refused_with_its_dwell(tmp_path: 
         processing(reader)
     stated = f"the provenance of bag {reader.path} states the value from dwell 1 on, and --param ml_height.range_looks="
     assert_one_sentence(str(error.value), "Parameter range_looks is 0", stated)
-    assert processing(reader, {"ml_height": {"range_looks": 5}}).cues == []
+    assert processing(reader, {"ml_height": {"range_looks": 5}}).changes == []
 
 
 def test_parameters_of_a_second_node_of_a_kind_are_its_own(tmp_path: Path) -> None:

@@ -33,8 +33,8 @@ from sal_height.messages.types import SensorInfo
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.player import Player
-from sal_height.nodes.stage import LATCHED_QOS
-from sal_height.runs.conductor import Execution
+from sal_height.nodes.quality import LATCHED_QOS
+from sal_height.runs.plan import Execution
 from sal_height.runs.recorded_parameters import recorded_parameters
 from sal_height.runs.replay import replay
 from sal_height.runs.reporting import PARAMETERS
@@ -277,7 +277,7 @@ def test_after_a_damaged_chunk_the_player_has_nothing_more_to_play(
     player = graph.add(Player(context=graph.context, parameter_overrides=[Parameter("bag", value=str(bag))]))
     answers = []
     for _ in range(4):
-        answers.append(player._step()[0])
+        answers.append(player.step()[0])
         assert graph.spin_until(lambda: not player.jobs, 20.0)
     assert answers == [True, True, False, False]
     assert player._outlets["/phase_history"].published == 15
@@ -289,13 +289,13 @@ def test_the_sensor_is_announced_before_the_first_step_and_once(recorded: Path, 
     bag = Parameter("bag", value=str(recorded / "bag"))
     player = graph.add(Player(context=graph.context, parameter_overrides=[bag]))
     assert graph.spin_until(lambda: bool(heard), 20.0)
-    player._step()
+    player.step()
     assert graph.spin_until(lambda: not player.jobs, 20.0)
     assert player._outlets["/sensor_info"].published == 1
 
 
-def test_a_group_of_dwells_ends_even_if_each_lacks_a_frame(recorded: Path, tmp_path: Path, graph: Graph) -> None:
-    """Nine dwells without their last channel: a step ends with a dwell, after as many frames as four have, or more."""
+def test_a_step_ends_with_a_dwell_even_if_each_lacks_a_frame(recorded: Path, tmp_path: Path, graph: Graph) -> None:
+    """Nine dwells without their last channel: a step ends after as many frames as a dwell has, or more."""
     reader = BagReader(recorded / "bag")
     others = list(reader.messages(["/sensor_info", "/platform/odometry"]))
     frames = []
@@ -306,16 +306,16 @@ def test_a_group_of_dwells_ends_even_if_each_lacks_a_frame(recorded: Path, tmp_p
             frames.append(recorded_frame._replace(cdr=serialize(frame), log_time_ns=2**62 + len(frames)))
     bag = copy_of(recorded / "bag", tmp_path / "bag", [*others, *frames])
     player = graph.add(Player(context=graph.context, parameter_overrides=[Parameter("bag", value=str(bag))]))
-    player._step()
+    player.step()
     assert graph.spin_until(lambda: not player.jobs, 20.0)
-    assert player._outlets["/phase_history"].published == 5 * 7
+    assert player._outlets["/phase_history"].published == 2 * 7
 
 
 def test_a_failure_is_in_the_report(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object, **__: object) -> None:
         raise UserError("The disk is gone.")
 
-    monkeypatch.setattr("sal_height.runs.replay.perform", fail)
+    monkeypatch.setattr("sal_height.runs.lockstep.perform", fail)
     with pytest.raises(UserError, match="disk is gone"):
         replay(recorded / "bag", tmp_path / "out", {})
     report = json.loads((tmp_path / "out" / "report.json").read_text())

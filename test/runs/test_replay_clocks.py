@@ -5,22 +5,24 @@ from __future__ import annotations
 import dataclasses
 import json
 import threading
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import pytest
 from helpers import assert_one_sentence
 
 from sal_height.bag.compare import CHANGED
+from sal_height.bag.played import DwellRange
 from sal_height.bag.reader import ALWAYS, BagReader
 from sal_height.bag.stamps import stamp_ns_of
 from sal_height.commands import main
+from sal_height.engine.compression import Compression
+from sal_height.engine.stage import DwellKey, Job, Result
 from sal_height.errors import UserError
-from sal_height.nodes.cues import Cue, DwellKey
-from sal_height.nodes.played import DwellRange
-from sal_height.nodes.sar_compression import SarCompression
-from sal_height.runs.conductor import Execution, Plan, members_of
+from sal_height.nodes.host import StageNode
+from sal_height.runs.ensemble import members_of
 from sal_height.runs.entry import Part
+from sal_height.runs.plan import DwellChanges, Execution, Plan
 from sal_height.runs.playing import Playing
 from sal_height.runs.replay import replay
 from sal_height.runs.replay_parameters import Processing
@@ -71,20 +73,21 @@ def test_what_a_burst_overruns_is_dropped_and_counted(
 ) -> None:
     """Every frame is accounted for, and the dwells that were processed are those of lockstep."""
     values = {"sar_compression": {"max_queued_dwells": 1}}
-    process, take = SarCompression.process, SarCompression._on_message
+    process, takes = Compression.process, StageNode.takes
     all_came = threading.Event()
 
-    def held_up(self: SarCompression, *dwell: Any) -> int:
-        assert all_came.wait(20.0)
-        return process(self, *dwell)
+    def held_up(self: Compression, jobs: Sequence[Job]) -> Iterator[Sequence[Result]]:
+        assert jobs[0].dwell is None or all_came.wait(20.0)
+        return process(self, jobs)
 
-    def noted(self: SarCompression, message: Any) -> None:
-        take(self, message)
-        if self.tally.summary()["in"] == FRAMES:
+    def noted(self: StageNode) -> bool:
+        taken = takes(self)
+        if isinstance(self.stage, Compression) and self.account().received == FRAMES:
             all_came.set()
+        return taken
 
-    monkeypatch.setattr(SarCompression, "process", held_up)
-    monkeypatch.setattr(SarCompression, "_on_message", noted)
+    monkeypatch.setattr(Compression, "process", held_up)
+    monkeypatch.setattr(StageNode, "takes", noted)
     result = replay(recorded / "bag", tmp_path / "out", values, playing=Playing("burst", loops=10))
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     account = report["stages"]["sar_compression"]
@@ -145,8 +148,8 @@ def test_what_does_not_go_together_is_refused(recorded: Path, tmp_path: Path) ->
 
 def test_only_what_happened_before_the_first_dwell_can_be_repeated() -> None:
     def changed_before(dwell: int) -> Processing:
-        cues = [Cue(DwellKey(dwell, dwell), {"ml_height": {"range_looks": 2}})]
-        return Processing({}, {}, cues, [], [], DwellRange(), 3, True, {DwellKey(0, 0): ALWAYS})
+        changes = [DwellChanges(DwellKey("", dwell, dwell), {"ml_height": {"range_looks": 2}})]
+        return Processing({}, {}, changes, [], [], DwellRange(), 3, True, {DwellKey("", 0, 0): ALWAYS})
 
     Playing("burst", loops=2).check(changed_before(0))
     Playing("burst").check(changed_before(1))

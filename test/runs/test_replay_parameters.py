@@ -12,8 +12,8 @@ from written_bag import calibration, changed, frame, heights, key, told, written
 
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
-from sal_height.nodes.cues import Cue
 from sal_height.runs.entry import WHOLE, Chain
+from sal_height.runs.plan import DwellChanges
 from sal_height.runs.replay_parameters import Processing, processing_of
 
 STAGES = ["sar_compression", "ml_height", "relief_tracker"]
@@ -41,7 +41,7 @@ def test_every_value_has_a_source(tmp_path: Path) -> None:
     assert sources["objective"] == "command line"
     assert found.sources["relief_tracker"]["estimator"] == "chosen by the replay"
     assert set(found.sources["sar_compression"].values()) == {"default"}
-    assert (found.cues, found.warnings) == ([], [])
+    assert (found.changes, found.warnings) == ([], [])
 
 
 def test_numbers_without_a_point_are_numbers(tmp_path: Path) -> None:
@@ -59,7 +59,9 @@ def test_without_custom_data_heights_and_nodes_say_it(tmp_path: Path) -> None:
     assert found.sources["ml_height"]["range_looks"] == "provenance"
 
 
-def test_changes_are_cues_but_for_what_the_user_sets_and_for_nodes_that_are_not_there(tmp_path: Path) -> None:
+def test_changes_are_scheduled_but_for_what_the_user_sets_and_for_nodes_that_are_not_there(
+    tmp_path: Path,
+) -> None:
     said = [
         told("ml_height", range_looks=3),
         frame(0),
@@ -68,9 +70,9 @@ def test_changes_are_cues_but_for_what_the_user_sets_and_for_nodes_that_are_not_
         frame(1),
     ]
     reader = written(tmp_path / "bag", said)
-    assert processing(reader).cues == [Cue(key(1), {"ml_height": {"range_looks": 2, "azimuth_looks": 2}})]
+    assert processing(reader).changes == [DwellChanges(key(1), {"ml_height": {"range_looks": 2, "azimuth_looks": 2}})]
     given = processing(reader, {"ml_height": {"range_looks": 5}})
-    assert given.cues == [Cue(key(1), {"ml_height": {"azimuth_looks": 2}})]
+    assert given.changes == [DwellChanges(key(1), {"ml_height": {"azimuth_looks": 2}})]
     assert given.values["ml_height"]["range_looks"] == 5
 
 
@@ -89,7 +91,7 @@ def test_what_cannot_be_done_again_is_told(tmp_path: Path, caplog: pytest.LogCap
     assert_one_sentence(restarted, "sar_compression", "map_frame='world'", "dwell 1")
     assert_one_sentence(lost, "'lost'", "dwell 0", "/calibration")
     assert [text.endswith(end) for text, end in zip(caplog.messages, found.warnings, strict=True)] == [True] * 3
-    assert found.cues == []
+    assert found.changes == []
 
 
 def test_a_value_that_is_not_allowed_today_is_refused(tmp_path: Path) -> None:
@@ -115,13 +117,13 @@ def test_the_calibration_of_the_bag_is_applied_unless_the_user_has_another(
     found = processing(reader, None if given is None else {"sar_compression": {"calibration": given}})
     assert found.values["sar_compression"]["calibration"] == applied
     assert found.plays_calibrations is played
-    assert found.cues == ([Cue(key(0), {}, ("first",))] if played else [])
+    assert found.changes == ([DwellChanges(key(0), {}, ("first",))] if played else [])
 
 
 def test_calibrations_that_nobody_applied_in_flight_are_applied_if_the_user_wants_it(tmp_path: Path) -> None:
     """Each from the dwell on before which it came; they are left out otherwise."""
     said = [calibration("one"), frame(0), heights(0), calibration("two"), frame(1), heights(1), frame(2), heights(2)]
     reader = written(tmp_path / "bag", said)
-    assert processing(reader).cues == []
+    assert processing(reader).changes == []
     wanted = processing(reader, {"sar_compression": {"calibration": "topic"}})
-    assert wanted.cues == [Cue(key(0), {}, ("one",)), Cue(key(1), {}, ("two",))]
+    assert wanted.changes == [DwellChanges(key(0), {}, ("one",)), DwellChanges(key(1), {}, ("two",))]

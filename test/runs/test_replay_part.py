@@ -16,8 +16,8 @@ from sal_height.bag.compare import EQUAL
 from sal_height.bag.reader import BagReader
 from sal_height.commands import main
 from sal_height.errors import UserError
-from sal_height.runs.conductor import Execution
 from sal_height.runs.entry import Part
+from sal_height.runs.plan import Execution
 from sal_height.runs.replay import Replay, replay
 from sal_height.runs.simulate import fly
 from sal_height.simulation.preset import Preset
@@ -47,7 +47,7 @@ def test_heights_of_images_are_those_of_the_phase_history(flown: Path, tmp_path:
     result = replay(flown / "bag", tmp_path / "out", {}, part=Part("slc"))
     assert summary(result) == dict.fromkeys({*ESTIMATED, TRACKED}, (DWELLS, 0, 0, True))
     assert "sar_compression" not in result.outcome.stages
-    heights = dict.fromkeys([*ESTIMATED, TRACKED], DWELLS)
+    heights = {**dict.fromkeys([*ESTIMATED, TRACKED], DWELLS), "/losses": 0}
     assert counts(tmp_path / "out" / "bag") == {"/sensor_info": 1, "/slc": 8 * DWELLS, **heights}
     again = replay(tmp_path / "out" / "bag", tmp_path / "again", {}, part=Part("slc", first=1, last=1))
     assert {topic: summary(again)[topic] for topic in ESTIMATED} == dict.fromkeys(ESTIMATED, (1, 0, 0, True))
@@ -58,12 +58,12 @@ def test_from_heights_tracker_and_mapper_work_alone(flown: Path, tmp_path: Path)
     assert summary(result) == {TRACKED: (DWELLS, 0, 0, True)}
     assert set(result.outcome.stages) == {"player", "relief_tracker", "relief_mapper"}
     assert result.shortfalls(changed=False) == []
-    assert counts(tmp_path / "out" / "bag") == {"/ml/height": DWELLS, TRACKED: DWELLS}
+    assert counts(tmp_path / "out" / "bag") == {"/ml/height": DWELLS, TRACKED: DWELLS, "/losses": 0}
     with rasterio.open(flown / "relief_map.tif") as ours, rasterio.open(tmp_path / "out" / "relief_map.tif") as theirs:
         assert np.array_equal(ours.read(), theirs.read(), equal_nan=True)
     values = {"relief_tracker": {"estimator": "monopulse"}}
     both = replay(flown / "bag", tmp_path / "both", values, part=Part("heights", first=2))
-    assert counts(tmp_path / "both" / "bag") == {"/ml/height": 3, "/monopulse/height": 3, TRACKED: 3}
+    assert counts(tmp_path / "both" / "bag") == {"/ml/height": 3, "/monopulse/height": 3, TRACKED: 3, "/losses": 0}
     assert both.outcome.dwells == 3
 
 

@@ -75,6 +75,7 @@ def test_topics_of_the_nodes_get_other_names(playing: Playing, recorded: Path, t
         "/monopulse/height": 2,
         "/north/ml": 2,
         "/ml/height": 2,
+        "/losses": 0,
     }
     (tracked, *_) = made.messages(["/ml/height"])
     assert made.decode(tracked.type_name, tracked.cdr).estimator == "tracked"
@@ -125,7 +126,8 @@ def test_a_rule_is_for_the_bag_if_that_can_be_played(recorded: Path) -> None:
 
 def test_a_topic_takes_the_place_of_the_one_that_is_called_so(recorded: Path) -> None:
     reader = NamespacedReader(recorded / "bag", "", {"/ml/height": "/monopulse/height", "/none": "/tracked/height"})
-    assert reader.topics.keys() == {"/sensor_info", "/platform/odometry", "/phase_history", "/diagnostics", *READ}
+    others = {"/sensor_info", "/platform/odometry", "/phase_history", "/diagnostics", "/losses"}
+    assert reader.topics.keys() == {*others, *READ}
     (first, *_) = reader.messages(["/monopulse/height"])
     assert reader.decode(first.type_name, first.cdr).estimator == "ml"
 

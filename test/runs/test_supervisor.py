@@ -25,7 +25,7 @@ from sal_height.messages.types import HeightImage
 from sal_height.nodes.domain import free_domain
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.message_types import subscribe
-from sal_height.nodes.stage import FRAMES_QOS
+from sal_height.nodes.quality import FRAMES_QOS
 from sal_height.runs.account_book import AccountBook
 from sal_height.runs.ensemble import Member
 from sal_height.runs.supervisor import FIRST_WAIT_S, LONGEST_WAIT_S, STEADY_S, Supervisor

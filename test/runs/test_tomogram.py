@@ -8,9 +8,10 @@ import matplotlib.image
 import numpy as np
 import pytest
 from helpers import assert_one_sentence
+from rewritten_bag import rewritten
 
 from sal_height.errors import UserError
-from sal_height.runs.conductor import Execution
+from sal_height.runs.plan import Execution
 from sal_height.runs.replay import replay
 from sal_height.runs.tomogram import tomogram
 
@@ -40,7 +41,8 @@ def test_row_beyond_the_image_is_refused(with_images: Path, tmp_path: Path) -> N
     assert not (tmp_path / "out").exists()
 
 
-def test_bag_without_images_is_refused(recorded: Path, tmp_path: Path) -> None:
+def test_bag_without_images_and_without_phase_history_is_refused(recorded: Path, tmp_path: Path) -> None:
+    bag = rewritten(recorded / "bag", tmp_path / "bag", lambda one, _: None if one.topic == "/phase_history" else one)
     with pytest.raises(UserError) as refusal:
-        tomogram(recorded / "bag", tmp_path / "out", LOOKS, None)
-    assert_one_sentence(str(refusal.value), "holds no images", "--record slc")
+        tomogram(bag, tmp_path / "out", LOOKS, None)
+    assert_one_sentence(str(refusal.value), "no images of all channels", "no phase history")

@@ -13,8 +13,7 @@ from rich.console import Console
 from sal_height.commands import main
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, KeyValue
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.relief_tracker import ReliefTracker
-from sal_height.nodes.sar_compression import SarCompression
+from sal_height.nodes.processing import PROCESSING
 from sal_height.runs.account_book import MOST_NODES, AccountBook
 from sal_height.runs.live_table import node_table
 
@@ -95,7 +94,7 @@ def spun_until(graph: Graph, condition: Callable[[], bool]) -> bool:
 
 
 def test_top_shows_the_nodes_of_a_domain(graph: Graph, domain_id: int) -> None:
-    for make in (SarCompression, ReliefTracker):
+    for make in (PROCESSING["sar_compression"], PROCESSING["relief_tracker"]):
         graph.add(make(context=graph.context))
     words = [sys.executable, "-m", "sal_height", "top", "--domain", str(domain_id), "--seconds", "3"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as program:  # noqa: S603

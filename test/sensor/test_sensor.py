@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import pickle
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from sal_height.beams.table import BeamTable
 from sal_height.errors import UserError
 from sal_height.geometry import Mounting
 from sal_height.sensor.sensor import MAX_DETECTORS
+from sal_height.simulation import load_preset
 
 
 @pytest.mark.parametrize("count", [64, 65])
@@ -233,3 +235,13 @@ def test_too_many_detectors_are_refused() -> None:
     with pytest.raises(UserError) as refusal:
         make_sensor(elevation_boresights=tuple(np.linspace(0.1, 0.2, count)), noise_power=(1.0,) * count)
     assert_one_sentence(str(refusal.value), f"{count} detectors", f"at most {MAX_DETECTORS}")
+
+
+@pytest.mark.parametrize("name", ["small", "xband_sumdiff"])
+def test_copies_in_another_process_are_one_object_with_all_values(name: str) -> None:
+    """With beams by a formula, and with measured ones."""
+    sensor = load_preset(name).make_sensor()
+    first, second = (pickle.loads(pickle.dumps(sensor)) for _ in range(2))  # noqa: S301 (our own)
+    assert first is second
+    assert (first, hash(first)) == (sensor, hash(sensor))
+    assert pickle.loads(pickle.dumps(dataclasses.replace(sensor, name="another"))) != sensor  # noqa: S301

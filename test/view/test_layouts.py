@@ -30,7 +30,7 @@ from sal_height.messages.codec import SHIPPED
 from sal_height.nodes.account import DIAGNOSTICS
 from sal_height.nodes.domain import free_domain
 from sal_height.nodes.graph import Graph
-from sal_height.runs.catalogue import NODES
+from sal_height.runs.node_classes import NODES
 
 CONFIG = Path(sal_height.__file__).parent / "config"
 RVIZ = yaml.safe_load((CONFIG / "sal_height.rviz").read_text())["Visualization Manager"]

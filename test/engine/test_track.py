@@ -1,4 +1,4 @@
-"""Held odometry: in order, bounded, and not to be wiped by one wrong stamp."""
+"""Odometry that is kept: in order, bounded, and not to be wiped by one wrong stamp."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sal_height.engine import track
+from sal_height.engine.stage import FOREVER_NS
+from sal_height.engine.track import Arrival, OdometryHistory, longest_gap_s
 from sal_height.geometry import PlatformState
-from sal_height.nodes import odometry
-from sal_height.nodes.odometry import Arrival, OdometryHistory
 
 EPOCH_S = 1_700_000_000.0
 
@@ -41,26 +42,26 @@ def test_states_reach_from_before_the_start_to_after_the_end() -> None:
     assert around(OdometryHistory(1.0), 0.0, 0.1) == []
 
 
-def test_covariances_are_held_of_each_sample() -> None:
+def test_covariances_are_kept_of_each_sample() -> None:
     """Equal ones once: in 100 s of odometry they would take more memory than all else."""
     history = OdometryHistory(10.0)
     given = [replace(state(k), velocity_covariance=(k // 2 + 1) * np.eye(3)) for k in range(4)]
     for one in given:
         history.add(one)
-    held = history.around(given[0].stamp_ns, given[3].stamp_ns)
-    assert [one.velocity_covariance[0, 0] for one in held] == [1.0, 1.0, 2.0, 2.0]
-    assert held[0].velocity_covariance is held[1].velocity_covariance
-    assert held[0].velocity_covariance is not held[2].velocity_covariance
+    kept = history.around(given[0].stamp_ns, given[3].stamp_ns)
+    assert [one.velocity_covariance[0, 0] for one in kept] == [1.0, 1.0, 2.0, 2.0]
+    assert kept[0].velocity_covariance is kept[1].velocity_covariance
+    assert kept[0].velocity_covariance is not kept[2].velocity_covariance
 
 
-def test_a_sample_that_was_overtaken_takes_its_place() -> None:
+def test_a_sample_that_was_overtaken_is_put_in_its_place() -> None:
     history = history_of(0.0, 0.1, 0.3)
     assert history.add(state(0.2)) is Arrival.REORDERED
     assert history.add(state(0.4)) is Arrival.IN_ORDER
     assert around(history, 0.0, 0.4) == [0.0, 0.1, 0.2, 0.3, 0.4]
 
 
-def test_a_sample_that_comes_twice_is_held_once() -> None:
+def test_a_sample_that_arrives_twice_is_kept_once() -> None:
     history = history_of(0.0, 0.1, 0.2)
     assert history.add(state(0.1)) is Arrival.REPEATED
     assert len(history) == 3
@@ -74,13 +75,13 @@ def test_one_wrong_stamp_costs_nothing_else(wrong: float) -> None:
     assert around(history, 0.0, 0.2) == [0.0, 0.1, 0.2]
 
 
-def test_two_unset_stamps_are_no_clock_that_starts_anew() -> None:
+def test_two_unset_stamps_are_no_clock_that_starts_again() -> None:
     history = history_of(0.0, 0.1)
     assert [history.add(state(-EPOCH_S)) for _ in range(3)] == [Arrival.SET_ASIDE] * 3
     assert len(history) == 2
 
 
-def test_a_clock_that_starts_anew_is_believed_at_the_second_sample() -> None:
+def test_a_clock_that_starts_again_is_believed_at_the_second_sample() -> None:
     history = history_of(0.0, 50.0, 50.1)
     assert history.add(state(10.0)) is Arrival.SET_ASIDE
     assert history.add(state(10.1)) is Arrival.RESTARTED
@@ -94,23 +95,71 @@ def test_a_clock_that_jumps_ahead_is_believed_at_the_second_sample() -> None:
     assert around(history, 1000.0, 1000.1) == [1000.0, 1000.1]
 
 
-def test_samples_are_held_by_time() -> None:
+def test_samples_are_kept_by_time() -> None:
     history = history_of(*np.arange(0.0, 50.0, 0.1), held_s=10.0)
     assert around(history, 40.0, 49.9)[0] == 40.0
     assert len(history) <= 2 * 100 + 1
 
 
 def test_samples_of_one_moment_do_not_pile_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(odometry, "MOST_STATES", 1000)
+    monkeypatch.setattr(track, "MOST_STATES", 1000)
     history = history_of(*np.arange(5000) * 1e-6)
     assert len(history) <= 1000
 
 
-def test_taking_a_sample_in_costs_the_same_however_many_are_held() -> None:
-    """Copying 100 000 samples for each new one, as a list that is made anew would, takes some 0.4 ms."""
+def test_adding_a_sample_costs_the_same_however_many_are_kept() -> None:
+    """Copying 100 000 samples for each new one, as a list that is made again would, takes some 0.4 ms."""
     history = history_of(*np.arange(0.0, 100.0, 0.001), held_s=100.0)
     more = [state(100.0 + step * 0.001) for step in range(2000)]
     began = time.process_time()
     for sample in more:
         history.add(sample)
     assert (time.process_time() - began) / len(more) < 50e-6
+
+
+@pytest.mark.parametrize("step", [-0.9, -0.3])
+def test_known_fault_a_clock_that_steps_back_by_less_than_a_second_mixes_two_tracks(step: float) -> None:
+    """Its samples are taken for some that were overtaken, and sorted among those of before the step."""
+    history = history_of(0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
+    after = [1.0 + step + 0.2 * count for count in range(1, 5)]
+    arrivals = [history.add(replace(state(moment), position=np.ones(3))) for moment in after]
+    assert Arrival.RESTARTED not in arrivals
+    assert Arrival.REORDERED in arrivals
+    states = history.around(round(EPOCH_S * 1e9), round((EPOCH_S + 1.0) * 1e9))
+    assert {one.position[0] for one in states} == {0.0, 1.0}
+
+
+def may_cover(history: OdometryHistory, start: float, end: float, none_before: float, gap: float = 0.5) -> bool:
+    start_ns, end_ns, none_ns = (round((EPOCH_S + moment) * 1e9) for moment in (start, end, none_before))
+    return history.may_cover(start_ns, end_ns, none_ns, gap)
+
+
+def test_a_time_can_be_covered_until_no_sample_that_is_close_enough_can_arrive() -> None:
+    history = history_of(0.0, 0.1)
+    assert may_cover(history, 0.05, 0.3, -1.0)
+    assert may_cover(history, 0.05, 0.3, 0.2)
+    assert may_cover(history, 0.05, 0.3, 0.59)  # a sample at 0.59 would do
+    assert not may_cover(history, 0.05, 0.3, 0.61)
+    assert may_cover(history, 0.05, 0.3, 1e6, gap=np.inf)
+    start_ns, end_ns = (round((EPOCH_S + moment) * 1e9) for moment in (0.05, 0.3))
+    assert not history.may_cover(start_ns, end_ns, FOREVER_NS, np.inf)
+
+
+def test_a_time_before_all_samples_cannot_be_covered_once_those_have_passed_it() -> None:
+    history = history_of(1.0, 1.1)
+    assert may_cover(history, 0.5, 1.05, 0.4)
+    assert not may_cover(history, 0.5, 1.05, 0.6)
+    assert not may_cover(OdometryHistory(1.0), 0.5, 1.05, 0.6)
+    assert may_cover(OdometryHistory(1.0), 0.5, 1.05, 0.5)
+
+
+def test_a_gap_that_samples_have_passed_stays() -> None:
+    history = history_of(0.0, 0.1, 0.9, 1.0)
+    assert may_cover(history, 0.05, 0.95, 0.5)  # a sample at 0.5 would do
+    assert not may_cover(history, 0.05, 0.95, 0.91)
+    assert not may_cover(history, 0.05, 2.0, 1.01)
+
+
+def test_the_longest_gap_is_that_between_two_samples() -> None:
+    assert longest_gap_s([state(0.0), state(0.5), state(0.7)]) == pytest.approx(0.5)
+    assert longest_gap_s([]) == longest_gap_s([state(0.0)]) == np.inf

@@ -1,4 +1,4 @@
-"""Which messages on the air are used for a dwell, and which are refused."""
+"""Which measurements of the air are used for a dwell, and which are refused."""
 
 from __future__ import annotations
 
@@ -10,24 +10,22 @@ from typing import Any
 
 import numpy as np
 import pytest
-from air_messages import humidity_at, pressure_at, temperature_at
 from helpers import assert_one_sentence, make_sensor
 
-from sal_height import messages
+from sal_height.engine.air import SAMPLES_KEPT, AirHistory, AirSample, air_of_dwell, may_have_air, needed_air
+from sal_height.engine.compression import CompressionSettings
+from sal_height.engine.provenance import Provenance, flat_values
+from sal_height.engine.stage import FOREVER_NS, DwellKey
+from sal_height.engine.tracker import Tracker, _series_of
 from sal_height.errors import Rejected
 from sal_height.geometry import PlatformState
-from sal_height.messages import AirSample, needed_air, read_air
-from sal_height.messages.types import HeightImage, Provenance
-from sal_height.nodes.air import MOST_SAMPLES, AirHistory, heard_air
-from sal_height.nodes.relief_tracker import Parameters as TrackerParameters
-from sal_height.nodes.relief_tracker import _series_of
-from sal_height.nodes.sar_compression import Parameters
 from sal_height.sensor import Sensor
 
 SECOND = 1_000_000_000
 DWELL_NS = 1_700_000_000 * SECOND
 PRESSURE, TEMPERATURE, HUMIDITY = "air/pressure", "air/temperature", "air/humidity"
-HEARD = Parameters(air="heard", map_height_m=500.0)
+HEARD = CompressionSettings(air="heard", map_height_m=500.0)
+KEY = DwellKey("hash", 7, DWELL_NS)
 
 RADIO = make_sensor(wavelength=0.03)
 
@@ -41,18 +39,18 @@ def history_of(pressure: float = 70_000.0, **ages_s: float) -> AirHistory:
 
 
 def air_of(
-    history: AirHistory, sensor: Sensor | None = None, parameters: Parameters = HEARD, height: float = 2500.0
+    history: AirHistory, sensor: Sensor | None = None, settings: CompressionSettings = HEARD, height: float = 2500.0
 ) -> dict[str, float]:
     """The air of a dwell whose platform is at some height of the map."""
-    frame: Any = SimpleNamespace(dwell=7, stamp_ns=DWELL_NS)
+    frame: Any = SimpleNamespace(key=KEY)
     place, level = np.array([0.0, 0.0, height]), np.array([0.0, 0.0, 0.0, 1.0])
     state = PlatformState(DWELL_NS, place, level, np.zeros(3), np.zeros((6, 6)))
-    found = heard_air(history, frame, sensor or make_sensor(), [state], parameters)
+    found = air_of_dwell(history, frame, sensor or make_sensor(), [state], settings)
     assert found is not None
     return dict(found)
 
 
-def test_of_what_has_come_for_certain_the_last_is_used_in_whatever_order_it_came() -> None:
+def test_of_what_has_arrived_for_certain_the_last_is_used_in_whatever_order_it_arrived() -> None:
     """A message that is stamped less than a second before the dwell may have been on its way in flight."""
     stamps = [DWELL_NS - 5 * SECOND, DWELL_NS - SECOND, DWELL_NS - SECOND + 1, DWELL_NS + SECOND]
     for order in permutations(stamps):
@@ -71,18 +69,18 @@ def test_of_two_with_one_stamp_the_later_one_is_used() -> None:
     assert history.at(TEMPERATURE, DWELL_NS) == AirSample(DWELL_NS - SECOND, 280.0)
 
 
-def test_no_more_than_the_last_thousand_are_held() -> None:
+def test_no_more_than_the_last_thousand_are_kept() -> None:
     history = AirHistory()
-    for number in range(MOST_SAMPLES + 5):
+    for number in range(SAMPLES_KEPT + 5):
         history.add(TEMPERATURE, AirSample(number * SECOND, 280.0))
-    assert len(history._samples[TEMPERATURE]) == MOST_SAMPLES == 1000
+    assert len(history._samples[TEMPERATURE]) == SAMPLES_KEPT == 1000
     assert history.at(TEMPERATURE, 0) == AirSample(5 * SECOND, 280.0)
 
 
-def test_a_clock_that_starts_anew_costs_nothing() -> None:
-    """Although all that is held has later stamps."""
+def test_a_clock_that_starts_again_costs_nothing() -> None:
+    """Although all that is kept has later stamps."""
     history = AirHistory()
-    for number in range(MOST_SAMPLES):
+    for number in range(SAMPLES_KEPT):
         history.add(TEMPERATURE, AirSample(DWELL_NS + number * SECOND, 280.0))
     history.add(TEMPERATURE, AirSample(3 * SECOND, 290.0))
     assert history.at(TEMPERATURE, 5 * SECOND) == AirSample(3 * SECOND, 290.0)
@@ -92,7 +90,7 @@ def test_a_probe_on_the_platform_is_at_its_height_and_another_where_it_is_said_t
     expected = {"air_pressure_pa": 70_000.0, "air_temperature_k": 268.15}
     assert air_of(history_of()) == {"air_height_m": 3000.0, **expected}
     station = HEARD.changed(air_probe="fixed", air_height_m=2900.0)
-    assert air_of(history_of(), parameters=station) == {"air_height_m": 2900.0, **expected}
+    assert air_of(history_of(), settings=station) == {"air_height_m": 2900.0, **expected}
 
 
 def test_humidity_is_needed_for_radio_waves_only() -> None:
@@ -122,7 +120,7 @@ def test_what_was_measured_too_long_ago_or_later_is_refused(age_s: float) -> Non
         air_of(history_of(temperature=math.copysign(60.000001, age_s)))
     when = "before" if age_s > 0 else "after"
     assert_one_sentence(str(old.value), "air/temperature is stamped 60 s", when, "60 s are allowed (air_held_s)")
-    assert air_of(history_of(temperature=2 * age_s), parameters=HEARD.changed(air_held_s=120.0))
+    assert air_of(history_of(temperature=2 * age_s), settings=HEARD.changed(air_held_s=120.0))
 
 
 def test_another_clock_is_named() -> None:
@@ -151,37 +149,31 @@ def test_a_block_of_a_strip_has_the_air_of_a_dwell() -> None:
     assert air_of(history_of(), replace(make_sensor(), mode="stripmap")) == air_of(history_of(), make_sensor())
 
 
-def test_values_come_in_the_units_of_the_parameters() -> None:
-    assert read_air(PRESSURE, pressure_at(5, 65_000.0)) == AirSample(5, 65_000.0)
-    assert read_air(TEMPERATURE, temperature_at(6, -7.5)) == AirSample(6, 265.65)
-    assert read_air(HUMIDITY, humidity_at(7, 0.25)) == AirSample(7, 0.25)
-
-
-@pytest.mark.parametrize(
-    ("topic", "message", "said"),
-    [
-        (TEMPERATURE, temperature_at(0, 288.15), "temperature 288.15; it must be from -93.15 to 66.85 degrees Celsius"),
-        (TEMPERATURE, temperature_at(0, -93.2), "from -93.15"),
-        (TEMPERATURE, temperature_at(0, math.nan), "temperature nan"),
-        (PRESSURE, pressure_at(0, 101.325), "fluid_pressure 101.325; it must be from 500 to 120000 Pa"),
-        (PRESSURE, pressure_at(0, math.inf), "fluid_pressure inf"),
-        (PRESSURE, pressure_at(0, 120_001.0), "to 120000 Pa"),
-        (HUMIDITY, humidity_at(0, 55.0), "relative_humidity 55; it must be from 0 to 1"),
-        (HUMIDITY, humidity_at(0, -0.01), "from 0 to 1"),
-    ],
-)
-def test_values_that_no_air_has_are_refused(topic: str, message: Any, said: str) -> None:
-    with pytest.raises(Rejected) as wrong:
-        read_air(topic, message)
-    assert_one_sentence(str(wrong.value), topic, said)
-
-
 def test_air_that_changes_does_not_end_a_series_of_dwells_that_are_tracked() -> None:
     """Other settings do."""
 
     def series(temperature: float, rows: int) -> Any:
         stated = {"rows": rows, "heard_air": {"air_temperature_k": temperature}}
-        provenance = Provenance(parameters=messages.with_stage([], "sar_compression", stated))
-        return _series_of(HeightImage(provenance=provenance), TrackerParameters())
+        provenance = Provenance(parameters=flat_values(stated, "sar_compression."))
+        return _series_of(SimpleNamespace(provenance=provenance, estimator="ml"), Tracker.settings())
 
     assert series(280.0, 46) == series(281.0, 46) != series(280.0, 45)
+
+
+def test_a_dwell_may_have_air_as_long_as_a_message_that_it_would_use_can_arrive() -> None:
+    sensor, latest_ns = make_sensor(), DWELL_NS + 60 * SECOND
+    assert may_have_air(AirHistory(), {}, KEY, sensor, HEARD)
+    assert may_have_air(AirHistory(), {PRESSURE: latest_ns, TEMPERATURE: latest_ns}, KEY, sensor, HEARD)
+    assert not may_have_air(AirHistory(), {PRESSURE: latest_ns + 1}, KEY, sensor, HEARD)
+    assert may_have_air(history_of(), {PRESSURE: FOREVER_NS}, KEY, sensor, HEARD)
+    assert not may_have_air(
+        history_of(pressure=100.0), {PRESSURE: FOREVER_NS, TEMPERATURE: FOREVER_NS}, KEY, sensor, HEARD
+    )
+    assert not may_have_air(history_of(temperature=61.0), {TEMPERATURE: FOREVER_NS}, KEY, sensor, HEARD)
+
+
+def test_humidity_that_will_not_arrive_concerns_radio_waves_only() -> None:
+    history = history_of()
+    history._samples[HUMIDITY].clear()
+    assert may_have_air(history, {HUMIDITY: FOREVER_NS}, KEY, make_sensor(), HEARD)
+    assert not may_have_air(history, {HUMIDITY: FOREVER_NS}, KEY, RADIO, HEARD)

@@ -47,7 +47,7 @@ GROUPS = {
     "bag-files": "recording:over_mcap",
     "bag-info": "recording:info_of_a_large_bag",
     "recorder": "recording:recorded_at_a_rate",
-    "lockstep": "recording:lockstep_over_core",
+    "replay": "replaying:over_core",
     "large-bag": "large_bag:replay_memory",
     "batch": "campaign:scaling",
     "batch-tasks": "campaign:scheduling",

@@ -12,6 +12,7 @@ from rclpy.parameter import Parameter
 
 from benchmarks.cases import SLANT_RANGE, spotlight
 from benchmarks.row import Row, medians, sized
+from benchmarks.stage_jobs import job_of
 from sal_height import messages
 from sal_height.beams import Beams, pattern_named
 from sal_height.elevation import (
@@ -28,9 +29,10 @@ from sal_height.elevation import (
 )
 from sal_height.geometry import ApertureState, Grid
 from sal_height.imaging import Slc
+from sal_height.messages import serialize
 from sal_height.messages.types import ChannelFrame, Header, Provenance
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.height import HEIGHT_NODES
+from sal_height.nodes.processing import PROCESSING
 from sal_height.numeric import C64, F64, in_parallel
 from sal_height.pipeline import heights
 from sal_height.sensor import Channels, Sensor
@@ -49,22 +51,23 @@ PIXELS_AT_ONCE = 256
 
 
 def node_over_core() -> Iterator[Row]:
-    """A dwell through node ml_height, from the images' messages to published heights, against the core's own time."""
+    """A dwell through node ml_height, from images to published heights, against the core's own time."""
     samples = _slc("jinc")
     grid, aperture, sensor = _scene()
     slc = Slc(samples, grid, aperture, np.ones(DETECTORS), np.zeros(DETECTORS))
     frame = ChannelFrame(header=Header(stamp=messages.to_stamp(0)), dwell=0)
     sent = messages.slc_to_messages(slc, frame, Provenance(config_hash=sensor.config_hash))
-    images = [messages.ReceivedImage.of(image) for image in sent]
+    described = serialize(messages.sensor_to_message(sensor, messages.to_stamp(0)))
     settings = ESTIMATORS["ml"].settings(range_looks=1, azimuth_looks=LOOKS)
     with Graph() as graph:
         looks = [Parameter("range_looks", value=1), Parameter("azimuth_looks", value=LOOKS)]
-        node = graph.add(HEIGHT_NODES["ml_height"](context=graph.context, parameter_overrides=looks))
+        node = graph.add(PROCESSING["ml_height"](context=graph.context, parameter_overrides=looks))
 
         def core() -> None:
             heights(slc, sensor, ESTIMATORS["ml"], settings)
 
-        through, alone = medians(lambda: node.process(images, sensor, None), core)
+        job = job_of(node, [("sensor_info", described), *(("slc", serialize(image)) for image in sent)])
+        through, alone = medians(lambda: node._process_job(job), core)
     yield Row(
         "node ml_height over the core",
         through / alone,

@@ -10,9 +10,8 @@ from pathlib import Path
 
 from distributed import Client, LocalCluster
 
+from benchmarks.replaying import without_truth
 from benchmarks.row import Row, load, sized
-from sal_height.bag.reader import BagReader
-from sal_height.bag.writer import BagWriter
 from sal_height.runs.batch import Campaign, Workers, attempt, run_campaign
 from sal_height.runs.processes import ONE_THREAD
 from sal_height.runs.sensor_bag import record_sensor
@@ -26,16 +25,13 @@ WORKERS = sized((1, 2), (1, 1))
 
 TASKS = sized(2000, 10)
 
-PART = sized(20, 1)
-"""Dwells of a part."""
-
 
 def scaling() -> Iterator[Row]:
     """Time of a campaign by one worker over that by two, which run already and have processed a bag before."""
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
         simulated = record_sensor(dataclasses.replace(load_preset(PRESET), dwells=DWELLS), 1, folder / "simulated")
-        bag = _without_truth(simulated, folder / "flight")
+        bag = without_truth(simulated, folder / "flight")
         taken_s = {workers: _campaign_s(bag, folder / str(workers), workers) for workers in set(WORKERS)}
         one_s, two_s = (taken_s[workers] for workers in WORKERS)
     yield Row(
@@ -61,25 +57,14 @@ def scheduling() -> Iterator[Row]:
     yield Row("scheduling of a task", 1e3 * task_s, "ms", "<= 5", f"{TASKS} tasks without work by one worker; {load()}")
 
 
-def _without_truth(simulated: Path, folder: Path) -> Path:
-    """A bag as a sensor records it: its heights are compared with no truth, which takes longer than all else."""
-    reader = BagReader(simulated)
-    with BagWriter(folder) as bag:
-        for topic in reader.topics.values():
-            bag.add_topic(topic.name, topic.type_name, topic.offered_qos)
-        for one in reader.messages():
-            bag.write(one.topic, one.cdr, one.log_time_ns, one.publish_time_ns)
-    return folder
-
-
 def _campaign_s(bag: Path, folder: Path, workers: int) -> float:
     """Time that so many workers take, s; what they make is in the folder."""
     address = "127.0.0.1:0"
     with LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=address, env=ONE_THREAD) as cluster:
         hired = Workers(scheduler=cluster.scheduler_address)
-        run_campaign(Campaign([bag] * 2 * workers, most_dwells=1), folder / "first", hired)
+        run_campaign(Campaign([bag] * 2 * workers), folder / "first", hired)
         began = time.monotonic()
-        rows = run_campaign(Campaign([bag] * COPIES, most_dwells=PART), folder / "out", hired)
+        rows = run_campaign(Campaign([bag] * COPIES), folder / "out", hired)
         taken_s = time.monotonic() - began
     assert not any(row["failure"] or row["dropped"] for row in rows)  # noqa: S101 (it would be no measurement)
     return taken_s

@@ -24,7 +24,7 @@ from sal_height.numeric import WORKERS
 from sal_height.pipeline import Compressor, heights
 from sal_height.relief import PriorEstimate, ReliefMap, track
 from sal_height.relief.map import fitting_cell_size
-from sal_height.runs.catalogue import NODES, TRACKER, consumers, suited
+from sal_height.runs.catalogue import TRACKER, consumers, parameters_of, suited
 from sal_height.runs.entry import contents
 from sal_height.runs.processes import ONE_THREAD
 from sal_height.runs.recorded_parameters import recorded_parameters
@@ -93,8 +93,8 @@ class Core:
         self._sensor, _ = contents(reader)
         nodes = suited(self._sensor)
         values = merged(consumers(nodes), recorded_parameters(reader))
-        self._settings = {n: NODES[n].parameters(**values.get(n, {})) for n in ("sar_compression", *nodes, TRACKER)}
-        self._estimators = {name: NODES[name].estimator for name in nodes}
+        self._settings = {n: parameters_of(n, values.get(n, {})) for n in ("sar_compression", *nodes, TRACKER)}
+        self._estimators = {name: next(one for one in ESTIMATORS.values() if one.node == name) for name in nodes}
         self._followed = ESTIMATORS[self._settings[TRACKER].estimator].node
         self._track = Trajectory([messages.state_from_message(message) for message in playlist.odometry])
         self.dwells = [messages.history_from_messages(frames) for frames in playlist.frames()]

@@ -24,7 +24,7 @@ from sal_height.messages.types import ChannelFrame, ComplexImage, HeightImage, O
 from sal_height.nodes.endpoints import Outlet
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.message_types import class_of, subscribe
-from sal_height.nodes.stage import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
+from sal_height.nodes.quality import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.settings import settings_of
 
 TOPICS: dict[str, tuple[type, QoSProfile]] = {

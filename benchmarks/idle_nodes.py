@@ -6,18 +6,14 @@ that follows.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
-from sal_height import messages
 from sal_height.bag.stamps import stamp_ns_of
+from sal_height.engine.stage import Job
 from sal_height.messages import serialize
 from sal_height.nodes.endpoints import Outlet
-from sal_height.nodes.height import HEIGHT_NODES
 from sal_height.nodes.playlist import restamped
-from sal_height.nodes.relief_mapper import ReliefMapper
-from sal_height.nodes.relief_tracker import ReliefTracker
-from sal_height.nodes.sar_compression import SarCompression
+from sal_height.nodes.processing import PROCESSING
 
 
 class KeepingOutlet(Outlet):
@@ -50,30 +46,27 @@ class Repeating:
         self.__dict__.setdefault("_keeping", []).append(outlet)
         return outlet
 
-    def process(self, received: Any, *others: Any) -> int:
-        """Publish products.
-
-        Args:
-            received: the message, or those of all channels.
-            others: what else the node takes.
-        """
-        first = received[0] if isinstance(received, Sequence) else received
-        stamp_ns = messages.to_ns(first.header.stamp)
-        repeated = sum(outlet.repeat(stamp_ns) for outlet in self.__dict__["_keeping"])
-        return repeated or super().process(received, *others)  # type: ignore[misc]
+    def _process_job(self, job: Job) -> int:
+        """Publish products once more, or those of the first dwell; returns how many messages that are."""
+        repeated = sum(outlet.repeat(job.dwell.stamp_ns) for outlet in self.__dict__["_keeping"]) if job.dwell else 0
+        return without_work(self, job, repeated) if repeated else super()._process_job(job)  # type: ignore[misc]
 
 
-class IdleMapper(ReliefMapper):
-    """Takes heights, and enters none."""
+class Entering:
+    """First base of a mapper that takes heights, and enters none."""
 
-    def _enter(self, image: Any) -> int:  # noqa: ARG002 (what comes is left out)
-        return 0
+    def _process_job(self, job: Job) -> int:
+        return without_work(self, job, 0) if job.dwell else super()._process_job(job)  # type: ignore[misc]
 
 
-REAL: dict[str, type[Any]] = {"sar_compression": SarCompression, **HEIGHT_NODES, "relief_tracker": ReliefTracker}
+def without_work(node: Any, job: Job, published: int) -> int:
+    """Let the stage of a node know that a job is done, of which nothing was made; returns what was published."""
+    node._decide(lambda: node.stage.note_done(job, []))
+    return published
+
 
 IDLE: dict[str, type[Any]] = {
-    **{name: type(f"Idle_{name}", (Repeating, node), {}) for name, node in REAL.items()},
-    "relief_mapper": IdleMapper,
+    **{name: type(f"Idle_{name}", (Repeating, node), {}) for name, node in PROCESSING.items()},
+    "relief_mapper": type("IdleMapper", (Entering, PROCESSING["relief_mapper"]), {}),
 }
 """Nodes that do nothing by the name of those that they stand for."""

@@ -130,15 +130,20 @@ def highest_rate(run: Callable[[float], Seen], guess: float) -> tuple[float, See
 
 def _watch_here(bag: Path, rate: float, seconds: float, nodes: Nodes, record: tuple[str, ...]) -> Seen:
     """Run a graph from this process, which must not have made any node yet."""
-    from sal_height.runs import catalogue  # noqa: PLC0415 (what only starts such processes needs none of this)
-    from sal_height.runs.conductor import RECORDER, Execution  # noqa: PLC0415
-    from sal_height.runs.live import SOURCE, Live, Watched, live  # noqa: PLC0415
+    from sal_height.runs.live import (  # noqa: PLC0415 (what only starts such processes needs none of this)
+        SOURCE,
+        Live,
+        Watched,
+        live,
+    )
+    from sal_height.runs.node_classes import NODES  # noqa: PLC0415
+    from sal_height.runs.plan import RECORDER, Execution  # noqa: PLC0415
     from sal_height.runs.sensor_bag import Feed  # noqa: PLC0415
 
     if nodes is Nodes.IDLE:
         from benchmarks.idle_nodes import IDLE  # noqa: PLC0415
 
-        catalogue.NODES.update(IDLE)
+        NODES.update(IDLE)
     usage = Usage()
     threads: list[dict[str, float]] = []
     memory: list[int] = []

@@ -19,8 +19,9 @@ from benchmarks.core_limit import CoreRate, core_rate
 from benchmarks.live_runs import Nodes, Seen, highest_rate, watch
 from benchmarks.row import Row, load, sized
 from sal_height.bag.reader import BagReader
-from sal_height.nodes.playlist import FRAMES, Playlist
-from sal_height.nodes.relief_tracker import ReliefTracker
+from sal_height.bag.sensor_topics import FRAMES
+from sal_height.nodes.playlist import Playlist
+from sal_height.nodes.processing import PROCESSING
 from sal_height.numeric import WORKERS
 from sal_height.runs.sensor_bag import record_sensor
 from sal_height.simulation import load_preset
@@ -215,7 +216,7 @@ def _over_core(sensor: Sensor, rate: float, seen: Seen) -> Iterator[Row]:
 
 def _overload(sensor: Sensor, before: Seen, seen: Seen) -> Row:
     """What is left of the heights when dwells come much faster than they can be processed."""
-    topic = f"{ReliefTracker.product}/height"
+    topic = f"{PROCESSING['relief_tracker'].product}/height"
     made_hz, sustained_hz = (len(one.latencies_s[topic]) / one.elapsed_s for one in (seen, before))
     p50, p999 = 1e3 * np.percentile(seen.latencies_s[topic] or [np.nan], [50, 99.9])
     return Row(

@@ -6,13 +6,12 @@ that does not wait, and prints how many it has published.
 
 from __future__ import annotations
 
-import math
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -29,18 +28,8 @@ from sal_height.bag.reader import BagReader
 from sal_height.bag.writer import BagWriter
 from sal_height.nodes.domain import free_domain
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.playlist import Playlist
+from sal_height.nodes.quality import FRAMES_QOS
 from sal_height.nodes.recorder import Recorder
-from sal_height.nodes.stage import FRAMES_QOS
-from sal_height.runs.catalogue import TRACKER, consumers, suited
-from sal_height.runs.conductor import Execution
-from sal_height.runs.entry import contents
-from sal_height.runs.recorded_parameters import recorded_parameters
-from sal_height.runs.replay import replay
-from sal_height.runs.reporting import merged
-from sal_height.runs.self_test import core_rate_hz
-from sal_height.runs.sensor_bag import record_sensor
-from sal_height.simulation import load_preset
 
 TOPIC, TYPE = "/frames", "std_msgs/msg/UInt8MultiArray"
 
@@ -56,12 +45,6 @@ RATE_MB_S, RECORDED_S, SETTLED_S = sized((200.0, 60.0, 10.0), (1.0, 0.4, 0.2))
 
 LAST_S = sized(2.0, 0.2)
 """In which what is still on the way gets there."""
-
-DWELLS = sized(40, 3)
-"""Dwells that are replayed."""
-
-WAYS = sized(("processes", "one process"), ("one process",))
-"""How they are replayed: each node in a process of its own, and all in one."""
 
 
 def over_mcap() -> Iterator[Row]:
@@ -106,30 +89,6 @@ def recorded_at_a_rate() -> Iterator[Row]:
             "<= 5",
             f"after {SETTLED_S:g} s; {what}",
         )
-
-
-def lockstep_over_core() -> Iterator[Row]:
-    """Time of a dwell in a replay, until all are in the bag, over that of the core in one thread."""
-    for name in sized(("small", "sal_spotlight", "xband_relief"), ("small",)):
-        preset = replace(load_preset(name), dwells=DWELLS)
-        with tempfile.TemporaryDirectory() as folder:
-            bag = record_sensor(preset, 1, Path(folder) / "bag")
-            reader = BagReader(bag)
-            sensor, _ = contents(reader)
-            nodes = suited(sensor, ())
-            stages, values = ["sar_compression", *nodes, TRACKER], merged(consumers(nodes), recorded_parameters(reader))
-            core_s = 1 / core_rate_hz(Playlist.of_bag(reader, math.inf), sensor, stages, values, 1)
-            for how in WAYS:
-                outcome = replay(bag, Path(folder) / how, {}, Execution(processes=how == "processes")).outcome
-                replay_s = outcome.elapsed_s / outcome.dwells
-                yield Row(
-                    f"lockstep, {name}, {how}",
-                    replay_s / core_s,
-                    "1",
-                    "<= 1.1",
-                    f"core in one thread, {1e3 * core_s:.1f} ms a dwell; the replay takes {1e3 * replay_s:.1f} ms, "
-                    f"in which it also reads, publishes and records; {DWELLS} dwells; {load()}",
-                )
 
 
 @dataclass(frozen=True)

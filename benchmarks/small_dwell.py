@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,17 +15,15 @@ from rclpy.parameter import Parameter
 
 from benchmarks.row import REPEATS, Row, load, medians, sized
 from benchmarks.sizes import APERTURE, COLS, PRESET, ROWS, heights_of_street, lidar, made_up_dwell, tiled
+from benchmarks.stage_jobs import job_of, read_items
 from sal_height import messages
 from sal_height.elevation import ESTIMATORS, ElevationEstimator, HeightSettings
 from sal_height.geometry import Trajectory
 from sal_height.imaging import ImageSettings, Slc
-from sal_height.messages import deserialize, serialize
-from sal_height.messages.types import ChannelFrame, Header, HeightImage, Provenance
+from sal_height.messages import serialize
+from sal_height.messages.types import ChannelFrame, Header, Provenance
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.height import HEIGHT_NODES
-from sal_height.nodes.relief_mapper import ReliefMapper
-from sal_height.nodes.relief_tracker import ReliefTracker
-from sal_height.nodes.sar_compression import SarCompression, Supplies
+from sal_height.nodes.processing import PROCESSING
 from sal_height.pipeline import Compressor, heights
 from sal_height.relief import PriorEstimate, ReliefMap, track
 from sal_height.relief.map import fitting_cell_size
@@ -91,15 +90,16 @@ def _heights(graph: Graph, flight: SimulatedFlight, name: str) -> Iterator[Row]:
     slc = _images(flight)
     pixels = slc.images[0].size // (preset.looks[0] * preset.looks[1])
     allowed = _large_heights(slc, flight.sensor, estimator, settings, pixels)
-    node = graph.add(HEIGHT_NODES[estimator.node](context=graph.context, parameter_overrides=_overrides(looks)))
+    node = graph.add(PROCESSING[estimator.node](context=graph.context, parameter_overrides=_overrides(looks)))
     provenance = Provenance(config_hash=flight.sensor.config_hash)
     sent = messages.serialized_slc(slc, FRAME, provenance)
-    through, alone, taken = medians(
-        lambda: node.process([node.decode(cdr) for cdr in sent], flight.sensor, None),
+    job = job_of(node, [("sensor_info", _described(flight.sensor)), *(("slc", cdr) for cdr in sent)])
+    worked, alone, taken = medians(
+        lambda: node._process_job(job),
         lambda: heights(slc, flight.sensor, estimator, settings),
-        lambda: [node.decode(cdr) for cdr in sent],
+        lambda: read_items(node, "slc", sent),
     )
-    yield allowed.row(f"node {estimator.node}, {flight.sensor.name} dwell", through, pixels, _with(taken))
+    yield allowed.row(f"node {estimator.node}, {flight.sensor.name} dwell", worked + taken, pixels, _with(taken))
     yield allowed.row(f"{name}, one dwell of {flight.sensor.name}", alone, pixels)
 
 
@@ -124,16 +124,21 @@ def _compression(graph: Graph, flight: SimulatedFlight) -> Row:
     pixels = image.rows * image.cols
     what = f"{LARGER**2 * pixels:.2g} pixels of {LARGER} times the pulses and samples"
     allowed = Large(what, large_time / (LARGER**2 * pixels))
-    node = graph.add(SarCompression(context=graph.context, parameter_overrides=_overrides(_size(image))))
+    node = graph.add(PROCESSING["sar_compression"](context=graph.context, parameter_overrides=_overrides(_size(image))))
     states, history = flight.platform_states(0), flight.phase_history(0)
     frames = messages.history_to_messages(history, flight.sensor, 0, messages.to_stamp(history.stamp_ns))
     sent = [serialize(frame) for frame in frames]
-    supplies = Supplies(list(states), None, flight.sensor.mounting)
-    through, taken = medians(
-        lambda: node.process([node.decode(cdr) for cdr in sent], flight.sensor, supplies),
-        lambda: [node.decode(cdr) for cdr in sent],
+    flown = [serialize(messages.state_to_message(state, messages.to_stamp(state.stamp_ns))) for state in states]
+    job = job_of(
+        node,
+        [
+            ("sensor_info", _described(flight.sensor)),
+            *(("platform/odometry", cdr) for cdr in flown),
+            *(("phase_history", cdr) for cdr in sent),
+        ],
     )
-    return allowed.row(f"node sar_compression, {preset.name} dwell", through, pixels, _with(taken))
+    worked, taken = medians(lambda: node._process_job(job), lambda: read_items(node, "phase_history", sent))
+    return allowed.row(f"node sar_compression, {preset.name} dwell", worked + taken, pixels, _with(taken))
 
 
 def _tracker_and_mapper(graph: Graph) -> Iterator[Row]:
@@ -144,18 +149,15 @@ def _tracker_and_mapper(graph: Graph) -> Iterator[Row]:
         lambda: track(large, APERTURE, PriorEstimate()), lambda: relief_map.add(large), repeats=LARGE_REPEATS
     )
     what, pixels = f"an image of {side * side:.2g} pixels", field.validity.size
-    image = messages.height_to_message(field, APERTURE, (2, 2), "ml", FRAME, Provenance())
-    sent = serialize(image)
-    tracker, mapper = graph.add(ReliefTracker(context=graph.context)), graph.add(ReliefMapper(context=graph.context))
-    tracked, mapped, taken = medians(
-        lambda: tracker.process(_taken(sent)),
-        lambda: mapper._enter(_taken(sent)),
-        lambda: _taken(sent),
-        repeats=REPEATS,
-    )
-    for node, seconds, large_time in ((tracker, tracked, track_time), (mapper, mapped, map_time)):
+    sent = serialize(messages.height_to_message(field, APERTURE, (2, 2), "ml", FRAME, Provenance()))
+    for name, large_time in (("relief_tracker", track_time), ("relief_mapper", map_time)):
+        node = graph.add(PROCESSING[name](context=graph.context))
+        job = job_of(node, [("ml/height", sent)])
+        worked, taken = medians(
+            partial(node._process_job, job), partial(read_items, node, "ml/height", [sent]), repeats=REPEATS
+        )
         allowed = Large(what, large_time / side**2)
-        yield allowed.row(f"node {node.get_name()}, {PRESET} dwell", seconds, pixels, _with(taken))
+        yield allowed.row(f"node {name}, {PRESET} dwell", worked + taken, pixels, _with(taken))
 
 
 def _images(flight: SimulatedFlight) -> Slc:
@@ -175,8 +177,8 @@ def _overrides(values: dict[str, int]) -> list[Any]:
     return [Parameter(key, value=value) for key, value in values.items()]
 
 
-def _taken(cdr: bytes) -> Any:
-    return deserialize(cdr, HeightImage)
+def _described(sensor: Sensor) -> bytes:
+    return serialize(messages.sensor_to_message(sensor, messages.to_stamp(0)))
 
 
 def _with(seconds: float) -> str:

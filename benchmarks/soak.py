@@ -294,8 +294,8 @@ def soak(
         return 2
     os.environ.update(ONE_THREAD | os.environ)
 
-    from sal_height.runs.conductor import Execution  # noqa: PLC0415
     from sal_height.runs.live import Live, live  # noqa: PLC0415
+    from sal_height.runs.plan import Execution  # noqa: PLC0415
     from sal_height.runs.replay import replay  # noqa: PLC0415
     from sal_height.runs.sensor_bag import Feed, record_sensor  # noqa: PLC0415
     from sal_height.simulation import load_preset  # noqa: PLC0415

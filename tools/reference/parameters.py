@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from sal_height.elevation import HeightSettings
-from sal_height.nodes.dwell_stage import DwellParameters
-from sal_height.nodes.stage import StageParameters
-from sal_height.runs.catalogue import NODES
+from sal_height.engine.settings import DwellSettings
+from sal_height.engine.stage import StageSettings
+from sal_height.runs.node_classes import NODES
 from sal_height.settings import Setting, Settings, settings_of
 
 HEAD = """# Parameters of the nodes
@@ -19,8 +19,8 @@ changed while the node runs.
 """
 
 SHARED: Mapping[str, type[Settings]] = {
-    "All nodes but the recorder": StageParameters,
-    "Nodes that take whole dwells": DwellParameters,
+    "All nodes but the recorder": StageSettings,
+    "Nodes that take whole dwells": DwellSettings,
     "All height nodes": HeightSettings,
 }
 """Parameters that several nodes have, by the title of their table; a model may be derived from an earlier one."""

@@ -14,11 +14,12 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
+from sal_height.engine.compression import TF_STATIC
 from sal_height.nodes.domain import free_domain
 from sal_height.nodes.graph import Graph
-from sal_height.nodes.transforms import TF_STATIC, TF_STATIC_QOS
-from sal_height.nodes.usage import ACCOUNTS, LIFE_CYCLE
-from sal_height.runs.catalogue import NODES
+from sal_height.nodes.transforms import TF_STATIC_QOS
+from sal_height.nodes.usage import ACCOUNTS, LEFT_OUT, LIFE_CYCLE
+from sal_height.runs.node_classes import NODES
 from tools.reference.markdown import page, plain, table
 
 BAG = str(Path(__file__).parents[2] / "bags" / "version_3")
@@ -52,7 +53,7 @@ volatile. [live.md](../live.md#quality-of-service) says what happens if publishe
 
 ALL_NODES = """## Every node
 
-Each of the nodes below has these, too; the recorder has the topics only."""
+Each of the nodes below has these, too; the recorder has the first two topics only."""
 
 Direction: TypeAlias = Literal["in", "out"]
 
@@ -83,7 +84,7 @@ def document() -> str:
     known: Ends = {("in", TF_STATIC): End("tf2_msgs/msg/TFMessage", _quality(TF_STATIC_QOS))}  # not on PyPI
     known = {key: end for ends in (known, *found.values()) for key, end in ends.items()}
     sections = [_section(name, node, known | found[name]) for name, node in NODES.items()]
-    return page([HEAD, ALL_NODES, _topics("out", ACCOUNTS, known), _services(LIFE_CYCLE), *sections])
+    return page([HEAD, ALL_NODES, _topics("out", ACCOUNTS | LEFT_OUT, known), _services(LIFE_CYCLE), *sections])
 
 
 def ends_of(graph: Graph, make: type[Any], many_values: Iterable[Mapping[str, Any]]) -> Ends:

@@ -133,7 +133,7 @@ class PsfCalibration(DwellStage):
         seen.dwells += 1
         if (seen.dwells - 1) % settings.dwell_step:
             return
-        if seen.calibrator is None or seen.calibrator.sensor.digest != sensor.digest:
+        if seen.calibrator is None:
             seen.calibrator = Calibrator(sensor, self._target, settings)
         try:
             seen.calibrator.add(images_of(whole).slc)

@@ -21,6 +21,7 @@ from sal_height.runs.calibration_picture import beam_width
 from sal_height.runs.catalogue import HEIGHTS
 from sal_height.runs.entry import Part
 from sal_height.runs.replay import replay
+from sal_height.runs.sensor_bag import record_sensor
 from sal_height.runs.simulate import fly
 from sal_height.simulation.flight import flight_of
 from sal_height.simulation.impairments import Impairments
@@ -137,6 +138,18 @@ def test_settings_in_the_preset_reach_the_calibration_of_its_bag(tmp_path: Path)
     reader = BagReader(tmp_path / "out" / "bag")
     (message,) = [reader.decode(one.type_name, one.cdr) for one in reader.messages(["/calibration"])]
     assert any("energy of 70 noise powers or more; 17000 are needed" in sentence for sentence in message.undetermined)
+
+
+def test_dwells_of_a_sensor_with_chirps_make_one_calibration(tmp_path: Path) -> None:
+    """Its samples become spectra before anything is measured."""
+    preset = load_preset("small")
+    chirps = dataclasses.replace(
+        preset.sensor, waveform="chirp", pulse_duration_s=100e-9, sampling_rate_hz=2.5e9, sample_count=329
+    )
+    bag = record_sensor(dataclasses.replace(preset, sensor=chirps, dwells=3), 4, tmp_path / "flight")
+    _, calibration = calibrate(bag, tmp_path / "out", {})
+    assert calibration is not None
+    assert calibration.dwells == 3
 
 
 def test_weighted_images_make_no_calibration(recorded: Path, tmp_path: Path) -> None:

@@ -18,8 +18,11 @@ import pickle
 import signal
 from collections import deque
 from collections.abc import Collection, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
-from multiprocessing.connection import Connection, wait
+from multiprocessing.connection import Connection
+from queue import Empty, SimpleQueue
+from threading import Thread
 from types import TracebackType
 from typing import Any, NamedTuple, Self, TypeAlias
 
@@ -219,17 +222,27 @@ class _Worker:
         self.pipe.send_bytes(file.getbuffer())
         return self.ring.taken
 
-    def receive(self) -> tuple[int, Sequence[Sent]]:
+    def listen(self, arrived: SimpleQueue[tuple[_Worker, bytes]]) -> None:
+        """Take what the process returns as soon as it does, so that it never waits while this one sends (a thread).
+
+        Empty bytes stand for its end.
+        """
+        try:
+            while True:
+                arrived.put((self, self.pipe.recv_bytes()))
+        except (EOFError, OSError):
+            arrived.put((self, b""))
+
+    def read(self, returned: bytes) -> tuple[int, Sequence[Sent]]:
         """The number of the oldest message with jobs, and what was made of it.
 
         Raises:
             UserError: the process has ended.
         """
+        if not returned:
+            raise UserError("A worker process has ended, for example for lack of memory; use fewer --jobs.")
         number, taken, _ = self.sent.popleft()
-        try:
-            results = _Unpickler(io.BytesIO(self.pipe.recv_bytes()), self.received, None).load()
-        except EOFError as error:
-            raise UserError("A worker process has ended, for example for lack of memory; use fewer --jobs.") from error
+        results = _Unpickler(io.BytesIO(returned), self.received, None).load()
         self.ring.release(taken)
         return number, results
 
@@ -256,6 +269,7 @@ class SideBySide(Chain):
         self._workers: list[_Worker] = []
         self._sent = self._given_back = 0
         self._returned: dict[int, Sequence[Sent]] = {}
+        self._arrived: SimpleQueue[tuple[_Worker, bytes]] = SimpleQueue()
         self._remote = [stage.is_parallel and not self._has_feedback for stage in stages]
         local = {
             port for port, consumers in self._consumers.items() if any(not self._is_remote(one) for one in consumers)
@@ -278,12 +292,17 @@ class SideBySide(Chain):
             self._workers.append(_Worker(process, ours, ring))
         for _, theirs in pipes:
             theirs.close()
+        for worker in self._workers:
+            Thread(target=worker.listen, args=(self._arrived,), daemon=True).start()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         for worker in self._workers:
-            worker.pipe.close()
+            if kind is not None:  # nobody waits for what it does
+                worker.process.kill()
+            with suppress(OSError):  # it may have ended
+                worker.pipe.send_bytes(b"")
         for worker in self._workers:
             worker.process.join(ENDS_WITHIN_S)
             if worker.process.is_alive():
@@ -385,10 +404,13 @@ class SideBySide(Chain):
 
     def _receive(self, *, blocking: bool) -> None:
         """Take what workers have returned; if blocking, wait for one of them."""
-        busy = {worker.pipe: worker for worker in self._workers if worker.sent}
-        for pipe in wait(list(busy), None if blocking else 0):
-            number, results = busy[pipe].receive()  # type: ignore[index]
-            self._returned[number] = results
+        waits = blocking and any(worker.sent for worker in self._workers)
+        with suppress(Empty):
+            while True:
+                worker, returned = self._arrived.get(block=waits)
+                number, results = worker.read(returned)
+                self._returned[number] = results
+                waits = False
 
     def _give_back(self) -> bool:
         """Take what was made in the order in which the jobs were sent; whether there was any."""
@@ -413,9 +435,12 @@ class SideBySide(Chain):
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all; the parent ends in order
         while True:
             try:
-                message = _Unpickler(io.BytesIO(pipe.recv_bytes()), known, ring).load()
+                sent = pipe.recv_bytes()
             except (EOFError, OSError):
+                sent = b""
+            if not sent:
                 os._exit(0)
+            message = _Unpickler(io.BytesIO(sent), known, ring).load()
             if isinstance(message, Scheduled):
                 self.stages[message.stage].schedule(message.before, message.port, message.item)
             elif isinstance(message, Control):

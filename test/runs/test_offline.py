@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import mmap
+import signal
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +22,7 @@ from sal_height.engine.stage import Product
 from sal_height.errors import UserError
 from sal_height.messages import serialize
 from sal_height.messages.types import Calibration, Header, TFMessage, TransformStamped, Vector3
+from sal_height.runs import side_by_side
 from sal_height.runs.campaign import Case
 from sal_height.runs.chain_runs import BagRun, plan
 from sal_height.runs.flight_record import FlightRecord
@@ -49,6 +52,28 @@ def test_many_dwells_by_several_jobs_are_those_of_one_byte_for_byte(tmp_path: Pa
         made[jobs] = {topic: [one.cdr for one in reader.messages([topic])] for topic in reader.topics}
     assert [len(messages) for messages in made[1].values()] == [40] * 4
     assert made[1] == made[3]
+
+
+def test_jobs_and_results_that_are_larger_than_pipes_do_not_wait_for_each_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Samples go through pipes here, and all images come back."""
+    monkeypatch.setattr(side_by_side, "RING_BYTES", mmap.PAGESIZE)
+    bag = record_sensor(replace(load_preset("sal_spotlight"), dwells=24), 3, tmp_path / "flight")
+    scheme = plan(bag, {})
+
+    def give_up(*_: object) -> None:
+        raise TimeoutError("The processes wait for each other.")
+
+    before = signal.signal(signal.SIGALRM, give_up)
+    signal.alarm(120)
+    try:
+        run = BagRun(scheme, scheme.stages, jobs=2, wanted=["slc", "ml/height"])
+        ports = [made.result.port for made in run.results() if isinstance(made.result, Product)]
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+    assert (ports.count("slc"), ports.count("ml/height")) == (24, 24)
 
 
 def test_parameters_that_are_given_hold(recorded: Path, tmp_path: Path) -> None:

@@ -92,7 +92,7 @@ def _heights(graph: Graph, flight: SimulatedFlight, name: str) -> Iterator[Row]:
     allowed = _large_heights(slc, flight.sensor, estimator, settings, pixels)
     node = graph.add(PROCESSING[estimator.node](context=graph.context, parameter_overrides=_overrides(looks)))
     provenance = Provenance(config_hash=flight.sensor.config_hash)
-    sent = messages.serialized_slc(slc, FRAME, provenance)
+    sent = [serialize(image) for image in messages.slc_to_messages(slc, FRAME, provenance)]
     job = job_of(node, [("sensor_info", _described(flight.sensor)), *(("slc", cdr) for cdr in sent)])
     worked, alone, taken = medians(
         lambda: node._process_job(job),

@@ -44,7 +44,6 @@ from sal_height.messages.heights import (
     POINT_FIELDS,
     field_from_message,
     frame_near,
-    height_picture,
     height_points,
     height_to_message,
 )
@@ -71,15 +70,7 @@ from sal_height.messages.received import (
     received_image,
     received_pose,
 )
-from sal_height.messages.relief import (
-    RELIEF_POINT_FIELDS,
-    relief_frame,
-    relief_picture,
-    relief_points,
-    relief_to_message,
-)
 from sal_height.messages.sensors import sensor_from_message, sensor_to_message
-from sal_height.messages.serialized import serialized_height, serialized_slc
 
 __all__ = [
     "AIR",
@@ -91,7 +82,6 @@ __all__ = [
     "MAP_FRAME",
     "MOVER_FIELDS",
     "POINT_FIELDS",
-    "RELIEF_POINT_FIELDS",
     "AirSample",
     "BrokenMessage",
     "Frames",
@@ -114,7 +104,6 @@ __all__ = [
     "frame_near",
     "grid_from_message",
     "height_origin",
-    "height_picture",
     "height_points",
     "height_to_message",
     "held_stages",
@@ -135,16 +124,10 @@ __all__ = [
     "received_image",
     "received_pose",
     "recorded_window",
-    "relief_frame",
-    "relief_picture",
-    "relief_points",
-    "relief_to_message",
     "samples_of",
     "sensor_from_message",
     "sensor_to_message",
     "serialize",
-    "serialized_height",
-    "serialized_slc",
     "slc_from_messages",
     "slc_to_messages",
     "stages_of",

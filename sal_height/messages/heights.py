@@ -15,7 +15,6 @@ from sal_height.engine.stage import DwellKey
 from sal_height.geometry import ApertureState
 from sal_height.messages.basics import (
     aperture_to_message,
-    float_view,
     grid_to_message,
     to_ns,
     to_stamp,
@@ -130,11 +129,6 @@ def field_from_message(image: HeightImage, map_frame: str = MAP_FRAME) -> Height
     heights = _heights_of(image, _NONE)
     heights.check_frame(map_frame)
     return heights.field
-
-
-def height_picture(image: HeightImage) -> Image:
-    """Return the heights of the first surface as a 32FC1 image for image viewers, NaN where they are not valid."""
-    return float_picture(float_view(image.surfaces[0].height, (image.grid.rows, image.grid.cols)), image.header)
 
 
 def float_picture(values: F32, header: Header) -> Image:

@@ -42,8 +42,8 @@ from sal_height.messages.navigation import (
     read_pose,
     read_twist,
 )
-from sal_height.messages.products import provenance_to_message
 from sal_height.messages.received import received_frame, received_image, received_pose
+from sal_height.messages.relief import relief_to_message
 from sal_height.messages.sensors import sensor_from_message, sensor_to_message
 from sal_height.sensor import Sensor
 
@@ -212,37 +212,9 @@ def read_twist_sample(cdr: bytes, settings: Any) -> list[Twist]:
     return [Twist(*read_twist(_deserialized(cdr, "geometry_msgs/msg/TwistStamped"), frames_of(settings)))]
 
 
-def relief_message(placed: PlacedRelief) -> Any:
-    """The ReliefMap of a map."""
-    relief = placed.relief
-    rows, cols = relief.height.shape
-    layer = types.ReliefLayer(
-        name=placed.layer,
-        height=relief.height.ravel(),
-        sigma=relief.sigma.ravel(),
-        disagreement=relief.disagreement.ravel(),
-        kind=np.zeros(0, np.uint8) if relief.kind is None else np.asarray(relief.kind, np.uint8).ravel(),
-        count=relief.count.ravel(),
-    )
-    return types.ReliefMap(
-        header=header_of(placed.key.stamp_ns, placed.frame_id),
-        crs=placed.crs,
-        dwell=placed.key.number,
-        images=placed.images,
-        estimator=placed.estimator,
-        origin_east=relief.east,
-        origin_north=relief.north,
-        cell_size=relief.cell_size,
-        rows=rows,
-        cols=cols,
-        layers=[layer],
-        provenance=provenance_to_message(placed.provenance),
-    )
-
-
 def write_relief(placed: PlacedRelief, _: Any = None) -> list[bytes]:
     """The serialized ReliefMap of a map."""
-    return [SHIPPED.serialize(relief_message(placed))]
+    return [SHIPPED.serialize(relief_to_message(placed))]
 
 
 def write_movers(found: FoundMovers, _: Any = None) -> list[bytes]:

@@ -6,17 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sal_height.messages.basics import to_bytes, to_floats, vector_of
-from sal_height.messages.heights import float_picture, frame_near, point_cloud
-from sal_height.messages.types import (
-    HeightImage,
-    Image,
-    PointCloud2,
-    Provenance,
-    ReliefLayer,
-    ReliefMap,
-    TransformStamped,
-)
+from sal_height.engine.mapper import PlacedRelief
+from sal_height.messages.basics import to_bytes, to_floats, to_stamp, vector_of
+from sal_height.messages.heights import point_cloud
+from sal_height.messages.products import provenance_to_message
+from sal_height.messages.types import Header, PointCloud2, ReliefLayer, ReliefMap, TransformStamped
 from sal_height.numeric import F64
 from sal_height.relief import Relief
 
@@ -24,53 +18,32 @@ Place = Callable[..., F64]
 """Makes positions in the map frame, m, of two coordinates of a map and heights, m, as `geometry.sphere_point`."""
 
 
-def relief_to_message(
-    relief: Relief, layer: str, images: int, last: HeightImage, provenance: Provenance, crs: str = ""
-) -> ReliefMap:
-    """Return the ReliefMap that has one layer.
-
-    Args:
-        relief: the map.
-        layer: name of the layer, a constant of ReliefLayer.
-        images: number of height images that are in it.
-        last: the last of them, from which stamp, frame, dwell and estimator are taken.
-        provenance: how it was made.
-        crs: coordinate reference system of the map; empty: local coordinates.
-    """
+def relief_to_message(placed: PlacedRelief) -> ReliefMap:
+    """Return the ReliefMap, of one layer, that describes a map."""
+    relief = placed.relief
     rows, cols = relief.height.shape
+    layer = ReliefLayer(
+        name=placed.layer,
+        height=to_floats(relief.height),
+        sigma=to_floats(relief.sigma),
+        disagreement=to_floats(relief.disagreement),
+        kind=np.zeros(0, np.uint8) if relief.kind is None else to_bytes(relief.kind),
+        count=relief.count.ravel(),
+    )
     return ReliefMap(
-        header=last.header,
-        crs=crs,
-        dwell=last.dwell,
-        images=images,
-        estimator=last.estimator,
+        header=Header(stamp=to_stamp(placed.key.stamp_ns), frame_id=placed.frame_id),
+        crs=placed.crs,
+        dwell=placed.key.number,
+        images=placed.images,
+        estimator=placed.estimator,
         origin_east=relief.east,
         origin_north=relief.north,
         cell_size=relief.cell_size,
         rows=rows,
         cols=cols,
-        layers=[
-            ReliefLayer(
-                name=layer,
-                height=to_floats(relief.height),
-                sigma=to_floats(relief.sigma),
-                disagreement=to_floats(relief.disagreement),
-                kind=None if relief.kind is None else to_bytes(relief.kind),
-                count=relief.count.ravel(),
-            )
-        ],
-        provenance=provenance,
+        layers=[layer],
+        provenance=provenance_to_message(placed.provenance),
     )
-
-
-def relief_picture(relief: Relief, last: HeightImage) -> Image:
-    """Return the heights as a 32FC1 image for image viewers, with north up and NaN in cells that were not seen."""
-    return float_picture(relief.height[::-1], last.header)
-
-
-def relief_frame(relief: Relief, place: Place, last: HeightImage, name: str) -> TransformStamped:
-    """Return a frame called `name` at the south-western corner of a map, at its height 0."""
-    return frame_near(place(relief.east, relief.north, 0.0), last.header, name)
 
 
 RELIEF_POINT_FIELDS = ("x", "y", "z", "height", "sigma")

@@ -15,6 +15,7 @@ from sal_height.errors import Rejected
 from sal_height.geometry import Grid
 from sal_height.imaging import ImageSettings, Slc
 from sal_height.messages import deserialize
+from sal_height.messages.codec import SHIPPED
 from sal_height.messages.provenance import HELD_PARAMETERS, _held_parameter, recorded
 from sal_height.messages.types import ComplexImage, HeightImage, ParameterValue, Provenance, Surface
 from sal_height.messages.types import Parameter as ParameterMessage
@@ -113,7 +114,7 @@ def test_serialized_heights_are_read_by_rclpy_and_to_the_last_byte_by_rosbags(st
     for _ in range(2):  # made, and held
         image = HeightImage(dwell=7, estimator="ml", validity=bytes(pixels), provenance=provenance)
         image.surfaces = [Surface(height=pixels * [1.5])]
-        cdr = messages.serialized_height(image)
+        cdr = SHIPPED.serialize(image, shared=True)
         assert deserialize(cdr, HeightImage) == image
         assert store.deserialize_cdr(cdr, "sal_height_msgs/msg/HeightImage").dwell == 7
         assert image.provenance is provenance
@@ -123,7 +124,8 @@ def test_serialized_images_end_with_their_provenance(store: Typestore) -> None:
     provenance = Provenance(parameters=messages.with_stage([], "sar_compression", ImageSettings()))
     grid = Grid(np.zeros(3), np.array([0.0, -1.0, 0.0]), np.array([1.0, 0.0, 0.0]), 1.0, 1.0, 1, 3)
     slc = Slc(np.ones((2, 1, 3), np.complex64), grid, make_aperture(), np.ones(2), np.zeros(2))
-    for cdr in messages.serialized_slc(slc, ComplexImage(dwell=5), provenance):
+    for image in messages.slc_to_messages(slc, ComplexImage(dwell=5), provenance):
+        cdr = SHIPPED.serialize(image, shared=True)
         assert store.deserialize_cdr(cdr, "sal_height_msgs/msg/ComplexImage").dwell == 5
 
 

@@ -23,6 +23,7 @@ from sal_height.messages import (
     received_pose,
     serialize,
 )
+from sal_height.messages.codec import SHIPPED
 from sal_height.messages.parameters import parameter_of
 from sal_height.messages.plain import is_same
 from sal_height.messages.received import KEPT, Pose, _geometry_of
@@ -218,7 +219,9 @@ def test_images_serialized_together_are_those_serialized_alone(
     grid = Grid(np.zeros(3), np.array([0.0, -1.0, 0.0]), np.array([1.0, 0.0, 0.0]), 1.0, 1.0, *shape)
     slc = Slc(images.astype(np.complex64), grid, make_aperture(), np.array([0.0, 1.0, 2.0]), share)
     provenance = Provenance(code_version="1", config_hash="abc")
-    together = messages.serialized_slc(slc, frame_of(), provenance)
+    together = [
+        SHIPPED.serialize(image, shared=True) for image in messages.slc_to_messages(slc, frame_of(), provenance)
+    ]
     alone = messages.slc_to_messages(slc, frame_of(), provenance)
     assert len(together) == len(alone) == 3
     for cdr, image in zip(together, alone, strict=True):

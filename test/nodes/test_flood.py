@@ -51,7 +51,8 @@ def images_of(flight: SimulatedFlight, dwell: int = 0) -> list[bytes]:
     assert slc
     stamp = messages.to_stamp(START_NS + dwell * INTERVAL_NS)
     frame = messages.history_to_messages(history, flight.sensor, dwell, stamp)[0]
-    return messages.serialized_slc(slc, frame, Provenance(config_hash=flight.sensor.config_hash))
+    made = messages.slc_to_messages(slc, frame, Provenance(config_hash=flight.sensor.config_hash))
+    return [messages.serialize(image) for image in made]
 
 
 def test_of_a_flood_whole_dwells_go_the_oldest_first_and_each_is_counted(

@@ -21,8 +21,11 @@ class Ledger:
         received: messages that came.
         written: messages that are in the bag.
         left_out: messages that are not, by reason.
+        latched: whether the last message is kept for those who subscribe later; it may replace one that nobody has
+            taken yet, which is no loss.
     """
 
+    latched: bool = False
     received: int = 0
     written: int = 0
     left_out: Counter[str] = field(default_factory=Counter)
@@ -39,7 +42,7 @@ class Ledger:
         if number is None:
             return
         missed = number - self._number - 1 if self._number else 0  # what was published before the first one is no loss
-        if missed > 0 and publishers() == 1:
+        if missed > 0 and not self.latched and publishers() == 1:
             self.left_out[ON_THE_WAY] += missed
         self._number = number
 

@@ -239,9 +239,10 @@ class Recorder(Role, Node):
                 self._bag.add_topic(name, types[0], [from_profile(profile) for profile in offered])
             except OSError as error:
                 self._report(error)
-            self._ledgers[name] = Ledger()
+            profile = _matching(offered)
+            self._ledgers[name] = Ledger(latched=profile.durability == DurabilityPolicy.TRANSIENT_LOCAL)
             self._subscribed[name] = self.create_subscription(
-                message_type, name, guarded(with_times(self._taker_of(name)), self._fail), _matching(offered), raw=True
+                message_type, name, guarded(with_times(self._taker_of(name)), self._fail), profile, raw=True
             )
 
     def _look_for_parameters(self, reader: ParameterReader) -> None:
@@ -367,7 +368,11 @@ class Recorder(Role, Node):
         return Account(
             dropped={QUEUE_FULL: left_out[QUEUE_FULL]} if left_out[QUEUE_FULL] else {},
             ignored={name: count for name, count in ignored.items() if count},
-            missed={topic.lstrip("/"): ledger.missed for topic, ledger in self._ledgers.items() if ledger.missed},
+            missed={
+                topic.lstrip("/"): ledger.missed
+                for topic, ledger in self._ledgers.items()
+                if ledger.missed and not ledger.latched
+            },
             recorded={topic.lstrip("/"): count for topic, count in self.recorded.items()},
             unwritten=left_out[NOT_WRITTEN],
             last_drop=self.failure,

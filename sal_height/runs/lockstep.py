@@ -93,6 +93,10 @@ class Lockstep:
         for topic in (*(inlet.topic for node in self._workers for inlet in node.inlets), *self._recorded):
             ours[topic] += 1
         outlets = [outlet for node in self._workers for outlet in node.outlets]
+        ledgers = self._recorder.ledgers
+        latched = [(outlet, ledgers[outlet.topic]) for outlet in outlets if outlet.topic in ledgers]
+        if any(outlet.published and ledger.latched and not ledger.written for outlet, ledger in latched):
+            return False  # the next message may replace the one that is on its way
         return all(outlet.subscribers >= ours[outlet.topic] for outlet in outlets)
 
     def begin(self) -> None:

@@ -46,3 +46,11 @@ def test_the_bag_gets_all_counts() -> None:
 def test_all_that_did_not_come_is_missed_also_before_the_first_one() -> None:
     assert of(7, 8, 10).missed == 7
     assert of(1, 2, 1, 2).missed == 0  # of a publisher that was started again
+
+
+def test_latched_messages_that_newer_ones_replace_are_not_lost() -> None:
+    ledger = Ledger(latched=True)
+    for number in (2, 5):
+        ledger.receive(number, lambda: 1)
+    assert (ledger.received, ledger.left_out) == (2, {})
+    assert ledger.missed == 3

@@ -25,8 +25,9 @@ from rclpy.qos import (
 )
 
 import sal_height
-from sal_height.messages import MAP_FRAME, POINT_FIELDS, RELIEF_POINT_FIELDS
+from sal_height.messages import MAP_FRAME, POINT_FIELDS
 from sal_height.messages.codec import SHIPPED
+from sal_height.messages.relief import RELIEF_POINT_FIELDS
 from sal_height.nodes.account import DIAGNOSTICS
 from sal_height.nodes.domain import free_domain
 from sal_height.nodes.graph import Graph

@@ -17,6 +17,7 @@ from mcap.records import ChunkIndex, Header, Statistics
 from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
+from numpy.typing import NDArray
 
 from sal_height.bag.files import check_profile, check_start, check_summary_crc
 from sal_height.errors import UserError
@@ -80,7 +81,8 @@ def read_log_times(index: FileIndex) -> dict[str, I64] | None:
     try:
         with index.path.open("rb", buffering=0) as stream:
             for chunk in index.summary.chunk_indexes:
-                for channel_id, log_times in _message_indexes(stream, chunk):
+                for channel_id, entries in read_message_indexes(stream, chunk):
+                    log_times = entries["log_time"].astype(np.int64)
                     found[index.summary.channels[channel_id].topic].append(log_times)
     except OSError as error:
         raise UserError(f"File {index.path} cannot be read: {error.strerror}.") from error
@@ -91,13 +93,12 @@ def read_log_times(index: FileIndex) -> dict[str, I64] | None:
     return times if complete else None
 
 
-def damaged(file: Path, error: Exception) -> UserError:
-    """What to say of a file that is damaged."""
-    return UserError(f"File {file} is damaged ({error or type(error).__name__}); {_remedy(file)} recovers the rest.")
+def read_message_indexes(stream: BinaryIO, chunk: ChunkIndex) -> Iterator[tuple[int, NDArray[np.void]]]:
+    """Channel of each message index of a chunk, and its entries: fields `log_time` (ns) and `offset` (bytes).
 
-
-def _message_indexes(stream: BinaryIO, chunk: ChunkIndex) -> Iterator[tuple[int, I64]]:
-    """Channel and log times of each message index of a chunk."""
+    Raises:
+        McapError, struct.error, ValueError: there are none where the index of the file has them.
+    """
     stream.seek(chunk.chunk_start_offset + chunk.chunk_length)
     block = stream.read(chunk.message_index_length)
     place = 0
@@ -109,9 +110,13 @@ def _message_indexes(stream: BinaryIO, chunk: ChunkIndex) -> Iterator[tuple[int,
             raise McapError(
                 f"there is no message index at byte {chunk.chunk_start_offset + chunk.chunk_length + place}"
             )
-        entries = np.frombuffer(block, _ENTRY, size // _ENTRY.itemsize, body + _MESSAGE_INDEX_HEAD.size)
-        yield channel_id, entries["log_time"].astype(np.int64)
+        yield channel_id, np.frombuffer(block, _ENTRY, size // _ENTRY.itemsize, body + _MESSAGE_INDEX_HEAD.size)
         place = body + length
+
+
+def damaged(file: Path, error: Exception) -> UserError:
+    """What to say of a file that is damaged."""
+    return UserError(f"File {file} is damaged ({error or type(error).__name__}); {_remedy(file)} recovers the rest.")
 
 
 def _check_complete(file: Path, stream: BinaryIO) -> None:

@@ -46,6 +46,10 @@ class NamespacedReader(BagReader):
         """Whether a topic or node is in the namespace, by its whole name."""
         return name.startswith(f"{self.namespace}/")
 
+    def _recorded_name(self, topic: str) -> str:
+        """The name under which a topic was recorded."""
+        return self._recorded_names[topic]
+
     def recorded_messages(
         self, topics: Collection[str] | None = None, times: LogTimes = ALWAYS
     ) -> Iterator[BagMessage]:

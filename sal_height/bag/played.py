@@ -53,7 +53,8 @@ def part_of(recorded: BagMessage) -> DwellPart | None:
     """
     if recorded.type_name == FRAME_TYPE:
         frame = messages.received_frame(recorded.cdr)
-        duration = max((t for t in frame.pulse_time.tolist() if 0 < t <= messages.LONGEST_DWELL), default=0.0)
+        times = frame.pulse_time
+        duration = float(times.max(where=(times > 0) & (times <= messages.LONGEST_DWELL), initial=0.0))
         return DwellPart(
             DwellKey(frame.config_hash, frame.dwell, frame.stamp_ns), frame.stamp_ns + round(duration * 1e9)
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Collection, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,8 +21,10 @@ from sal_height.bag.files import (
     recorded_qos,
     repeated_in,
 )
+from sal_height.bag.frame_heads import TimedPart, read_frame_parts
 from sal_height.bag.index import FileIndex, damaged, read_index
 from sal_height.bag.other_storage import OtherStorage, is_stored_otherwise
+from sal_height.bag.played import part_of
 from sal_height.bag.topics import BagMessage, Topic
 from sal_height.bag.versions import current_name, needs_upgrade, upgraded
 from sal_height.errors import UserError
@@ -97,6 +100,29 @@ class BagReader:
         files = zip(self.indexes, self.repeated, strict=True)
         streams = (_read_messages(index.path, topics, repeated, times) for index, repeated in files)
         return heapq.merge(*streams, key=lambda message: message.log_time_ns)
+
+    def frame_parts(self, topic: str) -> list[TimedPart]:
+        """When the frames on a topic were received and of what dwells they are, in order; broken ones are left out.
+
+        Only the heads of frames are read where the index of the bag says where they are. Up to where the bag is
+        damaged, if it is: whoever reads the frames will tell that.
+        """
+        known = self.topics[topic]
+        if not (self._other or known.is_old):
+            found = [read_frame_parts(index, self._recorded_name(topic)) for index in self.indexes]
+            if None not in found:
+                return list(heapq.merge(*filter(None, found), key=lambda one: one.log_time_ns))
+        parts = []
+        with suppress(UserError):
+            for recorded in self.messages([topic]):
+                with suppress(UserError, RuntimeError):
+                    if part := part_of(recorded):
+                        parts.append(TimedPart(recorded.log_time_ns, part))
+        return parts
+
+    def _recorded_name(self, topic: str) -> str:
+        """The name under which a topic was recorded."""
+        return topic
 
     def decode(self, type_name: str, cdr: bytes) -> Any:
         """The plain message of a type that the bytes are; of a type that is not shipped by the definition in the bag.

@@ -158,7 +158,7 @@ def of_compression(
     config_hash: str,
     calibration_id: str,
 ) -> Provenance:
-    """The provenance of images.
+    """The provenance of images; of dwells that state the same it is the same object.
 
     Args:
         stage: name of the compression or of its node.
@@ -168,7 +168,8 @@ def of_compression(
         calibration_id: identity of the calibration that was applied; empty: none.
     """
     stated = flat_values({**dict(values), **autofocus_values(slc)}, f"{stage}.")
-    return Provenance(__version__, config_hash, calibration_id, stated, slc.autofocus_phase.astype(np.float32))
+    phase = slc.autofocus_phase.astype(np.float32)
+    return _first_alike(_Stated(Provenance(__version__, config_hash, calibration_id, stated, phase)))
 
 
 def autofocus_values(slc: Slc) -> dict[str, Any]:
@@ -178,6 +179,29 @@ def autofocus_values(slc: Slc) -> dict[str, Any]:
         **({PLACEMENT: asdict(slc.placement)} if placed else {}),
         **({RESIDUAL: slc.residual_phase} if slc.residual_phase else {}),
     }
+
+
+class _Stated:
+    """A provenance as a key: equal to those that state the same, to the last bit and with the same types."""
+
+    __slots__ = ("one", "text")
+
+    def __init__(self, one: Provenance) -> None:
+        self.one = one
+        phase = one.autofocus_phase.tobytes()
+        self.text = repr((one.code_version, one.config_hash, one.calibration_id, one.parameters, phase))
+
+    def __hash__(self) -> int:
+        return hash(self.text)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Stated) and other.text == self.text
+
+
+@lru_cache(CACHED)
+def _first_alike(stated: _Stated) -> Provenance:
+    """The first of the provenances that state the same."""
+    return stated.one
 
 
 @lru_cache(CACHED)

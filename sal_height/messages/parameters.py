@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 from sal_height.errors import UserError
 from sal_height.messages.types import Parameter, ParameterType, ParameterValue
+
+KEPT = 512
+"""Parameters that are kept, those that were used last: nearly all are the same from dwell to dwell."""
 
 FIELDS = {
     ParameterType.PARAMETER_NOT_SET: "",
@@ -50,6 +54,20 @@ def parameter_of(name: str, value: Any) -> Parameter:
         stored = b"".join(value) if kind == ParameterType.PARAMETER_BYTE_ARRAY else value
         return Parameter(name=name, value=ParameterValue(type=kind, **{field: stored}))
     return Parameter(name=name)
+
+
+@lru_cache(KEPT, typed=True)
+def _kept_parameter(name: str, value: bool | float | str) -> Parameter:
+    return parameter_of(name, value)
+
+
+def shared_parameter(name: str, value: Any) -> Parameter:
+    """The message of a parameter, to be left as it is: that of the same single value is the same object.
+
+    Raises:
+        TypeError: no parameter can have that value.
+    """
+    return _kept_parameter(name, value) if isinstance(value, bool | int | float | str) else parameter_of(name, value)
 
 
 def value_of(message: ParameterValue) -> Any:

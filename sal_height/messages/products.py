@@ -16,7 +16,7 @@ from sal_height.engine.provenance import Provenance, Same
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Grid
 from sal_height.messages.basics import numbers_of
-from sal_height.messages.parameters import parameter_of, value_of
+from sal_height.messages.parameters import shared_parameter, value_of
 from sal_height.messages.types import Doubt as DoubtMessage
 from sal_height.messages.types import FitTest as FitTestMessage
 from sal_height.messages.types import Provenance as ProvenanceMessage
@@ -112,7 +112,7 @@ def _provenance_message(shared: Same[Provenance]) -> Any:
         code_version=one.code_version,
         config_hash=one.config_hash,
         calibration_id=one.calibration_id,
-        parameters=[parameter_of(name, value) for name, value in one.parameters.items()],
+        parameters=[shared_parameter(name, value) for name, value in one.parameters.items()],
         autofocus_phase=one.autofocus_phase,
     )
 

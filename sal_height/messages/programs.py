@@ -22,7 +22,10 @@ SHARED = {"sal_height_msgs/msg/Provenance"}
 """Types of which several messages may share an object. It must be the last field of those that have it."""
 
 KEPT = 16
-"""Shared objects that are kept, and as many of their bytes: those that were used last."""
+"""Shared objects that are kept, those that were used last."""
+
+WRITTEN_ONCE = {"sal_height_msgs/msg/Provenance": KEPT, "rcl_interfaces/msg/Parameter": 512}
+"""Types of which the bytes of shared messages are kept, and of how many: provenances, and what is in them."""
 
 MOST_INLINED = 64
 """Most numbers, texts and lists of a nested message that is read and written by the function of its holder."""
@@ -86,12 +89,12 @@ class Programs:
 
         Args:
             type_name: name of the type.
-            shared: whether what is of a type of SHARED is never changed, so that its bytes can be kept.
+            shared: whether what is of a type of WRITTEN_ONCE is never changed, so that its bytes can be kept.
         """
         key = type_name, shared
         if key not in self._writers:
-            if shared and type_name in SHARED:
-                made = _shared_writer(self.writer(type_name, shared=False))
+            if shared and type_name in WRITTEN_ONCE:
+                made = _shared_writer(_WriterSource(self, shared=True).function(type_name), WRITTEN_ONCE[type_name])
             else:
                 made = _WriterSource(self, shared=shared).function(type_name)
             self._writers.setdefault(key, made)
@@ -144,10 +147,10 @@ def _shared_reader(read: Read) -> Read:
     return read_shared
 
 
-def _shared_writer(write: Write) -> Write:
-    """What hands the bytes of a message on that is never changed."""
+def _shared_writer(write: Write, kept_messages: int) -> Write:
+    """What hands the bytes of a message on that is never changed; of so many they are kept."""
 
-    @lru_cache(KEPT)
+    @lru_cache(kept_messages)
     def kept(message: Same[Any], place: int) -> bytes:
         made: list[Any] = []
         write(message.one, made.append, parts.ENCAPSULATION + place)
@@ -356,7 +359,7 @@ class _WriterSource(_Source):
             self.add(CODES[field.kind], dtype.itemsize, dtype.itemsize, value)
 
     def nested(self, value: str, type_name: str) -> None:
-        if self.programs.is_inlined(type_name) and not (self.shared and type_name in SHARED):
+        if self.programs.is_inlined(type_name) and not (self.shared and type_name in WRITTEN_ONCE):
             self.message(value, type_name)
         else:
             self.call(f"{self.writer(type_name)}({value}, put, at)")

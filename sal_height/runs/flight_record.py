@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple
@@ -9,9 +10,10 @@ from typing import Any, NamedTuple
 from sal_height import messages
 from sal_height.bag.namespace import NamespacedReader
 from sal_height.bag.parameter_events import PARAMETER_EVENTS
-from sal_height.bag.played import part_of
+from sal_height.bag.played import DwellPart, part_of
 from sal_height.bag.reader import BagMessage, BagReader, LogTimes
 from sal_height.bag.sensor_topics import IMAGES
+from sal_height.bag.topics import FRAME_TYPE
 from sal_height.engine.stage import DwellKey
 from sal_height.errors import UserError
 from sal_height.messages.parameters import value_of
@@ -81,12 +83,16 @@ class FlightRecord:
         self._own: set[str] = set()
         self._dwell_topics = dwell_topics
         takers: dict[str, Callable[[BagMessage], None]] = {
-            **dict.fromkeys([*dwell_topics, *products_of(reader)], self._take_dwell),
+            **dict.fromkeys([*dwell_topics, *products_of(reader)], self._take_product),
             "/sensor_info": self._take_sensor,
             "/calibration": self._take_calibration,
             PARAMETER_EVENTS: self._take_event,
         }
-        self._read([topic for topic in takers if topic in reader.topics], takers)
+        known = reader.topics
+        frames = [topic for topic in dwell_topics if topic in known and known[topic].type_name == FRAME_TYPE]
+        for log_time_ns, part in heapq.merge(*map(reader.frame_parts, frames), key=lambda one: one.log_time_ns):
+            self._take_dwell(part, log_time_ns)
+        self._read([topic for topic in takers if topic in known and topic not in frames], takers)
         self.applied = {dwell: "" if name in self._own else name for dwell, name in self.applied.items()}
 
     def _read(self, topics: list[str], takers: Mapping[str, Callable[[BagMessage], None]]) -> None:
@@ -95,13 +101,16 @@ class FlightRecord:
                 with suppress(UserError, RuntimeError):  # a message that is none
                     takers[recorded.topic](recorded)
 
-    def _take_dwell(self, recorded: BagMessage) -> None:
+    def _take_dwell(self, part: DwellPart, log_time_ns: int) -> None:
+        first_ns, _ = self.dwells.get(part.dwell, (log_time_ns, 0))
+        self.dwells[part.dwell] = LogTimes(first_ns, log_time_ns)
+
+    def _take_product(self, recorded: BagMessage) -> None:
         part = part_of(recorded)
         if part is None:
             return
         if recorded.topic in self._dwell_topics:
-            first_ns, _ = self.dwells.get(part.dwell, (recorded.log_time_ns, 0))
-            self.dwells[part.dwell] = LogTimes(first_ns, recorded.log_time_ns)
+            self._take_dwell(part, recorded.log_time_ns)
         if part.provenance is not None:
             self.stages.setdefault(part.dwell, {}).update(messages.held_stages(part.provenance))
             self.applied[part.dwell] = part.provenance.calibration_id

@@ -1,0 +1,109 @@
+"""The dwells of the frames in a bag, read from the heads of the frames: their samples are nearly all of its bytes."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from contextlib import suppress
+from typing import BinaryIO, NamedTuple
+
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+
+from sal_height import messages
+from sal_height.bag.index import FileIndex, read_message_indexes
+from sal_height.bag.played import DwellPart, part_of
+from sal_height.bag.topics import FRAME_TYPE, BagMessage
+
+_RECORD_HEAD_BYTES = 9
+"""Of the opcode and length of a record."""
+
+_CHUNK_HEAD_BYTES = _RECORD_HEAD_BYTES + 8 + 8 + 8 + 4 + 4 + 8
+"""From the begin of a chunk that is not compressed to its first record: opcode, length, times, size, checksum, the
+empty name of the compression, and bytes of the records (MCAP specification, section Chunk)."""
+
+_MESSAGE = struct.Struct("<BQHIQQ")
+"""Opcode and length of a message, its channel, number, and times of reception and publication, ns."""
+
+HEAD_BYTES = 8192
+"""Of a frame that are read at first."""
+
+TEXT_BYTES = 2048
+"""Of a frame, at most, besides its samples and the times and ranges of its pulses: texts and numbers."""
+
+PULSE_BYTES = 16
+"""Time and reference range of a pulse."""
+
+
+class TimedPart(NamedTuple):
+    """When a frame was recorded, ns, and of what dwell it is."""
+
+    log_time_ns: int
+    part: DwellPart
+
+
+def read_frame_parts(index: FileIndex, topic: str) -> list[TimedPart] | None:
+    """The dwells of the frames on a topic of a file, in the order of their reception; broken frames are left out.
+
+    Checksums are those of whole chunks and are not looked at.
+
+    Returns:
+        None: the frames must be read whole, for they are compressed, or not where the index of the file has them.
+    """
+    try:
+        with index.path.open("rb", buffering=0) as stream:
+            return list(_parts(index, topic, stream))
+    except (OSError, McapError, struct.error, ValueError):
+        return None
+
+
+def _parts(index: FileIndex, topic: str, stream: BinaryIO) -> Iterator[TimedPart]:
+    """The dwells of the frames.
+
+    Raises:
+        OSError, McapError, struct.error, ValueError: frames are not where the index of the file has them.
+    """
+    channels = {number for number, channel in index.summary.channels.items() if channel.topic == topic}
+    places = sorted(_places(index, channels, stream))
+    if len(places) != sum(index.statistics.channel_message_counts.get(number, 0) for number in channels):
+        raise McapError("the index does not have all messages")
+    for log_time_ns, at in places:
+        stream.seek(at)
+        opcode, length, channel, _, received_ns, published_ns = _MESSAGE.unpack(stream.read(_MESSAGE.size))
+        if opcode != Opcode.MESSAGE or channel not in channels or received_ns != log_time_ns:
+            raise McapError(f"there is no message at byte {at}")
+        size = length - (_MESSAGE.size - _RECORD_HEAD_BYTES)
+        with suppress(RuntimeError):  # a message that is none
+            cdr = _with_zeros(stream, at + _MESSAGE.size, size)
+            part = part_of(BagMessage(topic, FRAME_TYPE, cdr, received_ns, published_ns))
+            if part:
+                yield TimedPart(log_time_ns, part)
+
+
+def _places(index: FileIndex, channels: set[int], stream: BinaryIO) -> Iterator[tuple[int, int]]:
+    """When the messages of channels were received, ns, and where they begin in the file."""
+    for chunk in index.summary.chunk_indexes:
+        if not channels & chunk.message_index_offsets.keys():
+            continue
+        if chunk.compression:
+            raise McapError("messages are compressed")
+        begin = chunk.chunk_start_offset + _CHUNK_HEAD_BYTES
+        for channel, entries in read_message_indexes(stream, chunk):
+            if channel in channels:
+                yield from zip(entries["log_time"].tolist(), (entries["offset"] + begin).tolist(), strict=True)
+
+
+def _with_zeros(stream: BinaryIO, at: int, size: int) -> bytes:
+    """A frame of `size` bytes that begins at `at`, with zeros in place of its samples.
+
+    Raises:
+        RuntimeError: the frame is broken.
+    """
+
+    def read(count: int) -> bytes:
+        stream.seek(at)
+        return stream.read(min(count, size)).ljust(size, b"\0")
+
+    cdr = read(HEAD_BYTES)
+    needed = TEXT_BYTES + PULSE_BYTES * len(messages.received_frame(cdr).pulse_time)
+    return cdr if needed <= HEAD_BYTES else read(needed)

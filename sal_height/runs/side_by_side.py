@@ -57,8 +57,8 @@ ENDS_WITHIN_S = 5.0
 DWELLS_AHEAD = 16
 """Dwells that a worker has been sent, at most, beside those that it has returned."""
 
-RING_BYTES = 256_000_000
-"""Shared memory of a worker; arrays beyond it are sent as other objects are."""
+MOST_RING_BYTES = 256_000_000
+"""Shared memory of a worker at most; arrays beyond it are sent as other objects are."""
 
 
 class Remote(NamedTuple):
@@ -135,13 +135,24 @@ class Ring:
     def put(self, array: np.ndarray[Any, np.dtype[Any]]) -> int | None:
         """Copy an array into the ring and return its offset; None: there is no room for it."""
         room = -(-array.nbytes // 64) * 64
-        skipped = self.size - self.at if self.at + room > self.size else 0
+        begins_anew = self.at + room > self.size
+        skipped = self.size - self.at if begins_anew else 0
         if self.used + skipped + room > self.size:
             return None
-        at = 0 if skipped else self.at
+        at = 0 if begins_anew else self.at
         np.frombuffer(self.memory, array.dtype, array.size, at)[:] = array.reshape(-1)
         self.at, self.used, self.taken = at + room, self.used + skipped + room, self.taken + skipped + room
         return at
+
+    @classmethod
+    def for_jobs_like(cls, job: Job) -> Ring:
+        """A ring for the jobs that a worker is sent ahead, if they are as large as this one.
+
+        A larger one would be slower: its memory is used in turn, and what was used last is at hand.
+        """
+        trial = cls.of(MOST_RING_BYTES)
+        _Pickler(io.BytesIO(), {}, trial).dump(job)
+        return cls.of(max(LEAST_SHARED_BYTES, min(MOST_RING_BYTES, (DWELLS_AHEAD + TOGETHER) * trial.taken)))
 
     def release(self, taken: int) -> None:
         """Give back what the oldest message has taken."""
@@ -275,17 +286,21 @@ class SideBySide(Chain):
             port for port, consumers in self._consumers.items() if any(not self._is_remote(one) for one in consumers)
         }
         self._kept = local.union(wanted)
+        self._first: Job | None = None
         self._cold = {stage for stage, remote in zip(stages, self._remote, strict=True) if remote}
 
     def __enter__(self) -> Self:
         return self
 
-    def _start(self) -> None:
-        """Fork the workers, which begin with all that this process has loaded and all tables that it has made."""
+    def _start(self, job: Job) -> None:
+        """Fork the workers, which begin with all that this process has loaded and all tables that it has made.
+
+        `job` is the first one that was processed here.
+        """
         context = multiprocessing.get_context("fork")
         pipes = [context.Pipe() for _ in range(self._jobs)]
         for ours, theirs in pipes:
-            ring = Ring.of(RING_BYTES)
+            ring = Ring.for_jobs_like(job)
             others = [pipe for pair in pipes for pipe in pair if pipe is not theirs]
             process = context.Process(target=self._serve, args=(theirs, others, ring), daemon=True)
             process.start()
@@ -370,11 +385,14 @@ class SideBySide(Chain):
                 most = self._at_once[stage]
                 if len(pending) >= most or (pending and (drain or (alone and remote))):
                     self._cold.discard(stage)
-                    return [(stage, [pending.popleft() for _ in range(min(most, len(pending)))])]
+                    jobs = [pending.popleft() for _ in range(min(most, len(pending)))]
+                    self._first = self._first or (jobs[0] if remote else None)
+                    return [(stage, jobs)]
             elif pending and pending[0].series is not None:
                 return [(stage, [pending.popleft()])]
-        if alone and any(self._remote) and not (self._cold or drain):
-            self._start()
+        if self._first and alone and not (self._cold or drain):
+            self._start(self._first)
+            self._first = None
         return []
 
     def _send_jobs(self, *, drain: bool) -> bool:

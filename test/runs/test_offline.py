@@ -58,7 +58,7 @@ def test_jobs_and_results_that_are_larger_than_pipes_do_not_wait_for_each_other(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Samples go through pipes here, and all images come back."""
-    monkeypatch.setattr(side_by_side, "RING_BYTES", mmap.PAGESIZE)
+    monkeypatch.setattr(side_by_side, "MOST_RING_BYTES", mmap.PAGESIZE)
     bag = record_sensor(replace(load_preset("sal_spotlight"), dwells=24), 3, tmp_path / "flight")
     scheme = plan(bag, {})
 

@@ -10,6 +10,7 @@ from sal_height.commands._options import (
     Dwell,
     Flag,
     Images,
+    Jobs,
     OutputFolder,
     PixelPosition,
     command,
@@ -44,6 +45,7 @@ def irf(
     dwell: Dwell = None,
     channel: Channel = None,
     azimuth_axis: AzimuthAxis = 1,
+    jobs: Jobs = 1,
     windows: Flag = False,
     out: OutputFolder = None,
 ) -> int:
@@ -53,9 +55,10 @@ def irf(
       .npy, .npz   the complex array in it: (rows, cols) or (channels, rows, cols)
       .mat, .h5    the same; of NISAR (RSLC) all polarisations, as channels
       .tif, .nitf  the complex bands of a GeoTIFF, as channels, or a SICD
-      bag          folder or .mcap file: every ComplexImage in it (topic slc),
-                   with its sensor_info, which is needed to remove the phase of
-                   range first; adds positions and widths in m
+      bag          folder or .mcap file: every ComplexImage in it (topic slc), or
+                   the images of its phase history; with its sensor_info, which is
+                   needed to remove the phase of range first; adds positions and
+                   widths in m
 
     In cuts through the target's peak, interpolated to 32 samples per pixel, are
     measured
@@ -88,7 +91,7 @@ def irf(
         print(window_table())
         return DONE
     folder = output_folder(out, "irf")
-    entries = measure(list(images), folder, near, dwell, channel, azimuth_axis)
+    entries = measure(list(images), folder, near, dwell, channel, azimuth_axis, jobs)
     print(response_table(entries))
     print(f"see {folder}/irf.json and {folder}/irf.png")
     return DONE

@@ -15,6 +15,7 @@ from sal_height.commands._options import (
     Channel,
     Dwell,
     Images,
+    Jobs,
     OutputFolder,
     RangeByAzimuth,
     Settings,
@@ -50,6 +51,7 @@ def psf(
     azimuth_axis: AzimuthAxis = 1,
     noise_power: Annotated[float | None, Parameter(metavar="P", validator=Number(gte=0))] = None,
     settings: Settings = (),
+    jobs: Jobs = 1,
     out: OutputFolder = None,
 ) -> int:
     """Estimate the complex point-spread function of each channel from all its images.
@@ -61,8 +63,9 @@ def psf(
                    azimuth)
       .mat, .h5    the same; of NISAR (RSLC) all polarisations, as channels
       .tif, .nitf  the complex bands of a GeoTIFF, as channels, or a SICD
-      bag          folder or .mcap file: every ComplexImage in it (topic slc),
-                   with its sensor_info; adds m to pixels
+      bag          folder or .mcap file: every ComplexImage in it (topic slc), or
+                   the images of its phase history; with its sensor_info; adds m
+                   to pixels
 
     There are two independent estimates, and each may fail:
       targets      chips around bright, isolated point targets give the complex
@@ -121,7 +124,7 @@ def psf(
     from sal_height.runs.psf import psf as measure
 
     folder, chosen = output_folder(out, "psf"), PsfSettings(**settings_values(settings))
-    entries = measure(list(images), folder, chip, dwell, channel, azimuth_axis, chosen, noise_power)
+    entries = measure(list(images), folder, chip, dwell, channel, azimuth_axis, chosen, noise_power, jobs)
     pictures = ", ".join(sorted(str(path) for path in folder.glob("psf*.png")))
     print(f"{psf_table(entries)}\nsee {folder}/psf.json and {pictures}")
     return DONE if determined(entries) else FAILED

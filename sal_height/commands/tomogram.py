@@ -11,6 +11,7 @@ from sal_height.commands._options import (
     DONE,
     MEASURING,
     Bag,
+    Jobs,
     OutputFolder,
     RangeByAzimuth,
     command,
@@ -34,12 +35,13 @@ def tomogram(
     *,
     looks: RangeByAzimuth = None,
     row: Annotated[int | None, Parameter(metavar="N", validator=Number(gte=0))] = None,
+    jobs: Jobs = 1,
     out: OutputFolder = None,
 ) -> int:
     """Draw the reflectivity over height and the way of the flight, and the ground under the canopy.
 
-    The bag must hold the images of all channels (topic slc). The cut goes through
-    the pixels of one range. Beside each other stand the regularised inversion of
+    The bag holds the images of all channels (topic slc), or the phase history
+    that gives them. The cut goes through the pixels of one range. Beside each other stand the regularised inversion of
     the channels' covariance, Capon's spectrum, and MUSIC's pseudo-spectrum. Ground
     is drawn where canopy_ground can tell it, and the true ground and top of the
     canopy if the bag is that of a simulated flight.
@@ -54,6 +56,6 @@ def tomogram(
     from sal_height.runs.tomogram import tomogram as draw
 
     folder = output_folder(out, f"tomogram_{bag_name(bag)}")
-    told = draw(bag, folder, looks or (1, 20), row)
+    told = draw(bag, folder, looks or (1, 20), row, jobs)
     print(f"ground told in {told} pixels; see {folder}/tomogram.png")
     return DONE

@@ -59,7 +59,7 @@ def image_name(path: str, topic: str | None, dwell: int | None, channel: int | N
     return ", ".join([path, *(f"{key} {value}" for key, value in parts.items() if value is not None)])
 
 
-def images_of(path: Path, dwell: int | None, channel: int | None, azimuth_axis: int) -> Iterator[Image]:
+def images_of(path: Path, dwell: int | None, channel: int | None, azimuth_axis: int, jobs: int = 1) -> Iterator[Image]:
     """Read the images of a file or bag, optionally only those of one dwell or one channel.
 
     Args:
@@ -67,13 +67,14 @@ def images_of(path: Path, dwell: int | None, channel: int | None, azimuth_axis: 
         dwell: number of the dwell; None for all.
         channel: number of the channel; None for all.
         azimuth_axis: along-track axis (0 or 1) of arrays in files.
+        jobs: dwells of a bag without images of which these are made side by side.
 
     Raises:
         UserError: the file cannot be read, or holds no such image.
     """
     dwells, channels = set(), set()
     found = False
-    for image in _all_images(path, azimuth_axis):
+    for image in _all_images(path, azimuth_axis, jobs):
         dwells.add(image.dwell)
         channels.add(image.channel)
         if dwell in {None, image.dwell} and channel in {None, image.channel}:
@@ -91,14 +92,14 @@ def images_of(path: Path, dwell: int | None, channel: int | None, azimuth_axis: 
         )
 
 
-def _all_images(path: Path, azimuth_axis: int) -> Iterator[Image]:
+def _all_images(path: Path, azimuth_axis: int, jobs: int) -> Iterator[Image]:
     if path.suffix.lower() in IMAGES:
         return _array_images(path, azimuth_axis)
     if path.is_file() and path.suffix != ".mcap":
         complex_images(path)  # says what it may be
     from sal_height.runs.recorded_images import bag_images  # noqa: PLC0415 (not needed for array files)
 
-    return bag_images(path)
+    return bag_images(path, jobs)
 
 
 def _span(what: str, numbers: set[int | None]) -> str:

@@ -26,6 +26,7 @@ def irf(
     dwell: int | None = None,
     channel: int | None = None,
     azimuth_axis: int = 1,
+    jobs: int = 1,
 ) -> list[dict[str, Any]]:
     """Measure a target in each image and write irf.json and irf.png to `out`.
 
@@ -36,6 +37,7 @@ def irf(
         dwell: measure only the images of this dwell; None for all.
         channel: measure only the images of this channel; None for all.
         azimuth_axis: along-track axis (0 or 1) of arrays in .npy and .npz files; in bags it is 1.
+        jobs: dwells of a bag without images of which these are made side by side.
 
     Returns:
         The entries of irf.json, one per image: image, topic, dwell, channel; row, col (pixels), position_m (map);
@@ -48,7 +50,7 @@ def irf(
     check_new_folder(out)
     entries: list[dict[str, Any]] = []
     targets: list[Target] = []
-    images = (image for path in paths for image in images_of(path, dwell, channel, azimuth_axis))
+    images = (image for path in paths for image in images_of(path, dwell, channel, azimuth_axis, jobs))
     for image in tqdm(images, desc="irf", unit="image", delay=1, leave=False):
         try:
             response = measure_brightest(image.pixels, near)

@@ -41,6 +41,7 @@ def psf(
     azimuth_axis: int = 1,
     settings: PsfSettings | None = None,
     noise_power: float | None = None,
+    jobs: int = 1,
 ) -> list[Entry]:
     """Estimate the point-spread function of each channel from all its images; write psf.json, .npz and .png to `out`.
 
@@ -55,6 +56,7 @@ def psf(
         azimuth_axis: along-track axis (0 or 1) of arrays in .npy and .npz files; in bags it is 1.
         settings: which pixels are taken for point targets, and which tiles for speckle; None for the defaults.
         noise_power: E|n|^2 of the receiver noise in a pixel of all images; None for what bags say.
+        jobs: dwells of a bag without images of which these are made side by side.
 
     Returns:
         The entries of psf.json, one per channel. What could not be estimated is None, and "undetermined" says why.
@@ -64,7 +66,7 @@ def psf(
     """
     check_new_folder(out)
     groups: dict[int | None, list[Image]] = {}
-    images = (image for path in paths for image in images_of(path, dwell, channel, azimuth_axis))
+    images = (image for path in paths for image in images_of(path, dwell, channel, azimuth_axis, jobs))
     for image in tqdm(images, desc="psf: reading", unit="image", delay=1, leave=False):
         groups.setdefault(image.channel, []).append(image)
     settings = settings or PsfSettings()

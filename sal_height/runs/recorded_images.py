@@ -30,17 +30,21 @@ WINDOW_NODES = 1025
 """Weights of a window of which the shape of noise is computed."""
 
 
-def bag_images(path: Path) -> Iterator[Image]:
-    """Every ComplexImage of a bag as an image to be measured, in recorded order."""
-    for topic, message, pixels, grid, sensor in recorded_slc(path):
+def bag_images(path: Path, jobs: int = 1) -> Iterator[Image]:
+    """Every ComplexImage of a bag as an image to be measured, in recorded order; arguments as of `recorded_slc`."""
+    for topic, message, pixels, grid, sensor in recorded_slc(path, jobs):
         power, shape = message.noise_power or None, _noise_shape(message, grid, sensor)
         yield Image(pixels, path, AXES, topic, message.dwell, message.channel, grid, power, shape)
 
 
-def recorded_slc(bag: Path) -> Iterator[tuple[str, Any, Complex, Grid, Sensor]]:
+def recorded_slc(bag: Path, jobs: int = 1) -> Iterator[tuple[str, Any, Complex, Grid, Sensor]]:
     """Read topic, message, pixels without the phase of range, grid and sensor of each ComplexImage of a bag.
 
     Of a bag with phase history and without images these are made as in flight, by calls.
+
+    Args:
+        bag: its path.
+        jobs: dwells of which images are made side by side, if the bag holds none.
 
     Raises:
         UserError: the bag cannot be read, an image in it is damaged, or its sensor_info is missing.
@@ -50,7 +54,7 @@ def recorded_slc(bag: Path) -> Iterator[tuple[str, Any, Complex, Grid, Sensor]]:
     for recorded in reader.messages(_topics(reader, SENSOR_TYPE)):
         message = reader.decode(recorded.type_name, recorded.cdr)
         sensors[message.config_hash] = messages.sensor_from_message(message)
-    for topic, cdr in _serialized_images(reader, bag):
+    for topic, cdr in _serialized_images(reader, bag, jobs):
         message = reader.decode(IMAGE_TYPE, cdr)
         sensor = sensors.get(message.provenance.config_hash)
         if sensor is None:
@@ -67,14 +71,14 @@ def recorded_slc(bag: Path) -> Iterator[tuple[str, Any, Complex, Grid, Sensor]]:
         yield topic, message, without_range_phase(stored, grid, aperture, sensor.wavelength), grid, sensor
 
 
-def _serialized_images(reader: BagReader, bag: Path) -> Iterator[tuple[str, bytes]]:
+def _serialized_images(reader: BagReader, bag: Path, jobs: int) -> Iterator[tuple[str, bytes]]:
     """Topic and bytes of each image that a bag holds, or that is made of its phase history."""
     images = [topic for topic in _topics(reader, IMAGE_TYPE) if reader.topics[topic].count]
     if images or not any(reader.topics[topic].count for topic in _topics(reader, FRAME_TYPE)):
         yield from ((recorded.topic, recorded.cdr) for recorded in reader.messages(images))
         return
     scheme = plan(bag, {}, for_heights=False)
-    run = BagRun(scheme, [COMPRESSION], wanted=[SLC])
+    run = BagRun(scheme, [COMPRESSION], jobs=jobs, wanted=[SLC])
     write = kind_of(SLC_PORT).write
     for made in run.results("images"):
         if isinstance(made.result, Product) and made.result.port == SLC:

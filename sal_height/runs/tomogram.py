@@ -62,7 +62,7 @@ class Cut:
         return height_of(self.positions)
 
 
-def tomogram(bag: Path, folder: Path, looks: tuple[int, int], row: int | None) -> int:
+def tomogram(bag: Path, folder: Path, looks: tuple[int, int], row: int | None, jobs: int = 1) -> int:
     """Draw tomogram.png: reflectivity over height and the way of the flight, with ground and canopy if they are known.
 
     Args:
@@ -70,6 +70,7 @@ def tomogram(bag: Path, folder: Path, looks: tuple[int, int], row: int | None) -
         folder: output folder, which is made.
         looks: range looks and azimuth looks of a pixel.
         row: of the cut, in pixels of these looks; None: the middle one.
+        jobs: dwells of which images are made side by side, if the bag holds none.
 
     Returns:
         The number of pixels of the cut whose ground can be told.
@@ -78,7 +79,7 @@ def tomogram(bag: Path, folder: Path, looks: tuple[int, int], row: int | None) -
         UserError: the bag cannot be read, holds no images, or they have no such row.
     """
     settings = GROUND.settings(range_looks=looks[0], azimuth_looks=looks[1])
-    dwells = list(_dwells(bag))
+    dwells = list(_dwells(bag, jobs))
     if not dwells:
         raise UserError(
             f"Bag {bag} has no images of all channels, and no phase history that gives some; record one of the topics "
@@ -115,10 +116,10 @@ def tomogram(bag: Path, folder: Path, looks: tuple[int, int], row: int | None) -
     return sum(int(np.isfinite(cut.ground).sum()) for cut in cuts)
 
 
-def _dwells(bag: Path) -> Iterator[tuple[Slc, Sensor]]:
+def _dwells(bag: Path, jobs: int) -> Iterator[tuple[Slc, Sensor]]:
     """Images of all channels of each dwell, with their sensor, in recorded order; without dwells that lack channels."""
     waiting: dict[int, list[Any]] = {}
-    for _, message, _, _, sensor in recorded_slc(bag):
+    for _, message, _, _, sensor in recorded_slc(bag, jobs):
         waiting.setdefault(message.dwell, []).append(message)
         if len(waiting[message.dwell]) == len(sensor.noise_power):
             images = sorted(waiting.pop(message.dwell), key=lambda image: image.channel)

@@ -136,9 +136,12 @@ class _Recording:
         for topic, name in self._names.items():
             self.bag.add_topic(name, types[topic][0], [types[topic][1]])
 
-    def take(self, port: str, recorded: BagMessage, items: Sequence[Any]) -> None:
-        """Write and count a message that is played."""
+    def take(self, port: str, recorded: BagMessage, items: Sequence[Any] | None) -> None:
+        """Write and count a message that is played; what cannot be decoded (None) is counted and left out."""
         self._now_ns = recorded.log_time_ns
+        if items is None:
+            self._counts[self._plan.source].ignored[f"broken {recorded.topic}"] += 1
+            return
         self._write(port, [recorded.cdr])
         self._counts[self._plan.source].published[port] += 1
         for item in items:

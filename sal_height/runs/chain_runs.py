@@ -11,7 +11,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from itertools import accumulate, islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from tqdm import tqdm
 
@@ -43,8 +43,17 @@ COMPRESSION = "sar_compression"
 TAKEN = (ODOMETRY, *AIR_PARAMETERS, PHASE_HISTORY)
 """Topics of a whole replay that are read in the order of the bag."""
 
-Fed = Callable[[str, BagMessage, Sequence[Any]], None]
-"""Is told each message of the bag that is fed: its port, the message, and the items that were read of it."""
+Fed = Callable[[str, BagMessage, Sequence[Any] | None], None]
+"""Receives each message of the bag that is fed: its port, the message, and the items that were read of it; None: it
+cannot be decoded, and whoever feeds the messages leaves it out."""
+
+
+class _Read(NamedTuple):
+    """The items of a message, what becomes of one that cannot be used, and whether it cannot be decoded."""
+
+    items: Sequence[Any]
+    refused: Loss | Notice | None = None
+    is_broken: bool = False
 
 
 @dataclass(frozen=True)
@@ -252,7 +261,7 @@ class BagRun:
         named = {name for change in self.scheme.changes for name in change.calibrations}
         found: dict[str, tuple[Calibration, BagMessage]] = {}
         for recorded in self._messages([CALIBRATION]) if named else ():
-            items, trouble = self._read(CALIBRATION, recorded)
+            items, trouble, _ = self._read(CALIBRATION, recorded)
             if trouble:
                 self.losses.add(COMPRESSION, trouble)
             for item in items:
@@ -264,7 +273,7 @@ class BagRun:
         yield from chain.start(self._reader.begin_ns)
         if fed:
             for recorded in self._messages([SENSOR_INFO]):
-                fed(SENSOR_INFO, recorded, ())
+                fed(SENSOR_INFO, recorded, None if self._read(SENSOR_INFO, recorded).is_broken else ())
         for sensor in self.sensors.values():
             yield from chain.feed(SENSOR_INFO, sensor)
         for recorded in self._messages([TF_STATIC]):
@@ -285,9 +294,11 @@ class BagRun:
 
     def _feed(self, chain: Chain, port: str, recorded: BagMessage, fed: Fed | None) -> Iterator[Made]:
         """Feed a message of the bag; one that cannot be used is counted, as a node counts it."""
-        items, refused = self._read(port, recorded)
+        items, refused, is_broken = self._read(port, recorded)
         if fed:
-            fed(port, recorded, items)
+            fed(port, recorded, None if is_broken else items)
+            if is_broken:
+                return
         if refused:
             yield Made(next(iter(self.stages.values())), None, refused)
         for item in items:
@@ -314,20 +325,20 @@ class BagRun:
         """Whether the bag has a topic."""
         return _topic_of(port) in self._reader.topics
 
-    def _read(self, port: str, recorded: BagMessage) -> tuple[Sequence[Any], Loss | Notice | None]:
+    def _read(self, port: str, recorded: BagMessage) -> _Read:
         """The items of a message, and what becomes of one that cannot be used."""
         kind = kind_of_topic(port)
         if recorded.type_name != kind.type_name:
-            return (), None
+            return _Read(())
         try:
-            return kind.read(recorded.cdr, self.settings.get(COMPRESSION)), None
+            return _Read(kind.read(recorded.cdr, self.settings.get(COMPRESSION)))
         except UserError as error:
-            reason, sentence = reason_of(error), f"A message on {port} is not used. {error}"
+            is_broken, reason, sentence = False, reason_of(error), f"A message on {port} is not used. {error}"
         except RuntimeError as error:
-            reason, sentence = "broken message", f"A message on {port} cannot be decoded: {error}."
+            is_broken, reason, sentence = True, "broken message", f"A message on {port} cannot be decoded: {error}."
         if kind.trouble:
-            return (), Notice(kind.trouble, sentence)
-        return (), Loss(None, 1, reason, sentence, is_dwell=False)
+            return _Read((), Notice(kind.trouble, sentence), is_broken)
+        return _Read((), Loss(None, 1, reason, sentence, is_dwell=False), is_broken)
 
 
 def _topic_of(port: str) -> str:

@@ -110,6 +110,27 @@ def test_a_broken_frame_is_counted(recorded: Path, tmp_path: Path) -> None:
     assert row["drops"] == '{"sar_compression: broken message": 1, "sar_compression: incomplete dwell": 1}'
 
 
+def test_what_cannot_be_decoded_is_left_out_of_the_new_bag_and_counted_as_by_nodes(
+    recorded: Path, tmp_path: Path
+) -> None:
+    broken = {("/phase_history", 3), ("/platform/odometry", 1)}
+    bag = rewritten(
+        recorded / "bag",
+        tmp_path / "broken",
+        lambda one, number: one._replace(cdr=one.cdr[:100]) if (one.topic, number) in broken else one,
+    )
+    seen = {}
+    for jobs in (None, 1, 2):
+        outcome = replay(bag, tmp_path / f"{jobs}", {}, jobs=jobs).outcome
+        made = BagReader(tmp_path / f"{jobs}" / "bag")
+        played = {topic: [one.cdr for one in made.messages([topic])] for topic in sorted({one for one, _ in broken})}
+        counts = {name: (dict(one.dropped), dict(one.ignored)) for name, one in outcome.stages.items()}
+        seen[jobs] = counts, played
+    assert seen[None] == seen[1] == seen[2]
+    assert seen[None][0]["player"] == ({}, {"broken /phase_history": 1, "broken /platform/odometry": 1})
+    assert seen[None][0]["sar_compression"] == ({"incomplete dwell": 7}, {})
+
+
 def test_without_odometry_no_dwell_is_made(recorded: Path, tmp_path: Path) -> None:
     bag = rewritten(
         recorded / "bag",

@@ -12,8 +12,8 @@ from mcap.opcode import Opcode
 
 from sal_height import messages
 from sal_height.bag.index import FileIndex, read_message_indexes
-from sal_height.bag.played import DwellPart, part_of
-from sal_height.bag.topics import FRAME_TYPE, BagMessage
+from sal_height.bag.played import DwellPart, part_of_frame
+from sal_height.messages.received import ReceivedFrame
 
 _RECORD_HEAD_BYTES = 9
 """Of the opcode and length of a record."""
@@ -69,15 +69,13 @@ def _parts(index: FileIndex, topic: str, stream: BinaryIO) -> Iterator[TimedPart
         raise McapError("the index does not have all messages")
     for log_time_ns, at in places:
         stream.seek(at)
-        opcode, length, channel, _, received_ns, published_ns = _MESSAGE.unpack(stream.read(_MESSAGE.size))
-        if opcode != Opcode.MESSAGE or channel not in channels or received_ns != log_time_ns:
-            raise McapError(f"there is no message at byte {at}")
+        opcode, length, channel, _, received_ns, _ = _MESSAGE.unpack(stream.read(_MESSAGE.size))
         size = length - (_MESSAGE.size - _RECORD_HEAD_BYTES)
+        is_message = opcode == Opcode.MESSAGE and channel in channels and received_ns == log_time_ns
+        if not is_message or not 0 <= size <= index.size - at:
+            raise McapError(f"there is no message at byte {at}")
         with suppress(RuntimeError):  # a message that is none
-            cdr = _with_zeros(stream, at + _MESSAGE.size, size)
-            part = part_of(BagMessage(topic, FRAME_TYPE, cdr, received_ns, published_ns))
-            if part:
-                yield TimedPart(log_time_ns, part)
+            yield TimedPart(log_time_ns, part_of_frame(_read_frame(stream, at + _MESSAGE.size, size)))
 
 
 def _places(index: FileIndex, channels: set[int], stream: BinaryIO) -> Iterator[tuple[int, int]]:
@@ -93,17 +91,17 @@ def _places(index: FileIndex, channels: set[int], stream: BinaryIO) -> Iterator[
                 yield from zip(entries["log_time"].tolist(), (entries["offset"] + begin).tolist(), strict=True)
 
 
-def _with_zeros(stream: BinaryIO, at: int, size: int) -> bytes:
-    """A frame of `size` bytes that begins at `at`, with zeros in place of its samples.
+def _read_frame(stream: BinaryIO, at: int, size: int) -> ReceivedFrame:
+    """The frame of `size` bytes that begins at `at`, with zeros in place of its samples.
 
     Raises:
         RuntimeError: the frame is broken.
     """
 
-    def read(count: int) -> bytes:
+    def read(count: int) -> ReceivedFrame:
         stream.seek(at)
-        return stream.read(min(count, size)).ljust(size, b"\0")
+        return messages.received_frame(stream.read(min(count, size)).ljust(size, b"\0"))
 
-    cdr = read(HEAD_BYTES)
-    needed = TEXT_BYTES + PULSE_BYTES * len(messages.received_frame(cdr).pulse_time)
-    return cdr if needed <= HEAD_BYTES else read(needed)
+    frame = read(HEAD_BYTES)
+    needed = TEXT_BYTES + PULSE_BYTES * len(frame.pulse_time)
+    return frame if needed <= HEAD_BYTES else read(needed)

@@ -12,6 +12,7 @@ from sal_height import messages
 from sal_height.bag.stamps import stamp_ns_of
 from sal_height.bag.topics import FRAME_TYPE, HEIGHT_TYPE, IMAGE_TYPE, ODOMETRY_TYPE, BagMessage
 from sal_height.engine.stage import DwellKey
+from sal_height.messages.received import ReceivedFrame
 from sal_height.messages.types import Provenance
 
 MARGIN_NS = 1_000_000_000
@@ -52,12 +53,7 @@ def part_of(recorded: BagMessage) -> DwellPart | None:
         RuntimeError: the message is broken.
     """
     if recorded.type_name == FRAME_TYPE:
-        frame = messages.received_frame(recorded.cdr)
-        times = frame.pulse_time
-        duration = float(times.max(where=(times > 0) & (times <= messages.LONGEST_DWELL), initial=0.0))
-        return DwellPart(
-            DwellKey(frame.config_hash, frame.dwell, frame.stamp_ns), frame.stamp_ns + round(duration * 1e9)
-        )
+        return part_of_frame(messages.received_frame(recorded.cdr))
     if recorded.type_name == IMAGE_TYPE:
         image = messages.received_image(recorded.cdr)
         return DwellPart(DwellKey(image.config_hash, image.dwell, image.stamp_ns), image.stamp_ns, image.provenance)
@@ -66,6 +62,14 @@ def part_of(recorded: BagMessage) -> DwellPart | None:
         dwell = DwellKey(str(origin.provenance.config_hash), origin.dwell, origin.stamp_ns)
         return DwellPart(dwell, origin.stamp_ns, origin.provenance)
     return None
+
+
+def part_of_frame(frame: ReceivedFrame) -> DwellPart:
+    """The dwell of a frame."""
+    times = frame.pulse_time
+    duration_s = float(times.max(where=(times > 0) & (times <= messages.LONGEST_DWELL), initial=0.0))
+    dwell = DwellKey(frame.config_hash, frame.dwell, frame.stamp_ns)
+    return DwellPart(dwell, frame.stamp_ns + round(duration_s * 1e9))
 
 
 class Content(NamedTuple):

@@ -32,12 +32,14 @@ from sal_height.bag.sensor_topics import SENSOR_INFO as INFO
 from sal_height.bag.topics import FIX_TYPE, IMAGE_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.configuration import Float, Int, StrictKeys, read_yaml, validated
+from sal_height.engine.provenance import Provenance
 from sal_height.errors import UserError
 from sal_height.geometry import ApertureState, Grid, Origin, ranges_of_phase
 from sal_height.imaging import Slc
 from sal_height.imports.description import Description, Positive
 from sal_height.imports.sicd import SicdImage, read_sicd
-from sal_height.messages.types import ComplexImage, Header, Provenance
+from sal_height.messages.products import provenance_to_message
+from sal_height.messages.types import ComplexImage, Header
 from sal_height.numeric import C64, F64
 from sal_height.runs.images import AXES, images_of
 from sal_height.sensor import Sensor
@@ -271,7 +273,7 @@ def write_images(images: Images, out: Path) -> None:
     first = images.dwell(0)
     sensor = described.sensor_of(*first.shape[1:])
     made = {"range_window": described.range_window, "azimuth_window": described.azimuth_window}
-    provenance = messages.derived(Provenance(config_hash=sensor.config_hash), "sar_compression", made)
+    provenance = provenance_to_message(Provenance(config_hash=sensor.config_hash).derived("sar_compression", made))
     stamps_ns = [
         number * DWELL_NS if one.stamp_ns is None else one.stamp_ns for number, one in enumerate(described.images)
     ]

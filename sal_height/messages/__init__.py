@@ -58,7 +58,7 @@ from sal_height.messages.navigation import (
     read_pose,
     read_twist,
 )
-from sal_height.messages.provenance import derived, held_stages, stages_of, with_stage
+from sal_height.messages.provenance import stages_of, with_stage
 from sal_height.messages.received import (
     HeightOrigin,
     Pose,
@@ -97,7 +97,6 @@ __all__ = [
     "check_frame",
     "check_slc",
     "complex_view",
-    "derived",
     "deserialize",
     "field_from_message",
     "float_view",
@@ -106,7 +105,6 @@ __all__ = [
     "height_origin",
     "height_points",
     "height_to_message",
-    "held_stages",
     "history_from_messages",
     "history_to_messages",
     "mounting_to_pose",

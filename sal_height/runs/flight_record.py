@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple
 
-from sal_height import messages
 from sal_height.bag.namespace import NamespacedReader
 from sal_height.bag.parameter_events import PARAMETER_EVENTS
 from sal_height.bag.played import DwellPart, part_of
@@ -17,6 +16,7 @@ from sal_height.bag.topics import FRAME_TYPE
 from sal_height.engine.stage import DwellKey
 from sal_height.errors import UserError
 from sal_height.messages.parameters import value_of
+from sal_height.messages.products import provenance_of
 from sal_height.runs.catalogue import HEIGHTS
 
 
@@ -112,7 +112,7 @@ class FlightRecord:
         if recorded.topic in self._dwell_topics:
             self._take_dwell(part, recorded.log_time_ns)
         if part.provenance is not None:
-            self.stages.setdefault(part.dwell, {}).update(messages.held_stages(part.provenance))
+            self.stages.setdefault(part.dwell, {}).update(provenance_of(part.provenance).stages)
             self.applied[part.dwell] = part.provenance.calibration_id
 
     def _take_sensor(self, recorded: BagMessage) -> None:

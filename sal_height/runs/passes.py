@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sal_height import __version__, messages
+from sal_height import messages
 from sal_height.bag.namespace import NamespacedReader
 from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import FIX_TYPE, HEIGHT_TYPE
@@ -18,12 +18,14 @@ from sal_height.elevation import ESTIMATORS, ElevationEstimator, HeightSettings,
 from sal_height.engine.compression import SLC
 from sal_height.engine.frame_items import history_of
 from sal_height.engine.image_items import Images, Source
+from sal_height.engine.provenance import Provenance
 from sal_height.engine.stage import Loss, Product
 from sal_height.errors import UserError
 from sal_height.geometry import Grid, Trajectory
 from sal_height.imaging import apply_phase, line_of_sight
 from sal_height.io import new_folder, writing
-from sal_height.messages.types import Header, HeightImage, Provenance
+from sal_height.messages.products import provenance_to_message
+from sal_height.messages.types import Header, HeightImage
 from sal_height.numeric import F64
 from sal_height.passes import (
     ESTIMATORS_OF_PASSES,
@@ -216,7 +218,7 @@ def _write_bag(folder: Path, result: PassHeights, estimator: str, settings: Sett
     array = result.array
     history = array.passes[0].history
     source = HeightImage(header=Header(stamp=messages.to_stamp(history.stamp_ns), frame_id=messages.MAP_FRAME))
-    provenance = messages.derived(Provenance(code_version=__version__), "passes", dict(settings))
+    provenance = provenance_to_message(Provenance().derived("passes", settings))
     image = messages.height_to_message(
         field_of(result.found.points, result), array.reference, (1, 1), estimator, source, provenance
     )

@@ -83,7 +83,9 @@ def write_bag(
 ) -> Path:
     """A bag of images, as `sar_compression` publishes them, and of their sensor."""
     stamp = messages.to_stamp(STAMP_NS)
-    provenance = messages.derived(Provenance(config_hash=sensor.config_hash), "sar_compression", windows)
+    provenance = Provenance(
+        config_hash=sensor.config_hash, parameters=messages.with_stage([], "sar_compression", windows)
+    )
     with BagWriter(path, {}) as bag:
         bag.add_topic("/sensor_info", SENSOR_TYPE, [LATCHED])
         bag.add_topic(topic, IMAGE_TYPE, [LATCHED])

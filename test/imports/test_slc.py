@@ -182,7 +182,9 @@ def write_bag(path: Path, slc: Slc, sensor: Sensor) -> Path:
     """A bag of one dwell of images and their sensor."""
     stamp = messages.to_stamp(10**18)
     windows = {"range_window": "taylor", "azimuth_window": "hamming"}
-    provenance = messages.derived(Provenance(config_hash=sensor.config_hash), "sar_compression", windows)
+    provenance = Provenance(
+        config_hash=sensor.config_hash, parameters=messages.with_stage([], "sar_compression", windows)
+    )
     with BagWriter(path, {}) as bag:
         for topic, kind in (("/sensor_info", SENSOR_TYPE), ("/slc", IMAGE_TYPE)):
             bag.add_topic(topic, kind, [LATCHED])

@@ -271,13 +271,6 @@ class HeightAdjuster(DwellStage):
         return [SENSOR_PORT, ODOMETRY_PORT, Port(f"{settings.estimator}/height", Heights, about, counted=True)]
 
     @classmethod
-    def described_inputs(cls) -> Sequence[Port]:
-        """All ports that it accepts items on; the estimator is that of a setting."""
-        own = f"{cls.settings().estimator}/height"
-        ports = cls.inputs(cls.settings())
-        return [port._replace(name="<estimator>/height") if port.name == own else port for port in ports]
-
-    @classmethod
     def outputs(cls, settings: Any) -> Sequence[Port]:  # noqa: ARG003
         """Adjusted heights, odometry and mounting."""
         return [

@@ -206,13 +206,6 @@ class Mapper(Stage):
         return [heights, *([ORIGIN_PORT] if takes_origin else [])]
 
     @classmethod
-    def described_inputs(cls) -> Sequence[Port]:
-        """All ports that it accepts items on; the estimator is that of a setting."""
-        own = f"{cls.settings().estimator}/height"
-        ports = cls.inputs(cls.settings())
-        return [port._replace(name="<estimator>/height") if port.name == own else port for port in ports]
-
-    @classmethod
     def outputs(cls, settings: Any) -> Sequence[Port]:  # noqa: ARG003
         """The map."""
         about = "map of heights and of their standard deviations, latched"

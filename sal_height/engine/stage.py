@@ -309,8 +309,11 @@ class Stage(Scheduling):
 
     @classmethod
     def described_inputs(cls) -> Sequence[Port]:
-        """All ports that it accepts items on with some settings, for tables."""
-        return cls.inputs(cls.settings())
+        """All ports that it accepts items on with some settings, for tables; of heights the estimator is a setting."""
+        settings = cls.settings()
+        chosen = f"{getattr(settings, 'estimator', '')}/height"
+        ports = cls.inputs(settings)
+        return [port._replace(name="<estimator>/height") if port.name == chosen else port for port in ports]
 
     @classmethod
     def outputs(cls, settings: Any) -> Sequence[Port]:

@@ -71,13 +71,6 @@ class Tracker(Stage):
         ]
 
     @classmethod
-    def described_inputs(cls) -> Sequence[Port]:
-        """All ports that it accepts items on; the estimator is that of a setting."""
-        own = f"{cls.settings().estimator}/height"
-        ports = cls.inputs(cls.settings())
-        return [port._replace(name="<estimator>/height") if port.name == own else port for port in ports]
-
-    @classmethod
     def outputs(cls, settings: Any) -> Sequence[Port]:  # noqa: ARG003
         """The smoothed heights."""
         return [Port(f"{PREFIX}/height", Heights, HEIGHTS_ABOUT)]

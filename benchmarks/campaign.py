@@ -12,8 +12,8 @@ from distributed import Client, LocalCluster
 
 from benchmarks.replaying import without_truth
 from benchmarks.row import Row, load, sized
+from sal_height.graph.processes import ONE_THREAD
 from sal_height.runs.batch import Campaign, Workers, attempt, run_campaign
-from sal_height.runs.processes import ONE_THREAD
 from sal_height.runs.sensor_bag import record_sensor
 from sal_height.simulation import load_preset
 

@@ -20,10 +20,10 @@ from rclpy.node import Node
 
 from benchmarks.live_runs import highest_rate, watch
 from benchmarks.row import Row, load, sized
+from sal_height.graph.plan import Execution
+from sal_height.graph.processes import ONE_THREAD
 from sal_height.nodes.graph import Graph
 from sal_height.runs.live import Live, live
-from sal_height.runs.plan import Execution
-from sal_height.runs.processes import ONE_THREAD
 from sal_height.runs.sensor_bag import Feed, record_sensor
 from sal_height.simulation import load_preset
 

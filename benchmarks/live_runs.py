@@ -20,7 +20,7 @@ from pathlib import Path
 
 from benchmarks.processes import Sample, Usage, memory_bytes, thread_cpu_s
 from benchmarks.row import sized
-from sal_height.runs.processes import ONE_THREAD
+from sal_height.graph.processes import ONE_THREAD
 
 PHASE_HISTORY = ("phase_history",)
 
@@ -130,14 +130,14 @@ def highest_rate(run: Callable[[float], Seen], guess: float) -> tuple[float, See
 
 def _watch_here(bag: Path, rate: float, seconds: float, nodes: Nodes, record: tuple[str, ...]) -> Seen:
     """Run a graph from this process, which must not have made any node yet."""
+    from sal_height.graph.node_classes import NODES  # noqa: PLC0415
+    from sal_height.graph.plan import RECORDER, Execution  # noqa: PLC0415
     from sal_height.runs.live import (  # noqa: PLC0415 (what only starts such processes needs none of this)
         SOURCE,
         Live,
         Watched,
         live,
     )
-    from sal_height.runs.node_classes import NODES  # noqa: PLC0415
-    from sal_height.runs.plan import RECORDER, Execution  # noqa: PLC0415
     from sal_height.runs.sensor_bag import Feed  # noqa: PLC0415
 
     if nodes is Nodes.IDLE:

@@ -16,10 +16,10 @@ from benchmarks.core_limit import core_rate
 from benchmarks.row import Row, load, sized
 from sal_height.bag.reader import BagReader
 from sal_height.bag.writer import BagWriter
+from sal_height.graph.processes import ONE_THREAD
+from sal_height.graph.reporting import PRESET as PRESET_NAME
+from sal_height.graph.reporting import SEED
 from sal_height.nodes.playlist import restamped
-from sal_height.runs.processes import ONE_THREAD
-from sal_height.runs.reporting import PRESET as PRESET_NAME
-from sal_height.runs.reporting import SEED
 from sal_height.runs.sensor_bag import record_sensor
 from sal_height.simulation import load_preset
 

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import cyclopts
 
-from sal_height.runs.processes import ONE_THREAD
+from sal_height.graph.processes import ONE_THREAD
 
 if TYPE_CHECKING:
     from sal_height.runs.live import Watched
@@ -294,8 +294,8 @@ def soak(
         return 2
     os.environ.update(ONE_THREAD | os.environ)
 
+    from sal_height.graph.plan import Execution  # noqa: PLC0415
     from sal_height.runs.live import Live, live  # noqa: PLC0415
-    from sal_height.runs.plan import Execution  # noqa: PLC0415
     from sal_height.runs.replay import replay  # noqa: PLC0415
     from sal_height.runs.sensor_bag import Feed, record_sensor  # noqa: PLC0415
     from sal_height.simulation import load_preset  # noqa: PLC0415

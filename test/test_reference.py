@@ -10,9 +10,9 @@ import pytest
 import sal_height_msgs.msg as message_classes
 
 import sal_height.commands
+from sal_height.graph.node_classes import NODES
 from sal_height.nodes.domain import free_domain
 from sal_height.nodes.graph import Graph
-from sal_height.runs.node_classes import NODES
 from tools.reference import messages, topics
 from tools.reference.pages import DOCS, PAGES
 

@@ -17,9 +17,9 @@ from pathlib import Path
 
 from rich.console import Console
 
-from sal_height.runs.account_book import AccountBook
+from sal_height.graph.account_book import AccountBook
+from sal_height.graph.watch import watch
 from sal_height.runs.live_table import node_table
-from sal_height.runs.watch import watch
 
 DOMAIN = "87"
 RATE = "0.05"

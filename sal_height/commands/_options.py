@@ -18,8 +18,8 @@ from cyclopts.validators import Number
 from sal_height.errors import UserError
 
 if TYPE_CHECKING:
+    from sal_height.graph.plan import Execution
     from sal_height.nodes.domain import DomainChoice
-    from sal_height.runs.plan import Execution
 
 DONE, FAILED, BAD_USE, INTERRUPTED, CUT_OFF = 0, 1, 2, 130, 141
 """Exit statuses. FAILED means something else in each command, whose help says what."""
@@ -314,7 +314,7 @@ class GraphOptions:
         Raises:
             UserError: they contradict each other.
         """
-        from sal_height.runs.plan import Execution
+        from sal_height.graph.plan import Execution
 
         if self.join and self.domain is not None:
             raise UserError("Options --join and --domain exclude each other; give one of them.")

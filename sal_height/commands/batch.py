@@ -65,8 +65,8 @@ def batch(
         scheduler: Address of a Dask cluster that does the work instead; it must see the same files.
         dwells: Has no effect any more.
     """
+    from sal_height.graph.tables import campaign_table
     from sal_height.runs.batch import SUMMARY, Campaign, Workers, run_campaign
-    from sal_height.runs.tables import campaign_table
 
     given, varied = _settings(param)
     if dwells is not None:

@@ -75,9 +75,9 @@ def budget(
             light h f; of a lidar, one over the efficiency of detection.
         out: Output folder, new or empty. Default: out/budget, or the next free of out/budget_2, ….
     """
-    from sal_height.runs.budget import BUDGET, PICTURE, Assumptions
-    from sal_height.runs.budget import budget as draw_up
-    from sal_height.runs.budget_entry import budget_table
+    from sal_height.budget.budget import BUDGET, PICTURE, Assumptions
+    from sal_height.budget.budget import budget as draw_up
+    from sal_height.budget.budget_entry import budget_table
     from sal_height.simulation import load_preset
 
     folder = output_folder(out, "budget")

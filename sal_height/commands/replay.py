@@ -145,18 +145,18 @@ def replay(
         against: Bag with the heights to compare with. Default: those of BAG.
         out: Output folder, new or empty. Default: out/replay_BAG, or the next free of out/replay_BAG_2, ….
     """
-    from sal_height.runs.processes import use_one_blas_thread
+    from sal_height.graph.processes import use_one_blas_thread
 
     if jobs:
         use_one_blas_thread()
 
     from sal_height.bag.played import MOST
     from sal_height.bag.tolerance import ROUNDING, read_tolerances
+    from sal_height.graph.tables import comparison_table, images_table, results_table
     from sal_height.runs.entry import Part
     from sal_height.runs.playing import Playing
     from sal_height.runs.replay import Against
     from sal_height.runs.replay import replay as play_again
-    from sal_height.runs.tables import comparison_table, images_table, results_table
 
     if processes:
         complain(["Option --processes has no effect on a replay; --jobs 2 processes two dwells side by side."])

@@ -20,9 +20,9 @@ from sal_height.bag.topics import HEIGHT_TYPE
 from sal_height.elevation import ORDERS, Validity, scatterer_count
 from sal_height.errors import UserError
 from sal_height.geometry import UTM, ApertureState, Origin, Projection, sphere_coordinates
+from sal_height.graph.catalogue import MAPPERS
 from sal_height.numeric import F64, U8
 from sal_height.relief import HeightField
-from sal_height.runs.catalogue import MAPPERS
 from sal_height.runs.entry import origin_of
 from sal_height.runs.recorded_parameters import recorded_parameters
 

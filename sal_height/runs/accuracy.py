@@ -14,13 +14,13 @@ import numpy as np
 from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import HEIGHT_TYPE
 from sal_height.errors import Rejected, UserError
+from sal_height.graph.catalogue import HEIGHTS, TRACKER
+from sal_height.graph.reporting import PRESET, SEED
 from sal_height.messages import field_from_message
 from sal_height.messages.types import HeightImage
 from sal_height.relief import GroundEstimate
-from sal_height.runs.catalogue import HEIGHTS, TRACKER
 from sal_height.runs.ground_report import TrueGround, ground_of, ground_statistics, true_ground
 from sal_height.runs.report import mosaic, statistics
-from sal_height.runs.reporting import PRESET, SEED
 from sal_height.runs.surface_report import TOLERANCE_BEAMWIDTHS, Judged, height_beamwidth, judged, surface_statistics
 from sal_height.simulation import SimulatedFlight, flight_of, parse_preset
 

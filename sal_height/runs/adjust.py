@@ -35,14 +35,14 @@ from sal_height.engine.losses import Losses
 from sal_height.engine.stage import DwellKey, Loss, Product
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Mounting, PlatformState, Trajectory
+from sal_height.graph.catalogue import NodeParameters, check_estimator, parameters_of, suited
+from sal_height.graph.reporting import PARAMETERS, reporting
 from sal_height.imaging import correct_track
 from sal_height.io import bag_name, new_folder, writing
 from sal_height.runs.adjustment_picture import draw_adjustment
 from sal_height.runs.adjustment_report import summary_of, summary_of_images
-from sal_height.runs.catalogue import NodeParameters, check_estimator, parameters_of, suited
 from sal_height.runs.chain_runs import COMPRESSION, BagRun, Scheme, only_sensor, plan
 from sal_height.runs.entry import Part, sensors_of
-from sal_height.runs.reporting import PARAMETERS, reporting
 from sal_height.sensor import Sensor
 
 Observed = TypeVar("Observed", bound=ObservedDwell)

@@ -18,7 +18,7 @@ from sal_height.adjustment import (
     stated_sigmas,
 )
 from sal_height.geometry import Mounting
-from sal_height.runs.tables import ABSENT
+from sal_height.graph.tables import ABSENT
 from sal_height.tables import aligned
 
 DETERMINED = 0.9

@@ -7,13 +7,13 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
+from sal_height.graph.account_book import AccountBook
+from sal_height.graph.ensemble import Ensemble, Member
+from sal_height.graph.interruption import Interruption
+from sal_height.graph.plan import Execution
+from sal_height.graph.supervisor import Supervisor
+from sal_height.graph.watch import Watcher, looks
 from sal_height.nodes.domain import ros_domain
-from sal_height.runs.account_book import AccountBook
-from sal_height.runs.ensemble import Ensemble, Member
-from sal_height.runs.interruption import Interruption
-from sal_height.runs.plan import Execution
-from sal_height.runs.supervisor import Supervisor
-from sal_height.runs.watch import Watcher, looks
 
 
 @dataclass

@@ -19,12 +19,12 @@ from tqdm import tqdm
 from sal_height import __version__
 from sal_height.engine.movers import MOVERS
 from sal_height.errors import UserError
+from sal_height.graph.catalogue import ADJUSTER, HEIGHTS, NodeParameters, check_parameters
+from sal_height.graph.processes import ONE_THREAD
+from sal_height.graph.reporting import merged
 from sal_height.io import bag_name, write_text, writing
 from sal_height.numeric import available_processors
 from sal_height.runs.campaign import Case, is_done, known, process_case
-from sal_height.runs.catalogue import ADJUSTER, HEIGHTS, NodeParameters, check_parameters
-from sal_height.runs.processes import ONE_THREAD
-from sal_height.runs.reporting import merged
 
 CAMPAIGN, SUMMARY, PICTURE = "campaign.json", "summary.parquet", "comparison.png"
 """Files in the output folder: what was asked for, a row for each bag and setting, and the settings compared."""

@@ -21,13 +21,13 @@ from sal_height.engine.compression import ODOMETRY
 from sal_height.engine.dwells import SENSOR_INFO
 from sal_height.engine.stage import DwellKey, Event, Loss, Notice, Port, Product
 from sal_height.errors import UserError
+from sal_height.graph.interruption import Interruption
+from sal_height.graph.plan import UNCOUNTED, Execution, Outcome, Plan
 from sal_height.messages.codec import SHIPPED
 from sal_height.messages.kinds import kind_of, kind_of_topic
 from sal_height.messages.losses import LOSSES, loss_to_message
 from sal_height.nodes.account import Account
 from sal_height.runs.chain_runs import BagRun, Scheme
-from sal_height.runs.interruption import Interruption
-from sal_height.runs.plan import UNCOUNTED, Execution, Outcome, Plan
 from sal_height.runs.side_by_side import count_messages
 
 _LOG = logging.getLogger(__name__)

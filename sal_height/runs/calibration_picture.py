@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from sal_height.calibration import Calibration
+from sal_height.graph.picture import page
 from sal_height.numeric import C128, F64, Bool
-from sal_height.runs.picture import page
 
 DECIBELS = 20 / np.log(10)
 """Of a change of ln amplitude."""

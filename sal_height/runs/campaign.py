@@ -22,14 +22,14 @@ from sal_height.bag.topics import HEIGHT_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.engine.height_items import Heights
 from sal_height.engine.stage import Product
+from sal_height.graph.catalogue import HEIGHTS, NodeParameters
+from sal_height.graph.reporting import PARAMETERS
 from sal_height.io import write_text
 from sal_height.messages.kinds import write_heights
 from sal_height.runs.accuracy import read_accuracy, read_images, recorded_flight
-from sal_height.runs.catalogue import HEIGHTS, NodeParameters
 from sal_height.runs.chain_runs import BagRun, Scheme, plan
 from sal_height.runs.entry import Part
 from sal_height.runs.judge import verdict_of
-from sal_height.runs.reporting import PARAMETERS
 
 DONE = "done.json"
 """File in the folder of a part, or of a bag, that says what became of it; where it is, all else is."""

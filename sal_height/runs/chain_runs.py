@@ -29,10 +29,10 @@ from sal_height.engine.registry import STAGES
 from sal_height.engine.stage import FOREVER_NS, DwellKey, FileProduct, Loss, Notice, Stage, reason_of
 from sal_height.errors import UserError
 from sal_height.geometry import Mounting
+from sal_height.graph.catalogue import ADJUSTER, DETECTOR, NodeParameters, consumers, parameters_of
+from sal_height.graph.plan import DwellChanges
 from sal_height.messages.kinds import kind_of_topic
-from sal_height.runs.catalogue import ADJUSTER, DETECTOR, NodeParameters, consumers, parameters_of
 from sal_height.runs.entry import Part, chain_of, sensors_of
-from sal_height.runs.plan import DwellChanges
 from sal_height.runs.replay_parameters import processing_of
 from sal_height.runs.side_by_side import SideBySide
 from sal_height.sensor import Sensor

@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.colors import Normalize
 from scipy.spatial import cKDTree
 
+from sal_height.graph.picture import HEIGHTS, SIGMAS, WIDTH, colour_bar, log_norm, page, title_of
 from sal_height.numeric import F64
 from sal_height.runs.comparison import PublishedErrors
-from sal_height.runs.picture import HEIGHTS, SIGMAS, WIDTH, colour_bar, log_norm, page, title_of
 from sal_height.runs.surface_report import Judged
 from sal_height.simulation import Preset
 

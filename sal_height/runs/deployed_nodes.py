@@ -8,11 +8,11 @@ from difflib import get_close_matches
 from typing import Any
 
 from sal_height.errors import UserError
+from sal_height.graph.catalogue import check_values
+from sal_height.graph.ensemble import Member
+from sal_height.graph.node_classes import NODES
 from sal_height.nodes.account import DIAGNOSTICS, PROGRESS
-from sal_height.runs.catalogue import check_values
 from sal_height.runs.deployment import Deployment, NodeEntry
-from sal_height.runs.ensemble import Member
-from sal_height.runs.node_classes import NODES
 
 NAME = r"[A-Za-z_]\w*"
 

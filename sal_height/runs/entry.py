@@ -23,7 +23,7 @@ from sal_height.engine.registry import STAGES
 from sal_height.engine.stage import DwellKey
 from sal_height.errors import UserError
 from sal_height.geometry import Origin
-from sal_height.runs.catalogue import ADJUSTER, HEIGHTS, TRACKER, NodeParameters, suited
+from sal_height.graph.catalogue import ADJUSTER, HEIGHTS, TRACKER, NodeParameters, suited
 from sal_height.sensor import Sensor
 
 _LOG = logging.getLogger(__name__)

@@ -10,9 +10,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from scipy.special import ndtr
 
+from sal_height.graph.picture import look_of, page, title_of
 from sal_height.numeric import F64, I64
 from sal_height.runs.comparison import PublishedErrors
-from sal_height.runs.picture import look_of, page, title_of
 from sal_height.runs.surface_report import Judged
 
 EDGES = np.linspace(-8.0, 8.0, 65)

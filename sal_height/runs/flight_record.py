@@ -15,9 +15,9 @@ from sal_height.bag.sensor_topics import IMAGES
 from sal_height.bag.topics import FRAME_TYPE
 from sal_height.engine.stage import DwellKey
 from sal_height.errors import UserError
+from sal_height.graph.catalogue import HEIGHTS
 from sal_height.messages.parameters import value_of
 from sal_height.messages.products import provenance_of
-from sal_height.runs.catalogue import HEIGHTS
 
 
 def products_of(reader: BagReader) -> list[str]:

@@ -11,11 +11,11 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, Normalize
 from matplotlib.patches import Patch
 
+from sal_height.graph.picture import ERRORS, HEIGHTS, SIGMAS, colour_bar, log_norm, page, shaded
 from sal_height.numeric import F64, Bool
 from sal_height.relief import GroundEstimate, GroundKind
 from sal_height.runs.ground_report import TrueGround
 from sal_height.runs.height_picture import height_limits
-from sal_height.runs.picture import ERRORS, HEIGHTS, SIGMAS, colour_bar, log_norm, page, shaded
 
 KIND_COLOURS = ("#1b7837", "#f0a830", "0.25", "0.9")
 """Of the kinds in the order of their values."""

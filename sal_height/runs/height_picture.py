@@ -17,11 +17,9 @@ from matplotlib.image import AxesImage
 from matplotlib.patches import Patch
 from scipy.spatial import cKDTree
 
+from sal_height.budget.power_picture import draw_powers
 from sal_height.engine.tracker import PREFIX
-from sal_height.messages.types import HeightImage
-from sal_height.numeric import F64
-from sal_height.runs.comparison import FOUND_ORDERS, TRUE_ORDERS
-from sal_height.runs.picture import (
+from sal_height.graph.picture import (
     ERRORS,
     FAULT,
     HEIGHTS,
@@ -33,7 +31,9 @@ from sal_height.runs.picture import (
     shaded,
     title_of,
 )
-from sal_height.runs.power_picture import draw_powers
+from sal_height.messages.types import HeightImage
+from sal_height.numeric import F64
+from sal_height.runs.comparison import FOUND_ORDERS, TRUE_ORDERS
 from sal_height.runs.surface_report import CELL_PIXELS, Judged
 from sal_height.simulation import Preset
 

@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.transforms import Affine2D
 
 from sal_height.geometry import Grid
+from sal_height.graph.picture import COLUMN_WIDTH, POWERS, colour_bar, page
 from sal_height.numeric import C64, F64
 from sal_height.runs.irf_picture import decibels
-from sal_height.runs.picture import COLUMN_WIDTH, POWERS, colour_bar, page
 
 SHARES = (20.0, 99.9)
 """Percentiles of the power that black and white stand for: targets are far above all else, noise has no least power."""

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
+from sal_height.graph.picture import colour_bar, page
 from sal_height.numeric import F64
 from sal_height.response import OVERSAMPLING, REACH, Chip, CutResponse, ImpulseResponse
-from sal_height.runs.picture import colour_bar, page
 
 PIXELS_SHOWN = 300
 """Greatest number of interpolated rows or columns in the picture of a target; more would not be visible."""

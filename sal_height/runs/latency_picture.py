@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from sal_height.bag.reader import BagReader
+from sal_height.graph.catalogue import HEIGHTS
+from sal_height.graph.picture import look_of, page
 from sal_height.io import writing
 from sal_height.nodes.account import DIAGNOSTICS, Account
 from sal_height.numeric import F64
-from sal_height.runs.catalogue import HEIGHTS
-from sal_height.runs.picture import look_of, page
 
 LATENCIES = "latency.png"
 """File in the folder of a live run."""

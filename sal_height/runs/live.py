@@ -19,6 +19,16 @@ from sal_height.bag.sensor_topics import ODOMETRY, SENSOR_INFO
 from sal_height.bag.stamps import stamp_ns_of
 from sal_height.engine.movers import MOVERS
 from sal_height.errors import UserError
+from sal_height.graph.account_book import AccountBook
+from sal_height.graph.catalogue import DETECTOR, HEIGHTS, TRACKER, check_parameters, consumers
+from sal_height.graph.conductor import Conductor
+from sal_height.graph.ensemble import Ensemble, members_of
+from sal_height.graph.interruption import Interruption
+from sal_height.graph.plan import RECORDER, Execution, Plan
+from sal_height.graph.processes import beside, process_age_s
+from sal_height.graph.reporting import PARAMETERS, PRESET, merged, reporting
+from sal_height.graph.supervisor import Supervisor
+from sal_height.graph.watch import Watcher, looks
 from sal_height.io import new_folder
 from sal_height.messages import AIR
 from sal_height.messages.types import HeightImage
@@ -27,19 +37,9 @@ from sal_height.nodes.domain import ros_domain
 from sal_height.nodes.middleware import provide_shared_memory
 from sal_height.nodes.playlist import Playlist
 from sal_height.numeric import available_processors
-from sal_height.runs.account_book import AccountBook
-from sal_height.runs.catalogue import DETECTOR, HEIGHTS, TRACKER, check_parameters, consumers
-from sal_height.runs.conductor import Conductor
-from sal_height.runs.ensemble import Ensemble, members_of
 from sal_height.runs.entry import check_air
-from sal_height.runs.interruption import Interruption
-from sal_height.runs.plan import RECORDER, Execution, Plan
-from sal_height.runs.processes import beside, process_age_s
-from sal_height.runs.reporting import PARAMETERS, PRESET, merged, reporting
 from sal_height.runs.self_test import core_rate_hz, make_tables
 from sal_height.runs.sensor_bag import Feed
-from sal_height.runs.supervisor import Supervisor
-from sal_height.runs.watch import Watcher, looks
 
 _LOG = logging.getLogger(__name__)
 

@@ -15,7 +15,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from sal_height.runs.account_book import AccountBook, Entry
+from sal_height.graph.account_book import AccountBook, Entry
 from sal_height.runs.live import SOURCE, Watched
 
 GONE = "gone"

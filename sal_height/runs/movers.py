@@ -16,13 +16,13 @@ from sal_height.engine.movers import FoundMovers as Movers
 from sal_height.engine.stage import DwellKey, Product
 from sal_height.errors import UserError
 from sal_height.geometry import sphere_coordinates
+from sal_height.graph.catalogue import DETECTOR, NodeParameters, parameters_of
+from sal_height.graph.plan import DwellChanges
+from sal_height.graph.reporting import reporting
 from sal_height.io import new_folder
 from sal_height.movers import Mover, MoverSettings, check_sensor
-from sal_height.runs.catalogue import DETECTOR, NodeParameters, parameters_of
 from sal_height.runs.chain_runs import COMPRESSION, BagRun, Scheme, plan
 from sal_height.runs.entry import sensors_of
-from sal_height.runs.plan import DwellChanges
-from sal_height.runs.reporting import reporting
 from sal_height.sensor import Sensor
 
 STAGES_OF_MOVERS = (COMPRESSION, DETECTOR)

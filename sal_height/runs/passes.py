@@ -22,6 +22,8 @@ from sal_height.engine.provenance import Provenance
 from sal_height.engine.stage import Loss, Product
 from sal_height.errors import UserError
 from sal_height.geometry import Grid, Trajectory
+from sal_height.graph.catalogue import NodeParameters
+from sal_height.graph.reporting import reporting
 from sal_height.imaging import apply_phase, line_of_sight
 from sal_height.io import new_folder, writing
 from sal_height.messages.products import provenance_to_message
@@ -39,11 +41,9 @@ from sal_height.passes import (
 )
 from sal_height.pipeline import corrected_spectrum
 from sal_height.relief import HeightField, Surface
-from sal_height.runs.catalogue import NodeParameters
 from sal_height.runs.chain_runs import COMPRESSION, BagRun, plan
 from sal_height.runs.passes_picture import draw_passes
 from sal_height.runs.passes_report import Comparison, compared, summary_of, warnings_of
-from sal_height.runs.reporting import reporting
 from sal_height.settings import Settings
 
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
+from sal_height.graph.picture import HEIGHTS, colour_bar, page
 from sal_height.passes import PassHeights
 from sal_height.runs.passes_report import Comparison
-from sal_height.runs.picture import HEIGHTS, colour_bar, page
 
 
 def draw_passes(result: PassHeights, comparisons: Sequence[Comparison], path: Path) -> None:

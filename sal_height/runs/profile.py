@@ -11,10 +11,10 @@ from matplotlib.axes import Axes
 
 from sal_height import messages
 from sal_height.engine.tracker import PREFIX
+from sal_height.graph.picture import FAULT, look_of, page
 from sal_height.messages.types import HeightImage
 from sal_height.numeric import F64, I64
 from sal_height.relief import HeightField
-from sal_height.runs.picture import FAULT, look_of, page
 from sal_height.runs.surface_report import judged
 from sal_height.simulation import Scene, SimulatedFlight
 

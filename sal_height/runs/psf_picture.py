@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
+from sal_height.graph.picture import page
 from sal_height.numeric import F64, frequencies
 from sal_height.response import (
     FINENESS,
@@ -22,7 +23,6 @@ from sal_height.response import (
     PsfReport,
     estimate_transfer_function,
 )
-from sal_height.runs.picture import page
 
 CHIPS_SHOWN = 4
 """Number of targets whose chips are drawn, as in the paper."""

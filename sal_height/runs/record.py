@@ -13,13 +13,13 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from sal_height.bag.parameter_events import PARAMETER_EVENTS
+from sal_height.graph.interruption import Interruption
+from sal_height.graph.watch import looks
 from sal_height.io import check_new_folder, free_folder
 from sal_height.nodes.domain import DomainChoice, ros_domain
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.ledger import Ledger
 from sal_height.nodes.recorder import Recorder
-from sal_height.runs.interruption import Interruption
-from sal_height.runs.watch import looks
 
 DEFAULT_FOLDER = Path("out/recorded")
 

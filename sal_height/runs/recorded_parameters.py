@@ -38,10 +38,10 @@ from sal_height.bag.sensor_topics import FRAMES
 from sal_height.engine.mapper import MAP_ORIGIN
 from sal_height.engine.registry import STAGES, takes_heights
 from sal_height.errors import UserError
-from sal_height.runs.catalogue import HEIGHTS, SETTABLE, TRACKER, NodeParameters, check_parameters, placed
+from sal_height.graph.catalogue import HEIGHTS, SETTABLE, TRACKER, NodeParameters, check_parameters, placed
+from sal_height.graph.reporting import PARAMETERS, merged
 from sal_height.runs.entry import origin_of
 from sal_height.runs.flight_record import products_of
-from sal_height.runs.reporting import PARAMETERS, merged
 from sal_height.runs.timeline import EVENT, PROVENANCE, Change, Parameter, Timeline, Value, timeline_of
 from sal_height.settings import settings_of
 

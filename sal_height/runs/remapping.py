@@ -11,8 +11,8 @@ from sal_height.bag.sensor_topics import FRAMES, IMAGES, ODOMETRY, SENSOR_INFO
 from sal_height.bag.topics import FRAME_TYPE, HEIGHT_TYPE, IMAGE_TYPE, ODOMETRY_TYPE, SENSOR_TYPE
 from sal_height.engine.calibrations import CALIBRATION
 from sal_height.errors import UserError
+from sal_height.graph.catalogue import HEIGHTS
 from sal_height.messages import AIR, AIR_TYPES
-from sal_height.runs.catalogue import HEIGHTS
 from sal_height.runs.entry import FROM_HEIGHTS
 
 KNOWN: Mapping[str, str] = {
@@ -144,7 +144,7 @@ def _names_of(rule: str) -> tuple[str, str]:
 
 def _topics_of(played: Sequence[str], stages: Collection[str]) -> set[str]:
     """The topics of the nodes of a replay but those of ROS itself, such as /clock."""
-    from sal_height.runs.node_classes import NODES  # noqa: PLC0415 (replays without rules need no ROS)
+    from sal_height.graph.node_classes import NODES  # noqa: PLC0415 (replays without rules need no ROS)
 
     named = {topic for stage in stages for topic in (*NODES[stage].inputs, *NODES[stage].outputs)}
     return {*played, CALIBRATION, *(topic for topic in named if not topic.startswith(("/", "<")))}

@@ -17,19 +17,19 @@ from sal_height.bag.sensor_topics import FRAMES, SENSOR_INFO
 from sal_height.bag.tolerance import ROUNDING, Tolerances
 from sal_height.engine.calibrations import CALIBRATION
 from sal_height.errors import UserError
+from sal_height.graph.catalogue import HEIGHTS, TRACKER, NodeParameters, consumers, recorded_topics
+from sal_height.graph.plan import DEFAULT, Execution, Outcome, Plan
+from sal_height.graph.reporting import PARAMETERS, RELIEF_MAP, conclude, merged, reporting
 from sal_height.io import new_folder, or_null, writing
 from sal_height.response import measure_brightest
 from sal_height.runs.accuracy import read_accuracy, recorded_flight
-from sal_height.runs.catalogue import HEIGHTS, TRACKER, NodeParameters, consumers, recorded_topics
 from sal_height.runs.chain_runs import Scheme
 from sal_height.runs.entry import FROM_HEIGHTS, MAPPER, WHOLE, Part, chain_of
 from sal_height.runs.judge import as_json, draw_worst_dwell
-from sal_height.runs.plan import DEFAULT, Execution, Outcome, Plan
 from sal_height.runs.playing import IN_LOCKSTEP, Playing
 from sal_height.runs.recorded_images import recorded_slc
 from sal_height.runs.remapping import remapping_of
 from sal_height.runs.replay_parameters import Processing, processing_of
-from sal_height.runs.reporting import PARAMETERS, RELIEF_MAP, conclude, merged, reporting
 
 _LOG = logging.getLogger(__name__)
 
@@ -197,7 +197,7 @@ def _perform(
         UserError: the run has failed, or needs nodes where there is no ROS.
     """
     if jobs is None:
-        from sal_height.runs.lockstep import perform  # noqa: PLC0415 (needs ROS)
+        from sal_height.graph.lockstep import perform  # noqa: PLC0415 (needs ROS)
 
         return perform(plan, execution)
     from sal_height.runs.by_calls import perform_by_calls  # noqa: PLC0415 (not needed by nodes)

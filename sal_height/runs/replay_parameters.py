@@ -15,13 +15,13 @@ from sal_height.engine.compression import HEARD
 from sal_height.engine.registry import STAGES
 from sal_height.engine.stage import DwellKey
 from sal_height.geometry import Mounting
+from sal_height.graph.catalogue import NodeParameters, parameters_of
+from sal_height.graph.plan import DwellChanges
+from sal_height.graph.reporting import merged
 from sal_height.messages import to_ns
-from sal_height.runs.catalogue import NodeParameters, parameters_of
 from sal_height.runs.entry import Chain, Part, check_air, check_given, sensors_of
 from sal_height.runs.flight_record import FlightRecord
-from sal_height.runs.plan import DwellChanges
 from sal_height.runs.recorded_parameters import RecordedParameters, parameters_in, recorded_at_start
-from sal_height.runs.reporting import merged
 from sal_height.runs.timeline import NO_FILE, PROVENANCE, Applied, Change, Parameter, Timeline, timeline_of
 from sal_height.settings import settings_of
 

@@ -17,12 +17,12 @@ from sal_height.engine.heights import HeightStage
 from sal_height.engine.registry import STAGES
 from sal_height.errors import UserError
 from sal_height.geometry import PlatformState, Trajectory
+from sal_height.graph.catalogue import TRACKER
+from sal_height.graph.node_classes import NODES
 from sal_height.nodes.playlist import Playlist
 from sal_height.pipeline import Compressor, heights
 from sal_height.rehearsal import made_up_heights, rehearse_heights
 from sal_height.relief import PriorEstimate, track
-from sal_height.runs.catalogue import TRACKER
-from sal_height.runs.node_classes import NODES
 from sal_height.sensor import Sensor
 
 TEST_S = 0.25

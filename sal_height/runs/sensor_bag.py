@@ -21,12 +21,12 @@ from sal_height.bag.sensor_topics import FRAMES, MAP_ORIGIN, ODOMETRY, SENSOR_IN
 from sal_height.bag.topics import FIX_TYPE, FRAME_TYPE, ODOMETRY_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
+from sal_height.graph.catalogue import HEIGHTS, TRACKER, suited
+from sal_height.graph.processes import Forked, beside
+from sal_height.graph.reporting import PARAMETERS, PRESET, SEED, merged
 from sal_height.nodes.playlist import Playlist
-from sal_height.runs.catalogue import HEIGHTS, TRACKER, suited
 from sal_height.runs.entry import contents
-from sal_height.runs.processes import Forked, beside
 from sal_height.runs.recorded_parameters import recorded_parameters
-from sal_height.runs.reporting import PARAMETERS, PRESET, SEED, merged
 from sal_height.runs.simulate import processing_of
 from sal_height.sensor import Sensor
 from sal_height.simulation import Preset, SimulatedFlight, flight_of

@@ -14,10 +14,7 @@ import yaml
 from sal_height.bag.sensor_topics import MAP_ORIGIN
 from sal_height.engine.registry import STAGES, takes_images
 from sal_height.errors import UserError
-from sal_height.io import new_folder, write_text, writing
-from sal_height.messages import AIR
-from sal_height.runs.accuracy import Accuracy, read_accuracy, read_images
-from sal_height.runs.catalogue import (
+from sal_height.graph.catalogue import (
     HEIGHTS,
     TRACKER,
     NodeParameters,
@@ -28,10 +25,13 @@ from sal_height.runs.catalogue import (
     recorded_topics,
     suited,
 )
+from sal_height.graph.lockstep import perform
+from sal_height.graph.plan import DEFAULT, Execution, Outcome, Plan
+from sal_height.graph.reporting import PARAMETERS, PRESET, RELIEF_MAP, SEED, conclude, merged, reporting
+from sal_height.io import new_folder, write_text, writing
+from sal_height.messages import AIR
+from sal_height.runs.accuracy import Accuracy, read_accuracy, read_images
 from sal_height.runs.entry import check_air
-from sal_height.runs.lockstep import perform
-from sal_height.runs.plan import DEFAULT, Execution, Outcome, Plan
-from sal_height.runs.reporting import PARAMETERS, PRESET, RELIEF_MAP, SEED, conclude, merged, reporting
 from sal_height.simulation import Preset, SimulatedFlight, flight_of
 
 """File of the relief map in the folder of a run."""

@@ -20,7 +20,7 @@ from sal_height.engine.registry import STAGES
 from sal_height.engine.stage import DwellKey
 from sal_height.errors import UserError
 from sal_height.geometry import Mounting
-from sal_height.runs.catalogue import SETTABLE
+from sal_height.graph.catalogue import SETTABLE
 from sal_height.runs.flight_record import FlightRecord, Heard, Said, tells_of_its_making
 from sal_height.settings import settings_of
 

@@ -18,13 +18,13 @@ from sal_height.bag.reader import BagReader
 from sal_height.elevation import ESTIMATORS, PROFILES, Validity
 from sal_height.errors import UserError
 from sal_height.geometry import aperture_at, height_of, locate_at_elevation, sphere_coordinates
+from sal_height.graph.reporting import PRESET
 from sal_height.imaging import Slc
 from sal_height.io import writing
 from sal_height.numeric import F64
 from sal_height.pipeline import elevations
 from sal_height.relief import height_field
 from sal_height.runs.recorded_images import recorded_slc
-from sal_height.runs.reporting import PRESET
 from sal_height.sensor import Sensor
 from sal_height.simulation import Scene, flight_of, parse_preset
 

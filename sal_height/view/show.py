@@ -9,8 +9,8 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from sal_height.errors import Rejected, UserError
+from sal_height.graph.interruption import Interruption
 from sal_height.messages import MAP_FRAME, field_from_message
-from sal_height.runs.interruption import Interruption
 from sal_height.view.colours import Spans
 from sal_height.view.drawings import Heard, Note, Sheet
 from sal_height.view.listener import Listener

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from sal_height.errors import UserError
 from sal_height.geometry.frames import angles_of
 from sal_height.geometry.trajectory import Trajectory
+from sal_height.graph.catalogue import check_parameters
 from sal_height.imaging.autofocus.gradient import AutofocusSettings, apply_phase, autofocus, patch_centres
 from sal_height.imaging.focus import ImageSettings, Slc, cell_response, focus_dwell
 from sal_height.imaging.formers.backprojection import backproject
@@ -21,7 +22,6 @@ from sal_height.imaging.formers.choice import FEW_PIXELS, FORMERS
 from sal_height.imaging.pixels import slc_noise_power
 from sal_height.imaging.weighting import Processing
 from sal_height.numeric.windows import broadening, window
-from sal_height.runs.catalogue import check_parameters
 from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset

@@ -26,12 +26,12 @@ from sal_height.commands import main
 from sal_height.errors import UserError
 from sal_height.exports import write_sicd
 from sal_height.geometry import Grid, Origin, aperture_at, look_direction
+from sal_height.graph.plan import Execution
 from sal_height.imaging import Slc
 from sal_height.imports import import_slc
 from sal_height.messages import serialize
 from sal_height.messages.types import ComplexImage, Header, Provenance
 from sal_height.runs.entry import Part
-from sal_height.runs.plan import Execution
 from sal_height.runs.replay import replay
 from sal_height.runs.sensor_bag import record_sensor
 from sal_height.sensor import Sensor

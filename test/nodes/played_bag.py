@@ -14,6 +14,7 @@ from sal_height import messages
 from sal_height.bag import qos
 from sal_height.bag.definitions import Definition
 from sal_height.bag.writer import BagWriter
+from sal_height.graph.plan import DwellChanges
 from sal_height.messages import serialize
 from sal_height.messages.types import Calibration, ChannelFrame, Odometry, SensorInfo, Temperature
 from sal_height.nodes.account import CALIBRATIONS
@@ -21,7 +22,6 @@ from sal_height.nodes.graph import Graph
 from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.player import Player
 from sal_height.nodes.quality import FRAMES_QOS, LATCHED_QOS
-from sal_height.runs.plan import DwellChanges
 
 TIMEOUT_S = 20.0
 TOPICS = {SensorInfo: "/sensor_info", Odometry: "/platform/odometry", ChannelFrame: "/phase_history"}

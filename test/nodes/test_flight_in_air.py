@@ -22,6 +22,7 @@ from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.bag.tolerance import EXACT
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
+from sal_height.graph.plan import Execution
 from sal_height.messages import serialize
 from sal_height.messages.types import HeightImage, Temperature
 from sal_height.nodes.domain import free_domain
@@ -31,7 +32,6 @@ from sal_height.runs.adjust import _write
 from sal_height.runs.calibrate import calibrate
 from sal_height.runs.entry import Part, check_air
 from sal_height.runs.live import Live, live
-from sal_height.runs.plan import Execution
 from sal_height.runs.playing import Playing
 from sal_height.runs.replay import Replay, replay
 from sal_height.runs.sensor_bag import Feed

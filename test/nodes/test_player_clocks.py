@@ -11,12 +11,12 @@ from played_bag import TIMEOUT_S, Listener, bag, odometry, played, player_of
 from written_bag import calibration, frame, key
 
 from sal_height.bag.reader import BagMessage
+from sal_height.graph.plan import DwellChanges
 from sal_height.messages.types import ChannelFrame, Clock
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.player import Player
 from sal_height.nodes.simulated_clock import PERIOD_S, SimulatedClock
-from sal_height.runs.plan import DwellChanges
 
 LEAST_CLOCK_HZ = 40.0
 """Messages on /clock in a second that docs/replay.md promises."""

@@ -13,13 +13,13 @@ from typing import Any
 import pytest
 from rclpy.node import Node
 
+from sal_height.graph.account_book import AccountBook
+from sal_height.graph.watch import Watcher
 from sal_height.messages.types import DiagnosticArray
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.leftovers import SHARED_MEMORY
 from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.ports import LOOK_S, LOOKS, Ports, ports_read
-from sal_height.runs.account_book import AccountBook
-from sal_height.runs.watch import Watcher
 
 STANDS_STILL_S = 3.0
 """Longer than two of the looks after which Fast DDS takes a process for dead by default."""

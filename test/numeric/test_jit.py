@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-import sal_height.runs.ensemble  # noqa: F401 (has all functions)
+import sal_height.graph.ensemble  # noqa: F401 (has all functions)
 from sal_height.numeric import F64, jit
 
 PACKAGE = Path(jit.__file__).parents[1]

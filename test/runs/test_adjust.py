@@ -18,10 +18,10 @@ from sal_height.bag.reader import BagReader
 from sal_height.bag.writer import BagWriter
 from sal_height.commands import main
 from sal_height.commands.adjust import DEFAULT_SIGMA_M, LEAST_SIGMA_M, MOST_SIGMA_M
+from sal_height.graph.reporting import PARAMETERS
 from sal_height.io import bag_name
 from sal_height.nodes.processing import PROCESSING
 from sal_height.runs.adjust import ADJUSTED_FROM
-from sal_height.runs.reporting import PARAMETERS
 from sal_height.runs.sensor_bag import record_sensor
 from sal_height.settings import settings_of
 from sal_height.simulation.scenes import street

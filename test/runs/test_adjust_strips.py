@@ -15,9 +15,9 @@ from sal_height.elevation import ESTIMATORS
 from sal_height.engine.image_items import Images
 from sal_height.engine.stage import Product
 from sal_height.geometry import sphere_coordinates
+from sal_height.graph.catalogue import parameters_of
 from sal_height.numeric import F64
 from sal_height.pipeline import heights
-from sal_height.runs.catalogue import parameters_of
 from sal_height.runs.chain_runs import BagRun, plan
 from sal_height.runs.sensor_bag import record_sensor
 from sal_height.simulation import load_preset

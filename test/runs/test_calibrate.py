@@ -15,10 +15,10 @@ from sal_height.bag.reader import BagReader
 from sal_height.calibration.files import load_calibration
 from sal_height.commands import main
 from sal_height.errors import UserError
+from sal_height.graph.catalogue import HEIGHTS
 from sal_height.runs.accuracy import read_accuracy
 from sal_height.runs.calibrate import CALIBRATION, calibrate
 from sal_height.runs.calibration_picture import beam_width
-from sal_height.runs.catalogue import HEIGHTS
 from sal_height.runs.entry import Part
 from sal_height.runs.replay import replay
 from sal_height.runs.sensor_bag import record_sensor

@@ -9,8 +9,8 @@ import pytest
 
 from sal_height.commands import main
 from sal_height.commands._options import output_folder
+from sal_height.graph.catalogue import check_parameters
 from sal_height.io import bag_name
-from sal_height.runs.catalogue import check_parameters
 
 
 @pytest.mark.parametrize(

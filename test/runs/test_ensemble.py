@@ -20,7 +20,7 @@ from mcap.reader import make_reader
 
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
-from sal_height.runs.ensemble import Ensemble, Member
+from sal_height.graph.ensemble import Ensemble, Member
 from sal_height.runs.replay import replay
 
 NODES_OF_LIVE = [
@@ -147,7 +147,7 @@ def test_an_interrupted_run_says_so_in_its_report_and_its_files_are_whole(tmp_pa
 def test_a_node_whose_parent_has_ended_does_not_begin() -> None:
     nobody = subprocess.Popen([sys.executable, "-c", ""])
     nobody.wait(60)
-    words = [sys.executable, "-m", "sal_height.runs.ensemble", "monopulse", "monopulse", str(nobody.pid)]
+    words = [sys.executable, "-m", "sal_height.graph.ensemble", "monopulse", "monopulse", str(nobody.pid)]
     assert subprocess.run(words, timeout=60, check=False).returncode == 1  # noqa: S603
 
 

@@ -12,9 +12,9 @@ from sal_height.bag.compare import EQUAL
 from sal_height.bag.reader import BagReader
 from sal_height.elevation import ESTIMATORS
 from sal_height.errors import UserError
+from sal_height.graph.catalogue import HEIGHTS, SETTABLE, consumers, suited
+from sal_height.graph.node_classes import NODES
 from sal_height.nodes.processing import PROCESSING
-from sal_height.runs.catalogue import HEIGHTS, SETTABLE, consumers, suited
-from sal_height.runs.node_classes import NODES
 from sal_height.runs.recorded_parameters import recorded_parameters
 from sal_height.runs.replay import replay
 from sal_height.runs.simulate import fly, run

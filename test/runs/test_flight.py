@@ -14,12 +14,12 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 import sal_height
+from sal_height.graph.ensemble import Member
+from sal_height.graph.node_classes import NODES
+from sal_height.graph.processes import ONE_THREAD
 from sal_height.nodes.graph import Graph
 from sal_height.runs.deployed_nodes import members_of
 from sal_height.runs.deployment import load_deployment
-from sal_height.runs.ensemble import Member
-from sal_height.runs.node_classes import NODES
-from sal_height.runs.processes import ONE_THREAD
 
 PACKAGE = Path(sal_height.__file__).parent
 FLIGHT = PACKAGE / "config" / "flight.yaml"

@@ -14,8 +14,8 @@ import pytest
 
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
+from sal_height.graph.plan import Execution
 from sal_height.runs.live import Live, Watched, live, warn_of_overload
-from sal_height.runs.plan import Execution
 from sal_height.runs.replay import replay
 from sal_height.runs.self_test import core_rate_hz
 from sal_height.runs.sensor_bag import Feed, record_sensor
@@ -127,7 +127,7 @@ PRELUDE = """
 import os, signal, sys
 from dataclasses import replace
 from pathlib import Path
-from sal_height.runs.processes import use_one_thread
+from sal_height.graph.processes import use_one_thread
 use_one_thread()
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError

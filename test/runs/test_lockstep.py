@@ -23,13 +23,13 @@ from sal_height.engine.heights import HeightStage
 from sal_height.engine.registry import STAGES
 from sal_height.engine.stage import Job, Result
 from sal_height.errors import UserError
+from sal_height.graph import lockstep
+from sal_height.graph.lockstep import Lockstep
+from sal_height.graph.plan import Execution, Outcome, Plan
 from sal_height.messages.types import ChannelFrame, Odometry, SensorInfo
 from sal_height.nodes.account import Account
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.simulator import Simulator
-from sal_height.runs import lockstep
-from sal_height.runs.lockstep import Lockstep
-from sal_height.runs.plan import Execution, Outcome, Plan
 from sal_height.runs.simulate import fly, run
 from sal_height.sensor import Sensor
 from sal_height.simulation.flight import SimulatedFlight

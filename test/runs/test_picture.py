@@ -14,6 +14,7 @@ from sal_height.bag import qos
 from sal_height.bag.writer import BagWriter
 from sal_height.elevation import ESTIMATORS
 from sal_height.geometry.grid import Grid
+from sal_height.graph.picture import STYLE, beyond, look_of, page, shaded
 from sal_height.messages import serialize
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, KeyValue
 from sal_height.relief import GroundEstimate, HeightField, Surface
@@ -26,7 +27,6 @@ from sal_height.runs.ground_picture import kind_shares
 from sal_height.runs.height_picture import ground_picture, height_limits, percent_text
 from sal_height.runs.image_picture import corners, draw_image, ground_steps
 from sal_height.runs.latency_picture import draw_run, told_latencies
-from sal_height.runs.picture import STYLE, beyond, look_of, page, shaded
 from sal_height.runs.profile import telling_column
 from sal_height.runs.surface_report import GroundCoverage, Judged
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sal_height.graph.plan import Execution
 from sal_height.runs.irf import irf
-from sal_height.runs.plan import Execution
 from sal_height.runs.recorded_images import recorded_slc
 from sal_height.runs.replay import replay
 from sal_height.runs.tomogram import tomogram

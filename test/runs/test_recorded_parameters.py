@@ -22,10 +22,10 @@ from sal_height.engine.compression import HEARD
 from sal_height.engine.registry import STAGES as KINDS
 from sal_height.errors import UserError
 from sal_height.geometry import Origin
-from sal_height.runs.catalogue import SETTABLE, consumers, parameters_of
+from sal_height.graph.catalogue import SETTABLE, consumers, parameters_of
+from sal_height.graph.plan import DwellChanges
 from sal_height.runs.chain_runs import plan
 from sal_height.runs.entry import FROM_HEIGHTS, WHOLE, Chain, Part, chain_of
-from sal_height.runs.plan import DwellChanges
 from sal_height.runs.recorded_parameters import recorded_parameters
 from sal_height.runs.replay import replay
 from sal_height.runs.replay_parameters import Processing, processing_of

@@ -27,6 +27,9 @@ from sal_height.bag.tolerance import Tolerance, Tolerances
 from sal_height.bag.writer import BagWriter
 from sal_height.commands import main
 from sal_height.errors import UserError
+from sal_height.graph.plan import Execution
+from sal_height.graph.reporting import PARAMETERS
+from sal_height.graph.tables import comparison_table
 from sal_height.imports.gotcha import import_gotcha
 from sal_height.messages import serialize
 from sal_height.messages.types import SensorInfo
@@ -34,11 +37,8 @@ from sal_height.nodes.graph import Graph
 from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.player import Player
 from sal_height.nodes.quality import LATCHED_QOS
-from sal_height.runs.plan import Execution
 from sal_height.runs.recorded_parameters import recorded_parameters
 from sal_height.runs.replay import replay
-from sal_height.runs.reporting import PARAMETERS
-from sal_height.runs.tables import comparison_table
 
 BAGS = Path(__file__).parents[2] / "bags"
 REFERENCE = BAGS / "version_3"
@@ -315,7 +315,7 @@ def test_a_failure_is_in_the_report(recorded: Path, tmp_path: Path, monkeypatch:
     def fail(*_: object, **__: object) -> None:
         raise UserError("The disk is gone.")
 
-    monkeypatch.setattr("sal_height.runs.lockstep.perform", fail)
+    monkeypatch.setattr("sal_height.graph.lockstep.perform", fail)
     with pytest.raises(UserError, match="disk is gone"):
         replay(recorded / "bag", tmp_path / "out", {})
     report = json.loads((tmp_path / "out" / "report.json").read_text())

@@ -19,10 +19,10 @@ from sal_height.commands import main
 from sal_height.engine.compression import Compression
 from sal_height.engine.stage import DwellKey, Job, Result
 from sal_height.errors import UserError
+from sal_height.graph.ensemble import members_of
+from sal_height.graph.plan import DwellChanges, Execution, Plan
 from sal_height.nodes.host import StageNode
-from sal_height.runs.ensemble import members_of
 from sal_height.runs.entry import Part
-from sal_height.runs.plan import DwellChanges, Execution, Plan
 from sal_height.runs.playing import Playing
 from sal_height.runs.replay import replay
 from sal_height.runs.replay_parameters import Processing

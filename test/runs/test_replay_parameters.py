@@ -12,8 +12,8 @@ from written_bag import calibration, changed, frame, heights, key, told, written
 
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
+from sal_height.graph.plan import DwellChanges
 from sal_height.runs.entry import WHOLE, Chain
-from sal_height.runs.plan import DwellChanges
 from sal_height.runs.replay_parameters import Processing, processing_of
 
 STAGES = ["sar_compression", "ml_height", "relief_tracker"]

@@ -11,7 +11,7 @@ from helpers import assert_one_sentence
 from rewritten_bag import rewritten
 
 from sal_height.errors import UserError
-from sal_height.runs.plan import Execution
+from sal_height.graph.plan import Execution
 from sal_height.runs.replay import replay
 from sal_height.runs.tomogram import tomogram
 

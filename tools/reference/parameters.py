@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from sal_height.elevation import HeightSettings
 from sal_height.engine.settings import DwellSettings
 from sal_height.engine.stage import StageSettings
-from sal_height.runs.node_classes import NODES
+from sal_height.graph.node_classes import NODES
 from sal_height.settings import Setting, Settings, settings_of
 
 HEAD = """# Parameters of the nodes

@@ -7,10 +7,10 @@ from pathlib import Path
 from helpers import publisher_of
 from rclpy.node import Node
 
+from sal_height.graph.conductor import Conductor
+from sal_height.graph.plan import Plan
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, KeyValue
 from sal_height.nodes.graph import Graph
-from sal_height.runs.conductor import Conductor
-from sal_height.runs.plan import Plan
 
 
 def status(name: str, **values: object) -> DiagnosticStatus:

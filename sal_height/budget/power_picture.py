@@ -10,9 +10,9 @@ from matplotlib.colors import Normalize
 from matplotlib.image import AxesImage
 
 from sal_height import messages
+from sal_height.graph.picture import POWERS
 from sal_height.messages.types import HeightImage
 from sal_height.numeric import F64
-from sal_height.runs.picture import POWERS
 
 SHARES = (2, 99)
 """Percentiles that the darkest and the brightest grey stand for."""

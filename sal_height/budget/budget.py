@@ -11,6 +11,9 @@ from pathlib import Path
 import numpy as np
 from scipy.constants import speed_of_light
 
+from sal_height.budget.budget_entry import Entry
+from sal_height.budget.budget_errors import Situation, describe_autofocus, error_entries, image_settings
+from sal_height.budget.budget_picture import draw_budget
 from sal_height.elevation import stochastic_crb
 from sal_height.errors import UserError
 from sal_height.geometry import RADIO_M, AirPath, ApertureState, locate_at_height, path_through_air
@@ -18,9 +21,6 @@ from sal_height.imaging import azimuth_resolution, image_beams
 from sal_height.io import new_folder, write_text
 from sal_height.numeric import F64
 from sal_height.relief import position_jacobian, vertical
-from sal_height.runs.budget_entry import Entry
-from sal_height.runs.budget_errors import Situation, describe_autofocus, error_entries, image_settings
-from sal_height.runs.budget_picture import draw_budget
 from sal_height.sensor import Sensor, aperture_length, lit_doppler, spectrum_sensor
 from sal_height.simulation import Preset, describe_beam_misfits, mean_square_gain, samples_doppler
 from sal_height.theory import Link, diffuse_backscatter, effective_area, noise_density

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from sal_height.graph.picture import page
 from sal_height.io import writing
 from sal_height.numeric import F64
-from sal_height.runs.picture import page
 
 
 def draw_budget(

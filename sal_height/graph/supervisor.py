@@ -7,7 +7,7 @@ import signal
 from dataclasses import dataclass
 
 from sal_height.errors import UserError
-from sal_height.runs.ensemble import Ensemble
+from sal_height.graph.ensemble import Ensemble
 
 _LOG = logging.getLogger(__name__)
 

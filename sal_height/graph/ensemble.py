@@ -17,11 +17,11 @@ from typing import Any, Self
 from rclpy.parameter import Parameter
 
 from sal_height.errors import UserError
+from sal_height.graph.node_classes import NODES
+from sal_height.graph.plan import RECORDER, Plan
+from sal_height.graph.processes import ONE_THREAD, Forked, can_fork, end_with_parent, name_process
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.program import run_node
-from sal_height.runs.node_classes import NODES
-from sal_height.runs.plan import RECORDER, Plan
-from sal_height.runs.processes import ONE_THREAD, Forked, can_fork, end_with_parent, name_process
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,12 @@ from std_srvs.srv import Trigger
 from sal_height.engine.air import AIR_PARAMETERS
 from sal_height.engine.compression import ODOMETRY
 from sal_height.errors import UserError
+from sal_height.graph.catalogue import stage_inputs
+from sal_height.graph.node_classes import NODES
+from sal_height.graph.plan import RECORDER, UNCOUNTED, Plan
 from sal_height.nodes.account import DIAGNOSTICS, OTHER, Account
 from sal_height.nodes.message_types import class_of
 from sal_height.nodes.quality import FRAMES_QOS
-from sal_height.runs.catalogue import stage_inputs
-from sal_height.runs.node_classes import NODES
-from sal_height.runs.plan import RECORDER, UNCOUNTED, Plan
 
 
 class Conductor(Node):

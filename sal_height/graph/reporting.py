@@ -11,10 +11,10 @@ from typing import Any
 from sal_height import __version__
 from sal_height.bag import files
 from sal_height.errors import UserError
+from sal_height.graph.catalogue import NodeParameters
+from sal_height.graph.plan import Outcome
 from sal_height.io import or_null, write_text
 from sal_height.nodes.account import Account
-from sal_height.runs.catalogue import NodeParameters
-from sal_height.runs.plan import Outcome
 
 PARAMETERS = files.PARAMETERS
 """Name of the nodes' parameters (JSON) in the custom data of a bag."""

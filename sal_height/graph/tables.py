@@ -7,8 +7,8 @@ from typing import Any
 
 from sal_height.bag.compare import Comparison
 from sal_height.engine.registry import STAGES, takes_heights
-from sal_height.runs.catalogue import HEIGHTS
-from sal_height.runs.plan import Outcome
+from sal_height.graph.catalogue import HEIGHTS
+from sal_height.graph.plan import Outcome
 from sal_height.tables import aligned
 
 ABSENT = "-"

@@ -15,15 +15,15 @@ from helpers import assert_one_sentence
 from PIL import Image
 from scipy.constants import speed_of_light
 
+from sal_height.budget.budget import SENSITIVITY, Assumptions, Budget
+from sal_height.budget.budget_entry import budget_table
+from sal_height.budget.budget_errors import GROUP
 from sal_height.commands import main
 from sal_height.elevation import Looks, MlSettings, ml_elevation
 from sal_height.errors import UserError
 from sal_height.geometry import Atmosphere, Mounting, look_direction, path_through_air
 from sal_height.imaging import ImageSettings, image_beams
 from sal_height.pipeline import Compressor
-from sal_height.runs.budget import SENSITIVITY, Assumptions, Budget
-from sal_height.runs.budget_entry import budget_table
-from sal_height.runs.budget_errors import GROUP
 from sal_height.simulation import Preset, flight_of, load_preset, preset_names
 from sal_height.simulation.air import SimulatedAir
 from sal_height.simulation.impairments import PointingJitter, through_receivers

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.special import jv
 
 from sal_height.beams import Beams
+from sal_height.budget.budget_entry import Entry
 from sal_height.elevation import information
 from sal_height.geometry import ApertureState
 from sal_height.imaging import (
@@ -26,7 +27,6 @@ from sal_height.imaging import (
     with_known_errors,
 )
 from sal_height.numeric import F64
-from sal_height.runs.budget_entry import Entry
 from sal_height.sensor import Sensor, spectrum_sensor
 from sal_height.simulation import Preset, laser_structure, swings_little
 from sal_height.theory import AperturePhase, phase_of_line, phase_of_structure, sum_of_phases

@@ -17,6 +17,10 @@ from tqdm import tqdm
 
 from sal_height.engine.stage import DwellKey
 from sal_height.errors import UserError
+from sal_height.graph.catalogue import stage_inputs
+from sal_height.graph.ensemble import Ensemble, members_of
+from sal_height.graph.interruption import Interruption
+from sal_height.graph.plan import DEFAULT, RECORDER, UNCOUNTED, Execution, Outcome, Plan
 from sal_height.nodes.account import Account
 from sal_height.nodes.domain import ros_domain
 from sal_height.nodes.endpoints import Inlet, Outlet
@@ -25,10 +29,6 @@ from sal_height.nodes.host import StageNode
 from sal_height.nodes.player import Player
 from sal_height.nodes.recorder import Recorder
 from sal_height.nodes.worker import WorkerNode
-from sal_height.runs.catalogue import stage_inputs
-from sal_height.runs.ensemble import Ensemble, members_of
-from sal_height.runs.interruption import Interruption
-from sal_height.runs.plan import DEFAULT, RECORDER, UNCOUNTED, Execution, Outcome, Plan
 
 COMPANY_TIMEOUT_S = 1.0
 """How long to look for other sensors before anything is started: discovery takes a few tenths of a second

@@ -31,6 +31,9 @@ HEAD_BYTES = 8192
 TEXT_BYTES = 2048
 """Of a frame, at most, besides its samples and the times and ranges of its pulses: texts and numbers."""
 
+ZEROS_BYTES = 64
+"""Of a frame, at its begin, of which not all are zero."""
+
 PULSE_BYTES = 16
 """Time and reference range of a pulse."""
 
@@ -53,7 +56,7 @@ def read_frame_parts(index: FileIndex, topic: str) -> list[TimedPart] | None:
     try:
         with index.path.open("rb", buffering=0) as stream:
             return list(_parts(index, topic, stream))
-    except (OSError, McapError, struct.error, ValueError):
+    except (OSError, McapError, struct.error, ValueError, OverflowError):
         return None
 
 
@@ -61,34 +64,36 @@ def _parts(index: FileIndex, topic: str, stream: BinaryIO) -> Iterator[TimedPart
     """The dwells of the frames.
 
     Raises:
-        OSError, McapError, struct.error, ValueError: frames are not where the index of the file has them.
+        OSError, McapError, struct.error, ValueError, OverflowError: frames are not where the index of the file has
+            them.
     """
     channels = {number for number, channel in index.summary.channels.items() if channel.topic == topic}
     places = sorted(_places(index, channels, stream))
     if len(places) != sum(index.statistics.channel_message_counts.get(number, 0) for number in channels):
         raise McapError("the index does not have all messages")
-    for log_time_ns, at in places:
+    for log_time_ns, at, end in places:
         stream.seek(at)
         opcode, length, channel, _, received_ns, _ = _MESSAGE.unpack(stream.read(_MESSAGE.size))
         size = length - (_MESSAGE.size - _RECORD_HEAD_BYTES)
         is_message = opcode == Opcode.MESSAGE and channel in channels and received_ns == log_time_ns
-        if not is_message or not 0 <= size <= index.size - at:
+        if not is_message or not 0 <= size <= end - at - _MESSAGE.size:
             raise McapError(f"there is no message at byte {at}")
         with suppress(RuntimeError):  # a message that is none
             yield TimedPart(log_time_ns, part_of_frame(_read_frame(stream, at + _MESSAGE.size, size)))
 
 
-def _places(index: FileIndex, channels: set[int], stream: BinaryIO) -> Iterator[tuple[int, int]]:
-    """When the messages of channels were received, ns, and where they begin in the file."""
+def _places(index: FileIndex, channels: set[int], stream: BinaryIO) -> Iterator[tuple[int, int, int]]:
+    """When the messages of channels were received, ns, and where they and the last one of their chunk begin and end."""
     for chunk in index.summary.chunk_indexes:
         if not channels & chunk.message_index_offsets.keys():
             continue
         if chunk.compression:
             raise McapError("messages are compressed")
-        begin = chunk.chunk_start_offset + _CHUNK_HEAD_BYTES
+        begin, end = chunk.chunk_start_offset + _CHUNK_HEAD_BYTES, chunk.chunk_start_offset + chunk.chunk_length
         for channel, entries in read_message_indexes(stream, chunk):
             if channel in channels:
-                yield from zip(entries["log_time"].tolist(), (entries["offset"] + begin).tolist(), strict=True)
+                for log_time_ns, offset in entries.tolist():
+                    yield log_time_ns, begin + offset, end
 
 
 def _read_frame(stream: BinaryIO, at: int, size: int) -> ReceivedFrame:
@@ -96,12 +101,18 @@ def _read_frame(stream: BinaryIO, at: int, size: int) -> ReceivedFrame:
 
     Raises:
         RuntimeError: the frame is broken.
+        McapError: there are zeros instead.
     """
 
     def read(count: int) -> ReceivedFrame:
         stream.seek(at)
-        return messages.received_frame(stream.read(min(count, size)).ljust(size, b"\0"))
+        head = stream.read(min(count, size))
+        if not any(head[:ZEROS_BYTES]):
+            raise McapError(f"there are zeros at byte {at}")
+        return messages.received_frame(head.ljust(size, b"\0"))
 
     frame = read(HEAD_BYTES)
+    if not len(frame.pulse_time) or len(frame.frame_id) + len(frame.config_hash) > TEXT_BYTES // 2:
+        return read(size)  # it may be that a text is longer than what was read
     needed = TEXT_BYTES + PULSE_BYTES * len(frame.pulse_time)
     return frame if needed <= HEAD_BYTES else read(needed)

@@ -12,6 +12,7 @@ from sal_height import messages
 from sal_height.bag.stamps import stamp_ns_of
 from sal_height.bag.topics import FRAME_TYPE, HEIGHT_TYPE, IMAGE_TYPE, ODOMETRY_TYPE, BagMessage
 from sal_height.engine.stage import DwellKey
+from sal_height.messages.codec import SHIPPED
 from sal_height.messages.received import ReceivedFrame
 from sal_height.messages.types import Provenance
 
@@ -120,6 +121,7 @@ def _content_of(recorded: BagMessage) -> Content:
         if recorded.type_name == ODOMETRY_TYPE:
             return Content(odometry_ns=messages.received_pose(recorded.cdr).stamp_ns)
         if recorded.type_name in messages.AIR_TYPES:
+            SHIPPED.reader(recorded.type_name)(recorded.cdr)  # refuses what is broken behind its stamp
             return Content(air_ns=stamp_ns_of(recorded.cdr))
         return Content(part_of(recorded))
     except Exception as error:  # noqa: BLE001 (whatever broken bytes lead to)

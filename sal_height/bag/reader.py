@@ -104,12 +104,13 @@ class BagReader:
     def frame_parts(self, topic: str) -> list[TimedPart]:
         """When the frames on a topic were received and of what dwells they are, in order; broken ones are left out.
 
-        Only the heads of frames are read where the index of the bag says where they are. Up to where the bag is
-        damaged, if it is: whoever reads the frames will tell that.
+        Only the heads of frames are read where the index of the bag says where they are, also those that cannot be
+        read whole since the bag is damaged; else frames are read up to where it is damaged. Whoever reads the frames
+        will tell that.
         """
-        known = self.topics[topic]
-        if not (self._other or known.is_old):
-            found = [read_frame_parts(index, self._recorded_name(topic)) for index in self.indexes]
+        name = self._recorded_name(topic)
+        if not (self._other or self.topics[topic].is_old or any(name in one for one in self.repeated)):
+            found = [read_frame_parts(index, name) for index in self.indexes]
             if None not in found:
                 return list(heapq.merge(*filter(None, found), key=lambda one: one.log_time_ns))
         parts = []

@@ -64,10 +64,13 @@ def _kept_parameter(name: str, value: bool | float | str) -> Parameter:
 def shared_parameter(name: str, value: Any) -> Parameter:
     """The message of a parameter, to be left as it is: that of the same single value is the same object.
 
+    Zeros of floats are not shared, for 0.0 and -0.0 are equal.
+
     Raises:
         TypeError: no parameter can have that value.
     """
-    return _kept_parameter(name, value) if isinstance(value, bool | int | float | str) else parameter_of(name, value)
+    is_single = isinstance(value, bool | int | float | str) and not (isinstance(value, float) and value == 0)
+    return _kept_parameter(name, value) if is_single else parameter_of(name, value)
 
 
 def value_of(message: ParameterValue) -> Any:

@@ -21,6 +21,7 @@ from rclpy.subscription import Subscription
 
 from sal_height.bag.files import ACCOUNT
 from sal_height.bag.parameter_events import PARAMETER_EVENT_TYPE, PARAMETER_EVENTS
+from sal_height.bag.topics import FRAME_TYPE, HEIGHT_TYPE, IMAGE_TYPE, ODOMETRY_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.io import free_folder
@@ -47,6 +48,9 @@ ITEM_BYTES = 1000  # memory of a message that waits, besides its own bytes
 DISCOVERY_PERIOD_S = 0.1
 DIAGNOSTICS_PERIOD_S = 0.5
 GATHER_S = 0.003  # from the first message that waits to its writing: the thread wakes once for all that come meanwhile
+
+OF_DWELLS = {FRAME_TYPE, IMAGE_TYPE, HEIGHT_TYPE, ODOMETRY_TYPE}
+"""Types of which every message matters, however it is published."""
 
 NEVER_CAME = (
     "Messages got lost on the way to the recorder, as the numbers of others tell (ignored.lost on the way): publish "
@@ -240,7 +244,7 @@ class Recorder(Role, Node):
             except OSError as error:
                 self._report(error)
             profile = _matching(offered)
-            self._ledgers[name] = Ledger(latched=profile.durability == DurabilityPolicy.TRANSIENT_LOCAL)
+            self._ledgers[name] = Ledger(latched=_replaces(offered) and types[0] not in OF_DWELLS)
             self._subscribed[name] = self.create_subscription(
                 message_type, name, guarded(with_times(self._taker_of(name)), self._fail), profile, raw=True
             )
@@ -455,6 +459,11 @@ def _matching(offered: list[QoSProfile]) -> QoSProfile:
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
+
+
+def _replaces(offered: list[QoSProfile]) -> bool:
+    """Whether a message of the publishers may replace the one before; where the middleware tells no depth, it is 0."""
+    return all(one.durability == DurabilityPolicy.TRANSIENT_LOCAL and one.depth <= 1 for one in offered)
 
 
 def main() -> int:

@@ -141,6 +141,7 @@ class _Recording:
         self._now_ns = recorded.log_time_ns
         if items is None:
             self._counts[self._plan.source].ignored[f"broken {recorded.topic}"] += 1
+            _LOG.warning("%s: ignored a message on %s that cannot be decoded.", self._plan.source, recorded.topic)
             return
         self._write(port, [recorded.cdr])
         self._counts[self._plan.source].published[port] += 1

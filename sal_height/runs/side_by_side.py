@@ -49,16 +49,19 @@ CONTROLS = (SENSOR_INFO, CALIBRATION)
 """Ports of what is no dwell, which all workers must know."""
 
 TOGETHER = 8
-"""Jobs that a worker is sent at a time: heights are estimated together."""
+"""Jobs that a worker is sent at a time, at most: heights are estimated together."""
 
 ENDS_WITHIN_S = 5.0
 """Longest wait for a worker to end."""
 
-DWELLS_AHEAD = 16
-"""Dwells that a worker has been sent, at most, beside those that it has returned."""
+AHEAD = 2
+"""Times as many jobs that a worker has been sent before it is sent no more until it has returned some."""
 
-MOST_RING_BYTES = 256_000_000
-"""Shared memory of a worker at most; arrays beyond it are sent as other objects are."""
+LEAST_RING_BYTES, MOST_RING_BYTES = 64_000_000, 256_000_000
+"""Shared memory of a worker; arrays beyond it are sent as other objects are."""
+
+BYTES_TOGETHER = 32_000_000
+"""Jobs that a worker is sent at a time have no more bytes, unless it is one: images and heights come back as large."""
 
 
 class Remote(NamedTuple):
@@ -135,6 +138,8 @@ class Ring:
     def put(self, array: np.ndarray[Any, np.dtype[Any]]) -> int | None:
         """Copy an array into the ring and return its offset; None: there is no room for it."""
         room = -(-array.nbytes // 64) * 64
+        if not self.used:
+            self.at = 0
         begins_anew = self.at + room > self.size
         skipped = self.size - self.at if begins_anew else 0
         if self.used + skipped + room > self.size:
@@ -152,7 +157,8 @@ class Ring:
         """
         trial = cls.of(MOST_RING_BYTES)
         _Pickler(io.BytesIO(), {}, trial).dump(job)
-        return cls.of(max(LEAST_SHARED_BYTES, min(MOST_RING_BYTES, (DWELLS_AHEAD + TOGETHER) * trial.taken)))
+        wanted = max(LEAST_RING_BYTES, (AHEAD + 1) * TOGETHER * trial.taken)
+        return cls.of(min(MOST_RING_BYTES, wanted))
 
     def release(self, taken: int) -> None:
         """Give back what the oldest message has taken."""
@@ -256,6 +262,11 @@ class _Worker:
         results = _Unpickler(io.BytesIO(returned), self.received, None).load()
         self.ring.release(taken)
         return number, results
+
+
+def _together(pending: Sequence[Job]) -> int:
+    """How many jobs like the first of those that wait a worker is sent at a time."""
+    return max(1, min(TOGETHER, BYTES_TOGETHER // max(1, pending[0].size)))
 
 
 class SideBySide(Chain):
@@ -400,11 +411,11 @@ class SideBySide(Chain):
         sent = False
         for number, stage in enumerate(self.stages):
             pending = self._pending[stage]
-            while self._workers and self._remote[number] and pending and (drain or len(pending) >= TOGETHER):
-                worker = min(self._workers, key=lambda one: one.dwells)
-                if worker.dwells >= DWELLS_AHEAD:
+            while self._workers and self._remote[number] and pending and (drain or len(pending) >= _together(pending)):
+                worker, together = min(self._workers, key=lambda one: one.dwells), _together(pending)
+                if worker.dwells >= AHEAD * together:
                     break
-                jobs = [pending.popleft() for _ in range(min(TOGETHER, len(pending)))]
+                jobs = [pending.popleft() for _ in range(min(together, len(pending)))]
                 taken = worker.send(Remote(number, jobs))
                 worker.sent.append((self._sent, taken, len(jobs)))
                 self._sent += 1
@@ -415,9 +426,8 @@ class SideBySide(Chain):
         """Whether nothing can go on here before a worker has returned something."""
         if not any(worker.sent for worker in self._workers):
             return False
-        crowded = any(
-            self._remote[number] and len(self._pending[stage]) >= TOGETHER for number, stage in enumerate(self.stages)
-        )
+        waiting = [self._pending[stage] for stage, remote in zip(self.stages, self._remote, strict=True) if remote]
+        crowded = any(pending and len(pending) >= _together(pending) for pending in waiting)
         return drain or crowded
 
     def _receive(self, *, blocking: bool) -> None:

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 import pytest
 
-from sal_height.bag.frame_heads import HEAD_BYTES, PULSE_BYTES, TimedPart, read_frame_parts
+from sal_height.bag.frame_heads import HEAD_BYTES, PULSE_BYTES, ZEROS_BYTES, TimedPart, read_frame_parts
 from sal_height.bag.index import read_index
 from sal_height.bag.namespace import NamespacedReader
 from sal_height.bag.played import part_of
+from sal_height.bag.qos import TRANSIENT_LOCAL, Qos
 from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import FRAME_TYPE
 from sal_height.bag.writer import ONE_FILE, BagWriter, Packing
@@ -30,14 +31,17 @@ def written_frames(
     pulses: int,
     packing: Packing = ONE_FILE,
     topic: str = FRAMES_TOPIC,
+    qos: Sequence[Qos] = (),
+    frame_id: str = "",
     cut: Mapping[int, int] = MappingProxyType({}),
 ) -> Path:
     """A bag of frames of so many pulses, one per dwell, received at the ns of its number; some with fewer bytes."""
     frame = ChannelFrame(config_hash="f00", pulse_count=pulses, pulse_time=1e-3 * np.arange(1, pulses + 1))
     frame.reference_range = np.zeros(pulses)
+    frame.header.frame_id = frame_id
     frame.samples = np.full(25_000, SAMPLE, np.float32).view(np.uint8)
     with BagWriter(folder, {}, packing) as bag:
-        bag.add_topic(topic, FRAME_TYPE)
+        bag.add_topic(topic, FRAME_TYPE, qos)
         for number in range(FRAMES):
             frame.dwell = frame.header.stamp.sec = number
             bag.write(topic, serialize(frame)[: cut.get(number)], number, number)
@@ -92,6 +96,22 @@ def test_names_of_a_namespace(tmp_path: Path) -> None:
     assert len(NamespacedReader(bag, "left").frame_parts(FRAMES_TOPIC)) == FRAMES
 
 
+def test_frames_that_are_latched_and_so_repeated_in_the_next_file_count_once(tmp_path: Path) -> None:
+    latched = [Qos(depth=3, durability=TRANSIENT_LOCAL)]
+    reader = BagReader(written_frames(tmp_path / "bag", 2, Packing(split_ns=4), qos=latched))
+    assert [index.statistics.message_count for index in reader.indexes] == [4, 7, 4]
+    assert reader.frame_parts(FRAMES_TOPIC) == whole_parts(reader, FRAMES_TOPIC)
+    assert len(reader.frame_parts(FRAMES_TOPIC)) == FRAMES
+
+
+@pytest.mark.parametrize("length", [100, 1500, HEAD_BYTES, 5 * HEAD_BYTES])
+def test_texts_of_any_length(tmp_path: Path, length: int) -> None:
+    reader = BagReader(written_frames(tmp_path / "bag", 300, frame_id="f" * length))
+    parts = reader.frame_parts(FRAMES_TOPIC)
+    assert parts == whole_parts(reader, FRAMES_TOPIC)
+    assert {one.part.dwell.sensor for one in parts} == {"f00"}
+
+
 def test_broken_frames_are_left_out(tmp_path: Path) -> None:
     bag = written_frames(tmp_path / "bag", 300, cut={4: 100, 6: 40_000})
     parts = BagReader(bag).frame_parts(FRAMES_TOPIC)
@@ -105,6 +125,7 @@ def test_broken_frames_are_left_out(tmp_path: Path) -> None:
         (1, struct.pack("<Q", 2**60)),  # longer than the file
         (1, struct.pack("<Q", 3)),  # shorter than its head
         (15, struct.pack("<Q", 77)),  # received at another time
+        (31, bytes(ZEROS_BYTES)),  # a block of zeros
     ],
 )
 def test_where_the_index_does_not_fit_whole_frames_are_read(tmp_path: Path, at: int, value: bytes) -> None:
@@ -116,3 +137,17 @@ def test_where_the_index_does_not_fit_whole_frames_are_read(tmp_path: Path, at: 
     index.path.write_bytes(content)
     assert read_frame_parts(index, FRAMES_TOPIC) is None
     assert BagReader(tmp_path / "bag").frame_parts(FRAMES_TOPIC) == []  # for its chunk is damaged
+
+
+@pytest.mark.parametrize("offset", [3, 2**63 + 5, 2**64 - 1])
+def test_where_the_index_of_a_chunk_is_damaged_whole_frames_are_read(tmp_path: Path, offset: int) -> None:
+    """No checksum covers it, and nothing else reads it."""
+    index = read_index(written_frames(tmp_path / "bag", 2) / "bag_0.mcap")
+    (chunk,) = index.summary.chunk_indexes
+    content = bytearray(index.path.read_bytes())
+    at = chunk.chunk_start_offset + chunk.chunk_length + 9 + 2 + 4 + 5 * 16
+    assert struct.unpack_from("<Q", content, at) == (5,)
+    struct.pack_into("<Q", content, at + 8, offset)
+    index.path.write_bytes(content)
+    assert read_frame_parts(index, FRAMES_TOPIC) is None
+    assert len(BagReader(tmp_path / "bag").frame_parts(FRAMES_TOPIC)) == FRAMES

@@ -62,7 +62,7 @@ def test_a_stage_that_comes_again_replaces_what_it_had() -> None:
 
 
 def test_equal_values_of_other_types_are_other_parameters() -> None:
-    for value in (1, True, 1.0, "1", [1, 2], [1.0, 2.0]):
+    for value in (1, True, 1.0, "1", [1, 2], [1.0, 2.0], 0.0, -0.0, 0, False):
         (parameter,) = messages.with_stage([], "ml", {"value": value})
         found = messages.stages_of([parameter])["ml"]["value"]
         assert repr(found) == repr(value)

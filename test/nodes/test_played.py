@@ -74,6 +74,17 @@ def test_the_last_sample_before_and_the_first_after_are_played_however_far_they_
     assert played(DwellRange(50, 50), *late) == [2.0, "50", 90.0]
 
 
+def test_air_that_is_broken_behind_its_stamp_is_broken() -> None:
+    """Through nodes as by calls: it is left out, and counted."""
+    topic, type_name = NAMES[FluidPressure]
+    cdr = serialize(pressure_at(3, 65_000.0))
+    recorded = (BagMessage(topic, type_name, one, 0, 0) for one in (cdr, cdr[:20]))
+    whole, cut = (one.content for one in read_contents(recorded))
+    assert (whole.air_ns, whole.fault) == (3, "")
+    assert cut.air_ns is None
+    assert cut.fault
+
+
 def test_the_air_that_chosen_dwells_have_is_played_whatever_else_is() -> None:
     """Of each quantity the last message that was stamped a second or more before, and those that follow it."""
     pressures = [pressure_at(round(t * 1e9), 1e5) for t in (1.0, 20.0, 48.0, 49.0, 49.5, 51.5)]

@@ -25,7 +25,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.rosbag2 import Reader
 from std_msgs.msg import String
@@ -50,7 +50,8 @@ from sal_height.nodes.account import PROGRESS, Account
 from sal_height.nodes.graph import Graph
 from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.parameter_reader import ParameterReader
-from sal_height.nodes.recorder import Recorder
+from sal_height.nodes.quality import LATCHED_QOS
+from sal_height.nodes.recorder import Recorder, _replaces
 
 TIMEOUT_S = 20.0
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -731,3 +732,21 @@ def run_main(*arguments: str, domain_id: int) -> subprocess.Popen[str]:
     environment = os.environ | {"ROS_DOMAIN_ID": str(domain_id)}
     command = [sys.executable, "-c", RUN_MAIN, *arguments]
     return subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)  # noqa: S603
+
+
+@pytest.mark.parametrize(
+    ("profiles", "replaces"),
+    [
+        ([LATCHED_QOS], True),
+        (
+            [QoSProfile(history=HistoryPolicy.UNKNOWN, depth=0, durability=DurabilityPolicy.TRANSIENT_LOCAL)],
+            True,
+        ),  # no depth is told
+        ([QoSProfile(depth=9, durability=DurabilityPolicy.TRANSIENT_LOCAL)], False),
+        ([LATCHED_QOS, QoSProfile(depth=1)], False),
+    ],
+)
+def test_only_the_last_message_of_a_publisher_that_keeps_one_replaces_others(
+    profiles: list[QoSProfile], replaces: bool
+) -> None:
+    assert _replaces(profiles) is replaces

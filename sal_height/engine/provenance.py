@@ -9,6 +9,7 @@ from functools import cached_property, lru_cache
 from typing import Any, Generic, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from sal_height import __version__
 from sal_height.errors import Rejected
@@ -78,6 +79,11 @@ class Provenance:
         )
 
     __hash__ = None  # type: ignore[assignment]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """To be sent to another process, where those that state the same are the same object, too."""
+        stated = self.code_version, self.config_hash, self.calibration_id, dict(self.parameters), self.autofocus_phase
+        return _restored, stated
 
     @cached_property
     def stages(self) -> Mapping[str, Mapping[str, Any]]:
@@ -168,8 +174,7 @@ def of_compression(
         calibration_id: identity of the calibration that was applied; empty: none.
     """
     stated = flat_values({**dict(values), **autofocus_values(slc)}, f"{stage}.")
-    phase = slc.autofocus_phase.astype(np.float32)
-    return _first_alike(_Stated(Provenance(__version__, config_hash, calibration_id, stated, phase)))
+    return _restored(__version__, config_hash, calibration_id, stated, slc.autofocus_phase)
 
 
 def autofocus_values(slc: Slc) -> dict[str, Any]:
@@ -196,6 +201,17 @@ class _Stated:
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, _Stated) and other.text == self.text
+
+
+def _restored(
+    code_version: str, config_hash: str, calibration_id: str, parameters: Mapping[str, Any], phase: npt.ArrayLike
+) -> Provenance:
+    """The provenance that states this: the same object for the same, of those that were used last.
+
+    The phase is copied, for it may lie in memory that is used again.
+    """
+    kept = np.array(phase, np.float32)
+    return _first_alike(_Stated(Provenance(code_version, config_hash, calibration_id, parameters, kept)))
 
 
 @lru_cache(CACHED)

@@ -33,13 +33,12 @@ from sal_height.engine.calibrations import CALIBRATION
 from sal_height.engine.chain import Chain, Made
 from sal_height.engine.dwells import SENSOR_INFO
 from sal_height.engine.image_items import Images
-from sal_height.engine.provenance import Provenance
 from sal_height.engine.stage import DwellKey, Job, Product, Rehearsal, Result, Stage
 from sal_height.errors import UserError
 from sal_height.sensor import Sensor
 from sal_height.settings import Settings
 
-SHARED = (Sensor, Settings, Calibration, Provenance)
+SHARED = (Sensor, Settings, Calibration)
 """Classes of objects that are never changed, and of which workers keep the ones that they were sent."""
 
 LEAST_SHARED_BYTES = 16_384

@@ -17,6 +17,7 @@ from sal_height.graph.catalogue import CALIBRATOR, NodeParameters, check_paramet
 from sal_height.graph.plan import DEFAULT, Execution, Outcome, Plan
 from sal_height.graph.reporting import PARAMETERS, conclude, merged, reporting
 from sal_height.io import new_folder, or_null, writing
+from sal_height.messages.losses import LOSSES
 from sal_height.runs.by_calls import perform_by_calls
 from sal_height.runs.calibration_picture import beam_width, draw_calibration
 from sal_height.runs.chain_runs import COMPRESSION, plan
@@ -60,7 +61,7 @@ def calibrate(
         asked = Plan(
             "player",
             STAGES,
-            ["sensor_info", "calibration"],
+            ["sensor_info", "calibration", LOSSES],
             folder / "bag",
             values,
             len(scheme.frames),

@@ -155,6 +155,7 @@ def test_dwells_of_a_sensor_with_chirps_make_one_calibration(tmp_path: Path) -> 
 def test_weighted_images_make_no_calibration(recorded: Path, tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"The 2 dwells of .* gave no calibration"):
         calibrate(recorded / "bag", tmp_path / "out", {"sar_compression": {"range_window": "taylor"}})
+    assert BagReader(tmp_path / "out" / "bag").topics["/losses"].count == 2  # dwells
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["stages"]["psf_calibration"]["dropped"] == {"cannot be processed": 16}
     assert "gave no calibration" in report["failed"]

@@ -14,6 +14,7 @@ from mcap.stream_reader import breakup_chunk
 
 from sal_height.bag.check_files import check_accounts, check_metadata, check_types
 from sal_height.bag.check_sensor import RECORD_ALL, SensorCheck
+from sal_height.bag.chunk_search import HEAD
 from sal_height.bag.files import REPEATED_SEQUENCE, bag_files, check_start
 from sal_height.bag.findings import Finding, error, of_refusal, recovery, warning
 from sal_height.bag.index import FileIndex, read_index, read_log_times
@@ -25,9 +26,6 @@ LATE_NS = 1_000_000_000
 """How long after it was received a message may say that it was published: clocks of two machines differ."""
 
 MAGIC_BYTES = 8
-
-RECORD_HEAD = 9
-"""Bytes of opcode and length before a record."""
 
 
 def check_bag(path: Path, advance: Callable[[int, int], None]) -> list[Finding]:
@@ -157,8 +155,8 @@ def _messages_of(index: FileIndex, chunk: ChunkIndex) -> list[tuple[int, BagMess
     summary = index.summary
     try:
         with index.path.open("rb") as stream:
-            stream.seek(chunk.chunk_start_offset + RECORD_HEAD)
-            body = BytesIO(stream.read(chunk.chunk_length - RECORD_HEAD))
+            stream.seek(chunk.chunk_start_offset + HEAD.size)
+            body = BytesIO(stream.read(chunk.chunk_length - HEAD.size))
         records = breakup_chunk(Chunk.read(ReadDataStream(body)), validate_crc=True)
         found = []
         for record in (record for record in records if isinstance(record, Message)):

@@ -21,6 +21,9 @@ OWN_OPCODES = 0x80
 COMPRESSION = HEAD.size + 28
 """Where the name of the compression stands in a chunk: after times, size and checksum."""
 
+CHUNK_FIELDS = 40
+"""Bytes before the data of a chunk that is not compressed, after opcode and length."""
+
 LENGTH = struct.Struct("<Q")
 
 CHUNK = re.compile(rb"(?=%c.{%d}(?:\0{4}|\x03\0{3}lz4|\x04\0{3}zstd))" % (Opcode.CHUNK, COMPRESSION - 1), re.DOTALL)

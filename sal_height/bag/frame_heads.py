@@ -11,31 +11,25 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 
 from sal_height import messages
+from sal_height.bag.chunk_search import CHUNK_FIELDS, HEAD
 from sal_height.bag.index import FileIndex, read_message_indexes
 from sal_height.bag.played import DwellPart, part_of_frame
 from sal_height.messages.received import ReceivedFrame
-
-_RECORD_HEAD_BYTES = 9
-"""Of the opcode and length of a record."""
-
-_CHUNK_HEAD_BYTES = _RECORD_HEAD_BYTES + 8 + 8 + 8 + 4 + 4 + 8
-"""From the begin of a chunk that is not compressed to its first record: opcode, length, times, size, checksum, the
-empty name of the compression, and bytes of the records (MCAP specification, section Chunk)."""
 
 _MESSAGE = struct.Struct("<BQHIQQ")
 """Opcode and length of a message, its channel, number, and times of reception and publication, ns."""
 
 HEAD_BYTES = 8192
-"""Of a frame that are read at first."""
+"""Bytes of a frame that are read first; more follow if it has more pulses."""
 
 TEXT_BYTES = 2048
-"""Of a frame, at most, besides its samples and the times and ranges of its pulses: texts and numbers."""
+"""Largest number of bytes that the texts and numbers of a frame take, without its pulses and samples."""
 
 ZEROS_BYTES = 64
-"""Of a frame, at its begin, of which not all are zero."""
+"""First bytes of a frame; if all are zero, the file is damaged there."""
 
 PULSE_BYTES = 16
-"""Time and reference range of a pulse."""
+"""Bytes of the time and reference range of a pulse."""
 
 
 class TimedPart(NamedTuple):
@@ -74,7 +68,7 @@ def _parts(index: FileIndex, topic: str, stream: BinaryIO) -> Iterator[TimedPart
     for log_time_ns, at, end in places:
         stream.seek(at)
         opcode, length, channel, _, received_ns, _ = _MESSAGE.unpack(stream.read(_MESSAGE.size))
-        size = length - (_MESSAGE.size - _RECORD_HEAD_BYTES)
+        size = length - (_MESSAGE.size - HEAD.size)
         is_message = opcode == Opcode.MESSAGE and channel in channels and received_ns == log_time_ns
         if not is_message or not 0 <= size <= end - at - _MESSAGE.size:
             raise McapError(f"there is no message at byte {at}")
@@ -83,13 +77,14 @@ def _parts(index: FileIndex, topic: str, stream: BinaryIO) -> Iterator[TimedPart
 
 
 def _places(index: FileIndex, channels: set[int], stream: BinaryIO) -> Iterator[tuple[int, int, int]]:
-    """When the messages of channels were received, ns, and where they and the last one of their chunk begin and end."""
+    """Log time (ns) of each message of the channels, its first byte in the file, and the end of its chunk."""
     for chunk in index.summary.chunk_indexes:
         if not channels & chunk.message_index_offsets.keys():
             continue
         if chunk.compression:
             raise McapError("messages are compressed")
-        begin, end = chunk.chunk_start_offset + _CHUNK_HEAD_BYTES, chunk.chunk_start_offset + chunk.chunk_length
+        start = chunk.chunk_start_offset
+        begin, end = start + HEAD.size + CHUNK_FIELDS, start + chunk.chunk_length
         for channel, entries in read_message_indexes(stream, chunk):
             if channel in channels:
                 for log_time_ns, offset in entries.tolist():

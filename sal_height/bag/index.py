@@ -19,12 +19,10 @@ from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
+from sal_height.bag.chunk_search import HEAD
 from sal_height.bag.files import check_profile, check_start, check_summary_crc
 from sal_height.errors import UserError
 from sal_height.numeric import I64
-
-_RECORD_HEAD = struct.Struct("<BQ")
-"""Opcode and length of a record."""
 
 _MESSAGE_INDEX_HEAD = struct.Struct("<HI")
 """Channel of a message index, and bytes of its entries."""
@@ -103,8 +101,8 @@ def read_message_indexes(stream: BinaryIO, chunk: ChunkIndex) -> Iterator[tuple[
     block = stream.read(chunk.message_index_length)
     place = 0
     while place < len(block):
-        opcode, length = _RECORD_HEAD.unpack_from(block, place)
-        body = place + _RECORD_HEAD.size
+        opcode, length = HEAD.unpack_from(block, place)
+        body = place + HEAD.size
         channel_id, size = _MESSAGE_INDEX_HEAD.unpack_from(block, body)
         if opcode != Opcode.MESSAGE_INDEX or size != length - _MESSAGE_INDEX_HEAD.size:
             raise McapError(

@@ -20,7 +20,7 @@ from mcap.stream_reader import get_chunk_data_stream
 from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 
-from sal_height.bag.chunk_search import HEAD
+from sal_height.bag.chunk_search import CHUNK_FIELDS, HEAD
 from sal_height.bag.files import (
     CUSTOM_DATA,
     REPEATED_SEQUENCE,
@@ -37,9 +37,6 @@ from sal_height.bag.layout import Span, counts_of_index, sound_summary, spans
 from sal_height.bag.recovery import UNKNOWN, Gap, Recovery
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
-
-CHUNK_FIELDS = 40
-"""Bytes before the data of a chunk that is not compressed, after opcode and length."""
 
 
 def salvage(path: Path, out_directory: Path) -> int:

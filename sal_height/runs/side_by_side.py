@@ -54,13 +54,13 @@ ENDS_WITHIN_S = 5.0
 """Longest wait for a worker to end."""
 
 AHEAD = 2
-"""Times as many jobs that a worker has been sent before it is sent no more until it has returned some."""
+"""Batches of jobs that a worker may have at a time; it is sent the next one once it has returned one of them."""
 
 LEAST_RING_BYTES, MOST_RING_BYTES = 64_000_000, 256_000_000
 """Shared memory of a worker; arrays beyond it are sent as other objects are."""
 
 BYTES_TOGETHER = 32_000_000
-"""Jobs that a worker is sent at a time have no more bytes, unless it is one: images and heights come back as large."""
+"""Largest size of a batch of more than one job: what is made of the jobs is of about the same size."""
 
 
 class Remote(NamedTuple):
@@ -147,17 +147,6 @@ class Ring:
         np.frombuffer(self.memory, array.dtype, array.size, at)[:] = array.reshape(-1)
         self.at, self.used, self.taken = at + room, self.used + skipped + room, self.taken + skipped + room
         return at
-
-    @classmethod
-    def for_jobs_like(cls, job: Job) -> Ring:
-        """A ring for the jobs that a worker is sent ahead, if they are as large as this one.
-
-        A larger one would be slower: its memory is used in turn, and what was used last is at hand.
-        """
-        trial = cls.of(MOST_RING_BYTES)
-        _Pickler(io.BytesIO(), {}, trial).dump(job)
-        wanted = max(LEAST_RING_BYTES, (AHEAD + 1) * TOGETHER * trial.taken)
-        return cls.of(min(MOST_RING_BYTES, wanted))
 
     def release(self, taken: int) -> None:
         """Give back what the oldest message has taken."""
@@ -263,6 +252,16 @@ class _Worker:
         return number, results
 
 
+def _ring_bytes(job: Job) -> int:
+    """Size of a ring for the jobs that a worker is sent ahead, if they are as large as this one.
+
+    A larger one would be slower: its memory is used in turn, and what was used last is at hand.
+    """
+    trial = Ring.of(MOST_RING_BYTES)
+    _Pickler(io.BytesIO(), {}, trial).dump(job)
+    return min(MOST_RING_BYTES, max(LEAST_RING_BYTES, (AHEAD + 1) * TOGETHER * trial.taken))
+
+
 def _together(pending: Sequence[Job]) -> int:
     """How many jobs like the first of those that wait a worker is sent at a time."""
     return max(1, min(TOGETHER, BYTES_TOGETHER // max(1, pending[0].size)))
@@ -308,9 +307,9 @@ class SideBySide(Chain):
         `job` is the first one that was processed here.
         """
         context = multiprocessing.get_context("fork")
-        pipes = [context.Pipe() for _ in range(self._jobs)]
+        pipes, size = [context.Pipe() for _ in range(self._jobs)], _ring_bytes(job)
         for ours, theirs in pipes:
-            ring = Ring.for_jobs_like(job)
+            ring = Ring.of(size)
             others = [pipe for pair in pipes for pipe in pair if pipe is not theirs]
             process = context.Process(target=self._serve, args=(theirs, others, ring), daemon=True)
             process.start()

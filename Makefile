@@ -45,7 +45,7 @@ $(venv):
 	@touch $@
 
 # setup.py reads from the registry which height nodes there are.
-$(packages): $(venv) constraints.txt setup.py pyproject.toml msg_defs/pyproject.toml sal_height/elevation/registry.py
+$(packages): $(venv) constraints.txt setup.py pyproject.toml msg_defs/pyproject.toml sal_height/elevation/estimators/registry.py
 	@echo 'Installing ROS 2 and Python packages (a minute or two)'
 	@requires=$$(.venv/bin/python -c 'import tomllib; \
 		print(*tomllib.load(open("msg_defs/pyproject.toml", "rb"))["build-system"]["requires"])') && \

@@ -6,7 +6,7 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 version = re.search(r'__version__ = "(.+)"', Path("sal_height/__init__.py").read_text(encoding="utf-8"))[1]
-estimators = Path("sal_height/elevation/registry.py").read_text(encoding="utf-8")
+estimators = Path("sal_height/elevation/estimators/registry.py").read_text(encoding="utf-8")
 height_nodes = re.findall(r'\bnode="(\w+)"', estimators)
 
 processing_nodes = sorted(
@@ -77,9 +77,9 @@ setup(
             "sal-height = sal_height.commands:main",
             "simulator = sal_height.nodes.simulator:main",
             *(f"{node} = sal_height.nodes.processing:main" for node in (*height_nodes, *processing_nodes)),
-            "paced_player = sal_height.nodes.paced_player:main",
-            "player = sal_height.nodes.player:main",
-            "recorder = sal_height.nodes.recorder:main",
+            "paced_player = sal_height.nodes.playing.paced_player:main",
+            "player = sal_height.nodes.playing.player:main",
+            "recorder = sal_height.nodes.recording.recorder:main",
         ],
     },
 )

@@ -31,8 +31,8 @@ from sal_height.geometry import ApertureState, Grid
 from sal_height.imaging import Slc
 from sal_height.messages import serialize
 from sal_height.messages.types import ChannelFrame, Header, Provenance
-from sal_height.nodes.graph import Graph
 from sal_height.nodes.processing import PROCESSING
+from sal_height.nodes.transport.graph import Graph
 from sal_height.numeric import C64, F64, in_parallel
 from sal_height.pipeline import heights
 from sal_height.sensor import Channels, Sensor

@@ -11,8 +11,8 @@ from benchmarks.stage_jobs import job_of, read_items
 from sal_height import messages
 from sal_height.engine.stage import Job, Product
 from sal_height.messages import serialize
-from sal_height.nodes.graph import Graph
 from sal_height.nodes.processing import PROCESSING
+from sal_height.nodes.transport.graph import Graph
 from sal_height.simulation import flight_of, load_preset
 
 DWELLS = sized(640, 10)

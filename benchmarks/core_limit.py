@@ -22,13 +22,13 @@ from sal_height.geometry import Trajectory
 from sal_height.graph.catalogue import TRACKER, consumers, parameters_of, suited
 from sal_height.graph.processes import ONE_THREAD
 from sal_height.graph.reporting import merged
-from sal_height.nodes.playlist import Playlist
+from sal_height.nodes.playing.playlist import Playlist
 from sal_height.numeric import WORKERS
 from sal_height.pipeline import Compressor, heights
 from sal_height.relief import PriorEstimate, ReliefMap, track
 from sal_height.relief.map import fitting_cell_size
-from sal_height.runs.entry import contents
-from sal_height.runs.recorded_parameters import recorded_parameters
+from sal_height.runs.chain.entry import contents
+from sal_height.runs.chain.recorded_parameters import recorded_parameters
 from sal_height.sensor import PhaseHistory
 
 MAPPER, MOST_CELLS = "relief_mapper", 4_000_000

@@ -21,10 +21,10 @@ from rclpy.qos import QoSProfile
 from benchmarks.hostile_messages import hostile
 from sal_height.elevation import ESTIMATORS
 from sal_height.messages.types import ChannelFrame, ComplexImage, HeightImage, Odometry, SensorInfo
-from sal_height.nodes.endpoints import Outlet
-from sal_height.nodes.graph import Graph
-from sal_height.nodes.message_types import class_of, subscribe
-from sal_height.nodes.quality import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
+from sal_height.nodes.transport.endpoints import Outlet
+from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.message_types import class_of, subscribe
+from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.settings import settings_of
 
 TOPICS: dict[str, tuple[type, QoSProfile]] = {

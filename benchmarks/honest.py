@@ -34,7 +34,7 @@ from sal_height.elevation import ESTIMATORS
 from sal_height.imaging import ImageSettings, Processing
 from sal_height.pipeline import heights
 from sal_height.relief import HeightField
-from sal_height.runs.comparison import FOUND_ORDERS, TRUE_ORDERS, Comparison, compare
+from sal_height.runs.truth.comparison import FOUND_ORDERS, TRUE_ORDERS, Comparison, compare
 from sal_height.simulation import Scene
 from sal_height.simulation.lit_surfaces import CONNECTED, LitSurfaces, lit_surfaces
 

@@ -11,9 +11,9 @@ from typing import Any
 from sal_height.bag.stamps import stamp_ns_of
 from sal_height.engine.stage import Job
 from sal_height.messages import serialize
-from sal_height.nodes.endpoints import Outlet
-from sal_height.nodes.playlist import restamped
+from sal_height.nodes.playing.playlist import restamped
 from sal_height.nodes.processing import PROCESSING
+from sal_height.nodes.transport.endpoints import Outlet
 
 
 class KeepingOutlet(Outlet):

@@ -32,8 +32,8 @@ from sal_height.elevation import ESTIMATORS
 from sal_height.errors import Rejected
 from sal_height.imaging import ImageSettings, Slc, image_beams
 from sal_height.pipeline import Compressor, heights
-from sal_height.runs.comparison import Comparison, compare, joined_comparisons
-from sal_height.runs.surface_report import as_flown, true_surfaces
+from sal_height.runs.truth.comparison import Comparison, compare, joined_comparisons
+from sal_height.runs.truth.surface_report import as_flown, true_surfaces
 from sal_height.simulation import Preset, Scene, SimulatedFlight, flight_of, load_preset
 from sal_height.simulation.impairments import Impairments, PointingJitter
 from sal_height.simulation.odometry_errors import OdometryErrors

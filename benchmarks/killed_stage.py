@@ -22,13 +22,13 @@ from benchmarks.live_runs import highest_rate, watch
 from benchmarks.row import Row, load, sized
 from sal_height.graph.plan import Execution
 from sal_height.graph.processes import ONE_THREAD
-from sal_height.nodes.graph import Graph
-from sal_height.runs.live import Live, live
-from sal_height.runs.sensor_bag import Feed, record_sensor
+from sal_height.nodes.transport.graph import Graph
+from sal_height.runs.live.live import Live, live
+from sal_height.runs.live.sensor_bag import Feed, record_sensor
 from sal_height.simulation import load_preset
 
 if TYPE_CHECKING:
-    from sal_height.runs.live import Watched
+    from sal_height.runs.live.live import Watched
 
 PRESET, RATE = sized(("sal_spotlight", None), ("small", 0.02))
 """What is simulated, and seconds of the sensor in a second; None for `SHARE` of the highest that is sustained."""

@@ -18,8 +18,8 @@ from rclpy.node import Node
 from std_msgs.msg import UInt8
 
 from benchmarks.row import Row, load, sized
-from sal_height.nodes.domain import free_domain
-from sal_height.nodes.graph import Graph
+from sal_height.nodes.transport.domain import free_domain
+from sal_height.nodes.transport.graph import Graph
 
 RUNNING = sized(8, 1)
 """Running nodes, each a participant of its own, as in a graph of separate processes."""

@@ -132,13 +132,13 @@ def _watch_here(bag: Path, rate: float, seconds: float, nodes: Nodes, record: tu
     """Run a graph from this process, which must not have made any node yet."""
     from sal_height.graph.node_classes import NODES  # noqa: PLC0415
     from sal_height.graph.plan import RECORDER, Execution  # noqa: PLC0415
-    from sal_height.runs.live import (  # noqa: PLC0415 (what only starts such processes needs none of this)
+    from sal_height.runs.live.live import (  # noqa: PLC0415 (what only starts such processes needs none of this)
         SOURCE,
         Live,
         Watched,
         live,
     )
-    from sal_height.runs.sensor_bag import Feed  # noqa: PLC0415
+    from sal_height.runs.live.sensor_bag import Feed  # noqa: PLC0415
 
     if nodes is Nodes.IDLE:
         from benchmarks.idle_nodes import IDLE  # noqa: PLC0415

@@ -20,10 +20,10 @@ from benchmarks.live_runs import Nodes, Seen, highest_rate, watch
 from benchmarks.row import Row, load, sized
 from sal_height.bag.reader import BagReader
 from sal_height.bag.sensor_topics import FRAMES
-from sal_height.nodes.playlist import Playlist
+from sal_height.nodes.playing.playlist import Playlist
 from sal_height.nodes.processing import PROCESSING
 from sal_height.numeric import WORKERS
-from sal_height.runs.sensor_bag import record_sensor
+from sal_height.runs.live.sensor_bag import record_sensor
 from sal_height.simulation import load_preset
 
 PRESETS = sized(("sal_spotlight", "sal_stripmap", "sal_realistic", "xband_relief", "xband_sumdiff"), ("small",))

@@ -26,10 +26,10 @@ from benchmarks.row import Row, load, medians, sized
 from sal_height.bag.info import bag_info
 from sal_height.bag.reader import BagReader
 from sal_height.bag.writer import BagWriter
-from sal_height.nodes.domain import free_domain
-from sal_height.nodes.graph import Graph
-from sal_height.nodes.quality import FRAMES_QOS
-from sal_height.nodes.recorder import Recorder
+from sal_height.nodes.recording.recorder import Recorder
+from sal_height.nodes.transport.domain import free_domain
+from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.quality import FRAMES_QOS
 
 TOPIC, TYPE = "/frames", "std_msgs/msg/UInt8MultiArray"
 

@@ -22,8 +22,8 @@ from sal_height.bag.writer import BagWriter
 from sal_height.graph.processes import ONE_THREAD
 from sal_height.graph.reporting import PRESET as PRESET_NAME
 from sal_height.graph.reporting import SEED
-from sal_height.nodes.playlist import restamped
-from sal_height.runs.sensor_bag import record_sensor
+from sal_height.nodes.playing.playlist import restamped
+from sal_height.runs.live.sensor_bag import record_sensor
 from sal_height.simulation import load_preset
 
 PRESET, FEW, TIMES = sized(("sal_spotlight", 32, 9), ("small", 2, 2))

@@ -22,8 +22,8 @@ from sal_height.geometry import Trajectory
 from sal_height.imaging import ImageSettings, Slc
 from sal_height.messages import serialize
 from sal_height.messages.types import ChannelFrame, Header, Provenance
-from sal_height.nodes.graph import Graph
 from sal_height.nodes.processing import PROCESSING
+from sal_height.nodes.transport.graph import Graph
 from sal_height.pipeline import Compressor, heights
 from sal_height.relief import PriorEstimate, ReliefMap, track
 from sal_height.relief.map import fitting_cell_size

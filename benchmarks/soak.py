@@ -28,7 +28,7 @@ import cyclopts
 from sal_height.graph.processes import ONE_THREAD
 
 if TYPE_CHECKING:
-    from sal_height.runs.live import Watched
+    from sal_height.runs.live.live import Watched
 
 FAULT_KINDS = (
     *("hostile sensor_info", "hostile platform/odometry", "hostile phase_history", "hostile slc", "hostile ml/height"),
@@ -295,9 +295,9 @@ def soak(
     os.environ.update(ONE_THREAD | os.environ)
 
     from sal_height.graph.plan import Execution  # noqa: PLC0415
-    from sal_height.runs.live import Live, live  # noqa: PLC0415
-    from sal_height.runs.replay import replay  # noqa: PLC0415
-    from sal_height.runs.sensor_bag import Feed, record_sensor  # noqa: PLC0415
+    from sal_height.runs.live.live import Live, live  # noqa: PLC0415
+    from sal_height.runs.live.sensor_bag import Feed, record_sensor  # noqa: PLC0415
+    from sal_height.runs.replay.replay import replay  # noqa: PLC0415
     from sal_height.simulation import load_preset  # noqa: PLC0415
 
     with tempfile.TemporaryDirectory() as temporary:

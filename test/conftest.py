@@ -24,8 +24,8 @@ with warnings.catch_warnings():
 
 import pytest
 
-from sal_height.nodes.domain import free_domain
-from sal_height.nodes.graph import Graph
+from sal_height.nodes.transport.domain import free_domain
+from sal_height.nodes.transport.graph import Graph
 
 # A first start tells that it compiles; tests look at what else is told.
 logging.getLogger("sal_height.numeric.jit").setLevel(logging.ERROR)

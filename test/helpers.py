@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from sal_height.beams.array import Beams
 from sal_height.beams.pattern import PATTERNS, Pattern, pattern_named
-from sal_height.elevation.look_windows import Window
-from sal_height.elevation.looks import Looks, windowed_looks
+from sal_height.elevation.looks.look_windows import Window
+from sal_height.elevation.looks.looks import Looks, windowed_looks
 from sal_height.geometry.frames import ApertureState
 from sal_height.sensor.channels import Channels, whitened_channels
 from sal_height.sensor.sensor import Sensor
@@ -287,6 +287,6 @@ class PlainPublisher:
 
 def publisher_of(node: Any, kind: type[Any], topic: str, qos: Any) -> PlainPublisher:
     """A publisher of plain messages of that class."""
-    from sal_height.nodes.message_types import class_of
+    from sal_height.nodes.transport.message_types import class_of
 
     return PlainPublisher(node.create_publisher(class_of(kind), topic, qos))

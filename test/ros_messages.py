@@ -13,7 +13,7 @@ from sal_height.messages.codec import SHIPPED
 from sal_height.messages.definition import shipped_definition
 from sal_height.messages.layout import ARRAY, LIST, SINGLE, TEXT, Field
 from sal_height.messages.plain import DTYPES, is_same
-from sal_height.nodes.message_types import message_class
+from sal_height.nodes.transport.message_types import message_class
 
 
 def of_rclpy(message: Any) -> bytes:

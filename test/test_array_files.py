@@ -18,7 +18,7 @@ from scipy.io import savemat
 from sal_height.array_files import complex_images, named_arrays
 from sal_height.commands import main
 from sal_height.errors import UserError
-from sal_height.runs.images import images_of
+from sal_height.runs.responses.images import images_of
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning"),  # of images that are written here

@@ -13,12 +13,12 @@ from helpers import BEAMWIDTH, make_beams, make_sensor
 
 from sal_height.beams.pattern import _averaged, pattern_named
 from sal_height.elevation import OBJECTIVES, AxisResponse
-from sal_height.elevation.look_windows import Window, axis_looks
+from sal_height.elevation.array.response_spread import shares_of_pixels, squared_pull
+from sal_height.elevation.array.search import SEARCHES_HELD, SQUINTS_AT_ONCE, PeakSearches, _searches
+from sal_height.elevation.looks.look_windows import Window, axis_looks
+from sal_height.elevation.looks.noise_floor import _speckle_contrast
 from sal_height.elevation.monopulse.inverse_table import inverse_table
 from sal_height.elevation.monopulse.sum_difference import _slope_table
-from sal_height.elevation.noise_floor import _speckle_contrast
-from sal_height.elevation.response_spread import shares_of_pixels, squared_pull
-from sal_height.elevation.search import SEARCHES_HELD, SQUINTS_AT_ONCE, PeakSearches, _searches
 from sal_height.engine.frame_items import _fault_of_pulses
 from sal_height.numeric.range_profiles import _deconvolution
 from sal_height.numeric.windows import HELD, _half_power_width, broadening, window

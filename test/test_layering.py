@@ -158,9 +158,11 @@ def wrong_imports(module: str) -> set[str]:
 
 def test_every_module_has_a_layer() -> None:
     assert not {name for name in MODULES if name != "sal_height" and not layer_of(name)}
-    assert {"sal_height.elevation.likelihood", "sal_height.geometry.grid", "sal_height.simulation.scenes"} <= set(CORE)
+    assert {"sal_height.elevation.array.likelihood", "sal_height.geometry.grid", "sal_height.simulation.scenes"} <= set(
+        CORE
+    )
     assert {"sal_height.engine.stage", "sal_height.engine.chain", "sal_height.stage_files"} <= set(CORE)
-    assert {"sal_height.messages.kinds", "sal_height.bag.played", "sal_height.runs.batch"} <= set(WITHOUT_ROS)
+    assert {"sal_height.messages.kinds", "sal_height.bag.played", "sal_height.runs.campaign.batch"} <= set(WITHOUT_ROS)
     assert set(WITHOUT_ROS) <= MODULES.keys()
 
 
@@ -188,13 +190,13 @@ def test_messages_bags_and_what_processes_bags_import_nothing_of_ros() -> None:
 
 def test_the_walk_finds_what_it_looks_for() -> None:
     """In the one module that imports messages, through another one, inside functions and relatively."""
-    assert reached(["sal_height.nodes.message_types"], ROS)
+    assert reached(["sal_height.nodes.transport.message_types"], ROS)
     assert "sal_height.messages" in reachable_from("sal_height.nodes.host")
-    assert "sal_height.engine.stage" in reachable_from("sal_height.runs.chain_runs")
+    assert "sal_height.engine.stage" in reachable_from("sal_height.runs.chain.chain_runs")
     inner = imports_of(
         "def f():\n    import rclpy.node\n    from . import messages\n    from .nodes import graph", "sal_height"
     )
-    assert {"rclpy.node", "sal_height.messages", "sal_height.nodes.graph"} <= inner
+    assert {"rclpy.node", "sal_height.messages", "sal_height.nodes.transport.graph"} <= inner
 
 
 def test_ros_is_imported_by_nodes_and_what_runs_them_only() -> None:

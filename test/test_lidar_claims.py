@@ -22,7 +22,7 @@ from sal_height.geometry import Trajectory
 from sal_height.geometry.earth import sphere_coordinates
 from sal_height.geometry.frames import look_direction
 from sal_height.imaging import ImageSettings, Slc
-from sal_height.nodes.graph import Graph
+from sal_height.nodes.transport.graph import Graph
 from sal_height.pipeline import Compressor, heights
 from sal_height.relief import HeightField
 from sal_height.sensor.phase_history import PhaseHistory

@@ -11,8 +11,8 @@ import sal_height_msgs.msg as message_classes
 
 import sal_height.commands
 from sal_height.graph.node_classes import NODES
-from sal_height.nodes.domain import free_domain
-from sal_height.nodes.graph import Graph
+from sal_height.nodes.transport.domain import free_domain
+from sal_height.nodes.transport.graph import Graph
 from tools.reference import messages, topics
 from tools.reference.pages import DOCS, PAGES
 

@@ -18,9 +18,9 @@ from benchmarks.processes import OWN, Usage, memory_bytes
 from benchmarks.sizes import lidar, made_up_images
 from sal_height import messages
 from sal_height.messages.types import ChannelFrame, ComplexImage, Header, HeightImage, Provenance, SensorInfo
-from sal_height.nodes.graph import Graph
-from sal_height.nodes.message_types import subscribe
-from sal_height.nodes.quality import FRAMES_QOS, LATCHED_QOS
+from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.message_types import subscribe
+from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS
 
 OFFERED_HZ, SECONDS = 80.0, 20.0
 

@@ -19,7 +19,7 @@ from rich.console import Console
 
 from sal_height.graph.account_book import AccountBook
 from sal_height.graph.watch import watch
-from sal_height.runs.live_table import node_table
+from sal_height.runs.live.live_table import node_table
 
 DOMAIN = "87"
 RATE = "0.05"

@@ -31,7 +31,7 @@ from sal_height.elevation import ESTIMATORS, MlSettings, Validity, speckle_crb
 from sal_height.geometry import sphere_coordinates
 from sal_height.imaging import ImageSettings, azimuth_resolution, image_beams
 from sal_height.pipeline import Compressor, elevations, heights_of_dwells
-from sal_height.runs.comparison import FOUND_ORDERS, TRUE_ORDERS, compare, joined_comparisons
+from sal_height.runs.truth.comparison import FOUND_ORDERS, TRUE_ORDERS, compare, joined_comparisons
 from sal_height.simulation import flight_of, load_preset, truth_image
 from sal_height.simulation.lit_surfaces import lit_surfaces
 

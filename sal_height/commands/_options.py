@@ -19,7 +19,7 @@ from sal_height.errors import UserError
 
 if TYPE_CHECKING:
     from sal_height.graph.plan import Execution
-    from sal_height.nodes.domain import DomainChoice
+    from sal_height.nodes.transport.domain import DomainChoice
 
 DONE, FAILED, BAD_USE, INTERRUPTED, CUT_OFF = 0, 1, 2, 130, 141
 """Exit statuses. FAILED means something else in each command, whose help says what."""

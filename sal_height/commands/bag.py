@@ -210,7 +210,7 @@ def diff(
     from sal_height.bag.tolerance import ROUNDING, read_tolerances
     from sal_height.graph.tables import comparison_table
     from sal_height.io import new_folder, write_text
-    from sal_height.runs.judge import as_json, draw_worst_dwell, topics_to_compare, verdict_of
+    from sal_height.runs.replay.judge import as_json, draw_worst_dwell, topics_to_compare, verdict_of
 
     tolerances = read_tolerances(tolerance) if tolerance else ROUNDING
     bags = BagReader(golden), BagReader(other)

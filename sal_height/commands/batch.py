@@ -66,7 +66,7 @@ def batch(
         dwells: Has no effect any more.
     """
     from sal_height.graph.tables import campaign_table
-    from sal_height.runs.batch import SUMMARY, Campaign, Workers, run_campaign
+    from sal_height.runs.campaign.batch import SUMMARY, Campaign, Workers, run_campaign
 
     given, varied = _settings(param)
     if dwells is not None:

@@ -55,8 +55,8 @@ def calibrate(
     Args:
         out: Output folder, new or empty. Default: out/calibrate_BAG, or the next free of out/calibrate_BAG_2, ….
     """
-    from sal_height.runs.calibrate import CALIBRATION, calibration_table
-    from sal_height.runs.calibrate import calibrate as measure
+    from sal_height.runs.products.calibrate import CALIBRATION, calibration_table
+    from sal_height.runs.products.calibrate import calibrate as measure
 
     folder = output_folder(out, f"calibrate_{bag_name(bag)}")
     outcome, calibration = measure(bag, folder, node_parameters(param), graph.execution(), jobs)

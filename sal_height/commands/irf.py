@@ -82,8 +82,8 @@ def irf(
         windows: Print what the windows of this program cost and gain, instead of measuring images.
         out: Output folder, new or empty. Default: out/irf, or the next free of out/irf_2, ….
     """
-    from sal_height.runs.irf import irf as measure
-    from sal_height.runs.irf import response_table, window_table
+    from sal_height.runs.responses.irf import irf as measure
+    from sal_height.runs.responses.irf import response_table, window_table
 
     if windows == bool(images):
         raise UserError("Give either images to measure or --windows; sal-height irf --help explains both.")

@@ -29,7 +29,7 @@ from sal_height.errors import UserError
 from sal_height.io import bag_name
 
 if TYPE_CHECKING:
-    from sal_height.runs.sensor_bag import Feed
+    from sal_height.runs.live.sensor_bag import Feed
 
 EXAMPLES = """
   sal-height live                        the lidar over a street, until Ctrl-C
@@ -113,14 +113,17 @@ def live(
         use_one_thread()
 
     with importing():
-        from sal_height.runs.live import Live, live
-        from sal_height.runs.live_table import live_table, showing
+        from sal_height.runs.live.live import Live, live
+        from sal_height.runs.live.live_table import live_table, showing
 
     feed, folder = _feed(preset or "sal_spotlight", bag, dwells, 1 if seed is None else seed, out, estimators)
     how = Live(rate or 1.0, end_s, budget or 0.0, supervise)
     with showing(lambda watched: live_table(watched, time.monotonic())) as show:
         seen = live(feed, folder / "run", node_parameters(param), how, graph.execution(not one_process), show)
-    from sal_height.runs.latency_picture import LATENCIES, draw_run  # brings Matplotlib, which nodes need not carry
+    from sal_height.runs.live.latency_picture import (  # brings Matplotlib, which nodes need not carry
+        LATENCIES,
+        draw_run,
+    )
 
     drawn = f"{folder}/run/{LATENCIES}, " if seen.heights and draw_run(folder / "run") else ""
     print(f"see {drawn}{folder}/run/report.json and {folder}/run/bag")
@@ -136,7 +139,7 @@ def _feed(
     """The sensor that is played, from a bag or else simulated, and the output folder."""
     import dataclasses
 
-    from sal_height.runs.sensor_bag import Feed
+    from sal_height.runs.live.sensor_bag import Feed
     from sal_height.simulation import load_preset
 
     if bag is not None:
@@ -167,7 +170,7 @@ def _attend(config: Path, one_process: bool, supervise: bool, seconds: float, gr
     import time
 
     from sal_height.graph.processes import use_one_thread
-    from sal_height.runs.deployment import load_deployment
+    from sal_height.runs.live.deployment import load_deployment
 
     deployment = load_deployment(config)
     separate = not (one_process or deployment.one_process)
@@ -177,9 +180,9 @@ def _attend(config: Path, one_process: bool, supervise: bool, seconds: float, gr
         use_one_thread()
 
     with importing():
-        from sal_height.runs.attend import attend
-        from sal_height.runs.deployed_nodes import members_of
-        from sal_height.runs.live_table import node_table, showing
+        from sal_height.runs.live.attend import attend
+        from sal_height.runs.live.deployed_nodes import members_of
+        from sal_height.runs.live.live_table import node_table, showing
 
     try:
         members = members_of(deployment)

@@ -53,7 +53,7 @@ def movers(
 
     use_one_blas_thread()
 
-    from sal_height.runs.movers import find_in_bag
+    from sal_height.runs.products.movers import find_in_bag
 
     folder = output_folder(out, f"movers_{bag_name(bag)}")
     found = find_in_bag(bag, folder, node_parameters(param), settings_values(set_), jobs)

@@ -92,8 +92,8 @@ def passes(
     import numpy as np
 
     from sal_height.passes import ReferencePoint
-    from sal_height.runs.passes import heights_of_bags
-    from sal_height.runs.passes_report import passes_table
+    from sal_height.runs.products.passes import heights_of_bags
+    from sal_height.runs.products.passes_report import passes_table
 
     references = [ReferencePoint(np.array(place), ties=True) for place in tie]
     references += [ReferencePoint(np.array(place)) for place in compare]

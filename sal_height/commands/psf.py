@@ -120,8 +120,8 @@ def psf(
         out: Output folder, new or empty. Default: out/psf, or the next free of out/psf_2, ….
     """
     from sal_height.response import PsfSettings
-    from sal_height.runs.psf import determined, psf_table
-    from sal_height.runs.psf import psf as measure
+    from sal_height.runs.responses.psf import determined, psf_table
+    from sal_height.runs.responses.psf import psf as measure
 
     folder, chosen = output_folder(out, "psf"), PsfSettings(**settings_values(settings))
     entries = measure(list(images), folder, chip, dwell, channel, azimuth_axis, chosen, noise_power, jobs)

@@ -56,8 +56,8 @@ def record(
     import math
 
     with importing():
-        from sal_height.runs import record as runs
-        from sal_height.runs.live_table import showing
+        from sal_height.runs.live import record as runs
+        from sal_height.runs.live.live_table import showing
 
     parameters = {
         "topics": list(topics),

@@ -80,7 +80,7 @@ def run(
     """
     from sal_height.graph.reporting import RELIEF_MAP
     from sal_height.graph.tables import achieved, results_table
-    from sal_height.runs.simulate import run as simulate
+    from sal_height.runs.truth.simulate import run as simulate
     from sal_height.simulation import load_preset
 
     changed = _changed(

@@ -53,7 +53,7 @@ def tomogram(
         row: Row of the cut, counted in averaged pixels from the nearest range. Default: the middle one.
         out: Output folder, new or empty. Default: out/tomogram_BAG, or the next free of out/tomogram_BAG_2, ….
     """
-    from sal_height.runs.tomogram import tomogram as draw
+    from sal_height.runs.products.tomogram import tomogram as draw
 
     folder = output_folder(out, f"tomogram_{bag_name(bag)}")
     told = draw(bag, folder, looks or (1, 20), row, jobs)

@@ -41,7 +41,7 @@ def top(
 
     with importing():
         from sal_height.graph.watch import watch
-        from sal_height.runs.live_table import node_table, showing
+        from sal_height.runs.live.live_table import node_table, showing
 
     with showing(lambda book: node_table(book, time.monotonic(), "nodes")) as show:
         book = watch("environment" if domain is None else domain, math.inf if seconds is None else seconds, show)

@@ -39,7 +39,7 @@ def transport(
             what is lost is then sent again packet by packet. By default 8 kB
             travel together, up to 64 kB of large dwells, and are lost together.
     """
-    from sal_height.nodes.middleware import settings_for
+    from sal_height.nodes.transport.middleware import settings_for
 
     print(settings_for(int(dwell_mb * 1e6), packet_bytes=packet_bytes or 0), end="")
     return DONE

@@ -75,7 +75,7 @@ def view(
         raise UserError("Option --port is of the page that --web serves; give --web, too.")
     with importing():
         from sal_height.bag.reader import BagReader
-        from sal_height.nodes.domain import ros_domain
+        from sal_height.nodes.transport.domain import ros_domain
         from sal_height.view.listener import Listener
         from sal_height.view.recorded import Recorded
         from sal_height.view.screen import file_screen, page_screen, window_screen

@@ -11,10 +11,9 @@ and `dwells` (several dwells at once). `profile` gives the reflectivity at all e
 tomography of vegetation needs it, and `canopy_ground` the ground below it.
 """
 
-from sal_height.elevation.beam_error import common_deviation
-from sal_height.elevation.bounds import conditional_crb, information, speckle_crb, stochastic_crb
-from sal_height.elevation.cell_response import AxisResponse, CellResponse
-from sal_height.elevation.estimate import (
+from sal_height.elevation.array.beam_error import common_deviation
+from sal_height.elevation.array.bounds import conditional_crb, information, speckle_crb, stochastic_crb
+from sal_height.elevation.array.estimate import (
     MEASURED,
     ORDERS,
     SCATTERERS,
@@ -29,9 +28,15 @@ from sal_height.elevation.estimate import (
     without_imprecise,
     without_saturated,
 )
-from sal_height.elevation.likelihood import AMBIGUOUS_RATIO, OBJECTIVES, peak_elevation, search_guard
-from sal_height.elevation.look_windows import Window, axis_looks
-from sal_height.elevation.looks import (
+from sal_height.elevation.array.likelihood import AMBIGUOUS_RATIO, OBJECTIVES, peak_elevation, search_guard
+from sal_height.elevation.array.response_spread import sidelobe_variance
+from sal_height.elevation.array.search import Objective, PeakSearch, PeakSearches, Pixels
+from sal_height.elevation.array.settings import MISFIT_SHARE, HeightSettings
+from sal_height.elevation.estimators.maximum_likelihood import MlSettings, ml_elevation
+from sal_height.elevation.estimators.registry import ESTIMATORS, ElevationEstimator, MakeChannels
+from sal_height.elevation.looks.cell_response import AxisResponse, CellResponse
+from sal_height.elevation.looks.look_windows import Window, axis_looks
+from sal_height.elevation.looks.looks import (
     Covariance,
     Looks,
     covariance,
@@ -39,7 +44,6 @@ from sal_height.elevation.looks import (
     look_grid,
     windowed_looks,
 )
-from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
 from sal_height.elevation.monopulse.discriminant import (
     discriminant,
     discriminant_domain,
@@ -57,11 +61,7 @@ from sal_height.elevation.monopulse.estimators import (
     total_least_squares,
 )
 from sal_height.elevation.monopulse.inversion import invert
-from sal_height.elevation.profile import PROFILES, ElevationProfile
-from sal_height.elevation.registry import ESTIMATORS, ElevationEstimator, MakeChannels
-from sal_height.elevation.response_spread import sidelobe_variance
-from sal_height.elevation.search import Objective, PeakSearch, PeakSearches, Pixels
-from sal_height.elevation.settings import MISFIT_SHARE, HeightSettings
+from sal_height.elevation.vegetation.profile import PROFILES, ElevationProfile
 
 __all__ = [
     "AMBIGUOUS_RATIO",

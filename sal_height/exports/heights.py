@@ -23,8 +23,8 @@ from sal_height.geometry import UTM, ApertureState, Origin, Projection, sphere_c
 from sal_height.graph.catalogue import MAPPERS
 from sal_height.numeric import F64, U8
 from sal_height.relief import HeightField
-from sal_height.runs.entry import origin_of
-from sal_height.runs.recorded_parameters import recorded_parameters
+from sal_height.runs.chain.entry import origin_of
+from sal_height.runs.chain.recorded_parameters import recorded_parameters
 
 _LOG = logging.getLogger(__name__)
 

@@ -32,7 +32,7 @@ from sal_height.extras import import_extra
 from sal_height.geometry import ApertureState, Grid, Origin, aperture_at, look_direction, ranges_of_phase
 from sal_height.io import bag_name, new_folder, writing_whole
 from sal_height.numeric import C64, F64, broadening, window
-from sal_height.runs.recorded_images import recorded_slc
+from sal_height.runs.chain.recorded_images import recorded_slc
 from sal_height.sensor import Sensor
 
 VERSION = "urn:SICD:1.3.0"

@@ -6,7 +6,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus
-from sal_height.nodes.account import Account
+from sal_height.nodes.accounts.account import Account
 
 SAMPLES = 5
 """Samples of the processor time, half a second apart, that its rate is measured over."""

@@ -17,9 +17,9 @@ from sal_height.errors import UserError
 from sal_height.graph.catalogue import stage_inputs
 from sal_height.graph.node_classes import NODES
 from sal_height.graph.plan import RECORDER, UNCOUNTED, Plan
-from sal_height.nodes.account import DIAGNOSTICS, OTHER, Account
-from sal_height.nodes.message_types import class_of
-from sal_height.nodes.quality import FRAMES_QOS
+from sal_height.nodes.accounts.account import DIAGNOSTICS, OTHER, Account
+from sal_height.nodes.transport.message_types import class_of
+from sal_height.nodes.transport.quality import FRAMES_QOS
 
 
 class Conductor(Node):

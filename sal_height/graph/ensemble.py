@@ -20,8 +20,8 @@ from sal_height.errors import UserError
 from sal_height.graph.node_classes import NODES
 from sal_height.graph.plan import RECORDER, Plan
 from sal_height.graph.processes import ONE_THREAD, Forked, can_fork, end_with_parent, name_process
-from sal_height.nodes.graph import Graph
 from sal_height.nodes.program import run_node
+from sal_height.nodes.transport.graph import Graph
 
 
 @dataclass(frozen=True)

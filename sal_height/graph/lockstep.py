@@ -21,13 +21,13 @@ from sal_height.graph.catalogue import stage_inputs
 from sal_height.graph.ensemble import Ensemble, members_of
 from sal_height.graph.interruption import Interruption
 from sal_height.graph.plan import DEFAULT, RECORDER, UNCOUNTED, Execution, Outcome, Plan
-from sal_height.nodes.account import Account
-from sal_height.nodes.domain import ros_domain
-from sal_height.nodes.endpoints import Inlet, Outlet
-from sal_height.nodes.graph import Graph
+from sal_height.nodes.accounts.account import Account
 from sal_height.nodes.host import StageNode
-from sal_height.nodes.player import Player
-from sal_height.nodes.recorder import Recorder
+from sal_height.nodes.playing.player import Player
+from sal_height.nodes.recording.recorder import Recorder
+from sal_height.nodes.transport.domain import ros_domain
+from sal_height.nodes.transport.endpoints import Inlet, Outlet
+from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.worker import WorkerNode
 
 COMPANY_TIMEOUT_S = 1.0

@@ -13,8 +13,8 @@ from sal_height.engine.stage import DwellKey
 from sal_height.errors import UserError
 from sal_height.geometry import Mounting
 from sal_height.graph.catalogue import NodeParameters
-from sal_height.nodes.account import Account
-from sal_height.nodes.domain import DomainChoice
+from sal_height.nodes.accounts.account import Account
+from sal_height.nodes.transport.domain import DomainChoice
 
 RECORDER = "recorder"
 

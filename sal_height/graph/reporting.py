@@ -14,7 +14,7 @@ from sal_height.errors import UserError
 from sal_height.graph.catalogue import NodeParameters
 from sal_height.graph.plan import Outcome
 from sal_height.io import or_null, write_text
-from sal_height.nodes.account import Account
+from sal_height.nodes.accounts.account import Account
 
 PARAMETERS = files.PARAMETERS
 """Name of the nodes' parameters (JSON) in the custom data of a bag."""

@@ -14,11 +14,11 @@ from rclpy.node import Node
 from sal_height.graph.account_book import AccountBook
 from sal_height.graph.interruption import Interruption
 from sal_height.messages.types import DiagnosticArray
-from sal_height.nodes.account import DIAGNOSTICS
-from sal_height.nodes.domain import DomainChoice, ros_domain
-from sal_height.nodes.graph import Graph
-from sal_height.nodes.message_types import subscribe
-from sal_height.nodes.ports import LOOK_S, LOST, Ports
+from sal_height.nodes.accounts.account import DIAGNOSTICS
+from sal_height.nodes.transport.domain import DomainChoice, ros_domain
+from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.message_types import subscribe
+from sal_height.nodes.transport.ports import LOOK_S, LOST, Ports
 
 SHOW_PERIOD_S = 1.0
 """Period at which what has been seen is shown."""

@@ -16,10 +16,10 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from sal_height.errors import UserError
-from sal_height.nodes.executors import executor_for
-from sal_height.nodes.middleware import provide_shared_memory
-from sal_height.nodes.ports import LOOK_S, LOST, Ports
-from sal_height.nodes.usage import announce, check_arguments, check_overrides, program_name, usage
+from sal_height.nodes.accounts.usage import announce, check_arguments, check_overrides, program_name, usage
+from sal_height.nodes.transport.executors import executor_for
+from sal_height.nodes.transport.middleware import provide_shared_memory
+from sal_height.nodes.transport.ports import LOOK_S, LOST, Ports
 
 SWITCH_INTERVAL_S = 5e-4
 """Longest time that the worker keeps the interpreter from the thread that takes messages, 5 ms in Python otherwise: it

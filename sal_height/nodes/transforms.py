@@ -6,7 +6,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from sal_height.errors import UserError
 from sal_height.messages.types import TFMessage
-from sal_height.nodes.message_types import class_of
+from sal_height.nodes.transport.message_types import class_of
 
 TF = "/tf"
 """Topic of the frames that move, of all nodes in whatever namespace."""

@@ -17,9 +17,9 @@ from rclpy.subscription import Subscription
 
 from sal_height.messages import deserialize, received_height, received_image, received_pose
 from sal_height.messages.types import DiagnosticArray
-from sal_height.nodes.graph import Graph
 from sal_height.nodes.guard import guarded
-from sal_height.nodes.message_types import message_class
+from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.message_types import message_class
 from sal_height.view.drawings import Heard
 from sal_height.view.painter import COMPLEX_IMAGE, DIAGNOSTICS, HEIGHT_IMAGE, ODOMETRY, is_shown
 

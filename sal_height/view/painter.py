@@ -22,7 +22,7 @@ from sal_height.messages import (
 )
 from sal_height.messages import types as messages
 from sal_height.messages.types import DiagnosticArray, Odometry
-from sal_height.nodes.account import STAGE, Account
+from sal_height.nodes.accounts.account import STAGE, Account
 from sal_height.numeric import F32, F64
 from sal_height.relief import Surface
 from sal_height.view.colours import Span, Spans, coloured

@@ -15,7 +15,7 @@ from sal_height.adjustment.observed import BORESIGHT as TURN
 from sal_height.adjustment.observed import vibration_of
 from sal_height.imaging import Centroid, Placement
 from sal_height.numeric import F64
-from sal_height.runs.adjustment_report import summary_of
+from sal_height.runs.products.adjustment_report import summary_of
 from sal_height.simulation import flight_of, load_preset
 from sal_height.simulation.phase_errors import Vibration, VibrationLine
 from sal_height.simulation.preset import TargetSettings

@@ -19,7 +19,7 @@ from sal_height.imports.followed_point import states_towards
 from sal_height.numeric import F64
 from sal_height.passes import Circle, Pass, simulated_passes
 from sal_height.pipeline import Compressor
-from sal_height.runs.adjustment_report import summary_of_images
+from sal_height.runs.products.adjustment_report import summary_of_images
 from sal_height.sensor import Sensor
 
 DWELLS = 3

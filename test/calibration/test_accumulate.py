@@ -14,8 +14,8 @@ from sal_height.beams.array import Beams, column_squint
 from sal_height.calibration.accumulate import Calibrator, brightest, common_response, targets_in
 from sal_height.calibration.beams import BeamCalibration
 from sal_height.calibration.settings import CalibrationSettings
-from sal_height.elevation.looks import Looks
-from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
+from sal_height.elevation.estimators.maximum_likelihood import MlSettings, ml_elevation
+from sal_height.elevation.looks.looks import Looks
 from sal_height.errors import NotDetermined, Rejected
 from sal_height.figures.synthetic_tape import RangeFault, Target, make_tape
 from sal_height.geometry.earth import sphere_point

@@ -21,9 +21,9 @@ from sal_height.calibration.beam_likelihood import (
     with_unknown_angles,
 )
 from sal_height.calibration.beams import BeamCalibration, calibrate_beams, calibrate_on_target
-from sal_height.elevation.likelihood import OBJECTIVES, peak_elevation
-from sal_height.elevation.looks import Looks, covariance
-from sal_height.elevation.search import PeakSearches
+from sal_height.elevation.array.likelihood import OBJECTIVES, peak_elevation
+from sal_height.elevation.array.search import PeakSearches
+from sal_height.elevation.looks.looks import Looks, covariance
 from sal_height.errors import NotDetermined
 from sal_height.sensor.channels import whitened_channels
 from sal_height.sensor.sensor import Sensor

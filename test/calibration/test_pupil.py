@@ -10,9 +10,9 @@ from sal_height.beams.array import Beams
 from sal_height.beams.pupil import ZERNIKE
 from sal_height.calibration.pupil import calibrate_pupil
 from sal_height.calibration.settings import CalibrationSettings
-from sal_height.elevation.estimate import Validity
-from sal_height.elevation.looks import Looks, covariance
-from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
+from sal_height.elevation.array.estimate import Validity
+from sal_height.elevation.estimators.maximum_likelihood import MlSettings, ml_elevation
+from sal_height.elevation.looks.looks import Looks, covariance
 from sal_height.errors import NotDetermined
 
 ROWS, COLS, COUNT = 220, 8, 4

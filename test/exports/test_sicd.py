@@ -28,7 +28,7 @@ from sal_height.imports import level_states
 from sal_height.messages import serialize
 from sal_height.messages.types import ComplexImage, Header, Provenance
 from sal_height.response import measure_brightest
-from sal_height.runs.images import images_of
+from sal_height.runs.responses.images import images_of
 from sal_height.sensor import PhaseHistory, Sensor
 
 pytestmark = pytest.mark.filterwarnings("ignore:(read|open)_text is deprecated:DeprecationWarning")  # in sarkit

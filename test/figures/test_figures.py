@@ -207,7 +207,7 @@ def test_numerator_is_drawn_inwards_beyond_the_array_and_normalised_is_not() -> 
 
 
 def test_spread_of_normalised_estimates_is_the_bound_averaged_over_speckle() -> None:
-    from sal_height.elevation.bounds import stochastic_crb
+    from sal_height.elevation.array.bounds import stochastic_crb
 
     beams = array_elevation.example_array()
     for elevation in (0.0, 1.1, 3.5):

@@ -10,7 +10,7 @@ from rclpy.node import Node
 from sal_height.graph.conductor import Conductor
 from sal_height.graph.plan import Plan
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, KeyValue
-from sal_height.nodes.graph import Graph
+from sal_height.nodes.transport.graph import Graph
 
 
 def status(name: str, **values: object) -> DiagnosticStatus:

@@ -132,8 +132,8 @@ found.append(can_fork())
 os.environ["SAL_HEIGHT_THREADS"] = "2"
 found.append(can_fork())
 os.environ["SAL_HEIGHT_THREADS"] = "1"
-from sal_height.nodes.domain import free_domain
-from sal_height.nodes.graph import Graph
+from sal_height.nodes.transport.domain import free_domain
+from sal_height.nodes.transport.graph import Graph
 with free_domain() as domain, Graph(domain) as graph:
     graph.add(rclpy.create_node("node", context=graph.context))
     found.append(can_fork())
@@ -154,7 +154,7 @@ def test_one_thread_is_used_unless_the_environment_says_otherwise() -> None:
 
 def test_runs_import_nothing_that_only_pictures_and_statistics_need() -> None:
     code = """
-import sal_height.runs.live, sal_height.runs.simulate, sal_height.runs.replay
+import sal_height.runs.live.live, sal_height.runs.truth.simulate, sal_height.runs.replay.replay
 slow = ("matplotlib", "scipy.stats", "scipy.signal", "rasterio", "cyclopts")
 print(json.dumps([name for name in slow if name in sys.modules]))
 """

@@ -13,9 +13,9 @@ from rich.console import Console
 from sal_height.commands import main
 from sal_height.graph.account_book import MOST_NODES, AccountBook
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, KeyValue
-from sal_height.nodes.graph import Graph
 from sal_height.nodes.processing import PROCESSING
-from sal_height.runs.live_table import node_table
+from sal_height.nodes.transport.graph import Graph
+from sal_height.runs.live.live_table import node_table
 
 DEADLINE_S = 60.0
 

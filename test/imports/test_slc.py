@@ -31,9 +31,9 @@ from sal_height.imaging import Slc
 from sal_height.imports import import_slc
 from sal_height.messages import serialize
 from sal_height.messages.types import ComplexImage, Header, Provenance
-from sal_height.runs.entry import Part
-from sal_height.runs.replay import replay
-from sal_height.runs.sensor_bag import record_sensor
+from sal_height.runs.chain.entry import Part
+from sal_height.runs.live.sensor_bag import record_sensor
+from sal_height.runs.replay.replay import replay
 from sal_height.sensor import Sensor
 from sal_height.simulation import load_preset
 

@@ -23,8 +23,8 @@ from sal_height.messages.definition import Definition, shipped_definition
 from sal_height.messages.definitions import TEXTS
 from sal_height.messages.layout import read_layout
 from sal_height.messages.programs import KEPT
-from sal_height.nodes import message_types
-from sal_height.nodes.message_types import class_of, message_class
+from sal_height.nodes.transport import message_types
+from sal_height.nodes.transport.message_types import class_of, message_class
 from tools.definitions import FILE, TFMESSAGE, module
 
 ROOT = Path(__file__).parents[2]

@@ -12,7 +12,7 @@ from helpers import assert_one_sentence
 from sal_height import messages
 from sal_height.beams import PATTERNS
 from sal_height.calibration import Calibration
-from sal_height.elevation.estimate import ORDERS, Validity
+from sal_height.elevation.array.estimate import ORDERS, Validity
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry.earth import EARTH_RADIUS, sphere_point
 from sal_height.geometry.frames import ApertureState

@@ -20,10 +20,10 @@ from rosbags.rosbag2 import Reader
 
 from sal_height.messages import deserialize, received_frame, serialize
 from sal_height.messages.types import ChannelFrame, DiagnosticArray, HeightImage, Odometry, SensorInfo
-from sal_height.nodes.account import DIAGNOSTICS, Account
-from sal_height.nodes.graph import Graph
-from sal_height.nodes.message_types import subscribe
-from sal_height.nodes.quality import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
+from sal_height.nodes.accounts.account import DIAGNOSTICS, Account
+from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.message_types import subscribe
+from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 
 BAG = Path(__file__).parents[2] / "bags" / "version_3"
 TIMEOUT_S = 60.0

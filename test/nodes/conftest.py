@@ -7,9 +7,9 @@ from bag_feeder import BAG, Feeder
 from chain_fixture import Chain
 
 from sal_height.messages.types import HeightImage
-from sal_height.nodes.domain import free_domain
-from sal_height.nodes.graph import Graph
 from sal_height.nodes.processing import PROCESSING
+from sal_height.nodes.transport.domain import free_domain
+from sal_height.nodes.transport.graph import Graph
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
 from sal_height.simulation.scenes import load_scene

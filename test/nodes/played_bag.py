@@ -17,11 +17,11 @@ from sal_height.bag.writer import BagWriter
 from sal_height.graph.plan import DwellChanges
 from sal_height.messages import serialize
 from sal_height.messages.types import Calibration, ChannelFrame, Odometry, SensorInfo, Temperature
-from sal_height.nodes.account import CALIBRATIONS
-from sal_height.nodes.graph import Graph
-from sal_height.nodes.message_types import subscribe
-from sal_height.nodes.player import Player
-from sal_height.nodes.quality import FRAMES_QOS, LATCHED_QOS
+from sal_height.nodes.accounts.account import CALIBRATIONS
+from sal_height.nodes.playing.player import Player
+from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.message_types import subscribe
+from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS
 
 TIMEOUT_S = 20.0
 TOPICS = {SensorInfo: "/sensor_info", Odometry: "/platform/odometry", ChannelFrame: "/phase_history"}

@@ -20,10 +20,10 @@ from sal_height.geometry import Motion, Trajectory
 from sal_height.imaging import ImageSettings
 from sal_height.messages import deserialize, serialize
 from sal_height.messages.types import ChannelFrame, ComplexImage, HeightImage, Provenance
-from sal_height.nodes.graph import Graph
-from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.processing import PROCESSING
-from sal_height.nodes.quality import FRAMES_QOS
+from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.message_types import subscribe
+from sal_height.nodes.transport.quality import FRAMES_QOS
 from sal_height.pipeline import Compressor
 from sal_height.simulation import SimulatedFlight
 

@@ -15,13 +15,13 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from sal_height import messages
-from sal_height.elevation.estimate import MEASURED
+from sal_height.elevation.array.estimate import MEASURED
 from sal_height.errors import UserError
 from sal_height.geometry.earth import height_of
 from sal_height.messages.types import DiagnosticArray, HeightImage, Image, PointCloud2, TransformStamped
-from sal_height.nodes.graph import Graph
-from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.processing import PROCESSING
+from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.message_types import subscribe
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.truth import truth_image
 

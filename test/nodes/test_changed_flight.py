@@ -20,14 +20,14 @@ from sal_height.bag.reader import BagReader
 from sal_height.engine.stage import DwellKey
 from sal_height.errors import UserError
 from sal_height.messages.types import Calibration as CalibrationMessage
-from sal_height.nodes.graph import Graph
-from sal_height.nodes.quality import LATCHED_QOS
-from sal_height.nodes.recorder import Recorder
-from sal_height.runs import replay_parameters
-from sal_height.runs.entry import Part
-from sal_height.runs.playing import Playing
-from sal_height.runs.replay import replay
-from sal_height.runs.timeline import Timeline, timeline_of
+from sal_height.nodes.recording.recorder import Recorder
+from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.quality import LATCHED_QOS
+from sal_height.runs.chain import replay_parameters
+from sal_height.runs.chain.entry import Part
+from sal_height.runs.chain.timeline import Timeline, timeline_of
+from sal_height.runs.replay.playing import Playing
+from sal_height.runs.replay.replay import replay
 
 SENSOR_TOPICS = ["/sensor_info", "/platform/odometry", "/phase_history"]
 HEIGHTS = ["/ml/height", "/monopulse/height"]

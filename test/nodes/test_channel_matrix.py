@@ -19,8 +19,8 @@ from helpers import (
     whitening,
 )
 
-from sal_height.elevation.estimate import ElevationEstimate, Validity
-from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
+from sal_height.elevation.array.estimate import ElevationEstimate, Validity
+from sal_height.elevation.estimators.maximum_likelihood import MlSettings, ml_elevation
 from sal_height.errors import UserError
 from sal_height.sensor.channels import with_powers
 from sal_height.sensor.sensor import Sensor

@@ -27,8 +27,8 @@ from sal_height.engine.frame_items import COMPLEX_INT16, Frame
 from sal_height.engine.settings import ChannelSettings
 from sal_height.engine.stage import DwellKey, Job, Port, Result
 from sal_height.errors import Rejected
-from sal_height.nodes.graph import Graph
 from sal_height.nodes.host import node_of
+from sal_height.nodes.transport.graph import Graph
 from sal_height.sensor import Sensor
 
 SAMPLES = np.ones(1_000_000, np.uint8)

@@ -25,17 +25,17 @@ from sal_height.errors import UserError
 from sal_height.graph.plan import Execution
 from sal_height.messages import serialize
 from sal_height.messages.types import HeightImage, Temperature
-from sal_height.nodes.domain import free_domain
-from sal_height.nodes.graph import Graph
-from sal_height.nodes.recorder import Recorder
-from sal_height.runs.adjust import _write
-from sal_height.runs.calibrate import calibrate
-from sal_height.runs.entry import Part, check_air
-from sal_height.runs.live import Live, live
-from sal_height.runs.playing import Playing
-from sal_height.runs.replay import Replay, replay
-from sal_height.runs.sensor_bag import Feed
-from sal_height.runs.simulate import fly
+from sal_height.nodes.recording.recorder import Recorder
+from sal_height.nodes.transport.domain import free_domain
+from sal_height.nodes.transport.graph import Graph
+from sal_height.runs.chain.entry import Part, check_air
+from sal_height.runs.live.live import Live, live
+from sal_height.runs.live.sensor_bag import Feed
+from sal_height.runs.products.adjust import _write
+from sal_height.runs.products.calibrate import calibrate
+from sal_height.runs.replay.playing import Playing
+from sal_height.runs.replay.replay import Replay, replay
+from sal_height.runs.truth.simulate import fly
 from sal_height.simulation import load_preset
 from sal_height.simulation.flight import SimulatedFlight
 

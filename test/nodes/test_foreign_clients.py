@@ -14,8 +14,8 @@ import pytest
 from bag_feeder import BAG, Feeder, assert_same, read_heights
 
 from sal_height.messages.types import DiagnosticStatus, HeightImage
-from sal_height.nodes.graph import Graph
 from sal_height.nodes.processing import PROCESSING
+from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.worker import WorkerNode
 
 pytestmark = pytest.mark.skipif(

@@ -13,17 +13,17 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from sal_height import messages
-from sal_height.elevation.estimate import Validity
+from sal_height.elevation.array.estimate import Validity
 from sal_height.geometry.earth import sphere_point
 from sal_height.geometry.geodesy import Origin
 from sal_height.geometry.grid import Grid
 from sal_height.geometry.projection import Projection
 from sal_height.messages.types import ComplexImage, Header, HeightImage, Provenance, ReliefLayer, ReliefMap
-from sal_height.nodes.graph import Graph
 from sal_height.nodes.host import StageNode
-from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.processing import PROCESSING
-from sal_height.nodes.quality import FRAMES_QOS, LATCHED_QOS
+from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.message_types import subscribe
+from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS
 from sal_height.relief.heights import HeightField, Surface
 
 TIMEOUT_S = 20.0

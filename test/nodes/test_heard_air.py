@@ -14,10 +14,10 @@ from rclpy.parameter import Parameter
 from sal_height import messages
 from sal_height.geometry import height_of
 from sal_height.messages.types import ChannelFrame, FluidPressure, HeightImage, Odometry, SensorInfo, Temperature
-from sal_height.nodes.domain import free_domain
-from sal_height.nodes.graph import Graph
 from sal_height.nodes.processing import PROCESSING
-from sal_height.nodes.quality import LATCHED_QOS
+from sal_height.nodes.transport.domain import free_domain
+from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.quality import LATCHED_QOS
 from sal_height.simulation.flight import SimulatedFlight
 
 SECOND = 1_000_000_000

@@ -30,11 +30,11 @@ from sal_height.messages.types import (
     SensorInfo,
     Surface,
 )
-from sal_height.nodes.domain import free_domain
-from sal_height.nodes.graph import Graph
-from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.processing import PROCESSING
-from sal_height.nodes.quality import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
+from sal_height.nodes.transport.domain import free_domain
+from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.message_types import subscribe
+from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.relief import HeightField
 from sal_height.sensor import Sensor
 from sal_height.simulation.scenes import load_scene

@@ -21,12 +21,12 @@ from sal_height.calibration import Calibration
 from sal_height.geometry import Origin
 from sal_height.messages import serialize
 from sal_height.messages.types import ComplexImage, HeightImage
-from sal_height.nodes.domain import free_domain
-from sal_height.nodes.graph import Graph
-from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.processing import PROCESSING
-from sal_height.nodes.quality import FRAMES_QOS
-from sal_height.nodes.recorder import Recorder
+from sal_height.nodes.recording.recorder import Recorder
+from sal_height.nodes.transport.domain import free_domain
+from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.message_types import subscribe
+from sal_height.nodes.transport.quality import FRAMES_QOS
 from sal_height.nodes.worker import WorkerNode
 from sal_height.simulation import SimulatedFlight
 

@@ -18,7 +18,7 @@ from bag_feeder import BAG, assert_same, read_heights
 from hosts import Hosts, UnavailableError
 
 from sal_height.messages.types import HeightImage
-from sal_height.nodes.middleware import PROFILES, settings_for
+from sal_height.nodes.transport.middleware import PROFILES, settings_for
 
 TIMEOUT_S = 90.0
 FRAMES = 16

@@ -9,7 +9,7 @@ from rclpy.parameter import Parameter
 
 from sal_height import messages
 from sal_height.messages.types import HeightImage
-from sal_height.nodes.graph import Graph
+from sal_height.nodes.transport.graph import Graph
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
 from sal_height.simulation.scene import Scene

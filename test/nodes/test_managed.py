@@ -18,12 +18,12 @@ from std_srvs.srv import Trigger
 
 from sal_height.messages.types import Calibration as CalibrationMessage
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, HeightImage
-from sal_height.nodes.account import DIAGNOSTICS, Account
-from sal_height.nodes.graph import Graph
-from sal_height.nodes.message_types import subscribe
+from sal_height.nodes.accounts.account import DIAGNOSTICS, Account
 from sal_height.nodes.processing import PROCESSING
-from sal_height.nodes.quality import FRAMES_QOS, LATCHED_QOS
 from sal_height.nodes.simulator import Simulator
+from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.message_types import subscribe
+from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS
 from sal_height.nodes.worker import WorkerNode
 from sal_height.simulation import SimulatedFlight
 

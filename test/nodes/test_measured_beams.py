@@ -12,7 +12,7 @@ from chain_fixture import Chain
 from sal_height.beams.pattern import pattern_named
 from sal_height.beams.table import BeamTable
 from sal_height.messages.types import HeightImage
-from sal_height.nodes.graph import Graph
+from sal_height.nodes.transport.graph import Graph
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
 from sal_height.simulation.scenes import load_scene

@@ -14,7 +14,7 @@ from scipy.linalg import dft
 
 from sal_height import messages
 from sal_height.messages.types import HeightImage
-from sal_height.nodes.graph import Graph
+from sal_height.nodes.transport.graph import Graph
 from sal_height.simulation.flight import SimulatedFlight
 
 BUTLER = dft(DETECTORS, scale="sqrtn")

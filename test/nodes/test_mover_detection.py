@@ -16,10 +16,10 @@ from rclpy.parameter import Parameter
 from sal_height import messages
 from sal_height.imaging import ImageSettings
 from sal_height.messages.types import ComplexImage, PointCloud2, Provenance, SensorInfo
-from sal_height.nodes.graph import Graph
-from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.processing import PROCESSING
-from sal_height.nodes.quality import FRAMES_QOS, LATCHED_QOS
+from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.message_types import subscribe
+from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS
 from sal_height.pipeline import Compressor
 from sal_height.sensor import Sensor
 from sal_height.simulation.flight import flight_of

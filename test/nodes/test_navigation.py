@@ -18,10 +18,10 @@ from sal_height import messages
 from sal_height.errors import UserError
 from sal_height.geometry import Origin, PlatformState, rotation_matrix
 from sal_height.messages.types import Header, Imu, NavSatFix, Odometry, PoseStamped, Twist, TwistStamped, Vector3
-from sal_height.nodes.graph import Graph
-from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.processing import PROCESSING
-from sal_height.nodes.quality import LATCHED_QOS, ODOMETRY_QOS
+from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.message_types import subscribe
+from sal_height.nodes.transport.quality import LATCHED_QOS, ODOMETRY_QOS
 from sal_height.simulation.flight import SimulatedFlight
 
 TIMEOUT_S = 20.0

@@ -15,12 +15,12 @@ from sal_height.engine.stage import Product
 from sal_height.messages import kinds
 from sal_height.messages.codec import SHIPPED
 from sal_height.messages.types import HeightImage, KeyValue
-from sal_height.nodes.account import Account
-from sal_height.nodes.graph import Graph
+from sal_height.nodes.accounts.account import Account
 from sal_height.nodes.host import node_of
-from sal_height.nodes.message_types import class_of
-from sal_height.nodes.quality import FRAMES_QOS
-from sal_height.nodes.recorder import Recorder
+from sal_height.nodes.recording.recorder import Recorder
+from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.message_types import class_of
+from sal_height.nodes.transport.quality import FRAMES_QOS
 
 ROOT = Path(__file__).parents[2]
 sys.path.append(str(ROOT / "test" / "engine"))

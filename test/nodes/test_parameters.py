@@ -15,8 +15,8 @@ from rclpy.parameter import Parameter
 
 from sal_height.errors import UserError
 from sal_height.messages.types import ParameterType
-from sal_height.nodes.graph import Graph
 from sal_height.nodes.parameters import LiveParameters
+from sal_height.nodes.transport.graph import Graph
 from sal_height.settings import Settings, setting
 
 

@@ -16,9 +16,9 @@ from sal_height.engine.stage import DwellKey
 from sal_height.errors import UserError
 from sal_height.graph.plan import DwellChanges
 from sal_height.messages.types import Odometry
-from sal_height.nodes.account import CALIBRATIONS
-from sal_height.nodes.graph import Graph
+from sal_height.nodes.accounts.account import CALIBRATIONS
 from sal_height.nodes.processing import PROCESSING
+from sal_height.nodes.transport.graph import Graph
 from sal_height.simulation.flight import SimulatedFlight
 
 

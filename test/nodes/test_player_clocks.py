@@ -13,10 +13,10 @@ from written_bag import calibration, frame, key
 from sal_height.bag.reader import BagMessage
 from sal_height.graph.plan import DwellChanges
 from sal_height.messages.types import ChannelFrame, Clock
-from sal_height.nodes.graph import Graph
-from sal_height.nodes.message_types import subscribe
-from sal_height.nodes.player import Player
-from sal_height.nodes.simulated_clock import PERIOD_S, SimulatedClock
+from sal_height.nodes.playing.player import Player
+from sal_height.nodes.playing.simulated_clock import PERIOD_S, SimulatedClock
+from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.message_types import subscribe
 
 LEAST_CLOCK_HZ = 40.0
 """Messages on /clock in a second that docs/replay.md promises."""

@@ -20,11 +20,11 @@ from sal_height.engine.stage import DwellKey
 from sal_height.errors import UserError
 from sal_height.messages.types import Calibration as CalibrationMessage
 from sal_height.messages.types import ComplexImage, HeightImage
-from sal_height.nodes.graph import Graph
 from sal_height.nodes.host import StageNode
-from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.processing import PROCESSING
-from sal_height.nodes.quality import FRAMES_QOS, LATCHED_QOS
+from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.message_types import subscribe
+from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS
 from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.simulation.flight import SimulatedFlight
 

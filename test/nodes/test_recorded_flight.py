@@ -11,10 +11,10 @@ from rclpy.parameter import Parameter
 
 from sal_height.bag.compare import EQUAL
 from sal_height.bag.reader import BagReader
-from sal_height.nodes.graph import Graph
-from sal_height.nodes.recorder import Recorder
-from sal_height.runs.recorded_parameters import recorded_parameters
-from sal_height.runs.replay import replay
+from sal_height.nodes.recording.recorder import Recorder
+from sal_height.nodes.transport.graph import Graph
+from sal_height.runs.chain.recorded_parameters import recorded_parameters
+from sal_height.runs.replay.replay import replay
 
 SENSOR_TOPICS = ["/sensor_info", "/platform/odometry", "/phase_history"]
 HEIGHTS = ["/ml/height", "/monopulse/height"]

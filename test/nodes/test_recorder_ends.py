@@ -24,8 +24,8 @@ from std_msgs.msg import String
 from sal_height.bag.reader import BagReader
 from sal_height.bag.salvage import salvage
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus
-from sal_height.nodes.graph import Graph
-from sal_height.nodes.message_types import subscribe
+from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.message_types import subscribe
 
 TIMEOUT_S = 60.0
 KILLS = int(os.environ.get("SAL_HEIGHT_KILLS", "3"))
@@ -37,7 +37,7 @@ LATE_S = 0.3
 PERIOD_S = 0.005
 SMALL_DISK_MB = 4
 
-RECORDER = "from sal_height.nodes.recorder import main; raise SystemExit(main())"
+RECORDER = "from sal_height.nodes.recording.recorder import main; raise SystemExit(main())"
 
 
 def recorder(folder: Path, domain_id: int, **parameters: object) -> subprocess.Popen[str]:

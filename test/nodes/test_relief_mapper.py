@@ -25,7 +25,7 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 
 from sal_height import messages
-from sal_height.elevation.estimate import Validity
+from sal_height.elevation.array.estimate import Validity
 from sal_height.engine.stage import StageSettings
 from sal_height.errors import UserError
 from sal_height.geometry.earth import sphere_coordinates, sphere_point
@@ -46,12 +46,12 @@ from sal_height.messages.types import (
     ReliefMap,
     TransformStamped,
 )
-from sal_height.nodes.account import PROGRESS, Account
-from sal_height.nodes.graph import Graph
+from sal_height.nodes.accounts.account import PROGRESS, Account
 from sal_height.nodes.host import StageNode
-from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.processing import PROCESSING
-from sal_height.nodes.quality import FRAMES_QOS, LATCHED_QOS
+from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.message_types import subscribe
+from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS
 from sal_height.relief.heights import HeightField, Surface
 
 TIMEOUT_S = 20.0

@@ -22,10 +22,10 @@ from sal_height.geometry.frames import ApertureState
 from sal_height.geometry.grid import Grid
 from sal_height.geometry.locate import locate_at_height
 from sal_height.messages.types import HeightImage, Image, PointCloud2, Provenance
-from sal_height.nodes.graph import Graph
-from sal_height.nodes.message_types import subscribe
 from sal_height.nodes.processing import PROCESSING
-from sal_height.nodes.quality import FRAMES_QOS
+from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.message_types import subscribe
+from sal_height.nodes.transport.quality import FRAMES_QOS
 from sal_height.relief.heights import HeightField, Surface
 
 Array = npt.NDArray[np.float64]

@@ -13,9 +13,9 @@ from rclpy.node import Node
 
 from sal_height import messages
 from sal_height.messages.types import ComplexImage, HeightImage
-from sal_height.nodes.graph import Graph
-from sal_height.nodes.message_types import subscribe
-from sal_height.nodes.quality import FRAMES_QOS
+from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.message_types import subscribe
+from sal_height.nodes.transport.quality import FRAMES_QOS
 from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.sensor.receivers import clipped
 from sal_height.simulation.flight import SimulatedFlight, flight_of

@@ -11,8 +11,8 @@ from chain_fixture import START_NS, Chain, same_heights
 
 from sal_height import messages
 from sal_height.messages.types import HeightImage
-from sal_height.nodes.domain import free_domain
-from sal_height.nodes.graph import Graph
+from sal_height.nodes.transport.domain import free_domain
+from sal_height.nodes.transport.graph import Graph
 from sal_height.simulation import SimulatedFlight, flight_of, load_preset
 
 IMAGE = {"rows": 46, "cols": 12}

@@ -18,11 +18,11 @@ from sal_height.engine.calibrations import CALIBRATION, CALIBRATIONS_KEPT, State
 from sal_height.errors import UserError
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, KeyValue, NodeAccount, Odometry, SensorInfo
 from sal_height.nodes import worker
-from sal_height.nodes.account import DIAGNOSTICS, PROGRESS, Account
-from sal_height.nodes.graph import Graph
-from sal_height.nodes.message_types import subscribe
+from sal_height.nodes.accounts.account import DIAGNOSTICS, PROGRESS, Account
 from sal_height.nodes.processing import PROCESSING
-from sal_height.nodes.quality import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
+from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.message_types import subscribe
+from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.nodes.worker import WorkerNode
 
 TIMEOUT_S = 20.0

@@ -21,10 +21,10 @@ from sal_height.errors import UserError
 from sal_height.geometry import Mounting
 from sal_height.messages.kinds import read_transforms
 from sal_height.messages.types import HeightImage, Quaternion, TFMessage, TransformStamped, Vector3
-from sal_height.nodes.domain import free_domain
-from sal_height.nodes.graph import Graph
 from sal_height.nodes.processing import PROCESSING
 from sal_height.nodes.transforms import TF_STATIC_QOS, has_transforms
+from sal_height.nodes.transport.domain import free_domain
+from sal_height.nodes.transport.graph import Graph
 
 IMAGE = {"rows": 46, "cols": 12}
 NEEDS_TF2 = "tf2_msgs is not on PyPI; a ROS installation has it"

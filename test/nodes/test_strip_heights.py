@@ -9,9 +9,9 @@ import pytest
 from helpers import blocks, flat_scene, make_aperture, make_beams, make_sensor, multilook
 
 from sal_height.beams.array import column_squint
-from sal_height.elevation.estimate import ElevationEstimate, Validity
-from sal_height.elevation.looks import Looks, look_grid
-from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
+from sal_height.elevation.array.estimate import ElevationEstimate, Validity
+from sal_height.elevation.estimators.maximum_likelihood import MlSettings, ml_elevation
+from sal_height.elevation.looks.looks import Looks, look_grid
 from sal_height.geometry.earth import sphere_point
 from sal_height.geometry.frames import ApertureState, angles_of, aperture_at
 from sal_height.geometry.grid import Grid, pixels_at

@@ -13,11 +13,11 @@ from helpers import assert_one_sentence
 from rclpy.parameter import Parameter
 
 from sal_height import messages
-from sal_height.elevation.estimate import Validity
+from sal_height.elevation.array.estimate import Validity
 from sal_height.errors import UserError
 from sal_height.messages.types import HeightImage
-from sal_height.nodes.graph import Graph
 from sal_height.nodes.processing import PROCESSING
+from sal_height.nodes.transport.graph import Graph
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import HybridSettings, load_preset
 from sal_height.simulation.scenes import load_scene

@@ -27,7 +27,7 @@ from sal_height.passes import (
     heights_from_passes,
     simulated_passes,
 )
-from sal_height.runs.passes import heights_of_bags
+from sal_height.runs.products.passes import heights_of_bags
 
 SIDE = 40.0
 

@@ -10,10 +10,10 @@ from helpers import BEAMWIDTH, blocks, flat_scene, make_aperture, make_beams, ma
 from scipy.spatial.transform import Rotation
 
 from sal_height.beams.array import column_squint
-from sal_height.elevation.estimate import ElevationEstimate, Scatterer, Validity
-from sal_height.elevation.look_windows import Window
-from sal_height.elevation.looks import Looks, look_grid
-from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
+from sal_height.elevation.array.estimate import ElevationEstimate, Scatterer, Validity
+from sal_height.elevation.estimators.maximum_likelihood import MlSettings, ml_elevation
+from sal_height.elevation.looks.look_windows import Window
+from sal_height.elevation.looks.looks import Looks, look_grid
 from sal_height.geometry.earth import EARTH_RADIUS, height_of, sphere_point
 from sal_height.geometry.frames import ApertureState, angles_of, aperture_at
 from sal_height.geometry.grid import Grid, pixels_at

@@ -10,8 +10,8 @@ import pytest
 from helpers import assert_one_sentence, blocks, make_aperture, make_sensor
 from scipy.spatial.transform import Rotation
 
-from sal_height.elevation.estimate import ElevationEstimate, Validity
-from sal_height.elevation.looks import Looks, look_grid
+from sal_height.elevation.array.estimate import ElevationEstimate, Validity
+from sal_height.elevation.looks.looks import Looks, look_grid
 from sal_height.errors import Rejected
 from sal_height.geometry.earth import height_of, sphere_point
 from sal_height.geometry.frames import ApertureState

@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sal_height.elevation.estimate import Validity
+from sal_height.elevation.array.estimate import Validity
 from sal_height.geometry.earth import EARTH_RADIUS, above_place, height_of, sphere_point
 from sal_height.geometry.frames import ApertureState, aperture_at
 from sal_height.geometry.grid import Grid

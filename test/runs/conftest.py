@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from sal_height.runs.simulate import fly
+from sal_height.runs.truth.simulate import fly
 from sal_height.simulation.preset import Preset, load_preset
 
 SEED = 3

@@ -18,8 +18,8 @@ from sal_height.geometry import sphere_coordinates
 from sal_height.graph.catalogue import parameters_of
 from sal_height.numeric import F64
 from sal_height.pipeline import heights
-from sal_height.runs.chain_runs import BagRun, plan
-from sal_height.runs.sensor_bag import record_sensor
+from sal_height.runs.chain.chain_runs import BagRun, plan
+from sal_height.runs.live.sensor_bag import record_sensor
 from sal_height.simulation import load_preset
 from sal_height.simulation.impairments import Impairments
 from sal_height.simulation.preset import Passes

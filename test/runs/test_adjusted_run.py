@@ -13,11 +13,11 @@ from sal_height.bag.compare import EQUAL
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
 from sal_height.graph.plan import Execution
-from sal_height.runs.accuracy import read_images
-from sal_height.runs.chain_runs import plan
-from sal_height.runs.entry import FROM_HEIGHTS, IMAGES, Part
-from sal_height.runs.replay import replay
-from sal_height.runs.simulate import Flown, fly
+from sal_height.runs.chain.chain_runs import plan
+from sal_height.runs.chain.entry import FROM_HEIGHTS, IMAGES, Part
+from sal_height.runs.replay.replay import replay
+from sal_height.runs.truth.accuracy import read_images
+from sal_height.runs.truth.simulate import Flown, fly
 from sal_height.simulation import load_preset
 from sal_height.simulation.preset import Passes
 

@@ -14,8 +14,8 @@ from sal_height.elevation import ESTIMATORS
 from sal_height.geometry import Trajectory
 from sal_height.imaging import ImageSettings
 from sal_height.pipeline import Compressor, heights
-from sal_height.runs.recorded_parameters import recorded_parameters
-from sal_height.runs.simulate import fly
+from sal_height.runs.chain.recorded_parameters import recorded_parameters
+from sal_height.runs.truth.simulate import fly
 from sal_height.simulation.preset import BlankedRange, Preset
 
 

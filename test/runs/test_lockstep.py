@@ -27,10 +27,10 @@ from sal_height.graph import lockstep
 from sal_height.graph.lockstep import Lockstep
 from sal_height.graph.plan import Execution, Outcome, Plan
 from sal_height.messages.types import ChannelFrame, Odometry, SensorInfo
-from sal_height.nodes.account import Account
-from sal_height.nodes.graph import Graph
+from sal_height.nodes.accounts.account import Account
 from sal_height.nodes.simulator import Simulator
-from sal_height.runs.simulate import fly, run
+from sal_height.nodes.transport.graph import Graph
+from sal_height.runs.truth.simulate import fly, run
 from sal_height.sensor import Sensor
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import Preset
@@ -293,9 +293,9 @@ def test_a_file_that_cannot_be_written_is_named(
         return path
 
     if name == "preset.yaml":
-        monkeypatch.setattr("sal_height.runs.simulate.new_folder", new_folder)
+        monkeypatch.setattr("sal_height.runs.truth.simulate.new_folder", new_folder)
     else:
-        monkeypatch.setattr("sal_height.runs.simulate.perform", perform)
+        monkeypatch.setattr("sal_height.runs.truth.simulate.perform", perform)
     preset = dataclasses.replace(two_dwells, dwells=1)
     with pytest.raises(UserError, match=rf"{name} cannot be written: Is a directory\."):
         run(preset, SEED, tmp_path / "run", {})

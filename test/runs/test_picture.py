@@ -18,17 +18,17 @@ from sal_height.graph.picture import STYLE, beyond, look_of, page, shaded
 from sal_height.messages import serialize
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, KeyValue
 from sal_height.relief import GroundEstimate, HeightField, Surface
-from sal_height.runs.calibration_picture import beyond_error
-from sal_height.runs.campaign_picture import _style
-from sal_height.runs.cloud_picture import projected
-from sal_height.runs.comparison import Comparison, PublishedErrors
-from sal_height.runs.error_picture import _normal, counted
-from sal_height.runs.ground_picture import kind_shares
-from sal_height.runs.height_picture import ground_picture, height_limits, percent_text
-from sal_height.runs.image_picture import corners, draw_image, ground_steps
-from sal_height.runs.latency_picture import draw_run, told_latencies
-from sal_height.runs.profile import telling_column
-from sal_height.runs.surface_report import GroundCoverage, Judged
+from sal_height.runs.campaign.campaign_picture import _style
+from sal_height.runs.live.latency_picture import draw_run, told_latencies
+from sal_height.runs.products.calibration_picture import beyond_error
+from sal_height.runs.responses.image_picture import corners, draw_image, ground_steps
+from sal_height.runs.truth.cloud_picture import projected
+from sal_height.runs.truth.comparison import Comparison, PublishedErrors
+from sal_height.runs.truth.error_picture import _normal, counted
+from sal_height.runs.truth.ground_picture import kind_shares
+from sal_height.runs.truth.height_picture import ground_picture, height_limits, percent_text
+from sal_height.runs.truth.profile import telling_column
+from sal_height.runs.truth.surface_report import GroundCoverage, Judged
 
 
 @pytest.mark.parametrize(

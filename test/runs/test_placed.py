@@ -22,10 +22,10 @@ from sal_height.errors import UserError
 from sal_height.geometry import Origin, Projection, sphere_point
 from sal_height.graph.reporting import RELIEF_MAP
 from sal_height.messages import serialize
-from sal_height.runs.entry import FROM_HEIGHTS, Part, origin_of
-from sal_height.runs.recorded_parameters import recorded_parameters
-from sal_height.runs.replay import replay
-from sal_height.runs.simulate import fly
+from sal_height.runs.chain.entry import FROM_HEIGHTS, Part, origin_of
+from sal_height.runs.chain.recorded_parameters import recorded_parameters
+from sal_height.runs.replay.replay import replay
+from sal_height.runs.truth.simulate import fly
 from sal_height.simulation import Preset, flight_of
 from sal_height.simulation.preset import parse_preset
 

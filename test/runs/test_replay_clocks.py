@@ -22,11 +22,11 @@ from sal_height.errors import UserError
 from sal_height.graph.ensemble import members_of
 from sal_height.graph.plan import DwellChanges, Execution, Plan
 from sal_height.nodes.host import StageNode
-from sal_height.runs.entry import Part
-from sal_height.runs.playing import Playing
-from sal_height.runs.replay import replay
-from sal_height.runs.replay_parameters import Processing
-from sal_height.runs.simulate import fly
+from sal_height.runs.chain.entry import Part
+from sal_height.runs.chain.replay_parameters import Processing
+from sal_height.runs.replay.playing import Playing
+from sal_height.runs.replay.replay import replay
+from sal_height.runs.truth.simulate import fly
 from sal_height.simulation.preset import Preset
 
 HEIGHTS = {"/ml/height", "/monopulse/height", "/tracked/height"}

@@ -14,9 +14,9 @@ from sal_height.bag.reader import BagReader
 from sal_height.bag.writer import BagWriter
 from sal_height.commands import main
 from sal_height.errors import UserError
-from sal_height.runs.entry import Part
-from sal_height.runs.replay import replay
-from sal_height.runs.timeline import timeline_of
+from sal_height.runs.chain.entry import Part
+from sal_height.runs.chain.timeline import timeline_of
+from sal_height.runs.replay.replay import replay
 
 HEIGHTS = {"/ml/height", "/monopulse/height", "/tracked/height"}
 

@@ -17,9 +17,9 @@ from sal_height.bag.reader import BagReader
 from sal_height.commands import main
 from sal_height.errors import UserError
 from sal_height.graph.plan import Execution
-from sal_height.runs.entry import Part
-from sal_height.runs.replay import Replay, replay
-from sal_height.runs.simulate import fly
+from sal_height.runs.chain.entry import Part
+from sal_height.runs.replay.replay import Replay, replay
+from sal_height.runs.truth.simulate import fly
 from sal_height.simulation.preset import Preset
 
 SEED, DWELLS = 5, 5

@@ -27,9 +27,9 @@ from sal_height.elevation import Validity, scatterer_count
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import recorded_topics
 from sal_height.relief.map import ReliefMap
-from sal_height.runs.accuracy import read_images
-from sal_height.runs.profile import _profile, draw_profile
-from sal_height.runs.simulate import fly, run
+from sal_height.runs.truth.accuracy import read_images
+from sal_height.runs.truth.profile import _profile, draw_profile
+from sal_height.runs.truth.simulate import fly, run
 from sal_height.simulation.flight import flight_of
 from sal_height.simulation.impairments import Impairments
 from sal_height.simulation.odometry_errors import OdometryErrors

@@ -9,7 +9,7 @@ import pytest
 from helpers import blocks
 
 from sal_height import messages
-from sal_height.elevation.looks import look_grid
+from sal_height.elevation.looks.looks import look_grid
 from sal_height.errors import UserError
 from sal_height.geometry.frames import aperture_at
 from sal_height.geometry.locate import locate_at_elevation
@@ -17,7 +17,7 @@ from sal_height.imaging.pixels import azimuth_resolution, slant_plane_grid
 from sal_height.messages import to_floats
 from sal_height.messages.types import ComplexImage, HeightImage, Provenance
 from sal_height.relief.heights import HeightField, Surface
-from sal_height.runs.report import mosaic, statistics
+from sal_height.runs.truth.report import mosaic, statistics
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
 from sal_height.simulation.scene import Scene

@@ -11,8 +11,8 @@ import numpy as np
 
 from sal_height import messages
 from sal_height.bag.reader import BagReader
-from sal_height.runs.replay import replay
-from sal_height.runs.simulate import fly
+from sal_height.runs.replay.replay import replay
+from sal_height.runs.truth.simulate import fly
 from sal_height.simulation.preset import load_preset
 
 DWELLS = 4

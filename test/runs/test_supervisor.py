@@ -26,10 +26,10 @@ from sal_height.graph.ensemble import Member
 from sal_height.graph.supervisor import FIRST_WAIT_S, LONGEST_WAIT_S, STEADY_S, Supervisor
 from sal_height.graph.watch import Watcher
 from sal_height.messages.types import HeightImage
-from sal_height.nodes.domain import free_domain
-from sal_height.nodes.graph import Graph
-from sal_height.nodes.message_types import subscribe
-from sal_height.nodes.quality import FRAMES_QOS
+from sal_height.nodes.transport.domain import free_domain
+from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.message_types import subscribe
+from sal_height.nodes.transport.quality import FRAMES_QOS
 
 DEADLINE_S = 60.0
 

@@ -14,7 +14,7 @@ from helpers import Array, make_aperture, make_sensor
 from scipy.special import j1
 
 from sal_height.elevation import ESTIMATORS, ElevationEstimator, MlSettings
-from sal_height.elevation.looks import Looks
+from sal_height.elevation.looks.looks import Looks
 from sal_height.elevation.monopulse.pairs import MonopulseSettings
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Trajectory

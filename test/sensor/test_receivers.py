@@ -9,7 +9,7 @@ import pytest
 from helpers import circular, make_sensor
 from scipy.stats import norm
 
-from sal_height.elevation.estimate import MEASURED, ElevationEstimate, Scatterer, Validity, without_saturated
+from sal_height.elevation.array.estimate import MEASURED, ElevationEstimate, Scatterer, Validity, without_saturated
 from sal_height.sensor.receivers import MAX_SHARE, clipped, saturated_shares
 from sal_height.simulation.receivers import received
 

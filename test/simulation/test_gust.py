@@ -12,8 +12,8 @@ from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
 
 from sal_height.beams.array import column_squint
-from sal_height.elevation.looks import look_grid
-from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
+from sal_height.elevation.estimators.maximum_likelihood import MlSettings, ml_elevation
+from sal_height.elevation.looks.looks import look_grid
 from sal_height.geometry.grid import Grid
 from sal_height.geometry.trajectory import Trajectory
 from sal_height.imaging.formers.backprojection import backproject

@@ -15,8 +15,8 @@ from helpers import (
     target_slc,
 )
 
-from sal_height.elevation.bounds import speckle_crb
-from sal_height.elevation.maximum_likelihood import MlSettings, ml_elevation
+from sal_height.elevation.array.bounds import speckle_crb
+from sal_height.elevation.estimators.maximum_likelihood import MlSettings, ml_elevation
 from sal_height.geometry.earth import height_of
 from sal_height.geometry.frames import angles_of, look_direction
 from sal_height.geometry.grid import Grid, pixels_at

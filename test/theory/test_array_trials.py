@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from helpers import BEAMWIDTH, elevation_at, make_beams, offset_of, standard_error_of_rms
 
-from sal_height.elevation.bounds import stochastic_crb
-from sal_height.elevation.likelihood import OBJECTIVES, peak_elevation
-from sal_height.elevation.looks import Looks, covariance
+from sal_height.elevation.array.bounds import stochastic_crb
+from sal_height.elevation.array.likelihood import OBJECTIVES, peak_elevation
+from sal_height.elevation.looks.looks import Looks, covariance
 from sal_height.numeric import threads
 from sal_height.theory import array_trials as array_trials_module
 from sal_height.theory.array_trials import TargetPixels

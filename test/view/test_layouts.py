@@ -29,9 +29,9 @@ from sal_height.graph.node_classes import NODES
 from sal_height.messages import MAP_FRAME, POINT_FIELDS
 from sal_height.messages.codec import SHIPPED
 from sal_height.messages.relief import RELIEF_POINT_FIELDS
-from sal_height.nodes.account import DIAGNOSTICS
-from sal_height.nodes.domain import free_domain
-from sal_height.nodes.graph import Graph
+from sal_height.nodes.accounts.account import DIAGNOSTICS
+from sal_height.nodes.transport.domain import free_domain
+from sal_height.nodes.transport.graph import Graph
 
 CONFIG = Path(sal_height.__file__).parent / "config"
 RVIZ = yaml.safe_load((CONFIG / "sal_height.rviz").read_text())["Visualization Manager"]

@@ -12,7 +12,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from sal_height.messages.types import ComplexImage, DiagnosticArray, HeightImage, Odometry
-from sal_height.nodes.graph import Graph
+from sal_height.nodes.transport.graph import Graph
 from sal_height.view.drawings import Heard
 from sal_height.view.listener import ITEM_BYTES, LOST, TOO_SLOW, Listener
 

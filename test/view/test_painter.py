@@ -18,7 +18,7 @@ from sal_height.elevation import Validity
 from sal_height.errors import Rejected
 from sal_height.messages import deserialize, field_from_message, to_floats, to_stamp
 from sal_height.messages.types import ComplexImage, HeightImage, Odometry
-from sal_height.nodes.account import Account
+from sal_height.nodes.accounts.account import Account
 from sal_height.view.colours import EMPTY, VALIDITY_COLOURS, Span, Spans, coloured
 from sal_height.view.drawings import Classes, Cloud, Drawing, Heard, Line, Note, Number, Picture, Sheet
 from sal_height.view.painter import (

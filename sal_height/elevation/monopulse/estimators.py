@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.elevation.looks import Looks
+from sal_height.elevation.looks.looks import Looks
 from sal_height.elevation.monopulse.inversion import PairElevation
 from sal_height.errors import UserError
 from sal_height.numeric import C128, F64

@@ -10,9 +10,12 @@ from __future__ import annotations
 import numpy as np
 
 from sal_height.beams import Beams
-from sal_height.elevation.estimate import ElevationEstimate, Validity, array_fit, decide_validity
-from sal_height.elevation.likelihood import OBJECTIVES, SinglePeaks, search_guard
-from sal_height.elevation.looks import Covariance, Looks
+from sal_height.elevation.array.estimate import ElevationEstimate, Validity, array_fit, decide_validity
+from sal_height.elevation.array.likelihood import OBJECTIVES, SinglePeaks, search_guard
+from sal_height.elevation.array.search import PIXELS_AT_ONCE, PeakSearch, PeakSearches, Pixels
+from sal_height.elevation.array.settings import HeightSettings
+from sal_height.elevation.layover.two_channels import in_two_channels
+from sal_height.elevation.looks.looks import Covariance, Looks
 from sal_height.elevation.monopulse._kernels import find_strongest_pairs
 from sal_height.elevation.monopulse.estimators import (
     DISCRIMINANTS,
@@ -23,9 +26,6 @@ from sal_height.elevation.monopulse.estimators import (
 )
 from sal_height.elevation.monopulse.inverse_table import invert_pairs
 from sal_height.elevation.monopulse.inversion import UNPAIRED
-from sal_height.elevation.search import PIXELS_AT_ONCE, PeakSearch, PeakSearches, Pixels
-from sal_height.elevation.settings import HeightSettings
-from sal_height.elevation.two_channels import in_two_channels
 from sal_height.errors import Rejected
 from sal_height.numeric import F64, Index, in_parallel
 from sal_height.settings import setting

@@ -22,10 +22,12 @@ import numpy as np
 from pydantic import field_validator, model_validator
 
 from sal_height.beams import Beams
-from sal_height.elevation.dwell_columns import DwellColumns
-from sal_height.elevation.estimate import ElevationEstimate, Fit, Validity, decide_validity, detection_limit
-from sal_height.elevation.likelihood import SinglePeaks
-from sal_height.elevation.looks import Looks
+from sal_height.elevation.array.estimate import ElevationEstimate, Fit, Validity, decide_validity, detection_limit
+from sal_height.elevation.array.likelihood import SinglePeaks
+from sal_height.elevation.array.settings import HeightSettings
+from sal_height.elevation.layover.two_channels import in_two_channels
+from sal_height.elevation.looks.dwell_columns import DwellColumns
+from sal_height.elevation.looks.looks import Looks
 from sal_height.elevation.monopulse.estimators import (
     DISCRIMINANTS,
     Products,
@@ -37,8 +39,6 @@ from sal_height.elevation.monopulse.estimators import (
 from sal_height.elevation.monopulse.inverse_table import invert_pairs
 from sal_height.elevation.monopulse.inversion import UNPAIRED, Inversion, PairElevation, invert_linear
 from sal_height.elevation.monopulse.slope_table import SlopeTable, read_slope_table
-from sal_height.elevation.settings import HeightSettings
-from sal_height.elevation.two_channels import in_two_channels
 from sal_height.errors import UserError
 from sal_height.numeric import F64
 from sal_height.settings import setting

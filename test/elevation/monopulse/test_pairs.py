@@ -24,9 +24,9 @@ from scipy.integrate import quad
 from sal_height.beams.apertures import GAUSSIAN_WIDTH
 from sal_height.beams.array import Beams
 from sal_height.beams.pattern import PATTERNS
-from sal_height.elevation.bounds import stochastic_crb
-from sal_height.elevation.estimate import ElevationEstimate, Validity
-from sal_height.elevation.looks import Looks
+from sal_height.elevation.array.bounds import stochastic_crb
+from sal_height.elevation.array.estimate import ElevationEstimate, Validity
+from sal_height.elevation.looks.looks import Looks
 from sal_height.elevation.monopulse.estimators import (
     DISCRIMINANTS,
     Products,

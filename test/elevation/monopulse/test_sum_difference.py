@@ -25,9 +25,9 @@ from scipy.special import j1, jv
 from sal_height.beams.apertures import GAUSSIAN_WIDTH
 from sal_height.beams.array import Beams
 from sal_height.beams.pattern import PATTERNS, pattern_named
-from sal_height.elevation.bounds import beam_power, information_of, stochastic_crb, stochastic_deviation
-from sal_height.elevation.estimate import ElevationEstimate, Validity
-from sal_height.elevation.looks import Looks
+from sal_height.elevation.array.bounds import beam_power, information_of, stochastic_crb, stochastic_deviation
+from sal_height.elevation.array.estimate import ElevationEstimate, Validity
+from sal_height.elevation.looks.looks import Looks
 from sal_height.elevation.monopulse.discriminant import discriminant, discriminant_domain, discriminant_slope
 from sal_height.elevation.monopulse.estimators import (
     DISCRIMINANTS,

@@ -1,0 +1,103 @@
+"""Elevation by Capon's method: the direction in which a minimum-variance beamformer lets most power through.
+
+The beamformer that passes a scatterer with the unit response u = a / |a| undistorted and suppresses everything else has
+the output power 1 / (u^H R^-1 u) (Capon, Proceedings of the IEEE 57, 1969; Lombardini and Montanari, IEEE Trans.
+Aerospace and Electronic Systems 38, 2002, for several scatterers in a SAR pixel). The unit response is needed because
+detectors near the ends of the array see a scatterer with less power: with a itself, Capon's maximum would lie there.
+
+To be invertible with few looks K, the mean covariance R / K is loaded with LOADING noise powers (Carlson, IEEE
+Trans. AES 24, 1988). Much loading gives maximum likelihood, little a noisier estimate that separates scatterers better.
+
+It does not look for a second scatterer. A weak one within the resolution leaves the pixel a single one, and draws its
+peak aside; what it leaves along the slope of the response says by how much (`misfit_factor`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sal_height.beams import Beams
+from sal_height.elevation.array.estimate import ElevationEstimate, noise_limit, sidelobe_limit
+from sal_height.elevation.array.likelihood import ArraySettings, SinglePeaks, estimate_of, peaks_by_spectrum
+from sal_height.elevation.layover.extended import free_looks
+from sal_height.elevation.layover.single import PixelNoise
+from sal_height.elevation.layover.two_channels import in_two_channels
+from sal_height.elevation.looks.looks import Covariance, Looks
+from sal_height.numeric import F64
+from sal_height.settings import setting
+
+LOADING = 1.0
+"""Loading in noise powers. With 16 detectors and 16 looks the standard deviation is 5 % above that of maximum
+likelihood (25 % with 0.1, 0.2 % with 10), and a second scatterer half a beamwidth away, 3 dB weaker, displaces the
+median estimate by 0.04 beamwidths instead of 0.14."""
+
+
+class CaponSettings(ArraySettings):
+    """Settings of Capon's method."""
+
+    loading: float = setting(
+        LOADING,
+        "power added to the diagonal of the mean covariance before it is inverted; more of it lowers the noise of the "
+        "estimate, less of it separates scatterers better",
+        unit="noise powers",
+        minimum=1e-3,
+        maximum=1e3,
+    )
+
+
+def capon_elevation(looks: Looks, beams: Beams, settings: CaponSettings) -> ElevationEstimate:
+    """Elevation of the peak of Capon's spectrum.
+
+    Sigma is that of maximum likelihood times `deviation_factor`, and `misfit_factor` where a pixel holds more than one
+    scatterer. Arguments and errors as of `ml_elevation`.
+    """
+
+    def spectrum(covariance: Covariance, count: F64) -> Covariance:
+        mean = covariance / (count * looks.receiver_noise)[:, None, None]
+        return -np.linalg.inv(mean + (settings.loading * np.eye(beams.count)).astype(covariance.dtype))
+
+    peaks = peaks_by_spectrum(spectrum, looks, beams, settings)
+    estimate = estimate_of(peaks, looks, beams, settings)
+    estimate = estimate.with_sigma(estimate.sigma * deviation_factor(looks.count, beams, settings.loading))
+    if beams.count == 2:
+        return in_two_channels(estimate, peaks, looks, beams, settings)
+    return estimate.with_sigma(estimate.sigma * misfit_factor(peaks, looks, beams, settings))
+
+
+def misfit_factor(peaks: SinglePeaks, looks: Looks, beams: Beams, settings: CaponSettings) -> F64:
+    """Standard deviation of an estimate where a pixel holds more than one scatterer, over that by noise alone.
+
+    With the derivative s_k of the response along its slope in look k, the estimate is off by sum_k Re(A_k* s_k) over
+    sum_k |A_k|^2 D / |a|^2. Whatever s_k is made of, if its phase is not that of A_k, the real part has half of its
+    power, so that the variance grows by the power along the slope over that of noise, of which K - 1/2 complex
+    dimensions are left (the variance of a misspecified likelihood: White, Econometrica 50, 1982). Power that noise,
+    beams and level ground rarely exceed leaves the factor at 1. A single look does not tell the part in phase, which
+    moves the peak as another elevation does.
+
+    Args:
+        peaks: where the estimates are.
+        looks: of the pixels.
+        beams: of the channels.
+        settings: how rarely that is.
+    """
+    noise, free = PixelNoise.of(peaks, looks, beams), np.maximum(free_looks(looks.count), 0.5)
+    over = peaks.along_slope / (noise.raised * noise.along_slope)
+    rare = noise_limit(free, settings.false_alarm_rate) + sidelobe_limit(looks.leaked, settings.sidelobe_rate)
+    return np.sqrt(np.where(over > rare, over / free, 1.0))
+
+
+def deviation_factor(count: F64, beams: Beams, loading: float) -> F64:
+    """Standard deviation of Capon's estimate over that of maximum likelihood, for a number of looks of any shape.
+
+    Close to a strong scatterer Capon's method is least squares weighted with the inverse of (W + loading), W the noise
+    covariance measured across the scatterer's response: p = M - 1 dimensions, n = K - 1 looks, or twice as many real
+    ones if the beams are real. The variance grows by m2 / m1^2 with the mean m1 of 1 / (x + loading) and m2 of its
+    square over W's eigenvalues x, which follow Marchenko and Pastur's law of ratio p / n (Mathematics of the
+    USSR-Sbornik 1, 1967).
+    """
+    samples = (count - 1) * (1 if beams.is_complex else 2) / (beams.count - 1)
+    excess = samples * (1 + loading) - 1
+    root = np.sqrt(excess**2 + 4 * samples * loading)
+    mean = (root - excess) / (2 * loading)
+    mean_square = mean / loading - samples * ((excess + 2) / root - 1) / (2 * loading)
+    return np.sqrt(mean_square) / mean

@@ -1,0 +1,55 @@
+"""Maximum likelihood over the whole array: the estimator `ml`, from the likelihood, its prior and two scatterers."""
+
+from __future__ import annotations
+
+from sal_height.beams import Beams
+from sal_height.elevation.array.estimate import ElevationEstimate
+from sal_height.elevation.array.likelihood import OBJECTIVES, estimate_of, highest_peaks, highest_peaks_of, peaks_at
+from sal_height.elevation.array.spatial_prior import RECOMMENDED_STRENGTH, smoothed_peaks
+from sal_height.elevation.layover.layover import resolve
+from sal_height.elevation.layover.single import LayoverSettings
+from sal_height.elevation.layover.two_channels import in_two_channels
+from sal_height.elevation.looks.looks import Looks
+from sal_height.settings import setting
+
+
+class MlSettings(LayoverSettings):
+    """Settings of maximum likelihood over the whole array."""
+
+    objective: str = setting(
+        "normalised",
+        "function that is maximised: normalised (exact) or numerator (as published; biased near the ends of the array)",
+        choices=tuple(OBJECTIVES),
+    )
+    prior_strength: float = setting(
+        0.0,
+        f"weight of the spatial smoothness prior; 0: none; {RECOMMENDED_STRENGTH:g} is recommended at low CNR; "
+        "small features may vanish",
+        minimum=0.0,
+        maximum=100.0,
+    )
+
+
+def ml_elevation(looks: Looks, beams: Beams, settings: MlSettings) -> ElevationEstimate:
+    """Elevations of the scatterers in every pixel: one, two, three or an extended one, as the looks demand.
+
+    Args:
+        looks: covariance of M channels of equal noise in each pixel.
+        beams: of the M detectors.
+        settings: with a prior, the objective is always the exact one.
+
+    Raises:
+        UserError: a real covariance of complex beams.
+    """
+    if settings.prior_strength:
+        # The peak that suits the neighbours best.
+        peaks = peaks_at(smoothed_peaks(looks, beams, settings.prior_strength), looks, beams)
+    elif settings.objective == "normalised" and settings.layover:
+        peaks = highest_peaks(looks, beams, settings)
+    else:
+        # Without layover nobody asks what one more scatterer would explain.
+        peaks = highest_peaks_of(OBJECTIVES[settings.objective], looks, beams, settings)
+    estimate = estimate_of(peaks, looks, beams, settings)
+    if beams.count == 2:
+        return in_two_channels(estimate, peaks, looks, beams, settings)
+    return resolve(estimate, peaks, looks, beams, settings) if settings.layover else estimate

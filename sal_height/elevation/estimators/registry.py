@@ -1,0 +1,144 @@
+"""The estimators of elevation by name: all that the pipeline, the nodes and the commands know of them.
+
+To add one, write a module with a function from looks, beams and settings to an `ElevationEstimate`, and add an entry to
+ESTIMATORS. Its node, topics, console script, settings, and its place in reports and pictures follow from the entry.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from sal_height.beams import Beams
+from sal_height.elevation.array.estimate import ElevationEstimate
+from sal_height.elevation.array.settings import HeightSettings
+from sal_height.elevation.estimators.capon import CaponSettings, capon_elevation
+from sal_height.elevation.estimators.dwells import Estimate, estimate_dwells
+from sal_height.elevation.estimators.maximum_likelihood import MlSettings, ml_elevation
+from sal_height.elevation.estimators.music import MusicSettings, music_elevation
+from sal_height.elevation.looks.looks import Looks
+from sal_height.elevation.monopulse.pairs import MonopulseSettings, monopulse_elevation
+from sal_height.elevation.monopulse.sum_difference import SumDifferenceSettings, sum_difference_elevation
+from sal_height.elevation.vegetation.canopy_ground import CanopyGroundSettings, canopy_ground_elevation
+from sal_height.errors import Rejected, UserError
+from sal_height.numeric import C128
+from sal_height.sensor import Channels, Sensor, sum_difference_channels, whitened_channels
+
+MakeChannels = Callable[[C128, C128], Channels]
+"""From the noise covariance of the sensor's channels and its channel matrix to the channels that an estimator takes."""
+
+
+def has_several_detectors(sensor: Sensor) -> bool:
+    """Whether elevation can be had at all: for estimators that take the whole array, whatever its channels are."""
+    return sensor.detector_count > 1
+
+
+def has_separate_detectors(sensor: Sensor) -> bool:
+    """Whether whitening gives the detectors one by one, each with noise of its own: for estimators that take pairs."""
+    if not sensor.is_mixed:
+        return has_several_detectors(sensor)
+    channels = whitened_channels(sensor.noise_covariance, sensor.mixing)
+    return sensor.beams.combined(channels.matrix).matrix is None
+
+
+def has_sum_and_difference(sensor: Sensor) -> bool:
+    """Whether the channels are the sum and the difference of two beams."""
+    try:
+        sum_difference_channels(sensor.noise_covariance, sensor.mixing)
+    except UserError:
+        return False
+    return True
+
+
+@dataclass(frozen=True)
+class ElevationEstimator:
+    """An estimator of elevation.
+
+    Attributes:
+        name: in topics, `<name>/height`, in HeightImage.estimator, and on the command line.
+        node: name of its ROS node and of the console script that starts it.
+        title: what pictures and tables call it.
+        settings: class of its settings.
+        estimate: elevation of every pixel of a dwell.
+        suits: whether a sensor has the channels that it needs.
+        channels: that it takes, from those of the sensor; whitened ones unless stated otherwise.
+        by_default: whether a run makes its heights without being asked to.
+    """
+
+    name: str
+    node: str
+    title: str
+    settings: type[HeightSettings]
+    estimate: Estimate
+    suits: Callable[[Sensor], bool] = has_several_detectors
+    channels: MakeChannels = whitened_channels
+    by_default: bool = False
+
+    def estimate_dwells(
+        self, observed: Sequence[tuple[Looks, Beams]], settings: HeightSettings
+    ) -> list[ElevationEstimate]:
+        """The `estimate` of each of several dwells, from their looks and beams, in less time than one by one."""
+        return estimate_dwells(self.estimate, observed, settings)
+
+
+def _sum_and_difference(noise_covariance: C128, channel_matrix: C128) -> Channels:
+    """Sigma and Delta with equal gains, each with its own noise."""
+    try:
+        return sum_difference_channels(noise_covariance, channel_matrix)
+    except UserError as error:
+        raise Rejected("no sum and difference", str(error)) from error
+
+
+_ENTRIES = (
+    ElevationEstimator(
+        name="monopulse",
+        node="monopulse",
+        title="monopulse",
+        settings=MonopulseSettings,
+        estimate=monopulse_elevation,
+        suits=has_separate_detectors,
+        by_default=True,
+    ),
+    ElevationEstimator(
+        name="ml",
+        node="ml_height",
+        title="array maximum likelihood",
+        settings=MlSettings,
+        estimate=ml_elevation,
+        by_default=True,
+    ),
+    ElevationEstimator(
+        name="sum_difference",
+        node="sum_difference_height",
+        title="sum and difference",
+        settings=SumDifferenceSettings,
+        estimate=sum_difference_elevation,
+        suits=has_sum_and_difference,
+        channels=_sum_and_difference,
+        by_default=True,
+    ),
+    ElevationEstimator(
+        name="capon",
+        node="capon_height",
+        title="Capon",
+        settings=CaponSettings,
+        estimate=capon_elevation,
+    ),
+    ElevationEstimator(
+        name="music",
+        node="music_height",
+        title="MUSIC",
+        settings=MusicSettings,
+        estimate=music_elevation,
+    ),
+    ElevationEstimator(
+        name="canopy_ground",
+        node="canopy_ground_height",
+        title="ground under canopy",
+        settings=CanopyGroundSettings,
+        estimate=canopy_ground_elevation,
+    ),
+)
+
+ESTIMATORS = {entry.name: entry for entry in _ENTRIES}
+"""The estimators by name, in the order in which runs and pictures list them."""

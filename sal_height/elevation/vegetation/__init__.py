@@ -1,0 +1,1 @@
+"""Reflectivity over elevation in a pixel, as tomography of vegetation needs it, and the ground below it."""

@@ -1,0 +1,56 @@
+"""What has become of the messages of a topic that is recorded."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from sal_height.nodes.accounts.account import ON_THE_WAY
+
+QUEUE_FULL, NOT_WRITTEN = "queue full", "not written"
+"""Why messages that have come are not in the bag: too much waited for the disk; the disk refused them."""
+
+
+@dataclass
+class Ledger:
+    """Counts of one topic; received = written + left out for other reasons than ON_THE_WAY, once nothing waits.
+
+    Attributes:
+        received: messages that came.
+        written: messages that are in the bag.
+        left_out: messages that are not, by reason.
+        latched: whether the last message is kept for those who subscribe later; it may replace one that nobody has
+            taken yet, which is no loss.
+    """
+
+    latched: bool = False
+    received: int = 0
+    written: int = 0
+    left_out: Counter[str] = field(default_factory=Counter)
+    _number: int = 0
+
+    def receive(self, number: int | None, publishers: Callable[[], int]) -> None:
+        """Count a message, and those before it that never came.
+
+        Args:
+            number: that its publisher has given it, one more than to its last one; None: not known.
+            publishers: of the topic. Several of them count each for itself, so that gaps say nothing.
+        """
+        self.received += 1
+        if number is None:
+            return
+        missed = number - self._number - 1 if self._number else 0  # what was published before the first one is no loss
+        if missed > 0 and not self.latched and publishers() == 1:
+            self.left_out[ON_THE_WAY] += missed
+        self._number = number
+
+    @property
+    def missed(self) -> int:
+        """Messages that the publisher has numbered up to the last one, and that have not come; since its start."""
+        return max(0, self._number - self.received)
+
+    def as_json(self) -> dict[str, Any]:
+        """The counts as the bag says them."""
+        return {"received": self.received, "written": self.written, "left_out": dict(self.left_out)}

@@ -1,0 +1,181 @@
+"""Accounting: every message that comes in is processed or dropped for a reason."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from bisect import bisect_left, insort
+from collections import Counter, deque
+from collections.abc import Callable
+
+from sal_height.nodes.accounts.account import CALIBRATIONS, DWELLS, Account
+
+PACE_SAMPLES = 5
+"""Samples of the counts, half a second apart, that rates are measured over."""
+
+
+SHARES = 0.5, 0.95
+"""Shares of the dwells that take no longer than the latencies that are published."""
+
+OF_NODE = {"jobs", "ready"}
+"""Numbers of an account that no counts say."""
+
+
+class Tally:
+    """Counts of one stage; safe to use from several threads.
+
+    At any time: received = processed + dropped + waiting.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        """Count; `clock` tells the time, s, for the counts of the last minute."""
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._received = 0
+        self._processed = 0
+        self._published = 0
+        self._dropped: Counter[str] = Counter()
+        self._ignored: Counter[str] = Counter()
+        self._noted: Counter[str] = Counter()
+        self._dropped_lately, self._ignored_lately = LastMinute(), LastMinute()
+        self._latencies = Latest(1000)
+        self.offered = 0
+        """Dwells that were complete and handed over for processing."""
+        self.finished = 0
+        """Dwells that were processed."""
+
+    def receive(self) -> None:
+        """A message came in."""
+        with self._lock:
+            self._received += 1
+
+    def offer(self) -> None:
+        """A dwell is complete and handed over for processing."""
+        with self._lock:
+            self.offered += 1
+
+    def drop(self, messages: int, reason: str) -> None:
+        """That many messages were left out."""
+        with self._lock:
+            self._dropped[reason] += messages
+            self._dropped_lately.add(self._clock(), reason, messages)
+
+    def ignore(self, reason: str) -> None:
+        """A message that is not counted as received (sensor info, odometry) could not be used."""
+        with self._lock:
+            self._ignored[reason] += 1
+            self._ignored_lately.add(self._clock(), reason, 1)
+
+    def note(self, event: str) -> None:
+        """Something worth counting has happened that costs no message."""
+        with self._lock:
+            self._noted[event] += 1
+
+    def finish(self, messages: int, published: int, latency_s: float) -> None:
+        """That many messages became that many products, `latency_s` after they were complete and handed over.
+
+        Work of the node's own, which consumes no message, has no latency.
+        """
+        with self._lock:
+            self._processed += messages
+            self._published += published
+            if messages:
+                self.finished += 1
+                self._latencies.add(latency_s)
+
+    def account(self) -> Account:
+        """The counts, and the latencies if there are any."""
+        with self._lock:
+            now, events = self._clock(), dict(self._noted)
+            latencies = [1e3 * self._latencies.quantile(share) if self._latencies else math.nan for share in SHARES]
+            return Account(
+                received=self._received,
+                processed=self._processed,
+                published=self._published,
+                waiting=self._received - self._processed - sum(self._dropped.values()),
+                dwells=events.pop(DWELLS, 0),
+                calibrations=events.pop(CALIBRATIONS, 0),
+                dropped=dict(self._dropped),
+                ignored=dict(self._ignored),
+                dropped_last_minute=dict(self._dropped_lately.counts(now)),
+                ignored_last_minute=dict(self._ignored_lately.counts(now)),
+                events=events,
+                latency_p50_ms=round(latencies[0], 3),
+                latency_p95_ms=round(latencies[1], 3),
+            )
+
+    def summary(self) -> dict[str, float]:
+        """Counts and latencies by their names on /diagnostics."""
+        return {name: number for name, number in self.account().numbers.items() if name not in OF_NODE}
+
+
+class Latest:
+    """The latest of many numbers, in their order: their quantiles, which are asked for after each, take no time."""
+
+    def __init__(self, most: int) -> None:
+        """Keep so many."""
+        self._most = most
+        self._numbers: deque[float] = deque()
+        self._ascending: list[float] = []
+
+    def __len__(self) -> int:
+        return len(self._ascending)
+
+    def add(self, number: float) -> None:
+        """Keep a number, and forget the earliest if there are too many."""
+        self._numbers.append(number)
+        insort(self._ascending, number)
+        if len(self._numbers) > self._most:
+            del self._ascending[bisect_left(self._ascending, self._numbers.popleft())]
+
+    def quantile(self, share: float) -> float:
+        """The number that this share of them are below, linear between two of them."""
+        place = share * (len(self._ascending) - 1)
+        low, rest = self._ascending[int(place)], place % 1.0
+        return low + rest * (self._ascending[int(place) + 1] - low) if rest else low
+
+
+class LastMinute:
+    """Counts by name of the last minute, in steps of a second; memory does not grow with what is counted."""
+
+    def __init__(self) -> None:
+        self._seconds: deque[tuple[int, Counter[str]]] = deque()
+
+    def add(self, now: float, name: str, count: int) -> None:
+        """Count at the time `now`, s."""
+        second = int(now)
+        if not self._seconds or self._seconds[-1][0] != second:
+            self._forget(now)
+            self._seconds.append((second, Counter()))
+        self._seconds[-1][1][name] += count
+
+    def counts(self, now: float) -> Counter[str]:
+        """What was counted in the minute before `now`, s."""
+        self._forget(now)
+        return sum((counts for _, counts in self._seconds), Counter())
+
+    def _forget(self, now: float) -> None:
+        while self._seconds and self._seconds[0][0] <= int(now) - 60:
+            self._seconds.popleft()
+
+
+class Pace:
+    """How many dwells come and are processed in a second, over the last seconds."""
+
+    def __init__(self) -> None:
+        self._samples: deque[tuple[float, int, int]] = deque(maxlen=PACE_SAMPLES)
+
+    def sample(self, now: float, offered: int, finished: int) -> None:
+        """Take note of the counts at the time `now`, s."""
+        self._samples.append((now, offered, finished))
+
+    def rates(self) -> dict[str, float]:
+        """Dwells offered and achieved in a second, as fields of an account; none before two samples."""
+        if len(self._samples) < 2:
+            return {}
+        (began, offered, finished), (ended, offered_now, finished_now) = self._samples[0], self._samples[-1]
+        return {
+            "offered_hz": round((offered_now - offered) / (ended - began), 2),
+            "achieved_hz": round((finished_now - finished) / (ended - began), 2),
+        }

@@ -1,0 +1,407 @@
+"""Node player: publishes what a bag holds of a sensor, or the images or heights made of it.
+
+It does so dwell by dwell, at the pace of the sensor beside /clock, or as fast as it can.
+"""
+
+from __future__ import annotations
+
+import bisect
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import accumulate
+from pathlib import Path
+from typing import Any, ClassVar
+
+from rclpy.qos import QoSProfile
+
+from sal_height import messages
+from sal_height.bag.namespace import NamespacedReader
+from sal_height.bag.played import (
+    CLOCKS,
+    LATEST_NS,
+    LOCKSTEP,
+    MOST,
+    PACED,
+    Content,
+    DwellRange,
+    Played,
+    chosen,
+    read_contents,
+)
+from sal_height.bag.reader import BagMessage, BagReader, LogTimes
+from sal_height.bag.sensor_topics import FRAMES, ODOMETRY, SENSOR_INFO
+from sal_height.bag.topics import HEIGHT_TYPE, SENSOR_TYPE, Topic
+from sal_height.engine.calibrations import CALIBRATION
+from sal_height.engine.compression import SENSOR
+from sal_height.engine.stage import FOREVER_NS, DwellKey, StageSettings
+from sal_height.errors import UserError
+from sal_height.messages.codec import SHIPPED
+from sal_height.messages.definition import shipped_definition
+from sal_height.messages.types import Calibration as CalibrationMessage
+from sal_height.nodes.accounts.account import CALIBRATIONS, DWELLS
+from sal_height.nodes.managed import INACTIVE
+from sal_height.nodes.playing.delivery import delivered
+from sal_height.nodes.playing.simulated_clock import CLOCK, SimulatedClock
+from sal_height.nodes.program import run_node
+from sal_height.nodes.role import Topics
+from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
+from sal_height.nodes.worker import RESET, SENSOR_TOPICS, WorkerNode
+from sal_height.settings import setting
+
+
+class Parameters(StageSettings):
+    """Parameters of the node."""
+
+    bag: str = setting("", "path of the bag: its folder or its .mcap file", read_only=True)
+    topics: tuple[str, ...] = setting(
+        SENSOR,
+        "topics that are played: those of the sensor, with those of the air if any; or sensor_info and slc, or heights "
+        "such as ml/height",
+        read_only=True,
+    )
+    namespace: str = setting(
+        "", "namespace that the topics have in the bag, which they are played without; empty: none", read_only=True
+    )
+    renamed: tuple[str, ...] = setting(
+        (),
+        "topics of the bag that are read under other names, each as OLD:=NEW with leading slashes and namespaces",
+        read_only=True,
+    )
+    first_dwell: int = setting(0, "number of the first dwell that is played", minimum=0, maximum=MOST, read_only=True)
+    last_dwell: int = setting(MOST, "number of the last dwell that is played", minimum=0, maximum=MOST, read_only=True)
+    start_ns: int = setting(0, "earliest stamp of the dwells that are played", unit="ns", minimum=0, read_only=True)
+    end_ns: int = setting(LATEST_NS, "latest stamp of the dwells that are played", unit="ns", minimum=0, read_only=True)
+    clock: str = setting(
+        LOCKSTEP,
+        "when messages are played: lockstep, the next dwell at each call of ~/step; paced, all at the times of their "
+        "stamps, beside /clock; burst, all as fast as they can be published",
+        choices=CLOCKS,
+        read_only=True,
+    )
+    rate: float = setting(
+        1.0, "seconds of the sensor that are played in a second if paced", minimum=1e-6, maximum=1e6, read_only=True
+    )
+    loops: int = setting(
+        1,
+        "how often the bag is played if paced or burst; stamps go on, dwells keep their numbers",
+        minimum=1,
+        maximum=1_000_000_000,
+        read_only=True,
+    )
+
+
+MOST_FRAMES, MOST_SAMPLES = 128, 2000
+"""Frames, and other messages, that are published in one step at most: half of what a subscription keeps."""
+
+
+def qos_of(topic: str) -> QoSProfile:
+    """The quality of service of a topic that is played."""
+    return {SENSOR_INFO: LATCHED_QOS, **dict.fromkeys((ODOMETRY, *messages.AIR), ODOMETRY_QOS)}.get(topic, FRAMES_QOS)
+
+
+class Player(WorkerNode):
+    """Publishes the recorded bytes of one dwell at each call of ~/step, or of all dwells at one call.
+
+    The first sensor info is published before that, so that the nodes can get ready for the sensor. The first step
+    begins with the first message on each topic of the air, which dwells before it have waited for in flight. A
+    calibration that was applied from a dwell on is published at a step of its own before that dwell.
+    """
+
+    parameters = Parameters
+    outputs: ClassVar[Topics] = {
+        **SENSOR_TOPICS,
+        CALIBRATION: "calibrations that were applied in the flight, in a replay",
+        CLOCK: "time of the sensor, if the parameter clock is paced",
+    }
+    answers: ClassVar[Topics] = {**RESET, "~/step": "publish the next dwell; if paced or burst, all of them"}
+
+    def __init__(self, **node_arguments: Any) -> None:
+        """Make the node; `node_arguments` go to rclpy's Node.
+
+        Raises:
+            UserError: the bag cannot be used or lacks a topic.
+        """
+        super().__init__("player", **node_arguments)
+        self._time: SimulatedClock | None = None
+        self._ending = threading.Event()
+        self._applied: dict[DwellKey, list[str]] = {}
+        self._calibrations: dict[str, bytes] = {}
+        self._ends_ns: list[int] = []
+        self._none_before: list[int] = []
+        self._begun: set[DwellKey] = set()
+        try:
+            self._open()
+        except UserError:
+            self.destroy_node()
+            raise
+        self.serve("~/step", self.step)
+
+    def destroy_node(self) -> None:
+        """Stop playing, and end the node."""
+        self._ending.set()
+        if self._time:
+            self._time.end()
+        super().destroy_node()
+
+    def schedule(self, calibrations: Mapping[DwellKey, Sequence[str]], frames: Mapping[DwellKey, LogTimes]) -> None:
+        """Say what a replay knows of the bag, before the first step.
+
+        Args:
+            calibrations: identities of those that are published before dwells.
+            frames: when the frames of each dwell were recorded.
+
+        Raises:
+            UserError: the bag does not hold a calibration.
+        """
+        self._applied = {dwell: list(names) for dwell, names in calibrations.items() if names}
+        self._calibrations = self._named_calibrations()
+        dwells = sorted(frames.items(), key=lambda item: item[1].last_ns)
+        self._ends_ns = [times.last_ns for _, times in dwells]
+        self._none_before = list(accumulate((dwell.stamp_ns for dwell, _ in reversed(dwells)), min))[::-1]
+
+    def announced(self) -> dict[str, int]:
+        """Of each topic the stamp (ns) before which nothing more will be published."""
+        item = self._next
+        if item is None:
+            return dict.fromkeys(self._topics, FOREVER_NS)
+        done = bisect.bisect_left(self._ends_ns, item.recorded.log_time_ns)
+        return {FRAMES: self._none_before[done]} if done < len(self._none_before) else {}
+
+    def step(self) -> tuple[bool, str]:
+        """Publish what is next, on the worker thread; whether there is anything, and words for it."""
+        if not self.is_active:
+            return False, INACTIVE
+        if self._next is None:
+            return False, "the bag has ended"
+        self.tally.receive()
+        in_lockstep = self.current_parameters().clock == LOCKSTEP
+        self.submit(1, self._publish_step if in_lockstep else self._deliver)
+        return True, "next dwell" if in_lockstep else "all dwells up to the next calibration"
+
+    def _open(self) -> None:
+        """Open the bag, offer what is in it, and publish the first sensor info.
+
+        Raises:
+            UserError: the bag cannot be used or lacks a topic.
+        """
+        parameters = self.current_parameters()
+        if not parameters.bag:
+            raise UserError("Parameter bag is empty; it must be the path of a bag.")
+        renamed = dict(_names_of(rule) for rule in parameters.renamed)
+        self._reader = NamespacedReader(Path(parameters.bag), parameters.namespace, renamed)
+        recorded = {name.lstrip("/"): topic for name, topic in self._reader.topics.items()}
+        if missing := [name for name in parameters.topics if name not in recorded]:
+            raise UserError(
+                f"Bag {self._reader.path} has no topic {', '.join(missing)}; needed are {', '.join(parameters.topics)}."
+            )
+        for name in parameters.topics:  # their bytes go out as they are
+            self._reader.check_type(recorded[name].type_name)
+        self._topics = parameters.topics
+        self._outlets = {
+            recorded[name].name: self.offer(_class_of(recorded[name]), name, qos_of(name)) for name in parameters.topics
+        }
+        self._detectors = sum(recorded[name].type_name == HEIGHT_TYPE for name in parameters.topics)
+        self._calibration = self.offer(CalibrationMessage, CALIBRATION, LATCHED_QOS)
+        info, air = (
+            self._first_of([recorded[name].name for name in names if name in parameters.topics])
+            for names in ([SENSOR_INFO], messages.AIR)
+        )
+        self._items = _brought_forward(air, _without(info, self._played(parameters)))
+        self._next = next(self._items, None)
+        if parameters.clock == PACED and self._next:
+            self._time = SimulatedClock(self, self._next.recorded.log_time_ns, parameters.rate)
+        for announced in info:
+            if self._is_usable(Played(announced, Content())):
+                self._publish(announced)
+
+    def _first_of(self, names: Sequence[str]) -> list[BagMessage]:
+        """The first message on each of these topics.
+
+        Raises:
+            UserError: the bag is damaged.
+        """
+        found = [next(self._reader.messages([name]), None) for name in names]
+        return [message for message in found if message]
+
+    def _played(self, parameters: Parameters) -> Iterator[Played]:
+        """The messages of the bag that are played, in their order; unless in lockstep with the times of their delivery.
+
+        Raises:
+            UserError: the bag is damaged.
+        """
+        topics = list(self._outlets)
+        dwells = DwellRange(parameters.first_dwell, parameters.last_dwell, parameters.start_ns, parameters.end_ns)
+        if parameters.clock != LOCKSTEP:
+            return delivered(self._reader, topics, dwells, parameters.loops)
+        return chosen(read_contents(self._reader.messages(topics)), dwells)
+
+    def _named_calibrations(self) -> dict[str, bytes]:
+        """The serialized calibrations that are published, by identity.
+
+        Raises:
+            UserError: the bag does not hold one of them.
+        """
+        named = {name for names in self._applied.values() for name in names}
+        if not named:
+            return {}
+        found = {name: cdr for name, cdr in calibrations_of(self._reader) if name in named}
+        if missing := sorted(named - found.keys()):
+            raise UserError(f"Bag {self._reader.path} has no calibration {missing[0]!r} on topic {CALIBRATION}.")
+        return found
+
+    def _advance(self) -> None:
+        """Go on to the next message.
+
+        Raises:
+            UserError: the bag is damaged; the message at hand was its last, so that none is played twice.
+        """
+        try:
+            self._next = next(self._items, None)
+        except UserError:
+            self._next = None
+            raise
+
+    def _publish_step(self) -> int:
+        """Publish a dwell, up to the first message of another one; the number of frames.
+
+        What cannot be decoded is counted and left out.
+        """
+        frames, others, dwells = 0, 0, set[DwellKey]()
+        while (item := self._next) is not None:
+            if self._is_usable(item):
+                part = item.content.part
+                if part is None:
+                    others += 1
+                else:
+                    if part.dwell in self._applied:
+                        return frames if frames or others else self._publish_calibration(part.dwell)
+                    if frames >= max(1, self._detectors) and part.dwell not in dwells:
+                        break
+                    frames += 1
+                    dwells.add(part.dwell)
+                self._play(item)
+            self._advance()
+            if frames >= MOST_FRAMES or others >= MOST_SAMPLES:
+                break
+        return frames
+
+    def _deliver(self) -> int:
+        """Publish what is due when it is, up to a dwell before which a calibration is published; the number of frames.
+
+        What cannot be decoded is counted and left out.
+        """
+        frames = 0
+        while (item := self._next) is not None and self._is_due(item.recorded) and self.is_active:
+            if self._is_usable(item):
+                part = item.content.part
+                if part and part.dwell in self._applied:
+                    if not frames:
+                        self._publish_calibration(part.dwell)
+                    break
+                frames += part is not None
+                self._play(item)
+            self._advance()
+        if self._time:
+            self._time.stand_still()
+        return frames
+
+    def _is_due(self, recorded: BagMessage) -> bool:
+        """Wait until a message is due, if there is a clock; False if the node ends before."""
+        return self._time.wait_until(recorded.log_time_ns) if self._time else not self._ending.is_set()
+
+    def _publish_calibration(self, dwell: DwellKey) -> int:
+        """Publish the next calibration that is applied from a dwell on; returns the number of frames, 0."""
+        names = self._applied[dwell]
+        self._calibration.publish(self._calibrations[names.pop(0)])
+        if not names:
+            del self._applied[dwell]
+        self.tell(CALIBRATIONS)
+        return 0
+
+    def _is_usable(self, item: Played) -> bool:
+        """Whether a message can be decoded, or else it is counted; takes note of the detectors of a sensor info."""
+        recorded, fault = item.recorded, item.content.fault
+        if recorded.type_name == SENSOR_TYPE:
+            try:
+                sensor = self._reader.decode(recorded.type_name, recorded.cdr)
+                self._detectors = max(1, len(sensor.beams.elevation_boresights))
+            except Exception as error:  # noqa: BLE001 (whatever the deserializer makes of broken bytes)
+                fault = str(error)
+        if fault:
+            self.ignore(f"broken {recorded.topic}", UserError(f"A message cannot be decoded: {fault}"))
+        return not fault
+
+    def _play(self, item: Played) -> None:
+        """Publish a message, and count the dwell that it may begin."""
+        recorded, content = item
+        if content.part and content.part.dwell not in self._begun:
+            self._begun.add(content.part.dwell)
+            self.tally.note(DWELLS)
+        self._publish(recorded)
+
+    def _publish(self, recorded: BagMessage) -> None:
+        self._outlets[recorded.topic].publish(recorded.cdr)
+
+
+def _names_of(rule: str) -> tuple[str, str]:
+    """The two names of a topic of the bag.
+
+    Raises:
+        UserError: the rule has another form.
+    """
+    old, separator, new = rule.partition(":=")
+    if not separator:
+        raise UserError(f"Parameter renamed has {rule!r}; each of its texts must be OLD:=NEW.")
+    return old, new
+
+
+def _without(published: Sequence[BagMessage], items: Iterator[Played]) -> Iterator[Played]:
+    """What is played, without messages that have been published already."""
+    due = {message.topic: message.cdr for message in published}
+    for item in items:
+        if due.get(item.recorded.topic) == item.recorded.cdr:
+            del due[item.recorded.topic]
+        else:
+            yield item
+
+
+def _brought_forward(early: Sequence[BagMessage], items: Iterator[Played]) -> Iterator[Played]:
+    """What is played, with these messages of it at the begin."""
+    others = _without(early, items)
+    first = next(others, None)
+    if first is None:
+        return
+    begin_ns = first.recorded.log_time_ns
+    yield from read_contents(message._replace(log_time_ns=begin_ns) for message in early)
+    yield first
+    yield from others
+
+
+def calibrations_of(reader: BagReader) -> Iterator[tuple[str, bytes]]:
+    """The calibrations in a bag: identity and serialized message.
+
+    Raises:
+        UserError: the bag is damaged.
+    """
+    for recorded in reader.messages([name for name in reader.topics if name.lstrip("/") == CALIBRATION]):
+        yield reader.decode(recorded.type_name, recorded.cdr).id, recorded.cdr
+
+
+def _class_of(topic: Topic) -> type[Any]:
+    """The class of the messages of a topic.
+
+    Raises:
+        UserError: they are of a type that no node of ours takes.
+    """
+    if shipped_definition(topic.type_name) is None:
+        raise UserError(f"Topic {topic.name} has the type {topic.type_name}, which no node takes; play others.")
+    return SHIPPED.message_class(topic.type_name)
+
+
+def main() -> int:
+    """Console script."""
+    return run_node(Player)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

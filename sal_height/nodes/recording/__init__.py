@@ -1,0 +1,1 @@
+"""The node that records topics, and the parameters of all nodes, into a bag."""

@@ -1,0 +1,475 @@
+"""Node recorder: writes the messages of topics to a bag, byte for byte."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+import traceback
+from collections import Counter, deque
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
+
+from rclpy._rclpy_pybind11 import RCLError
+from rclpy.clock import Clock, ROSClock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+
+from sal_height.bag.files import ACCOUNT
+from sal_height.bag.parameter_events import PARAMETER_EVENT_TYPE, PARAMETER_EVENTS
+from sal_height.bag.topics import FRAME_TYPE, HEIGHT_TYPE, IMAGE_TYPE, ODOMETRY_TYPE
+from sal_height.bag.writer import BagWriter
+from sal_height.errors import UserError
+from sal_height.io import free_folder
+from sal_height.messages.types import DiagnosticArray, DiagnosticStatus
+from sal_height.nodes.accounts.account import DIAGNOSTICS, ON_THE_WAY, PROGRESS, RECORDER, Account
+from sal_height.nodes.accounts.ledger import NOT_WRITTEN, QUEUE_FULL, Ledger
+from sal_height.nodes.accounts.process_numbers import process_numbers
+from sal_height.nodes.accounts.teller import State, Teller
+from sal_height.nodes.guard import guarded
+from sal_height.nodes.parameters import LiveParameters
+from sal_height.nodes.program import run_node
+from sal_height.nodes.recording.parameter_reader import ASK_PERIOD_S, ParameterReader
+from sal_height.nodes.recording.recorder_parameters import RecorderParameters
+from sal_height.nodes.recording.selection import Selection
+from sal_height.nodes.role import Role, Topics
+from sal_height.nodes.transport.executors import with_times
+from sal_height.nodes.transport.message_types import message_class
+from sal_height.nodes.transport.qos import from_profile
+
+ACCOUNTS = {DIAGNOSTICS, PROGRESS}  # accounts of these would be recorded in turn, without end
+FAILED = "internal error"  # kind of the errors that no message should cause
+QUEUE_DEPTH = 1000  # messages per topic that may wait in the middleware until the node takes them
+ITEM_BYTES = 1000  # memory of a message that waits, besides its own bytes
+DISCOVERY_PERIOD_S = 0.1
+DIAGNOSTICS_PERIOD_S = 0.5
+GATHER_S = 0.003  # from the first message that waits to its writing: the thread wakes once for all that come meanwhile
+
+OF_DWELLS = {FRAME_TYPE, IMAGE_TYPE, HEIGHT_TYPE, ODOMETRY_TYPE}
+"""Types of which every message matters, however it is published."""
+
+NEVER_CAME = (
+    "Messages got lost on the way to the recorder, as the numbers of others tell (ignored.lost on the way): publish "
+    "them reliably, or give their publisher more shared memory (`sal-height transport`)."
+)
+
+
+class _Item(NamedTuple):
+    """A message that waits to be written, with the times of its reception and publication, ns."""
+
+    topic: str
+    cdr: bytes
+    times: tuple[int, int]
+
+    @property
+    def size(self) -> int:
+        """Memory that it takes, bytes."""
+        return len(self.cdr) + ITEM_BYTES
+
+
+class Recorder(Role, Node):
+    """Subscribes to topics as soon as they have a publisher and writes their serialized messages to a bag.
+
+    A thread of its own writes. Once messages of max_memory_mb wait for it, those that come are left out and counted.
+    The bag is complete once the node is destroyed or its context shut down.
+    """
+
+    parameters = RecorderParameters
+    inputs: ClassVar[Topics] = {"<topics>": "whatever is published"}
+    completes_file = True
+
+    def __init__(self, directory: Path | None = None, **node_arguments: Any) -> None:
+        """Record into the new folder `directory` (None: the parameter of that name).
+
+        node_arguments: passed to rclpy's Node (context, parameter_overrides, namespace, ...).
+        UserError if a parameter or the folder cannot be used.
+        """
+        super().__init__("recorder", **node_arguments)
+        try:
+            self._parameters_now = LiveParameters(self, RecorderParameters)
+            parameters = self._parameters_now.current
+            names = [self._resolved(name) for name in parameters.topics]
+            self._selection = Selection(names, parameters.patterns, parameters.types, parameters.excluded)
+            self._reader = (
+                ParameterReader(self, self._tell_parameters, self._fail) if parameters.node_parameters else None
+            )
+            custom_data = dict(_name_and_text(text) for text in parameters.custom_data)
+            self._bag = BagWriter(directory or _folder(parameters.directory), custom_data, parameters.packing)
+        except UserError:
+            super().destroy_node()
+            raise
+        if not directory and self._bag.directory != Path(parameters.directory):
+            self.get_logger().info(f"{parameters.directory} holds a bag already; this one is {self._bag.directory}.")
+        self._subscribed: dict[str, Subscription] = {}
+        self._refused: set[str] = set()
+        self._ledgers: dict[str, Ledger] = {}
+        self._failures = 0
+        self._last_loss = ""
+        self._reported = False
+        self._closed = False
+        self._lock = threading.RLock()  # of the bag, which several threads write to
+        self._waiting: deque[_Item] = deque()
+        self._put_bytes, self._taken_bytes = 0, 0  # each counted by one thread; their difference waits
+        self._arrival, self._ending = threading.Event(), threading.Event()
+        self._process_numbers: dict[str, Any] = {}
+        """Fields of the account that say what the process takes, as they were last."""
+        self._teller = Teller(self, guarded(lambda _: self._publish_account(), self._fail))
+        self._worker = threading.Thread(target=self._work, name="recorder", daemon=True)
+        self._worker.start()
+        self.context.on_shutdown(self.close_bag)
+        self._every(DISCOVERY_PERIOD_S, self._discover)
+        if self._reader:
+            self._every(ASK_PERIOD_S, partial(self._look_for_parameters, self._reader))
+        self._every(DIAGNOSTICS_PERIOD_S, self._publish_account)
+        self._discover()
+
+    @property
+    def recorded(self) -> dict[str, int]:
+        """Number of messages in the bag, by topic; 0 for a topic that has just been subscribed to."""
+        return {topic: ledger.written for topic, ledger in self._ledgers.items()}
+
+    def missed(self, topic: str) -> int:
+        """Messages of a topic that its publisher has sent and that have not arrived."""
+        return self._ledgers[topic].missed if topic in self._ledgers else 0
+
+    def account(self) -> Account:
+        """Its account as it is now."""
+        return self._told()[0]
+
+    @property
+    def ledgers(self) -> dict[str, Ledger]:
+        """What became of the messages of each topic."""
+        return dict(self._ledgers)
+
+    @property
+    def unwritten(self) -> int:
+        """Number of messages that were received and could not be written."""
+        return self._left_out[NOT_WRITTEN]
+
+    @property
+    def dropped(self) -> int:
+        """Number of messages that were left out because too much waited to be written."""
+        return self._left_out[QUEUE_FULL]
+
+    @property
+    def failures(self) -> int:
+        """Number of errors that no message should cause."""
+        return self._failures
+
+    @property
+    def failure(self) -> str:
+        """Why messages are not in the bag; empty if all are. The program ends with status 1 then."""
+        return self._last_loss or (NEVER_CAME if self._left_out[ON_THE_WAY] else "")
+
+    @property
+    def _left_out(self) -> Counter[str]:
+        """Messages of all topics that are not in the bag, by reason."""
+        return sum((ledger.left_out for ledger in self._ledgers.values()), Counter[str]())
+
+    def close_bag(self) -> None:
+        """Write what has arrived so far and complete the bag; later messages are ignored. May be called twice."""
+        self._ending.set()
+        self._arrival.set()
+        self._worker.join()
+        with self._lock:
+            if self._closed:
+                return
+            self._write_waiting()
+            for topic, subscription in self._subscribed.items():
+                for cdr, info in _taken(subscription):
+                    self._receive(topic, info)
+                    self._write(topic, cdr, self._times(info))
+            self._closed = True
+            account = {topic: json.dumps(ledger.as_json()) for topic, ledger in self._ledgers.items()}
+            try:
+                self._bag.close({ACCOUNT: account})
+            except OSError as error:
+                self._report(error)
+
+    def destroy_node(self) -> None:
+        """Complete the bag and destroy the node."""
+        self.close_bag()
+        super().destroy_node()
+
+    def _resolved(self, name: str) -> str:
+        """A topic with its namespace.
+
+        Raises:
+            UserError: no topic can have that name.
+        """
+        try:
+            return str(self.resolve_topic_name(name))
+        except RCLError as error:
+            raise UserError(
+                f"Parameter topics has {name!r}, which is no name of a topic, such as '/ml/height'."
+            ) from error
+
+    def _every(self, period_s: float, callback: Callable[[], None]) -> None:
+        """Call `callback` again and again by a clock that never stands still; an error in it does not end the node."""
+        self.create_timer(period_s, guarded(callback, self._fail), clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _discover(self) -> None:
+        """Subscribe to the wanted topics that have a publisher by now, until all those that may come have."""
+        known = self._refused.union(self._subscribed)
+        if not self._selection.is_open and known >= self._selection.names:
+            return
+        for name, types in self.get_topic_names_and_types():
+            if name not in known and self._selection.wants(name, types):
+                self._try_to_subscribe(name, types)
+
+    def _try_to_subscribe(self, name: str, types: list[str]) -> None:
+        """Subscribe to a topic, or say why it cannot be recorded."""
+        try:
+            self._subscribe(name, types)
+        except UserError as error:
+            self._refused.add(name)
+            self.get_logger().warning(f"Topic {name} is not recorded. {error}")
+
+    def _subscribe(self, name: str, types: list[str]) -> None:
+        offered = [publisher.qos_profile for publisher in self.get_publishers_info_by_topic(name)]
+        if not offered:
+            return
+        if len(types) != 1:
+            raise UserError(f"It has the types {', '.join(types)}; a topic must have one.")
+        message_type = message_class(types[0])
+        with self._lock:
+            if self._closed:
+                return
+            try:
+                self._bag.add_topic(name, types[0], [from_profile(profile) for profile in offered])
+            except OSError as error:
+                self._report(error)
+            profile = _matching(offered)
+            self._ledgers[name] = Ledger(latched=_replaces(offered) and types[0] not in OF_DWELLS)
+            self._subscribed[name] = self.create_subscription(
+                message_type, name, guarded(with_times(self._taker_of(name)), self._fail), profile, raw=True
+            )
+
+    def _look_for_parameters(self, reader: ParameterReader) -> None:
+        """Ask nodes for their parameters, once what they say of them has a place in the bag."""
+        if PARAMETER_EVENTS not in self._refused.union(self._subscribed):
+            self._try_to_subscribe(PARAMETER_EVENTS, [PARAMETER_EVENT_TYPE])
+        if PARAMETER_EVENTS in self._subscribed:
+            reader.look()
+
+    def _tell_parameters(self, cdr: bytes) -> None:
+        """Record the parameters of a node that was asked for them."""
+        self._ledgers[PARAMETER_EVENTS].receive(None, lambda: 0)
+        self._put(_Item(PARAMETER_EVENTS, cdr, (self._now_ns, self._now_ns)))
+
+    def _taker_of(self, topic: str) -> Callable[[bytes, dict[str, Any]], None]:
+        """A callback that takes the messages of a topic."""
+
+        def take(cdr: bytes, info: dict[str, Any]) -> None:
+            if not self._ending.is_set():
+                self._receive(topic, info)
+                self._put(_Item(topic, cdr, self._times(info)))
+
+        return take
+
+    def _put(self, item: _Item) -> None:
+        """Hand a message to the thread that writes, unless too much waits for it."""
+        waiting, most_mb = self._put_bytes - self._taken_bytes, self._parameters_now.current.max_memory_mb
+        if waiting and waiting + item.size > most_mb * 1_000_000:
+            self._leave_out(item.topic, most_mb)
+            return
+        self._put_bytes += item.size
+        self._waiting.append(item)
+        if not self._arrival.is_set():
+            self._arrival.set()
+
+    def _receive(self, topic: str, info: dict[str, Any]) -> None:
+        """Count a message that has come."""
+        publishers = self._subscribed[topic].get_publisher_count
+        self._ledgers[topic].receive(info.get("publication_sequence_number"), publishers)
+
+    def _leave_out(self, topic: str, most_mb: int) -> None:
+        """Count a message for which there is no memory."""
+        self._ledgers[topic].left_out[QUEUE_FULL] += 1
+        self._last_loss = (
+            f"The disk falls behind: {most_mb} MB (max_memory_mb) of messages wait for it, and what comes is left out "
+            "of the bag; record fewer topics, or on a faster disk."
+        )
+        self.get_logger().warning(self._last_loss, throttle_duration_sec=1.0)
+
+    def _work(self) -> None:
+        """Write what comes until the bag is closed, and hand it to the operating system at regular times."""
+        flush, report = guarded(self._flush, self._fail), guarded(self._report_progress, self._fail)
+        flush_due: float | None = None
+        while not self._ending.is_set():
+            self._arrival.wait(None if flush_due is None else max(0.0, flush_due - time.monotonic()))
+            self._ending.wait(GATHER_S)
+            self._arrival.clear()
+            topics, now = self._write_waiting(), time.monotonic()
+            if topics - ACCOUNTS:
+                report()
+            if topics and flush_due is None:
+                flush_due = now + self._parameters_now.current.flush_period_s
+            if flush_due is not None and now >= flush_due:
+                flush_due = None
+                flush()
+
+    def _write_waiting(self) -> set[str]:
+        """Write the messages that wait, and return their topics.
+
+        What comes before a clock that is not that of the machine has begun waits for it: a bag must have times.
+        """
+        write, topics = guarded(self._write, self._fail), set[str]()
+        if not (self._now_ns or self._ending.is_set()):
+            return topics
+        while self._waiting:
+            item = self._waiting.popleft()
+            self._taken_bytes += item.size
+            write(item.topic, item.cdr, item.times if item.times[0] else (self._now_ns, self._now_ns))
+            topics.add(item.topic)
+        return topics
+
+    @property
+    def _now_ns(self) -> int:
+        """The time of the node's clock, ns; 0: it has not begun, or is before 1970."""
+        return max(0, self.get_clock().now().nanoseconds)
+
+    def _times(self, info: dict[str, Any]) -> tuple[int, int]:
+        """When a message was received and when it was published, ns; a bag cannot hold times before 1970."""
+        clock = self.get_clock()
+        other = isinstance(clock, ROSClock) and clock.ros_time_is_active  # than that of the middleware's times
+        received_ns = 0 if other else info["received_timestamp"]
+        if received_ns <= 0:
+            received_ns = self._now_ns
+        if other:
+            return received_ns, received_ns
+        return received_ns, max(0, info["source_timestamp"]) or received_ns
+
+    def _write(self, topic: str, cdr: bytes, times: tuple[int, int]) -> None:
+        try:
+            with self._lock:
+                self._bag.write(topic, cdr, *times)
+                if self._reader and topic == PARAMETER_EVENTS and (known := self._reader.take(cdr)):
+                    self._bag.keep(topic, *known, times[1])
+        except Exception as error:
+            self._ledgers[topic].left_out[NOT_WRITTEN] += 1
+            if not isinstance(error, OSError):
+                raise
+            self._report(error)
+        else:
+            self._ledgers[topic].written += 1
+
+    def _publish_account(self) -> None:
+        self._teller.tell(self._told)
+
+    def _report_progress(self) -> None:
+        """Publish the counts for whoever waits for messages to be in the bag."""
+        self._teller.tell_counts(self._counts)
+
+    def _counts(self) -> Account:
+        """How many messages of each topic are in the bag and how many were lost."""
+        left_out = self._left_out
+        ignored = {ON_THE_WAY: left_out[ON_THE_WAY], FAILED: self._failures}
+        return Account(
+            dropped={QUEUE_FULL: left_out[QUEUE_FULL]} if left_out[QUEUE_FULL] else {},
+            ignored={name: count for name, count in ignored.items() if count},
+            missed={
+                topic.lstrip("/"): ledger.missed
+                for topic, ledger in self._ledgers.items()
+                if ledger.missed and not ledger.latched
+            },
+            recorded={topic.lstrip("/"): count for topic, count in self.recorded.items()},
+            unwritten=left_out[NOT_WRITTEN],
+            last_drop=self.failure,
+            kind=RECORDER,
+            **self._process_numbers,
+        )
+
+    def _told(self) -> tuple[Account, State]:
+        """All numbers, and how the recorder is."""
+        self._process_numbers = process_numbers()
+        account, missing = self._counts(), self._left_out.total()
+        if missing:
+            return account, State(DiagnosticStatus.ERROR, f"{missing} messages are not in the bag")
+        return account, State(DiagnosticStatus.OK, "recording")
+
+    def diagnostics(self) -> DiagnosticArray:
+        """The account and state, as the conventions have them."""
+        return self._teller.diagnostics(*self._told())
+
+    def _flush(self) -> None:
+        try:
+            with self._lock:
+                self._bag.flush()
+        except OSError as error:
+            self._report(error)
+
+    def _fail(self, error: Exception) -> None:
+        """Count and log an error that no message should cause."""
+        self._failures += 1
+        trace = "".join(traceback.format_exception(error))
+        self.get_logger().error(f"Unexpected failure, please report it: {trace}", throttle_duration_sec=1.0)
+
+    def _report(self, error: OSError) -> None:
+        """Say once that the bag can no longer be written."""
+        self._last_loss = (
+            f"Bag {self._bag.directory} cannot be written any further, and messages are lost from now on: {error}; "
+            f"'sal-height salvage {self._bag.directory} --out DIR' recovers what was written before."
+        )
+        if not self._reported:
+            self._reported = True
+            self.get_logger().error(self._last_loss)
+
+
+def _taken(subscription: Subscription) -> Iterator[tuple[bytes, dict[str, Any]]]:
+    """The messages that have come and that the executor has not handed out, with the times of their transport."""
+    for _ in range(QUEUE_DEPTH):
+        with subscription.handle:
+            taken = subscription.handle.take_message(subscription.msg_type, True)
+        if taken is None:
+            return
+        yield taken
+
+
+def _folder(path: str) -> Path:
+    """The folder for the bag: a recorder that is started again, by whatever means, leaves the bag before as it is.
+
+    Raises:
+        UserError: none is named.
+    """
+    if not path:
+        raise UserError("Parameter directory is empty; it must name a new folder for the bag.")
+    named = Path(path)
+    return free_folder(named) if any(named.glob("*.mcap")) else named
+
+
+def _name_and_text(text: str) -> tuple[str, str]:
+    name, separator, rest = text.partition("=")
+    if not separator:
+        raise UserError(f"Parameter custom_data has {text!r}; each of its texts must be NAME=TEXT.")
+    return name, rest
+
+
+def _matching(offered: list[QoSProfile]) -> QoSProfile:
+    """The strictest profile that receives from all publishers, with a deep queue."""
+    reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in offered)
+    latched = all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in offered)
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=QUEUE_DEPTH,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def _replaces(offered: list[QoSProfile]) -> bool:
+    """Whether a message of the publishers may replace the one before; where the middleware tells no depth, it is 0."""
+    return all(one.durability == DurabilityPolicy.TRANSIENT_LOCAL and one.depth <= 1 for one in offered)
+
+
+def main() -> int:
+    """Console script: record until SIGINT or SIGTERM."""
+    return run_node(Recorder)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,219 @@
+"""What a node receives from and publishes on: subscriptions that take any quality of service, publishers that count."""
+
+from __future__ import annotations
+
+import copy
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
+from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
+from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+from sal_height.nodes.guard import guarded
+from sal_height.nodes.transport.executors import with_times
+from sal_height.nodes.transport.message_types import class_of, publish
+
+RECENT_S = 10.0
+"""The level of the diagnostics tells what was lost in this time; the counts tell what was lost at all."""
+
+QOS_OVERRIDES = QoSOverridingOptions(
+    [QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY]
+)
+"""Policies that users can set by the qos_overrides parameters; rclpy writes them into the profile that it is given."""
+
+LESS = {
+    "RELIABILITY": ("reliability", ReliabilityPolicy.BEST_EFFORT, "best-effort"),
+    "DURABILITY": ("durability", DurabilityPolicy.VOLATILE, "volatile"),
+}
+"""What to ask for instead if no publisher offers as much: field of a profile, its value, and its name, by policy."""
+
+
+NAMELESS = "_"
+"""What the names begin with that ROS gives to publishers of which it knows no node."""
+
+
+class Outlet:
+    """A publisher that counts its messages."""
+
+    def __init__(self, publisher: Publisher) -> None:
+        self.publisher = publisher
+        self.topic: str = publisher.topic_name
+        self.published = 0
+
+    @property
+    def subscribers(self) -> int:
+        """Number of subscriptions that receive its messages."""
+        return int(self.publisher.get_subscription_count())
+
+    @property
+    def keeps_all(self) -> bool:
+        """Whether it is meant to deliver every message; of a latched topic only the last one matters."""
+        return bool(self.publisher.qos_profile.durability != DurabilityPolicy.TRANSIENT_LOCAL)
+
+    def publish(self, message: Any) -> None:
+        """Publish a plain message, or the bytes of a serialized one."""
+        publish(self.publisher, message)
+        self.published += 1
+
+    def publish_if_heard(self, make: Callable[[], Any]) -> None:
+        """Make a message and publish it, if there is a subscription."""
+        if self.subscribers:
+            self.publish(make())
+
+
+class Inlet:
+    """A subscription of a node.
+
+    It asks for the quality of service that suits the topic. If the only publishers offer less, it is made anew and asks
+    for less, for it would receive nothing otherwise.
+
+    Attributes:
+        subscription: of the topic, as it is now.
+        latched: whether one message is enough for all time.
+        has_one_source: whether several publishers would contradict each other.
+        heard_at: when the last message came, s of the monotonic clock.
+        received: messages that have arrived.
+        missed: messages that the publisher has numbered up to the last one and that have not come; since its start.
+        unsuited: how often a publisher was found whose quality of service does not suit the subscription.
+        strangers: publishers that define the type of the messages otherwise, as of the last `look_for_strangers`.
+        has_only_strangers: whether no other publisher is known.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        message_type: type[Any],
+        topic: str,
+        receive: Callable[[bytes], None],
+        qos: QoSProfile,
+        matched: Callable[[Any], None],
+        fail: Callable[[Exception], None],
+        *,
+        has_one_source: bool = False,
+    ) -> None:
+        """Subscribe; users can set the quality of service by the qos_overrides parameters.
+
+        Args:
+            node: that subscribes.
+            message_type: class of plain messages of the type.
+            topic: its name.
+            receive: takes a serialized message.
+            qos: quality of service.
+            matched: called when a publisher comes or goes.
+            fail: takes an error in a callback.
+            has_one_source: whether several publishers would contradict each other.
+        """
+        self.has_one_source = has_one_source
+        self.latched = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        self.heard_at = -math.inf
+        self.missed = 0
+        self.unsuited = 0
+        self.strangers: tuple[str, ...] = ()
+        self.has_only_strangers = False
+        self._node, self._name, self._type_name = node, topic, message_type.__msgtype__
+        self._profile = copy.copy(qos)
+
+        self.received = 0
+
+        def take(cdr: bytes, info: dict[str, Any]) -> None:
+            self.heard_at = time.monotonic()
+            receive(cdr)
+            self.received += 1
+            self.missed = max(0, info.get("publication_sequence_number", 0) - self.received)
+
+        def subscribe(overrides: QoSOverridingOptions | None) -> Subscription:
+            events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._ask_for_less, fail), matched=matched)
+            return node.create_subscription(
+                class_of(message_type),
+                topic,
+                guarded(with_times(take), fail),
+                self._profile,
+                event_callbacks=events,
+                qos_overriding_options=overrides,
+                raw=True,
+            )
+
+        self._subscribe = subscribe
+        self.subscription = subscribe(QOS_OVERRIDES)
+
+    @property
+    def topic(self) -> str:
+        """The topic, with its namespace."""
+        return str(self.subscription.topic_name)
+
+    @property
+    def publishers(self) -> int:
+        """Number of publishers from which messages come."""
+        return int(self.subscription.get_publisher_count())
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether the topic has a publisher, from which messages come without delay."""
+        return self.publishers > 0
+
+    def published_elsewhere(self) -> list[str]:
+        """Topics of the same name in other namespaces that have publishers, if this one has none."""
+        if self.is_connected:
+            return []
+        names = (name for name, _ in self._node.get_topic_names_and_types() if name != self.topic)
+        return [name for name in names if name.endswith(f"/{self._name}") and self._node.count_publishers(name)]
+
+    def look_for_strangers(self) -> None:
+        """See which publishers were built with another definition of the type; the middleware goes by names alone.
+
+        Publishers that state no hash of their definition, such as those without ROS, are taken to know it.
+        """
+        ours = {
+            str(info.topic_type_hash)
+            for info in self._node.get_subscriptions_info_by_topic(self.topic)
+            if (info.node_namespace, info.node_name) == (self._node.get_namespace(), self._node.get_name())
+        }
+        publishers = self._node.get_publishers_info_by_topic(self.topic) if ours else []
+        hashes = [(info, str(info.topic_type_hash)) for info in publishers if info.topic_type_hash.version > 0]
+        strangers = [info for info, value in hashes if value not in ours]
+        self.strangers = tuple(sorted({_name_of(info) for info in strangers}))
+        self.has_only_strangers = len(strangers) == len(publishers) > 0
+
+    @property
+    def warning(self) -> str:
+        """Sentences, each after a space, on publishers that are not right; else nothing."""
+        crowd = f" {self.publishers} nodes publish {self.topic}: stop all but one."
+        return (crowd if self.has_one_source and self.publishers > 1 else "") + "".join(
+            f" {name} publishes {self.topic} with another definition of {self._type_name}: build it with the "
+            f"{self._type_name.split('/')[0]} of this version."
+            for name in self.strangers
+        )
+
+    def is_silent(self, now: float) -> bool:
+        """Whether messages that should come do not."""
+        return now - self.heard_at > (math.inf if self.latched and self.heard_at > 0 else RECENT_S)
+
+    def _ask_for_less(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
+        """Subscribe anew if no publisher offers what is asked for, but one does less."""
+        policy = qos_policy_name_from_kind(event.last_policy_kind)
+        self.unsuited += 1
+        if self.is_connected or policy not in LESS:
+            self._node.get_logger().warning(
+                f"Nothing is received from one of the publishers on {self.topic}: its {policy.lower()} does not suit "
+                "the subscription. Publish as the others do."
+            )
+            return
+        field, value, name = LESS[policy]
+        setattr(self._profile, field, value)
+        self._node.get_logger().info(f"{self.topic} is published {name}; it is received so, and messages may get lost.")
+        self._node.destroy_subscription(self.subscription)
+        self.subscription = self._subscribe(None)
+
+
+def _name_of(publisher: TopicEndpointInfo) -> str:
+    """The node of a publisher, with its namespace."""
+    if publisher.node_name.startswith(NAMELESS):
+        return "A program without a node"
+    return f"Node {publisher.node_namespace.rstrip('/')}/{publisher.node_name}"

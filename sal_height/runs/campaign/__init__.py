@@ -1,0 +1,1 @@
+"""Many bags with many variants of parameters."""

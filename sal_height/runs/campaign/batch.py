@@ -1,0 +1,294 @@
+"""Campaigns: many bags, each with several settings if wanted, processed side by side on the workers of Dask."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import logging
+import os
+import signal
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from sal_height import __version__
+from sal_height.engine.movers import MOVERS
+from sal_height.errors import UserError
+from sal_height.graph.catalogue import ADJUSTER, HEIGHTS, NodeParameters, check_parameters
+from sal_height.graph.processes import ONE_THREAD
+from sal_height.graph.reporting import merged
+from sal_height.io import bag_name, write_text, writing
+from sal_height.numeric import available_processors
+from sal_height.runs.campaign.campaign import Case, is_done, known, process_case
+
+CAMPAIGN, SUMMARY, PICTURE = "campaign.json", "summary.parquet", "comparison.png"
+"""Files in the output folder: what was asked for, a row for each bag and setting, and the settings compared."""
+
+CONNECT_S = 10.0
+"""How long to look for a scheduler."""
+
+EXTRA = "A campaign needs the package {}, which is not installed; run: pip install 'sal_height[batch]'."
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """What is processed.
+
+    Attributes:
+        bags: folders or files.
+        given: parameters of nodes that replace recorded ones.
+        varied: values that a parameter gets in turn, by "node.name"; each is combined with each of the others.
+        estimators: names of those whose heights are made; none: those whose heights a bag holds, or the standard ones.
+    """
+
+    bags: Sequence[Path]
+    given: NodeParameters = field(default_factory=dict)
+    varied: Mapping[str, Sequence[Any]] = field(default_factory=dict)
+    estimators: tuple[str, ...] = ()
+
+    def cases(self, out: Path) -> list[Case]:
+        """The bags with all settings; folders have the names of the bags, and of the settings if there are several."""
+        names = _unlike([bag_name(bag) for bag in self.bags])
+        cases = []
+        for bag, name in zip(self.bags, names, strict=True):
+            for number, chosen in enumerate(itertools.product(*self.varied.values())):
+                values = dict(zip(self.varied, chosen, strict=True))
+                folder = out / name / f"setting_{number}" if self.varied else out / name
+                cases.append(Case(bag, folder, values, merged(self.given, _nested(values)), self.estimators))
+        return cases
+
+    def as_json(self) -> dict[str, Any]:
+        """What is kept in the output folder, so that the same campaign can go on."""
+        return {
+            "version": __version__,
+            "bags": [str(bag.resolve()) for bag in self.bags],
+            "parameters": self.given,
+            "varied": self.varied,
+            "estimators": self.estimators,
+        }
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Who does the work.
+
+    Attributes:
+        count: number of processes that are started on this machine; 0: one for each processor.
+        scheduler: address of a Dask cluster that does the work instead, and sees the same files; empty: none.
+    """
+
+    count: int = 0
+    scheduler: str = ""
+
+
+def run_campaign(campaign: Campaign, out: Path, workers: Workers) -> list[dict[str, Any]]:
+    """Process bags, or go on with what is done of them, and write the summary; returns its rows.
+
+    A bag that cannot be processed has a row with its failure, and does not stop the others.
+
+    Args:
+        campaign: what is processed.
+        out: folder that is new or empty, or holds the same campaign.
+        workers: who does the work.
+
+    Raises:
+        UserError: an estimator or a parameter is not allowed, the folder holds something else, there is no cluster,
+            or a package is not installed.
+        KeyboardInterrupt: the user has interrupted; what is done stays.
+    """
+    if find_spec("pyarrow") is None:
+        raise UserError(EXTRA.format("pyarrow"))
+    _check_estimators(campaign.estimators)
+    cases = campaign.cases(out)
+    for case in cases:
+        check_parameters(case.given)
+    _enter(campaign, out)
+    progress = _Progress(cases)
+    remaining, processes = len(progress.remaining), workers.count or available_processors()
+    if remaining == 1 and not workers.scheduler:
+        progress.go_on_here(processes)
+    elif remaining:
+        with _client(replace(workers, count=min(processes, remaining))) as client:
+            progress.go_on(client, 1 if workers.scheduler else max(1, processes // remaining))
+    rows = progress.rows()
+    _write_summary(rows, out / SUMMARY)
+    if campaign.varied:
+        from sal_height.runs.campaign.campaign_picture import draw_settings  # noqa: PLC0415 (brings Matplotlib)
+
+        with writing(out / PICTURE):
+            draw_settings(rows, list(campaign.varied), out / PICTURE)
+    return rows
+
+
+class _Progress:
+    """What is done and what remains to be done of a campaign."""
+
+    def __init__(self, cases: Sequence[Case]) -> None:
+        """Find out what is done already."""
+        self._cases = cases
+        self._rows = {number: known(case.folder) for number, case in enumerate(cases) if is_done(case.folder)}
+
+    @property
+    def remaining(self) -> list[int]:
+        """Numbers of the cases that are not done."""
+        return [number for number in range(len(self._cases)) if number not in self._rows]
+
+    def rows(self) -> list[dict[str, Any]]:
+        """A row for each case."""
+        return [self._rows[number] for number in range(len(self._cases))]
+
+    def go_on(self, client: Any, jobs: int) -> None:
+        """Have a cluster do what remains, each case with a number of jobs."""
+        from distributed import as_completed  # noqa: PLC0415 (an extra)
+
+        numbers = {
+            client.submit(attempt, process_case, self._cases[number], jobs, pure=False): number
+            for number in self.remaining
+        }
+        with tqdm(total=len(numbers), unit="bag", desc="batch") as progress:
+            for future in as_completed(list(numbers)):
+                found = future.result() if future.status == "finished" else (None, _lost(future))
+                self._enter(numbers[future], found)
+                progress.update()
+
+    def go_on_here(self, jobs: int) -> None:
+        """Do what remains in this process, with a number of jobs."""
+        for number in tqdm(self.remaining, unit="bag", desc="batch"):
+            self._enter(number, attempt(process_case, self._cases[number], jobs))
+
+    def _enter(self, number: int, found: tuple[Any, str]) -> None:
+        row, failure = found
+        case = self._cases[number]
+        self._rows[number] = {"bag": str(case.bag), **case.values, "failure": failure} if failure else row
+
+
+def attempt(function: Callable[..., Any], *arguments: Any) -> tuple[Any, str]:
+    """Call a function, and return what it does and an empty text, or None and why it failed."""
+    try:
+        return function(*arguments), ""
+    except UserError as error:
+        return None, str(error)
+    except Exception as error:  # noqa: BLE001 (the other bags are to be processed)
+        return None, f"Unexpected failure, please report it: {type(error).__name__}: {error}"
+
+
+def _lost(future: Any) -> str:
+    """Why a task has no result."""
+    return f"A worker ended while it worked on it: {future.exception()}"
+
+
+@contextmanager
+def _client(workers: Workers) -> Iterator[Any]:
+    """A client of a cluster, which is ended with it if it was started for it.
+
+    Raises:
+        UserError: Dask is not installed, or there is no cluster at the address.
+    """
+    try:
+        import dask  # noqa: PLC0415 (an extra)
+        from distributed import Client, LocalCluster  # noqa: PLC0415
+    except ImportError as error:
+        raise UserError(EXTRA.format("distributed")) from error
+    for name in ("distributed", "tornado.application"):  # what matters of its cluster is in the results
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    if workers.scheduler:
+        try:
+            client = Client(workers.scheduler, timeout=CONNECT_S)
+        except (OSError, ValueError) as error:
+            raise UserError(f"There is no Dask scheduler at {workers.scheduler!r}: {error}.") from error
+        with client:
+            yield client
+        return
+    with _deaf_to_interruption():
+        dask.config.set({"distributed.worker.daemon": False})  # a worker may have jobs of its own
+        cluster = LocalCluster(
+            n_workers=workers.count or os.cpu_count(),
+            threads_per_worker=1,
+            dashboard_address="127.0.0.1:0",
+            silence_logs=logging.CRITICAL,
+            env=ONE_THREAD,
+        )
+    with cluster, Client(cluster) as client:
+        yield client
+
+
+@contextmanager
+def _deaf_to_interruption() -> Iterator[None]:
+    """Start processes that ignore SIGINT, which a terminal sends to all, so that their parent ends them in order."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _check_estimators(names: Sequence[str]) -> None:
+    """Refuse what needs the dwells of a bag in their order, while the parts of a campaign do not know each other."""
+    if HEIGHTS[ADJUSTER] in names:
+        raise UserError(
+            "Adjusted heights need the dwells in their order; make them by `sal-height replay`, or by `sal-height "
+            "adjust` and a batch of its bag."
+        )
+    if MOVERS in names:
+        raise UserError("A batch makes heights only; make movers by `sal-height movers` or `sal-height replay`.")
+
+
+def _enter(campaign: Campaign, out: Path) -> None:
+    """Begin in a folder, or go on in one that holds the same campaign.
+
+    Raises:
+        UserError: it holds something else.
+    """
+    wanted = json.loads(json.dumps(campaign.as_json()))
+    file = out / CAMPAIGN
+    if file.is_file():
+        if json.loads(file.read_text(encoding="utf-8")) != wanted:
+            raise UserError(f"Folder {out} holds another campaign; choose another one by --out, or remove it.")
+        return
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise UserError(f"Folder {out} is not empty and holds no campaign; choose another one by --out.")
+    with writing(out):
+        out.mkdir(parents=True, exist_ok=True)
+    write_text(file, json.dumps(wanted, indent=2) + "\n")
+
+
+def _write_summary(rows: Sequence[Mapping[str, Any]], file: Path) -> None:
+    """Write rows as a Parquet file; columns that a row lacks are empty in it."""
+    import pyarrow as pa  # noqa: PLC0415 (an extra)
+    from pyarrow.parquet import write_table  # noqa: PLC0415
+
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    columns = {name: _alike([row.get(name) for row in rows]) for name in names}
+    with writing(file):
+        write_table(pa.table(columns), file)
+
+
+def _alike(values: list[Any]) -> list[Any]:
+    """Values of a column, all of one type: numbers, truth values or texts."""
+    kinds = {type(value) for value in values if value is not None}
+    if kinds <= {int, float} or len(kinds) < 2:
+        return [float(value) if kinds == {int, float} and value is not None else value for value in values]
+    return [None if value is None else str(value) for value in values]
+
+
+def _nested(values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Values by node and name of those by "node.name"."""
+    nested: dict[str, dict[str, Any]] = {}
+    for full, value in values.items():
+        node, _, name = full.partition(".")
+        nested.setdefault(node, {})[name] = value
+    return nested
+
+
+def _unlike(names: Sequence[str]) -> list[str]:
+    """Names, of which equal ones have got numbers."""
+    taken: list[str] = []
+    for name in names:
+        numbered = (name if number == 1 else f"{name}_{number}" for number in itertools.count(1))
+        taken.append(next(one for one in numbered if one not in taken))
+    return taken

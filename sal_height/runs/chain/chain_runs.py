@@ -1,0 +1,360 @@
+"""Bags on the chain host: how their dwells were processed in flight is found out, and they are processed so again.
+
+Nothing here needs ROS. Products are those of nodes, value for value.
+"""
+
+from __future__ import annotations
+
+import bisect
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from itertools import accumulate, islice
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from tqdm import tqdm
+
+from sal_height.bag.namespace import NamespacedReader
+from sal_height.bag.played import ALL, DwellRange, chosen, read_contents
+from sal_height.bag.reader import BagMessage, LogTimes
+from sal_height.calibration import Calibration
+from sal_height.engine.air import AIR_PARAMETERS
+from sal_height.engine.calibrations import CALIBRATION, StatedCalibration
+from sal_height.engine.chain import Chain, Made
+from sal_height.engine.compression import ODOMETRY, PHASE_HISTORY, TF_STATIC, Compression
+from sal_height.engine.dwells import SENSOR_INFO
+from sal_height.engine.losses import Losses
+from sal_height.engine.registry import STAGES
+from sal_height.engine.stage import FOREVER_NS, DwellKey, FileProduct, Loss, Notice, Stage, reason_of
+from sal_height.errors import UserError
+from sal_height.geometry import Mounting
+from sal_height.graph.catalogue import ADJUSTER, DETECTOR, NodeParameters, consumers, parameters_of
+from sal_height.graph.plan import DwellChanges
+from sal_height.messages.kinds import kind_of_topic
+from sal_height.runs.chain.entry import Part, chain_of, sensors_of
+from sal_height.runs.chain.replay_parameters import processing_of
+from sal_height.runs.chain.side_by_side import SideBySide
+from sal_height.sensor import Sensor
+from sal_height.stage_files import read_inputs, write_product
+
+COMPRESSION = "sar_compression"
+
+TAKEN = (ODOMETRY, *AIR_PARAMETERS, PHASE_HISTORY)
+"""Topics of a whole replay that are read in the order of the bag."""
+
+Fed = Callable[[str, BagMessage, Sequence[Any] | None], None]
+"""Receives each message of the bag that is fed: its port, the message, and the items that were read of it; None: it
+cannot be decoded, and whoever feeds the messages leaves it out."""
+
+
+class _Read(NamedTuple):
+    """The items of a message, what becomes of one that cannot be used, and whether it cannot be decoded."""
+
+    items: Sequence[Any]
+    refused: Loss | Notice | None = None
+    is_broken: bool = False
+
+
+@dataclass(frozen=True)
+class Scheme:
+    """How the dwells of a bag are processed.
+
+    Attributes:
+        bag: folder of the bag, or its file.
+        namespace: of its topics; empty: none.
+        makers: height nodes whose heights are made.
+        stages: all that process, in their order.
+        parameters: of all nodes at the first dwell, by node and name.
+        changes: what happens before later dwells.
+        frames: when the frames of each dwell were recorded.
+        mountings: of sensors on the platform, where the flight had others than their descriptions state.
+        warnings: sentences on what cannot be done as in flight.
+        topics: that are fed in the order of the bag.
+        dwells: that are processed.
+        renamed: other names of topics by those that are recorded.
+    """
+
+    bag: Path
+    namespace: str
+    makers: tuple[str, ...]
+    stages: tuple[str, ...]
+    parameters: NodeParameters
+    changes: tuple[DwellChanges, ...]
+    frames: Mapping[DwellKey, LogTimes]
+    mountings: Mapping[str, Mounting]
+    warnings: tuple[str, ...]
+    topics: tuple[str, ...] = TAKEN
+    dwells: DwellRange = ALL
+    renamed: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def epoch_ns(self) -> int:
+        """Time of the first pulse of the first dwell, ns."""
+        return min(dwell.stamp_ns for dwell in self.frames)
+
+
+def plan(bag: Path, given: NodeParameters, estimators: Collection[str] = (), *, for_heights: bool = True) -> Scheme:
+    """Find out how the dwells of a bag were processed in flight, and what of that the user wants otherwise.
+
+    Args:
+        bag: folder of the bag, or its file.
+        given: parameters of nodes that replace recorded ones.
+        estimators: names of those whose heights are made; none: as `chain_of` has it.
+        for_heights: whether a bag of one detector is refused.
+
+    Raises:
+        UserError: the bag cannot be used, or a parameter is not allowed.
+    """
+    part = Part()
+    reader = part.open(bag)
+    chain = chain_of(reader, PHASE_HISTORY, estimators)
+    makers, stages = (
+        [name for name in names if name not in (ADJUSTER, DETECTOR)] for names in (chain.makers, chain.stages)
+    )
+    if for_heights and not makers:
+        raise UserError(f"Bag {bag} is of a sensor with one detector, of which no heights can be made.")
+    processing = processing_of(reader, chain, part, consumers(makers), given)
+    if not processing.frames:
+        raise UserError(f"Bag {bag} has no readable frame on topic {PHASE_HISTORY}; see `sal-height bag check {bag}`.")
+    return Scheme(
+        bag,
+        reader.namespace,
+        tuple(makers),
+        tuple(stages),
+        processing.values,
+        tuple(processing.changes),
+        processing.frames,
+        processing.mountings,
+        tuple(processing.warnings),
+    )
+
+
+class BagRun:
+    """The dwells of a bag, processed by stages that are joined by calls.
+
+    Attributes:
+        scheme: how.
+        sensors: that the bag describes, by config_hash.
+        losses: what was left out so far.
+        files: contents of the files that stages have made so far.
+    """
+
+    def __init__(
+        self,
+        scheme: Scheme,
+        names: Sequence[str],
+        *,
+        jobs: int = 1,
+        wanted: Collection[str] = (),
+        settings: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Make the stages.
+
+        Args:
+            scheme: of the bag.
+            names: of the stages, in the order of the data.
+            jobs: dwells that are processed side by side.
+            wanted: ports whose products are needed, if several jobs work.
+            settings: of stages, in place of those of the scheme.
+
+        Raises:
+            UserError: a value is not allowed, or a file cannot be read.
+        """
+        self.scheme = scheme
+        self.losses = Losses()
+        self.files: list[FileProduct] = []
+        self._reader = NamespacedReader(scheme.bag, scheme.namespace, scheme.renamed)
+        self.sensors, refused = sensors_of(self._reader) if self._has(SENSOR_INFO) else ({}, [])
+        for error in refused:
+            self.losses.note("sensor info", str(error))
+        given = settings or {}
+        self.settings = {name: given.get(name, parameters_of(name, scheme.parameters.get(name, {}))) for name in names}
+        if COMPRESSION in self.settings and self.settings[COMPRESSION].mounting_from_tf and not self._has(TF_STATIC):
+            raise UserError(
+                f"Bag {scheme.bag} has no topic {TF_STATIC}, from which parameter mounting_from_tf takes the place of "
+                "the sensor; record it with the flight, or set sar_compression.mounting_from_tf to false."
+            )
+        self.stages: dict[str, Stage] = {}
+        for name, values in self.settings.items():
+            kind = STAGES[name]
+            self.stages[name] = kind(values, read_inputs(kind, values), name)
+        self._jobs, self._wanted = jobs, wanted
+        self._chain: Chain | None = None
+        dwells = sorted(scheme.frames.items(), key=lambda item: item[1].last_ns)
+        self._ends_ns = [times.last_ns for _, times in dwells]
+        stamps = (dwell.stamp_ns for dwell, _ in reversed(dwells))
+        self._none_before = [*list(accumulate(stamps, min))[::-1], FOREVER_NS]
+        self._ended = 0
+
+    def results(self, doing: str = "", fed: Fed | None = None) -> Iterator[Made]:
+        """What the stages make of the dwells and what they leave out, which is counted, too.
+
+        Args:
+            doing: what is done, for a progress bar; empty: there is none.
+            fed: is told what is fed.
+
+        Raises:
+            UserError: the bag is damaged, or a worker has ended.
+        """
+        with ExitStack() as stack:
+            chain = self._joined(stack)
+            for made in self._fed(chain, doing, fed):
+                if isinstance(made.result, Loss | Notice):
+                    self.losses.add(made.stage.name, made.result)
+                elif isinstance(made.result, FileProduct):
+                    write_product(made.result)
+                    self.files.append(made.result)
+                yield made
+
+    @property
+    def begin_ns(self) -> int:
+        """Time of the first message of the bag, ns."""
+        return self._reader.begin_ns
+
+    def time_of(self, dwell: DwellKey) -> int:
+        """When the last frame of a dwell was recorded, ns."""
+        return self.scheme.frames[dwell].last_ns
+
+    def _joined(self, stack: ExitStack) -> Chain:
+        """The chain of the stages, with what happens before dwells."""
+        stages, values = list(self.stages.values()), list(self.settings.values())
+        if self._jobs > 1:
+            chain: Chain = stack.enter_context(SideBySide(stages, values, self._jobs, self._wanted))
+        else:
+            chain = Chain(stages, values)
+        for stage in stages:
+            stage.nothing_before(SENSOR_INFO, 0)  # from here on no time-out counts
+            if isinstance(stage, Compression):
+                for sensor, mounting in self.scheme.mountings.items():
+                    stage.state_mounting(sensor, mounting)
+        self._schedule_changes(chain)
+        return chain
+
+    def _schedule_changes(self, chain: Chain) -> None:
+        """Have settings and calibrations of the flight hold from their dwells on."""
+        now = dict(self.settings)
+        calibrations = self.calibrations()
+        for change in self.scheme.changes:
+            for name, wanted in change.parameters.items():
+                if name in now:
+                    now[name] = now[name].changed(**wanted)
+                    chain.change(self.stages[name], now[name], change.dwell)
+            for one, _ in filter(None, map(calibrations.get, change.calibrations)):
+                for name, stage in self.stages.items():
+                    if CALIBRATION in {port.name for port in stage.inputs(now[name])}:
+                        self._give_calibration(chain, stage, change.dwell, StatedCalibration(one))
+
+    def _give_calibration(self, chain: Chain, stage: Stage, before: DwellKey, item: StatedCalibration) -> None:
+        """Have the compression apply a calibration from a dwell on; others look it up by its identity."""
+        if isinstance(stage, Compression):
+            chain.schedule(stage, before, CALIBRATION, item)
+        else:
+            chain.give(stage, CALIBRATION, item)
+
+    def calibrations(self) -> dict[str, tuple[Calibration, BagMessage]]:
+        """The calibrations of the bag that were applied and can be used, with their messages, by their identity.
+
+        Raises:
+            UserError: the bag is damaged.
+        """
+        named = {name for change in self.scheme.changes for name in change.calibrations}
+        found: dict[str, tuple[Calibration, BagMessage]] = {}
+        for recorded in self._messages([CALIBRATION]) if named else ():
+            items, trouble, _ = self._read(CALIBRATION, recorded)
+            if trouble:
+                self.losses.add(COMPRESSION, trouble)
+            for item in items:
+                if item.calibration.id in named:
+                    found[item.calibration.id] = item.calibration, recorded
+        return found
+
+    def _fed(self, chain: Chain, doing: str, fed: Fed | None) -> Iterator[Made]:
+        yield from chain.start(self._reader.begin_ns)
+        if fed:
+            for recorded in self._messages([SENSOR_INFO]):
+                fed(SENSOR_INFO, recorded, None if self._read(SENSOR_INFO, recorded).is_broken else ())
+        for sensor in self.sensors.values():
+            yield from chain.feed(SENSOR_INFO, sensor)
+        for recorded in self._messages([TF_STATIC]):
+            yield from self._feed(chain, TF_STATIC, recorded, None)
+        yield from chain.nothing_before(TF_STATIC, FOREVER_NS)
+        for port in set(AIR_PARAMETERS).intersection(self.scheme.topics):  # earlier dwells have waited for it
+            for recorded in islice(self._messages([port]), 1):
+                for item in self._read(port, recorded).items:  # what is refused is counted in its place
+                    yield from chain.feed(port, item)
+        messages = self._chosen()
+        if doing:
+            topics = (self._reader.topics[_topic_of(port)] for port in self.scheme.topics if self._has(port))
+            messages = tqdm(messages, total=sum(topic.count for topic in topics), unit="message", desc=doing)
+        for recorded in messages:
+            yield from self._announced(chain, recorded.log_time_ns)
+            yield from self._feed(chain, recorded.topic.lstrip("/"), recorded, fed)
+        yield from self._announced(chain, FOREVER_NS)
+        yield from chain.finish()
+
+    def _feed(self, chain: Chain, port: str, recorded: BagMessage, fed: Fed | None) -> Iterator[Made]:
+        """Feed a message of the bag; one that cannot be used is counted, as a node counts it."""
+        items, refused, is_broken = self._read(port, recorded)
+        if fed:
+            fed(port, recorded, None if is_broken else items)
+            if is_broken:
+                return
+        if refused:
+            yield Made(next(iter(self.stages.values())), None, refused)
+        for item in items:
+            yield from chain.feed(port, item)
+
+    def _chosen(self) -> Iterator[BagMessage]:
+        """The messages of the dwells that are processed, and what belongs to them."""
+        if self.scheme.dwells == ALL:
+            return self._messages(self.scheme.topics)
+        return (one.recorded for one in chosen(read_contents(self._messages(self.scheme.topics)), self.scheme.dwells))
+
+    def _announced(self, chain: Chain, now_ns: int) -> Iterator[Made]:
+        """Let the stages know which dwells have had their last frame before a time of the bag."""
+        ended = bisect.bisect_left(self._ends_ns, now_ns)
+        if ended > self._ended:
+            self._ended = ended
+            yield from chain.nothing_before(PHASE_HISTORY, self._none_before[ended])
+
+    def _messages(self, ports: Collection[str]) -> Iterator[BagMessage]:
+        topics = [_topic_of(port) for port in ports if self._has(port)]
+        return self._reader.messages(topics) if topics else iter(())
+
+    def _has(self, port: str) -> bool:
+        """Whether the bag has a topic."""
+        return _topic_of(port) in self._reader.topics
+
+    def _read(self, port: str, recorded: BagMessage) -> _Read:
+        """The items of a message, and what becomes of one that cannot be used."""
+        kind = kind_of_topic(port)
+        if recorded.type_name != kind.type_name:
+            return _Read(())
+        try:
+            return _Read(kind.read(recorded.cdr, self.settings.get(COMPRESSION)))
+        except UserError as error:
+            is_broken, reason, sentence = False, reason_of(error), f"A message on {port} is not used. {error}"
+        except RuntimeError as error:
+            is_broken, reason, sentence = True, "broken message", f"A message on {port} cannot be decoded: {error}."
+        if kind.trouble:
+            return _Read((), Notice(kind.trouble, sentence), is_broken)
+        return _Read((), Loss(None, 1, reason, sentence, is_dwell=False), is_broken)
+
+
+def _topic_of(port: str) -> str:
+    """The topic of a port, in the names of the reader."""
+    return f"/{port.lstrip('/')}"
+
+
+def only_sensor(run: BagRun) -> Sensor:
+    """The sensor of a bag that has one.
+
+    Raises:
+        UserError: it describes several.
+    """
+    if len(run.sensors) > 1:
+        names = ", ".join(sensor.name for sensor in run.sensors.values())
+        raise UserError(f"Bag {run.scheme.bag} describes several sensors ({names}); cut it by `sal-height bag cut`.")
+    (sensor,) = run.sensors.values()
+    return sensor

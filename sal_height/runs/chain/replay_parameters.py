@@ -1,0 +1,290 @@
+"""The parameters of a replay: those that the nodes had in flight, dwell by dwell, and those that the user sets."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+from sal_height.bag.played import DwellRange
+from sal_height.bag.reader import BagReader, LogTimes
+from sal_height.bag.sensor_topics import FRAMES, IMAGES
+from sal_height.engine.compression import HEARD
+from sal_height.engine.registry import STAGES
+from sal_height.engine.stage import DwellKey
+from sal_height.geometry import Mounting
+from sal_height.graph.catalogue import NodeParameters, parameters_of
+from sal_height.graph.plan import DwellChanges
+from sal_height.graph.reporting import merged
+from sal_height.messages import to_ns
+from sal_height.runs.chain.entry import Chain, Part, check_air, check_given, sensors_of
+from sal_height.runs.chain.flight_record import FlightRecord
+from sal_height.runs.chain.recorded_parameters import RecordedParameters, parameters_in, recorded_at_start
+from sal_height.runs.chain.timeline import NO_FILE, PROVENANCE, Applied, Change, Parameter, Timeline, timeline_of
+from sal_height.settings import settings_of
+
+_LOG = logging.getLogger(__name__)
+
+COMMAND_LINE, DEFAULT, CHOSEN = "command line", "default", "chosen by the replay"
+"""Where the value of a parameter comes from, besides the sources of `RecordedParameters`."""
+
+APPLIED = Parameter("sar_compression", "calibration")
+"""Says which calibration is applied."""
+
+
+@dataclass(frozen=True)
+class Processing:
+    """How a replay processes its dwells.
+
+    Attributes:
+        values: of the nodes' parameters at the start.
+        sources: where the values of all parameters of the nodes at work come from, by node and name.
+        changes: what happens before dwells.
+        listed: the same for the report, in the order of the dwells.
+        warnings: a sentence on each thing of the flight that cannot be done again.
+        dwells: those that are played.
+        count: how many these are.
+        begins_with_bag: whether the first dwell of the bag is among them: tracked heights follow from those before.
+        frames: when the frames of each of them were recorded.
+        mountings: of sensors (config_hash) on the platform, where the flight had others than their descriptions state.
+    """
+
+    values: dict[str, dict[str, Any]]
+    sources: dict[str, dict[str, str]]
+    changes: list[DwellChanges]
+    listed: list[dict[str, Any]]
+    warnings: list[str]
+    dwells: DwellRange
+    count: int
+    begins_with_bag: bool
+    frames: Mapping[DwellKey, LogTimes] = field(default_factory=dict)
+    mountings: Mapping[str, Mounting] = field(default_factory=dict)
+
+    @property
+    def first(self) -> DwellKey | None:
+        """The first of the dwells that are played, if it was looked for."""
+        return next(iter(self.frames), None)
+
+    @property
+    def plays_calibrations(self) -> bool:
+        """Whether calibrations of the bag are published."""
+        return any(one.calibrations for one in self.changes)
+
+    @property
+    def for_player(self) -> dict[str, Any]:
+        """Parameters of the player."""
+        dwells = self.dwells
+        bounds = {"first_dwell": dwells.first, "last_dwell": dwells.last}
+        return {**bounds, "start_ns": dwells.start_ns, "end_ns": dwells.end_ns}
+
+    def plays(self, image: Any) -> bool:
+        """Whether the dwell of a height image is played."""
+        key = DwellKey(image.provenance.config_hash, image.dwell, to_ns(image.header.stamp))
+        return key in self.dwells
+
+    def is_of_first_pass(self, image: Any) -> bool:
+        """Whether a height image was made of a dwell with the stamp that is in the bag, not of a repetition."""
+        return not self.frames or to_ns(image.header.stamp) <= self._last_stamp_ns
+
+    @cached_property
+    def _last_stamp_ns(self) -> int:
+        return max(dwell.stamp_ns for dwell in self.frames)
+
+    def report(self) -> dict[str, Any]:
+        """What the report says of it."""
+        return {"parameter_sources": self.sources, "changes_in_flight": self.listed, "warnings": self.warnings}
+
+
+def processing_of(
+    reader: BagReader,
+    chain: Chain,
+    part: Part,
+    chosen: NodeParameters,
+    given: NodeParameters,
+) -> Processing:
+    """Find out how the dwells of a bag were processed in flight, and what of that the user wants otherwise.
+
+    What cannot be done as it was in flight is warned of.
+
+    Args:
+        reader: of the bag.
+        chain: the nodes at work.
+        part: what of the bag is replayed.
+        chosen: values where neither the bag nor the user says anything.
+        given: values of the user's, which hold for all dwells.
+
+    Raises:
+        UserError: the bag's parameters cannot be read, a value is not allowed today, or the bag lacks the air.
+    """
+    check_given(given, chain)
+    timeline = timeline_of(reader, chain.dwell_topics)
+    held = timeline.dwells
+    if not held:
+        held = FlightRecord(reader, chain.dwell_topics).dwells
+    dwells = part.dwells_of(list(held))
+    played = {dwell: frames for dwell, frames in held.items() if dwell in dwells}
+    recorded = recorded_at_start(reader, timeline, chain.stages, chain.makers)
+    own, sources = _at_start(recorded, timeline, chosen, given)
+    if timeline.mountings and own.get(APPLIED.node, {}).get("mounting_from_tf"):
+        own[APPLIED.node]["mounting_from_tf"] = False  # for what was on /tf_static is in the provenance
+        sources[Parameter(APPLIED.node, "mounting_from_tf")] = CHOSEN
+    values = recorded.check(own, given)
+    wanted = [
+        one
+        for one in timeline.changes
+        if one.parameter.node in chain.stages and one.parameter.name not in given.get(one.parameter.node, {})
+    ]
+    changes = [recorded.check_change(one) for one in wanted if not _is_read_only(one.parameter)]
+    if chain.entry == FRAMES:
+        sensors = list(sensors_of(reader)[0].values())
+        for one in (values, *({parameter.node: {parameter.name: value}} for _, parameter, value, _ in changes)):
+            check_air(one, sensors, chain.air, f"Bag {reader.path}")
+    calibrations = timeline.calibrations if _applies_calibrations(chain, values) else []
+    if not calibrations and given.get(APPLIED.node, {}).get(APPLIED.name) == HEARD:
+        calibrations = timeline.come  # which nobody applied in flight
+    warnings = [
+        *_forgotten(timeline, chain),
+        *_unopened(timeline, chain, sources),
+        *_unmade(recorded, values, given),
+        *(_restarted(one) for one in wanted if _is_read_only(one.parameter)),
+        *(_not_held(one) for one in timeline.missing if _applies_calibrations(chain, values)),
+    ]
+    for warning in warnings:
+        _LOG.warning("Bag %s: %s", reader.path, warning)
+    return Processing(
+        values,
+        _of_stages(sources, chain.stages),
+        _cues(timeline.dwells, dwells, changes, calibrations),
+        _listed(timeline.dwells, changes, calibrations),
+        warnings,
+        dwells,
+        len(played) or chain.dwells,
+        not held or next(iter(held)) in dwells,
+        played,
+        timeline.mountings if chain.entry == FRAMES else {},
+    )
+
+
+def _at_start(
+    recorded: RecordedParameters, timeline: Timeline, chosen: NodeParameters, given: NodeParameters
+) -> tuple[dict[str, dict[str, Any]], dict[Parameter, str]]:
+    """Values of parameters at the first dwell without those that are given, and where all of them come from."""
+    own = merged(chosen, recorded.values)
+    sources = dict.fromkeys(parameters_in(chosen), CHOSEN) | recorded.sources
+    applied = own.get(APPLIED.node, {}).get(APPLIED.name, timeline.files.get(APPLIED, ""))
+    if timeline.calibrations and applied not in NO_FILE:
+        own.setdefault(APPLIED.node, {})[APPLIED.name] = HEARD  # for the file may be gone, or another one today
+        sources[APPLIED] = CHOSEN
+    return own, sources | dict.fromkeys(parameters_in(given), COMMAND_LINE)
+
+
+def _is_read_only(parameter: Parameter) -> bool:
+    return settings_of(STAGES[parameter.node].settings)[parameter.name].read_only
+
+
+def _applies_calibrations(chain: Chain, values: NodeParameters) -> bool:
+    """Whether calibrations of the bag are applied, or were to the images that are played."""
+    of_topic = values.get(APPLIED.node, {}).get(APPLIED.name) == HEARD
+    return chain.entry == IMAGES or (chain.entry == FRAMES and of_topic)
+
+
+def _of_stages(sources: Mapping[Parameter, str], stages: Sequence[str]) -> dict[str, dict[str, str]]:
+    """Where the values of all parameters of some nodes come from, by node and name."""
+    names = {node: settings_of(STAGES[node].settings) for node in stages}
+    return {node: {name: sources.get(Parameter(node, name), DEFAULT) for name in names[node]} for node in stages}
+
+
+def _listed(
+    held: Iterable[DwellKey], changes: Sequence[Change], calibrations: Sequence[Applied]
+) -> list[dict[str, Any]]:
+    """What changed in flight, for the report, in the order of the dwells."""
+    order = {dwell: place for place, dwell in enumerate(held)}
+    happened: list[Change | Applied] = [*calibrations, *changes]
+    return [
+        {"dwell": one.dwell.number, **_described(one), "source": one.source}
+        for one in sorted(happened, key=lambda one: order[one.dwell])
+    ]
+
+
+def _described(one: Change | Applied) -> dict[str, Any]:
+    if isinstance(one, Applied):
+        return {"calibration": one.calibration}
+    return {"parameter": ".".join(one.parameter), "value": one.value}
+
+
+def _cues(
+    held: Iterable[DwellKey], dwells: DwellRange, changes: Sequence[Change], calibrations: Sequence[Applied]
+) -> list[DwellChanges]:
+    """What happens before each dwell that is played; what happened before others holds for the next one."""
+    cues: list[DwellChanges] = []
+    happened: dict[DwellKey, list[Change | Applied]] = {}
+    for change in changes:
+        happened.setdefault(change.dwell, []).append(change)
+    for calibration in calibrations:
+        happened.setdefault(calibration.dwell, []).append(calibration)
+    values: dict[str, dict[str, Any]] = {}
+    applied: list[str] = []
+    for dwell in held:
+        for one in happened.get(dwell, ()):
+            if isinstance(one, Applied):
+                applied.append(one.calibration)
+            else:
+                values.setdefault(one.parameter.node, {})[one.parameter.name] = one.value
+        if dwell in dwells and (values or applied):
+            cues.append(DwellChanges(dwell, values, tuple(applied)))
+            values, applied = {}, []
+    return cues
+
+
+def _forgotten(timeline: Timeline, chain: Chain) -> list[str]:
+    """Sentences on parameters of nodes at work that do not exist any more, and on nodes that there are not."""
+    unknown = {node: source for (node, _), source in timeline.forgotten.items() if node not in STAGES}
+    return [
+        *(
+            f"Node {node} had a parameter {name} in flight ({source}), which does not exist today and is left out."
+            for (node, name), source in timeline.forgotten.items()
+            if node in chain.stages
+        ),
+        *(
+            f"No node of a replay is called {node}; the parameters that it had in flight ({source}) are left out."
+            for node, source in unknown.items()
+            if chain.entry == FRAMES
+        ),
+    ]
+
+
+def _unopened(timeline: Timeline, chain: Chain, sources: Mapping[Parameter, str]) -> list[str]:
+    """Sentences on files that only the provenance names."""
+    return [
+        f"Node {parameter.node} used the file {path!r} in flight ({PROVENANCE}); a replay opens no file that only the "
+        f"provenance names, and goes on without it: set --param {'.'.join(parameter)}=FILE to use it."
+        for parameter, path in timeline.files.items()
+        if parameter.node in chain.stages and parameter not in sources
+    ]
+
+
+def _unmade(recorded: RecordedParameters, values: NodeParameters, given: NodeParameters) -> list[str]:
+    """Sentences on heights that nodes used in flight, and that are not made."""
+    return [
+        f"Node {parameter.node} used the heights of {value!r} in flight ({source}), which are not made here; it uses "
+        f"those of {parameters_of(parameter.node, values.get(parameter.node, {})).estimator!r}."
+        for parameter, (value, source) in recorded.unmade.items()
+        if parameter.name not in given.get(parameter.node, {})
+    ]
+
+
+def _restarted(change: Change) -> str:
+    node, name = change.parameter
+    return (
+        f"Node {node} was started again with {name}={change.value!r} before dwell {change.dwell.number}; a replay "
+        "cannot change this parameter between dwells, and goes on with the value before."
+    )
+
+
+def _not_held(missing: Applied) -> str:
+    return (
+        f"Calibration {missing.calibration!r}, which was applied from dwell {missing.dwell.number} on, is not in the "
+        "bag and is left out; record topic /calibration."
+    )

@@ -1,0 +1,253 @@
+"""What happened in a recorded flight between its dwells: parameters of nodes that changed, calibrations that came.
+
+The provenance of heights, or of images, says with which parameters and calibration their dwell was processed. Of dwells
+without them, the order of the bag decides: what came before the last frame of a dwell was in force for it.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, TypeVar
+
+from sal_height.bag.reader import BagReader, LogTimes
+from sal_height.engine.adjuster import POSE_ERROR
+from sal_height.engine.compression import HEARD, USED_MOUNTING
+from sal_height.engine.provenance import LEFT_OUT
+from sal_height.engine.registry import STAGES
+from sal_height.engine.stage import DwellKey
+from sal_height.errors import UserError
+from sal_height.geometry import Mounting
+from sal_height.graph.catalogue import SETTABLE
+from sal_height.runs.chain.flight_record import FlightRecord, Heard, Said, tells_of_its_making
+from sal_height.settings import settings_of
+
+PROVENANCE, EVENT, MESSAGE = "provenance", "parameter event", "order of the bag"
+"""How it is known what was in force for a dwell."""
+
+NO_SETTINGS = {"use_sim_time", "start_type_description_service", LEFT_OUT, POSE_ERROR}
+"""Names beside the parameters of our nodes: those that rclpy gives to every node, and what provenance adds."""
+
+OF_MACHINE = frozenset({"autostart", "latency_budget_s"})
+"""Parameters of all nodes that suited the machine of the flight; none changes heights. `recorded_parameters` says why a
+replay does not repeat them."""
+
+NO_FILE = "", HEARD
+"""Values of parameters that name files which are no paths."""
+
+Recorded = TypeVar("Recorded", Said, Heard)
+
+
+class Parameter(NamedTuple):
+    """A parameter of a node."""
+
+    node: str
+    name: str
+
+
+class Value(NamedTuple):
+    """A value of a parameter, and how it is known."""
+
+    value: Any
+    source: str
+
+
+class Change(NamedTuple):
+    """A parameter has another value from a dwell on."""
+
+    dwell: DwellKey
+    parameter: Parameter
+    value: Any
+    source: str
+
+
+class Applied(NamedTuple):
+    """A calibration is applied from a dwell on."""
+
+    dwell: DwellKey
+    calibration: str
+    source: str
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """What happened in a flight, in the order of its dwells.
+
+    Attributes:
+        dwells: when the frames of each dwell were recorded, in the order of their first frames.
+        start: values of parameters at the first dwell, as far as they are known, but for those `OF_MACHINE`.
+        files: paths in the provenance, by the parameter that names the file; they are neither in `start` nor in
+            `changes`, unless the node itself stated them.
+        changes: of parameters, later on.
+        calibrations: that the bag holds and that were applied.
+        missing: calibrations that were applied and that the bag does not hold.
+        come: all calibrations that the bag holds, from the dwell on before which each came.
+        forgotten: parameters of that time that the nodes do not have today, and how they are known.
+        mountings: of sensors (config_hash) on the platform, where the flight had others than their descriptions state.
+    """
+
+    dwells: Mapping[DwellKey, LogTimes] = field(default_factory=dict)
+    start: dict[Parameter, Value] = field(default_factory=dict)
+    files: dict[Parameter, str] = field(default_factory=dict)
+    changes: list[Change] = field(default_factory=list)
+    calibrations: list[Applied] = field(default_factory=list)
+    missing: list[Applied] = field(default_factory=list)
+    come: list[Applied] = field(default_factory=list)
+    forgotten: dict[Parameter, str] = field(default_factory=dict)
+    mountings: dict[str, Mounting] = field(default_factory=dict)
+
+
+def timeline_of(reader: BagReader, dwell_topics: Sequence[str] = ("/phase_history",)) -> Timeline:
+    """Find out what happened in the flight that a bag was recorded in; up to where the bag is damaged, if it is.
+
+    Args:
+        reader: of the bag.
+        dwell_topics: topics with the frames that dwells are made of, or with their images or heights instead.
+
+    Returns:
+        The timeline; an empty one if nothing in the bag says how dwells were processed.
+    """
+    if not tells_of_its_making(reader):
+        return Timeline()
+    record = FlightRecord(reader, dwell_topics)
+    timeline = Timeline(record.dwells)
+    parameters, calibrations = _Parameters(timeline), _Calibrations(timeline, record.sensors)
+    said, heard = deque(record.said), deque(record.heard)
+    for dwell, frames in record.dwells.items():
+        for one in _until(frames.last_ns, said):
+            parameters.hear(one)
+        stages = record.stages.get(dwell, {})
+        parameters.enter(dwell, stages)
+        if (mounting := _mounting_in(stages.get("sar_compression", {}))) is not None:
+            timeline.mountings.setdefault(dwell.sensor, mounting)
+        for message in _until(frames.last_ns, heard):
+            calibrations.hear(message)
+        calibrations.enter(dwell, record.applied.get(dwell))
+    for one in said:  # of nodes that were asked only after the last dwell
+        parameters.hear(one)
+    parameters.enter_what_was_told_late()
+    return timeline
+
+
+def _mounting_in(stage: Mapping[str, Any]) -> Mounting | None:
+    """The mounting that a provenance states of the compression; None: that of the sensor's description."""
+    names = [f"{USED_MOUNTING}.{name}" for name in ("frame_id", "lever_arm", "rotation")]
+    if any(name not in stage for name in names):
+        return None
+    frame_id, lever_arm, rotation = (stage[name] for name in names)
+    with suppress(UserError, TypeError):
+        return Mounting(str(frame_id), tuple(lever_arm), tuple(rotation))
+    return None
+
+
+def _until(time_ns: int, recorded: deque[Recorded]) -> Iterator[Recorded]:
+    """Take out what was recorded up to a time."""
+    while recorded and recorded[0].time_ns <= time_ns:
+        yield recorded.popleft()
+
+
+class _Parameters:
+    """Follows the parameters of all nodes from dwell to dwell."""
+
+    def __init__(self, timeline: Timeline) -> None:
+        self._timeline, self._first = timeline, next(iter(timeline.dwells), None)
+        self._now: dict[Parameter, Any] = {}
+        self._said: dict[Parameter, tuple[Any, bool]] = {}
+        """What nodes said and no product has shown yet: a value, and whether the parameter had another one before."""
+        self._stated: dict[str, Mapping[str, Any]] = {}
+
+    def hear(self, said: Said) -> None:
+        """Take note of what a node said."""
+        for parameter, value in self._known(said.node, said.values, EVENT):
+            self._said[parameter] = value, said.is_change
+
+    def enter(self, dwell: DwellKey, stages: Mapping[str, Mapping[str, Any]]) -> None:
+        """Go on to a dwell, with what the provenance of its products states, by node."""
+        waiting = {parameter.node for parameter in self._said}
+        for node, values in stages.items():
+            if node in waiting or self._stated.get(node) != values:
+                self._stated[node] = values
+                for parameter, value in self._known(node, values, PROVENANCE):
+                    said, is_change = self._said.get(parameter, (None, False))
+                    if said == value:
+                        del self._said[parameter]
+                    self._set(dwell, parameter, Value(value, PROVENANCE), is_change and said == value)
+        for parameter in [one for one in self._said if not self._is_stated(one, stages)]:
+            value, is_change = self._said.pop(parameter)
+            self._set(dwell, parameter, Value(value, EVENT), is_change)
+            self._stated.pop(parameter.node, None)
+
+    def _is_stated(self, parameter: Parameter, stages: Mapping[str, Mapping[str, Any]]) -> bool:
+        """Whether the provenance states a value of a parameter that is used."""
+        return parameter.name in stages.get(parameter.node, {}) and parameter not in self._timeline.files
+
+    def enter_what_was_told_late(self) -> None:
+        """Take values that nodes told after the last dwell for those that they had all the time."""
+        for parameter, (value, is_change) in self._said.items():
+            if not is_change:
+                self._timeline.start.setdefault(parameter, Value(value, EVENT))
+
+    def _set(self, dwell: DwellKey, parameter: Parameter, value: Value, is_change: bool) -> None:
+        """Take note of a value; one that is told late for the first time was in force from the start."""
+        if parameter not in self._now and (not is_change or dwell == self._first):
+            self._timeline.start[parameter] = value
+        elif parameter not in self._now or self._now[parameter] != value.value:
+            self._timeline.changes.append(Change(dwell, parameter, *value))
+        self._now[parameter] = value.value
+
+    def _known(self, node: str, values: Mapping[str, Any], source: str) -> Iterator[tuple[Parameter, Any]]:
+        """The values of parameters that can be set today; others are entered as forgotten, and paths as files."""
+        today = settings_of(STAGES[node].settings) if node in SETTABLE else {}
+        for name, value in values.items():
+            parameter = Parameter(node, name)
+            if name in OF_MACHINE:
+                continue
+            if name in today and source == PROVENANCE and today[name].names_file and value not in NO_FILE:
+                self._timeline.files.setdefault(parameter, str(value))
+            elif name in today:
+                yield parameter, _plain(value)
+            elif "." not in name and name not in NO_SETTINGS and (node in SETTABLE or source == PROVENANCE):
+                self._timeline.forgotten.setdefault(parameter, source)
+
+
+class _Calibrations:
+    """Follows the calibrations that were applied, from dwell to dwell; every sensor has its own."""
+
+    def __init__(self, timeline: Timeline, sensors: Mapping[str, str]) -> None:
+        self._timeline, self._sensors = timeline, sensors
+        self._now: dict[str, str] = {}
+        self._heard: dict[str, str] = {}
+        self._come: list[str] = []
+
+    def hear(self, message: Heard) -> None:
+        """Take note of a calibration that came."""
+        self._heard[self._sensors[message.calibration]] = message.calibration
+        self._come.append(message.calibration)
+
+    def enter(self, dwell: DwellKey, applied: str | None) -> None:
+        """Go on to a dwell, with the calibration that its provenance names; None: it has no products."""
+        self._timeline.come.extend(Applied(dwell, calibration, MESSAGE) for calibration in self._come)
+        self._come.clear()
+        if applied is None:
+            heard, self._heard = self._heard, {}
+            for calibration in heard.values():
+                self._apply(Applied(dwell, calibration, MESSAGE))
+        elif applied in self._sensors:
+            if self._heard.get(self._sensors[applied]) == applied:
+                del self._heard[self._sensors[applied]]
+            self._apply(Applied(dwell, applied, PROVENANCE))
+        elif applied and applied not in {one.calibration for one in self._timeline.missing}:
+            self._timeline.missing.append(Applied(dwell, applied, PROVENANCE))
+
+    def _apply(self, applied: Applied) -> None:
+        sensor = self._sensors[applied.calibration]
+        if self._now.get(sensor) != applied.calibration:
+            self._now[sensor] = applied.calibration
+            self._timeline.calibrations.append(applied)
+
+
+def _plain(value: Any) -> Any:
+    """A value of a parameter as YAML has it: lists instead of arrays."""
+    return list(value) if isinstance(value, Iterable) and not isinstance(value, str | bytes) else value

@@ -1,0 +1,96 @@
+"""Picture of the latency of every node over the time of a live run, as the nodes told it on /diagnostics."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sal_height.bag.reader import BagReader
+from sal_height.graph.catalogue import HEIGHTS
+from sal_height.graph.picture import look_of, page
+from sal_height.io import writing
+from sal_height.nodes.accounts.account import DIAGNOSTICS, Account
+from sal_height.numeric import F64
+
+LATENCIES = "latency.png"
+"""File in the folder of a live run."""
+
+OTHERS = (("black", "-"), ("black", "--"), ("0.5", "-"), ("0.5", "--"), ("black", ":"), ("0.5", ":"))
+"""Colours and lines of nodes that make no heights."""
+
+
+def draw_run(folder: Path) -> bool:
+    """Draw latency.png of a live run in its `folder`, beside bag and report.json.
+
+    Returns:
+        Whether any node has told of its latency.
+
+    Raises:
+        UserError: the bag cannot be read, or the picture not be written.
+    """
+    latencies = told_latencies(folder / "bag")
+    if latencies:
+        budget_s = float(json.loads((folder / "report.json").read_text())["latency_budget_s"])
+        with writing(folder / LATENCIES):
+            draw_latencies(latencies, budget_s, folder / LATENCIES)
+    return bool(latencies)
+
+
+def told_latencies(bag: Path) -> dict[str, F64]:
+    """What the nodes told in a bag of their latencies, by node.
+
+    Args:
+        bag: with topic diagnostics.
+
+    Returns:
+        Time since the first diagnostics (s), median and 95th percentile (ms) of the node's last thousand dwells, shape
+        (3, times); nodes that told none are left out.
+    """
+    reader, topic = BagReader(bag), f"/{DIAGNOSTICS.removeprefix('/')}"
+    told: dict[str, list[tuple[float, float, float]]] = {}
+    begin_ns = None
+    for recorded in reader.messages([topic]) if topic in reader.topics else ():
+        begin_ns = recorded.log_time_ns if begin_ns is None else begin_ns
+        for status in reader.decode(recorded.type_name, recorded.cdr).status:
+            account = Account.of_status(status)
+            latencies = account.latency_p50_ms, account.latency_p95_ms
+            if all(map(math.isfinite, latencies)):
+                time_s = (recorded.log_time_ns - begin_ns) * 1e-9
+                told.setdefault(status.name, []).append((time_s, *latencies))
+    return {node: np.array(rows).T for node, rows in told.items()}
+
+
+def _looks(nodes: Sequence[str]) -> dict[str, tuple[str, Any]]:
+    """Colour and line of each node; a height node has those of its estimator."""
+    kinds = {node: HEIGHTS.get(node.rpartition("/")[2]) for node in nodes}
+    others = [node for node, prefix in kinds.items() if prefix is None]
+    looks = {node: OTHERS[number % len(OTHERS)] for number, node in enumerate(others)}
+    return looks | {node: look_of(prefix)[:2] for node, prefix in kinds.items() if prefix is not None}
+
+
+def draw_latencies(latencies: Mapping[str, F64], budget_s: float, path: Path) -> None:
+    """Write a PNG: median and 95th percentile of each node's latency over time, and the latency budget of a dwell.
+
+    Args:
+        latencies: as of `told_latencies`, at least one.
+        budget_s: of the whole way from a dwell to its heights, s.
+        path: of the picture.
+    """
+    looks = _looks(list(latencies))
+    with page(path, 2.9) as figure:
+        panels = figure.subplots(1, 2, sharex=True, sharey=True)
+        for axes, row, title in zip(panels, (1, 2), ("median", "95th percentile"), strict=True):
+            for node, told in latencies.items():
+                colour, line = looks[node]
+                axes.plot(told[0], told[row], color=colour, ls=line, label=node)
+            axes.axhline(1e3 * budget_s, color="0.8", lw=2.5, label="budget of a dwell, for all nodes")
+            axes.set(title=f"{title} of the last thousand dwells", xlabel="time (s)", yscale="log")
+            axes.yaxis.set_major_formatter("{x:g}")
+            axes.grid()
+        panels[0].set_ylabel("latency (ms)")
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)

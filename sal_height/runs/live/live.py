@@ -1,0 +1,320 @@
+"""`sal-height live`: the graph beside a sensor that does not wait for it, and what becomes of its dwells."""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rclpy.task import Future
+
+from sal_height.bag.sensor_topics import ODOMETRY, SENSOR_INFO
+from sal_height.bag.stamps import stamp_ns_of
+from sal_height.engine.movers import MOVERS
+from sal_height.errors import UserError
+from sal_height.graph.account_book import AccountBook
+from sal_height.graph.catalogue import DETECTOR, HEIGHTS, TRACKER, check_parameters, consumers
+from sal_height.graph.conductor import Conductor
+from sal_height.graph.ensemble import Ensemble, members_of
+from sal_height.graph.interruption import Interruption
+from sal_height.graph.plan import RECORDER, Execution, Plan
+from sal_height.graph.processes import beside, process_age_s
+from sal_height.graph.reporting import PARAMETERS, PRESET, merged, reporting
+from sal_height.graph.supervisor import Supervisor
+from sal_height.graph.watch import Watcher, looks
+from sal_height.io import new_folder
+from sal_height.messages import AIR
+from sal_height.messages.types import HeightImage
+from sal_height.nodes.accounts.account import Account
+from sal_height.nodes.playing.playlist import Playlist
+from sal_height.nodes.transport.domain import ros_domain
+from sal_height.nodes.transport.middleware import provide_shared_memory
+from sal_height.numeric import available_processors
+from sal_height.runs.chain.entry import check_air
+from sal_height.runs.live.self_test import core_rate_hz, make_tables
+from sal_height.runs.live.sensor_bag import Feed
+
+_LOG = logging.getLogger(__name__)
+
+SOURCE = "paced_player"
+
+LEAST_BUDGET_S = 0.2
+BUDGET_DWELLS = 3
+"""The latency budget, unless a preset states one: that many dwell intervals, or LEAST_BUDGET_S if that is more."""
+
+STEPS = 3
+"""Nodes that a dwell passes one after the other: compression, heights and tracker."""
+
+MAPPER, MAP_QUEUE = "relief_mapper", 256
+"""The map has no latency budget: a dwell is as good for it a second later, which it takes to publish a large one."""
+
+ASK_PERIOD_S = 1.0
+"""Time after which a sensor that has not answered is asked again."""
+
+
+@dataclass(frozen=True)
+class Live:
+    """How a sensor is processed live.
+
+    Attributes:
+        rate: seconds of the sensor in a second.
+        seconds: how long, s; infinity: until it is interrupted.
+        budget_s: latency budget; 0: that of the preset, or the default.
+        supervised: whether nodes that have ended are started again.
+    """
+
+    rate: float = 1.0
+    seconds: float = float("inf")
+    budget_s: float = 0.0
+    supervised: bool = False
+
+
+@dataclass
+class Watched:
+    """What has been seen of a live graph so far.
+
+    Attributes:
+        elapsed_s: time since the sensor began to deliver.
+        offered_hz: dwells in a second that the sensor delivers, as planned.
+        book: the accounts of all nodes.
+        latencies_s: from the last pulse of a dwell to its height image, by topic.
+        cpu_at_start_s: processor time of the nodes' processes when the sensor began.
+        began_at_s: when the sensor began, s since the epoch.
+        start_s: time from the begin of this program to the end of each step of the start: tables are made, dwells
+            are there, all nodes are ready, the first height has come.
+    """
+
+    elapsed_s: float
+    offered_hz: float
+    book: AccountBook = field(default_factory=AccountBook)
+    latencies_s: dict[str, list[float]] = field(default_factory=dict)
+    cpu_at_start_s: dict[str, float] = field(default_factory=dict)
+    began_at_s: float = 0.0
+    start_s: dict[str, float] = field(default_factory=dict)
+
+    def cpu_per_second(self, node: str) -> float:
+        """Processor seconds that the processes of a node have taken in a second since the sensor began."""
+        used = self.accounts[node].cpu_s - self.cpu_at_start_s.get(node, 0.0)
+        return used / self.elapsed_s if self.elapsed_s else 0.0
+
+    @property
+    def accounts(self) -> dict[str, Account]:
+        """Accounts of all nodes by name."""
+        return {name: entry.account for name, entry in self.book.entries.items()}
+
+    @property
+    def heights(self) -> int:
+        """Number of height images that have come."""
+        return sum(len(values) for values in self.latencies_s.values())
+
+    def as_json(self) -> dict[str, Any]:
+        """What report.json says."""
+        return {
+            "start_s": self.start_s,
+            "elapsed_s": self.elapsed_s,
+            "sensor_dwells_per_s": self.offered_hz,
+            "latency_s": {
+                topic: dict(zip(("p50", "p95", "p99.9"), np.percentile(values, [50, 95, 99.9]).tolist(), strict=True))
+                for topic, values in self.latencies_s.items()
+                if values
+            },
+            "heights": {topic: len(values) for topic, values in self.latencies_s.items()},
+            "processor_seconds_per_second": {name: self.cpu_per_second(name) for name in self.accounts},
+            "nodes": {
+                name: {**entry.account.numbers, "last_drop": entry.account.last_drop, "processes": entry.lives}
+                for name, entry in self.book.entries.items()
+            },
+        }
+
+
+def live(
+    feed: Feed,
+    out: Path,
+    parameters: dict[str, dict[str, Any]],
+    how: Live,
+    execution: Execution,
+    show: Callable[[Watched], None],
+) -> Watched:
+    """Play a sensor at its pace against the graph, until the time is over or the user interrupts.
+
+    Args:
+        feed: the sensor, whose dwells may still be simulated meanwhile.
+        out: output folder, new or empty, for the bag of the products and report.json.
+        parameters: values that replace those that the bag was made with.
+        how: pace, duration and latency budget.
+        execution: how the nodes are run, and what is recorded besides heights and diagnostics.
+        show: called once a second with what has been seen.
+
+    Raises:
+        UserError: the bag or a parameter cannot be used, nodes do not come up, or one ends.
+    """
+    values = check_parameters(merged(merged(consumers(feed.nodes), feed.parameters), parameters))
+    stages = ["sar_compression", *feed.nodes, *((TRACKER, MAPPER) if feed.nodes else ())]
+    make_tables(feed.sensor, stages, values)  # while the dwells are simulated
+    start_s = {"tables": process_age_s()}
+    playlist = feed.playlist()
+    start_s["dwells"] = process_age_s()
+    air = [topic for topic in AIR if any(item.topic == topic for item in playlist.items)]
+    check_air(values, [feed.sensor], air, f"Bag {feed.bag}")
+    interval_s = 1 / (playlist.dwell_rate_hz * how.rate)
+    budget_s = how.budget_s or _budget_of(feed) or max(BUDGET_DWELLS * interval_s, LEAST_BUDGET_S)
+    shares = {name: {"latency_budget_s": budget_s / STEPS} for name in stages if name != MAPPER}
+    values = merged({**shares, MAPPER: {"max_queued_dwells": MAP_QUEUE}}, values)
+    source = {"bag": str(feed.bag), "rate": how.rate, "max_memory_mb": 1 + int(playlist.size / 1e6) * 2}
+    folder = new_folder(out)
+    topics = [f"{HEIGHTS[name]}/height" for name in stages if name in HEIGHTS]
+    topics += [MOVERS] if DETECTOR in stages else []
+    recorded = [SENSOR_INFO, ODOMETRY, *air, "diagnostics", *topics, *(t.removeprefix("/") for t in execution.record)]
+    custom_data = {**feed.custom_data, PARAMETERS: json.dumps(values)}
+    nodes = {**values, SOURCE: source, RECORDER: {"node_parameters": True}}  # which may be changed in flight
+    plan = Plan(SOURCE, stages, list(dict.fromkeys(recorded)), folder / "bag", nodes, 0, custom_data)
+    processors = available_processors()
+    known = {
+        "bag": feed.bag.name,
+        "rate": how.rate,
+        "latency_budget_s": budget_s,
+        "processors": processors,
+    }
+
+    def test() -> int:
+        warn_of_overload(core_rate_hz(playlist, feed.sensor, stages, values, processors), 1 / interval_s, processors)
+        return 0
+
+    tested = beside(test, "self test")  # while the nodes start
+
+    def let_go_and_show(watched: Watched) -> None:
+        if tested:
+            tested.poll()  # a process stays in lists until it is asked how it ended
+        show(watched)
+
+    watched = Watched(0.0, 1 / interval_s, latencies_s={topic: [] for topic in topics}, start_s=start_s)
+    with reporting(folder, known) as report, ros_domain(execution.domain):
+        provide_shared_memory(sum(len(frame.samples) for frame in next(playlist.frames())))
+        _perform(plan, execution, how, playlist, watched, let_go_and_show)
+        report.update(watched.as_json())
+        report["parameters"] = values
+    return watched
+
+
+def warn_of_overload(core_hz: float, sensor_hz: float, processors: int) -> None:
+    """Say that the machine is too slow for a sensor, if even the core alone is."""
+    if core_hz < sensor_hz:
+        _LOG.warning(
+            "The %d processors here can process at most %.3g dwells/s, and the sensor delivers %.3g: the others will "
+            "be left out, the oldest first. Use more processors, fewer estimators, smaller images, or a lower --rate.",
+            processors,
+            core_hz,
+            sensor_hz,
+        )
+
+
+def _perform(
+    plan: Plan, execution: Execution, how: Live, playlist: Playlist, watched: Watched, show: Callable[[Watched], None]
+) -> None:
+    """Start the nodes of a plan and the sensor, and watch them."""
+    with (
+        Interruption() as interruption,
+        Ensemble(members_of(plan), execution.processes) as ensemble,
+        suppress(KeyboardInterrupt),
+    ):
+        graph = ensemble.graph
+        conductor = graph.add(Conductor(plan, context=graph.context))
+        graph.add(Watcher(watched.book, context=graph.context))
+        clock = DwellClock(how.rate, next(playlist.frames())[0].pulse_time[-1])
+        sensor = Beginning(conductor, clock)
+        supervisor: Supervisor | None = None
+
+        def look_after() -> None:
+            if supervisor is None:
+                ensemble.check()
+            elif SOURCE in supervisor.look(time.monotonic()):
+                sensor.forget()
+
+        def wait(condition: Callable[[], bool], what: str) -> None:
+            for _ in looks(graph, interruption, execution.timeout_s):
+                if condition():
+                    return
+                look_after()
+            raise UserError(f"Waited {execution.timeout_s:g} s in vain for {what}; the log above may say why.")
+
+        wait(conductor.ready, "all nodes to be ready")
+        watched.start_s["ready"] = process_age_s()
+        supervisor = Supervisor(ensemble, time.monotonic()) if how.supervised else None
+        for topic in watched.latencies_s:
+            conductor.listen_raw(HeightImage, topic, _keeper(topic, clock, watched))
+        wait(sensor.has_begun, f"an answer of node {SOURCE}")
+        watched.cpu_at_start_s = {name: a.cpu_s for name, a in watched.accounts.items()}
+        watched.began_at_s = time.time()
+        for watched.elapsed_s, is_due in looks(graph, interruption, how.seconds):
+            look_after()
+            sensor.has_begun()
+            if is_due:
+                show(watched)
+
+
+def _keeper(topic: str, clock: DwellClock, watched: Watched) -> Callable[[bytes], None]:
+    """Takes the heights of a topic."""
+
+    def keep(cdr: bytes) -> None:
+        if not watched.heights:
+            watched.start_s["first height"] = process_age_s()
+        watched.latencies_s[topic].append(clock.age_s(cdr))
+
+    return keep
+
+
+@dataclass
+class DwellClock:
+    """When the sensor has delivered a dwell, by the stamp of its products.
+
+    Attributes:
+        rate: seconds of the sensor in a second.
+        duration_s: from the stamp of a dwell to its last pulse, s.
+        begin_ns: the stamp that the sensor began with, at the same time by the clock of this machine.
+    """
+
+    rate: float
+    duration_s: float
+    begin_ns: int = 0
+
+    def age_s(self, cdr: bytes) -> float:
+        """Time since the last pulse of the dwell that a serialized product is of, s."""
+        delivered_s = ((stamp_ns_of(cdr) - self.begin_ns) * 1e-9 + self.duration_s) / self.rate
+        return (time.time_ns() - self.begin_ns) * 1e-9 - delivered_s
+
+
+class Beginning:
+    """Has the sensor begin to deliver, once or again after its node was started anew."""
+
+    def __init__(self, conductor: Conductor, clock: DwellClock) -> None:
+        """Ask by means of `conductor`; `clock` is told when the sensor begins."""
+        self._conductor, self._clock = conductor, clock
+        self._asked: Future | None = None
+        self._asked_at = -math.inf
+        self._begun = False
+
+    def forget(self) -> None:
+        """The sensor's node has been started anew."""
+        self._begun = False
+
+    def has_begun(self) -> bool:
+        """Whether the sensor delivers; if it does not, it is asked to, again and again: it may not be there yet."""
+        if not self._begun and self._asked and self._asked.done() and self._asked.result().success:
+            self._clock.begin_ns = int(self._asked.result().message)
+            self._begun, self._asked = True, None
+        if not self._begun and time.monotonic() - self._asked_at > ASK_PERIOD_S:
+            self._asked_at = time.monotonic()
+            self._asked = self._conductor.ask()
+        return self._begun
+
+
+def _budget_of(feed: Feed) -> float | None:
+    """The latency budget in the preset of a simulated sensor, if it states one."""
+    return json.loads(feed.custom_data.get(PRESET, "{}")).get("latency_budget_s")

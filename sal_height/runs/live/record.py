@@ -1,0 +1,102 @@
+"""`sal-height record`: write what is published to a bag, and show what becomes of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rclpy.parameter import Parameter
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from sal_height.bag.parameter_events import PARAMETER_EVENTS
+from sal_height.graph.interruption import Interruption
+from sal_height.graph.watch import looks
+from sal_height.io import check_new_folder, free_folder
+from sal_height.nodes.accounts.ledger import Ledger
+from sal_height.nodes.recording.recorder import Recorder
+from sal_height.nodes.transport.domain import DomainChoice, ros_domain
+from sal_height.nodes.transport.graph import Graph
+
+DEFAULT_FOLDER = Path("out/recorded")
+
+
+@dataclass
+class Recorded:
+    """What has been recorded so far.
+
+    Attributes:
+        folder: of the bag.
+        elapsed_s: time since the begin.
+        ledgers: what became of the messages of each topic.
+    """
+
+    folder: Path
+    elapsed_s: float = 0.0
+    ledgers: Mapping[str, Ledger] = field(default_factory=dict)
+
+    @property
+    def written(self) -> int:
+        """Messages in the bag."""
+        return sum(ledger.written for ledger in self.ledgers.values())
+
+    @property
+    def heard(self) -> int:
+        """Messages in the bag of topics that somebody asked for."""
+        return self.written - self.ledgers.get(PARAMETER_EVENTS, Ledger()).written
+
+    @property
+    def left_out(self) -> int:
+        """Messages that are not in the bag."""
+        return sum(ledger.left_out.total() for ledger in self.ledgers.values())
+
+
+def record(
+    out: Path | None,
+    parameters: Mapping[str, Any],
+    domain: DomainChoice,
+    seconds: float,
+    show: Callable[[Recorded], None],
+) -> Recorded:
+    """Record until the time is over or the user interrupts.
+
+    Args:
+        out: folder of the bag, new or empty; None: the next free one of DEFAULT_FOLDER, DEFAULT_FOLDER_2, ….
+        parameters: of node recorder, without its directory.
+        domain: of the nodes that publish.
+        seconds: how long, s; infinity: until it is interrupted.
+        show: called once a second with what has been recorded, and at the end.
+
+    Raises:
+        UserError: the folder or a parameter cannot be used.
+    """
+    done = Recorded(out or free_folder(DEFAULT_FOLDER))
+    check_new_folder(done.folder)
+    with ros_domain(domain), Interruption() as interruption, Graph() as graph:
+        overrides = [Parameter(name, value=value) for name, value in parameters.items() if value]
+        recorder = graph.add(Recorder(done.folder, context=graph.context, parameter_overrides=overrides))
+        with suppress(KeyboardInterrupt):
+            for elapsed_s, is_due in looks(graph, interruption, seconds):
+                done.elapsed_s, done.ledgers = elapsed_s, recorder.ledgers
+                if is_due:
+                    show(done)
+        recorder.close_bag()
+        done.ledgers = recorder.ledgers
+    show(done)
+    return done
+
+
+def recorded_table(done: Recorded) -> Table:
+    """A line for each topic."""
+    title = f"{done.folder}: {done.written} messages in {done.elapsed_s:.0f} s"
+    table = Table(title=title, box=SIMPLE_HEAD)
+    table.add_column("topic", no_wrap=True)
+    table.add_column("written", justify="right")
+    table.add_column("left out")
+    for topic, ledger in sorted(done.ledgers.items()):
+        reasons = ", ".join(f"{count} {reason}" for reason, count in ledger.left_out.items())
+        table.add_row(topic, str(ledger.written), reasons)
+    return table

@@ -1,0 +1,277 @@
+"""`sal-height adjust`: navigation and mounting from dwells that overlap, and a bag with the corrected trajectory."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from sal_height import messages
+from sal_height.adjustment import (
+    UNKNOWN_GROUND,
+    Adjustment,
+    AdjustmentSettings,
+    ImageAdjustmentSettings,
+    ObservedDwell,
+    ObservedImage,
+    References,
+    adjust,
+    adjust_images,
+    cell_size,
+    corrected_states,
+)
+from sal_height.bag.copies import kept_packing
+from sal_height.bag.namespace import NamespacedReader
+from sal_height.bag.reader import BagReader
+from sal_height.bag.topics import CALIBRATION_TYPE, FIX_TYPE, FRAME_TYPE, SENSOR_TYPE
+from sal_height.bag.writer import BagWriter
+from sal_height.elevation import ESTIMATORS
+from sal_height.engine.compression import ODOMETRY, SLC
+from sal_height.engine.height_items import Heights
+from sal_height.engine.image_items import Images, Source
+from sal_height.engine.losses import Losses
+from sal_height.engine.stage import DwellKey, Loss, Product
+from sal_height.errors import Rejected, UserError
+from sal_height.geometry import Mounting, PlatformState, Trajectory
+from sal_height.graph.catalogue import NodeParameters, check_estimator, parameters_of, suited
+from sal_height.graph.reporting import PARAMETERS, reporting
+from sal_height.imaging import correct_track
+from sal_height.io import bag_name, new_folder, writing
+from sal_height.runs.chain.chain_runs import COMPRESSION, BagRun, Scheme, only_sensor, plan
+from sal_height.runs.chain.entry import Part, sensors_of
+from sal_height.runs.products.adjustment_picture import draw_adjustment
+from sal_height.runs.products.adjustment_report import summary_of, summary_of_images
+from sal_height.sensor import Sensor
+
+Observed = TypeVar("Observed", bound=ObservedDwell)
+
+ADJUSTED_FROM = "adjusted_from"
+"""Name of the bag that was adjusted in the custom data of a new one."""
+
+COPIED = {FRAME_TYPE, SENSOR_TYPE, CALIBRATION_TYPE, FIX_TYPE, *messages.AIR_TYPES}
+
+KNOWN = {"boresight_sigma_rad": 0.0, "lever_arm_sigma_m": 0.0, "odometry_delay_sigma_s": 0.0}
+"""Parameters of the compression whose errors the covariance of the corrected odometry contains."""
+
+
+@dataclass(frozen=True, eq=False)
+class Adjusted:
+    """What became of a bag.
+
+    Attributes:
+        summary: what the report says.
+        warnings: sentences on what could not be done.
+        bag: the new one.
+    """
+
+    summary: dict[str, Any]
+    warnings: list[str]
+    bag: Path
+
+
+def adjust_bag(
+    bag: Path,
+    out: Path,
+    estimator: str = "ml",
+    given: NodeParameters | None = None,
+    wanted: Mapping[str, Any] | None = None,
+    references: References = UNKNOWN_GROUND,
+    jobs: int = 1,
+) -> Adjusted:
+    """Adjust the dwells of a bag to each other; leaves report.json, adjustment.png and a new bag in `out`.
+
+    Args:
+        bag: folder of the recorded bag, or its .mcap file.
+        out: folder; must be new or empty.
+        estimator: whose heights are compared.
+        given: parameters of nodes that replace recorded ones.
+        wanted: settings of the adjustment by name; of the mounting and the delay those that the bag's compression had.
+        references: known ground.
+        jobs: dwells that are processed side by side.
+
+    Raises:
+        UserError: the bag cannot be used, or a parameter or a setting is not allowed.
+    """
+    sensors = sensors_of(Part().open(bag))[0].values()
+    by_images = not any(map(suited, sensors))
+    if by_images and references.terrain:
+        raise UserError(
+            f"Bag {bag} is of a sensor with one detector, whose images have no heights to compare with an elevation "
+            "model; give targets, and the height of the ground by --set ground_m."
+        )
+    if not by_images:
+        for sensor in sensors:
+            check_estimator(estimator, sensor)
+    estimators = () if by_images else (estimator,)
+    scheme = plan(bag, given or {}, estimators, for_heights=not by_images)
+    compression = scheme.parameters.get(COMPRESSION, {})
+    stated = {name: compression[name] for name in KNOWN if compression.get(name)}
+    settings = (ImageAdjustmentSettings if by_images else AdjustmentSettings)(**{**stated, **(wanted or {})})
+    folder = new_folder(out)
+    with reporting(folder, {"bag": bag.name, "settings": settings.model_dump()}) as report:
+        reader = NamespacedReader(scheme.bag, scheme.namespace)
+        found = _adjusted(scheme, jobs, estimator, settings, references, report)
+        adjustment, mounting, summary = found.adjustment, found.mounting, found.summary
+        warnings = [*scheme.warnings, *found.losses.described(len(scheme.frames)), *found.sentences]
+        report |= {**summary, "warnings": warnings}
+        with writing(folder / "adjustment.png"):
+            draw_adjustment(adjustment, folder / "adjustment.png")
+
+        def corrected(states: Sequence[PlatformState]) -> list[PlatformState]:
+            seconds = [(state.stamp_ns - scheme.epoch_ns) * 1e-9 for state in states]
+            return corrected_states(states, seconds, adjustment, mounting, settings)
+
+        if adjustment.comparisons:
+            odometry = _corrected_odometry(scheme, reader, corrected)
+            known = {**KNOWN, "map_axes": "enu", "body_axes": "flu"}
+        else:
+            odometry, known = None, {}
+        custom = {PARAMETERS: json.dumps({**scheme.parameters, COMPRESSION: {**compression, **known}})}
+        _write(reader, folder / "bag", {**custom, ADJUSTED_FROM: bag_name(bag)}, odometry)
+    return Adjusted(summary, warnings, folder / "bag")
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """What was found in a bag: the adjustment, the mounting as described, what was left out, and what a report says."""
+
+    adjustment: Adjustment
+    mounting: Mounting
+    losses: Losses
+    summary: dict[str, Any]
+    sentences: list[str]
+
+
+def _adjusted(
+    scheme: Scheme,
+    jobs: int,
+    estimator: str,
+    settings: AdjustmentSettings,
+    references: References,
+    report: dict[str, Any],
+) -> _Found:
+    """Adjust the dwells of a bag by their heights, or by their images where the settings are those of images.
+
+    How many there are, and what was left out, is in the report even if they cannot be adjusted.
+
+    Raises:
+        UserError: there is none, or nothing that could be wrong with images.
+    """
+    if not isinstance(settings, ImageAdjustmentSettings):
+        run = BagRun(scheme, [COMPRESSION, ESTIMATORS[estimator].node], jobs=jobs, wanted=[SLC, f"{estimator}/height"])
+        dwells, sensor, losses = _in_order(run, _observe(run, estimator, run.losses), report)
+        adjustment = adjust(dwells, sensor.mounting, settings, references)
+        summary, sentences = summary_of(adjustment, dwells, sensor.mounting, settings, references)
+        return _Found(adjustment, sensor.mounting, losses, summary, sentences)
+    run = BagRun(scheme, [COMPRESSION], jobs=jobs, wanted=[SLC])
+    images, sensor, losses = _in_order(run, _observe_images(run, settings, run.losses), report)
+    if not any(image.stated.pose[:3, :3].any() for image in images):
+        raise UserError(
+            f"The odometry of bag {scheme.bag} states no errors of position, so that there is nothing to find; say how "
+            "large they may be by --set position_sigma_m=0.3 and, if they change from dwell to dwell, "
+            "velocity_sigma_mps and position_step_m."
+        )
+    adjustment = adjust_images(images, sensor.mounting, settings, references.targets)
+    summary, sentences = summary_of(adjustment, images, sensor.mounting, settings, references)
+    of_images, on_images = summary_of_images(adjustment, images)
+    return _Found(adjustment, sensor.mounting, losses, summary | of_images, [*sentences, *on_images])
+
+
+def _observe(run: BagRun, estimator: str, losses: Losses) -> Iterator[ObservedDwell]:
+    """The dwells of a bag with heights of an estimator."""
+    node, images = ESTIMATORS[estimator].node, dict[DwellKey, Images]()
+    for made in run.results("dwells"):
+        if not isinstance(made.result, Product):
+            continue
+        item = made.result.item
+        if isinstance(item, Images):
+            images[item.key] = item
+        elif isinstance(item, Heights) and (source := images.pop(item.key).source) is not None:
+            try:
+                yield ObservedDwell.of(
+                    item.field, source.slc, source.sensor, _track_of(source), source.pulses, run.scheme.epoch_ns
+                )
+            except Rejected as few:
+                losses.add(node, Loss(item.key, 0, few.reason, str(few)))
+
+
+def _observe_images(run: BagRun, settings: ImageAdjustmentSettings, losses: Losses) -> Iterator[ObservedImage]:
+    """The images of a bag of one detector, on cells as of the first one."""
+    cell = 0.0
+    for made in run.results("dwells"):
+        if not (isinstance(made.result, Product) and isinstance(made.result.item, Images)):
+            continue
+        source = made.result.item.source
+        if source is None:
+            continue
+        cell = cell or cell_size(source.slc)
+        try:
+            yield ObservedImage.of_image(
+                source.slc, source.sensor, _track_of(source), source.pulses, settings, cell, run.scheme.epoch_ns
+            )
+        except Rejected as strip:
+            losses.add(COMPRESSION, Loss(made.dwell, 0, strip.reason, str(strip)))
+
+
+def _track_of(source: Source) -> Trajectory:
+    """The track of base_link during a dwell."""
+    track: Trajectory = correct_track(Trajectory(source.states, motion=source.settings.motion), source.settings)
+    return track
+
+
+def _in_order(
+    run: BagRun, observed: Iterator[Observed], report: dict[str, Any]
+) -> tuple[list[Observed], Sensor, Losses]:
+    """The dwells of a bag in the order of time, their sensor, and what was left out, which the report has then.
+
+    Raises:
+        UserError: there is none, or the bag describes several sensors.
+    """
+    sensor, dwells, losses = only_sensor(run), list(observed), run.losses
+    report |= {"dwells": len(dwells), **losses.counts()}
+    if not dwells:
+        why = losses.described(len(run.scheme.frames)) or ["No dwell could be compressed."]
+        raise UserError(f"Bag {run.scheme.bag} has no dwell that can be adjusted. {' '.join(why)}")
+    return sorted(dwells, key=lambda dwell: dwell.seconds), sensor, losses
+
+
+def _corrected_odometry(
+    scheme: Scheme, reader: BagReader, corrected: Callable[[Sequence[PlatformState]], list[PlatformState]]
+) -> Iterator[bytes | None]:
+    """The samples of the odometry in the order of the bag, serialized; None: one that cannot be used."""
+    frames = parameters_of(COMPRESSION, scheme.parameters.get(COMPRESSION, {})).frames
+    states: list[PlatformState | None] = []
+    for recorded in reader.messages([f"/{ODOMETRY}"]):
+        try:
+            states.append(messages.state_of_pose(messages.received_pose(recorded.cdr), frames))
+        except (UserError, RuntimeError):  # the compression leaves it out, too
+            states.append(None)
+    better = iter(corrected([state for state in states if state is not None]))
+    for state in states:
+        if state is None:
+            yield None
+        else:
+            yield messages.serialize(messages.state_to_message(next(better), messages.to_stamp(state.stamp_ns), frames))
+
+
+def _write(
+    reader: BagReader, folder: Path, custom_data: Mapping[str, str], odometry: Iterator[bytes | None] | None
+) -> None:
+    """Write a bag with what the sensor delivered, and another odometry; None: the same.
+
+    Raises:
+        UserError: it cannot be written.
+    """
+    copied = [topic for topic in reader.topics.values() if topic.type_name in COPIED and topic.count]
+    with BagWriter(folder, {**reader.custom_data, **custom_data}, kept_packing(reader)) as bag:
+        for topic in [*copied, reader.topics[f"/{ODOMETRY}"]]:
+            bag.add_topic(topic.name, topic.type_name, topic.offered_qos)
+        names = [topic.name for topic in copied]
+        for recorded in reader.messages([*names, f"/{ODOMETRY}"]):
+            cdr: bytes | None = recorded.cdr
+            if recorded.topic == f"/{ODOMETRY}" and odometry:
+                cdr = next(odometry)
+            if cdr is not None:
+                bag.write(recorded.topic, cdr, recorded.log_time_ns, recorded.publish_time_ns)

@@ -1,0 +1,205 @@
+"""`sal-height movers`: what moves in the strips or dwells of a bag, with its place, height and radial velocity."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sal_height.bag.namespace import NamespacedReader
+from sal_height.engine.movers import MOVERS, MoverDetection
+from sal_height.engine.movers import FoundMovers as Movers
+from sal_height.engine.stage import DwellKey, Product
+from sal_height.errors import UserError
+from sal_height.geometry import sphere_coordinates
+from sal_height.graph.catalogue import DETECTOR, NodeParameters, parameters_of
+from sal_height.graph.plan import DwellChanges
+from sal_height.graph.reporting import reporting
+from sal_height.io import new_folder
+from sal_height.movers import Mover, MoverSettings, check_sensor
+from sal_height.runs.chain.chain_runs import COMPRESSION, BagRun, Scheme, plan
+from sal_height.runs.chain.entry import sensors_of
+from sal_height.sensor import Sensor
+
+STAGES_OF_MOVERS = (COMPRESSION, DETECTOR)
+
+
+@dataclass(frozen=True, eq=False)
+class SeenMover:
+    """A mover, and in which image it was seen.
+
+    Attributes:
+        dwell: number of the block that completed the image.
+        stamp_ns: of its first pulse.
+        mover: what was found.
+    """
+
+    dwell: int
+    stamp_ns: int
+    mover: Mover
+
+    def summary(self) -> dict[str, Any]:
+        """What the report says of it."""
+        east, north, height = (float(value) for value in sphere_coordinates(self.mover.position))
+        one = self.mover
+        return {
+            "dwell": self.dwell,
+            "stamp_ns": self.stamp_ns,
+            "east_m": east,
+            "north_m": north,
+            "height_m": height,
+            "covariance_m2": one.covariance.tolist(),
+            "height_sigma_m": one.sigma,
+            "radial_velocity_mps": one.radial_velocity,
+            "radial_velocity_sigma_mps": one.velocity_sigma,
+            "ambiguity_mps": one.ambiguity,
+            "ambiguity_resolved": one.resolved,
+            "walk_velocity_mps": one.walk_velocity,
+            "walk_velocity_sigma_mps": one.walk_sigma,
+            **_along(one),
+            "found_by_walk": one.walks,
+            "likelihood_ratio": one.likelihood_ratio,
+            "cnr_db": one.cnr_db,
+        }
+
+
+def _along(one: Mover) -> dict[str, float]:
+    """What the report says of the velocity along the flight; nothing if nothing tells it."""
+    if np.isnan(one.along_sigma):
+        return {}
+    return {"along_velocity_mps": one.along_velocity, "along_velocity_sigma_mps": one.along_sigma}
+
+
+@dataclass(frozen=True, eq=False)
+class FoundMovers:
+    """What was found in a bag.
+
+    Attributes:
+        movers: in the order of time.
+        candidates: number of pixels that were looked at.
+        images: number of images.
+        dwells: number of dwells in the bag.
+        left_out: how many of them tell nothing.
+        warnings: sentences on what could not be used, and on what is used in spite of them.
+    """
+
+    movers: Sequence[SeenMover]
+    candidates: int
+    images: int
+    dwells: int
+    left_out: int
+    warnings: Sequence[str]
+
+    def table(self) -> str:
+        """A line for each mover."""
+        looked = f"{self.candidates} bright pixels of {self.images} images were looked at"
+        lines = [f"{len(self.movers)} movers; {looked}"]
+        if self.left_out:
+            lines[0] += f"; {self.left_out} of {self.dwells} dwells were left out"
+        if self.movers:
+            place = f"{'east m':>11}{'north m':>11}{'height m':>10}{'+-':>7}"
+            along = f"{'along m/s':>11}{'+-':>7}" if any(_along(seen.mover) for seen in self.movers) else ""
+            lines.append(f"{'dwell':>6}{place}{'mm/s':>11}{'+-':>7}{'by walk m/s':>13}{'+-':>7}{along}")
+        for seen in self.movers:
+            one = seen.summary()
+            place = f"{one['east_m']:11.3f}{one['north_m']:11.3f}{one['height_m']:10.3f}{one['height_sigma_m']:7.3f}"
+            speed = f"{1e3 * one['radial_velocity_mps']:11.2f}{1e3 * one['radial_velocity_sigma_mps']:7.2f}"
+            walk = f"{one['walk_velocity_mps']:13.2f}{one['walk_velocity_sigma_mps']:7.2f}"
+            along = "".join(
+                f"{value:{width}.2f}" for value, width in zip(_along(seen.mover).values(), (11, 7), strict=False)
+            )
+            lines.append(f"{seen.dwell:6d}{place}{speed}{walk}{along}")
+        if not all(seen.mover.resolved for seen in self.movers):
+            period = 1e3 * self.movers[0].mover.ambiguity
+            lines.append(
+                f"Velocities in mm/s that differ by multiples of {period:.4g} mm/s look the same; those by the walk "
+                "through rows do not."
+            )
+        return "\n".join(lines)
+
+
+def find_in_bag(
+    bag: Path,
+    out: Path,
+    given: NodeParameters | None = None,
+    wanted: Mapping[str, Any] | None = None,
+    jobs: int = 1,
+) -> FoundMovers:
+    """Compress the strips or dwells of a bag and find what moves; leaves report.json in `out`.
+
+    Args:
+        bag: folder of the recorded bag, or its .mcap file.
+        out: folder; must be new or empty.
+        given: parameters of nodes that replace recorded ones.
+        wanted: settings of the search by name.
+        jobs: dwells that are processed side by side.
+
+    Raises:
+        UserError: the bag cannot be used or has no image in which movers could be told, or a parameter or a setting is
+            not allowed.
+    """
+    settings = MoverSettings(**(wanted or {}))
+    scheme = plan(bag, given or {}, ("ml",))
+    with reporting(new_folder(out), {"bag": bag.name, "settings": settings.model_dump()}) as report:
+        sensors, _ = sensors_of(NamespacedReader(scheme.bag, scheme.namespace))
+        for sensor in sensors.values():
+            check_sensor(sensor)
+        first, scheme = _with_columns(scheme, sensors, given or {})
+        own = MoverDetection.settings(**dict(settings))
+        run = BagRun(scheme, STAGES_OF_MOVERS, jobs=jobs, wanted=[MOVERS], settings={COMPRESSION: first, DETECTOR: own})
+        items = (made.result.item for made in run.results("images") if isinstance(made.result, Product))
+        found = [item for item in items if isinstance(item, Movers)]
+        looked, seen = [one.looked for one in found], [mover for one in found for mover in _seen(one)]
+        dwells = len(scheme.frames)
+        said = run.losses.described(dwells)
+        warnings = [*scheme.warnings, *said]
+        report |= {"dwells": dwells, **run.losses.counts(), "warnings": warnings}
+        if not looked:
+            raise UserError(f"Bag {bag} has no image in which movers could be looked for. {' '.join(said)}".rstrip())
+        candidates = sum(one.candidates for one in looked)
+        if not candidates:
+            warnings.append(
+                f"No pixel is {settings.prominence_db:g} dB brighter than what is around it, so none was looked at; "
+                "set prominence_db to less."
+            )
+        report |= {
+            "images": len(looked),
+            "candidates": candidates,
+            "expected_false_alarms_at_most": settings.false_alarm_rate * candidates,
+            "fastest_mps": min((one.fastest for one in looked), default=0.0),
+            "ground_lag_rad": [list(one.ground_lag) for one in looked],
+            "movers": [one.summary() for one in seen],
+        }
+    return FoundMovers(seen, candidates, len(looked), dwells, run.losses.dwells, warnings)
+
+
+def _settings_for(scheme: Scheme, sensors: Mapping[str, Sensor], given: NodeParameters, dwell: DwellKey) -> Any:
+    """Settings of the compression: of spotlight a column for each Doppler frequency, as many as pulses."""
+    settings = parameters_of(COMPRESSION, scheme.parameters.get(COMPRESSION, {}))
+    sensor = sensors.get(dwell.sensor)
+    if sensor is None or sensor.mode != "spotlight" or "cols" in given.get(COMPRESSION, {}):
+        return settings
+    return settings.changed(cols=sensor.pulse_count)
+
+
+def _with_columns(scheme: Scheme, sensors: Mapping[str, Sensor], given: NodeParameters) -> tuple[Any, Scheme]:
+    """Settings of the compression at the first dwell, and the scheme with those of dwells of other sensors."""
+    dwells = sorted(scheme.frames, key=lambda dwell: scheme.frames[dwell].first_ns)
+    first = _settings_for(scheme, sensors, given, dwells[0])
+    changes = list(scheme.changes)
+    for before, dwell in pairwise(dwells):
+        if before.sensor != dwell.sensor:
+            cols = _settings_for(scheme, sensors, given, dwell).cols
+            changes.append(DwellChanges(dwell, {COMPRESSION: {"cols": cols}}))
+    return first, replace(scheme, changes=tuple(changes))
+
+
+def _seen(found: Movers) -> list[SeenMover]:
+    """What was found in an image, in the order of the flight."""
+    direction = found.images.slc.aperture.direction
+    in_order = sorted(found.looked.movers, key=lambda one: float(np.dot(one.position, direction)))
+    return [SeenMover(found.key.number, found.key.stamp_ns, one) for one in in_order]

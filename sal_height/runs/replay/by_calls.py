@@ -1,0 +1,194 @@
+"""Replays without ROS: the stages are joined by calls, and what nodes would publish is written to the new bag."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from typing import Any
+
+from sal_height.bag import qos
+from sal_height.bag.qos import Qos
+from sal_height.bag.reader import BagMessage
+from sal_height.bag.writer import BagWriter
+from sal_height.engine.air import AIR_PARAMETERS
+from sal_height.engine.calibrations import CALIBRATION
+from sal_height.engine.chain import Made
+from sal_height.engine.compression import ODOMETRY
+from sal_height.engine.dwells import SENSOR_INFO
+from sal_height.engine.stage import DwellKey, Event, Loss, Notice, Port, Product
+from sal_height.errors import UserError
+from sal_height.graph.interruption import Interruption
+from sal_height.graph.plan import UNCOUNTED, Execution, Outcome, Plan
+from sal_height.messages.codec import SHIPPED
+from sal_height.messages.kinds import kind_of, kind_of_topic
+from sal_height.messages.losses import LOSSES, loss_to_message
+from sal_height.nodes.accounts.account import Account
+from sal_height.runs.chain.chain_runs import BagRun, Scheme
+from sal_height.runs.chain.side_by_side import count_messages
+
+_LOG = logging.getLogger(__name__)
+
+LOSS_TYPE = "sal_height_msgs/msg/DwellLoss"
+
+
+def perform_by_calls(plan: Plan, scheme: Scheme, execution: Execution, jobs: int) -> Outcome:
+    """Process the dwells of a bag by calls, and write what was played and made to a new one.
+
+    Args:
+        plan: of the same replay through nodes.
+        scheme: of the bag.
+        execution: what is recorded besides.
+        jobs: dwells that are processed side by side.
+
+    Raises:
+        UserError: a parameter is not allowed, or no stage makes a topic that is to be recorded.
+    """
+    also = [topic.removeprefix("/") for topic in execution.record]
+    wanted = [topic for topic in dict.fromkeys([*plan.recorded, *also]) if topic not in UNCOUNTED]
+    failure: UserError | None = None
+    interrupted = False
+    began = time.monotonic()
+    with ExitStack() as stack:
+        run = BagRun(scheme, plan.stages, jobs=jobs, wanted=wanted)
+        interruption = stack.enter_context(Interruption())
+        recording = _Recording(run, plan, wanted)
+        stack.callback(recording.bag.close)
+        try:
+            for _, message in run.calibrations().values():
+                recording.take(CALIBRATION, message, ())
+            for made in run.results(plan.bag.parent.name, recording.take):
+                interruption.check()
+                recording.enter(made)
+        except KeyboardInterrupt:
+            interrupted = True
+        except UserError as error:
+            failure = error
+        except OSError as error:
+            failure = UserError(f"Bag {plan.bag} cannot be written: {error.strerror}; make room on its disk.")
+    accounts = recording.accounts()
+    return Outcome(accounts, accounts[plan.source].dwells, interrupted, failure, time.monotonic() - began)
+
+
+@dataclass
+class _Counts:
+    """What a stage, or the bag as the source of the dwells, has counted."""
+
+    received: int = 0
+    published: Counter[str] = field(default_factory=Counter)
+    dropped: Counter[str] = field(default_factory=Counter)
+    ignored: Counter[str] = field(default_factory=Counter)
+    events: Counter[str] = field(default_factory=Counter)
+    last_drop: str = ""
+
+    def account(self, dwells: int = 0) -> Account:
+        """The account of a node that has done the same."""
+        return Account(
+            received=self.received,
+            processed=self.received - self.dropped.total(),
+            published=self.published.total(),
+            dwells=dwells,
+            dropped=dict(self.dropped),
+            ignored=dict(self.ignored),
+            events=dict(self.events),
+            published_on=dict(self.published),
+            last_drop=self.last_drop,
+        )
+
+
+class _Recording:
+    """Writes the new bag and counts as nodes do."""
+
+    def __init__(self, run: BagRun, plan: Plan, wanted: Sequence[str]) -> None:
+        """Begin the bag.
+
+        Raises:
+            UserError: no stage makes a topic that is to be recorded, or the bag cannot be made.
+        """
+        self._run, self._plan = run, plan
+        self._now_ns = run.begin_ns
+        self._counts = {name: _Counts() for name in (plan.source, *plan.stages)}
+        self._dwells: set[DwellKey] = set()
+        self._consumers: dict[str, list[str]] = {}
+        self._ports: dict[str, Port] = {}
+        types: dict[str, tuple[str, Qos]] = {LOSSES: (LOSS_TYPE, qos.FRAMES)}
+        for topic in plan.played:
+            types[topic] = kind_of_topic(topic).type_name, _qos_of(topic, latched=topic == SENSOR_INFO)
+        for name, stage in run.stages.items():
+            for port in stage.inputs(run.settings[name]):
+                if port.counted:
+                    self._consumers.setdefault(port.name, []).append(name)
+            for port in stage.outputs(run.settings[name]):
+                self._ports[port.name] = port
+                types[port.name] = kind_of(port).type_name, _qos_of(port.name, latched=port.latched)
+        types.setdefault(CALIBRATION, (kind_of_topic(CALIBRATION).type_name, qos.LATCHED))
+        if unknown := [topic for topic in wanted if topic not in types]:
+            raise UserError(
+                f"Topic {unknown[0]} is not made by a replay without nodes; it has {', '.join(sorted(types))}. Leave "
+                "--jobs out to record others."
+            )
+        names = dict(zip(wanted, plan.on_wire(wanted), strict=True))
+        self._names = {topic: f"/{name}" for topic, name in names.items()}
+        self.bag = BagWriter(plan.bag, plan.custom_data)
+        for topic, name in self._names.items():
+            self.bag.add_topic(name, types[topic][0], [types[topic][1]])
+
+    def take(self, port: str, recorded: BagMessage, items: Sequence[Any] | None) -> None:
+        """Write and count a message that is played; what cannot be decoded (None) is counted and left out."""
+        self._now_ns = recorded.log_time_ns
+        if items is None:
+            self._counts[self._plan.source].ignored[f"broken {recorded.topic}"] += 1
+            _LOG.warning("%s: ignored a message on %s that cannot be decoded.", self._plan.source, recorded.topic)
+            return
+        self._write(port, [recorded.cdr])
+        self._counts[self._plan.source].published[port] += 1
+        for item in items:
+            if key := getattr(item, "key", None):
+                self._dwells.add(key)
+        self._count_received(port, max(1, len(items)))
+
+    def enter(self, made: Made) -> None:
+        """Write a product, or count what a stage left out or reports."""
+        counts, result = self._counts[made.stage.name], made.result
+        if isinstance(result, Product):
+            count = count_messages(result.item)
+            counts.published[result.port] += count
+            self._count_received(result.port, count)
+            if result.port in self._names:
+                settings = self._run.settings[made.stage.name]
+                self._write(result.port, kind_of(self._ports[result.port]).write(result.item, settings))
+        elif isinstance(result, Loss):
+            counts.dropped[result.reason] += result.messages
+            counts.last_drop = result.sentence
+            _LOG.warning("%s: dropped %d (%s): %s", made.stage.name, result.messages, result.reason, result.sentence)
+            loss = loss_to_message(f"/{made.stage.name}", result, self._now_ns)
+            self._write(LOSSES, [SHIPPED.serialize(loss)])
+        elif isinstance(result, Notice):
+            counts.ignored[result.kind] += 1
+        elif isinstance(result, Event):
+            counts.events[result.name] += 1
+
+    def accounts(self) -> dict[str, Account]:
+        """The account of the source and of every stage."""
+        source = self._plan.source
+        others = {name: counts.account() for name, counts in self._counts.items() if name != source}
+        return {source: self._counts[source].account(len(self._dwells)), **others}
+
+    def _count_received(self, port: str, messages: int) -> None:
+        for name in self._consumers.get(port, ()):
+            self._counts[name].received += messages
+
+    def _write(self, port: str, serialized: Sequence[bytes]) -> None:
+        if port in self._names:
+            for cdr in serialized:
+                self.bag.write(self._names[port], cdr, self._now_ns, self._now_ns)
+
+
+def _qos_of(topic: str, *, latched: bool) -> Qos:
+    """Quality of service of the publisher that a topic has in a graph of nodes."""
+    if latched:
+        return qos.LATCHED
+    return qos.ODOMETRY if topic in (ODOMETRY, *AIR_PARAMETERS) else qos.FRAMES

@@ -1,0 +1,86 @@
+"""Judge a bag by a golden one: equal, within the tolerance, or changed, with a picture of the worst dwell."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+from sal_height.bag.compare import CHANGED, EQUAL, WITHIN, Comparison
+from sal_height.bag.reader import BagReader
+from sal_height.bag.tolerance import Tolerances
+from sal_height.errors import UserError
+from sal_height.io import writing
+from sal_height.nodes.accounts.account import DIAGNOSTICS, Account
+
+PICTURE = "comparison.png"
+
+DIAGNOSTICS_RECORDED = f"/{DIAGNOSTICS.removeprefix('/')}"
+
+PASSING = frozenset({DIAGNOSTICS_RECORDED, "/parameter_events", "/progress", "/rosout"})
+"""Topics that say how a run went, which is another time never the same."""
+
+
+def draw_worst_dwell(golden: BagReader, made: BagReader, compared: Mapping[str, Comparison], folder: Path) -> None:
+    """Draw the worst dwell of a comparison in `folder`/comparison.png, if the heights of any differ.
+
+    Raises:
+        UserError: a bag cannot be read, or the picture cannot be written.
+    """
+    from sal_height.runs.replay.difference_picture import draw_difference, worst_height_image  # noqa: PLC0415 (Matplotlib)
+
+    if worst := worst_height_image(compared, golden):
+        with writing(folder / PICTURE):
+            draw_difference(golden, made, *worst, folder / PICTURE)
+
+
+def verdict_of(compared: Mapping[str, Comparison]) -> str:
+    """The worst verdict of all topics; EQUAL, WITHIN or CHANGED, which it also is if there are none."""
+    verdicts = {one.verdict for one in compared.values()} or {CHANGED}
+    return next(verdict for verdict in (CHANGED, WITHIN, EQUAL) if verdict in verdicts)
+
+
+def as_json(
+    golden: BagReader, made: BagReader, compared: Mapping[str, Comparison], tolerances: Tolerances
+) -> dict[str, Any]:
+    """What a report says of a comparison of two bags; latencies are those that the nodes told last.
+
+    Raises:
+        UserError: a bag cannot be read.
+    """
+    latencies = _latencies(golden), _latencies(made)
+    return {
+        "verdict": verdict_of(compared),
+        "golden": golden.path.name,
+        "tolerances": tolerances.as_json(),
+        "topics": {topic: one.as_json() for topic, one in compared.items()},
+        "latency_p50_ms": {
+            node: {"golden": latencies[0].get(node), "made": latencies[1].get(node)}
+            for node in sorted({*latencies[0], *latencies[1]})
+        },
+    }
+
+
+def topics_to_compare(golden: BagReader, made: BagReader, named: Collection[str]) -> list[str]:
+    """Topics of two bags whose content can be compared: those named, or all but those that say how a run went.
+
+    Raises:
+        UserError: a bag cannot be read, or a topic that is named is in neither.
+    """
+    known = list(dict.fromkeys([*golden.topics, *made.topics]))
+    wanted = [f"/{topic.removeprefix('/')}" for topic in named]
+    if lost := [topic for topic in wanted if topic not in known]:
+        raise UserError(f"Neither bag has topic {lost[0]}; they have {', '.join(known)}.")
+    return wanted or [topic for topic in known if topic not in PASSING]
+
+
+def _latencies(bag: BagReader) -> dict[str, float]:
+    """Median latency of each node, ms, as it told it last in a bag."""
+    found = {}
+    for recorded in bag.messages([DIAGNOSTICS_RECORDED]) if DIAGNOSTICS_RECORDED in bag.topics else ():
+        for status in bag.decode(recorded.type_name, recorded.cdr).status:
+            latency = Account.of_status(status).latency_p50_ms
+            if not math.isnan(latency):
+                found[status.name] = latency
+    return found

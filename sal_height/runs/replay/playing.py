@@ -1,0 +1,70 @@
+"""When a replay plays what a bag holds, how fast and how often."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from sal_height.bag.played import LOCKSTEP, PACED
+from sal_height.errors import UserError
+from sal_height.runs.chain.replay_parameters import Processing
+
+
+@dataclass(frozen=True)
+class Playing:
+    """When what a bag holds is played.
+
+    Attributes:
+        clock: one of `player.CLOCKS`.
+        rate: seconds of the sensor in a second; None: 1, if the clock has a rate at all.
+        loops: how often the bag is played.
+    """
+
+    clock: str = LOCKSTEP
+    rate: float | None = None
+    loops: int = 1
+
+    def __post_init__(self) -> None:
+        """Refuse what contradicts the clock.
+
+        Raises:
+            UserError: something does.
+        """
+        if self.rate is not None and self.clock != PACED:
+            raise UserError(f"Option --rate has no meaning with --clock {self.clock}; give it with --clock {PACED}.")
+        if self.loops > 1 and self.clock == LOCKSTEP:
+            raise UserError(
+                f"Option --loop has no meaning with --clock {LOCKSTEP}; give it with --clock paced or burst."
+            )
+
+    def check(self, processing: Processing) -> None:
+        """Refuse to repeat what changed in flight: the nodes would go into the next pass with what the last one left.
+
+        Raises:
+            UserError: something changed after the first dwell that is played.
+        """
+        if self.loops > 1 and (
+            late := [one.dwell.number for one in processing.changes if one.dwell != processing.first]
+        ):
+            raise UserError(
+                f"Option --loop cannot repeat what changed in flight before dwell {late[0]}; set the parameters for "
+                "all dwells by --param, or choose dwells without a change by --dwells."
+            )
+
+    @property
+    def is_paced(self) -> bool:
+        """Whether the player tells the time of the sensor."""
+        return self.clock == PACED
+
+    @property
+    def for_player(self) -> dict[str, Any]:
+        """Parameters of the player."""
+        rate = {} if self.rate is None else {"rate": float(self.rate)}
+        return {"clock": self.clock, "loops": self.loops, **rate}
+
+    def report(self) -> dict[str, Any]:
+        """What the report says of it."""
+        return {"clock": self.clock, "rate": (self.rate or 1.0) if self.is_paced else None, "loops": self.loops}
+
+
+IN_LOCKSTEP = Playing()

@@ -1,0 +1,1 @@
+"""Impulse responses and point-spread functions of images, measured."""

@@ -1,0 +1,125 @@
+"""Impulse response of a target in each image, as numbers and as a picture (`sal-height irf`)."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from sal_height.errors import UserError
+from sal_height.io import check_new_folder, new_folder, or_null, write_text, writing
+from sal_height.response import CutResponse, ImpulseResponse, chip_around, measure_brightest, measure_windows
+from sal_height.runs.responses.images import AXES, Image, image_name, images_of
+from sal_height.runs.responses.irf_picture import Target, draw_responses
+
+MOST_DRAWN = 8
+"""Greatest number of targets in the picture: the first ones. More would make it unreadable."""
+
+
+def irf(
+    paths: list[Path],
+    out: Path,
+    near: tuple[int, int] | None = None,
+    dwell: int | None = None,
+    channel: int | None = None,
+    azimuth_axis: int = 1,
+    jobs: int = 1,
+) -> list[dict[str, Any]]:
+    """Measure a target in each image and write irf.json and irf.png to `out`.
+
+    Args:
+        paths: .npy and .npz files and bags.
+        out: folder; must be new or empty, which is checked before anything is measured.
+        near: row and column of a pixel near the target; None for the brightest target of each image.
+        dwell: measure only the images of this dwell; None for all.
+        channel: measure only the images of this channel; None for all.
+        azimuth_axis: along-track axis (0 or 1) of arrays in .npy and .npz files; in bags it is 1.
+        jobs: dwells of a bag without images of which these are made side by side.
+
+    Returns:
+        The entries of irf.json, one per image: image, topic, dwell, channel; row, col (pixels), position_m (map);
+        range and azimuth, each with width_px, width_m, pslr_db, islr_db; peak_over_median_db, entropy. A quantity that
+        the image does not show is None.
+
+    Raises:
+        UserError: something cannot be read, measured or written, or there is nothing to measure.
+    """
+    check_new_folder(out)
+    entries: list[dict[str, Any]] = []
+    targets: list[Target] = []
+    images = (image for path in paths for image in images_of(path, dwell, channel, azimuth_axis, jobs))
+    for image in tqdm(images, desc="irf", unit="image", delay=1, leave=False):
+        try:
+            response = measure_brightest(image.pixels, near)
+        except UserError as error:
+            raise UserError(f"Image {image.name}: {error}") from error
+        entries.append(_entry(image, response))
+        if len(targets) < MOST_DRAWN:
+            chip = chip_around(image.pixels, round(response.row), round(response.col))
+            targets.append(Target(image.name, image.axes, chip, response))
+    folder = new_folder(out)
+    write_text(folder / "irf.json", json.dumps(entries, indent=2, allow_nan=False) + "\n")
+    more = f" (the first {len(targets)} of {len(entries)} images)" if len(entries) > len(targets) else ""
+    with writing(folder / "irf.png"):
+        draw_responses(targets, f"Impulse responses{more}", folder / "irf.png")
+    return entries
+
+
+def response_table(entries: list[dict[str, Any]]) -> str:
+    """Format the entries of irf.json as a table; a dash stands for a quantity that the image does not show."""
+    cut = f"{'px':>9}{'m':>9}{'PSLR dB':>9}{'ISLR dB':>9}"
+    lines = [f"{'':18}{'range':>9}{'':27}{'azimuth':>9}", f"{'row':>9}{'col':>9}{cut}{cut}{'peak dB':>9}{'entropy':>9}"]
+    for entry in entries:
+        cuts = [entry[axis][key] for axis in AXES for key in ("width_px", "width_m", "pslr_db", "islr_db")]
+        numbers = [entry["row"], entry["col"], *cuts, entry["peak_over_median_db"], entry["entropy"]]
+        shown = "".join(f"{'-' if number is None else format(number, '.3f'):>9}" for number in numbers)
+        lines.append(f"{shown}  {image_name(entry['image'], entry['topic'], entry['dwell'], entry['channel'])}")
+    coarse = sum(any((entry[axis]["width_px"] or 1) < 1 for axis in AXES) for entry in entries)
+    if coarse:
+        lines.append(
+            f"{coarse} of {len(entries)} responses are narrower than a pixel: the image is sampled too coarsely for "
+            "its bandwidth, so these figures cannot be trusted."
+        )
+    return "\n".join(lines)
+
+
+def window_table() -> str:
+    """Format a table of what each window costs and gains, measured on an ideal point response."""
+    heading = f"{'window':12}{'PSLR dB':>9}{'ISLR dB':>9}{'width bins':>12}{'broadening':>12}{'noise gain':>12}"
+    lines = [
+        f"{name:12}{w.response.pslr_db:9.2f}{w.response.islr_db:9.2f}{w.response.width:12.4f}{w.broadening:12.4f}"
+        f"{w.noise_gain:12.4f}"
+        for name, w in measure_windows().items()
+    ]
+    return "\n".join([heading, *lines])
+
+
+def _entry(image: Image, response: ImpulseResponse) -> dict[str, Any]:
+    """The entry of irf.json."""
+    grid = image.grid
+    spacings = (grid.row_spacing, grid.col_spacing) if grid else (np.nan, np.nan)
+    cuts = dict(zip(image.axes, zip((response.row_cut, response.col_cut), spacings, strict=True), strict=True))
+    return {
+        "image": str(image.path),
+        "topic": image.topic,
+        "dwell": image.dwell,
+        "channel": image.channel,
+        "row": response.row,
+        "col": response.col,
+        "position_m": grid.points(response.row, response.col).tolist() if grid else None,
+        **{axis: _cut_entry(*cuts[axis]) for axis in AXES},
+        "peak_over_median_db": or_null(response.peak_over_median_db),
+        "entropy": response.entropy,
+    }
+
+
+def _cut_entry(cut: CutResponse, spacing: float) -> dict[str, float | None]:
+    return {
+        "width_px": or_null(cut.width),
+        "width_m": or_null(cut.width * spacing),
+        "pslr_db": or_null(cut.pslr_db),
+        "islr_db": or_null(cut.islr_db),
+    }

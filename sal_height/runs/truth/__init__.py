@@ -1,0 +1,1 @@
+"""Simulated flights, and their heights compared with the truth in numbers and pictures."""

@@ -1,0 +1,160 @@
+"""`sal-height run`: simulate a flight, process it with the graph, and compare the heights with the truth."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from sal_height.bag.sensor_topics import MAP_ORIGIN
+from sal_height.engine.registry import STAGES, takes_images
+from sal_height.errors import UserError
+from sal_height.graph.catalogue import (
+    HEIGHTS,
+    TRACKER,
+    NodeParameters,
+    check_parameters,
+    consumers,
+    height_sources,
+    placed,
+    recorded_topics,
+    suited,
+)
+from sal_height.graph.lockstep import perform
+from sal_height.graph.plan import DEFAULT, Execution, Outcome, Plan
+from sal_height.graph.reporting import PARAMETERS, PRESET, RELIEF_MAP, SEED, conclude, merged, reporting
+from sal_height.io import new_folder, write_text, writing
+from sal_height.messages import AIR
+from sal_height.runs.chain.entry import check_air
+from sal_height.runs.truth.accuracy import Accuracy, read_accuracy, read_images
+from sal_height.simulation import Preset, SimulatedFlight, flight_of
+
+"""File of the relief map in the folder of a run."""
+
+
+@dataclass(frozen=True)
+class Flown:
+    """A flight that was simulated, processed and compared with the truth.
+
+    Attributes:
+        flight: what was simulated.
+        outcome: what became of its dwells.
+        accuracy: errors of each estimator, and the heights and grounds that they are of.
+        source: prefix of the topics of the estimator whose heights are tracked.
+    """
+
+    flight: SimulatedFlight
+    outcome: Outcome
+    accuracy: Accuracy
+    source: str
+
+
+def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execution: Execution = DEFAULT) -> Flown:
+    """Do what `fly` does, and leave pictures beside it in `out`; without any valid height there are none.
+
+    Raises:
+        UserError: as `fly`, or a picture cannot be written.
+    """
+    flown = fly(preset, seed, out, parameters, execution)
+    _draw(flown, preset, out)
+    return flown
+
+
+def fly(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execution: Execution = DEFAULT) -> Flown:
+    """Simulate and process all dwells of `preset`; leaves a bag, report, map and preset.yaml in `out`.
+
+    Without any valid height there is no map. The map (relief_map.tif) needs the package rasterio.
+
+    Args:
+        preset: sensor, flight, scene and processing.
+        seed: seed of all random numbers.
+        out: output folder; must be new or empty.
+        parameters: values that replace parameters of nodes that follow from the preset.
+        execution: how the run is carried out.
+
+    Raises:
+        UserError: a parameter is not allowed, the flight leaves its scene, or the run failed.
+    """
+    parameters = check_parameters(merged(preset.processing, parameters))
+    flight = flight_of(preset, seed)
+    estimators = suited(flight.sensor, preset.estimators)
+    air = list(AIR) if preset.impairments.air else []
+    check_air(parameters, [flight.sensor], air, "A simulated flight without air (impairments)")
+    flight.surface(0)  # refuses a flight beside the scene before anything is started
+    folder = new_folder(out)
+    settings = folder / "preset.yaml"
+    values = merged(processing_of(flight, estimators), parameters)
+    simulator = {"preset": str(settings), "seed": seed, "period_s": 0.0}
+    relief = {"file": str(folder / RELIEF_MAP)} if find_spec("rasterio") else {}
+    stages = ["sar_compression", *estimators, TRACKER, "relief_mapper"]
+    bag = folder / "bag"
+    known = {"preset": preset.name, "seed": seed, "cnr_db": preset.cnr_db, "looks": list(preset.looks)}
+    with reporting(folder, known) as report:
+        flown = json.dumps(dataclasses.asdict(preset))
+        write_text(settings, yaml.safe_dump(json.loads(flown), sort_keys=False))
+        custom_data = {PARAMETERS: json.dumps(values), PRESET: flown, SEED: str(seed)}
+        nodes = merged({"simulator": simulator, "relief_mapper": relief}, values)
+        topics = recorded_topics(stages, values)
+        topics += [*air, *([MAP_ORIGIN] if flight.scene.origin else [])]
+        plan = Plan("simulator", stages, topics, bag, nodes, preset.dwells, custom_data)
+        outcome = perform(plan, execution)
+        conclude(outcome, values, report)
+        report["relief_map"] = RELIEF_MAP if (folder / RELIEF_MAP).is_file() else None
+        accuracy = read_accuracy(bag, flight, stages)
+        report["estimators"] = accuracy.statistics
+    return Flown(flight, outcome, accuracy, height_sources(stages, values)[TRACKER].removesuffix("/height"))
+
+
+def processing_of(flight: SimulatedFlight, estimators: list[str]) -> dict[str, dict[str, Any]]:
+    """Parameters of the nodes that follow from the size of a preset's images, its looks and its place on the earth.
+
+    Args:
+        flight: whose dwells are processed.
+        estimators: the height nodes.
+    """
+    preset = flight.preset
+    looks = {"range_looks": preset.looks[0], "azimuth_looks": preset.looks[1]}
+    own = {
+        "sar_compression": {"rows": preset.image.rows, "cols": preset.image.cols},
+        **{name: dict(looks) for name in estimators if name in HEIGHTS and takes_images(STAGES[name])},
+    }
+    return merged(merged(own, consumers(estimators)), placed(flight.scene.origin))
+
+
+def _draw(flown: Flown, preset: Preset, folder: Path) -> None:
+    """Write the pictures of a flight beside its bag.
+
+    Raises:
+        UserError: a picture cannot be written, or none of the images lies on the scene.
+    """
+    from sal_height.runs.truth.cloud_picture import cloud_of, draw_cloud  # noqa: PLC0415 (brings Matplotlib)
+    from sal_height.runs.truth.error_picture import draw_errors  # noqa: PLC0415
+    from sal_height.runs.truth.ground_picture import draw_ground  # noqa: PLC0415
+    from sal_height.runs.truth.height_picture import draw_heights  # noqa: PLC0415
+    from sal_height.runs.truth.profile import draw_profile  # noqa: PLC0415
+
+    accuracy, source = flown.accuracy, flown.source
+    if accuracy.heights and not any(one.ground.inside.any() for one in accuracy.heights.values()):
+        raise UserError(
+            "By the odometry none of the images lies on the scene, so that there is no true height to compare with and "
+            f"no picture; lower the errors in impairments: odometry: of the preset. The bag is in {folder}."
+        )
+    if source in accuracy.grounds:
+        with writing(folder / "ground.png"):
+            draw_ground(*accuracy.grounds[source], folder / "ground.png")
+    if accuracy.heights:
+        images = read_images(folder / "bag")
+        shown = source if source in images else next(iter(accuracy.heights))
+        with writing(folder / "height.png"):
+            draw_heights(accuracy.heights, images[shown], preset, folder / "height.png")
+        with writing(folder / "errors.png"):
+            draw_errors(accuracy.heights, folder / "errors.png")
+        with writing(folder / "scene3d.png"):
+            draw_cloud(*cloud_of(accuracy.heights), preset, folder / "scene3d.png")
+        with writing(folder / "profile.png"):
+            draw_profile(images, source, flown.flight, folder / "profile.png")

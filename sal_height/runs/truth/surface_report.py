@@ -1,0 +1,251 @@
+"""What report.json says of published surfaces: their errors by kind of pixel, ghosts, confusion, and the lit ground.
+
+Nothing that is published remains uncounted: each surface of each pixel with a height is in one of the kinds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from sal_height import messages
+from sal_height.beams import Beams
+from sal_height.elevation import USABLE, Validity
+from sal_height.geometry import ApertureState
+from sal_height.imaging import azimuth_resolution, image_beams
+from sal_height.io import or_null
+from sal_height.messages.types import HeightImage
+from sal_height.numeric import F64, Bool, Index
+from sal_height.relief import HeightField
+from sal_height.runs.truth.comparison import (
+    FOUND_ORDERS,
+    TRUE_ORDERS,
+    Comparison,
+    PublishedErrors,
+    compare,
+    joined_comparisons,
+)
+from sal_height.simulation import SimulatedFlight, VisibleSurface
+from sal_height.simulation.lit_ground import GroundCells, ground_cells
+from sal_height.simulation.lit_surfaces import CONNECTED, LitSurfaces, lit_surfaces
+
+TOLERANCE_BEAMWIDTHS = 0.11
+"""Error, across the line of sight, up to which a height is called right: 6 cm of height in sal_spotlight."""
+
+
+CELL_PIXELS = 0.5
+"""Side of a cell of the ground in pixels of the height image on level ground."""
+
+
+@dataclass(frozen=True, eq=False)
+class GroundCoverage:
+    """Cells of the ground that the images of a run reach by range and Doppler; arrays of shape (cells,).
+
+    Attributes:
+        size: of a cell, m.
+        tolerance: error of a height up to which it is right, m.
+        number: row (north) and column (east) of the cell, counted from the map's origin, shape (cells, 2); its centre
+            is at (number + 0.5) sizes.
+        terrain: height of the ground in the middle of the cell, m.
+        inside: True where the cell is inside the array in some image.
+        lit: True where it is lit as well in such an image.
+        right: True where a surface is published whose height is right: in the cell's pixel, or in that before or behind
+            it in range.
+        silent: True where nothing was found in its pixels but noise.
+    """
+
+    size: float
+    tolerance: float
+    number: Index
+    terrain: F64
+    inside: Bool
+    lit: Bool
+    right: Bool
+    silent: Bool
+
+    @property
+    def shares(self) -> dict[str, float | None]:
+        """Of the cells inside the array, the lit ones and the others; of the lit ones, those that are right."""
+        inside, lit, right = (int(np.count_nonzero(chosen)) for chosen in (self.inside, self.lit, self.right))
+        return {"lit": _share(lit, inside), "shadow": _share(inside - lit, inside), "right": _share(right, lit)}
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """The height images of one estimator beside the truth.
+
+    Attributes:
+        comparison: of pixels and published surfaces.
+        ground: what of the ground was seen.
+    """
+
+    comparison: Comparison
+    ground: GroundCoverage
+
+
+def height_beamwidth(flight: SimulatedFlight) -> float:
+    """Difference in height of one beamwidth at the middle of the swath, m."""
+    track = flight.preset.flight
+    return float(flight.sensor.beamwidth * track.slant_range_m * np.sin(track.look_angle_rad))
+
+
+def as_flown(
+    field: HeightField, aperture: ApertureState, flight: SimulatedFlight, dwell: int
+) -> tuple[HeightField, ApertureState]:
+    """Where the pixels of a height image and its points lie, seen from where the platform was.
+
+    Range and Doppler count from there, not from where the odometry says; a pixel is compared with what it saw. Heights
+    and covariances stay as they were published. In stripmap the error of the odometry is that in the middle of the last
+    block.
+
+    Args:
+        field: the heights.
+        aperture: as whose image they are published.
+        flight: that was simulated.
+        dwell: whose image it is, or which block has completed it.
+    """
+    true = flight.aperture(dwell)
+    stated = aperture
+    if aperture.sliding:
+        track = flight.track(dwell).mounted(flight.sensor.mounting)
+        stated = track.aperture(flight.dwell_start_ns(dwell), flight.pulse_times)
+    off = stated.position - true.position
+    surfaces = tuple(replace(surface, positions=surface.positions - off) for surface in field.surfaces)
+    grid = replace(field.grid, origin=field.grid.origin - off)
+    return replace(field, grid=grid, surfaces=surfaces), replace(aperture, position=aperture.position - off)
+
+
+def true_surfaces(
+    field: HeightField, aperture: ApertureState, beams: Beams, flight: SimulatedFlight, surface: VisibleSurface
+) -> LitSurfaces:
+    """The lit surfaces of the pixels of a height image.
+
+    Args:
+        field: the heights (`as_flown`).
+        aperture: from where they were seen (`as_flown`).
+        beams: as images have them.
+        flight: that was simulated.
+        surface: what was lit in the dwell.
+    """
+    sensor = flight.sensor
+    connected = max(CONNECTED, 1.5 * flight.scene.layer_spacing / height_beamwidth(flight))
+    cell = sensor.range_resolution, azimuth_resolution(sensor, aperture, flight.preset.flight.slant_range_m)
+    return lit_surfaces(surface, aperture, field.grid, cell, beams, connected, field.first.positions)
+
+
+def judged(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Mapping[int, VisibleSurface]) -> Judged:
+    """Compare all height images of one estimator with what their dwells saw.
+
+    Args:
+        images: of a simulated flight.
+        flight: the flight.
+        surfaces: what was lit in each dwell.
+    """
+    sensor, track = flight.sensor, flight.preset.flight
+    across = height_beamwidth(flight)
+    spacing = images[0].grid
+    size = float(max(spacing.row_spacing / np.sin(track.look_angle_rad), spacing.col_spacing)) * CELL_PIXELS
+    tolerance = float(TOLERANCE_BEAMWIDTHS * across)
+    comparisons, seen = [], []
+    for image in images:
+        field, published_as = messages.field_from_message(image), messages.aperture_from_message(image.aperture)
+        flown, aperture = as_flown(field, published_as, flight, image.dwell)
+        beams = image_beams(sensor, messages.recorded_window(image.provenance, "azimuth"))
+        surface = surfaces[image.dwell]
+        truth = true_surfaces(flown, aperture, beams, flight, surface)
+        comparisons.append(compare(field, truth, sensor.beamwidth))
+        cells = ground_cells(flight.scene, surface, aperture, flown.grid, beams, sensor.look_side, size)
+        silent = np.isin(field.validity, (Validity.NO_SIGNAL, Validity.LOW_CNR))[*cells.pixel.T]
+        seen.append((cells, _is_right(field, cells, tolerance), silent))
+    return Judged(joined_comparisons(comparisons), _coverage(seen, size, tolerance))
+
+
+def _is_right(field: HeightField, cells: GroundCells, tolerance: float) -> Bool:
+    """Whether a surface of the pixel of each cell, or of the pixels next to it in range, has the cell's height."""
+    right = np.zeros(len(cells.height), dtype=bool)
+    for step in (-1, 0, 1):
+        row = np.clip(cells.pixel[:, 0] + step, 0, field.grid.rows - 1)
+        for surface in field.surfaces:
+            right |= np.abs(surface.height[row, cells.pixel[:, 1]] - cells.height) < tolerance
+    return right
+
+
+def _coverage(seen: Sequence[tuple[GroundCells, Bool, Bool]], size: float, tolerance: float) -> GroundCoverage:
+    """Coverage by all images together: a cell is inside, lit or right if it is so in one, silent if in all of them."""
+    images, right, silent = zip(*seen, strict=True)
+    numbers = np.concatenate([cells.number for cells in images])
+    number, first, which = np.unique(numbers, axis=0, return_index=True, return_inverse=True)
+
+    def anywhere(parts: Sequence[Bool]) -> Bool:
+        return np.bincount(which.ravel(), np.concatenate(parts).astype(np.float64)) > 0
+
+    return GroundCoverage(
+        size=size,
+        tolerance=tolerance,
+        number=number,
+        terrain=np.concatenate([cells.height for cells in images])[first],
+        inside=anywhere([cells.inside for cells in images]),
+        lit=anywhere([cells.inside & cells.lit for cells in images]),
+        right=anywhere([cells.inside & cells.lit & true for cells, true in zip(images, right, strict=True)]),
+        silent=~anywhere([~quiet for quiet in silent]),
+    )
+
+
+def surface_statistics(judgement: Judged) -> dict[str, Any]:
+    """Part `surfaces` of an estimator's report: errors of all published surfaces and of each kind, and the lit ground.
+
+    `valid`: share of the lit pixels inside the array with a height; `missed`: share of the lit surfaces for which none
+    is published; `ghosts_in_shadow`: share of the pixels in shadow with a height; `confusion`: pixels by what they
+    hold (rows) and what was found; `ground`: `GroundCoverage.shares`.
+    """
+    result, ground = judgement.comparison, judgement.ground
+    kinds = {value.name: result.errors.where(result.errors.validity == value) for value in map(Validity, USABLE)}
+    return {
+        "valid": _share(result.valid, result.pixels),
+        "missed": _share(result.missed, result.surfaces),
+        "ghosts_in_shadow": _share(result.ghosts, result.shadow),
+        "all": error_statistics(result.errors),
+        **{name: error_statistics(errors) for name, errors in kinds.items()},
+        "confusion": {"true": list(TRUE_ORDERS), "found": list(FOUND_ORDERS), "pixels": result.confusion.tolist()},
+        "ground": {"cell_m": ground.size, "tolerance_m": ground.tolerance, **ground.shares},
+    }
+
+
+def error_statistics(errors: PublishedErrors) -> dict[str, Any]:
+    """Number of surfaces, number of those in shadow, and errors of the others from the nearest true surface.
+
+    `own_beyond_5_sigma` is the share that is farther than 5 sigma from the surface it should be, or has none.
+    """
+    near = errors.where(np.isfinite(errors.nearest))
+    return {
+        "surfaces": len(errors.sigma),
+        "in_shadow": int(np.count_nonzero(errors.ghost)),
+        **coverage_of_sigma(near.nearest, near.sigma),
+        "own_beyond_5_sigma": _mean(~(np.abs(near.own) <= 5 * near.sigma)),
+    }
+
+
+def coverage_of_sigma(error: F64, sigma: F64) -> dict[str, Any]:
+    """Errors (m) and how they keep what their sigmas (m) promise; None where there is no error."""
+    off = np.abs(error) / sigma
+    low, middle, high = np.percentile(error, [16, 50, 84]) if len(off) else (np.nan,) * 3
+    return {
+        "bias_m": _mean(error),
+        "median_m": or_null(float(middle)),
+        "s68_m": or_null(float(high - low) / 2),
+        "sigma_m": _mean(sigma),
+        "within_1_sigma": _mean(off < 1),
+        "within_2_sigma": _mean(off < 2),
+        "beyond_5_sigma": _mean(off > 5),
+    }
+
+
+def _mean(values: F64 | Bool) -> float | None:
+    return float(np.mean(values)) if values.size else None
+
+
+def _share(part: int, whole: int) -> float | None:
+    return part / whole if whole else None

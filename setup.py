@@ -46,11 +46,13 @@ setup(
     install_requires=[
         "annotated-types",
         "cyclopts",
+        "cycler",
         "finufft",
         "matplotlib",
         "mcap",
         "numba",
         "numpy",
+        "pillow",
         "pydantic",
         "pyproj",
         "pyyaml",
@@ -61,7 +63,7 @@ setup(
         "tqdm",
     ],
     extras_require={
-        "batch": ["distributed", "pyarrow"],
+        "batch": ["dask", "distributed", "pyarrow"],
         "dem": ["rasterio"],
         "docs": ["mermaidx", "mkdocs", "mkdocs-material"],
         "formats": ["h5netcdf", "h5py", "laspy[lazrs]", "rasterio", "sarkit", "xarray", "zarr"],

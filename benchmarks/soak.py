@@ -297,7 +297,7 @@ def soak(
     from sal_height.graph.plan import Execution  # noqa: PLC0415
     from sal_height.runs.live.live import Live, live  # noqa: PLC0415
     from sal_height.runs.live.sensor_bag import Feed, record_sensor  # noqa: PLC0415
-    from sal_height.runs.replay.replay import replay  # noqa: PLC0415
+    from sal_height.runs.replay.bag_replay import replay  # noqa: PLC0415
     from sal_height.simulation import load_preset  # noqa: PLC0415
 
     with tempfile.TemporaryDirectory() as temporary:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from sal_height.runs.replay.replay import Replay
+    from sal_height.runs.replay.bag_replay import Replay
 
 
 def replay_and_compare(
@@ -50,8 +50,8 @@ def replay_and_compare(
     from sal_height.bag.compare import CHANGED  # noqa: PLC0415 (ROS only for tests that need it)
     from sal_height.bag.tolerance import ROUNDING, read_tolerances  # noqa: PLC0415
     from sal_height.graph.tables import comparison_table  # noqa: PLC0415
+    from sal_height.runs.replay.bag_replay import Against, replay  # noqa: PLC0415
     from sal_height.runs.replay.judge import verdict_of  # noqa: PLC0415
-    from sal_height.runs.replay.replay import Against, replay  # noqa: PLC0415
 
     tolerances = read_tolerances(Path(tolerance)) if tolerance else ROUNDING
     against = Against(Path(golden) if golden else None, tolerances)

@@ -11,8 +11,8 @@ from sal_height.adjustment import read_targets
 from sal_height.calibration import Calibration, load_calibration, save_calibration
 from sal_height.engine.mapper import PlacedRelief
 from sal_height.engine.stage import FileProduct, Stage
+from sal_height.geometry.elevation_model import read_elevation_model
 from sal_height.relief import check_geotiff, write_geotiff
-from sal_height.simulation.dem import read_elevation_model
 
 READERS: Mapping[str, Callable[[Path], Any]] = {
     "calibration": load_calibration,

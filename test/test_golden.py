@@ -14,7 +14,7 @@ from helpers import AS_VERSION_2
 from sal_height.bag.compare import CHANGED, EQUAL
 from sal_height.bag.tolerance import EXACT
 from sal_height.errors import UserError
-from sal_height.runs.replay.replay import Against, replay
+from sal_height.runs.replay.bag_replay import Against, replay
 
 BAGS = Path(__file__).parents[1] / "bags"
 GOLDEN = sorted(

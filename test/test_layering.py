@@ -7,15 +7,17 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from functools import cache
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
 
 PACKAGE = Path(__file__).parents[1] / "sal_height"
 LAYERS = (
-    ("errors",),
+    ("errors", "moved"),
     ("numeric", "extras", "io", "settings", "configuration", "tables", "array_files"),
-    ("geometry", "response"),
+    ("geometry",),
+    ("response",),
     ("beams",),
     ("sensor",),
     ("elevation",),
@@ -54,7 +56,18 @@ SUBSCRIBES = "sal_height.view.listener"
 KNOWING_MESSAGES = ("messages", "bag", "imports")
 """Packages of the shell that do not even import modules that import ROS."""
 
-BAG_RUNS = ("chain_runs", "by_calls", "side_by_side", "batch", "adjust", "calibrate", "movers", "passes")
+ROOMS = (
+    *("elevation.looks", "elevation.array", "elevation.layover", "elevation.monopulse", "elevation.vegetation"),
+    "elevation.estimators",
+    *("nodes.transport", "nodes.accounts", "nodes.playing", "nodes.recording"),
+    *("runs.chain", "runs.responses", "runs.truth", "runs.replay", "runs.campaign", "runs.products", "runs.live"),
+)
+"""Sub-packages in the order of the data: each imports from those before it in this list only."""
+
+BAG_RUNS = (
+    *("chain.chain_runs", "chain.side_by_side", "replay.by_calls", "campaign.batch"),
+    *("products.adjust", "products.calibrate", "products.movers", "products.passes"),
+)
 """Modules of `runs` that process bags without ROS."""
 
 
@@ -171,6 +184,37 @@ def test_modules_import_from_the_layers_above_theirs_only() -> None:
     assert not {module: names for module, names in wrong.items() if names}
 
 
+def room_of(module: str) -> int | None:
+    """Number of the sub-package in ROOMS that a module is in."""
+    return next((number for number, room in enumerate(ROOMS) if is_among(module, [f"sal_height.{room}"])), None)
+
+
+def test_every_sub_package_has_its_place() -> None:
+    rooms = {name.removeprefix("sal_height.") for name in MODULES if (PACKAGE.parent / name.replace(".", "/")).is_dir()}
+    parts = {name for name in rooms if name.partition(".")[0] in {"elevation", "nodes", "runs"} and "." in name}
+    assert parts == set(ROOMS)
+
+
+def test_sub_packages_import_from_those_before_them_only() -> None:
+    wrong = {
+        module: {name for name in imports_of_file(path) if (other := room_of(name)) is not None and other > own}
+        for module, path in MODULES.items()
+        if (own := room_of(module)) is not None
+    }
+    assert not {module: names for module, names in wrong.items() if names}
+
+
+def test_no_module_imports_itself_through_others() -> None:
+    """Not even through an import inside a function; that of its own package is one for all modules of the package."""
+    order = TopologicalSorter[str]()
+    for module, path in MODULES.items():
+        order.add(
+            module,
+            *(name for name in imports_of_file(path) & MODULES.keys() if not f"{module}.".startswith(f"{name}.")),
+        )
+    order.prepare()
+
+
 def test_an_import_against_the_order_is_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     wrong = tmp_path / "sal_height" / "imaging" / "wrong.py"
     wrong.parent.mkdir(parents=True)
@@ -194,7 +238,8 @@ def test_the_walk_finds_what_it_looks_for() -> None:
     assert "sal_height.messages" in reachable_from("sal_height.nodes.host")
     assert "sal_height.engine.stage" in reachable_from("sal_height.runs.chain.chain_runs")
     inner = imports_of(
-        "def f():\n    import rclpy.node\n    from . import messages\n    from .nodes import graph", "sal_height"
+        "def f():\n    import rclpy.node\n    from . import messages\n    from .nodes.transport import graph",
+        "sal_height",
     )
     assert {"rclpy.node", "sal_height.messages", "sal_height.nodes.transport.graph"} <= inner
 

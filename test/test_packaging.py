@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import re
 import shutil
@@ -9,7 +10,7 @@ import subprocess
 import sys
 import tomllib
 import xml.etree.ElementTree as ET
-from importlib.metadata import entry_points
+from importlib.metadata import entry_points, packages_distributions
 from pathlib import Path
 from zipfile import ZipFile
 
@@ -35,7 +36,7 @@ def test_one_version() -> None:
 BY_PIP = {"annotated-types", "cyclopts", "finufft", "mcap", "numba", "pydantic", "rosbags", "threadpoolctl"}
 """Requirements that package.xml leaves to pip, and names in a comment: rosdep has no fitting package for them."""
 
-NAMED_OTHERWISE = {"pyyaml": "python3-yaml"}
+NAMED_OTHERWISE = {"pillow": "python3-pil", "pyyaml": "python3-yaml"}
 
 ROS_WHEELS = {"ros-jazzy-common-interfaces", "ros-jazzy-rclpy[fastrtps]"}
 """Wheels whose ROS packages package.xml lists one by one."""
@@ -52,6 +53,22 @@ def test_package_xml_has_the_requirements_of_setup_py() -> None:
     assert pythonic == {NAMED_OTHERWISE.get(name, f"python3-{name}") for name in required - BY_PIP}
     (comment,) = (part for part in re.findall(r"<!--(.*?)-->", manifest.read_text(), re.DOTALL) if "pip" in part)
     assert set(re.findall(r"[a-z][a-z-]+", comment)) >= BY_PIP
+
+
+def test_every_package_that_is_imported_is_required() -> None:
+    """Packages of ROS and our messages come by their wheels; all others are in setup.py."""
+    sources = [ast.parse(path.read_text()) for path in (ROOT / "sal_height").rglob("*.py")]
+    nodes = [node for source in sources for node in ast.walk(source)]
+    names = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    names |= {node.module for node in nodes if isinstance(node, ast.ImportFrom) and node.module and not node.level}
+    imported = {name.partition(".")[0] for name in names} - sys.stdlib_module_names - {"sal_height"}
+    text = (ROOT / "setup.py").read_text()
+    text = text[text.index("install_requires") : text.index("entry_points")]
+    required = {re.split(r"[\[<>=;]", name)[0].lower() for name in re.findall(r'"([^"]+)"', text)}
+    made_by = {"rerun": ["rerun-sdk"], **packages_distributions(), "pydantic_core": ["pydantic"]}
+    assert {"PIL", "cycler", "yaml"} <= imported
+    undeclared = {name for name in imported if not {one.lower() for one in made_by.get(name, [])} & required}
+    assert not {name for name in undeclared if not any(one.startswith("ros-") for one in made_by[name])}
 
 
 def test_everywhere_the_same_versions_of_python() -> None:

@@ -20,7 +20,7 @@ from sal_height.bag.reader import BagReader
 from sal_height.elevation import Looks, MlSettings, ml_elevation
 from sal_height.geometry import ApertureState, angles_of, height_of, locate_at_elevation, locate_at_height
 from sal_height.imaging import image_beams
-from sal_height.runs.replay.replay import replay
+from sal_height.runs.replay.bag_replay import replay
 from sal_height.simulation import load_preset
 
 TUTORIALS = DOCS / "tutorials"

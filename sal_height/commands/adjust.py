@@ -98,9 +98,9 @@ def adjust(
     use_one_blas_thread()
 
     from sal_height.adjustment import References, Target, Terrain, read_targets
+    from sal_height.geometry.elevation_model import read_elevation_model
     from sal_height.runs.products.adjust import adjust_bag
     from sal_height.runs.products.adjustment_report import adjustment_table, has_comparisons, tells_nothing
-    from sal_height.simulation.dem import read_elevation_model
 
     if terrain_sigma is not None and not terrain:
         raise UserError("Option --terrain-sigma has no meaning without --terrain, whose heights it is about.")

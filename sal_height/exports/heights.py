@@ -14,6 +14,7 @@ import numpy as np
 from tqdm import tqdm
 
 from sal_height import messages
+from sal_height.bag.described import origin_of
 from sal_height.bag.namespace import open_bag
 from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import HEIGHT_TYPE
@@ -23,7 +24,6 @@ from sal_height.geometry import UTM, ApertureState, Origin, Projection, sphere_c
 from sal_height.graph.catalogue import MAPPERS
 from sal_height.numeric import F64, U8
 from sal_height.relief import HeightField
-from sal_height.runs.chain.entry import origin_of
 from sal_height.runs.chain.recorded_parameters import recorded_parameters
 
 _LOG = logging.getLogger(__name__)

@@ -4,9 +4,9 @@ Read `frames` first (body and map axes, the state of the sensor in mid-aperture,
 (heights above the sphere), `grid` (pixels of an image), `locate` (range and Doppler to a place on the ground),
 `mounting` (where the sensor is on the platform), `quaternion` (its attitude), `trajectory` (odometry to positions of
 the antenna at each pulse), `motion` (what gaps in it leave open), `geodesy` (the origin of a map on the ellipsoid),
-`projection` (a map in UTM or the like), `conventions` (axes of aviation), `navigation` (positions, velocities and
-attitudes that come apart) and `air` (what the atmosphere does to range and direction).
-Angles are in rad, lengths in m, times in s.
+`projection` (a map in UTM or the like), `elevation_model` and `elevation_grid` (heights of the ground from files),
+`conventions` (axes of aviation), `navigation` (positions, velocities and attitudes that come apart) and `air` (what the
+atmosphere does to range and direction). Angles are in rad, lengths in m, times in s.
 """
 
 from sal_height.geometry.air import (

@@ -41,7 +41,8 @@ from sal_height.imports.sicd import SicdImage, read_sicd
 from sal_height.messages.products import provenance_to_message
 from sal_height.messages.types import ComplexImage, Header
 from sal_height.numeric import C64, F64
-from sal_height.runs.responses.images import AXES, images_of
+from sal_height.response.image import AXES
+from sal_height.runs.responses.images import images_of
 from sal_height.sensor import Sensor
 
 Vector = tuple[Float, Float, Float]

@@ -1,15 +1,5 @@
-"""Former place of the qualities of service; `sal_height.nodes.transport.quality` has them."""
+"""Moved to `sal_height.nodes.transport.quality`; ends with the next release."""
 
-from __future__ import annotations
+from sal_height.moved import names_of
 
-import warnings
-
-from sal_height.nodes.transport.quality import FRAMES_QOS, INSTRUMENT_QOS, LATCHED_KEPT, LATCHED_QOS, ODOMETRY_QOS
-
-__all__ = ["FRAMES_QOS", "INSTRUMENT_QOS", "LATCHED_KEPT", "LATCHED_QOS", "ODOMETRY_QOS"]
-
-warnings.warn(
-    "sal_height.nodes.stage will be removed; import qualities of service from sal_height.nodes.transport.quality.",
-    DeprecationWarning,
-    stacklevel=2,
-)
+__getattr__ = names_of(__name__, "sal_height.nodes.transport.quality")

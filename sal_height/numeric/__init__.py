@@ -3,12 +3,13 @@
 Read `arrays` (types of arrays), `jit` (how kernels are compiled), `threads` (how work is spread over processors) and
 `blas_threads` (why BLAS is not) first, then `windows` (spectral weights), `phasors` (exp(j phase) with the phase
 reduced in float64), `chirp_z`, `centred_sums` and `fft` (transforms of many rows), `parabola` (peaks between samples),
-`medians` (how well they are known), `range_profiles` (interpolation of band-limited profiles) and `vectors` (of three
-numbers, within compiled loops). Nothing here knows of sensors or images.
+`medians` (how well they are known), `bilinear` (interpolation on nodes), `range_profiles` (interpolation of
+band-limited profiles) and `vectors` (of three numbers, within compiled loops). Nothing here knows of sensors or images.
 """
 
 from sal_height.numeric._kernels import cosine_and_sine, cosine_and_sine_of_part, tap_weights
 from sal_height.numeric.arrays import C64, C128, F32, F64, I32, I64, U8, Bool, Complex, Index
+from sal_height.numeric.bilinear import between_nodes, bilinear, node_before
 from sal_height.numeric.blas_threads import one_blas_thread
 from sal_height.numeric.centred_sums import LARGEST, CentredSums
 from sal_height.numeric.chirp_z import ChirpZ, chirp_z
@@ -50,6 +51,8 @@ __all__ = [
     "Index",
     "Vector",
     "available_processors",
+    "between_nodes",
+    "bilinear",
     "blocks",
     "broadening",
     "chirp_z",
@@ -66,6 +69,7 @@ __all__ = [
     "in_threads",
     "inlined",
     "kernel_transform",
+    "node_before",
     "noise_gain",
     "one_blas_thread",
     "outer_phasors",

@@ -1,10 +1,9 @@
 """A simulated flight: scene, platform and sensor become phase histories with known truth.
 
 Read `preset` first (the YAML that describes a run), then `flight` (everything a run is made of), `scene`, `canopy`,
-`scenes`, `dem` and `elevation_grid` (the ground and what grows on it; models that lie somewhere on the earth), `gust`
-(how the platform moves), `spotlight` and `stripmap` (what lights which scatterers), `pulse_groups` and `echoes` (the
-sum of their echoes), `beam_lattice` (beams in many directions), `air`, `receivers` and `impairments` (what happens to
-echoes) and `truth` (what a height image should show).
+`scenes` (the ground and what grows on it), `gust` (how the platform moves), `spotlight` and `stripmap` (what lights
+which scatterers), `pulse_groups` and `echoes` (the sum of their echoes), `beam_lattice` (beams in many directions),
+`air`, `receivers` and `impairments` (what happens to echoes) and `truth` (what a height image should show).
 """
 
 from sal_height.simulation.flight import (

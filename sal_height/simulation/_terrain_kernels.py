@@ -4,45 +4,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from sal_height.geometry import EARTH_RADIUS
-from sal_height.numeric import F64, I32, I64, Bool, compiled_with_nan, inlined, squared
+from sal_height.numeric import F64, I32, I64, Bool, between_nodes, compiled_with_nan, inlined, node_before, squared
 
 SMALL_ANGLE = 0.02
 """Angle at the centre of the earth, rad, up to which series replace sine and cosine: off by less than 1e-17."""
-
-
-@compiled_with_nan
-def interpolate(rows: F64, cols: F64, values: F64, row: F64, col: F64, result: F64) -> None:
-    """Bilinear interpolation of values (rows, cols) at places (row, col), shape (n,); NaN outside. Nodes increase."""
-    i, j = 0, 0
-    for k in range(row.size):
-        y, x = row[k], col[k]
-        if not (rows[0] <= y <= rows[-1] and cols[0] <= x <= cols[-1]):
-            result[k] = np.nan
-            continue
-        i, j = node_before(rows, y, i), node_before(cols, x, j)
-        result[k] = between_nodes(rows, cols, values, i, j, y, x)
-
-
-@inlined
-def node_before(nodes: F64, place: float, node: int) -> int:
-    """The node before a place between the first and the last, from another on: neighbours in a list lie together."""
-    while nodes[node] > place:
-        node -= 1
-    while nodes[node + 1] < place:
-        node += 1
-    return node
-
-
-@inlined
-def between_nodes(rows: F64, cols: F64, values: F64, i: int, j: int, y: float, x: float) -> float:
-    """Bilinear interpolation at row y and col x between the nodes i and i + 1, and j and j + 1."""
-    down, right = (y - rows[i]) / (rows[i + 1] - rows[i]), (x - cols[j]) / (cols[j + 1] - cols[j])
-    upper = values[i, j] * (1 - right) + values[i, j + 1] * right
-    lower = values[i + 1, j] * (1 - right) + values[i + 1, j + 1] * right
-    return upper * (1 - down) + lower * down
 
 
 @compiled_with_nan

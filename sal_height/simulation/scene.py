@@ -12,8 +12,8 @@ import numpy.typing as npt
 
 from sal_height.errors import UserError
 from sal_height.geometry import ApertureState, Origin, angles_of, aperture_at, sphere_coordinates, sphere_point
-from sal_height.numeric import F64, Bool, Index
-from sal_height.simulation._terrain_kernels import divide_cuts, interpolate, mark_lit, see
+from sal_height.numeric import F64, Bool, Index, bilinear
+from sal_height.simulation._terrain_kernels import divide_cuts, mark_lit, see
 from sal_height.simulation.canopy import CANOPY_LAYERS, Canopy
 from sal_height.simulation.double_bounce import find_walls
 
@@ -110,18 +110,11 @@ class Scene:
 
     def heights(self, east: npt.ArrayLike, north: npt.ArrayLike) -> F64:
         """Terrain height (m) at arc distances `east`, `north` (m); NaN outside the terrain."""
-        return self._interpolate(self.height, east, north)
+        return bilinear(self.north, self.east, self.height, north, east)
 
     def brightnesses(self, east: npt.ArrayLike, north: npt.ArrayLike) -> F64:
         """Radar brightness at arc distances `east`, `north` (m); NaN outside the terrain."""
-        return self._interpolate(self.brightness, east, north)
-
-    def _interpolate(self, values: F64, east: npt.ArrayLike, north: npt.ArrayLike) -> F64:
-        row, col = np.broadcast_arrays(np.asarray(north, dtype=np.float64), np.asarray(east, dtype=np.float64))
-        result = np.empty(row.shape)
-        rows, cols, table = (np.ascontiguousarray(v, dtype=np.float64) for v in (self.north, self.east, values))
-        interpolate(rows, cols, table, row.ravel(), col.ravel(), result.reshape(-1))
-        return result
+        return bilinear(self.north, self.east, self.brightness, north, east)
 
     @cached_property
     def reference_height(self) -> float:
@@ -135,7 +128,8 @@ class Scene:
 
     def canopy_tops(self, east: npt.ArrayLike, north: npt.ArrayLike) -> F64:
         """Height of the canopy's top above the terrain (m) at arc distances `east`, `north` (m); 0 without a canopy."""
-        return self._interpolate(self.canopy.top if self.canopy else np.zeros_like(self.height), east, north)
+        tops = self.canopy.top if self.canopy else np.zeros_like(self.height)
+        return bilinear(self.north, self.east, tops, north, east)
 
     def transmission(self, positions: F64, antenna: F64) -> F64:
         """Share of power that scatterers return through the canopy on the way to the antenna and back, (scatterers,).

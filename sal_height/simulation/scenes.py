@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from sal_height.errors import UserError
+from sal_height.geometry.elevation_model import read_elevation_model
 from sal_height.simulation.canopy import Canopy
-from sal_height.simulation.dem import read_elevation_model
 from sal_height.simulation.scene import PointScatterer, Scene
 
 
@@ -33,7 +33,14 @@ def load_scene(name_or_path: str, extent: float = 0.0) -> Scene:
             f"Scene {name_or_path!r} is neither a file nor one of {', '.join(SCENES)}; "
             "give an elevation model as .tif or .npz."
         )
-    return replace(read_elevation_model(Path(name_or_path)), extent=extent)
+    return replace(terrain(Path(name_or_path)), extent=extent)
+
+
+def terrain(path: Path) -> Scene:
+    """Terrain of uniform brightness from an elevation model in a file; errors as of `read_elevation_model`."""
+    model = read_elevation_model(path)
+    brightness = np.ones_like(model.height)
+    return Scene(model.name, model.east, model.north, model.height, brightness, origin=model.origin)
 
 
 def street(length: float = 60.0) -> Scene:
@@ -84,7 +91,7 @@ def jacksboro_fault() -> Scene:
     """The Jacksboro fault, Tennessee: 3-arc-second elevation model from the sample data of matplotlib."""
     from matplotlib.cbook import get_sample_data  # noqa: PLC0415 (slow to import)
 
-    return read_elevation_model(Path(str(get_sample_data("jacksboro_fault_dem.npz", asfileobj=False))))
+    return terrain(Path(str(get_sample_data("jacksboro_fault_dem.npz", asfileobj=False))))
 
 
 SCENES: dict[str, Callable[[], Scene]] = {"street": street, "woods": woods, "jacksboro_fault": jacksboro_fault}

@@ -154,7 +154,7 @@ def test_one_thread_is_used_unless_the_environment_says_otherwise() -> None:
 
 def test_runs_import_nothing_that_only_pictures_and_statistics_need() -> None:
     code = """
-import sal_height.runs.live.live, sal_height.runs.truth.simulate, sal_height.runs.replay.replay
+import sal_height.runs.live.live, sal_height.runs.truth.simulate, sal_height.runs.replay.bag_replay
 slow = ("matplotlib", "scipy.stats", "scipy.signal", "rasterio", "cyclopts")
 print(json.dumps([name for name in slow if name in sys.modules]))
 """

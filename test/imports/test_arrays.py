@@ -24,7 +24,7 @@ from sal_height.imports import Collection, import_arrays, level_states, read_tra
 from sal_height.imports.arrays import OF_TRACK
 from sal_height.imports.track import SBET
 from sal_height.runs.live.sensor_bag import record_sensor
-from sal_height.runs.replay.replay import replay
+from sal_height.runs.replay.bag_replay import replay
 from sal_height.sensor import PhaseHistory
 from sal_height.simulation import SimulatedFlight, flight_of, load_preset
 

@@ -19,7 +19,7 @@ from sal_height.bag.reader import BagReader
 from sal_height.commands import main
 from sal_height.errors import UserError
 from sal_height.imports.cphd import import_cphd
-from sal_height.runs.replay.replay import replay
+from sal_height.runs.replay.bag_replay import replay
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:(open|read)_text is:DeprecationWarning"

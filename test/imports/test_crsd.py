@@ -19,7 +19,7 @@ from sal_height.bag.reader import BagReader
 from sal_height.commands import main
 from sal_height.imports.crsd import import_crsd
 from sal_height.messages import field_from_message
-from sal_height.runs.replay.replay import replay
+from sal_height.runs.replay.bag_replay import replay
 
 pytestmark = pytest.mark.filterwarnings("ignore:(open|read)_text is:DeprecationWarning")  # of sarkit, which opens so
 

@@ -21,7 +21,7 @@ from sal_height.imports import read_gotcha
 from sal_height.imports.gotcha import FIELDS, import_gotcha
 from sal_height.pipeline import Compressor
 from sal_height.response import measure_brightest
-from sal_height.runs.replay.replay import replay
+from sal_height.runs.replay.bag_replay import replay
 
 CYCLES = 3.0
 """Quadratic phase error at both ends of the aperture, in cycles."""

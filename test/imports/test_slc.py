@@ -33,7 +33,7 @@ from sal_height.messages import serialize
 from sal_height.messages.types import ComplexImage, Header, Provenance
 from sal_height.runs.chain.entry import Part
 from sal_height.runs.live.sensor_bag import record_sensor
-from sal_height.runs.replay.replay import replay
+from sal_height.runs.replay.bag_replay import replay
 from sal_height.sensor import Sensor
 from sal_height.simulation import load_preset
 

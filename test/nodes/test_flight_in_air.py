@@ -22,19 +22,20 @@ from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.bag.tolerance import EXACT
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
+from sal_height.graph.air import check_air
 from sal_height.graph.plan import Execution
 from sal_height.messages import serialize
 from sal_height.messages.types import HeightImage, Temperature
 from sal_height.nodes.recording.recorder import Recorder
 from sal_height.nodes.transport.domain import free_domain
 from sal_height.nodes.transport.graph import Graph
-from sal_height.runs.chain.entry import Part, check_air
+from sal_height.runs.chain.entry import Part
 from sal_height.runs.live.live import Live, live
 from sal_height.runs.live.sensor_bag import Feed
 from sal_height.runs.products.adjust import _write
 from sal_height.runs.products.calibrate import calibrate
+from sal_height.runs.replay.bag_replay import Replay, replay
 from sal_height.runs.replay.playing import Playing
-from sal_height.runs.replay.replay import Replay, replay
 from sal_height.runs.truth.simulate import fly
 from sal_height.simulation import load_preset
 from sal_height.simulation.flight import SimulatedFlight

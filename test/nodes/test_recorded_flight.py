@@ -14,7 +14,7 @@ from sal_height.bag.reader import BagReader
 from sal_height.nodes.recording.recorder import Recorder
 from sal_height.nodes.transport.graph import Graph
 from sal_height.runs.chain.recorded_parameters import recorded_parameters
-from sal_height.runs.replay.replay import replay
+from sal_height.runs.replay.bag_replay import replay
 
 SENSOR_TOPICS = ["/sensor_info", "/platform/odometry", "/phase_history"]
 HEIGHTS = ["/ml/height", "/monopulse/height"]

@@ -21,7 +21,7 @@ from mcap.reader import make_reader
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
 from sal_height.graph.ensemble import Ensemble, Member
-from sal_height.runs.replay.replay import replay
+from sal_height.runs.replay.bag_replay import replay
 
 NODES_OF_LIVE = [
     "ml_height",

@@ -16,7 +16,7 @@ from sal_height.graph.catalogue import HEIGHTS, SETTABLE, consumers, suited
 from sal_height.graph.node_classes import NODES
 from sal_height.nodes.processing import PROCESSING
 from sal_height.runs.chain.recorded_parameters import recorded_parameters
-from sal_height.runs.replay.replay import replay
+from sal_height.runs.replay.bag_replay import replay
 from sal_height.runs.truth.simulate import fly, run
 from sal_height.settings import settings_of
 from sal_height.simulation import load_preset, parse_preset

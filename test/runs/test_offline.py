@@ -27,7 +27,7 @@ from sal_height.runs.chain import side_by_side
 from sal_height.runs.chain.chain_runs import BagRun, plan
 from sal_height.runs.chain.flight_record import FlightRecord
 from sal_height.runs.live.sensor_bag import record_sensor
-from sal_height.runs.replay.replay import replay
+from sal_height.runs.replay.bag_replay import replay
 from sal_height.simulation import load_preset
 
 BAGS = Path(__file__).parents[2] / "bags"

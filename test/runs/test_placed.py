@@ -16,15 +16,16 @@ from rosbags.highlevel import AnyReader
 
 from sal_height import messages
 from sal_height.bag import qos
+from sal_height.bag.described import origin_of
 from sal_height.bag.namespace import open_bag
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.geometry import Origin, Projection, sphere_point
 from sal_height.graph.reporting import RELIEF_MAP
 from sal_height.messages import serialize
-from sal_height.runs.chain.entry import FROM_HEIGHTS, Part, origin_of
+from sal_height.runs.chain.entry import FROM_HEIGHTS, Part
 from sal_height.runs.chain.recorded_parameters import recorded_parameters
-from sal_height.runs.replay.replay import replay
+from sal_height.runs.replay.bag_replay import replay
 from sal_height.runs.truth.simulate import fly
 from sal_height.simulation import Preset, flight_of
 from sal_height.simulation.preset import parse_preset

@@ -12,7 +12,7 @@ from sal_height.bag.compare import EQUAL, Comparison, compare_bags
 from sal_height.bag.cut import Range, cut
 from sal_height.bag.reader import BagReader
 from sal_height.bag.upgrade import upgrade
-from sal_height.runs.replay.replay import replay
+from sal_height.runs.replay.bag_replay import replay
 
 
 def compare(golden: Path, made: Path) -> dict[str, Comparison]:

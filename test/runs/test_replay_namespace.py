@@ -16,7 +16,7 @@ from sal_height.commands import main
 from sal_height.errors import UserError
 from sal_height.runs.chain.entry import Part
 from sal_height.runs.chain.timeline import timeline_of
-from sal_height.runs.replay.replay import replay
+from sal_height.runs.replay.bag_replay import replay
 
 HEIGHTS = {"/ml/height", "/monopulse/height", "/tracked/height"}
 

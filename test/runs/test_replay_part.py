@@ -18,7 +18,7 @@ from sal_height.commands import main
 from sal_height.errors import UserError
 from sal_height.graph.plan import Execution
 from sal_height.runs.chain.entry import Part
-from sal_height.runs.replay.replay import Replay, replay
+from sal_height.runs.replay.bag_replay import Replay, replay
 from sal_height.runs.truth.simulate import fly
 from sal_height.simulation.preset import Preset
 

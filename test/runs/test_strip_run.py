@@ -11,7 +11,7 @@ import numpy as np
 
 from sal_height import messages
 from sal_height.bag.reader import BagReader
-from sal_height.runs.replay.replay import replay
+from sal_height.runs.replay.bag_replay import replay
 from sal_height.runs.truth.simulate import fly
 from sal_height.simulation.preset import load_preset
 

@@ -11,7 +11,8 @@ from scipy.interpolate import RegularGridInterpolator
 
 from sal_height.geometry.earth import sphere_point
 from sal_height.geometry.frames import angles_of, aperture_at
-from sal_height.simulation._terrain_kernels import divide_cuts, interpolate, mark_lit, rise_in_canopy, see
+from sal_height.numeric.bilinear import interpolate
+from sal_height.simulation._terrain_kernels import divide_cuts, mark_lit, rise_in_canopy, see
 
 
 def test_interpolation_is_that_of_scipy_and_nan_outside() -> None:

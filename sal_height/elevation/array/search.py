@@ -15,6 +15,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from sal_height.beams import Beams
+from sal_height.elevation.array._beside_kernels import gain_beside_one
 from sal_height.elevation.array._kernels import (
     GRID_STEP,
     NEAR_HIGHEST,
@@ -26,7 +27,6 @@ from sal_height.elevation.array._kernels import (
     fit_scatterer,
 )
 from sal_height.elevation.array.bounds import Numbers
-from sal_height.elevation.layover._several_kernels import gain_beside_one
 from sal_height.elevation.looks.looks import Covariance, Looks
 from sal_height.errors import UserError
 from sal_height.numeric import F32, F64, I64, Index, in_parallel

@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.elevation.layover._several_kernels import inner, invert_positive, multiply, product, solve
+from sal_height.elevation.array._beside_kernels import inner, multiply
+from sal_height.elevation.layover._several_kernels import invert_positive, product, solve
 from sal_height.numeric import F32, F64, Index, compiled
 
 Numbers = npt.NDArray[Any]

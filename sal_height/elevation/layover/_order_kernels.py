@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sal_height.elevation.layover._several_kernels import Numbers, eliminate, invert_positive
+from sal_height.elevation.array._beside_kernels import Numbers
+from sal_height.elevation.layover._several_kernels import eliminate, invert_positive
 from sal_height.numeric import F64, Index, compiled
 
 

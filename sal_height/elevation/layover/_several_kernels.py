@@ -9,14 +9,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from sal_height.elevation.array._beside_kernels import LEAST_RESIDUE, Numbers, inner, multiply, unit_at
 from sal_height.elevation.array._kernels import TABLE_STEPS
 from sal_height.numeric import F32, F64, Index, compiled
 
-Numbers = npt.NDArray[Any]
-
-LEAST_RESIDUE = 0.02  # least share of |a|^2 perpendicular to the other scatterers for which a node is tried
 LEAST_SEPARATION = 0.5 * TABLE_STEPS  # least distance of two scatterers, 0.1 beamwidths: far below what is resolved
 REACH = 0.5 * TABLE_STEPS  # greatest step of the climb: half a step of the grid
 SETTLED = 3e-4  # convergence threshold of the climb, steps of the table: 1e-5 beamwidths
@@ -27,55 +24,6 @@ SCORING_STEPS = 4  # of the powers; the first start from moments and are right t
 GREATEST_STEP = 1.0  # of the logarithm of a power
 LEAST_POWER = 2.0  # of a scatterer in the whole array, noise powers: weaker ones are never told from noise
 POWER_RIDGE = 1e-6  # added to the information of a look on each power
-
-
-@compiled
-def gain_beside_one(
-    matrices: Numbers, squints: Index, values: F32, position: F64, pieces: Numbers, units: Numbers, found: F64
-) -> None:
-    """Power that one more scatterer explains beside the single one, at the best node of the grid and along its slope.
-
-    With the unit response u of the single one and u_j of node j, what the node adds is the power along the part of
-    u_j perpendicular to u. A surface that is spread over elevation adds power along the slope u',
-    less its part along u: responses of complex beams turn in phase.
-
-    Args:
-        matrices: R, (pixels, M, M).
-        squints: number of the squint of each pixel, (pixels,).
-        values: u_j^H R u_j, (pixels, nodes).
-        position: of the single scatterer, (pixels,).
-        pieces: of the table of unit responses, (squints, table nodes - 1, 4, M).
-        units: u_j, (squints, M, nodes).
-        found: to fill with the gain at the best node, and with that along the slope, (2, pixels).
-    """
-    _, size, nodes = units.shape
-    unit, slope, output = np.empty(size, units.dtype), np.empty(size, units.dtype), np.empty(size, units.dtype)
-    overlap, cross = np.empty(nodes, units.dtype), np.empty(nodes, units.dtype)
-    one, two, least = np.float32(1), np.float32(2), np.float32(LEAST_RESIDUE)
-    for i in range(len(position)):
-        matrix, line, table = matrices[i], values[i], units[squints[i]]
-        unit_at(position[i], pieces[squints[i]], unit, slope)
-        multiply(matrix, unit, output)
-        own = inner(unit, output).real
-        overlap[:] = 0
-        cross[:] = 0
-        for m in range(size):
-            row, u, y = table[m], unit[m], output[m]
-            for j in range(nodes):
-                overlap[j] += np.conj(row[j]) * u
-                cross[j] += np.conj(row[j]) * y
-        best = np.float32(0)
-        for j in range(nodes):
-            shared = (overlap[j] * np.conj(overlap[j])).real
-            beyond, apart = line[j] - two * (np.conj(overlap[j]) * cross[j]).real + shared * own, one - shared
-            best = max(best, beyond / max(apart, least) if apart > least else np.float32(0))
-        found[0, i] = best
-        turn = inner(unit, slope)
-        for m in range(size):
-            slope[m] -= turn * unit[m]
-        multiply(matrix, slope, output)
-        norm = inner(slope, slope).real
-        found[1, i] = inner(slope, output).real / norm if norm > 0 else 0.0
 
 
 @compiled
@@ -476,31 +424,3 @@ def product(left: Numbers, right: Numbers, result: Numbers, count: int) -> None:
             factor = left[i, k]
             for j in range(count):
                 result[i, j] += factor * right[k, j]
-
-
-@compiled
-def unit_at(place: float, pieces: Numbers, unit: Numbers, slope: Numbers) -> None:
-    """Unit response and its slope at a position, from the cubics of the table."""
-    node = min(int(place), len(pieces) - 1)
-    piece, t = pieces[node], np.float32(place - node)
-    for m in range(unit.size):
-        unit[m] = piece[0, m] + t * (piece[1, m] + t * (piece[2, m] + t * piece[3, m]))
-        slope[m] = piece[1, m] + t * (2 * piece[2, m] + 3 * t * piece[3, m])
-
-
-@compiled
-def multiply(matrix: Numbers, vector: Numbers, product: Numbers) -> None:
-    for m in range(vector.size):
-        total = vector.dtype.type(0)
-        for n in range(vector.size):
-            total += matrix[m, n] * vector[n]
-        product[m] = total
-
-
-@compiled
-def inner(left: Numbers, right: Numbers) -> Any:
-    """The product left^H right."""
-    total = left.dtype.type(0)
-    for m in range(left.size):
-        total += np.conj(left[m]) * right[m]
-    return total

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 from tqdm import tqdm
 
+from sal_height.bag.described import sensors_of
 from sal_height.bag.namespace import NamespacedReader
 from sal_height.bag.played import ALL, DwellRange, chosen, read_contents
 from sal_height.bag.reader import BagMessage, LogTimes
@@ -32,7 +33,7 @@ from sal_height.geometry import Mounting
 from sal_height.graph.catalogue import ADJUSTER, DETECTOR, NodeParameters, consumers, parameters_of
 from sal_height.graph.plan import DwellChanges
 from sal_height.messages.kinds import kind_of_topic
-from sal_height.runs.chain.entry import Part, chain_of, sensors_of
+from sal_height.runs.chain.entry import Part, chain_of
 from sal_height.runs.chain.replay_parameters import processing_of
 from sal_height.runs.chain.side_by_side import SideBySide
 from sal_height.sensor import Sensor

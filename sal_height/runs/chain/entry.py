@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -13,16 +13,14 @@ from sal_height import messages
 from sal_height.bag.namespace import NamespacedReader, open_bag
 from sal_height.bag.played import ALL, LATEST_NS, MOST, DwellRange
 from sal_height.bag.reader import BagReader
-from sal_height.bag.sensor_topics import FRAMES, IMAGES, MAP_ORIGIN, SENSOR_INFO
-from sal_height.bag.topics import FIX_TYPE
+from sal_height.bag.sensor_topics import FRAMES, IMAGES, SENSOR_INFO
 from sal_height.elevation import ESTIMATORS
 from sal_height.engine.compression import SENSOR
-from sal_height.engine.dwells import CONTRADICTION
 from sal_height.engine.movers import MOVERS
 from sal_height.engine.registry import STAGES
 from sal_height.engine.stage import DwellKey
 from sal_height.errors import UserError
-from sal_height.geometry import Origin
+from sal_height.graph.air import air_in
 from sal_height.graph.catalogue import ADJUSTER, HEIGHTS, TRACKER, NodeParameters, suited
 from sal_height.sensor import Sensor
 
@@ -174,51 +172,6 @@ def chain_of(reader: BagReader, entry: str, estimators: Collection[str]) -> Chai
     return Chain(entry, height_nodes, stages, dwells, [f"/{entry}"], air_in(reader))
 
 
-def air_in(reader: BagReader) -> list[str]:
-    """The topics of a bag that tell the air, as nodes know them."""
-    return [
-        topic
-        for topic, quantity in messages.AIR.items()
-        if _count(reader, f"/{topic}") and reader.topics[f"/{topic}"].type_name == quantity.type_name
-    ]
-
-
-def check_air(parameters: NodeParameters, sensors: Iterable[Sensor], topics: Collection[str], source: str) -> None:
-    """Refuse a compression that is to hear the air where nothing tells it, or of strips.
-
-    Args:
-        parameters: of the nodes.
-        sensors: whose dwells are compressed.
-        topics: that tell the air, of those that nodes know.
-        source: of the messages, as the begin of a sentence.
-
-    Raises:
-        UserError: something is missing.
-    """
-    if parameters.get("sar_compression", {}).get("air") != messages.HEARD_AIR:
-        return
-    for sensor in sensors:
-        if missing := [topic for topic in messages.needed_air(sensor.wavelength) if topic not in topics]:
-            raise UserError(
-                f"{source} has no messages on {', '.join(missing)}, which sar_compression takes the air from (its "
-                "parameter air is heard); record these topics, or set air to standard, measured or none."
-            )
-
-
-def origin_of(reader: BagReader) -> Origin | None:
-    """Where on the earth the origin of a bag's map frame is, as topic map_origin says; None: it does not."""
-    topic = f"/{MAP_ORIGIN}"
-    if topic not in reader.topics or reader.topics[topic].type_name != FIX_TYPE:
-        return None
-    for recorded in reader.messages([topic]):
-        try:
-            message = reader.decode(recorded.type_name, recorded.cdr)
-            return messages.read_origin(message, message.header.frame_id)
-        except (UserError, RuntimeError) as error:
-            _LOG.warning("Bag %s: a message on %s is not used. %s", reader.path, topic, error)
-    return None
-
-
 def contents(reader: BagReader, entry: str = FRAMES) -> tuple[Sensor, int]:
     """The sensor of a bag, and the number of its dwells.
 
@@ -235,21 +188,6 @@ def contents(reader: BagReader, entry: str = FRAMES) -> tuple[Sensor, int]:
     first = next(reader.messages([f"/{SENSOR_INFO}"]))
     sensor = messages.sensor_from_message(reader.decode(first.type_name, first.cdr))
     return sensor, -(-reader.topics[f"/{entry}"].count // sensor.detector_count)
-
-
-def sensors_of(reader: BagReader) -> tuple[dict[str, Sensor], list[UserError]]:
-    """The sensors that a bag describes, by their config_hash, and why other descriptions are not used."""
-    sensors: dict[str, Sensor] = {}
-    refused = []
-    for recorded in reader.messages([f"/{SENSOR_INFO}"]):
-        try:
-            sensor = messages.sensor_from_message(reader.decode(recorded.type_name, recorded.cdr))
-        except UserError as error:
-            refused.append(error)
-            continue
-        if sensors.setdefault(sensor.config_hash, sensor).digest != sensor.digest:
-            refused.append(UserError(CONTRADICTION.format(sensor.config_hash)))
-    return sensors, refused
 
 
 def check_given(given: NodeParameters, chain: Chain) -> None:

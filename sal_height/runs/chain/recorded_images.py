@@ -20,8 +20,8 @@ from sal_height.imaging import azimuth_resolution
 from sal_height.messages.kinds import kind_of
 from sal_height.numeric import WINDOWS, Complex, window
 from sal_height.response import ShapedNoise
+from sal_height.response.image import AXES, Image
 from sal_height.runs.chain.chain_runs import COMPRESSION, BagRun, plan
-from sal_height.runs.responses.images import AXES, Image
 from sal_height.sensor import Sensor, processed_angle
 
 _LOG = logging.getLogger(__name__)

@@ -32,6 +32,7 @@ from typing import Any
 
 import yaml
 
+from sal_height.bag.described import origin_of
 from sal_height.bag.files import parameters_file
 from sal_height.bag.reader import BagReader
 from sal_height.bag.sensor_topics import FRAMES
@@ -40,7 +41,6 @@ from sal_height.engine.registry import STAGES, takes_heights
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import HEIGHTS, SETTABLE, TRACKER, NodeParameters, check_parameters, placed
 from sal_height.graph.reporting import PARAMETERS, merged
-from sal_height.runs.chain.entry import origin_of
 from sal_height.runs.chain.flight_record import products_of
 from sal_height.runs.chain.timeline import EVENT, PROVENANCE, Change, Parameter, Timeline, Value, timeline_of
 from sal_height.settings import settings_of

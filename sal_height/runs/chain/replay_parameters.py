@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+from sal_height.bag.described import sensors_of
 from sal_height.bag.played import DwellRange
 from sal_height.bag.reader import BagReader, LogTimes
 from sal_height.bag.sensor_topics import FRAMES, IMAGES
@@ -15,11 +16,12 @@ from sal_height.engine.compression import HEARD
 from sal_height.engine.registry import STAGES
 from sal_height.engine.stage import DwellKey
 from sal_height.geometry import Mounting
+from sal_height.graph.air import check_air
 from sal_height.graph.catalogue import NodeParameters, parameters_of
 from sal_height.graph.plan import DwellChanges
 from sal_height.graph.reporting import merged
 from sal_height.messages import to_ns
-from sal_height.runs.chain.entry import Chain, Part, check_air, check_given, sensors_of
+from sal_height.runs.chain.entry import Chain, Part, check_given
 from sal_height.runs.chain.flight_record import FlightRecord
 from sal_height.runs.chain.recorded_parameters import RecordedParameters, parameters_in, recorded_at_start
 from sal_height.runs.chain.timeline import NO_FILE, PROVENANCE, Applied, Change, Parameter, Timeline, timeline_of

@@ -20,6 +20,7 @@ from sal_height.bag.stamps import stamp_ns_of
 from sal_height.engine.movers import MOVERS
 from sal_height.errors import UserError
 from sal_height.graph.account_book import AccountBook
+from sal_height.graph.air import check_air
 from sal_height.graph.catalogue import DETECTOR, HEIGHTS, TRACKER, check_parameters, consumers
 from sal_height.graph.conductor import Conductor
 from sal_height.graph.ensemble import Ensemble, members_of
@@ -37,7 +38,6 @@ from sal_height.nodes.playing.playlist import Playlist
 from sal_height.nodes.transport.domain import ros_domain
 from sal_height.nodes.transport.middleware import provide_shared_memory
 from sal_height.numeric import available_processors
-from sal_height.runs.chain.entry import check_air
 from sal_height.runs.live.self_test import core_rate_hz, make_tables
 from sal_height.runs.live.sensor_bag import Feed
 

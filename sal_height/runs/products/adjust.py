@@ -23,6 +23,7 @@ from sal_height.adjustment import (
     corrected_states,
 )
 from sal_height.bag.copies import kept_packing
+from sal_height.bag.described import sensors_of
 from sal_height.bag.namespace import NamespacedReader
 from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import CALIBRATION_TYPE, FIX_TYPE, FRAME_TYPE, SENSOR_TYPE
@@ -40,7 +41,7 @@ from sal_height.graph.reporting import PARAMETERS, reporting
 from sal_height.imaging import correct_track
 from sal_height.io import bag_name, new_folder, writing
 from sal_height.runs.chain.chain_runs import COMPRESSION, BagRun, Scheme, only_sensor, plan
-from sal_height.runs.chain.entry import Part, sensors_of
+from sal_height.runs.chain.entry import Part
 from sal_height.runs.products.adjustment_picture import draw_adjustment
 from sal_height.runs.products.adjustment_report import summary_of, summary_of_images
 from sal_height.sensor import Sensor

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from sal_height.bag.described import sensors_of
 from sal_height.bag.namespace import NamespacedReader
 from sal_height.engine.movers import MOVERS, MoverDetection
 from sal_height.engine.movers import FoundMovers as Movers
@@ -22,7 +23,6 @@ from sal_height.graph.reporting import reporting
 from sal_height.io import new_folder
 from sal_height.movers import Mover, MoverSettings, check_sensor
 from sal_height.runs.chain.chain_runs import COMPRESSION, BagRun, Scheme, plan
-from sal_height.runs.chain.entry import sensors_of
 from sal_height.sensor import Sensor
 
 STAGES_OF_MOVERS = (COMPRESSION, DETECTOR)

@@ -12,7 +12,8 @@ from tqdm import tqdm
 from sal_height.errors import UserError
 from sal_height.io import check_new_folder, new_folder, or_null, write_text, writing
 from sal_height.response import CutResponse, ImpulseResponse, chip_around, measure_brightest, measure_windows
-from sal_height.runs.responses.images import AXES, Image, image_name, images_of
+from sal_height.response.image import AXES, Image, image_name
+from sal_height.runs.responses.images import images_of
 from sal_height.runs.responses.irf_picture import Target, draw_responses
 
 MOST_DRAWN = 8

@@ -23,7 +23,8 @@ from sal_height.response import (
     ShapedNoise,
     report_on,
 )
-from sal_height.runs.responses.images import AXES, Image, images_of
+from sal_height.response.image import AXES, Image
+from sal_height.runs.responses.images import images_of
 from sal_height.runs.responses.psf_picture import draw_psf
 
 Entry = dict[str, Any]

@@ -14,6 +14,7 @@ import yaml
 from sal_height.bag.sensor_topics import MAP_ORIGIN
 from sal_height.engine.registry import STAGES, takes_images
 from sal_height.errors import UserError
+from sal_height.graph.air import check_air
 from sal_height.graph.catalogue import (
     HEIGHTS,
     TRACKER,
@@ -30,7 +31,6 @@ from sal_height.graph.plan import DEFAULT, Execution, Outcome, Plan
 from sal_height.graph.reporting import PARAMETERS, PRESET, RELIEF_MAP, SEED, conclude, merged, reporting
 from sal_height.io import new_folder, write_text, writing
 from sal_height.messages import AIR
-from sal_height.runs.chain.entry import check_air
 from sal_height.runs.truth.accuracy import Accuracy, read_accuracy, read_images
 from sal_height.simulation import Preset, SimulatedFlight, flight_of
 

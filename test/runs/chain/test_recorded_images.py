@@ -10,7 +10,7 @@ import pytest
 from sal_height.graph.plan import Execution
 from sal_height.runs.chain.recorded_images import recorded_slc
 from sal_height.runs.products.tomogram import tomogram
-from sal_height.runs.replay.replay import replay
+from sal_height.runs.replay.bag_replay import replay
 from sal_height.runs.responses.irf import irf
 
 LOOKS = 12, 12

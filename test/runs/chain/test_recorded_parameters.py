@@ -30,7 +30,7 @@ from sal_height.runs.chain.recorded_parameters import recorded_parameters
 from sal_height.runs.chain.replay_parameters import Processing, processing_of
 from sal_height.runs.chain.timeline import OF_MACHINE
 from sal_height.runs.live.sensor_bag import Feed
-from sal_height.runs.replay.replay import replay
+from sal_height.runs.replay.bag_replay import replay
 from sal_height.settings import settings_of
 
 BAGS = Path(__file__).parents[3] / "bags"

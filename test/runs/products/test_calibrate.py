@@ -20,7 +20,7 @@ from sal_height.runs.chain.entry import Part
 from sal_height.runs.live.sensor_bag import record_sensor
 from sal_height.runs.products.calibrate import CALIBRATION, calibrate
 from sal_height.runs.products.calibration_picture import beam_width
-from sal_height.runs.replay.replay import replay
+from sal_height.runs.replay.bag_replay import replay
 from sal_height.runs.truth.accuracy import read_accuracy
 from sal_height.runs.truth.simulate import fly
 from sal_height.simulation.flight import flight_of

@@ -18,7 +18,7 @@ from sal_height.messages import deserialize, serialize
 from sal_height.messages.types import Odometry
 from sal_height.runs.live.sensor_bag import record_sensor
 from sal_height.runs.products.movers import find_in_bag
-from sal_height.runs.replay.replay import replay
+from sal_height.runs.replay.bag_replay import replay
 from sal_height.runs.truth.simulate import fly
 from sal_height.simulation.preset import TargetSettings, load_preset
 

@@ -13,7 +13,7 @@ from rewritten_bag import rewritten
 from sal_height.errors import UserError
 from sal_height.graph.plan import Execution
 from sal_height.runs.products.tomogram import tomogram
-from sal_height.runs.replay.replay import replay
+from sal_height.runs.replay.bag_replay import replay
 
 LOOKS = (12, 12)
 

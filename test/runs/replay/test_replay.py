@@ -38,7 +38,7 @@ from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
 from sal_height.nodes.transport.quality import LATCHED_QOS
 from sal_height.runs.chain.recorded_parameters import recorded_parameters
-from sal_height.runs.replay.replay import replay
+from sal_height.runs.replay.bag_replay import replay
 
 BAGS = Path(__file__).parents[3] / "bags"
 REFERENCE = BAGS / "version_3"

@@ -1,4 +1,4 @@
-"""Terrain of an elevation model that lies somewhere on the earth, in a map with its origin in the middle of it."""
+"""Elevation models in a coordinate reference system, and in a map with its origin in the middle of the model."""
 
 from __future__ import annotations
 
@@ -6,16 +6,41 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy.interpolate import RectBivariateSpline
 from scipy.ndimage import map_coordinates
 
 from sal_height.errors import UserError
-from sal_height.geometry import Origin, Projection, sphere_coordinates, sphere_point
-from sal_height.numeric import F64
-from sal_height.simulation.scene import Scene
+from sal_height.geometry.earth import sphere_coordinates, sphere_point
+from sal_height.geometry.geodesy import Origin
+from sal_height.geometry.projection import Projection
+from sal_height.numeric import F64, bilinear
 
 KNOTS = 33
 """Places along each side of a scene at which PROJ is asked: between them coordinates are cubic, to 1 mm in 200 km."""
+
+
+@dataclass(frozen=True, eq=False)
+class ElevationModel:
+    """Heights of the ground on nodes around the map origin, bilinear between them.
+
+    Attributes:
+        name: name for people.
+        east: arc distances of the nodes from the map origin, m, increasing, shape (n_east,).
+        north: arc distances of the nodes, m, increasing, shape (n_north,).
+        height: heights above the sphere, m, shape (n_north, n_east).
+        origin: where on the earth the map origin is; None if the file does not say so.
+    """
+
+    name: str
+    east: F64
+    north: F64
+    height: F64
+    origin: Origin | None = None
+
+    def heights(self, east: npt.ArrayLike, north: npt.ArrayLike) -> F64:
+        """Height (m) of the ground at arc distances `east`, `north` (m); NaN outside the model."""
+        return bilinear(self.north, self.east, self.height, north, east)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +65,8 @@ class ElevationGrid:
     height: float
     system: Any
 
-    def scene(self) -> Scene:
-        """The terrain of uniform brightness, in nodes as far apart as the cells are in the middle.
+    def model(self) -> ElevationModel:
+        """The model around a map origin in its middle, on nodes as far apart as the cells are in the middle.
 
         Every node has the height of the model at its place, bilinear between cells: places are those of PROJ, heights
         above the sphere of the map follow from those above the ellipsoid, or the geoid if the system says so. Where
@@ -61,14 +86,7 @@ class ElevationGrid:
         south_end, north_end, west_end, east_end = _inside(row, col, self.elevation.shape)
         kept = np.ix_(range(south_end, north_end), range(west_end, east_end))
         height = map_coordinates(self.elevation, [row[kept], col[kept]], order=1, mode="nearest") + level - up[kept]
-        return Scene(
-            self.name,
-            east[west_end:east_end],
-            north[south_end:north_end],
-            height,
-            np.ones_like(height),
-            origin=projection.origin,
-        )
+        return ElevationModel(self.name, east[west_end:east_end], north[south_end:north_end], height, projection.origin)
 
     def _projection(self) -> Projection:
         """The system with its map origin on the ellipsoid below the middle of the model."""

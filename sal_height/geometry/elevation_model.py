@@ -1,4 +1,4 @@
-"""Terrain from elevation models in files: GeoTIFF and .npz."""
+"""Elevation models in files: GeoTIFF and .npz."""
 
 from __future__ import annotations
 
@@ -10,16 +10,15 @@ import numpy as np
 
 from sal_height.errors import UserError
 from sal_height.extras import import_extra
-from sal_height.geometry import EARTH_RADIUS
-from sal_height.simulation.elevation_grid import ElevationGrid
-from sal_height.simulation.scene import Scene
+from sal_height.geometry.earth import EARTH_RADIUS
+from sal_height.geometry.elevation_grid import ElevationGrid, ElevationModel
 
 LOWEST, HIGHEST = -12000.0, 9000.0  # m, elevations that occur on Earth
 NO_DATA = (-9999.0, -32768.0)  # elevations that stand for none where a file does not say so
 
 
-def read_elevation_model(path: Path) -> Scene:
-    """Terrain of uniform brightness around the map origin, from a GeoTIFF or an .npz file.
+def read_elevation_model(path: Path) -> ElevationModel:
+    """Read the heights of the ground around the map origin from a GeoTIFF or an .npz file.
 
     Rows run from north to south. A GeoTIFF says where on the earth it is (`ElevationGrid`). Of an
     .npz only the size of cells is known; if they are given in degrees, the parallel in the middle keeps its length.
@@ -33,8 +32,8 @@ def read_elevation_model(path: Path) -> Scene:
     return readers[suffix](path)
 
 
-def _read_npz(path: Path) -> Scene:
-    """Terrain of `elevation` (m) of an .npz, whose cells `dx`, `dy` are in metres, or in degrees.
+def _read_npz(path: Path) -> ElevationModel:
+    """Read `elevation` (m) of an .npz, whose cells `dx`, `dy` are in metres, or in degrees.
 
     They are in degrees if the latitudes `ymin` and `ymax` of the edges are given too.
     """
@@ -55,17 +54,16 @@ def _read_npz(path: Path) -> Scene:
         dx, dy = dx * metres * float(np.cos(np.radians(latitude))), dy * metres
     _check_elevations(path, elevation, dx, dy)
     rows, cols = elevation.shape
-    return Scene(
+    return ElevationModel(
         path.stem,
         east=(np.arange(cols) - (cols - 1) / 2) * dx,
         north=(np.arange(rows) - (rows - 1) / 2) * dy,
         height=elevation[::-1],
-        brightness=np.ones(elevation.shape),
     )
 
 
-def _read_geotiff(path: Path) -> Scene:
-    """Terrain of the first band of a GeoTIFF, north up, in angles or in a projection."""
+def _read_geotiff(path: Path) -> ElevationModel:
+    """Read the first band of a GeoTIFF, north up, in angles or in a projection."""
     rasterio = import_extra("rasterio", f"Reading {path}", "dem")
     from pyproj import CRS  # noqa: PLC0415 (0.1 s)
 
@@ -90,7 +88,7 @@ def _read_geotiff(path: Path) -> Scene:
     if system.is_compound:
         elevation *= in_space.axis_info[2].unit_conversion_factor
     _check_elevations(path, elevation, transform.a, -transform.e)
-    return ElevationGrid(path.stem, elevation, transform.c, transform.f, transform.a, -transform.e, in_space).scene()
+    return ElevationGrid(path.stem, elevation, transform.c, transform.f, transform.a, -transform.e, in_space).model()
 
 
 def _check_latitude(path: Path, latitude: float) -> None:

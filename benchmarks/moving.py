@@ -40,9 +40,9 @@ class Flown:
     """A flight over one mover, or over none.
 
     Attributes:
-        errors: of each that was found: place along the flight and height, m, radial velocity but for its ambiguity and
-            radial velocity by the walk, m/s, and over dwells and where images are unsure velocity along the flight,
-            m/s, NaN if it is not told; shape (found, 4 or 5).
+        errors: errors of each that was found: along-track position and height, m, radial velocity but for its
+            ambiguity and radial velocity by range migration, m/s, and over dwells and where images are unsure the
+            along-track velocity, m/s, NaN if it is not estimated; shape (found, 4 or 5).
         over: the same over what is stated.
         candidates: pixels that were looked at.
         seconds: of the search, and of the compression, of all images.

@@ -55,7 +55,7 @@ def complex_images(path: Path) -> dict[str, Any]:
     found = {name: array for name, array in arrays.items() if np.iscomplexobj(array)}
     if not found:
         there = ", ".join(f"{name} of {np.asarray(a).dtype}".strip() for name, a in arrays.items()) or "nothing"
-        raise UserError(f"File {path} has 0 complex arrays; it must have one (it holds: {there}).")
+        raise UserError(f"File {path} has 0 complex arrays; it must have one (it contains: {there}).")
     return found
 
 

@@ -20,7 +20,7 @@ def names_of(old: str, new: str) -> Callable[[str], Any]:
         if name.startswith("__") or not hasattr(module := import_module(new), name):
             raise AttributeError(f"module {old!r} has no attribute {name!r}")
         warnings.warn(
-            f"{old}.{name} has moved to {new}; import it from there, the old place ends with the next release.",
+            f"{old}.{name} has moved to {new}; import it from there, the old name ends with the next release.",
             DeprecationWarning,
             stacklevel=2,
         )

@@ -25,6 +25,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from pydantic.fields import FieldInfo
 
 from sal_height.errors import UserError
+from sal_height.renamed import PARAMETERS, VALUES
 
 KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}  # as messages call types
 
@@ -125,6 +126,8 @@ class Setting:
 
     def refusal(self, value: Any) -> str:
         """A sentence that says that `value` is not allowed, and what is."""
+        if isinstance(value, (bool, str)) and (new := VALUES.get(self.name, {}).get(value)):
+            return f"Parameter {self.name} is {value!r}, which is named {new!r} now."
         return f"Parameter {self.name} {'has no value' if value is None else f'is {value!r}'}; {self.allowed}."
 
 
@@ -143,6 +146,8 @@ def unknown_name(name: str, known: Iterable[str], owner: str = "") -> str:
         owner: whose parameter it is, for example "Node ml_height"; empty: not said.
     """
     names = list(known)
+    if (new := PARAMETERS.get(name)) in names:
+        return f"Parameter {name!r} {f'of {owner[0].lower()}{owner[1:]} ' if owner else ''}is named {new!r} now."
     closest = difflib.get_close_matches(name, names, n=1)
     beginning = f"{owner} has" if owner else "There is"
     hint = f" (did you mean {closest[0]!r}?)" if closest else ""

@@ -67,7 +67,7 @@ def main() -> int:
     (file,) = sys.argv[1:]
     book = watched()
     if not book.entries:
-        sys.exit("No node has told of itself; the graph did not come up.")
+        sys.exit("No node has published /diagnostics; the graph did not start.")
     console = Console(record=True, width=LINE, file=io.StringIO(), force_terminal=True)
     console.print(node_table(book, time.monotonic(), "nodes"))
     # The identity is that of the styles in the file, which else would be another every time.

@@ -56,7 +56,7 @@ class AdjustmentSettings(Settings):
     partners: int = setting(4, "joined dwells that each dwell is compared with, at most", minimum=1, maximum=100)
     reach_spacings: float = setting(
         100.0,
-        "farthest that two images of the same ground are looked for beside each other, in spacings of their pixels",
+        "largest offset between two images of the same ground that is searched, in spacings of their pixels",
         minimum=1.0,
         maximum=200.0,
     )
@@ -66,7 +66,11 @@ class ImageAdjustmentSettings(AdjustmentSettings):
     """What is known before the images of one detector are compared, which have no heights."""
 
     boresight_sigma_rad: float = setting(
-        0.0, "as of dwells with heights; images of one detector do not tell it", unit="rad", minimum=0.0, maximum=0.1
+        0.0,
+        "as of dwells with heights; images of one detector do not determine it",
+        unit="rad",
+        minimum=0.0,
+        maximum=0.1,
     )
     lever_arm_sigma_m: float = setting(
         0.0, "as of dwells with heights; 0: it is exact", unit="m", minimum=0.0, maximum=10.0

@@ -158,10 +158,10 @@ class Window:
         """The adjustment of the dwells that are held, as it stands.
 
         Raises:
-            ValueError: no dwell has come.
+            ValueError: no dwell has arrived.
         """
         if self._solution is None:
-            raise ValueError("no dwell has come")
+            raise ValueError("no dwell has arrived")
         forms = list(self._network.displacements.values())
         compared = [*self._compared, *self._of_growing]
         return Adjustment(self._network.layout, self._solution, forms, compared, self._references.ground_sigma)

@@ -57,7 +57,7 @@ def check_bag(path: Path, advance: Callable[[int, int], None]) -> list[Finding]:
     try:
         reader = BagReader(path)
     except UserError as refusal:
-        return [of_refusal(refusal, "Record the bag anew: it has no messages that ROS 2 programs understand.")]
+        return [of_refusal(refusal, "Record the bag again: it has no messages that ROS 2 programs understand.")]
     return [
         *check_metadata(path, indexes),
         *_check_message_indexes(path, indexes),

@@ -35,7 +35,9 @@ def check_metadata(path: Path, indexes: list[FileIndex]) -> Iterator[Finding]:
         return
     unlisted = sorted({file.name for file in path.glob("*.mcap")} - {index.path.name for index in indexes})
     if unlisted:
-        yield warning(f"File metadata.yaml of bag {path} does not list {some(unlisted)}, which lie beside it.", fix)
+        yield warning(
+            f"File metadata.yaml of bag {path} does not list {some(unlisted)}, which are in the same folder.", fix
+        )
     information = read_yaml((path / "metadata.yaml").read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
     try:
         stated, found = _stated(information), _found(indexes)
@@ -80,7 +82,7 @@ def check_accounts(reader: BagReader) -> Iterator[Finding]:
     stated = PARAMETERS in reader.custom_data or parameters_file(reader.path).is_file()
     if not (told or stated or (events and events.count)):
         yield warning(
-            f"Bag {reader.path} does not hold the parameters of nodes: neither custom data, nor {PARAMETER_EVENTS}, "
+            f"Bag {reader.path} does not contain the parameters of nodes: neither custom data, nor {PARAMETER_EVENTS}, "
             "nor the provenance of products.",
             "A replay takes the defaults, and --param sets others; 'sal-height record' records them, too.",
         )

@@ -19,6 +19,7 @@ from sal_height.bag.sensor_topics import SensorTopics
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import REORDERED_NS
 from sal_height.numeric import I64
+from sal_height.renamed import with_new_names
 from sal_height.sensor import Sensor
 
 GAPLESS_NS = 50_000_000
@@ -86,7 +87,7 @@ class SensorCheck:
         if absent := [name for name in names if not self._count(name)]:
             yield error(
                 f"Bag {self._reader.path} has no messages on {', '.join(absent)}, which sar_compression is to take the "
-                "air from (its parameter air is heard).",
+                "air from (its parameter air is topics).",
                 "Record them, too, or replay it with --param sar_compression.air=standard.",
             )
 
@@ -203,8 +204,8 @@ def _hears_air(reader: BagReader) -> bool:
     """Whether the parameters that a bag was made with have the compression take the air from messages."""
     try:
         values = json.loads(kept_custom_data(reader).get(PARAMETERS, "{}"))
-        return bool(values["sar_compression"]["air"] == messages.HEARD_AIR)
-    except (ValueError, TypeError, LookupError):  # there are none, or a replay refuses them
+        return bool(with_new_names(values["sar_compression"])["air"] == messages.AIR_OF_TOPICS)
+    except (ValueError, TypeError, LookupError, AttributeError):  # there are none, or a replay refuses them
         return False
 
 

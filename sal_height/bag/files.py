@@ -55,7 +55,7 @@ def bag_files(path: Path) -> list[Path]:
     else:  # the recording process was killed; "bag_2.mcap" comes before "bag_10.mcap"
         files = sorted(path.glob("*.mcap"), key=lambda file: (len(file.name), file.name))
     if not files:
-        raise UserError(f"Folder {path} is not a bag; it must hold an .mcap file.")
+        raise UserError(f"Folder {path} is not a bag; it must contain an .mcap file.")
     return files
 
 

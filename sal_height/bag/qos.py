@@ -83,7 +83,9 @@ def from_yaml(text: str) -> list[Qos]:
     try:
         return [_profile(entry) for entry in _entries(text)]
     except (yaml.YAMLError, KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
-        raise UserError(f"Key offered_qos_profiles holds no list of QoS profiles as rosbag2 has: {error!r}.") from error
+        raise UserError(
+            f"Key offered_qos_profiles contains no list of QoS profiles as rosbag2 has: {error!r}."
+        ) from error
 
 
 @lru_cache(maxsize=64)

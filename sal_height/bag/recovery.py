@@ -34,7 +34,7 @@ class Gap:
     def __str__(self) -> str:
         text = f"{self.size} bytes at byte {self.offset} of {self.file} could not be read: {self.reason}"
         counts = ", ".join(f"{count} messages on {topic}" for topic, count in sorted(self.lost.items()))
-        return f"{text}; they held {counts}." if counts else f"{text}."
+        return f"{text}; they contained {counts}." if counts else f"{text}."
 
 
 @dataclass(frozen=True)

@@ -163,7 +163,7 @@ class _FileCopy:
             if record := _metadata(span.read(self._stream)):
                 self._repeated.update(repeated_in({record.name: record.metadata}))
         elif opcode == Opcode.MESSAGE and self._in_chunks:
-            self._lose(span.offset, span.size, "a message outside of chunks, which is none")
+            self._lose(span.offset, span.size, "a message outside of chunks, which is not allowed")
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
             self._copy_record(opcode, span.read(self._stream), span)
 

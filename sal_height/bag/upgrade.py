@@ -21,7 +21,7 @@ def upgrade(path: Path, out_directory: Path) -> Counter[str]:
     times; custom data stay, and parameters from a file beside an older bag are among them then.
 
     Returns:
-        Messages by topic that were made anew; without those that stayed as they were.
+        Messages by topic that were made again; without those that stayed as they were.
 
     Raises:
         UserError: the bag is damaged or not complete, or the folder is not empty.

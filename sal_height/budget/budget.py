@@ -226,7 +226,7 @@ class Budget:
         yield Entry(group, "least_prf_hz", lowest_title, least, "Hz")
         yield Entry(group, "greatest_prf_hz", highest_title, greatest, "Hz")
         on_the_way = 2 * flight.slant_range_m * rate / speed_of_light
-        yield Entry(group, "pulses_on_the_way", "pulses on the way at once", on_the_way, "")
+        yield Entry(group, "pulses_on_the_way", "pulses in flight", on_the_way, "")
         fastest = sensor.wavelength * rate / 4
         yield Entry(group, "radial_velocity_mps", "radial velocity without ambiguity, up to", fastest, "m/s")
 
@@ -237,7 +237,7 @@ class Budget:
         yield Entry("data", "dwell_mb", "of a dwell", sensor.dwell_bytes / 1e6, "MB")
         yield Entry("data", "dwells_per_s", "dwells", per_second, "1/s")
         yield Entry("data", "mean_mb_per_s", "in the mean", sensor.dwell_bytes * per_second / 1e6, "MB/s")
-        yield Entry("data", "burst_mb_per_s", "while pulses come", while_received / 1e6, "MB/s")
+        yield Entry("data", "burst_mb_per_s", "during a dwell", while_received / 1e6, "MB/s")
 
     def _accuracy(self) -> Iterator[Entry]:
         group = "power and accuracy"
@@ -264,10 +264,14 @@ class Budget:
         yield Entry(
             group, "range_m_per_m", "range: height, for a metre too far", -np.cos(flight.look_angle_rad).item(), "m"
         )
-        yield Entry(group, "velocity_m_per_mm_per_s", "velocity along the sight: place, for a mm/s", 1e-3 * shift, "m")
-        yield Entry(group, "clock_m_per_ms", "clock of the odometry: place, for a ms", 1e-3 * flight.speed_mps, "m")
         yield Entry(
-            group, "acceleration_mps2", "acceleration along the sight that defocuses (pi/4)", acceleration, "m/s²"
+            group, "velocity_m_per_mm_per_s", "azimuth shift per mm/s of line-of-sight velocity", 1e-3 * shift, "m"
+        )
+        yield Entry(
+            group, "clock_m_per_ms", "azimuth shift per ms of odometry clock offset", 1e-3 * flight.speed_mps, "m"
+        )
+        yield Entry(
+            group, "acceleration_mps2", "line-of-sight acceleration that defocuses (pi/4)", acceleration, "m/s²"
         )
         yield Entry(group, "vibration_um", "vibration with echoes of -20 dB, amplitude", 1e6 * vibration, "µm")
 

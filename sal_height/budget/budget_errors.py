@@ -113,7 +113,7 @@ def describe_autofocus(of: Situation) -> str:
     prior, allowed = _prior(of), of.settings.autofocus_from_beamwidths
     uncertain = of.settings.beams_are_uncertain(prior, of.sensor)
     known = (
-        "by what is stated of odometry and mounting, the place of the beams along the flight is uncertain by "
+        "from the stated errors of odometry and mounting, the along-track position of the beams is uncertain by "
         f"{_in_beamwidths(prior, of.sensor):.3g} beamwidths, {'more' if uncertain else 'not more'} than the "
         f"{allowed:g} of autofocus_from_beamwidths"
     )
@@ -125,7 +125,7 @@ def describe_autofocus(of: Situation) -> str:
         return f"Autofocus is needed, but autofocus is never: {known}."
     if not _speckle_tells_beams(of):
         return (
-            f"Autofocus would be needed: {known}; but the beams are so wide that speckle cannot tell where they are, "
+            f"Autofocus would be needed: {known}; but the beams are so wide that speckle does not show their position, "
             "so that images are left as odometry focuses and places them."
         )
     return f"Autofocus is needed: {known}."
@@ -160,7 +160,7 @@ def _navigation(of: Situation) -> Iterator[Entry]:
     along = errors.velocity_mps * of.slant_range / of.speed
     level = of.slant_range * float(np.sin(of.preset.flight.look_angle_rad))
     yield _entry("navigation_position_m", f"navigation{grade}: position, rms", errors.position_m, "m")
-    yield _entry("navigation_along_m", "navigation: place along the flight by velocity, rms", along, "m")
+    yield _entry("navigation_along_m", "navigation: along-track position error from velocity, rms", along, "m")
     yield _entry("navigation_height_m", "navigation: height by roll, rms", of.climb * errors.attitude_rad, "m")
     yield _entry(
         "navigation_beams_m", "navigation: beams along the flight by heading, rms", level * errors.heading_rad, "m"
@@ -178,8 +178,8 @@ def _odometry_delay(of: Situation) -> Iterator[Entry]:
     """Stamps that are late by a time put everything as far along the flight as the platform moves in it."""
     if delay := of.preset.impairments.odometry.delay_s - of.settings.odometry_delay_s:
         name = "odometry stamped late"
-        yield _entry("odometry_delay_ms", f"{name}, beside odometry_delay_s", 1e3 * delay, "ms")
-        yield _entry("odometry_delay_along_m", f"{name}: place along the flight", of.speed * abs(delay), "m")
+        yield _entry("odometry_delay_ms", f"{name}, in addition to odometry_delay_s", 1e3 * delay, "ms")
+        yield _entry("odometry_delay_along_m", f"{name}: along-track position error", of.speed * abs(delay), "m")
 
 
 def _lever_arm(of: Situation) -> Iterator[Entry]:
@@ -187,7 +187,7 @@ def _lever_arm(of: Situation) -> Iterator[Entry]:
     if any(described := of.preset.impairments.odometry.undescribed_lever_arm_m):
         arm, name = of.sensor.mounting.axes.inv().apply(described), "undescribed lever arm"
         yield _entry("lever_arm_m", name, float(np.linalg.norm(arm)), "m")
-        yield _entry("lever_arm_along_m", f"{name}: place along the flight", abs(float(arm[0])), "m")
+        yield _entry("lever_arm_along_m", f"{name}: along-track position error", abs(float(arm[0])), "m")
         yield _entry("lever_arm_height_m", f"{name}: height", abs(float(arm[2])), "m")
 
 
@@ -235,8 +235,8 @@ def _of_phase(of: Situation, name: str, found: AperturePhase) -> Iterator[Entry]
     """A trend is a velocity along the line of sight, whose image lies elsewhere along the flight; the rest spreads."""
     key = name.split(maxsplit=1)[0]
     along = of.slant_range / of.speed * of.sensor.wavelength / (4 * np.pi) * found.trend
-    yield _entry(f"{key}_along_m", f"{name}: place along the flight, rms", along, "m")
-    yield _entry(f"{key}_phase_rad", f"{name}: phase beside its trend, rms", found.rest, "rad")
+    yield _entry(f"{key}_along_m", f"{name}: along-track position error, rms", along, "m")
+    yield _entry(f"{key}_phase_rad", f"{name}: phase without its trend, rms", found.rest, "rad")
     yield _entry(f"{key}_spread_percent", f"{name}: energy out of its pixel", 100 * found.spread_share, "%")
 
 
@@ -278,7 +278,7 @@ def _vegetation(of: Situation) -> Iterator[Entry]:
     if wind := of.preset.impairments.vegetation_wind:
         along = of.slant_range / of.speed * wind.rms_velocity_mps
         yield _entry("vegetation_mps", "wind in vegetation: velocity, rms", wind.rms_velocity_mps, "m/s")
-        yield _entry("vegetation_along_m", "wind in vegetation: place along the flight, rms", along, "m")
+        yield _entry("vegetation_along_m", "wind in vegetation: along-track position error, rms", along, "m")
 
 
 def _converters(of: Situation) -> Iterator[Entry]:
@@ -333,7 +333,7 @@ def _receivers(of: Situation) -> Iterator[Entry]:
         )
         yield _entry("sawtooth_echo_m", "range sawtooth: paired echoes, off in range by", sawtooth.teeth * cell, "m")
     if taper := impairments.range_taper:
-        yield _entry("taper_band_share", "range taper: share of the band", taper.band_share, "")
+        yield _entry("taper_band_share", "range taper: fraction of the band", taper.band_share, "")
     if spur := impairments.nyquist_spur_over_noise:
         yield _entry("spur_over_noise", "spur, over the noise of a sample", spur, "")
 

@@ -67,7 +67,7 @@ class Calibrator:
             NotDetermined: the images are weighted in range or not in the slant plane.
             Rejected: samples of a channel are clipped.
         """
-        share, allowed = slc.saturated_share.max(), self._settings.max_saturated_share
+        share, allowed = slc.saturated_share.max(), self._settings.max_saturated_fraction
         if share > allowed:
             raise Rejected(
                 "saturated",

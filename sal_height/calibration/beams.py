@@ -215,7 +215,8 @@ def _sum_over_scene(found: BeamCalibration, looks: Looks, beams: Beams, settings
     wide, amplitudes, squint = beams.widened(found.width_factor), np.abs(found.gains), looks.squint
     undone = _undo_phases(found.gains, looks.receiver_noise)
     searches = PeakSearches.over(wide.scaled(amplitudes), OBJECTIVES["normalised"], search_guard(beams))
-    rules = HeightSettings(misfit_share=settings.misfit_share if found.steps > 1 else settings.first_misfit_share)
+    misfit = settings.misfit_fraction if found.steps > 1 else settings.first_misfit_fraction
+    rules = HeightSettings(misfit_fraction=misfit)
     (first, last), channels = beams.span, beams.count
     of_blocks: dict[tuple[int, int], tuple[Normal, Index]] = {}
 

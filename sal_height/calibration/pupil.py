@@ -85,7 +85,7 @@ class _Sums:
 def calibrate_pupil(looks: Looks, beams: Beams, settings: CalibrationSettings = DEFAULTS) -> PupilCalibration:
     """Estimate aberrations and gains from all pixels that look like one scatterer, bright enough, inside the array.
 
-    Which pixels do is judged leniently in the first steps and strictly later (`misfit_share`).
+    Which pixels do is judged leniently in the first steps and strictly later (`misfit_fraction`).
 
     Args:
         looks: with complex covariances, of detectors of equal noise.
@@ -105,11 +105,11 @@ def calibrate_pupil(looks: Looks, beams: Beams, settings: CalibrationSettings = 
     prior = np.concatenate([np.full(terms, settings.pupil_prior_waves), np.full(1 + 2 * channels, GAIN_PRIOR)])
     values = np.zeros(len(prior))
     for step in range(1, MOST_STEPS + 1):
-        share = max(settings.misfit_share, 0.5**step)  # while the beams are wrong, single scatterers fit badly, too
+        share = max(settings.misfit_fraction, 0.5**step)  # while the beams are wrong, single scatterers fit badly, too
         sums = _sum_over_scene(values, looks, beams, settings, share)
         change, sigma = _step(sums, values, prior)
         values = values + change * min(1.0, LONGEST_STEP / np.max(np.abs(change[:terms])))
-        if share == settings.misfit_share and np.all(np.abs(change[:terms]) <= 0.1 * sigma[:terms]):
+        if share == settings.misfit_fraction and np.all(np.abs(change[:terms]) <= 0.1 * sigma[:terms]):
             gains = values[terms + 1 :].reshape(2, channels)
             gains = gains - gains.mean(axis=1, keepdims=True)
             return PupilCalibration(
@@ -196,7 +196,7 @@ def _usable(
     """Which pixels count, and the power that one scatterer leaves in each."""
     explained = search.fit(pixels, elevation)[0]
     left = np.trace(pixels, axis1=1, axis2=2).real - explained
-    rules = HeightSettings(misfit_share=share)
+    rules = HeightSettings(misfit_fraction=share)
     usable = is_explained(Fit(explained, left, (beams.count - 1) * count - 0.5, beams.count), rules)
     first, last = beams.span
     usable &= (explained - count >= settings.min_energy) & (elevation >= first) & (elevation <= last)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sal_height.elevation import MISFIT_SHARE
+from sal_height.elevation import MISFIT_FRACTION
 from sal_height.response import PointTargetSettings
 from sal_height.sensor import MAX_SHARE
 from sal_height.settings import setting
@@ -31,14 +31,14 @@ class CalibrationSettings(PointTargetSettings):
         minimum=1.0,
         maximum=1e9,
     )
-    misfit_share: float = setting(
-        MISFIT_SHARE,
-        "share of a pixel's power that one scatterer may leave beyond the noise; pixels with more are not used",
+    misfit_fraction: float = setting(
+        MISFIT_FRACTION,
+        "fraction of a pixel's power that one scatterer may leave beyond the noise; pixels with more are not used",
         minimum=0.0,
         maximum=1.0,
     )
-    first_misfit_share: float = setting(
-        0.15, "misfit_share of the first two steps, while gains and width are not known", minimum=0.0, maximum=1.0
+    first_misfit_fraction: float = setting(
+        0.15, "misfit_fraction of the first two steps, while gains and width are not known", minimum=0.0, maximum=1.0
     )
     pixels_per_parameter: int = setting(
         20, "least number of usable pixels for each gain, phase and width", minimum=1, maximum=1_000_000
@@ -66,7 +66,7 @@ class CalibrationSettings(PointTargetSettings):
         maximum=100.0,
     )
     target_reach: int = setting(
-        2, "pixels around its place in which the reference target is looked for", minimum=0, maximum=1000
+        2, "pixels around its expected position in which the reference target is searched", minimum=0, maximum=1000
     )
     target_over_image_db: float = setting(
         20.0,
@@ -75,9 +75,9 @@ class CalibrationSettings(PointTargetSettings):
         minimum=0.0,
         maximum=200.0,
     )
-    max_saturated_share: float = setting(
+    max_saturated_fraction: float = setting(
         MAX_SHARE,
-        "highest share of clipped samples in a channel of a dwell that is used",
+        "highest fraction of clipped samples in a channel of a dwell that is used",
         minimum=0.0,
         maximum=1.0,
     )

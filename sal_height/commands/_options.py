@@ -329,7 +329,7 @@ Jobs: TypeAlias = Annotated[
     Parameter(
         metavar="N",
         validator=Number(gte=1, lte=256),
-        help="Process so many dwells side by side, each in a process of its own.",
+        help="Process N dwells in parallel, each in a process of its own.",
     ),
 ]
 

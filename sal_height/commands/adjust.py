@@ -45,7 +45,7 @@ app = command(
     PROCESSING,
     EXAMPLES,
     "nothing was found: no dwell could be compared, with another one or with known ground, and Doppler centroids do "
-    "not tell the mounting either; report and bag say what was known beforehand",
+    "not give the mounting either; report and bag say what was known beforehand",
 )
 
 

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 PARTS = Group("What is done with a bag", sort_key=3)
 
 EXAMPLES = """
-  sal-height bag info out/small/bag     what it holds
+  sal-height bag info out/small/bag     what it contains
   sal-height bag check out/small/bag    whether anything is wrong with it
   sal-height bag recover damaged/bag    what is whole of it, as a new bag
   sal-height bag diff golden/bag out/small/bag
@@ -278,6 +278,6 @@ def upgrade(bag: Bag, /, *, out: OutputFolder = None) -> int:
 
     made = write_anew(bag, folder)
     for topic, count in made.items():
-        print(f"{count} messages of {topic} made anew")
+        print(f"{count} messages of {topic} made again")
     print(f"see {folder}" if made else f"all messages are of today's version; {folder} is a copy")
     return DONE

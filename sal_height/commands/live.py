@@ -40,7 +40,7 @@ EXAMPLES = """
   sal-height live flight.yaml --supervise    nodes for a sensor of your own
 """
 
-app = command("live", PROCESSING, EXAMPLES, "no height came out")
+app = command("live", PROCESSING, EXAMPLES, "no height was estimated")
 
 
 @app.default
@@ -128,7 +128,7 @@ def live(
     drawn = f"{folder}/run/{LATENCIES}, " if seen.heights and draw_run(folder / "run") else ""
     print(f"see {drawn}{folder}/run/report.json and {folder}/run/bag")
     if not seen.heights:
-        complain(["No height came out; the table says where dwells were left out."])
+        complain(["No height was estimated; the table says where dwells were left out."])
         return FAILED
     return DONE
 
@@ -159,7 +159,8 @@ def _refuse_beside_config(options: Mapping[str, object]) -> None:
     """
     if given := [name for name, value in options.items() if value not in (None, ())]:
         raise UserError(
-            f"Option {given[0]} is for a sensor that is simulated or comes from a bag; a configuration names nodes and "
+            f"Option {given[0]} is for a sensor that is simulated or played from a bag; a configuration names "
+            f"nodes and "
             "their parameters in its file."
         )
 

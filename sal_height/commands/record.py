@@ -18,7 +18,7 @@ EXAMPLES = """
 
 Texts = Annotated[tuple[str, ...], Parameter(consume_multiple=False, show_default=False)]
 
-app = command("record", BAGS, EXAMPLES, "nothing came, or messages were left out")
+app = command("record", BAGS, EXAMPLES, "nothing was received, or messages were left out")
 
 
 @app.default
@@ -75,6 +75,6 @@ def record(
         complain([f"{done.left_out} messages are not in the bag; the table says why."])
         return FAILED
     if not done.heard:
-        complain(["No message came; check the names of the topics, and the ROS domain (--domain)."])
+        complain(["No message was received; check the names of the topics, and the ROS domain (--domain)."])
         return FAILED
     return DONE

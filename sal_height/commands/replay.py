@@ -53,7 +53,7 @@ app = command(
     "replay",
     PROCESSING,
     EXAMPLES,
-    "messages were dropped, no image came out, or heights are missing or extra; with --against, or without --param, "
+    "messages were dropped, no image was made, or heights are missing or extra; with --against, or without --param, "
     "also: heights differ by more than the tolerance",
 )
 
@@ -70,8 +70,8 @@ Clock: TypeAlias = Annotated[
     Literal["lockstep", "paced", "burst"],
     Parameter(
         help="When messages are played. lockstep: a dwell when the one before is processed. paced: at the times of "
-        "their stamps, beside the topic /clock, with use_sim_time in all nodes. burst: as fast as they can be "
-        "published; what nodes cannot hold is dropped and counted.",
+        "their stamps, with the topic /clock, with use_sim_time in all nodes. burst: as fast as they can be "
+        "published; what nodes cannot buffer is dropped and counted.",
     ),
 ]
 

@@ -66,7 +66,7 @@ def run(
     The output folder holds the recorded bag, report.json, height.png, errors.png,
     ground.png, scene3d.png, profile.png and relief_map.tif. At the end stand the
     errors of each estimator: bias, s68 (half the width between 16 % and 84 % of the
-    errors), the Cramer-Rao bound and the share of errors within 1 sigma.
+    errors), the Cramer-Rao bound and the fraction of errors within 1 sigma.
 
     Args:
         scene: Terrain: street, woods, jacksboro_fault, or a DEM as .tif or .npz file. Default: the preset's.

@@ -57,5 +57,5 @@ def tomogram(
 
     folder = output_folder(out, f"tomogram_{bag_name(bag)}")
     told = draw(bag, folder, looks or (1, 20), row, jobs)
-    print(f"ground told in {told} pixels; see {folder}/tomogram.png")
+    print(f"ground detected in {told} pixels; see {folder}/tomogram.png")
     return DONE

@@ -15,7 +15,7 @@ EXAMPLES = """
   sal-height top --seconds 5 > now.txt
 """
 
-app = command("top", PROCESSING, EXAMPLES, "no node tells of itself")
+app = command("top", PROCESSING, EXAMPLES, "no node publishes /diagnostics")
 
 
 @app.default
@@ -46,6 +46,6 @@ def top(
     with showing(lambda book: node_table(book, time.monotonic(), "nodes")) as show:
         book = watch("environment" if domain is None else domain, math.inf if seconds is None else seconds, show)
     if not book.entries:
-        complain(["No node tells of itself on /diagnostics; is the domain right, and that of this machine?"])
+        complain(["No node publishes /diagnostics in this domain; is ROS_DOMAIN_ID right?"])
         return FAILED
     return DONE

@@ -19,7 +19,7 @@ EXAMPLES = """
   sal-height view out/sal_spotlight/bag
   sal-height view out/sal_spotlight/bag --save flight.rrd
   sal-height view out/sal_spotlight/bag --web --port 9090
-  sal-height view --domain 7             beside: sal-height live --domain 7
+  sal-height view --domain 7             during: sal-height live --domain 7
   sal-height view --namespace uav1 --web
 """
 

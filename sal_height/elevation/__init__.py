@@ -31,7 +31,7 @@ from sal_height.elevation.array.estimate import (
 from sal_height.elevation.array.likelihood import AMBIGUOUS_RATIO, OBJECTIVES, peak_elevation, search_guard
 from sal_height.elevation.array.response_spread import sidelobe_variance
 from sal_height.elevation.array.search import Objective, PeakSearch, PeakSearches, Pixels
-from sal_height.elevation.array.settings import MISFIT_SHARE, HeightSettings
+from sal_height.elevation.array.settings import MISFIT_FRACTION, HeightSettings
 from sal_height.elevation.estimators.maximum_likelihood import MlSettings, ml_elevation
 from sal_height.elevation.estimators.registry import ESTIMATORS, ElevationEstimator, MakeChannels
 from sal_height.elevation.looks.cell_response import AxisResponse, CellResponse
@@ -68,7 +68,7 @@ __all__ = [
     "DISCRIMINANTS",
     "ESTIMATORS",
     "MEASURED",
-    "MISFIT_SHARE",
+    "MISFIT_FRACTION",
     "OBJECTIVES",
     "ORDERS",
     "PROFILES",

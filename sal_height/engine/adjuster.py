@@ -84,19 +84,19 @@ class AdjusterSettings(FrameSettings, DwellSettings, AdjustmentSettings):
 
     estimator: str = setting(
         "ml",
-        "estimator whose heights are adjusted; they come on topic <estimator>/height",
+        "estimator whose heights are adjusted; they are received on topic <estimator>/height",
         choices=tuple(ESTIMATORS),
         read_only=True,
     )
     window_dwells: int = setting(
         200,
-        "latest dwells that are held to be compared with; what earlier ones told of navigation and mounting stays",
+        "latest dwells that are kept for comparison; the information of earlier ones on navigation and mounting stays",
         minimum=1,
         maximum=10_000,
     )
     window_points: int = setting(
         MOST_POINTS,
-        "heights of all dwells that are held, at most; each takes 200 bytes",
+        "most heights of all dwells that are kept; each takes 200 bytes",
         minimum=1000,
         maximum=1_000_000_000,
     )
@@ -111,7 +111,8 @@ class AdjusterSettings(FrameSettings, DwellSettings, AdjustmentSettings):
     )
     targets: str = setting(
         "",
-        "path of a CSV file of targets at known places in map, with the columns east_m, north_m, height_m and, if it "
+        "path of a CSV file of targets at known positions in map, with the columns east_m, north_m, height_m "
+        "and, if it "
         "is not 0.01, sigma_m; empty: none",
         read_only=True,
         names_file=True,

@@ -23,7 +23,7 @@ SAMPLES_KEPT = 1000
 OTHER_CLOCK_S = 86400.0
 """What is a day from the frames has another clock."""
 
-HEARD_AIR = "heard"
+AIR_OF_TOPICS = "topics"
 """Value of the parameter air of the compression: the air is as messages state it."""
 
 AIR_LATENCY_NS = 1_000_000_000
@@ -49,7 +49,7 @@ AIR_PORTS = (
     Port(
         "air/pressure",
         AirSample,
-        "pressure of the air, sensor_msgs/FluidPressure in Pa, used if the parameter air is heard",
+        "pressure of the air, sensor_msgs/FluidPressure in Pa, used if the parameter air is topics",
         optional=True,
     ),
     Port(
@@ -74,15 +74,15 @@ class AirSettings(CorrectionSettings):
 
     air: str = setting(
         _KNOWN.default,
-        f"{_KNOWN.description}; heard: as messages on the topics air/... say",
-        choices=(*_KNOWN.choices, HEARD_AIR),
+        f"{_KNOWN.description}; topics: as messages on the topics air/... state",
+        choices=(*_KNOWN.choices, AIR_OF_TOPICS),
     )
     air_probe: str = setting(
         "platform",
-        "where the air that is heard was measured: platform is at the height of the platform, fixed is at air_height_m",
+        "where the air of messages was measured: platform is at the height of the platform, fixed is at air_height_m",
         choices=("platform", "fixed"),
     )
-    air_held_s: float = setting(
+    air_max_age_s: float = setting(
         60.0,
         "longest time from a message on the air to a dwell that it is used for",
         unit="s",
@@ -136,15 +136,15 @@ def air_of_dwell(
     Raises:
         Rejected: a quantity has not arrived, or too long ago; or such air is impossible.
     """
-    if settings.air != HEARD_AIR:
+    if settings.air != AIR_OF_TOPICS:
         return None
     found = {port: history.at(port, frame.key.stamp_ns) for port in needed_air(sensor.wavelength)}
     values = {"air_height_m": _probe_height(states[0], settings)}
     for port, sample in found.items():
         if sample is None:
             silent = ", ".join(name for name, one in found.items() if one is None)
-            raise _no_air(frame, f"nothing has come on {silent}; publish it, or set air to standard or measured.")
-        _check_age(frame, port, sample, settings.air_held_s)
+            raise _no_air(frame, f"nothing was received on {silent}; publish it, or set air to standard or measured.")
+        _check_age(frame, port, sample, settings.air_max_age_s)
         values[AIR_PARAMETERS[port]] = sample.value
     _check_plausible(frame, values)
     return values
@@ -162,7 +162,7 @@ def may_have_air(
         sensor: that took it.
         settings: of the compression.
     """
-    held_ns, needed = round(1e9 * settings.air_held_s), needed_air(sensor.wavelength)
+    held_ns, needed = round(1e9 * settings.air_max_age_s), needed_air(sensor.wavelength)
     found = {port: history.at(port, key.stamp_ns) for port in needed}
     unusable = {port for port, one in found.items() if one is None or abs(one.stamp_ns - key.stamp_ns) > held_ns}
     latest_ns = key.stamp_ns + held_ns
@@ -194,7 +194,7 @@ def _check_age(frame: Frame, port: str, sample: AirSample, held_s: float) -> Non
         raise _no_air(
             frame,
             f"the message for it on {port} is stamped {abs(age_s):.6g} s {'before' if age_s > 0 else 'after'} its "
-            f"first pulse, and {held_s:g} s are allowed (air_held_s){clocks}.",
+            f"first pulse, and {held_s:g} s are allowed (air_max_age_s){clocks}.",
         )
 
 
@@ -213,4 +213,6 @@ def _check_plausible(frame: Frame, values: Mapping[str, float]) -> None:
 
 
 def _no_air(frame: Frame, what: str) -> Rejected:
-    return Rejected("no air", f"Dwell {frame.key.number} needs the air of messages (air is {HEARD_AIR}), but {what}")
+    return Rejected(
+        "no air", f"Dwell {frame.key.number} needs the air of messages (air is {AIR_OF_TOPICS}), but {what}"
+    )

@@ -69,7 +69,7 @@ class Calibrations:
         if applied and calibration is None:
             raise Rejected(
                 "no calibration",
-                f"Dwell {dwell}: its images were made with calibration {applied!r}, which has not come on topic "
+                f"Dwell {dwell}: its images were made with calibration {applied!r}, which was not received on topic "
                 "calibration (transient local).",
             )
         return calibration

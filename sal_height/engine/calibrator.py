@@ -42,8 +42,9 @@ class PsfCalibrationSettings(ChannelSettings, CalibrationSettings):
     )
     target: str = setting(
         "",
-        "place of a reference target as E,N,H: arc distances east and north of the map's origin, and height, all in m; "
-        "empty: there is none",
+        "position of a reference target as E,N,H: arc distances east and north of the map's origin, and height, "
+        "all in m; "
+        "empty: no target",
         read_only=True,
     )
     file: str = setting(

@@ -12,9 +12,9 @@ import numpy as np
 
 from sal_height.calibration import Calibration
 from sal_height.engine.air import (
+    AIR_OF_TOPICS,
     AIR_PARAMETERS,
     AIR_PORTS,
-    HEARD_AIR,
     OTHER_CLOCK_S,
     USED_AIR,
     AirHistory,
@@ -111,9 +111,9 @@ class CompressionSettings(FrameSettings, AirSettings, ImageSettings, ChannelSett
         "and not from sensor_info",
         read_only=True,
     )
-    odometry_held_s: float = setting(
+    odometry_buffer_s: float = setting(
         100.0,
-        "time for which odometry is held; a dwell must be complete within it",
+        "time for which odometry is kept; a dwell must be complete within it",
         unit="s",
         minimum=1.0,
         maximum=86400.0,
@@ -162,7 +162,7 @@ class Compression(DwellStage):
 
     def __init__(self, *arguments: Any, **others: Any) -> None:
         super().__init__(*arguments, **others)
-        self._odometry = OdometryHistory(self._settings.odometry_held_s)
+        self._odometry = OdometryHistory(self._settings.odometry_buffer_s)
         self._last_pulse_ns = 0
         self._awaited_ns = math.inf
         """Earliest stamp of odometry that a dwell waits for, as far as known; infinity: none does."""
@@ -238,7 +238,7 @@ class Compression(DwellStage):
     @property
     def needed_ports(self) -> Sequence[str]:
         """The air, if it is to be taken from messages."""
-        if self._settings.air != HEARD_AIR:
+        if self._settings.air != AIR_OF_TOPICS:
             return ()
         sensors = map(self._sensors.get, self._sensors)
         return [port for sensor in sensors if sensor for port in needed_air(sensor.wavelength)]
@@ -322,7 +322,7 @@ class Compression(DwellStage):
 
     def forget(self) -> None:
         """Forget odometry, unfinished dwells, and the strip that dwells are blocks of."""
-        self._odometry = OdometryHistory(self._settings.odometry_held_s)
+        self._odometry = OdometryHistory(self._settings.odometry_buffer_s)
         self._last_pulse_ns, self._awaited_ns = 0, math.inf
         super().forget()
 
@@ -428,9 +428,9 @@ class Compression(DwellStage):
     def _describe_odometry(self, start_ns: int) -> str:
         """Which odometry there is, relative to a dwell that it does not cover."""
         if self._odometry.span_ns is None:
-            return "no sample has come (is its QoS compatible?)"
+            return "no sample was received (is its QoS compatible?)"
         first, last = ((stamp_ns - start_ns) * 1e-9 for stamp_ns in self._odometry.span_ns)
-        kept = f"samples are held from {first:.6g} s to {last:.6g} s after its first pulse"
+        kept = f"samples are kept from {first:.6g} s to {last:.6g} s after its first pulse"
         return f"{kept}: frames and odometry have different clocks" if abs(first) > OTHER_CLOCK_S else kept
 
     def _receive_calibration(self, item: StatedCalibration) -> None:
@@ -466,5 +466,5 @@ def _out_of_time(state: PlatformState, history: OdometryHistory) -> str:
     _, last_ns = history.span_ns or (0, 0)
     return (
         f"A sample is stamped {(state.stamp_ns - last_ns) * 1e-9:.6g} s after the latest one; it is used only if the "
-        "next sample continues it, as when the clock has started anew."
+        "next sample continues it, as when the clock has started again."
     )

@@ -31,7 +31,7 @@ GONE_AFTER = 3
 """Dwells in a row that lack a channel before the next ones no longer wait for it."""
 
 MAY_BE_LOST = (
-    "messages get lost or come late where this node lags, or where the publisher has little shared memory "
+    "messages get lost or arrive late where this node lags, or where the publisher has little shared memory "
     "(`sal-height transport` gives it more)"
 )
 """Why messages that were published may not arrive."""
@@ -307,7 +307,9 @@ class DwellStage(Stage):
             return None
         self._assembler.take(dwell)
         if dwell.absent:
-            sentence = f"Dwell {dwell.key.number} is processed without channels {dwell.absent}, which have not come."
+            sentence = (
+                f"Dwell {dwell.key.number} is processed without channels {dwell.absent}, which were not received."
+            )
             self.warn("missing channels", UserError(sentence), dwell.key)
         whole = WholeDwell(dwell.key, messages, dwell.sensor, supplies)
         self.note_job(whole)
@@ -462,12 +464,12 @@ class DwellStage(Stage):
     def _incomplete(self, dwell: Dwell[Any], when: str) -> Rejected:
         return Rejected(
             "incomplete dwell",
-            f"Dwell {dwell.key.number}: channels {dwell.absent} did not come {when}; {MAY_BE_LOST}.",
+            f"Dwell {dwell.key.number}: channels {dwell.absent} did not arrive {when}; {MAY_BE_LOST}.",
         )
 
     def _surplus(self, dwell: Dwell[Any]) -> Rejected:
         settings = self._settings
-        awaited = f"channels {dwell.absent}" if dwell.absent else "what it needs besides its channels"
+        awaited = f"channels {dwell.absent}" if dwell.absent else "what it needs in addition to its channels"
         return Rejected(
             "buffer full",
             f"Dwell {dwell.key.number} was the oldest unfinished one of more than {settings.max_unfinished_dwells} "

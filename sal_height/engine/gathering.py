@@ -95,7 +95,7 @@ class DwellAssembler(Generic[Item]):
         where = f"Dwell {key.number}, channel {channel}"
         dwell = self._dwells.get(key) or self._started(key, sensor, now, where)
         if dwell.whole is not None or channel in dwell.items:
-            raise Rejected("duplicate", f"{where}: the same message came twice.")
+            raise Rejected("duplicate", f"{where}: the same message was received twice.")
         dwell.items[channel] = item
         self._note(dwell, size)
         return dwell
@@ -108,7 +108,7 @@ class DwellAssembler(Generic[Item]):
         """
         where = f"Dwell {key.number}"
         if key in self._dwells:
-            raise Rejected("duplicate", f"{where}: messages of it came before.")
+            raise Rejected("duplicate", f"{where}: messages of it were received before.")
         dwell = self._started(key, sensor, now, where)
         dwell.whole = item
         self._note(dwell, size)

@@ -147,11 +147,11 @@ class HeightStage(ImageStage):
         """The heights, and a warning where samples were clipped."""
         slc = images.slc
         if np.any(field.validity == Validity.SATURATED):
-            fraction, limit = slc.saturated_share.max(), settings.max_saturated_share
+            fraction, limit = slc.saturated_share.max(), settings.max_saturated_fraction
             yield Notice(
                 "saturated",
                 f"Dwell {images.key.number}: {fraction:.3g} of a channel's samples are clipped; heights need {limit:g} "
-                "or less (max_saturated_share).",
+                "or less (max_saturated_fraction).",
                 images.key,
             )
         silent = sorted(set(range(len(slc.images))) - set(live_channels(slc.images, sensor).tolist()))
@@ -169,7 +169,7 @@ class HeightStage(ImageStage):
         yield Product(f"{self.estimator.name}/height", heights)
 
 
-HEIGHTS_ABOUT = "height, place, standard deviation and validity of every pixel"
+HEIGHTS_ABOUT = "height, position, standard deviation and validity of every pixel"
 
 
 def _alike(jobs: Sequence[Job]) -> Sequence[Job]:

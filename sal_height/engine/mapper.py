@@ -58,7 +58,7 @@ MAP_ORIGIN = "map_origin"
 ORIGIN_PORT = Port(
     MAP_ORIGIN,
     PlacedOrigin,
-    "place of the origin of the map frame on the earth, sensor_msgs/NavSatFix, latched",
+    "position of the origin of the map frame on the earth, sensor_msgs/NavSatFix, latched",
     latched=True,
     optional=True,
 )
@@ -72,7 +72,7 @@ class MapSettings(OriginSettings, MapFrameSettings, StageSettings):
 
     estimator: str = setting(
         "ml",
-        "estimator whose heights enter the map; they come on topic <estimator>/height",
+        "estimator whose heights enter the map; they are received on topic <estimator>/height",
         choices=(*ESTIMATORS, TRACKED, ADJUSTED),
         read_only=True,
     )
@@ -105,7 +105,8 @@ class ReliefMapSettings(MapSettings):
 
     cell_size_m: float = setting(
         0.0,
-        "side of a cell of the map; 0: the smallest of 1, 2 or 5 times a power of ten that holds a pixel of the first "
+        "side of a cell of the map; 0: the smallest of 1, 2 or 5 times a power of ten that contains a pixel of "
+        "the first "
         "height image",
         unit="m",
         minimum=0.0,
@@ -309,9 +310,9 @@ class Mapper(Stage):
         if self._map is not None:
             yield Notice(
                 "origin after the begin",
-                "The origin of the map frame came, or changed, after the map had begun, which stays where it is until "
-                "service ~/reset begins a new one; publish the origin latched and before the first dwell, or set "
-                "origin_latitude_deg and origin_longitude_deg.",
+                "The origin of the map frame was received, or changed, after the map had started, which stays where "
+                "it is until service ~/reset starts a new one; publish the origin latched and before the first dwell, "
+                "or set origin_latitude_deg and origin_longitude_deg.",
             )
 
     def _placed(self, settings: Any) -> PlacedRelief | None:
@@ -356,7 +357,7 @@ class Mapper(Stage):
         is_local = placed.projection is None and settings.crs != LOCAL
         remark = (
             f"{path} has local coordinates; set origin_latitude_deg and origin_longitude_deg, or publish topic "
-            f"{MAP_ORIGIN}, to place it on the earth."
+            f"{MAP_ORIGIN}, to locate it on the earth."
         )
         yield FileProduct(path, placed, remark if is_local else "")
 

@@ -46,14 +46,14 @@ class NavigationSettings(FrameSettings, OriginSettings, StageSettings):
 
     position: str = setting(
         "pose",
-        "where position and attitude come from: pose is topic platform/pose; fix is the position on platform/fix and "
+        "source of position and attitude: pose is topic platform/pose; fix is the position on platform/fix and "
         "the attitude on platform/imu",
         choices=("pose", "fix"),
         read_only=True,
     )
     velocity: str = setting(
         "twist",
-        "where the velocity comes from: twist is topic platform/twist, positions are differences of positions",
+        "source of the velocity: twist is topic platform/twist, positions are differences of positions",
         choices=("twist", "positions"),
         read_only=True,
     )
@@ -89,7 +89,7 @@ class NavigationStage(Stage):
         if self._settings.position == "fix" and self._settings.origin is None:
             raise UserError(
                 "Node navigation must know where on the earth to lay the map that fixes are placed in (position is "
-                "fix); set origin_latitude_deg, origin_longitude_deg and origin_height_m to a place in the scene."
+                "fix); set origin_latitude_deg, origin_longitude_deg and origin_height_m to a position in the scene."
             )
         self._navigation = self._merge()
 

@@ -22,7 +22,7 @@ class DwellSettings(StageSettings):
         maximum=3600.0,
     )
     max_unfinished_dwells: int = setting(
-        8, "unfinished dwells that are held before the oldest is given up", minimum=1, maximum=10_000
+        8, "unfinished dwells that are kept before the oldest is given up", minimum=1, maximum=10_000
     )
 
 
@@ -31,7 +31,8 @@ class ChannelSettings(DwellSettings):
 
     missing_channels: str = setting(
         "refuse",
-        "what becomes of a dwell of which channels have not come in time: refuse drops it, proceed processes the other "
+        "how a dwell is handled whose channels have not all arrived in time: refuse drops it, proceed processes "
+        "the other "
         "channels as if these were dead",
         choices=("refuse", "proceed"),
     )
@@ -56,15 +57,15 @@ class FrameSettings(MapFrameSettings):
     )
     map_axes: str = setting(
         ROS_AXES.map,
-        "how the axes x, y, z of the positions and attitudes that come in point: enu is east, north, up, ned is north, "
+        "how the axes x, y, z of the received positions and attitudes point: enu is east, north, up, ned is north, "
         "east, down",
         choices=tuple(MAP_AXES),
         read_only=True,
     )
     body_axes: str = setting(
         ROS_AXES.body,
-        "how the axes x, y, z of the platform in what comes in point: flu is forward, left, up, frd is forward, right, "
-        "down",
+        "how the axes x, y, z of the platform in received messages point: flu is forward, left, up, frd is "
+        "forward, right, down",
         choices=tuple(BODY_AXES),
         read_only=True,
     )

@@ -187,11 +187,12 @@ class StageSettings(Settings):
     """Settings of every stage: how much may wait for its processing."""
 
     max_queued_dwells: int = setting(
-        8, "dwells that may wait for their processing, beside the one in work", minimum=1, maximum=10_000
+        8, "dwells that may wait for their processing, in addition to the one in work", minimum=1, maximum=10_000
     )
     queue_policy: str = setting(
         "oldest",
-        "which dwell is dropped when too many wait: the oldest of those that wait, or the newest, which has just come",
+        "which dwell is dropped when too many wait: the oldest of those that wait, or the newest, which has just "
+        "arrived",
         choices=("oldest", "newest"),
     )
     latency_budget_s: float = setting(
@@ -212,7 +213,7 @@ class StageSettings(Settings):
 
     autostart: bool = setting(
         True,
-        "come up active; if not, the node works once it was configured and activated, as by ros2 lifecycle",
+        "start active; if not, the node works once it was configured and activated, as by ros2 lifecycle",
         read_only=True,
     )
 

@@ -39,7 +39,7 @@ class TrackerSettings(MapFrameSettings, StageSettings, TrackingSettings):
 
     estimator: str = setting(
         "ml",
-        "estimator whose heights are smoothed; they come on topic <estimator>/height",
+        "estimator whose heights are smoothed; they are received on topic <estimator>/height",
         choices=tuple(ESTIMATORS),
         read_only=True,
     )

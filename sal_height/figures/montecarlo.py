@@ -128,7 +128,9 @@ def array_with(pattern: str, pitch: float, detectors: int | None, size: tuple[fl
             f"The beam pattern is {pattern!r}; allowed are {', '.join(sorted(PATTERNS))}, or a CSV file of beams."
         )
     if any(size):
-        raise UserError(f"The beams in {pattern} are measured with their detectors; a size cannot be given besides.")
+        raise UserError(
+            f"The beams in {pattern} are measured with their detectors; a size cannot be given in addition."
+        )
     tables = read_beam_tables(Path(pattern), 1.0)
     _require(f"The number of detectors in {pattern}", len(tables), 1, MOST_DETECTORS)
     if len(tables) > 1 and detectors not in {None, len(tables)}:
@@ -310,7 +312,7 @@ def _statistics(estimates: F64, truth: float, clipped: Bool) -> dict[str, float 
     """Statistics with their standard errors (_se); estimates that do not exist count in clipped_share alone."""
     finite = estimates[np.isfinite(estimates)]
     outliers = np.abs(estimates - truth) > OUTLIER
-    named: list[tuple[str, Measured]] = [("outlier_share", share(outliers)), ("clipped_share", share(clipped))]
+    named: list[tuple[str, Measured]] = [("outlier_fraction", share(outliers)), ("clipped_share", share(clipped))]
     if finite.size:
         average = mean(finite)
         bias = Measured(average.value - truth, average.standard_error)

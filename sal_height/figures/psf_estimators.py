@@ -37,7 +37,7 @@ def masked_transfer_function(
         NotDetermined: there is no target.
     """
     if not targets:
-        raise NotDetermined("No point target is there to tell the transfer function; one at least is needed.")
+        raise NotDetermined("No point target determines the transfer function; one at least is needed.")
     spectra = np.stack([masked_spectrum(target, azimuth_stripe, range_stripe) for target in targets])
     range_response = spectra.mean(axis=(0, 2))
     turned = spectra * np.exp(-1j * np.angle(range_response))[:, None]

@@ -95,7 +95,7 @@ class ElevationGrid:
         middle = np.array([self.west + cols / 2 * self.width, self.north - rows / 2 * self.height, 0.0])
         latitude, longitude, _ = (float(value) for value in found.geodetic(middle * self._units))
         if not np.isfinite([latitude, longitude]).all():
-            raise UserError(f"Elevation model {self.name} lies where its coordinate reference system has no places.")
+            raise UserError(f"Elevation model {self.name} is outside the area of its coordinate reference system.")
         return replace(found, origin=Origin(latitude, longitude, 0.0))
 
     @property

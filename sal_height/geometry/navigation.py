@@ -181,7 +181,7 @@ class Navigation:
             except Awaited as awaited:
                 if self._attitudes.stamps[-1] - attitude.stamp_ns <= self._held_ns:
                     break
-                sentence = f"No sample of the {awaited} came within {self._held_ns * 1e-9:g} s after an attitude."
+                sentence = f"No sample of the {awaited} arrived within {self._held_ns * 1e-9:g} s after an attitude."
                 declined.append(Rejected(f"no {awaited}", sentence))
             self._done += 1
         self._forget()
@@ -263,7 +263,7 @@ class Navigation:
 
     def _add(self, series: Series, sample: Sample) -> None:
         if series.is_before(sample.stamp_ns):
-            sentence = "Stamps have gone back by more than a second: a clock has started anew, or two sources publish."
+            sentence = "Stamps have gone back by more than a second: a clock has started again, or two sources publish."
             self._declined.append(Rejected("clock restarted", sentence))
             self._done = 0
             for each in (self._positions, self._velocities, self._attitudes):

@@ -220,7 +220,7 @@ def _fault(system: Any) -> str:
     if not system.is_projected:
         return "is not a projection of the earth"
     if (system.datum is None and not system.is_compound) or "unknown" in str(system.geodetic_crs.datum).lower():
-        return "has no datum, so that it says nothing of a place on the earth"
+        return "has no datum, so that it states no position on the earth"
     if any(axis.unit_name != "metre" for axis in system.axis_info):
         units = ", ".join(dict.fromkeys(axis.unit_name for axis in system.axis_info))
         return f"has coordinates in {units}, a map needs metres"

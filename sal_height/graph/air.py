@@ -34,11 +34,11 @@ def check_air(parameters: NodeParameters, sensors: Iterable[Sensor], topics: Col
     Raises:
         UserError: something is missing.
     """
-    if parameters.get("sar_compression", {}).get("air") != messages.HEARD_AIR:
+    if parameters.get("sar_compression", {}).get("air") != messages.AIR_OF_TOPICS:
         return
     for sensor in sensors:
         if missing := [topic for topic in messages.needed_air(sensor.wavelength) if topic not in topics]:
             raise UserError(
                 f"{source} has no messages on {', '.join(missing)}, which sar_compression takes the air from (its "
-                "parameter air is heard); record these topics, or set air to standard, measured or none."
+                "parameter air is topics); record these topics, or set air to standard, measured or none."
             )

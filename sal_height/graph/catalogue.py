@@ -14,6 +14,7 @@ from sal_height.engine.registry import STAGES, product_of, takes_heights, takes_
 from sal_height.errors import UserError
 from sal_height.geometry import Origin
 from sal_height.messages.losses import LOSSES
+from sal_height.renamed import with_new_names
 from sal_height.sensor import Sensor
 from sal_height.settings import Settings, settings_of, unknown_name
 
@@ -57,11 +58,12 @@ def check_parameters(parameters: NodeParameters, settable: Sequence[str] = SETTA
 
 
 def check_values(node: str, model: type[Settings], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Check values of parameters of a node, and convert them to the types that `model` declares.
+    """Check values of parameters of a node by old or new names, and convert them to the types that `model` declares.
 
     Raises:
         UserError: a parameter does not exist, or a value is not allowed.
     """
+    values = with_new_names(values)
     if unknown := [key for key in values if key not in settings_of(model)]:
         raise UserError(unknown_name(unknown[0], settings_of(model), f"Node {node}"))
     try:

@@ -161,7 +161,7 @@ def check_range_window(sensor: Sensor, reference_range: float) -> None:
     if lit > sensor.range_window * (1 + ROUNDING):
         raise Rejected(
             "aliased in range",
-            f"The beams meet level ground over {lit:.4g} m of slant range, the frequencies tell "
+            f"The beams meet level ground over {lit:.4g} m of slant range, the frequencies give "
             f"{sensor.range_window:.4g} m apart; they must be spaced "
             f"{sensor.frequency_step * sensor.range_window / lit:.4g} Hz or less.",
         )

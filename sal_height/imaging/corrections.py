@@ -59,14 +59,15 @@ class CorrectionSettings(Settings):
         0.0, "by which slant ranges are too long, as by delays of receivers", unit="m", minimum=-1e4, maximum=1e4
     )
     elevation_offset_rad: float = setting(
-        0.0, "by which echoes come from farther off nadir than targets are", unit="rad", minimum=-0.1, maximum=0.1
+        0.0, "by which echoes arrive from farther off nadir than targets are", unit="rad", minimum=-0.1, maximum=0.1
     )
     odometry_delay_s: float = setting(
         0.0, "by which the odometry is stamped too late", unit="s", minimum=-10.0, maximum=10.0
     )
     air: str = setting(
         "none",
-        "air that delays and bends the way of echoes, besides the two offsets; standard: the standard atmosphere; "
+        "air that delays and bends the path of echoes, in addition to the two offsets; standard: the standard "
+        "atmosphere; "
         "measured: as the parameters air_... say",
         choices=("none", "standard", "measured"),
     )

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BeforeValidator
 
 from sal_height.elevation import AxisResponse, CellResponse
 from sal_height.errors import Rejected, UserError
@@ -48,11 +46,6 @@ from sal_height.sensor import PhaseHistory, Sensor
 from sal_height.settings import setting
 
 
-def _from_older_bag(value: Any) -> Any:
-    """What bags of before there was "auto" say of autofocus."""
-    return ("always" if value else "never") if isinstance(value, bool) else value
-
-
 class ImageSettings(AutofocusSettings, CorrectionSettings):
     """What image is wanted of a dwell or a strip, and what is known to be wrong with it."""
 
@@ -76,16 +69,16 @@ class ImageSettings(AutofocusSettings, CorrectionSettings):
     ground_spacing_m: float = setting(1.0, "pixel spacing in the ground plane", unit="m", minimum=1e-6, maximum=1e6)
     range_window: str = setting("taylor", "weighting over the bandwidth", choices=tuple(sorted(WINDOWS)))
     azimuth_window: str = setting("taylor", "weighting over the aperture", choices=tuple(sorted(WINDOWS)))
-    autofocus: Annotated[str, BeforeValidator(_from_older_bag)] = setting(
+    autofocus: str = setting(
         "auto",
-        "whether to estimate and remove the phase error that all channels share, and to look for the beams by their "
-        "Doppler centroid; auto: if the odometry's covariances of velocity and attitude leave the beams uncertain by "
-        "more than autofocus_from_beamwidths, and speckle can tell where they are",
+        "whether to estimate and remove the phase error that all channels have in common, and to locate the beams by "
+        "their Doppler centroid; auto: if the odometry's covariances of velocity and attitude leave the beams "
+        "uncertain by more than autofocus_from_beamwidths, and speckle can locate them",
         choices=("auto", "always", "never"),
     )
     autofocus_from_beamwidths: float = setting(
         0.02,
-        "standard deviation of the place of the beams along the flight, in beamwidths, from which auto is always",
+        "standard deviation of the along-track position of the beams, in beamwidths, from which auto is always",
         minimum=1e-6,
         maximum=1.0,
     )
@@ -242,7 +235,7 @@ def describe_distrust(focus: Focus, prior: NavigationPrior, settings: AutofocusS
     elif not focus.trusted:
         why = f"makes the image less sharp by more than autofocus_max_blur, {settings.autofocus_max_blur:g}, allows"
     else:
-        why = "sees bright targets, which do not tell where the beams look"
+        why = "sees bright targets, which do not determine the direction of the beams"
     return (
         f"Odometry states the velocity along the line of sight to {prior.speed:.2g} m/s and the pointing along the "
         f"flight to {prior.pointing:.2g} rad, so that the dwell needs autofocus, which {why}. Send longer "

@@ -128,7 +128,7 @@ class StripFocuser:
             return None
         if pause <= 0:
             raise Rejected(
-                "out of order", "A block of the strip is not later than the last one; blocks must come in order."
+                "out of order", "A block of the strip is not later than the last one; blocks must arrive in order."
             )
         follows = pause * sensor.pulse_repetition_frequency < WIDEST_GAP
         return strip if follows and settings.describes_pixels_of(self._settings) else None
@@ -253,5 +253,5 @@ def _describe_shortfall(strip: Strip, lattice: Grid, complete: int) -> str:
     reach = float(np.linalg.norm(strip.antenna[-1] - strip.antenna[0]))
     return (
         f"The first block of the strip reaches over {reach:.4g} m and fills the synthetic apertures of {complete} of "
-        f"{lattice.cols} columns; the first image comes with a later block."
+        f"{lattice.cols} columns; the first image follows with a later block."
     )

@@ -68,12 +68,12 @@ class Collection:
             raise UserError("The track has times that do not increase from state to state.")
         if begin < 0:
             raise UserError(
-                f"The track begins {-begin * 1e-9:.6g} s before 1970; state a begin of all times after that (start_ns)."
+                f"The track begins {-begin * 1e-9:.6g} s before 1970; state a start of all times after that (start_ns)."
             )
         if begin > first or end < last:
             raise UserError(
                 f"The track reaches from {(begin - first) * 1e-9:.6g} s to {(end - first) * 1e-9:.6g} s after the "
-                f"first pulse; pulses come from 0 to {(last - first) * 1e-9:.6g} s."
+                f"first pulse; pulses go from 0 to {(last - first) * 1e-9:.6g} s."
             )
 
 

@@ -81,7 +81,7 @@ def read_gotcha(files: list[Path], dwells: int = 1) -> Collection:
     frequency = parts[files[0]]["freq"].ravel()
     for path, part in parts.items():
         if part["freq"].size != frequency.size or not np.allclose(part["freq"].ravel(), frequency, rtol=1e-9):
-            raise UserError(f"File {path} has other frequencies than {files[0]}; all must share them.")
+            raise UserError(f"File {path} has other frequencies than {files[0]}; all must have the same.")
     ordered = _in_order_of_flight(files, parts)
     antenna: F64 = np.concatenate([_positions(part) for part in ordered])
     samples = np.concatenate([part["fp"].T for part in ordered]).astype(np.complex64)[None]
@@ -133,7 +133,7 @@ def _common_polarisation(files: list[Path]) -> str:
         if polarisation != named[files[0]]:
             raise UserError(
                 f"File {path} has the polarisation {polarisation or 'of no name'}, {files[0]} "
-                f"{named[files[0]] or 'of no name'}; all files must share one."
+                f"{named[files[0]] or 'of no name'}; all files must have the same."
             )
     return named[files[0]]
 

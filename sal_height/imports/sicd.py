@@ -367,7 +367,7 @@ def _check_plane(image: SicdImage, tree: Any) -> None:
     if not max(down, along) <= MOST_BENT:
         raise UserError(
             f"File {image.path} has a grid of the type {tree.findtext('{*}Grid/{*}Type')} whose corners are "
-            f"{max(down, along):.3g} pixels beside those of a plane that is seen from one aperture, or from one that "
+            f"{max(down, along):.3g} pixels from those of a plane that is seen from one aperture, or from one that "
             f"slides along the flight; up to {MOST_BENT:g} are allowed: cut the image, or process it to a plane."
         )
 

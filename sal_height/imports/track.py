@@ -132,7 +132,7 @@ def _read_sbet(path: Path, origin: Origin | None) -> Track:
     records = np.frombuffer(content, SBET)
     place = [records[name] for name in EARTH]
     if not np.all(np.isfinite(place)) or np.abs(records["latitude"]).max() > np.pi / 2:
-        raise UserError(f"Track {path} has latitudes that are none; it is no SBET file.")
+        raise UserError(f"Track {path} has latitudes out of range; it is no SBET file.")
     positions = on_earth(path, origin).to_map(*place)
     roll, pitch, heading = (records[name] for name in ANGLES)
     angles = np.stack([roll, pitch, heading - records["wander"]], axis=-1)
@@ -146,7 +146,7 @@ def on_earth(path: Path, origin: Origin | None) -> Origin:
         UserError: it is not known.
     """
     if origin is None:
-        raise UserError(f"Track {path} has places on the earth; state the origin of the map (key origin).")
+        raise UserError(f"Track {path} has positions on the earth; state the origin of the map (key origin).")
     return origin
 
 

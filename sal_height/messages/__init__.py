@@ -11,8 +11,8 @@ from sal_height.engine.provenance import autofocus_values
 from sal_height.messages.air import (
     AIR,
     AIR_LATENCY_NS,
+    AIR_OF_TOPICS,
     AIR_TYPES,
-    HEARD_AIR,
     AirSample,
     air_to_messages,
     needed_air,
@@ -75,9 +75,9 @@ from sal_height.messages.sensors import sensor_from_message, sensor_to_message
 __all__ = [
     "AIR",
     "AIR_LATENCY_NS",
+    "AIR_OF_TOPICS",
     "AIR_TYPES",
     "BODY_FRAME",
-    "HEARD_AIR",
     "LONGEST_DWELL",
     "MAP_FRAME",
     "MOVER_FIELDS",

@@ -50,7 +50,7 @@ AIR: Mapping[str, AirQuantity] = {
 }
 """The quantities by the topic that they come on."""
 
-HEARD_AIR = "heard"
+AIR_OF_TOPICS = "topics"
 """Value of the parameter air of the compression: the air is as messages say."""
 
 AIR_TYPES = {quantity.type_name for quantity in AIR.values()}

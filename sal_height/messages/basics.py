@@ -45,7 +45,7 @@ def from_complex_pairs(pairs: Sequence[float], where: str) -> C128:
         UserError: the number of entries is odd; the sentence begins with `where`.
     """
     if len(pairs) % 2:
-        raise UserError(f"{where} has {len(pairs)} entries; real and imaginary parts must come in pairs.")
+        raise UserError(f"{where} has {len(pairs)} entries; real and imaginary parts must be in pairs.")
     return np.array(pairs, dtype=np.float64).view(np.complex128)
 
 

@@ -127,7 +127,7 @@ def read_fix(message: NavSatFix, origin: Origin) -> Sample:
         raise Rejected(
             "far from the origin",
             f"NavSatFix is {distance / 1e3:.0f} km from the origin of map, {FARTHEST_FROM_ORIGIN / 1e3:.0f} are "
-            "allowed; set origin_latitude_deg, origin_longitude_deg and origin_height_m to a place in the scene.",
+            "allowed; set origin_latitude_deg, origin_longitude_deg and origin_height_m to a position in the scene.",
         )
     known = message.position_covariance_type != NavSatFix.COVARIANCE_TYPE_UNKNOWN
     covariance = _covariance("NavSatFix", message.position_covariance) if known else UNKNOWN

@@ -93,7 +93,8 @@ def find_movers(images: C64 | C128, beams: Beams, slc: Slc, sensor: Sensor, sett
     if images.shape[-1] < LEAST_COLUMNS:
         raise Rejected(
             "few columns",
-            f"An image of a strip has {images.shape[-1]} columns; {LEAST_COLUMNS} are needed to tell movers (parameter "
+            f"An image of a strip has {images.shape[-1]} columns; {LEAST_COLUMNS} are needed to detect movers "
+            f"(parameter "
             "cols of sar_compression).",
         )
     images = about_ranges(np.where(np.isfinite(images), images, 0), slc, sensor)

@@ -48,7 +48,7 @@ AROUND = (17, 5)
 COLUMN_ERROR = 0.1
 """Standard deviation of a target's place in the image along the flight, in columns."""
 
-ALONE = "Dwell {} overlaps with none before or after it, and so tells no movers."
+ALONE = "Dwell {} overlaps with none before or after it, so that no movers are detected."
 """What to say of a dwell in which no movers could be looked for."""
 
 

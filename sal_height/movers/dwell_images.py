@@ -66,13 +66,14 @@ class DwellImage:
         if float(grid.row_direction @ sight) < SLANT * slant_range:
             raise Rejected(
                 "image plane",
-                "Movers are told in the plane of range and Doppler; set parameter image_plane of sar_compression to "
+                "Movers are detected in the plane of range and Doppler; set parameter image_plane of "
+                "sar_compression to "
                 "slant.",
             )
         if abs(grid.cols * grid.col_spacing / period - 1) > WHOLE:
             raise Rejected(
                 "Doppler of images",
-                f"An image of a dwell has {grid.cols} columns; to tell movers it needs all Doppler frequencies, "
+                f"An image of a dwell has {grid.cols} columns; to detect movers it needs all Doppler frequencies, "
                 f"{period / grid.col_spacing:.0f} columns (parameter cols of sar_compression).",
             )
         phases = np.exp(-4j * np.pi / sensor.wavelength * ranges_of_phase(grid, aperture))

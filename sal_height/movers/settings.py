@@ -18,7 +18,7 @@ class MoverSettings(Settings):
     )
     false_alarm_rate: float = setting(
         1e-3,
-        "greatest share of what is looked at and stands still that may be taken for a mover",
+        "greatest fraction of candidates at rest that may be taken for movers",
         minimum=1e-9,
         maximum=0.1,
     )
@@ -36,9 +36,9 @@ class MoverSettings(Settings):
         minimum=16,
         maximum=256,
     )
-    max_saturated_share: float = setting(
+    max_saturated_fraction: float = setting(
         MAX_SHARE,
-        "highest share of clipped samples in a channel; above it, an image is left out",
+        "highest fraction of clipped samples in a channel; above it, an image is left out",
         minimum=0.0,
         maximum=1.0,
     )

@@ -23,6 +23,6 @@ def main() -> int:
 
 if __name__ == "__main__":
     if len(sys.argv) < 2 or sys.argv[1] not in PROCESSING:
-        sys.exit(f"Which node is to be started must come first; allowed are {', '.join(PROCESSING)}.")
+        sys.exit(f"The node to be started must be named first; allowed are {', '.join(PROCESSING)}.")
     sys.argv.pop(0)
     raise SystemExit(main())

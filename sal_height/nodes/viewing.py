@@ -84,8 +84,8 @@ class _Points:
 class HeightViewer(_Points):
     """Picture and points of a height image."""
 
-    picture_about = "picture of the heights, made while somebody listens"
-    points_about = "the heights as points, made while somebody listens"
+    picture_about = "picture of the heights, made while somebody subscribes"
+    points_about = "the heights as points, made while somebody subscribes"
     frame_about = "the frame that the points are in, near them"
 
     def picture(self, item: Heights) -> Any:
@@ -101,7 +101,7 @@ class ReliefViewer(_Points):
     """Picture and points of a map, latched."""
 
     picture_about = "picture of the map, latched"
-    points_about = "the map as points, latched, made while somebody listens"
+    points_about = "the map as points, latched, made while somebody subscribes"
     frame_about = "the frame that the points are in, near them, latched"
     qos = LATCHED_QOS
 

@@ -53,13 +53,13 @@ IMAGES = {"slc": "complex image of one channel and dwell in each message"}
 CALIBRATION = {"calibration": "calibration of receivers and beams, latched"}
 """What a calibration is published on."""
 
-ORIGIN = {MAP_ORIGIN: "place of the origin of the map frame on the earth, sensor_msgs/NavSatFix, latched"}
+ORIGIN = {MAP_ORIGIN: "position of the origin of the map frame on the earth, sensor_msgs/NavSatFix, latched"}
 """What is published and read there."""
 
 RESET = {"~/reset": "forget what was gathered of the dwells so far"}
 """The service that every stage offers."""
 
-ENDED = Rejected("ended", "The node is ending; what waits and what comes now is left out.")
+ENDED = Rejected("ended", "The node is ending; waiting and new messages are left out.")
 
 DIAGNOSTICS_PERIOD_S = 0.5
 
@@ -257,7 +257,7 @@ class WorkerNode(Role, Managed):
         try:
             return done.result(ANSWER_S)
         except TimeoutError:
-            return f"the node has not come to it within {ANSWER_S:g} s, and goes on"
+            return f"the node has not reached it within {ANSWER_S:g} s, and goes on"
 
     def waiting(self) -> list[Any]:
         """The items of the jobs that wait, in their order."""
@@ -273,7 +273,8 @@ class WorkerNode(Role, Managed):
         if messages and 0 < budget_s < waited_s:
             raise Rejected(
                 "overload",
-                f"Dwells come faster than they are processed: one that had waited {waited_s:.3g} s was left out, more "
+                f"Dwells arrive faster than they are processed: one that had waited {waited_s:.3g} s was left "
+                f"out, more "
                 f"than {budget_s:g} s (latency_budget_s).",
             )
 

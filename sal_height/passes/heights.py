@@ -24,7 +24,7 @@ from sal_height.passes.tie import Candidates, Tie, loosest, tie_passes
 ESTIMATORS_OF_PASSES = ("ml", "capon")
 """Estimators of elevation that take complex beams and tell of a single look whether a scatterer explains it."""
 
-OF_POINTS: Mapping[str, Any] = {"range_looks": 1, "azimuth_looks": 1, "misfit_share": 0.0}
+OF_POINTS: Mapping[str, Any] = {"range_looks": 1, "azimuth_looks": 1, "misfit_fraction": 0.0}
 """Settings of the estimators that suit points: one look, which leaves nothing but noise and what the passes err by.
 
 Of the power of ground some may be left, as parts of a pixel differ in elevation; points that have changed between the
@@ -106,8 +106,8 @@ def heights_from_passes(
     warnings += check_tie(tie, candidates, seen.lattice.array, settings, np.random.default_rng(0))
     if np.isfinite(tie.elsewhere):
         warnings.append(
-            "The reference points are not used: for all that they tell, every point may as well be "
-            f"{abs(tie.elsewhere):.3g} m {'higher' if tie.elsewhere > 0 else 'lower'}; more of them would tell, or "
+            "The reference points are not used: from what they state, every point may as well be "
+            f"{abs(tie.elsewhere):.3g} m {'higher' if tie.elsewhere > 0 else 'lower'}; more of them would decide, or "
             "passes at other elevations."
         )
     elif tie.references < (given := int(np.isfinite(candidates.known).sum())):
@@ -165,7 +165,7 @@ def _with_references(
             east, north, up = one.position.tolist()
             sentences.append(
                 f"The reference point at {east:g}, {north:g}, {up:g} m is not used: the nearest bright point is "
-                f"{off[near]:.3g} m from where it is to be seen (reference_radius_m is "
+                f"{off[near]:.3g} m from its expected position (reference_radius_m is "
                 f"{settings.reference_radius_m:g})."
             )
             continue

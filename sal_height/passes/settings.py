@@ -45,7 +45,7 @@ class PassSettings(Settings):
     )
     least_coherence: float = setting(
         0.5,
-        "share of the power of bright points that a pass must have in the phase of the others, over what is usual; "
+        "fraction of the power of bright points that a pass must have in the phase of the others, over what is usual; "
         "or it is left out",
         minimum=0.0,
         maximum=1.0,
@@ -55,7 +55,7 @@ class PassSettings(Settings):
     )
     reference_radius_m: float = setting(
         1.0,
-        "greatest distance of a bright point from the place at which a reference point is to be seen",
+        "greatest distance of a bright point from the expected position of a reference point",
         unit="m",
         minimum=0.01,
         maximum=100.0,

@@ -89,7 +89,7 @@ def channel_sets(slc: Slc, sensor: Sensor, down: Window) -> list[tuple[Index, Bo
         raise Rejected(
             "blanked channels",
             f"No row of the images is received by {least} channels or more; SensorInfo channels.blanked_ranges leaves "
-            "too few to tell elevations.",
+            "too few to estimate elevations.",
         )
     return found
 
@@ -105,7 +105,7 @@ def live_channels(images: C64, sensor: Sensor) -> Index:
         dead = sorted(set(range(len(images))) - set(live.tolist()))
         raise Rejected(
             "dead channels",
-            f"Channels {dead} have no finite sample other than 0 in the images; the detectors cannot be told apart "
+            f"Channels {dead} have no finite sample other than 0 in the images; the detectors cannot be separated "
             "without one of the channels that the channel matrix of SensorInfo mixes them into.",
         )
     return live

@@ -252,4 +252,4 @@ def _judge(estimate: ElevationEstimate, seen: _Observed, settings: HeightSetting
     # 13  Pixels that noise leaves uncertain.
     estimate = without_imprecise(estimate, settings.max_sigma_beamwidths * beams.beamwidth)
     # 14  Clipped samples spoil the ratios between channels.
-    return without_saturated(estimate) if seen.saturated_share > settings.max_saturated_share else estimate
+    return without_saturated(estimate) if seen.saturated_share > settings.max_saturated_fraction else estimate

@@ -34,8 +34,8 @@ def movers(slc: Slc, sensor: Sensor, settings: MoverSettings, calibration: Calib
     """
     if sensor.mode != "stripmap":
         raise UserError(
-            f"Sensor {sensor.name} is of mode {sensor.mode}; one image tells movers in stripmap only, where the beam "
-            "passes them. In spotlight the dwells before and after tell (pipeline.dwell_with_movers)."
+            f"Sensor {sensor.name} is of mode {sensor.mode}; one image shows movers in stripmap only, where the beam "
+            "passes them. In spotlight the dwells before and after show them (pipeline.dwell_with_movers)."
         )
     images, beams = _images_for_movers(slc, sensor, settings, calibration)
     return find_movers(images, beams, slc, sensor, settings)
@@ -68,11 +68,11 @@ def _images_for_movers(
     """Images of channels of independent noise of one power, and their beams in one direction."""
     check_sensor(sensor)
     live = live_channels(slc.images, sensor)
-    if (clipped := float(slc.saturated_share[live].max())) > settings.max_saturated_share:
+    if (clipped := float(slc.saturated_share[live].max())) > settings.max_saturated_fraction:
         raise Rejected(
             "saturated",
-            f"A channel has {clipped:.2g} of its samples clipped, which spoils elevations; max_saturated_share allows "
-            f"{settings.max_saturated_share:g}.",
+            f"A channel has {clipped:.2g} of its samples clipped, which spoils elevations; "
+            f"max_saturated_fraction allows {settings.max_saturated_fraction:g}.",
         )
     channels, beams = channels_and_beams(slc, sensor, ESTIMATORS["ml"], calibration, live)
     images = np.tensordot(channels.transform, slc.images[live], 1)

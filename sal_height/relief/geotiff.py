@@ -17,7 +17,7 @@ from sal_height.relief.map import Relief
 
 BANDS = {
     "height": "height at the cell's centre, above {datum}, m",
-    "sigma": "standard deviation of the height at that place, m",
+    "sigma": "standard deviation of the height at that position, m",
     "disagreement": "spread of the dwells' heights over that expected from sigma (Birge ratio)",
     "count": "number of height images that saw the cell",
 }

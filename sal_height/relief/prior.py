@@ -2,8 +2,8 @@
 
 What a dwell says of correlation length l and standard deviation s of the relief is the likelihood of its heights, the
 product of those of the filter's innovations (Schweppe, IEEE Trans. Information Theory 11, 1965). Outliers would make
-the relief look rough. Therefore a measurement is taken to be an outlier with the probability `outlier_share`, and then
-to have any height between the least and the greatest; the filter weighs it by the probability that it is none
+the relief look rough. Therefore a measurement is taken to be an outlier with the probability `outlier_fraction`, and
+then to have any height between the least and the greatest; the filter weighs it by the probability that it is none
 (probabilistic data association, Bar-Shalom and Tse, Automatica 11, 1975).
 
 What the dwells before say of x = (log l, log s) is kept as a Gaussian, that is, as its information I and moment I x.
@@ -157,7 +157,7 @@ class _Heights:
             mean_sigma=spread if settings.along_track else 0.0,
             spread=spread,
             error=error,
-            outliers=(settings.outlier_share, 1 / (greatest - least + error)),
+            outliers=(settings.outlier_fraction, 1 / (greatest - least + error)),
             flattest=FLATTEST * error / math.sqrt(np.count_nonzero(seen)),
         )
 

@@ -30,16 +30,16 @@ class TrackingSettings(Settings):
         minimum=1.0,
         maximum=1000.0,
     )
-    outlier_share: float = setting(
+    outlier_fraction: float = setting(
         0.02,
-        "expected share of outliers among the heights from which the prior of the relief is estimated",
+        "expected fraction of outliers among the heights from which the prior of the relief is estimated",
         minimum=1e-6,
         maximum=0.5,
     )
     prior_dwells: int = setting(
         16,
-        "dwells from which the prior of the relief is estimated: the weight of older ones falls to 1 / e after so "
-        "many; 1: each dwell by itself",
+        "dwells from which the prior of the relief is estimated: the weight of older ones falls to 1 / "
+        "e at this age; 1: each dwell by itself",
         minimum=1,
         maximum=1_000_000,
     )

@@ -186,7 +186,8 @@ def _neighbours(response: C128, speckle: SpeckleSpectra) -> _Lines:
     if speckle.pointing is None:
         raise NotDetermined(
             "Neighbouring pixels along azimuth do not correlate, and the shape of receiver noise is not known, so that "
-            "it cannot be told from speckle; finer sampling along azimuth or a bag that tells the weights is needed."
+            "it cannot be separated from speckle; finer sampling along azimuth or a bag that states the weights "
+            "is needed."
         )
     rows, across = len(speckle.range.covariance), speckle.azimuth.covariance
     signal = _line(response, rows)

@@ -39,7 +39,7 @@ class PointTargetSettings(Settings):
     )
     point_isolation_db: float = setting(
         20.0,
-        "a point target is alone if all that lies beside its cuts in the chip is this far below its peak",
+        "a point target is isolated if everything outside its cuts in the chip is this far below its peak",
         unit="dB",
         minimum=3.0,
         maximum=100.0,
@@ -71,8 +71,8 @@ class Verdict(StrEnum):
     ACCEPTED = "accepted"
     SPARE = "fainter than those examined"
     EDGE = "too near the edge of the image"
-    NOT_FINITE = "beside pixels that are not finite"
-    GAPS = "beside pixels of 0"
+    NOT_FINITE = "next to pixels that are not finite"
+    GAPS = "next to pixels of 0"
     CROWDED = "not alone in the chip"
     CLIPPED = "clipped"
     COMPLICATED = "more than a point"

@@ -244,6 +244,6 @@ def _away_from_candidates(
                 slice(max(0, place - far) // side, (place + far) // side + 1)
                 for place, far, side in zip((one.row, one.col), reach, tiles.tile, strict=True)
             )
-            own[down, along][own[down, along] == 0] = REASONS.index("beside a bright point")
+            own[down, along][own[down, along] == 0] = REASONS.index("next to a bright point")
         first += across
     return replace(tiles, verdict=verdict)

@@ -34,7 +34,7 @@ LEAST_TILE = 8  # fewer rows or columns than this make no tile
 REACH = 16  # greatest lag, in pixels, at which the field's correlation is measured
 SAMPLED_TILES = 64  # most tiles from which the field's correlation is measured
 
-REASONS = ("pure", "not finite", "zero", "real", "clipped", "like noise", "moment", "texture", "beside a bright point")
+REASONS = ("pure", "not finite", "zero", "real", "clipped", "like noise", "moment", "texture", "next to a bright point")
 """What may become of a tile, in the order of the tests; the last is for those who know where bright points are."""
 
 
@@ -43,7 +43,8 @@ class SpeckleSettings(Settings):
 
     speckle_significance: float = setting(
         0.001,
-        "share of tiles of speckle that each test of intensity rejects, and of images of noise with a tile that passes",
+        "fraction of tiles of speckle that each test of intensity rejects, and of images of noise with a tile "
+        "that passes",
         minimum=1e-6,
         maximum=0.5,
     )
@@ -154,7 +155,7 @@ def _why_none(tiles: SpeckleTiles, noise_power: float | None) -> str:
     failed = ", ".join(f"{count} {reason}" for reason, count in tiles.counts().items() if count)
     need = (
         "at least one is needed, or the power of the receiver noise: where neighbours in azimuth do not correlate, "
-        "only that tells speckle from noise"
+        "only that separates speckle from noise"
         if noise_power is None and tiles.counts()["like noise"]
         else "at least one is needed, of even brightness and well above the noise"
     )

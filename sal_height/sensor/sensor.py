@@ -206,7 +206,8 @@ class Sensor:
         self._require(
             self.sample_count >= samples * (1 - 1e-9),
             "sample_count",
-            f"to hold the pulse of {duration:g} s and a range window of {window:g} s it must be {np.ceil(samples):.0f} "
+            f"to contain the pulse of {duration:g} s and a range window of {window:g} s it must be "
+            f"{np.ceil(samples):.0f} "
             "or more",
         )
 

@@ -144,7 +144,7 @@ class OriginSettings(StrictKeys):
 
     def __post_init__(self) -> None:
         if not (self.latitude_deg or self.longitude_deg):
-            raise PydanticCustomError("origin", "it must not be at latitude and longitude 0, a place at sea")
+            raise PydanticCustomError("origin", "it must not be at latitude and longitude 0, a position at sea")
 
     @property
     def place(self) -> Origin:

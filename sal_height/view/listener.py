@@ -38,7 +38,7 @@ MOST_TOPICS = 100
 ITEM_BYTES = 1000  # memory of a message that waits, besides its own bytes
 WAIT_S = 0.2  # without a message, so that whoever listens can look at other things
 
-TOO_SLOW, LOST = "came while too many waited to be drawn", "got lost on their way"
+TOO_SLOW, LOST = "arrived while too many waited to be drawn", "got lost on their way"
 
 
 class _Item(NamedTuple):

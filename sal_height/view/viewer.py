@@ -74,7 +74,7 @@ class Viewer:
         while not _listens(port):
             self.check()
             if time.monotonic() > deadline:
-                raise UserError(f"The Rerun viewer has not begun to listen within {START_S:g} s; start it again.")
+                raise UserError(f"The Rerun viewer was not ready within {START_S:g} s; start it again.")
             time.sleep(LOOK_S)
 
     def is_open(self) -> bool:

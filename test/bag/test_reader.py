@@ -302,7 +302,7 @@ def test_a_flipped_byte_in_a_message_names_the_remedy(bag: Path) -> None:
 def test_qos_that_is_not_a_list_of_profiles_is_refused() -> None:
     assert qos.from_yaml("") == []
     for text in ("[", "just text", "- history: 1", "- {history: nonsense}"):
-        with pytest.raises(UserError, match="offered_qos_profiles holds no list"):
+        with pytest.raises(UserError, match="offered_qos_profiles contains no list"):
             qos.from_yaml(text)
 
 

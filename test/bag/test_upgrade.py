@@ -75,7 +75,7 @@ def test_compression_and_the_recorder_s_account_are_kept(compression: str, tmp_p
 
 def test_the_command_says_what_is_made_anew(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bag", "upgrade", str(REFERENCE.parent / "version_1"), "--out", str(tmp_path / "new")]) == 0
-    assert "2 messages of /ml/height made anew" in capsys.readouterr().out
+    assert "2 messages of /ml/height made again" in capsys.readouterr().out
     assert main(["bag", "upgrade", str(REFERENCE), "--out", str(tmp_path / "same")]) == 0
     assert "all messages are of today's version" in capsys.readouterr().out
     assert main(["bag", "upgrade", str(tmp_path / "none"), "--out", str(tmp_path / "new_2")]) == 2

@@ -113,7 +113,7 @@ def test_delay_and_lever_arm_move_places_and_heights() -> None:
     assert found["lever_arm_height_m"] == pytest.approx(0.02)
     turned = replace(preset.sensor, mounting=replace(preset.sensor.mounting, boresight_rad=(0.0, 0.0, math.pi / 2)))
     assert numbers(replace(preset, sensor=turned))["lever_arm_along_m"] == pytest.approx(0.5)
-    told = replace(preset, processing={"sar_compression": {"odometry_delay_s": 1.5e-3, "air": "heard"}})
+    told = replace(preset, processing={"sar_compression": {"odometry_delay_s": 1.5e-3, "air": "topics"}})
     assert numbers(told)["odometry_delay_along_m"] == pytest.approx(0.025)
 
 

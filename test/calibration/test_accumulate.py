@@ -125,7 +125,7 @@ def test_settings_say_how_much_is_kept_and_clipped() -> None:
     clipped = replace(slc, saturated_share=np.full(8, 0.01))
     with pytest.raises(Rejected, match=r"0.01 of a channel's samples are clipped; calibration needs 0.0008 or less"):
         calibrator.add(clipped)
-    Calibrator(flight.sensor, settings=CalibrationSettings(max_saturated_share=0.02)).add(clipped)
+    Calibrator(flight.sensor, settings=CalibrationSettings(max_saturated_fraction=0.02)).add(clipped)
 
 
 def _zeros(slc: Slc) -> Slc:

@@ -200,7 +200,7 @@ CASES = (
         "with air, transform and calibration",
         Compression,
         everything_asked_for,
-        {**SMALL, "air": "heard", "mounting_from_tf": True, "calibration": "topic"},
+        {**SMALL, "air": "topics", "mounting_from_tf": True, "calibration": "topic"},
         {**SMALL, "air": "none", "mounting_from_tf": True, "calibration": "topic"},
     ),
     *(

@@ -24,7 +24,7 @@ from sal_height.sensor import Sensor
 SECOND = 1_000_000_000
 DWELL_NS = 1_700_000_000 * SECOND
 PRESSURE, TEMPERATURE, HUMIDITY = "air/pressure", "air/temperature", "air/humidity"
-HEARD = CompressionSettings(air="heard", map_height_m=500.0)
+HEARD = CompressionSettings(air="topics", map_height_m=500.0)
 KEY = DwellKey("hash", 7, DWELL_NS)
 
 RADIO = make_sensor(wavelength=0.03)
@@ -102,7 +102,7 @@ def test_humidity_is_needed_for_radio_waves_only() -> None:
     assert "air_humidity" not in air_of(dry)
     with pytest.raises(Rejected) as missing:
         air_of(dry, RADIO)
-    assert_one_sentence(str(missing.value), "Dwell 7", "nothing has come on air/humidity", "standard or measured")
+    assert_one_sentence(str(missing.value), "Dwell 7", "nothing was received on air/humidity", "standard or measured")
 
 
 def test_all_that_is_missing_is_named() -> None:
@@ -119,8 +119,8 @@ def test_what_was_measured_too_long_ago_or_later_is_refused(age_s: float) -> Non
     with pytest.raises(Rejected) as old:
         air_of(history_of(temperature=math.copysign(60.000001, age_s)))
     when = "before" if age_s > 0 else "after"
-    assert_one_sentence(str(old.value), "air/temperature is stamped 60 s", when, "60 s are allowed (air_held_s)")
-    assert air_of(history_of(temperature=2 * age_s), settings=HEARD.changed(air_held_s=120.0))
+    assert_one_sentence(str(old.value), "air/temperature is stamped 60 s", when, "60 s are allowed (air_max_age_s)")
+    assert air_of(history_of(temperature=2 * age_s), settings=HEARD.changed(air_max_age_s=120.0))
 
 
 def test_another_clock_is_named() -> None:

@@ -47,7 +47,7 @@ def test_a_dwell_that_lacks_a_channel_is_given_up_when_its_stamp_has_passed() ->
     assert not gated.losses
     gated.announce(1e-9)
     assert gated.lost() == {"incomplete dwell": 2}
-    assert_one_sentence(gated.losses[0].sentence, "channels [1] did not come before the source went on")
+    assert_one_sentence(gated.losses[0].sentence, "channels [1] did not arrive before the source went on")
     gated.feed(1, 0, 1, 2)
     assert len(gated.whole) == 1
 
@@ -239,7 +239,7 @@ def without_air(driven: Driven) -> Driven:
 
 def test_a_dwell_waits_for_the_air_that_may_still_be_used() -> None:
     """A lidar needs no humidity: nobody has to say that there is none."""
-    driven = without_air(waiting_for_odometry(air="heard", air_held_s=60.0))
+    driven = without_air(waiting_for_odometry(air="topics", air_max_age_s=60.0))
     driven.do(nothing_before("air/humidity", FOREVER_NS))
     for port in ("air/pressure", "air/temperature"):
         driven.do(nothing_before(port, START_NS + 60 * SECOND))
@@ -251,13 +251,13 @@ def test_a_dwell_waits_for_the_air_that_may_still_be_used() -> None:
 
 @pytest.mark.parametrize("port", ["air/pressure", "air/temperature"])
 def test_a_dwell_is_given_up_once_a_quantity_of_the_air_cannot_arrive_in_time(port: str) -> None:
-    driven = without_air(waiting_for_odometry(air="heard", air_held_s=60.0))
+    driven = without_air(waiting_for_odometry(air="topics", air_max_age_s=60.0))
     driven.do(nothing_before(port, START_NS + 60 * SECOND + 1))
     assert driven.lost() == {"no air": 8}
 
 
 def test_air_that_cannot_be_is_given_up_once_no_other_can_arrive() -> None:
-    driven = without_air(waiting_for_odometry(air="heard"))
+    driven = without_air(waiting_for_odometry(air="topics"))
     for port, item in air_items(START_NS - 2 * SECOND, pascal=700.0):
         driven.do(accept(port, item))
     driven.do(nothing_before("air/pressure", START_NS + 61 * SECOND))
@@ -267,7 +267,7 @@ def test_air_that_cannot_be_is_given_up_once_no_other_can_arrive() -> None:
 
 
 def test_air_that_is_there_is_used_whatever_is_announced() -> None:
-    driven = waiting_for_odometry(air="heard")
+    driven = waiting_for_odometry(air="topics")
     for port in AIR_PARAMETERS:
         driven.do(nothing_before(port, FOREVER_NS))
     driven.do(accept("air/pressure", AirSample(START_NS, 65_000.0)))

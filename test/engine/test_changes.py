@@ -220,7 +220,7 @@ def test_a_dwell_has_what_holds_when_its_job_is_made_whatever_arrives_while_that
 
 def test_a_dwell_waits_for_air_as_the_settings_of_its_own_say() -> None:
     flown = [accept(*item) for item in flight_items(small_flight(), dwells=range(3))]
-    heard = Compression.settings(**SMALL, air="heard")
+    heard = Compression.settings(**SMALL, air="topics")
     driven = drive(Compression(heard), [scheduled(1, "", heard.changed(air="none")), *flown])
     assert [one.item.key.number for one in driven.made] == [1, 0, 2]  # after the change dwell 0 need not wait either
 

@@ -123,7 +123,7 @@ def test_odometry_that_never_arrives_costs_dwells_after_a_wait() -> None:
         driven.do(advance(step * 0.2, busy=False))
         assert bool(driven.losses) == (step > 5)
     assert driven.lost() == {"odometry gap": DETECTORS}
-    assert_one_sentence(driven.losses[0].sentence, "Dwell 0", "no sample has come (is its QoS compatible?)")
+    assert_one_sentence(driven.losses[0].sentence, "Dwell 0", "no sample was received (is its QoS compatible?)")
 
 
 def test_a_dwell_does_not_time_out_while_its_odometry_is_on_the_way() -> None:
@@ -144,7 +144,7 @@ def test_odometry_that_goes_on_after_a_gap_does_not_keep_a_dwell_waiting() -> No
         driven.do(accept(ODOMETRY, at(last, SECOND + 5_000_000 * number), 0.2 * number))
         driven.do(advance(0.2 * number, busy=False))
     assert driven.lost() == {"odometry gap": DETECTORS}
-    assert_one_sentence(driven.losses[0].sentence, "samples are held from 1.0", "s after its first pulse")
+    assert_one_sentence(driven.losses[0].sentence, "samples are kept from 1.0", "s after its first pulse")
 
 
 def test_odometry_of_another_clock_is_named() -> None:
@@ -276,7 +276,7 @@ def test_other_settings_begin_a_strip_and_a_shortfall_is_reported_once() -> None
 # Air.
 
 
-HEARD = {"air": "heard", "map_height_m": 120.0}
+HEARD = {"air": "topics", "map_height_m": 120.0}
 
 
 def used_air(images: Images) -> dict[str, float]:
@@ -300,7 +300,7 @@ def test_images_are_those_of_the_same_numbers_as_settings() -> None:
     assert not difference(heard.item.slc, stated.item.slc)
     assert not are_same(heard.item.slc.images, flown()[0].slc.images), "air has an effect"
     said = heard.item.provenance.compression
-    assert (said["air"], said["air_temperature_k"]) == ("heard", 288.15), "what was set stays as it was set"
+    assert (said["air"], said["air_temperature_k"]) == ("topics", 288.15), "what was set stays as it was set"
     assert (heard.item.air_delay, flown()[0].air_delay) == ("removed", flown(air="none")[0].air_delay)
 
 
@@ -326,7 +326,7 @@ def test_a_dwell_without_air_is_given_up_and_the_next_one_is_processed() -> None
         driven.do(advance(step * 0.2, busy=False))
     assert driven.lost() == {"no air": DETECTORS}
     assert_one_sentence(
-        driven.losses[0].sentence, "Dwell 0", "nothing has come on air/temperature;", "set air to standard"
+        driven.losses[0].sentence, "Dwell 0", "nothing was received on air/temperature;", "set air to standard"
     )
     for item in (*air_items(START_NS), *frames([1])):
         driven.do(accept(*item))
@@ -339,7 +339,7 @@ def test_air_of_long_ago_is_not_used() -> None:
     driven.do(finish)
     assert driven.lost() == {"no air": DETECTORS}
     assert_one_sentence(
-        driven.losses[0].sentence, "air/pressure is stamped", "s before its first pulse", "(air_held_s)"
+        driven.losses[0].sentence, "air/pressure is stamped", "s before its first pulse", "(air_max_age_s)"
     )
 
 
@@ -349,7 +349,7 @@ def test_air_that_arrived_before_it_was_asked_for_is_known() -> None:
         accept(*item) for item in (*air_items(START_NS - 2 * SECOND), *sensor(), *odometry(), *frames([0]))
     ]
     driven = drive(stage, script)
-    stage.change(stage._settings.changed(air="heard"))
+    stage.change(stage._settings.changed(air="topics"))
     for item in frames([1]):
         driven.do(accept(*item))
     assert [used_air(one.item).get("air_temperature_k") for one in driven.made] == [None, 265.65]

@@ -212,7 +212,7 @@ def test_an_incomplete_dwell_is_dropped_after_an_idle_wait() -> None:
     assert not gated.losses
     gated.wait(0.1)
     assert gated.lost() == {"incomplete dwell": 2}
-    assert_one_sentence(sentence(gated), "channels [1] did not come within 1 s")
+    assert_one_sentence(sentence(gated), "channels [1] did not arrive within 1 s")
 
 
 def test_a_dwell_does_not_time_out_while_the_host_is_working() -> None:

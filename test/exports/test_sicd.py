@@ -281,4 +281,4 @@ def test_what_cannot_be_written_is_said_in_a_sentence(tmp_path: Path, capsys: py
     assert main(["export", str(bag), "--sicd", str(tmp_path / "sea"), "--origin", "0,0"]) == 2
     said = capsys.readouterr().err.splitlines()[-1]
     assert said.startswith("sal-height: --origin: ")
-    assert said.endswith("it must not be at latitude and longitude 0, a place at sea.")
+    assert said.endswith("it must not be at latitude and longitude 0, a position at sea.")

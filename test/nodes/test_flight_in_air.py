@@ -53,7 +53,7 @@ def flown(flight: SimulatedFlight, tmp_path_factory: pytest.TempPathFactory) -> 
     """The bag of three dwells, each with another temperature, which is told before the dwell and used at its time."""
     folder = tmp_path_factory.mktemp("air") / "flight"
     with free_domain() as domain, Graph(domain) as graph:
-        chain = Chain(graph, flight, 30.0, image={"rows": 46, "cols": 12, "air": "heard"})
+        chain = Chain(graph, flight, 30.0, image={"rows": 46, "cols": 12, "air": "topics"})
         overrides = [Parameter("topics", value=RECORDED)]
         recorder = graph.add(Recorder(folder, context=graph.context, parameter_overrides=overrides))
         chain.wait(lambda: recorder.recorded.keys() >= set(RECORDED), "the recorder")
@@ -207,7 +207,7 @@ def test_a_bag_without_the_air_is_refused_in_one_sentence(flown: Path, tmp_path:
 
 def test_sensors_whose_air_cannot_be_heard_are_refused_before_anything_is_started(tmp_path: Path) -> None:
     """Radio waves without humidity; simulated ones, whose air nobody tells."""
-    heard = {"sar_compression": {"air": "heard"}}
+    heard = {"sar_compression": {"air": "topics"}}
     lidar, light = make_sensor(), [topic[1:] for topic in AIR]
     check_air(heard, [lidar], light, "Bag x")
     check_air({"sar_compression": {"air": "standard"}}, [lidar], [], "Bag x")

@@ -22,7 +22,7 @@ from sal_height.simulation.flight import SimulatedFlight
 
 SECOND = 1_000_000_000
 SIZE = {"rows": 46, "cols": 12}
-HEARD = {**SIZE, "air": "heard", "map_height_m": 120.0}
+HEARD = {**SIZE, "air": "topics", "map_height_m": 120.0}
 
 
 def stamp_of(chain: Chain, dwell: int) -> int:
@@ -62,7 +62,7 @@ def test_heights_are_those_of_the_same_numbers_as_parameters(
         assert same_heights(image, stated.heights[key])
         assert not same_heights(image, reference[key]), "air has an effect"
     said = messages.stages_of(heard.heights["ml", 0].provenance.parameters)["sar_compression"]
-    assert (said["air"], said["air_temperature_k"]) == ("heard", 288.15), "what was set stays as it was set"
+    assert (said["air"], said["air_temperature_k"]) == ("topics", 288.15), "what was set stays as it was set"
 
 
 def test_each_dwell_has_the_air_of_its_own_time_however_early_the_next_is_told(
@@ -99,7 +99,7 @@ def test_a_dwell_without_air_is_given_up_and_the_next_one_is_processed(graph: Gr
     chain = Chain(graph, flight, 0.5, image=HEARD)
     chain.publish(chain.sensor_info(), pressure_at(START_NS, 65_000.0), *chain.odometry(0), *chain.frames(0))
     chain.await_drops("sar_compression", "no air", DETECTORS)
-    assert_one_sentence(rejection(chain), "Dwell 0", "nothing has come on air/temperature;", "set air to standard")
+    assert_one_sentence(rejection(chain), "Dwell 0", "nothing was received on air/temperature;", "set air to standard")
     chain.publish(*air_at(START_NS), *chain.odometry(1), *chain.frames(1))
     chain.await_heights(1)
 
@@ -108,7 +108,7 @@ def test_air_of_long_ago_is_not_used(graph: Graph, flight: SimulatedFlight) -> N
     chain = Chain(graph, flight, 0.5, image=HEARD)
     chain.publish(chain.sensor_info(), *air_at(START_NS - 90 * SECOND), *chain.odometry(0), *chain.frames(0))
     chain.await_drops("sar_compression", "no air", DETECTORS)
-    assert_one_sentence(rejection(chain), "air/pressure is stamped", "s before its first pulse", "(air_held_s)")
+    assert_one_sentence(rejection(chain), "air/pressure is stamped", "s before its first pulse", "(air_max_age_s)")
 
 
 def test_a_temperature_in_kelvin_is_counted_and_costs_nothing(graph: Graph, flight: SimulatedFlight) -> None:
@@ -130,7 +130,7 @@ def test_it_can_be_heard_from_the_next_dwell_on(graph: Graph, flight: SimulatedF
     chain.publish(chain.sensor_info(), *air_at(START_NS - 2 * SECOND), *chain.odometry(0), *chain.frames(0))
     chain.await_heights(0)
     chain.wait(lambda: node.stage._air._samples["air/temperature"], "the air")
-    assert node.set_parameters([Parameter("air", value="heard")])[0].successful
+    assert node.set_parameters([Parameter("air", value="topics")])[0].successful
     chain.publish(*chain.odometry(1), *chain.frames(1))
     chain.await_heights(1)
     assert used_air(chain, 0) == {}
@@ -139,7 +139,7 @@ def test_it_can_be_heard_from_the_next_dwell_on(graph: Graph, flight: SimulatedF
 
 def test_a_node_that_is_to_hear_the_air_is_ready_once_somebody_tells_it(graph: Graph, flight: SimulatedFlight) -> None:
     node = graph.add(
-        PROCESSING["sar_compression"](context=graph.context, parameter_overrides=[Parameter("air", value="heard")])
+        PROCESSING["sar_compression"](context=graph.context, parameter_overrides=[Parameter("air", value="topics")])
     )
     sensor = graph.add(Node("sensor", context=graph.context))
     kinds: dict[str, Any] = {"platform/odometry": Odometry, "phase_history": ChannelFrame}

@@ -52,7 +52,7 @@ def test_a_calibration_that_the_bag_lacks_is_refused(graph: Graph, tmp_path: Pat
 
 
 def test_a_bag_with_another_definition_of_what_is_played_is_refused(graph: Graph, tmp_path: Path) -> None:
-    """Of a type that is not ours: messages of our own older ones are made anew."""
+    """Of a type that is not ours: messages of our own older ones are made again."""
     path = bag(tmp_path / "bag", [frame(0)], {Odometry: Definition("uint8 other", "")})
     with pytest.raises(UserError, match=r"^Topic /platform/odometry .* another definition of nav_msgs/.*\.$"):
         player_of(graph, path)

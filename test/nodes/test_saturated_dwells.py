@@ -54,14 +54,14 @@ def test_a_strong_scene_at_a_low_full_scale_is_marked(graph: Graph, flight: Simu
         assert not np.isin(validity, USABLE).any()
         assert not any(np.isfinite(np.array(surface.height)).any() for surface in image.surfaces)
         chain.wait(lambda s=stage: chain.accounts()[s].get("ignored.saturated") == 1, "the count")
-        assert_one_sentence(chain.stages[stage].last_rejection.partition(": ")[2], "Dwell 0", "max_saturated_share")
+        assert_one_sentence(chain.stages[stage].last_rejection.partition(": ")[2], "Dwell 0", "max_saturated_fraction")
 
 
 @pytest.mark.parametrize(("limit", "marked"), [(1.0, False), (0.0, True)])
 def test_users_choose_how_much_may_be_clipped(
     graph: Graph, flight: SimulatedFlight, limit: float, marked: bool
 ) -> None:
-    chain = Chain(graph, clipping_at(flight, 4.0), missing_after_s=30.0, heights={"max_saturated_share": limit})
+    chain = Chain(graph, clipping_at(flight, 4.0), missing_after_s=30.0, heights={"max_saturated_fraction": limit})
     assert marked == (HeightImage.SATURATED in np.array(seen(chain)["ml", 0].validity))
 
 

@@ -42,7 +42,7 @@ def test_passes_whose_points_have_all_changed_are_refused(seed: int) -> None:
 def test_points_that_stayed_get_heights_and_those_that_changed_none() -> None:
     """Three of four have changed, and three references have not. By chance 2 of 150 that changed got one, 5 by default.
 
-    Default is a share of power that may be left, as ground in a pixel leaves it; a point does not.
+    Default is a fraction of power that may be left, as ground in a pixel leaves it; a point does not.
     """
     rng = np.random.default_rng(4)
     points, changed = reflectors(rng, 40), np.arange(40) >= 10

@@ -98,7 +98,7 @@ def test_a_sensor_blanked_everywhere_is_refused(blanked: tuple[Sensor, Slc]) -> 
 
 
 def test_the_channels_of_a_hybrid_are_needed_together(blanked: tuple[Sensor, Slc]) -> None:
-    """Without channel 0 the detectors cannot be told apart: its rows have no heights, the others do."""
+    """Without channel 0 the detectors cannot be separated: its rows have no heights, the others do."""
     sensor, slc = blanked
     mixing = np.linalg.qr(np.random.default_rng(1).standard_normal((8, 8)))[0].astype(np.complex128)
     mixed = replace(sensor, channel_matrix=tuple(map(tuple, mixing.tolist())), blanked_ranges=((0, 4999.0, 4999.6),))

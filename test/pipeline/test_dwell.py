@@ -152,7 +152,7 @@ def test_clipped_samples_mark_the_heights_of_a_dwell(small: tuple[SimulatedFligh
     share[3] = 1e-3
     marked = heights(replace(slc, saturated_share=share), flight.sensor, ESTIMATORS["ml"], MlSettings())
     allowed = heights(
-        replace(slc, saturated_share=share), flight.sensor, ESTIMATORS["ml"], MlSettings(max_saturated_share=1e-3)
+        replace(slc, saturated_share=share), flight.sensor, ESTIMATORS["ml"], MlSettings(max_saturated_fraction=1e-3)
     )
     usable = np.isin(allowed.validity, MEASURED)
     assert (marked.validity[usable] == Validity.SATURATED).all()

@@ -142,7 +142,8 @@ def test_report_says_what_images_do_not_tell(adjusted: dict[str, Path]) -> None:
     report = report_of(adjusted["recorded"])
     said = " ".join(report["warnings"])
     assert (
-        "do not tell an error of the position along the flight from one of the velocity along the line of sight" in said
+        "do not separate an error of the position along the flight from one of the velocity along the line of "
+        "sight" in said
     )
     assert "Without known ground all dwells together may lie off by" in said
     assert report["parameters"] == {}

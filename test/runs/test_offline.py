@@ -93,7 +93,7 @@ def test_a_dwell_without_a_frame_is_counted_and_those_after_it_are_made(recorded
     row = made_offline.make(bag, tmp_path, 2)
     assert (row["dwells"], row["images"], row["dropped"]) == (2, 3, 1)
     assert row["drops"] == '{"sar_compression: incomplete dwell": 1}'
-    assert "Dwell 0: channels [3] did not come before the source went on" in row["warnings"]
+    assert "Dwell 0: channels [3] did not arrive before the source went on" in row["warnings"]
     proceeding = made_offline.make(bag, tmp_path / "proceed", 2, sar_compression={"missing_channels": "proceed"})
     assert (proceeding["images"], proceeding["dropped"]) == (6, 0)
 

@@ -372,8 +372,8 @@ POOR = {
         {"targets": "2 not alone in the chip", "superposition": "the response of targets is also needed"},
     ),
     "target at the edge": (lambda: one(place=(20, 64)), 0, {"targets": "1 too near the edge of the image"}),
-    "hole of NaN": (lambda: with_hole(one(), np.nan), 0, {"targets": "1 beside pixels that are not finite"}),
-    "hole of 0": (lambda: with_hole(one(), 0), 0, {"targets": "1 beside pixels of 0"}),
+    "hole of NaN": (lambda: with_hole(one(), np.nan), 0, {"targets": "1 next to pixels that are not finite"}),
+    "hole of 0": (lambda: with_hole(one(), 0), 0, {"targets": "1 next to pixels of 0"}),
     "clipped target": (lambda: clipped(one(), 40.0), 0, {"targets": "1 clipped"}),
     "clipped image": (lambda: clipped(one(), 0.5), 1, {"targets": "No pixel stands", "speckle": "4 clipped"}),
     "all 0": (

@@ -21,7 +21,7 @@ from sal_height.simulation import load_preset
 from sal_height.simulation.air import SimulatedAir
 
 AIR = SimulatedAir(temperature_k=300.0, pressure_pa=99_000.0, humidity=0.5, height_m=200.0, map_height_m=150.0)
-HEARD = {"sar_compression": {"air": "heard", "map_height_m": 150.0}}
+HEARD = {"sar_compression": {"air": "topics", "map_height_m": 150.0}}
 SMALL = load_preset("small")
 PRESET = replace(SMALL, dwells=3, estimators=("ml",), processing=HEARD, impairments=replace(SMALL.impairments, air=AIR))
 STRIP = load_preset("sal_stripmap")
@@ -75,5 +75,5 @@ def test_a_recorded_sensor_has_it_and_a_bag_without_it_is_found(tmp_path: Path) 
     assert check_bag(bag, lambda *_: None) == []
     silent = rewritten(bag, tmp_path / "silent", lambda one, _: None if one.topic in TOPICS else one)
     (found,) = check_bag(silent, lambda *_: None)
-    assert_one_sentence(found.sentence, "no messages on /air/pressure, /air/temperature, which", "air is heard")
+    assert_one_sentence(found.sentence, "no messages on /air/pressure, /air/temperature, which", "air is topics")
     assert_one_sentence(found.fix, "sar_compression.air=standard")

@@ -211,7 +211,7 @@ def is_explained(fit: Fit, settings: HeightSettings) -> Bool:
         fit: of one scatterer to every pixel, or of several.
         settings: rates of false alarms, and share of the explained power that may be left beyond the mean of the noise.
     """
-    explained = np.array(fit.left - fit.degrees <= settings.misfit_share * fit.explained)
+    explained = np.array(fit.left - fit.degrees <= settings.misfit_fraction * fit.explained)
     unsure = ~explained
     if unsure.any():
         values = fit.left, fit.degrees, fit.leaked, fit.coherent, fit.beam_error

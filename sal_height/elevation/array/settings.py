@@ -6,7 +6,7 @@ from sal_height.elevation.looks.look_windows import LOOK_WINDOWS, Window
 from sal_height.sensor import MAX_SHARE
 from sal_height.settings import Settings, setting
 
-MISFIT_SHARE = 0.03
+MISFIT_FRACTION = 0.03
 """Share of a pixel's explained power that may be left beyond the noise before it counts as more than one scatterer.
 
 It is for the extent of the ground in a pixel: looks, and parts of a range cell, that differ in elevation leave a share
@@ -40,19 +40,20 @@ class HeightSettings(Settings):
 
     false_alarm_rate: float = setting(
         FALSE_ALARM_RATE,
-        "share of single scatterers that are rejected because of noise, and of pixels of noise that pass for one",
+        "fraction of single scatterers that are rejected because of noise, and of pixels of noise that pass for one",
         minimum=1e-12,
         maximum=0.1,
     )
     sidelobe_rate: float = setting(
         SIDELOBE_RATE,
-        "share of pixels of shadow in which sidelobes of scatterers elsewhere pass for one; 1: sidelobes do not count",
+        "fraction of pixels of shadow in which sidelobes of scatterers elsewhere pass for one; 1: sidelobes do "
+        "not count",
         minimum=1e-12,
         maximum=1.0,
     )
-    misfit_share: float = setting(
-        MISFIT_SHARE,
-        "share of a pixel's power that may be left beyond the noise before the pixel is marked NOT_ONE_SCATTERER",
+    misfit_fraction: float = setting(
+        MISFIT_FRACTION,
+        "fraction of a pixel's power that may be left beyond the noise before the pixel is marked NOT_ONE_SCATTERER",
         minimum=0.0,
         maximum=1.0,
     )
@@ -95,9 +96,9 @@ class HeightSettings(Settings):
         minimum=-1000.0,
         maximum=1000.0,
     )
-    max_saturated_share: float = setting(
+    max_saturated_fraction: float = setting(
         MAX_SHARE,
-        "highest share of clipped samples in a channel; above it, all heights of the dwell are marked SATURATED",
+        "highest fraction of clipped samples in a channel; above it, all heights of the dwell are marked SATURATED",
         minimum=0.0,
         maximum=1.0,
     )

@@ -48,8 +48,8 @@ class CaponSettings(ArraySettings):
 def capon_elevation(looks: Looks, beams: Beams, settings: CaponSettings) -> ElevationEstimate:
     """Elevation of the peak of Capon's spectrum.
 
-    Sigma is that of maximum likelihood times `deviation_factor`, and `misfit_factor` where a pixel holds more than one
-    scatterer. Arguments and errors as of `ml_elevation`.
+    Sigma is that of maximum likelihood times `deviation_factor`, and `misfit_factor` where a pixel contains several
+    scatterers. Arguments and errors as of `ml_elevation`.
     """
 
     def spectrum(covariance: Covariance, count: F64) -> Covariance:
@@ -65,7 +65,7 @@ def capon_elevation(looks: Looks, beams: Beams, settings: CaponSettings) -> Elev
 
 
 def misfit_factor(peaks: SinglePeaks, looks: Looks, beams: Beams, settings: CaponSettings) -> F64:
-    """Standard deviation of an estimate where a pixel holds more than one scatterer, over that by noise alone.
+    """Standard deviation of an estimate where a pixel contains more than one scatterer, over that by noise alone.
 
     With the derivative s_k of the response along its slope in look k, the estimate is off by sum_k Re(A_k* s_k) over
     sum_k |A_k|^2 D / |a|^2. Whatever s_k is made of, if its phase is not that of A_k, the real part has half of its

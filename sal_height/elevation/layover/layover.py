@@ -74,9 +74,9 @@ def _taken(
     # A spread far below a beamwidth is no more than a point's uncertainty.
     is_wide = models.spread[SPREAD, :, 0] > LEAST_SPREAD * beams.beamwidth
     is_spread = (single.peaks.along_slope > single.levels.spread)[here] & is_wide
-    # Those with less than misfit_share of the strongest one's power may be its sidelobes in range and azimuth.
+    # Those with less than misfit_fraction of the strongest one's power may be its sidelobes in range and azimuth.
     equal = [
-        models.cnr[n, :, :n].min(axis=1) > settings.misfit_share * models.cnr[n, :, :n].max(axis=1) for n in (2, 3)
+        models.cnr[n, :, :n].min(axis=1) > settings.misfit_fraction * models.cnr[n, :, :n].max(axis=1) for n in (2, 3)
     ]
     # One more beside the first is the same surface, which is spread or is not.
     spacing = np.abs(models.elevation[TWO, :, 1] - models.elevation[TWO, :, 0])

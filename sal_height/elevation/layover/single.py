@@ -44,13 +44,13 @@ class LayoverSettings(ArraySettings):
     )
     layover_false_alarm: float = setting(
         1e-3,
-        "share of single scatterers that may be taken for two",
+        "fraction of single scatterers that may be taken for two",
         minimum=1e-9,
         maximum=0.1,
     )
     spread_false_alarm: float = setting(
         1e-2,
-        "share of points that may be taken for extended surfaces; these keep a height",
+        "fraction of points that may be taken for extended surfaces; these keep a height",
         minimum=1e-9,
         maximum=0.1,
     )

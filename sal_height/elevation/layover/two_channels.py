@@ -73,8 +73,9 @@ def layover_variance(sigma: F64, peaks: SinglePeaks, looks: Looks, beams: Beams,
     """What power along the slope adds to the variance of elevation by noise, sigma^2; rad^2, shape (rows, cols)."""
     known, count = looks.finite & np.isfinite(peaks.explained * peaks.turning), np.maximum(looks.count, 1.0)
     peaks = SinglePeaks(**{name: np.where(known, values, 1.0) for name, values in vars(peaks).items()})
-    # Sidelobes bring a small share of power; main lobes of neighbours, which the floor has beside shadow, are layover.
-    highest = 1 + settings.misfit_share * peaks.explained / count
+    # Sidelobes bring a small fraction of power; main lobes of neighbours, which the floor has next to
+    # shadow, are layover.
+    highest = 1 + settings.misfit_fraction * peaks.explained / count
     noise = PixelNoise.of(peaks, replace(looks, floor=np.minimum(looks.floor, highest)), beams)
     usual, free = noise.raised * noise.along_slope, free_looks(count)
     along = left_by_one(looks) / usual

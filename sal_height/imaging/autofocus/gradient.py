@@ -136,7 +136,7 @@ def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64,
         raise UserError(f"The sensor's mode is {sensor.mode}; dwells need spotlight, one aperture for all pixels.")
     if (count := sensor.detector_count * patches[..., 0].size * sensor.pulse_count) > MOST_RESPONSES:
         raise UserError(
-            f"Autofocus would hold {count} responses of pulses at points of the image; at most {MOST_RESPONSES} are "
+            f"Autofocus would keep {count} responses of pulses at points of the image; at most {MOST_RESPONSES} are "
             "allowed, so set autofocus to never or form a smaller image."
         )
     on_speckle = is_for_speckle(sensor, antenna)

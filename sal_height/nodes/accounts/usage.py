@@ -28,7 +28,7 @@ ACCOUNTS = {
 
 LEFT_OUT = {LOSSES: "what the node leaves out, one message for each loss"}
 
-LIFE_CYCLE = {"~/change_state": "life cycle, as by ros2 lifecycle; the node tells of it on ~/transition_event"}
+LIFE_CYCLE = {"~/change_state": "life cycle, as by ros2 lifecycle; the node publishes it on ~/transition_event"}
 
 QOS = """The parameters qos_overrides./TOPIC.subscription.POLICY and qos_overrides./TOPIC.publisher.POLICY set the
 quality of service of a topic; POLICY is history, depth, reliability or durability."""

@@ -1,6 +1,6 @@
 """Node player: publishes what a bag holds of a sensor, or the images or heights made of it.
 
-It does so dwell by dwell, at the pace of the sensor beside /clock, or as fast as it can.
+It does so dwell by dwell, at the pace of the sensor with /clock, or as fast as it can.
 """
 
 from __future__ import annotations

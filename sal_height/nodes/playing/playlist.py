@@ -65,7 +65,8 @@ class Playlist(NamedTuple):
             size += len(recorded.cdr)
             if size > most_bytes:
                 raise UserError(
-                    f"Bag {reader.path} holds more than {most_bytes / 1e6:.0f} MB of dwells (max_memory_mb), which are "
+                    f"Bag {reader.path} contains more than {most_bytes / 1e6:.0f} MB of dwells (max_memory_mb), "
+                    f"which are "
                     "played from memory; allow more, or record a shorter bag."
                 )
             if isinstance(message, SensorInfo):

@@ -53,7 +53,8 @@ OF_DWELLS = {FRAME_TYPE, IMAGE_TYPE, HEIGHT_TYPE, ODOMETRY_TYPE}
 """Types of which every message matters, however it is published."""
 
 NEVER_CAME = (
-    "Messages got lost on the way to the recorder, as the numbers of others tell (ignored.lost on the way): publish "
+    "Messages were lost between publisher and recorder, as the counts of others show (ignored.lost on the way): "
+    "publish "
     "them reliably, or give their publisher more shared memory (`sal-height transport`)."
 )
 
@@ -103,7 +104,7 @@ class Recorder(Role, Node):
             super().destroy_node()
             raise
         if not directory and self._bag.directory != Path(parameters.directory):
-            self.get_logger().info(f"{parameters.directory} holds a bag already; this one is {self._bag.directory}.")
+            self.get_logger().info(f"{parameters.directory} contains a bag already; this one is {self._bag.directory}.")
         self._subscribed: dict[str, Subscription] = {}
         self._refused: set[str] = set()
         self._ledgers: dict[str, Ledger] = {}
@@ -291,8 +292,8 @@ class Recorder(Role, Node):
         """Count a message for which there is no memory."""
         self._ledgers[topic].left_out[QUEUE_FULL] += 1
         self._last_loss = (
-            f"The disk falls behind: {most_mb} MB (max_memory_mb) of messages wait for it, and what comes is left out "
-            "of the bag; record fewer topics, or on a faster disk."
+            f"The disk falls behind: {most_mb} MB (max_memory_mb) of messages wait for it, and new messages are left "
+            "out of the bag; record fewer topics, or on a faster disk."
         )
         self.get_logger().warning(self._last_loss, throttle_duration_sec=1.0)
 

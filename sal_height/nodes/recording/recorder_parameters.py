@@ -16,7 +16,7 @@ class RecorderParameters(Settings):
 
     directory: str = setting(
         "",
-        "new or empty folder for the bag; beside one that holds a bag already, the next free of NAME_2, … is taken",
+        "new or empty folder for the bag; if it contains a bag already, the next free of NAME_2, … is used",
         read_only=True,
     )
     topics: tuple[str, ...] = setting(
@@ -26,10 +26,10 @@ class RecorderParameters(Settings):
         read_only=True,
     )
     patterns: tuple[str, ...] = setting(
-        (), "regular expressions of topics to record besides, each of a whole name: '/ml/.*'", read_only=True
+        (), "regular expressions of more topics to record, each of a whole name: '/ml/.*'", read_only=True
     )
     types: tuple[str, ...] = setting(
-        (), "types of messages to record besides, on whatever topic: nav_msgs/msg/Odometry", read_only=True
+        (), "types of messages to record in addition, on any topic: nav_msgs/msg/Odometry", read_only=True
     )
     excluded: tuple[str, ...] = setting(
         (), "regular expressions of topics not to record, unless they are among topics", read_only=True
@@ -39,8 +39,8 @@ class RecorderParameters(Settings):
     )
     node_parameters: bool = setting(
         True,
-        f"record the parameters of all nodes, too, on {PARAMETER_EVENTS}: as they are when a node comes, or the "
-        "recorder, and all changes",
+        f"record the parameters of all nodes, too, on {PARAMETER_EVENTS}: as they are when a node "
+        "or the recorder starts, and all changes",
         read_only=True,
     )
     max_memory_mb: int = setting(
@@ -60,7 +60,8 @@ class RecorderParameters(Settings):
     )
     flush_period_s: float = setting(
         1.0,
-        "time after which what has come is handed to the operating system: a killed process loses no more than that",
+        "time after which received messages are handed to the operating system: a killed process loses no more "
+        "than that",
         unit="s",
         minimum=0.01,
         maximum=3600.0,

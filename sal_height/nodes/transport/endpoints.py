@@ -71,8 +71,8 @@ class Outlet:
 class Inlet:
     """A subscription of a node.
 
-    It asks for the quality of service that suits the topic. If the only publishers offer less, it is made anew and asks
-    for less, for it would receive nothing otherwise.
+    It asks for the quality of service that suits the topic. If the only publishers offer less, it is made again and
+    asks for less, for it would receive nothing otherwise.
 
     Attributes:
         subscription: of the topic, as it is now.

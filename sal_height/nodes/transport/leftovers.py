@@ -81,7 +81,7 @@ def _locked(file: Path) -> Iterator[int]:
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         if not os.path.samestat(os.fstat(descriptor), file.stat()):
-            raise FileNotFoundError(file)  # it has been made anew meanwhile
+            raise FileNotFoundError(file)  # it has been made again meanwhile
         yield descriptor
     finally:
         os.close(descriptor)

@@ -145,7 +145,7 @@ def settings_for(dwell_bytes: int, *, local: bool = False, packet_bytes: int = 0
     if segment is None:
         raise UserError(
             f"{SHARED_MEMORY} has {free / 1e6:.0f} MB free; with less than {LEAST / SHARE / 1e6:.0f} MB frames may "
-            "come late or get lost between processes. Containers get more by --shm-size."
+            "arrive late or get lost between processes. Containers get more by --shm-size."
         )
     network = (LOOPBACK if local else "") + (PACKETS.format(packet_bytes) if packet_bytes else "")
     return TEMPLATE.format(segment=segment, piece=max(LEAST_PIECE, segment // PIECES), network=network)

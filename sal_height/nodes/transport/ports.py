@@ -18,10 +18,10 @@ LOOK_S = 1.0
 """Period at which a process looks after its ports."""
 
 LOOKS = 3
-"""Looks in a row at which a port must be lost: one that is being made anew is found again."""
+"""Looks in a row at which a port must be lost: one that is being made again is found again."""
 
 LOST = (
-    "{} of shared memory, through which messages of other processes come, is lost, as when this one was stopped for "
+    "{} of shared memory, through which messages of other processes arrive, is lost, as when this one was stopped for "
     "seconds (Ctrl-Z); nothing is received any more."
 )
 

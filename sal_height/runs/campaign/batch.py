@@ -248,10 +248,10 @@ def _enter(campaign: Campaign, out: Path) -> None:
     file = out / CAMPAIGN
     if file.is_file():
         if json.loads(file.read_text(encoding="utf-8")) != wanted:
-            raise UserError(f"Folder {out} holds another campaign; choose another one by --out, or remove it.")
+            raise UserError(f"Folder {out} contains another campaign; choose another one by --out, or remove it.")
         return
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise UserError(f"Folder {out} is not empty and holds no campaign; choose another one by --out.")
+        raise UserError(f"Folder {out} is not empty and contains no campaign; choose another one by --out.")
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
     write_text(file, json.dumps(wanted, indent=2) + "\n")

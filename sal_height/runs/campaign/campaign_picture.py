@@ -12,10 +12,10 @@ from matplotlib.axes import Axes
 from sal_height.graph.picture import look_of, page
 
 PANELS = {
-    "with_height": "share of pixels with a height",
+    "with_height": "fraction of pixels with a height",
     "median_sigma_m": "median sigma [m]",
     "s68_m": "68 % of errors are below [m]",
-    "within_1_sigma": "share of errors within 1 sigma",
+    "within_1_sigma": "fraction of errors within 1 sigma",
 }
 """Columns of each estimator that are drawn, and what they are."""
 

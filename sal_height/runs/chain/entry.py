@@ -34,7 +34,7 @@ ENTRIES = FRAMES, IMAGES, FROM_HEIGHTS
 MAPPER = "relief_mapper"
 
 HOW = {
-    FRAMES: "record it with the node recorder or `sal-height record` beside the sensor",
+    FRAMES: "record it with the node recorder or `sal-height record` while the sensor runs",
     IMAGES: "`sal-height run` and `sal-height replay` record the complex images with --record slc",
     FROM_HEIGHTS: "`sal-height run`, `sal-height replay` and `sal-height record` record heights",
 }

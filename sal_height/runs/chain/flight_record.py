@@ -18,6 +18,7 @@ from sal_height.errors import UserError
 from sal_height.graph.catalogue import HEIGHTS
 from sal_height.messages.parameters import value_of
 from sal_height.messages.products import provenance_of
+from sal_height.renamed import with_new_names
 
 
 def products_of(reader: BagReader) -> list[str]:
@@ -112,7 +113,9 @@ class FlightRecord:
         if recorded.topic in self._dwell_topics:
             self._take_dwell(part, recorded.log_time_ns)
         if part.provenance is not None:
-            self.stages.setdefault(part.dwell, {}).update(provenance_of(part.provenance).stages)
+            stages = provenance_of(part.provenance).stages
+            renamed = {node: with_new_names(values) for node, values in stages.items()}
+            self.stages.setdefault(part.dwell, {}).update(renamed)
             self.applied[part.dwell] = part.provenance.calibration_id
 
     def _take_sensor(self, recorded: BagMessage) -> None:
@@ -129,6 +132,6 @@ class FlightRecord:
             return
         node = event.node.rpartition("/")[2]
         for parameters, is_change in ((event.new_parameters, False), (event.changed_parameters, True)):
-            values = {one.name: value_of(one.value) for one in parameters}
+            values = with_new_names({one.name: value_of(one.value) for one in parameters})
             if values:
                 self.said.append(Said(recorded.log_time_ns, node, values, is_change))

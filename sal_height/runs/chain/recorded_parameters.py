@@ -41,6 +41,7 @@ from sal_height.engine.registry import STAGES, takes_heights
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import HEIGHTS, SETTABLE, TRACKER, NodeParameters, check_parameters, placed
 from sal_height.graph.reporting import PARAMETERS, merged
+from sal_height.renamed import with_new_names
 from sal_height.runs.chain.flight_record import products_of
 from sal_height.runs.chain.timeline import EVENT, PROVENANCE, Change, Parameter, Timeline, Value, timeline_of
 from sal_height.settings import settings_of
@@ -165,7 +166,7 @@ def recorded_at_start(
         timeline = timeline_of(reader, products_of(reader) or [f"/{FRAMES}"])
     if custom is None and not timeline.start:
         _LOG.warning(
-            "Bag %s does not hold the parameters it was made with; it is processed with the defaults of the nodes "
+            "Bag %s does not contain the parameters it was made with; it is processed with the defaults of the nodes "
             "and what --param sets.",
             reader.path,
         )
@@ -242,7 +243,7 @@ def _custom_data(reader: BagReader) -> dict[str, dict[str, Any]] | None:
     values = values or {}
     if not (isinstance(values, dict) and all(isinstance(entry, dict) for entry in values.values())):
         raise UserError(f"The parameters of bag {reader.path} must map node names to mappings of names to values.")
-    return values
+    return {node: with_new_names(entry) for node, entry in values.items()}
 
 
 def _read(text: str) -> Any:

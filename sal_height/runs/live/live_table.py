@@ -88,7 +88,7 @@ def _sentences(entry: Entry, state: str) -> Iterator[str]:
         counts = ", ".join(f"{reason} {lately.get(reason, 0)} ({count})" for reason, count in lost.items())
         yield f"has left out in the last minute (in all): {counts}."
     if state == GONE:
-        yield "tells nothing any more."
+        yield "has stopped publishing."
     elif state != "ok":
         yield f"says: {entry.message}"
 

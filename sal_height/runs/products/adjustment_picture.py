@@ -24,7 +24,7 @@ def draw_adjustment(adjustment: Adjustment, path: Path) -> None:
     for column, (axis, name) in enumerate(zip(figure.subplots(2, 3).T, AXES, strict=True)):
         top, below = axis
         top.errorbar(np.arange(len(shifts)), shifts[:, column], sigmas[:, column], fmt=".", ms=3, lw=0.8)
-        top.set(title=f"How far {name} dwells lay off", xlabel="dwell", ylabel="m")
+        top.set(title=f"How far {name} dwells were misaligned", xlabel="dwell", ylabel="m")
         top.axhline(0.0, color="k", lw=0.5)
         for values, label in ((before, "before"), (after, "after")):
             if len(values):

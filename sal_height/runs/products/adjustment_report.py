@@ -101,7 +101,8 @@ def summary_of_images(adjustment: Adjustment, dwells: Sequence[ObservedImage]) -
             }
         )
     gauge = (
-        "Images without heights do not tell an error of the position along the flight from one of the velocity along "
+        "Images without heights do not separate an error of the position along the flight from one of the "
+        "velocity along "
         "the line of sight, nor errors across both; what odometry states of these stays."
     )
     return {"images": rows, "images_against": "targets" if absolute else "mean"}, [gauge]
@@ -180,9 +181,9 @@ def adjustment_table(summary: dict[str, Any]) -> str:
     if "images" in summary:
         heading = ["images on the ground", "east m", "north m", "antenna up m"]
     kinds = {
-        "lay off, rms": "shifts_rms_m",
+        "misalignment before, rms": "shifts_rms_m",
         "sigma between dwells": "sigma_between_dwells_m",
-        "sigma of all together": "sigma_of_all_dwells_m",
+        "sigma of the common offset": "sigma_of_all_dwells_m",
     }
     rows = [[kind, *(f"{value:.3g}" for value in summary[name])] for kind, name in kinds.items()]
     lines += [aligned([heading, *rows]), ""]

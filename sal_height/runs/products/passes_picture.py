@@ -50,7 +50,7 @@ def _draw_response(axis: Axes, result: PassHeights) -> None:
     axis.plot(ambiguity.offsets, ambiguity.response, lw=1.0)
     axis.set(
         xlabel="error of height (m)",
-        ylabel="share of power",
+        ylabel="fraction of power",
         ylim=(0, 1),
         title=f"{len(result.array.passes)} passes: greatest sidelobe {ambiguity.sidelobe:.2g}",
     )

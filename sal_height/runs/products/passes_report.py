@@ -84,7 +84,7 @@ def warnings_of(result: PassHeights, comparisons: Sequence[Comparison], settings
             east, north, up = one.reference.position.tolist()
             found.append(
                 f"No point with a height was found within {settings.reference_radius_m:g} m of where the reference "
-                f"point at {east:g}, {north:g}, {up:g} m is to be seen."
+                f"point at {east:g}, {north:g}, {up:g} m is visible."
             )
     ambiguity = result.ambiguity
     if ambiguity.sidelobe > SIDELOBE_OF_NOTE:
@@ -175,7 +175,9 @@ def passes_table(summary: dict[str, Any]) -> str:
     lines.append(f"{len(sigmas)} points with a height{middle}")
     reasons = summary["bright_pixels_by_reason"]
     if several := sum(reasons.get(kind.name, 0) for kind in SEVERAL):
-        lines.append(f"{several} of {summary['bright_pixels']} bright pixels hold several points, which get no height")
+        lines.append(
+            f"{several} of {summary['bright_pixels']} bright pixels contain several points, which get no height"
+        )
     if summary["references"]:
         lines.append(f"{'reference east':>15}{'north':>10}{'height':>9}{'error m':>9}{'+-':>8}")
     for one in summary["references"]:

@@ -80,7 +80,7 @@ class Replay:
             for name, account in self.outcome.stages.items()
             if name in HEIGHTS
         )
-        lacks = [] if made else ["No image came out."]
+        lacks = [] if made else ["No image was made."]
         for topic, result in self.compared.items():
             if result.missing or result.extra:
                 lacks.append(f"Topic {topic} misses {result.missing} images and has {result.extra} more than recorded.")
@@ -132,7 +132,7 @@ def replay(
     jobs = jobs_without_ros(jobs)
     if jobs is not None and playing != IN_LOCKSTEP:
         raise UserError(
-            f"Only nodes can be told when messages are played; give --clock {playing.clock} without --jobs, where ROS "
+            f"The clock of the messages matters to nodes only; give --clock {playing.clock} without --jobs, where ROS "
             "is installed."
         )
     stages, values = chain.stages, processing.values

@@ -39,7 +39,7 @@ def images_of(path: Path, dwell: int | None, channel: int | None, azimuth_axis: 
             yield image
     if not dwells:
         raise UserError(
-            f"Bag {path} holds no images, and no phase history that gives some; record one of the topics slc and "
+            f"Bag {path} contains no images, and no phase history to make them of; record one of the topics slc and "
             "phase_history."
         )
     if not found:
@@ -74,7 +74,9 @@ def _array_images(path: Path, azimuth_axis: int) -> Iterator[Image]:
     """
     arrays = complex_images(path)
     if path.suffix.lower() == ".npz" and len(arrays) != 1:
-        raise UserError(f"File {path} has {len(arrays)} complex arrays; it must have one (it holds: {_named(arrays)}).")
+        raise UserError(
+            f"File {path} has {len(arrays)} complex arrays; it must have one (it contains: {_named(arrays)})."
+        )
     if len({array.shape for array in arrays.values()}) != 1:
         raise UserError(
             f"File {path} has complex arrays of several shapes (it holds: {_named(arrays)}); channels must have one."

@@ -270,7 +270,7 @@ def _missing_figures(figures: dict[str, Entry], report: PsfReport) -> dict[str, 
 def _missing_metres(spacing: tuple[float, float]) -> dict[str, str]:
     if np.isfinite(spacing).all():
         return {}
-    return {"metres": "Widths in metres need the pixel spacing, which an array file does not hold; measure a bag."}
+    return {"metres": "Widths in metres need the pixel spacing, which an array file does not contain; measure a bag."}
 
 
 def _arrays(report: PsfReport) -> dict[str, npt.NDArray[Any]]:

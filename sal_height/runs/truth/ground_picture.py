@@ -47,7 +47,7 @@ def draw_ground(estimate: GroundEstimate, truth: TrueGround, path: Path) -> None
         _show(axes[1, 2], estimate.sigma, SIGMAS, sigmas, how)
         for axis, title in zip(
             axes.flat,
-            ("truth: lit terrain", "estimate", "error where lit", "what heights rest on", "share of cells", "sigma"),
+            ("truth: lit terrain", "estimate", "error where lit", "what heights rest on", "fraction of cells", "sigma"),
             strict=True,
         ):
             axis.set(title=title, facecolor="0.7" if axis.images else "w")

@@ -298,7 +298,7 @@ def _draw_confusion(axis: Axes, table: npt.NDArray[np.int64], named: bool) -> No
     axis.set_xticks(range(len(FOUND_ORDERS)), FOUND_ORDERS if named else [], rotation=90)
     names = [f"{name}\n({count})" for name, count in zip(TRUE_ORDERS, totals.ravel(), strict=True)]
     axis.set_yticks(range(len(TRUE_ORDERS)), names, linespacing=0.9)
-    axis.set_title("pixels by true surfaces:\n% with so many found")
+    axis.set_title("pixels by true surfaces:\n% by surfaces found")
 
 
 def percent_text(share: float) -> str:

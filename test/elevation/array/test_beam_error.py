@@ -54,20 +54,20 @@ def share_within_sigma(result: ElevationEstimate, elevation: np.ndarray) -> floa
 def test_sigma_is_right_with_perturbed_beams(uncertainty_db: float, cnr_db: float, looks: int) -> None:
     """Also where the beams leave a thousand times as much as the noise."""
     elevation, seen, beams = case(uncertainty_db, cnr_db, looks)
-    result = ml_elevation(seen, beams, MlSettings(layover=False, misfit_share=0.0))
+    result = ml_elevation(seen, beams, MlSettings(layover=False, misfit_fraction=0.0))
     assert share_within_sigma(result, elevation) == pytest.approx(0.683, abs=0.04)
 
 
 def test_sigma_without_the_uncertainty_is_far_too_small() -> None:
     elevation, seen, beams = case(-25.0, 50.0, 4)
-    result = ml_elevation(seen, replace(beams, uncertainty=0.0), MlSettings(layover=False, misfit_share=1.0))
+    result = ml_elevation(seen, replace(beams, uncertainty=0.0), MlSettings(layover=False, misfit_fraction=1.0))
     assert share_within_sigma(result, elevation) < 0.1
 
 
 @pytest.mark.parametrize("looks", [1, 16])
 def test_sigma_of_pairs_is_right_with_perturbed_beams(looks: int) -> None:
     elevation, seen, beams = case(-30.0, 45.0, looks)
-    result = monopulse_elevation(seen, beams, MonopulseSettings(misfit_share=0.0))
+    result = monopulse_elevation(seen, beams, MonopulseSettings(misfit_fraction=0.0))
     assert share_within_sigma(result, elevation) == pytest.approx(0.683, abs=0.04)
 
 
@@ -87,7 +87,7 @@ def test_sigma_of_sum_and_difference_is_right_with_perturbed_beams(looks: int) -
 def test_pixels_are_rejected_at_the_stated_rate(looks: int) -> None:
     """1 % of single scatterers, 25 of them with a standard error of 5, for beams good to -25 dB at 50 dB."""
     _, seen, beams = case(-25.0, 50.0, looks, count=12)
-    rules = {"layover": False, "misfit_share": 0.0, "false_alarm_rate": 0.01}
+    rules = {"layover": False, "misfit_fraction": 0.0, "false_alarm_rate": 0.01}
     stated = ml_elevation(seen, beams, MlSettings(**rules)).validity == Validity.NOT_ONE_SCATTERER
     assert np.mean(stated) == pytest.approx(0.01, abs=0.006)
     perfect = ml_elevation(seen, replace(beams, uncertainty=0.0), MlSettings(**rules)).validity

@@ -84,8 +84,8 @@ def test_rules_of_validity_can_be_set() -> None:
         result = ml_elevation(seen, beams, MlSettings(layover=False, **rules))
         return (result.validity == reason)[result.cnr > 10]
 
-    assert_rate(share(Validity.NOT_ONE_SCATTERER, false_alarm_rate=1e-2, misfit_share=0.0), 1e-2)
-    assert not share(Validity.NOT_ONE_SCATTERER, false_alarm_rate=1e-2, misfit_share=1.0).any()
+    assert_rate(share(Validity.NOT_ONE_SCATTERER, false_alarm_rate=1e-2, misfit_fraction=0.0), 1e-2)
+    assert not share(Validity.NOT_ONE_SCATTERER, false_alarm_rate=1e-2, misfit_fraction=1.0).any()
     assert share(Validity.AMBIGUOUS, ambiguous_ratio=1e9).mean() > 2 * share(Validity.AMBIGUOUS).mean()
     assert not share(Validity.AMBIGUOUS, ambiguous_ratio=1.0).any()
 

@@ -59,7 +59,7 @@ def test_help_shows_default_unit_and_range() -> None:
         "max_odometry_gap_s = 0.5 longest time between two odometry samples during a dwell [s]; "
         "it must be a number from 1e-06 to 3600" in printed
     )
-    assert "odometry_held_s = 100.0" in printed
+    assert "odometry_buffer_s = 100.0" in printed
 
 
 @pytest.mark.parametrize("node", NODES, ids=lambda node: node.__name__)

@@ -238,7 +238,7 @@ def test_a_recorder_that_is_started_again_begins_a_new_bag(graph: Graph, bag: Pa
     folders = [bag, bag.with_name(f"{bag.name}_2"), bag.with_name(f"{bag.name}_3")]
     assert [BagReader(folder).message_count for folder in folders] == [0, 0, 0]
     assert sorted(bag.parent.iterdir()) == sorted(folders)
-    wanted = f"{bag} holds a bag already; this one is {folders[2]}."
+    wanted = f"{bag} contains a bag already; this one is {folders[2]}."
     assert graph.spin_until(lambda: wanted in told, TIMEOUT_S)
 
 

@@ -89,7 +89,7 @@ def test_a_node_ends_and_says_why(program: subprocess.Popen[str], graph: Graph) 
         (SHARED_MEMORY / name).unlink()
     assert program.wait(60.0) == 1
     (sentence,) = [line for line in program.stderr if "ERROR" in line]
-    assert "of shared memory, through which messages of other processes come, is lost" in sentence
+    assert "of shared memory, through which messages of other processes arrive, is lost" in sentence
     assert any(name in sentence for name in found)
 
 

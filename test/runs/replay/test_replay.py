@@ -250,7 +250,7 @@ def test_a_replay_that_drops_everything_says_that_all_is_missing(
     said = capsys.readouterr()
     for sentence in (
         "Node sar_compression dropped 16 messages (odometry gap).",
-        "No image came out.",
+        "No image was made.",
         "Topic /ml/height misses 2 images and has 0 more than recorded.",
     ):
         assert f"sal-height: {sentence}\n" in said.err

@@ -219,7 +219,7 @@ USELESS = {
     "pickled.npy": (lambda path: np.save(path, np.array([None]), allow_pickle=True), "not a whole .npy file"),
     "two.npz": (
         lambda path: save(path, a=POINT, b=POINT, c=POINT.real),
-        "2 complex arrays; it must have one (it holds: a of complex64 (60, 80), b of complex64 (60, 80))",
+        "2 complex arrays; it must have one (it contains: a of complex64 (60, 80), b of complex64 (60, 80))",
     ),
     "none.npz": (lambda path: save(path, c=POINT.real), "0 complex arrays"),
     "empty.npz": (save, "it holds: nothing"),

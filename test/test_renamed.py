@@ -1,0 +1,71 @@
+"""Old names of parameters and values are read everywhere with the new ones, and refused by nodes with a hint."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from conftest import Graph
+from helpers import assert_one_sentence
+from rclpy.parameter import Parameter
+
+from sal_height.bag.files import PARAMETERS as CUSTOM
+from sal_height.bag.reader import BagReader
+from sal_height.engine.registry import STAGES
+from sal_height.errors import UserError
+from sal_height.graph.catalogue import check_parameters
+from sal_height.graph.node_classes import PROCESSING
+from sal_height.renamed import PARAMETERS, VALUES, with_new_names
+from sal_height.runs.chain.recorded_parameters import recorded_parameters
+from sal_height.settings import settings_of, unknown_name
+
+BAG = Path(__file__).parents[1] / "bags" / "version_3"
+
+
+def test_old_names_are_of_no_parameter_today_and_new_ones_are() -> None:
+    today = {name for stage in STAGES.values() for name in settings_of(stage.settings)}
+    assert not today & PARAMETERS.keys()
+    assert set(PARAMETERS.values()) <= today
+    for name, values in VALUES.items():
+        entries = [
+            settings_of(stage.settings)[name] for stage in STAGES.values() if name in settings_of(stage.settings)
+        ]
+        assert entries
+        assert not set(values) & {choice for entry in entries for choice in entry.choices}
+
+
+def test_old_names_and_values_become_new_ones_and_new_ones_win() -> None:
+    old = {"odometry_held_s": 5.0, "air": "heard", "autofocus": True, "cols": 1}
+    assert with_new_names(old) == {"odometry_buffer_s": 5.0, "air": "topics", "autofocus": "always", "cols": 1}
+    assert with_new_names({"odometry_held_s": 5.0, "odometry_buffer_s": 6.0}) == {"odometry_buffer_s": 6.0}
+    assert with_new_names({"cols": 1, "order": True}) == {"cols": 1, "order": True}
+
+
+def test_presets_options_and_campaigns_take_old_names() -> None:
+    """All of these are checked by one function."""
+    checked = check_parameters({"sar_compression": {"odometry_held_s": 5, "air": "heard"}})
+    assert checked == {"sar_compression": {"odometry_buffer_s": 5.0, "air": "topics"}}
+
+
+@pytest.mark.parametrize("as_file", [True, False], ids=["parameters.yaml", "custom data"])
+def test_bags_that_state_old_names_are_read_with_new_ones(as_file: bool, tmp_path: Path) -> None:
+    bag = tmp_path / "run" / "bag"
+    shutil.copytree(BAG, bag)
+    stated = json.dumps({"sar_compression": {"odometry_held_s": 7.0, "autofocus": False}})
+    if as_file:
+        (bag.parent / "parameters.yaml").write_text(stated)
+    reader = BagReader(bag)
+    reader.custom_data = {} if as_file else {CUSTOM: stated}
+    values = recorded_parameters(reader)["sar_compression"]
+    assert (values["odometry_buffer_s"], values["autofocus"]) == (7.0, "never")
+    assert not PARAMETERS.keys() & values.keys()
+
+
+def test_a_node_refuses_old_names_and_values_and_names_the_new(graph: Graph) -> None:
+    sentence = unknown_name("odometry_held_s", settings_of(STAGES["sar_compression"].settings), "Node x")
+    assert sentence == "Parameter 'odometry_held_s' of node x is named 'odometry_buffer_s' now."
+    with pytest.raises(UserError) as refusal:
+        PROCESSING["sar_compression"](context=graph.context, parameter_overrides=[Parameter("air", value="heard")])
+    assert_one_sentence(str(refusal.value), "'heard'", "is named 'topics' now")

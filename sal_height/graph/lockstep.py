@@ -93,9 +93,9 @@ class Lockstep:
         for topic in (*(inlet.topic for node in self._workers for inlet in node.inlets), *self._recorded):
             ours[topic] += 1
         outlets = [outlet for node in self._workers for outlet in node.outlets]
-        ledgers = self._recorder.ledgers
-        latched = [(outlet, ledgers[outlet.topic]) for outlet in outlets if outlet.topic in ledgers]
-        if any(outlet.published and ledger.latched and not ledger.written for outlet, ledger in latched):
+        topic_counts = self._recorder.topic_counts
+        latched = [(outlet, topic_counts[outlet.topic]) for outlet in outlets if outlet.topic in topic_counts]
+        if any(outlet.published and counts.latched and not counts.written for outlet, counts in latched):
             return False  # the next message may replace the one that is on its way
         return all(outlet.subscribers >= ours[outlet.topic] for outlet in outlets)
 

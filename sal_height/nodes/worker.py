@@ -29,8 +29,8 @@ from sal_height.messages.losses import LOSSES, loss_to_message
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, DwellLoss
 from sal_height.nodes.accounts.account import Account
 from sal_height.nodes.accounts.process_numbers import process_numbers
+from sal_height.nodes.accounts.publisher import AccountPublisher, State
 from sal_height.nodes.accounts.tally import Pace, Tally
-from sal_height.nodes.accounts.teller import State, Teller
 from sal_height.nodes.guard import guarded
 from sal_height.nodes.jobs import Job, JobQueue
 from sal_height.nodes.managed import INACTIVE, Managed
@@ -107,7 +107,7 @@ class WorkerNode(Role, Managed):
         self._on_match = guarded(lambda _: self._publish_account(), self._fail)
         """Whoever waits for a graph to be connected is told of a subscription or publisher when it comes or goes."""
         self._matched = PublisherEventCallbacks(matched=self._on_match)
-        self._teller = Teller(self, self._on_match)
+        self._account_publisher = AccountPublisher(self, self._on_match)
         self._losses = self.offer(DwellLoss, LOSSES)
         self.every(DIAGNOSTICS_PERIOD_S, self._measure_pace)
         self._worker = threading.Thread(target=self._work, name=name, daemon=True)
@@ -224,7 +224,7 @@ class WorkerNode(Role, Managed):
             else:
                 self.tally.finish(messages, published, time.monotonic() - arrived)
             if messages:
-                self._teller.tell_counts(self._counts)
+                self._account_publisher.publish_counts(self._counts)
             else:
                 self._publish_account()  # the node may be ready now
 
@@ -374,7 +374,7 @@ class WorkerNode(Role, Managed):
 
     def account(self) -> Account:
         """Its account as it is now."""
-        return self._told()[0]
+        return self._account_and_state()[0]
 
     def _measure_pace(self) -> None:
         for inlet in (*self._inlets, *self._optional):
@@ -383,7 +383,7 @@ class WorkerNode(Role, Managed):
         self._publish_account()
 
     def _publish_account(self) -> None:
-        self._teller.tell(self._told)
+        self._account_publisher.publish(self._account_and_state)
 
     def _counts(self) -> Account:
         """The account; what changes without a piece of work is as it was last."""
@@ -394,7 +394,7 @@ class WorkerNode(Role, Managed):
         account = replace(account, jobs=self.jobs, missed=missed, published_on=published, last_drop=self.last_drop)
         return replace(account, **self._slow_numbers)
 
-    def _told(self) -> tuple[Account, State]:
+    def _account_and_state(self) -> tuple[Account, State]:
         """All numbers, and how the node is."""
         subscribers = {_plain(outlet.topic): outlet.subscribers for outlet in self._offered}
         ready = {"ready": self.is_ready, "subscribers": subscribers}
@@ -405,7 +405,7 @@ class WorkerNode(Role, Managed):
 
     def diagnostics(self) -> DiagnosticArray:
         """The stage's account and state, as the conventions have them."""
-        return self._teller.diagnostics(*self._told())
+        return self._account_publisher.diagnostics(*self._account_and_state())
 
     @property
     def source_warning(self) -> str:

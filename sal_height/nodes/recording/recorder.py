@@ -27,9 +27,9 @@ from sal_height.errors import UserError
 from sal_height.io import free_folder
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus
 from sal_height.nodes.accounts.account import DIAGNOSTICS, ON_THE_WAY, PROGRESS, RECORDER, Account
-from sal_height.nodes.accounts.ledger import NOT_WRITTEN, QUEUE_FULL, Ledger
 from sal_height.nodes.accounts.process_numbers import process_numbers
-from sal_height.nodes.accounts.teller import State, Teller
+from sal_height.nodes.accounts.publisher import AccountPublisher, State
+from sal_height.nodes.accounts.topic_counts import NOT_WRITTEN, QUEUE_FULL, TopicCounts
 from sal_height.nodes.guard import guarded
 from sal_height.nodes.parameters import LiveParameters
 from sal_height.nodes.program import run_node
@@ -107,7 +107,7 @@ class Recorder(Role, Node):
             self.get_logger().info(f"{parameters.directory} contains a bag already; this one is {self._bag.directory}.")
         self._subscribed: dict[str, Subscription] = {}
         self._refused: set[str] = set()
-        self._ledgers: dict[str, Ledger] = {}
+        self._topic_counts: dict[str, TopicCounts] = {}
         self._failures = 0
         self._last_loss = ""
         self._reported = False
@@ -118,7 +118,7 @@ class Recorder(Role, Node):
         self._arrival, self._ending = threading.Event(), threading.Event()
         self._process_numbers: dict[str, Any] = {}
         """Fields of the account that say what the process takes, as they were last."""
-        self._teller = Teller(self, guarded(lambda _: self._publish_account(), self._fail))
+        self._account_publisher = AccountPublisher(self, guarded(lambda _: self._publish_account(), self._fail))
         self._worker = threading.Thread(target=self._work, name="recorder", daemon=True)
         self._worker.start()
         self.context.on_shutdown(self.close_bag)
@@ -131,20 +131,20 @@ class Recorder(Role, Node):
     @property
     def recorded(self) -> dict[str, int]:
         """Number of messages in the bag, by topic; 0 for a topic that has just been subscribed to."""
-        return {topic: ledger.written for topic, ledger in self._ledgers.items()}
+        return {topic: counts.written for topic, counts in self._topic_counts.items()}
 
     def missed(self, topic: str) -> int:
         """Messages of a topic that its publisher has sent and that have not arrived."""
-        return self._ledgers[topic].missed if topic in self._ledgers else 0
+        return self._topic_counts[topic].missed if topic in self._topic_counts else 0
 
     def account(self) -> Account:
         """Its account as it is now."""
-        return self._told()[0]
+        return self._account_and_state()[0]
 
     @property
-    def ledgers(self) -> dict[str, Ledger]:
+    def topic_counts(self) -> dict[str, TopicCounts]:
         """What became of the messages of each topic."""
-        return dict(self._ledgers)
+        return dict(self._topic_counts)
 
     @property
     def unwritten(self) -> int:
@@ -169,7 +169,7 @@ class Recorder(Role, Node):
     @property
     def _left_out(self) -> Counter[str]:
         """Messages of all topics that are not in the bag, by reason."""
-        return sum((ledger.left_out for ledger in self._ledgers.values()), Counter[str]())
+        return sum((counts.left_out for counts in self._topic_counts.values()), Counter[str]())
 
     def close_bag(self) -> None:
         """Write what has arrived so far and complete the bag; later messages are ignored. May be called twice."""
@@ -185,7 +185,7 @@ class Recorder(Role, Node):
                     self._receive(topic, info)
                     self._write(topic, cdr, self._times(info))
             self._closed = True
-            account = {topic: json.dumps(ledger.as_json()) for topic, ledger in self._ledgers.items()}
+            account = {topic: json.dumps(counts.as_json()) for topic, counts in self._topic_counts.items()}
             try:
                 self._bag.close({ACCOUNT: account})
             except OSError as error:
@@ -245,7 +245,7 @@ class Recorder(Role, Node):
             except OSError as error:
                 self._report(error)
             profile = _matching(offered)
-            self._ledgers[name] = Ledger(latched=_replaces(offered) and types[0] not in OF_DWELLS)
+            self._topic_counts[name] = TopicCounts(latched=_replaces(offered) and types[0] not in OF_DWELLS)
             self._subscribed[name] = self.create_subscription(
                 message_type, name, guarded(with_times(self._taker_of(name)), self._fail), profile, raw=True
             )
@@ -259,7 +259,7 @@ class Recorder(Role, Node):
 
     def _tell_parameters(self, cdr: bytes) -> None:
         """Record the parameters of a node that was asked for them."""
-        self._ledgers[PARAMETER_EVENTS].receive(None, lambda: 0)
+        self._topic_counts[PARAMETER_EVENTS].receive(None, lambda: 0)
         self._put(_Item(PARAMETER_EVENTS, cdr, (self._now_ns, self._now_ns)))
 
     def _taker_of(self, topic: str) -> Callable[[bytes, dict[str, Any]], None]:
@@ -286,11 +286,11 @@ class Recorder(Role, Node):
     def _receive(self, topic: str, info: dict[str, Any]) -> None:
         """Count a message that has come."""
         publishers = self._subscribed[topic].get_publisher_count
-        self._ledgers[topic].receive(info.get("publication_sequence_number"), publishers)
+        self._topic_counts[topic].receive(info.get("publication_sequence_number"), publishers)
 
     def _leave_out(self, topic: str, most_mb: int) -> None:
         """Count a message for which there is no memory."""
-        self._ledgers[topic].left_out[QUEUE_FULL] += 1
+        self._topic_counts[topic].left_out[QUEUE_FULL] += 1
         self._last_loss = (
             f"The disk falls behind: {most_mb} MB (max_memory_mb) of messages wait for it, and new messages are left "
             "out of the bag; record fewer topics, or on a faster disk."
@@ -352,19 +352,19 @@ class Recorder(Role, Node):
                 if self._reader and topic == PARAMETER_EVENTS and (known := self._reader.take(cdr)):
                     self._bag.keep(topic, *known, times[1])
         except Exception as error:
-            self._ledgers[topic].left_out[NOT_WRITTEN] += 1
+            self._topic_counts[topic].left_out[NOT_WRITTEN] += 1
             if not isinstance(error, OSError):
                 raise
             self._report(error)
         else:
-            self._ledgers[topic].written += 1
+            self._topic_counts[topic].written += 1
 
     def _publish_account(self) -> None:
-        self._teller.tell(self._told)
+        self._account_publisher.publish(self._account_and_state)
 
     def _report_progress(self) -> None:
         """Publish the counts for whoever waits for messages to be in the bag."""
-        self._teller.tell_counts(self._counts)
+        self._account_publisher.publish_counts(self._counts)
 
     def _counts(self) -> Account:
         """How many messages of each topic are in the bag and how many were lost."""
@@ -374,9 +374,9 @@ class Recorder(Role, Node):
             dropped={QUEUE_FULL: left_out[QUEUE_FULL]} if left_out[QUEUE_FULL] else {},
             ignored={name: count for name, count in ignored.items() if count},
             missed={
-                topic.lstrip("/"): ledger.missed
-                for topic, ledger in self._ledgers.items()
-                if ledger.missed and not ledger.latched
+                topic.lstrip("/"): counts.missed
+                for topic, counts in self._topic_counts.items()
+                if counts.missed and not counts.latched
             },
             recorded={topic.lstrip("/"): count for topic, count in self.recorded.items()},
             unwritten=left_out[NOT_WRITTEN],
@@ -385,7 +385,7 @@ class Recorder(Role, Node):
             **self._process_numbers,
         )
 
-    def _told(self) -> tuple[Account, State]:
+    def _account_and_state(self) -> tuple[Account, State]:
         """All numbers, and how the recorder is."""
         self._process_numbers = process_numbers()
         account, missing = self._counts(), self._left_out.total()
@@ -395,7 +395,7 @@ class Recorder(Role, Node):
 
     def diagnostics(self) -> DiagnosticArray:
         """The account and state, as the conventions have them."""
-        return self._teller.diagnostics(*self._told())
+        return self._account_publisher.diagnostics(*self._account_and_state())
 
     def _flush(self) -> None:
         try:

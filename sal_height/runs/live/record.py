@@ -16,7 +16,7 @@ from sal_height.bag.parameter_events import PARAMETER_EVENTS
 from sal_height.graph.interruption import Interruption
 from sal_height.graph.watch import looks
 from sal_height.io import check_new_folder, free_folder
-from sal_height.nodes.accounts.ledger import Ledger
+from sal_height.nodes.accounts.topic_counts import TopicCounts
 from sal_height.nodes.recording.recorder import Recorder
 from sal_height.nodes.transport.domain import DomainChoice, ros_domain
 from sal_height.nodes.transport.graph import Graph
@@ -31,27 +31,27 @@ class Recorded:
     Attributes:
         folder: of the bag.
         elapsed_s: time since the begin.
-        ledgers: what became of the messages of each topic.
+        topic_counts: what became of the messages of each topic.
     """
 
     folder: Path
     elapsed_s: float = 0.0
-    ledgers: Mapping[str, Ledger] = field(default_factory=dict)
+    topic_counts: Mapping[str, TopicCounts] = field(default_factory=dict)
 
     @property
     def written(self) -> int:
         """Messages in the bag."""
-        return sum(ledger.written for ledger in self.ledgers.values())
+        return sum(counts.written for counts in self.topic_counts.values())
 
     @property
     def heard(self) -> int:
         """Messages in the bag of topics that somebody asked for."""
-        return self.written - self.ledgers.get(PARAMETER_EVENTS, Ledger()).written
+        return self.written - self.topic_counts.get(PARAMETER_EVENTS, TopicCounts()).written
 
     @property
     def left_out(self) -> int:
         """Messages that are not in the bag."""
-        return sum(ledger.left_out.total() for ledger in self.ledgers.values())
+        return sum(counts.left_out.total() for counts in self.topic_counts.values())
 
 
 def record(
@@ -80,11 +80,11 @@ def record(
         recorder = graph.add(Recorder(done.folder, context=graph.context, parameter_overrides=overrides))
         with suppress(KeyboardInterrupt):
             for elapsed_s, is_due in looks(graph, interruption, seconds):
-                done.elapsed_s, done.ledgers = elapsed_s, recorder.ledgers
+                done.elapsed_s, done.topic_counts = elapsed_s, recorder.topic_counts
                 if is_due:
                     show(done)
         recorder.close_bag()
-        done.ledgers = recorder.ledgers
+        done.topic_counts = recorder.topic_counts
     show(done)
     return done
 
@@ -96,7 +96,7 @@ def recorded_table(done: Recorded) -> Table:
     table.add_column("topic", no_wrap=True)
     table.add_column("written", justify="right")
     table.add_column("left out")
-    for topic, ledger in sorted(done.ledgers.items()):
-        reasons = ", ".join(f"{count} {reason}" for reason, count in ledger.left_out.items())
-        table.add_row(topic, str(ledger.written), reasons)
+    for topic, counts in sorted(done.topic_counts.items()):
+        reasons = ", ".join(f"{count} {reason}" for reason, count in counts.left_out.items())
+        table.add_row(topic, str(counts.written), reasons)
     return table

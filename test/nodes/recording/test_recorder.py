@@ -269,7 +269,7 @@ def test_simulated_time_stamps_the_log(graph: Graph, source: Node, bag: Path) ->
     publisher = source.create_publisher(String, "/note", 1)
     wait_until_matched(graph, publisher)  # discovery goes on although this clock stands still
     publisher.publish(String(data="before the clock has begun"))
-    assert graph.spin_until(lambda: recorder.ledgers["/note"].received == 1, TIMEOUT_S)
+    assert graph.spin_until(lambda: recorder.topic_counts["/note"].received == 1, TIMEOUT_S)
     tick = Clock()
     tick.clock.sec = 42
     assert graph.spin_until(lambda: clock.get_subscription_count() == 1, TIMEOUT_S)
@@ -322,7 +322,7 @@ def test_messages_that_wait_for_the_disk_are_bounded_by_memory(graph: Graph, sou
     [
         ("", "get_topic_names_and_types"),
         ("", "_times"),
-        ("_teller", "tell"),
+        ("_account_publisher", "tell"),
         ("_bag", "flush"),
         ("_bag", "write"),
     ],
@@ -356,7 +356,7 @@ def test_what_is_in_the_bag_is_told_at_once_to_whoever_listens(
     recorder = start(graph, bag, topics=["/note", PROGRESS])
     told: list[Account] = []
     subscribe(source, NodeAccount, PROGRESS, lambda message: told.append(Account.of_message(message)), 10)
-    assert graph.spin_until(lambda: recorder._teller.followers == 2, TIMEOUT_S)
+    assert graph.spin_until(lambda: recorder._account_publisher.followers == 2, TIMEOUT_S)
     for number in (1, 2):
         publish(graph, recorder, publisher, [String()])
         assert graph.spin_until(lambda n=number: bool(told) and told[-1].recorded.get("note") == n, TIMEOUT_S)

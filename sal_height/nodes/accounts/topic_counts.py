@@ -1,4 +1,4 @@
-"""What has become of the messages of a topic that is recorded."""
+"""Counts of the messages of one recorded topic: received, written, left out."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from typing import Any
 from sal_height.nodes.accounts.account import ON_THE_WAY
 
 QUEUE_FULL, NOT_WRITTEN = "queue full", "not written"
-"""Why messages that have come are not in the bag: too much waited for the disk; the disk refused them."""
+"""Why received messages are not in the bag: too much waited for the disk; the disk refused them."""
 
 
 @dataclass
-class Ledger:
+class TopicCounts:
     """Counts of one topic; received = written + left out for other reasons than ON_THE_WAY, once nothing waits.
 
     Attributes:
-        received: messages that came.
+        received: received messages.
         written: messages that are in the bag.
         left_out: messages that are not, by reason.
         latched: whether the last message is kept for those who subscribe later; it may replace one that nobody has
@@ -32,7 +32,7 @@ class Ledger:
     _number: int = 0
 
     def receive(self, number: int | None, publishers: Callable[[], int]) -> None:
-        """Count a message, and those before it that never came.
+        """Count a message, and those before it that were lost.
 
         Args:
             number: that its publisher has given it, one more than to its last one; None: not known.

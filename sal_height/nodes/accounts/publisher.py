@@ -1,4 +1,4 @@
-"""What a node tells of its work: its account as numbers on /progress, and beside its state on /diagnostics."""
+"""Publishers of the account of a node: its numbers on /progress, and these with its state on /diagnostics."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sal_height.nodes.transport.message_types import class_of, publish
 
 
 class State(NamedTuple):
-    """How a node is, in the words of the diagnostics.
+    """State of a node in the terms of the diagnostics.
 
     Attributes:
         level: one of those of DiagnosticStatus.
@@ -30,11 +30,11 @@ class State(NamedTuple):
     hardware_id: str = ""
 
 
-class Teller:
-    """The publishers of a node's account. When the context ends meanwhile, nobody is told, and nothing fails."""
+class AccountPublisher:
+    """The publishers of the account of a node. Once the context has ended, nothing is published, and nothing fails."""
 
     def __init__(self, node: Node, on_match: Callable[[Any], None]) -> None:
-        """Make the publishers; `on_match` is called when a subscription to one of them comes or goes."""
+        """Make the publishers; `on_match` is called when a subscription to one of them appears or disappears."""
         self._node, self._name = node, node.get_fully_qualified_name().lstrip("/")
         matched = PublisherEventCallbacks(matched=on_match)
         self._diagnostics, self._progress = (
@@ -44,17 +44,17 @@ class Teller:
 
     @property
     def followers(self) -> int:
-        """How many follow every piece of work."""
+        """Number of subscribers to /progress, which follow every piece of work."""
         return int(self._progress.get_subscription_count())
 
-    def tell(self, told: Callable[[], tuple[Account, State]]) -> None:
-        """Publish what `told` returns on both topics."""
+    def publish(self, current: Callable[[], tuple[Account, State]]) -> None:
+        """Publish what `current` returns on both topics."""
         with suppress(RCLError):
-            account, state = told()
+            account, state = current()
             publish(self._diagnostics, self.diagnostics(account, state))
             publish(self._progress, account.to_message(self._name, self._now_ns))
 
-    def tell_counts(self, counts: Callable[[], Account]) -> None:
+    def publish_counts(self, counts: Callable[[], Account]) -> None:
         """Publish what `counts` returns on /progress, if somebody follows."""
         with suppress(RCLError):
             if self.followers:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import pytest
 
 from sal_height.nodes.accounts.account import ON_THE_WAY
-from sal_height.nodes.accounts.ledger import Ledger
+from sal_height.nodes.accounts.topic_counts import TopicCounts
 
 
-def of(*numbers: int | None, publishers: int = 1) -> Ledger:
-    ledger = Ledger()
+def of(*numbers: int | None, publishers: int = 1) -> TopicCounts:
+    counts = TopicCounts()
     for number in numbers:
-        ledger.receive(number, lambda: publishers)
-    return ledger
+        counts.receive(number, lambda: publishers)
+    return counts
 
 
 @pytest.mark.parametrize(
@@ -29,8 +29,8 @@ def of(*numbers: int | None, publishers: int = 1) -> Ledger:
 def test_messages_that_never_came_are_told_by_the_numbers_of_the_others(
     numbers: tuple[int | None, ...], missed: int
 ) -> None:
-    ledger = of(*numbers)
-    assert (ledger.received, ledger.left_out[ON_THE_WAY]) == (len(numbers), missed)
+    counts = of(*numbers)
+    assert (counts.received, counts.left_out[ON_THE_WAY]) == (len(numbers), missed)
 
 
 def test_the_numbers_of_several_publishers_tell_nothing() -> None:
@@ -38,9 +38,9 @@ def test_the_numbers_of_several_publishers_tell_nothing() -> None:
 
 
 def test_the_bag_gets_all_counts() -> None:
-    ledger = of(1, 2, 4)
-    ledger.written = 3
-    assert ledger.as_json() == {"received": 3, "written": 3, "left_out": {ON_THE_WAY: 1}}
+    counts = of(1, 2, 4)
+    counts.written = 3
+    assert counts.as_json() == {"received": 3, "written": 3, "left_out": {ON_THE_WAY: 1}}
 
 
 def test_all_that_did_not_come_is_missed_also_before_the_first_one() -> None:
@@ -49,8 +49,8 @@ def test_all_that_did_not_come_is_missed_also_before_the_first_one() -> None:
 
 
 def test_latched_messages_that_newer_ones_replace_are_not_lost() -> None:
-    ledger = Ledger(latched=True)
+    counts = TopicCounts(latched=True)
     for number in (2, 5):
-        ledger.receive(number, lambda: 1)
-    assert (ledger.received, ledger.left_out) == (2, {})
-    assert ledger.missed == 3
+        counts.receive(number, lambda: 1)
+    assert (counts.received, counts.left_out) == (2, {})
+    assert counts.missed == 3

@@ -1,0 +1,52 @@
+"""Texts that users see are plain English: none of the private words that CONTRIBUTING.md lists first."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+
+PRIVATE = re.compile(
+    r"\b(tells?|told|untold|hears?|heard|listens?|anew|so many|(is|are) none\b(?! of)|besides|lies off|lay off)\b",
+    re.IGNORECASE,
+)
+"""Words for which the field has better ones: publish, report, receive, again, N, invalid, in addition, misaligned."""
+
+GENERATED = {"definitions.py"}
+"""Texts of message types, which `tools.definitions` copies from `msg_defs/`."""
+
+MODULES = sorted(path for path in (ROOT / "sal_height").rglob("*.py") if path.name not in GENERATED)
+PAGES = sorted([*(ROOT / "docs").rglob("*.md"), ROOT / "README.md", *(ROOT / "msg_defs" / "msg").glob("*.msg")])
+
+
+def texts_of(source: str) -> Iterator[tuple[int, str]]:
+    """Line and text of each literal with a space that is no docstring: messages, help, labels of pictures."""
+    tree = ast.parse(source)
+    documentation = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    for node in ast.walk(tree):
+        is_text = isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in documentation
+        if is_text and " " in str(node.value).strip() and not re.search(r"^[\w ]*\(| else ", str(node.value)):
+            yield node.lineno, str(node.value)
+
+
+def test_messages_and_help_use_no_private_words() -> None:
+    found = [
+        (path.name, line, text) for path in MODULES for line, text in texts_of(path.read_text()) if PRIVATE.search(text)
+    ]
+    assert not found
+
+
+def test_documents_use_no_private_words() -> None:
+    """Among them the reference, which has the help of all commands."""
+    lines = [(path, *one) for path in PAGES for one in enumerate(path.read_text().splitlines(), start=1)]
+    assert not [(path.name, number, line) for path, number, line in lines if PRIVATE.search(line)]
+
+
+def test_private_words_are_found_and_docstrings_are_left_out() -> None:
+    source = (
+        'def f():\n    """What is told."""\n    return f"Nobody tells {f}; {f} is none of these, and {f} is none."\n'
+    )
+    assert [text for _, text in texts_of(source) if PRIVATE.search(text)] == ["Nobody tells ", " is none."]

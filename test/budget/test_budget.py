@@ -222,7 +222,7 @@ def test_beams_that_speckle_cannot_place_are_said_to_stay() -> None:
     preset = impaired(load_preset("small"), odometry=OdometryErrors(velocity_mps=0.1))
     wide = replace(preset, sensor=replace(preset.sensor, azimuth_aperture_m=1e-4))
     (note,) = Budget(wide, Assumptions()).notes()
-    assert_one_sentence(note, "Autofocus would be needed", "speckle cannot tell")
+    assert_one_sentence(note, "Autofocus would be needed", "speckle does not show")
 
 
 def test_what_a_run_refuses_is_marked_and_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -32,6 +32,7 @@ from benchmarks.row import Row, sized
 from benchmarks.spread import in_processes
 from sal_height.elevation import ESTIMATORS
 from sal_height.imaging import ImageSettings, Processing
+from sal_height.numeric import error_statistics, fraction_of
 from sal_height.pipeline import heights
 from sal_height.relief import HeightField
 from sal_height.runs.truth.comparison import FOUND_ORDERS, TRUE_ORDERS, Comparison, compare
@@ -201,19 +202,19 @@ class Summary:
     def of(cls, result: Comparison) -> Summary:
         """Summary of a comparison."""
         errors = result.errors.where(np.isfinite(result.errors.nearest))
-        off, own = np.abs(errors.nearest) / errors.sigma, np.abs(errors.own) / errors.sigma
+        off = error_statistics(errors.nearest, errors.sigma)
         found = result.confusion[1:, 2:6]
         return cls(
             pixels=result.pixels,
-            valid=_share(result.valid, result.pixels),
+            valid=fraction_of(result.valid, result.pixels),
             published=len(result.errors.sigma),
-            within_1=_mean(off < 1),
-            within_2=_mean(off < 2),
-            beyond_5=_mean(off > 5),
-            own_beyond_5=_mean(~(own <= 5)),
-            missed=_share(result.missed, result.surfaces),
-            ghosts=_share(result.ghosts, result.shadow),
-            right_order=_share(int(np.trace(found)), int(found.sum())),
+            within_1=off.within_1_sigma,
+            within_2=off.within_2_sigma,
+            beyond_5=off.beyond_5_sigma,
+            own_beyond_5=errors.own_beyond_5_sigma,
+            missed=fraction_of(result.missed, result.surfaces),
+            ghosts=fraction_of(result.ghosts, result.shadow),
+            right_order=fraction_of(int(np.trace(found)), int(found.sum())),
         )
 
     def as_line(self) -> str:
@@ -226,14 +227,6 @@ class Summary:
 
 
 HEADING = "pixels  valid  publ.     c1     c2      o5  own o5 missed ghosts  order"
-
-
-def _mean(chosen: np.ndarray) -> float:
-    return float(np.mean(chosen)) if chosen.size else np.nan
-
-
-def _share(part: int, whole: int) -> float:
-    return part / whole if whole else np.nan
 
 
 def coverage() -> Iterator[Row]:

@@ -19,6 +19,7 @@ from sal_height.adjustment import (
 )
 from sal_height.geometry import Mounting
 from sal_height.graph.tables import ABSENT
+from sal_height.numeric import root_mean_square
 from sal_height.tables import aligned
 
 DETERMINED = 0.9
@@ -66,7 +67,7 @@ def summary_of(
         "comparisons_with_known_ground": absolute,
         "comparisons_that_contradict": adjustment.contradictions,
         "dwells_without_comparison": len(dwells) - len(met),
-        "shifts_rms_m": np.sqrt(np.mean(shifts**2, axis=0)).tolist(),
+        "shifts_rms_m": root_mean_square(shifts, axis=0).tolist(),
         "sigma_between_dwells_m": np.sqrt(np.mean(between, axis=0).diagonal()).tolist(),
         "sigma_of_all_dwells_m": np.sqrt(of_all.diagonal()).tolist(),
         "shifts_m": shifts.tolist(),

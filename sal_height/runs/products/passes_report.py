@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sal_height.elevation import Validity
-from sal_height.numeric import F64
+from sal_height.numeric import F64, error_statistics
 from sal_height.passes import PassHeights, PassSettings, ReferencePoint
 
 FREE_GAUGE = (
@@ -99,8 +99,9 @@ def summary_of(result: PassHeights, comparisons: Sequence[Comparison], settings:
     """The numbers of the report."""
     array, tie, ambiguity, points = result.array, result.tie, result.ambiguity, result.found.points
     passes, deviation = len(array.passes), np.sqrt(np.diag(tie.covariance))
-    errors = [one for one in comparisons if one.error is not None]
-    heights = np.array([one.error[2] for one in errors if one.error is not None])
+    found = [(one.error[2], one.sigma) for one in comparisons if one.error is not None]
+    heights = error_statistics(*np.array(found).reshape(-1, 2).T)
+    errors = heights.in_metres(("bias_m", "rms_m", "deviation_m"))
     return {
         "passes": [
             {
@@ -137,10 +138,10 @@ def summary_of(result: PassHeights, comparisons: Sequence[Comparison], settings:
         "bright_pixels_by_reason": {Validity(n).name: count for n, count in result.found.reasons.items()},
         "references": [one.summary() for one in comparisons],
         "reference_height_errors": {
-            "count": len(heights),
-            "mean_m": float(heights.mean()) if len(heights) else None,
-            "rms_m": float(np.sqrt(np.mean(heights**2))) if len(heights) else None,
-            "rms_about_mean_m": float(heights.std()) if len(heights) else None,
+            "count": heights.count,
+            "mean_m": errors["bias_m"],
+            "rms_m": errors["rms_m"],
+            "rms_about_mean_m": errors["deviation_m"],
         },
         "points": [
             {

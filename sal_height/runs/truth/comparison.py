@@ -9,7 +9,7 @@ import numpy as np
 
 from sal_height.elevation import Validity
 from sal_height.geometry import sphere_coordinates
-from sal_height.numeric import F64, I64, U8, Bool, Index
+from sal_height.numeric import F64, I64, U8, Bool, Index, mean_of
 from sal_height.relief import HeightField
 from sal_height.simulation.lit_surfaces import LitSurfaces
 
@@ -59,6 +59,11 @@ class PublishedErrors:
     own: F64
     ghost: Bool
     true_order: I64
+
+    @property
+    def own_beyond_5_sigma(self) -> float:
+        """Fraction that is farther than 5 sigma from the surface it should be, or has none; NaN of no surfaces."""
+        return mean_of(~(np.abs(self.own) <= 5 * self.sigma))
 
     def where(self, chosen: Bool) -> PublishedErrors:
         """Some of the surfaces."""

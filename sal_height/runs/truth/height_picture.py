@@ -32,7 +32,7 @@ from sal_height.graph.picture import (
     title_of,
 )
 from sal_height.messages.types import HeightImage
-from sal_height.numeric import F64
+from sal_height.numeric import F64, half_width
 from sal_height.runs.truth.comparison import FOUND_ORDERS, TRUE_ORDERS
 from sal_height.runs.truth.surface_report import CELL_PIXELS, Judged
 from sal_height.simulation import Preset
@@ -315,4 +315,5 @@ def _percent(share: float | None) -> str:
 
 def _s68(error: F64) -> float:
     """Half the width from 16 to 84 %; 1 if there is no error at all, so that a colour scale exists."""
-    return float(np.diff(np.nanpercentile(error, [16, 84]))[0] / 2) if np.any(np.isfinite(error)) else 1.0
+    known = error[np.isfinite(error)]
+    return half_width(known) if known.size else 1.0

@@ -16,7 +16,7 @@ from sal_height.geometry import sphere_coordinates
 from sal_height.imaging import azimuth_resolution, image_beams
 from sal_height.io import or_null
 from sal_height.messages.types import HeightImage
-from sal_height.numeric import F64, Bool
+from sal_height.numeric import F64, Bool, error_statistics, mean_of
 from sal_height.relief import height_variance
 from sal_height.simulation import SimulatedFlight, VisibleSurface, truth_image
 
@@ -129,47 +129,39 @@ def _share(images: Sequence[HeightImage], validity: int) -> float:
     return float(np.mean([np.mean(np.asarray(image.validity) == validity) for image in images]))
 
 
-ERRORS = ("bias_m", "rms_m", "median_m", "s68_m", "sigma_m", "crb_m", "within_1_sigma", "beyond_5_sigma")
+BEFORE_BOUND = ("bias_m", "rms_m", "median_m", "s68_m", "sigma_m")
+AFTER_BOUND = ("within_1_sigma", "beyond_5_sigma")
 
 
 def statistics(result: Mosaic | None) -> dict[str, Any]:
     """Errors over the cells that hold a single scatterer; numbers that do not exist (no valid pixel) are None.
 
-    `bias_m` mean, `rms_m`, `median_m`, `s68_m` half the 16 to 84 % width, `sigma_m` mean predicted standard deviation,
-    `crb_m` mean Cramer-Rao bound averaged over speckle, `within_1_sigma` and `beyond_5_sigma` shares; `valid` is the
-    share of valid pixels, `two_scatterers` that of pixels with the heights of two, `ghost_pixels` those of the valid
-    ones in which there is nothing. `layover` has the same errors over the other cells, whose pixels hold several
+    Errors are those of `ErrorStatistics`, and `crb_m` is the mean Cramér-Rao bound averaged over speckle, m. `valid` is
+    the fraction of valid pixels, `two_scatterers` that of pixels with the heights of two, `ghost_pixels` the number of
+    valid ones in which there is nothing. `layover` has the same errors over the other cells, whose pixels hold several
     scatterers and were still found valid.
     """
     if result is None:
-        return {"valid": 0.0, "two_scatterers": 0.0, "cells": 0, "ghost_pixels": 0, **dict.fromkeys(ERRORS)}
-    seen = np.isfinite(result.error)
+        none = np.zeros(0)
+        return {"valid": 0.0, "two_scatterers": 0.0, "ghost_pixels": 0, **_errors(none, none, none)}
+    cells, seen = np.stack([result.error, result.sigma, result.bound]), np.isfinite(result.error)
     return {
         "valid": result.valid_share,
         "two_scatterers": result.two_share,
         "ghost_pixels": result.ghosts,
-        **_errors(result, seen & result.single),
-        "layover": _errors(result, seen & ~result.single),
+        **_errors(*cells[:, seen & result.single]),
+        "layover": _errors(*cells[:, seen & ~result.single]),
     }
 
 
-def _errors(result: Mosaic, chosen: Bool) -> dict[str, Any]:
-    """Error statistics over some cells."""
-    error, sigma = result.error[chosen], result.sigma[chosen]
-    if not len(error):
-        return {"cells": 0, **dict.fromkeys(ERRORS)}
-    low, middle, high = np.percentile(error, [16, 50, 84])
-    bound = float(np.mean(result.bound[chosen]))
+def _errors(error: F64, sigma: F64, bound: F64) -> dict[str, Any]:
+    """Entries of the report on errors of cells, their predicted standard deviations and their bounds, all in m."""
+    found = error_statistics(error, sigma)
     return {
-        "cells": len(error),
-        "bias_m": float(np.mean(error)),
-        "rms_m": float(np.sqrt(np.mean(error**2))),
-        "median_m": float(middle),
-        "s68_m": float(high - low) / 2,
-        "sigma_m": float(np.mean(sigma)),
-        "crb_m": or_null(bound),
-        "within_1_sigma": float(np.mean(np.abs(error) < sigma)),
-        "beyond_5_sigma": float(np.mean(np.abs(error) > 5 * sigma)),
+        "cells": found.count,
+        **found.in_metres(BEFORE_BOUND),
+        "crb_m": or_null(mean_of(bound)),
+        **found.in_metres(AFTER_BOUND),
     }
 
 

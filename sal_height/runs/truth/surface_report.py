@@ -18,7 +18,7 @@ from sal_height.geometry import ApertureState
 from sal_height.imaging import azimuth_resolution, image_beams
 from sal_height.io import or_null
 from sal_height.messages.types import HeightImage
-from sal_height.numeric import F64, Bool, Index
+from sal_height.numeric import F64, Bool, Index, error_statistics, fraction_of
 from sal_height.relief import HeightField
 from sal_height.runs.truth.comparison import (
     FOUND_ORDERS,
@@ -35,6 +35,8 @@ from sal_height.simulation.lit_surfaces import CONNECTED, LitSurfaces, lit_surfa
 TOLERANCE_BEAMWIDTHS = 0.11
 """Error, across the line of sight, up to which a height is called right: 6 cm of height in sal_spotlight."""
 
+COVERAGE = ("bias_m", "median_m", "s68_m", "sigma_m", "within_1_sigma", "within_2_sigma", "beyond_5_sigma")
+"""Entries of a report on errors of surfaces and of the ground."""
 
 CELL_PIXELS = 0.5
 """Side of a cell of the ground in pixels of the height image on level ground."""
@@ -70,7 +72,8 @@ class GroundCoverage:
     def shares(self) -> dict[str, float | None]:
         """Of the cells inside the array, the lit ones and the others; of the lit ones, those that are right."""
         inside, lit, right = (int(np.count_nonzero(chosen)) for chosen in (self.inside, self.lit, self.right))
-        return {"lit": _share(lit, inside), "shadow": _share(inside - lit, inside), "right": _share(right, lit)}
+        parts = {"lit": (lit, inside), "shadow": (inside - lit, inside), "right": (right, lit)}
+        return {name: or_null(fraction_of(*counts)) for name, counts in parts.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,48 +207,25 @@ def surface_statistics(judgement: Judged) -> dict[str, Any]:
     result, ground = judgement.comparison, judgement.ground
     kinds = {value.name: result.errors.where(result.errors.validity == value) for value in map(Validity, USABLE)}
     return {
-        "valid": _share(result.valid, result.pixels),
-        "missed": _share(result.missed, result.surfaces),
-        "ghosts_in_shadow": _share(result.ghosts, result.shadow),
-        "all": error_statistics(result.errors),
-        **{name: error_statistics(errors) for name, errors in kinds.items()},
+        "valid": or_null(fraction_of(result.valid, result.pixels)),
+        "missed": or_null(fraction_of(result.missed, result.surfaces)),
+        "ghosts_in_shadow": or_null(fraction_of(result.ghosts, result.shadow)),
+        "all": _errors(result.errors),
+        **{name: _errors(errors) for name, errors in kinds.items()},
         "confusion": {"true": list(TRUE_ORDERS), "found": list(FOUND_ORDERS), "pixels": result.confusion.tolist()},
         "ground": {"cell_m": ground.size, "tolerance_m": ground.tolerance, **ground.shares},
     }
 
 
-def error_statistics(errors: PublishedErrors) -> dict[str, Any]:
+def _errors(errors: PublishedErrors) -> dict[str, Any]:
     """Number of surfaces, number of those in shadow, and errors of the others from the nearest true surface.
 
-    `own_beyond_5_sigma` is the share that is farther than 5 sigma from the surface it should be, or has none.
+    `own_beyond_5_sigma` is the fraction that is farther than 5 sigma from the surface it should be, or has none.
     """
     near = errors.where(np.isfinite(errors.nearest))
     return {
         "surfaces": len(errors.sigma),
         "in_shadow": int(np.count_nonzero(errors.ghost)),
-        **coverage_of_sigma(near.nearest, near.sigma),
-        "own_beyond_5_sigma": _mean(~(np.abs(near.own) <= 5 * near.sigma)),
+        **error_statistics(near.nearest, near.sigma).in_metres(COVERAGE),
+        "own_beyond_5_sigma": or_null(near.own_beyond_5_sigma),
     }
-
-
-def coverage_of_sigma(error: F64, sigma: F64) -> dict[str, Any]:
-    """Errors (m) and how they keep what their sigmas (m) promise; None where there is no error."""
-    off = np.abs(error) / sigma
-    low, middle, high = np.percentile(error, [16, 50, 84]) if len(off) else (np.nan,) * 3
-    return {
-        "bias_m": _mean(error),
-        "median_m": or_null(float(middle)),
-        "s68_m": or_null(float(high - low) / 2),
-        "sigma_m": _mean(sigma),
-        "within_1_sigma": _mean(off < 1),
-        "within_2_sigma": _mean(off < 2),
-        "beyond_5_sigma": _mean(off > 5),
-    }
-
-
-def _mean(values: F64 | Bool) -> float | None:
-    return float(np.mean(values)) if values.size else None
-
-
-def _share(part: int, whole: int) -> float | None:
-    return part / whole if whole else None

@@ -23,7 +23,7 @@ from sal_height.runs.live.latency_picture import draw_run, told_latencies
 from sal_height.runs.products.calibration_picture import beyond_error
 from sal_height.runs.responses.image_picture import corners, draw_image, ground_steps
 from sal_height.runs.truth.cloud_picture import projected
-from sal_height.runs.truth.comparison import Comparison, PublishedErrors
+from sal_height.runs.truth.comparison import PublishedErrors, SurfaceComparison
 from sal_height.runs.truth.error_picture import _normal, counted
 from sal_height.runs.truth.ground_picture import kind_shares
 from sal_height.runs.truth.height_picture import ground_picture, height_limits, percent_text
@@ -57,7 +57,7 @@ def judgement_of(place: list[list[float]], sigma: list[float], ghost: list[bool]
         ghost=np.array(ghost),
         true_order=np.ones(count, dtype=np.int64),
     )
-    comparison = Comparison(errors, 2, 2, 2, 0, 1, 0, np.zeros((5, 7), dtype=np.int64))
+    comparison = SurfaceComparison(errors, 2, 2, 2, 0, 1, 0, np.zeros((5, 7), dtype=np.int64))
     inside = np.array([True, True, True, False])
     ground = GroundCoverage(
         size=1.0,

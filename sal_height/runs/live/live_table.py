@@ -15,7 +15,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from sal_height.graph.account_book import AccountBook, Entry
+from sal_height.graph.account_book import AccountBook, NodeAccount
 from sal_height.runs.live.live import SOURCE, Watched
 
 GONE = "gone"
@@ -71,7 +71,7 @@ def _common_namespace(names: Sequence[str]) -> str:
     return f"{common.strip('/')}/".lstrip("/")
 
 
-def _numbers(entry: Entry) -> list[str]:
+def _numbers(entry: NodeAccount) -> list[str]:
     """Rates, latencies, processors and memory of a node, as texts."""
     account = entry.account
     numbers = account.offered_hz, account.achieved_hz, account.latency_p50_ms, account.latency_p95_ms
@@ -79,7 +79,7 @@ def _numbers(entry: Entry) -> list[str]:
     return [*texts, f"{entry.cpu_per_second:.2f}", f"{account.memory_mb:.0f}" if account.memory_mb else ""]
 
 
-def _sentences(entry: Entry, state: str) -> Iterator[str]:
+def _sentences(entry: NodeAccount, state: str) -> Iterator[str]:
     """What there is to say of a node, without its name: starts, messages left out by reason, what is wrong."""
     if entry.lives > 1:
         yield f"was started {entry.lives} times."

@@ -25,7 +25,7 @@ DEFAULT_FOLDER = Path("out/recorded")
 
 
 @dataclass
-class Recorded:
+class RecordingProgress:
     """What has been recorded so far.
 
     Attributes:
@@ -59,8 +59,8 @@ def record(
     parameters: Mapping[str, Any],
     domain: DomainChoice,
     seconds: float,
-    show: Callable[[Recorded], None],
-) -> Recorded:
+    show: Callable[[RecordingProgress], None],
+) -> RecordingProgress:
     """Record until the time is over or the user interrupts.
 
     Args:
@@ -73,7 +73,7 @@ def record(
     Raises:
         UserError: the folder or a parameter cannot be used.
     """
-    done = Recorded(out or free_folder(DEFAULT_FOLDER))
+    done = RecordingProgress(out or free_folder(DEFAULT_FOLDER))
     check_new_folder(done.folder)
     with ros_domain(domain), Interruption() as interruption, Graph() as graph:
         overrides = [Parameter(name, value=value) for name, value in parameters.items() if value]
@@ -89,7 +89,7 @@ def record(
     return done
 
 
-def recorded_table(done: Recorded) -> Table:
+def recorded_table(done: RecordingProgress) -> Table:
     """A line for each topic."""
     title = f"{done.folder}: {done.written} messages in {done.elapsed_s:.0f} s"
     table = Table(title=title, box=SIMPLE_HEAD)

@@ -58,7 +58,7 @@ KNOWN = {"boresight_sigma_rad": 0.0, "lever_arm_sigma_m": 0.0, "odometry_delay_s
 
 
 @dataclass(frozen=True, eq=False)
-class Adjusted:
+class AdjustedBag:
     """What became of a bag.
 
     Attributes:
@@ -80,7 +80,7 @@ def adjust_bag(
     wanted: Mapping[str, Any] | None = None,
     references: References = UNKNOWN_GROUND,
     jobs: int = 1,
-) -> Adjusted:
+) -> AdjustedBag:
     """Adjust the dwells of a bag to each other; leaves report.json, adjustment.png and a new bag in `out`.
 
     Args:
@@ -131,7 +131,7 @@ def adjust_bag(
             odometry, known = None, {}
         custom = {PARAMETERS: json.dumps({**scheme.parameters, COMPRESSION: {**compression, **known}})}
         _write(reader, folder / "bag", {**custom, ADJUSTED_FROM: bag_name(bag)}, odometry)
-    return Adjusted(summary, warnings, folder / "bag")
+    return AdjustedBag(summary, warnings, folder / "bag")
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,8 +12,7 @@ import numpy as np
 
 from sal_height.bag.described import sensors_of
 from sal_height.bag.namespace import NamespacedReader
-from sal_height.engine.movers import MOVERS, MoverDetection
-from sal_height.engine.movers import FoundMovers as Movers
+from sal_height.engine.movers import MOVERS, ImageMovers, MoverDetection
 from sal_height.engine.stage import DwellKey, Product
 from sal_height.errors import UserError
 from sal_height.geometry import sphere_coordinates
@@ -75,7 +74,7 @@ def _along(one: Mover) -> dict[str, float]:
 
 
 @dataclass(frozen=True, eq=False)
-class FoundMovers:
+class BagMovers:
     """What was found in a bag.
 
     Attributes:
@@ -128,7 +127,7 @@ def find_in_bag(
     given: NodeParameters | None = None,
     wanted: Mapping[str, Any] | None = None,
     jobs: int = 1,
-) -> FoundMovers:
+) -> BagMovers:
     """Compress the strips or dwells of a bag and find what moves; leaves report.json in `out`.
 
     Args:
@@ -152,7 +151,7 @@ def find_in_bag(
         own = MoverDetection.settings(**dict(settings))
         run = BagRun(scheme, STAGES_OF_MOVERS, jobs=jobs, wanted=[MOVERS], settings={COMPRESSION: first, DETECTOR: own})
         items = (made.result.item for made in run.results("images") if isinstance(made.result, Product))
-        found = [item for item in items if isinstance(item, Movers)]
+        found = [item for item in items if isinstance(item, ImageMovers)]
         looked, seen = [one.looked for one in found], [mover for one in found for mover in _seen(one)]
         dwells = len(scheme.frames)
         said = run.losses.described(dwells)
@@ -174,7 +173,7 @@ def find_in_bag(
             "ground_lag_rad": [list(one.ground_lag) for one in looked],
             "movers": [one.summary() for one in seen],
         }
-    return FoundMovers(seen, candidates, len(looked), dwells, run.losses.dwells, warnings)
+    return BagMovers(seen, candidates, len(looked), dwells, run.losses.dwells, warnings)
 
 
 def _settings_for(scheme: Scheme, sensors: Mapping[str, Sensor], given: NodeParameters, dwell: DwellKey) -> Any:
@@ -198,7 +197,7 @@ def _with_columns(scheme: Scheme, sensors: Mapping[str, Sensor], given: NodePara
     return first, replace(scheme, changes=tuple(changes))
 
 
-def _seen(found: Movers) -> list[SeenMover]:
+def _seen(found: ImageMovers) -> list[SeenMover]:
     """What was found in an image, in the order of the flight."""
     direction = found.images.slc.aperture.direction
     in_order = sorted(found.looked.movers, key=lambda one: float(np.dot(one.position, direction)))

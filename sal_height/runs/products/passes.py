@@ -43,7 +43,7 @@ from sal_height.pipeline import corrected_spectrum
 from sal_height.relief import HeightField, Surface
 from sal_height.runs.chain.chain_runs import COMPRESSION, BagRun, plan
 from sal_height.runs.products.passes_picture import draw_passes
-from sal_height.runs.products.passes_report import Comparison, compared, summary_of, warnings_of
+from sal_height.runs.products.passes_report import ReferenceComparison, compared, summary_of, warnings_of
 from sal_height.settings import Settings
 
 
@@ -58,7 +58,7 @@ class FromPasses:
     """
 
     summary: dict[str, Any]
-    comparisons: Sequence[Comparison]
+    comparisons: Sequence[ReferenceComparison]
     warnings: list[str]
 
 

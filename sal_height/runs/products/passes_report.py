@@ -23,7 +23,7 @@ SIDELOBE_OF_NOTE = 0.25
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class ReferenceComparison:
     """A reference point, and the point that was found there.
 
     Attributes:
@@ -55,18 +55,18 @@ class Comparison:
         }
 
 
-def compared(reference: ReferencePoint, result: PassHeights, settings: PassSettings) -> Comparison:
+def compared(reference: ReferencePoint, result: PassHeights, settings: PassSettings) -> ReferenceComparison:
     """The point that is seen nearest to a reference point, within `reference_radius_m`, whatever its height."""
     points, array = result.found.points, result.array
     if not len(points.height):
-        return Comparison(reference)
+        return ReferenceComparison(reference)
     slant_range, along, _ = array.seen(reference.position)
     ranges, ways, _ = array.seen(points.positions)
     off = np.hypot(ranges - slant_range, ways - along)
     best = int(np.argmin(off))
     if off[best] > settings.reference_radius_m:
-        return Comparison(reference)
-    return Comparison(
+        return ReferenceComparison(reference)
+    return ReferenceComparison(
         reference,
         points.positions[best] - reference.position,
         float(points.total_sigma[best]),
@@ -74,7 +74,7 @@ def compared(reference: ReferencePoint, result: PassHeights, settings: PassSetti
     )
 
 
-def warnings_of(result: PassHeights, comparisons: Sequence[Comparison], settings: PassSettings) -> list[str]:
+def warnings_of(result: PassHeights, comparisons: Sequence[ReferenceComparison], settings: PassSettings) -> list[str]:
     """Sentences on what was left out, and on what the heights do not tell."""
     found = list(result.warnings)
     if not result.tie.references:
@@ -95,7 +95,9 @@ def warnings_of(result: PassHeights, comparisons: Sequence[Comparison], settings
     return found
 
 
-def summary_of(result: PassHeights, comparisons: Sequence[Comparison], settings: PassSettings) -> dict[str, Any]:
+def summary_of(
+    result: PassHeights, comparisons: Sequence[ReferenceComparison], settings: PassSettings
+) -> dict[str, Any]:
     """The numbers of the report."""
     array, tie, ambiguity, points = result.array, result.tie, result.ambiguity, result.found.points
     passes, deviation = len(array.passes), np.sqrt(np.diag(tie.covariance))

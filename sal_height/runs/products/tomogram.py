@@ -37,7 +37,7 @@ GROUND = ESTIMATORS["canopy_ground"]
 
 
 @dataclass(frozen=True, eq=False)
-class Cut:
+class TomogramCut:
     """A row of pixels of one dwell, from near to far along the flight.
 
     Attributes:
@@ -101,7 +101,7 @@ def tomogram(bag: Path, folder: Path, looks: tuple[int, int], row: int | None, j
         nodes = next(iter(profiles.values())).elevation
         slant_range, ahead = np.linalg.norm(sight, axis=-1), sight @ aperture.direction
         cuts.append(
-            Cut(
+            TomogramCut(
                 along=(points - start) @ aperture.direction,
                 width=grid.col_spacing,
                 positions=locate_at_elevation(nodes, slant_range[:, None], ahead[:, None], aperture, sensor.look_side),
@@ -134,7 +134,7 @@ def _scene_of(bag: Path) -> Scene | None:
     return flight_of(parse_preset(json.loads(reader.custom_data[PRESET]), f"in bag {bag}"), 0).scene
 
 
-def _draw(cuts: Sequence[Cut], scene: Scene | None, path: Path) -> None:
+def _draw(cuts: Sequence[TomogramCut], scene: Scene | None, path: Path) -> None:
     """Write a PNG with one panel for each estimator of a profile."""
     figure = Figure(figsize=(12, 3.4 * len(PROFILES)), layout="constrained")
     for axis, title in zip(figure.subplots(len(PROFILES), 1, sharex=True, sharey=True), PROFILES, strict=True):
@@ -157,7 +157,7 @@ def _draw(cuts: Sequence[Cut], scene: Scene | None, path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-def _draw_truth(axis: Axes, cuts: Sequence[Cut], scene: Scene) -> None:
+def _draw_truth(axis: Axes, cuts: Sequence[TomogramCut], scene: Scene) -> None:
     """Draw the heights at which the circle of each pixel meets the ground, and leaves the canopy at its top."""
     along = np.concatenate([cut.along for cut in cuts])
     positions = np.concatenate([cut.positions for cut in cuts])

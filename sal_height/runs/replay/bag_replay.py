@@ -10,7 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from sal_height.bag.compare import CHANGED, Comparison, compare_bags
+from sal_height.bag.compare import CHANGED, TopicComparison, compare_bags
 from sal_height.bag.namespace import NamespacedReader, open_bag
 from sal_height.bag.played import LOCKSTEP
 from sal_height.bag.sensor_topics import FRAMES, SENSOR_INFO
@@ -25,7 +25,7 @@ from sal_height.response import measure_brightest
 from sal_height.runs.chain.chain_runs import Scheme
 from sal_height.runs.chain.entry import FROM_HEIGHTS, MAPPER, WHOLE, Part, chain_of
 from sal_height.runs.chain.recorded_images import recorded_slc
-from sal_height.runs.chain.replay_parameters import Processing, processing_of
+from sal_height.runs.chain.replay_parameters import ReplayPlan, processing_of
 from sal_height.runs.replay.judge import as_json, draw_worst_dwell
 from sal_height.runs.replay.playing import IN_LOCKSTEP, Playing
 from sal_height.runs.replay.remapping import remapping_of
@@ -65,7 +65,7 @@ class Replay:
     """
 
     outcome: Outcome
-    compared: Mapping[str, Comparison]
+    compared: Mapping[str, TopicComparison]
     accuracy: Mapping[str, Mapping[str, Any]]
     images: Sequence[Mapping[str, Any]]
 
@@ -189,7 +189,7 @@ def replay(
 
 
 def _perform(
-    plan: Plan, execution: Execution, reader: NamespacedReader, processing: Processing, jobs: int | None
+    plan: Plan, execution: Execution, reader: NamespacedReader, processing: ReplayPlan, jobs: int | None
 ) -> Outcome:
     """Process the dwells by nodes, or without them.
 

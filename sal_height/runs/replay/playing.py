@@ -7,7 +7,7 @@ from typing import Any
 
 from sal_height.bag.played import LOCKSTEP, PACED
 from sal_height.errors import UserError
-from sal_height.runs.chain.replay_parameters import Processing
+from sal_height.runs.chain.replay_parameters import ReplayPlan
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Playing:
                 f"Option --loop has no meaning with --clock {LOCKSTEP}; give it with --clock paced or burst."
             )
 
-    def check(self, processing: Processing) -> None:
+    def check(self, processing: ReplayPlan) -> None:
         """Refuse to repeat what changed in flight: the nodes would go into the next pass with what the last one left.
 
         Raises:

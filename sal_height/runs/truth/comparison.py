@@ -77,7 +77,7 @@ def joined_errors(parts: Sequence[PublishedErrors]) -> PublishedErrors:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class SurfaceComparison:
     """Height images against the lit surfaces.
 
     Attributes:
@@ -101,14 +101,14 @@ class Comparison:
     confusion: I64
 
 
-def joined_comparisons(parts: Sequence[Comparison]) -> Comparison:
+def joined_comparisons(parts: Sequence[SurfaceComparison]) -> SurfaceComparison:
     """The comparisons of several images as one."""
     errors = joined_errors([part.errors for part in parts])
-    sums = (sum(getattr(part, entry.name) for part in parts) for entry in fields(Comparison)[1:])
-    return Comparison(errors, *sums)
+    sums = (sum(getattr(part, entry.name) for part in parts) for entry in fields(SurfaceComparison)[1:])
+    return SurfaceComparison(errors, *sums)
 
 
-def compare(field: HeightField, truth: LitSurfaces, beamwidth: float) -> Comparison:
+def compare(field: HeightField, truth: LitSurfaces, beamwidth: float) -> SurfaceComparison:
     """Compare every surface that a height image publishes with the lit surfaces of its pixels.
 
     Args:
@@ -143,7 +143,7 @@ def compare(field: HeightField, truth: LitSurfaces, beamwidth: float) -> Compari
 
     valid = np.isfinite(field.first.height)
     lit = truth.count > 0
-    return Comparison(
+    return SurfaceComparison(
         errors=joined_errors(parts),
         pixels=int(np.count_nonzero(lit)),
         valid=int(np.count_nonzero(lit & valid)),

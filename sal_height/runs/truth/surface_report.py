@@ -23,8 +23,8 @@ from sal_height.relief import HeightField
 from sal_height.runs.truth.comparison import (
     FOUND_ORDERS,
     TRUE_ORDERS,
-    Comparison,
     PublishedErrors,
+    SurfaceComparison,
     compare,
     joined_comparisons,
 )
@@ -85,7 +85,7 @@ class Judged:
         ground: what of the ground was seen.
     """
 
-    comparison: Comparison
+    comparison: SurfaceComparison
     ground: GroundCoverage
 
 

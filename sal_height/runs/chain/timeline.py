@@ -155,7 +155,7 @@ class _Parameters:
         self._timeline, self._first = timeline, next(iter(timeline.dwells), None)
         self._now: dict[Parameter, Any] = {}
         self._said: dict[Parameter, tuple[Any, bool]] = {}
-        """Published values that no product has shown yet, with a flag that is True if the parameter had another before."""
+        """Published values that no product has shown yet, with True if the parameter had another one before."""
         self._stated: dict[str, Mapping[str, Any]] = {}
 
     def receive(self, said: Said) -> None:

@@ -21,10 +21,10 @@ OF_ROS: Mapping[str, type] = {"use_sim_time": bool, "start_type_description_serv
 
 
 def members_of(deployment: Deployment) -> list[Member]:
-    """The nodes of a deployment as an ensemble takes them: those that complete files end first.
+    """The nodes of a deployment as an ensemble starts them: those that complete files end first.
 
     Raises:
-        UserError: there is none, or a node, parameter, topic or name is not allowed.
+        UserError: the deployment is empty, or a node, parameter, topic or name is not allowed.
     """
     if not deployment.nodes:
         raise UserError(f"There are no nodes; list at least one of {', '.join(NODES)}.")

@@ -1,4 +1,4 @@
-"""Picture of the latency of every node over the time of a live run, as the nodes told it on /diagnostics."""
+"""Picture of the latency of every node over the time of a live run, as the nodes published it on /diagnostics."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ OTHERS = (("black", "-"), ("black", "--"), ("0.5", "-"), ("0.5", "--"), ("black"
 
 
 def draw_run(folder: Path) -> bool:
-    """Draw latency.png of a live run in its `folder`, beside bag and report.json.
+    """Draw latency.png of a live run in its `folder`, which has bag and report.json.
 
     Returns:
-        Whether any node has told of its latency.
+        True if any node has published its latency.
 
     Raises:
         UserError: the bag cannot be read, or the picture not be written.
@@ -42,14 +42,14 @@ def draw_run(folder: Path) -> bool:
 
 
 def told_latencies(bag: Path) -> dict[str, F64]:
-    """What the nodes told in a bag of their latencies, by node.
+    """Latencies that the nodes published in a bag, by node.
 
     Args:
-        bag: with topic diagnostics.
+        bag: bag with topic diagnostics.
 
     Returns:
         Time since the first diagnostics (s), median and 95th percentile (ms) of the node's last thousand dwells, shape
-        (3, times); nodes that told none are left out.
+        (3, times); nodes that published none are left out.
     """
     reader, topic = BagReader(bag), f"/{DIAGNOSTICS.removeprefix('/')}"
     told: dict[str, list[tuple[float, float, float]]] = {}
@@ -77,9 +77,9 @@ def draw_latencies(latencies: Mapping[str, F64], budget_s: float, path: Path) ->
     """Write a PNG: median and 95th percentile of each node's latency over time, and the latency budget of a dwell.
 
     Args:
-        latencies: as of `told_latencies`, at least one.
-        budget_s: of the whole way from a dwell to its heights, s.
-        path: of the picture.
+        latencies: result of `told_latencies`, at least one node.
+        budget_s: latency budget from a dwell to its heights, s.
+        path: path of the picture.
     """
     looks = _looks(list(latencies))
     with page(path, 2.9) as figure:

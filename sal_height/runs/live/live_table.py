@@ -40,12 +40,12 @@ def showing(draw: Callable[[Any], RenderableType]) -> Iterator[Callable[[Any], N
 
 
 def node_table(book: AccountBook, now: float, title: str, without: Collection[str] = ()) -> Group:
-    """A line for each node that tells of itself on /diagnostics; below, what was left out and what is wrong.
+    """A line for each node that publishes on /diagnostics; below, what was left out and what is wrong.
 
     Args:
-        book: what is known of the nodes.
+        book: states of the nodes.
         now: time, s of the monotonic clock.
-        title: of the table.
+        title: title of the table.
         without: names of nodes that are left out.
     """
     names = sorted(book.entries.keys() - set(without))
@@ -80,7 +80,7 @@ def _numbers(entry: NodeAccount) -> list[str]:
 
 
 def _sentences(entry: NodeAccount, state: str) -> Iterator[str]:
-    """What there is to say of a node, without its name: starts, messages left out by reason, what is wrong."""
+    """Messages on a node, without its name: starts, messages left out by reason, what is wrong."""
     if entry.lives > 1:
         yield f"was started {entry.lives} times."
     lost, lately = {**entry.account.dropped, **entry.account.ignored}, entry.account.lost_last_minute
@@ -94,7 +94,7 @@ def _sentences(entry: NodeAccount, state: str) -> Iterator[str]:
 
 
 def live_table(watched: Watched, now: float) -> Group:
-    """What has been seen of a live graph and the time from its sensor's last pulses to its heights."""
+    """Progress of a live graph, and the time from its sensor's last pulses to its heights."""
     title = f"{watched.elapsed_s:.0f} s, the sensor delivers {watched.offered_hz:.3g} dwells/s"
     ages = Table(title="from the last pulse to the heights, ms")
     for name in ("topic", "images", "p50", "p95", "p99.9"):

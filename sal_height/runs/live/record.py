@@ -1,4 +1,4 @@
-"""`sal-height record`: write what is published to a bag, and show what becomes of it."""
+"""`sal-height record`: write what is published to a bag, and show the account of each topic."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ DEFAULT_FOLDER = Path("out/recorded")
 
 @dataclass
 class RecordingProgress:
-    """What has been recorded so far.
+    """Progress of a recording.
 
     Attributes:
-        folder: of the bag.
-        elapsed_s: time since the begin.
-        ledgers: what became of the messages of each topic.
+        folder: folder of the bag.
+        elapsed_s: time since the start, s.
+        ledgers: accounts of the messages of each topic.
     """
 
     folder: Path
@@ -65,9 +65,9 @@ def record(
 
     Args:
         out: folder of the bag, new or empty; None: the next free one of DEFAULT_FOLDER, DEFAULT_FOLDER_2, ….
-        parameters: of node recorder, without its directory.
-        domain: of the nodes that publish.
-        seconds: how long, s; infinity: until it is interrupted.
+        parameters: parameters of node recorder, without its directory.
+        domain: ROS domain of the nodes that publish.
+        seconds: duration, s; infinity: until it is interrupted.
         show: called once a second with what has been recorded, and at the end.
 
     Raises:

@@ -41,7 +41,7 @@ def calibrate(
         bag: folder of the recorded bag, or its .mcap file.
         out: folder; must be new or empty.
         parameters: values that replace recorded parameters of nodes.
-        execution: what is recorded besides the calibration.
+        execution: execution of the run, and topics to record in addition to the calibration.
         jobs: dwells that are compressed side by side.
 
     Returns:

@@ -1,4 +1,4 @@
-"""`sal-height movers`: what moves in the strips or dwells of a bag, with its place, height and radial velocity."""
+"""`sal-height movers`: movers in the strips or dwells of a bag, with their position, height and radial velocity."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ class SeenMover:
 
     Attributes:
         dwell: number of the block that completed the image.
-        stamp_ns: of its first pulse.
-        mover: what was found.
+        stamp_ns: stamp of its first pulse, ns since the epoch.
+        mover: estimates of the mover.
     """
 
     dwell: int
@@ -42,7 +42,7 @@ class SeenMover:
     mover: Mover
 
     def summary(self) -> dict[str, Any]:
-        """What the report says of it."""
+        """Entries of the report on the mover."""
         east, north, height = (float(value) for value in sphere_coordinates(self.mover.position))
         one = self.mover
         return {
@@ -67,7 +67,7 @@ class SeenMover:
 
 
 def _along(one: Mover) -> dict[str, float]:
-    """What the report says of the velocity along the flight; nothing if nothing tells it."""
+    """Entries of the report on the along-track velocity; empty if it cannot be estimated."""
     if np.isnan(one.along_sigma):
         return {}
     return {"along_velocity_mps": one.along_velocity, "along_velocity_sigma_mps": one.along_sigma}
@@ -75,15 +75,15 @@ def _along(one: Mover) -> dict[str, float]:
 
 @dataclass(frozen=True, eq=False)
 class BagMovers:
-    """What was found in a bag.
+    """Movers of a bag.
 
     Attributes:
-        movers: in the order of time.
+        movers: movers in the order of time.
         candidates: number of pixels that were looked at.
         images: number of images.
         dwells: number of dwells in the bag.
-        left_out: how many of them tell nothing.
-        warnings: sentences on what could not be used, and on what is used in spite of them.
+        left_out: number of dwells in which nothing could be searched.
+        warnings: warnings on what could not be used, and on what is used in spite of them.
     """
 
     movers: Sequence[SeenMover]
@@ -138,7 +138,7 @@ def find_in_bag(
         jobs: dwells that are processed side by side.
 
     Raises:
-        UserError: the bag cannot be used or has no image in which movers could be told, or a parameter or a setting is
+        UserError: the bag cannot be used or has no image in which movers could be found, or a parameter or a setting is
             not allowed.
     """
     settings = MoverSettings(**(wanted or {}))
@@ -198,7 +198,7 @@ def _with_columns(scheme: Scheme, sensors: Mapping[str, Sensor], given: NodePara
 
 
 def _seen(found: ImageMovers) -> list[SeenMover]:
-    """What was found in an image, in the order of the flight."""
+    """Movers of an image, in the order of the flight."""
     direction = found.images.slc.aperture.direction
     in_order = sorted(found.looked.movers, key=lambda one: float(np.dot(one.position, direction)))
     return [SeenMover(found.key.number, found.key.stamp_ns, one) for one in in_order]

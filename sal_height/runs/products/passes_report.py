@@ -1,4 +1,4 @@
-"""What the report of heights from passes says, and the comparison with points of known place."""
+"""Report of heights from passes, and the comparison with points of known position."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FREE_GAUGE = (
 SEVERAL = (Validity.TWO_SCATTERERS, Validity.THREE_SCATTERERS)
 
 SIDELOBE_OF_NOTE = 0.25
-"""Share of the power from which on the greatest sidelobe is warned of."""
+"""Fraction of the power above which the greatest sidelobe is warned of."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,9 +28,9 @@ class ReferenceComparison:
 
     Attributes:
         reference: the reference point.
-        error: of the place, m in map, shape (3,); None: no point was found.
+        error: error of the position, m in map, shape (3,); None: no point was found.
         sigma: standard deviation of the height that was found, m.
-        cnr_db: of the point.
+        cnr_db: clutter-to-noise ratio of the point, dB.
     """
 
     reference: ReferencePoint
@@ -39,7 +39,7 @@ class ReferenceComparison:
     cnr_db: float = np.nan
 
     def summary(self) -> dict[str, Any]:
-        """What the report says of it."""
+        """Entries of the report on the reference point."""
         east, north, up = self.reference.position.tolist()
         known = {"east_m": east, "north_m": north, "height_m": up, "ties": self.reference.ties}
         if self.error is None:
@@ -75,7 +75,7 @@ def compared(reference: ReferencePoint, result: PassHeights, settings: PassSetti
 
 
 def warnings_of(result: PassHeights, comparisons: Sequence[ReferenceComparison], settings: PassSettings) -> list[str]:
-    """Sentences on what was left out, and on what the heights do not tell."""
+    """Warnings on what was left out, and on what the heights cannot show."""
     found = list(result.warnings)
     if not result.tie.references:
         found.append(FREE_GAUGE)

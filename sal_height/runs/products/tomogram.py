@@ -42,10 +42,10 @@ class TomogramCut:
 
     Attributes:
         along: distance along the flight from the middle of the first dwell, m, shape (cols,).
-        width: of a pixel along the flight, m.
-        positions: of the nodes in map, m, shape (cols, nodes, 3).
+        width: along-track width of a pixel, m.
+        positions: positions of the nodes in map, m, shape (cols, nodes, 3).
         profiles: values of each estimator of a profile by its title, shape (cols, nodes).
-        ground: estimated height of the ground, m, NaN where it cannot be told, (cols,).
+        ground: estimated height of the ground, m, NaN where it cannot be estimated, shape (cols,).
         sigma: its standard deviation, m, (cols,).
     """
 
@@ -63,20 +63,20 @@ class TomogramCut:
 
 
 def tomogram(bag: Path, folder: Path, looks: tuple[int, int], row: int | None, jobs: int = 1) -> int:
-    """Draw tomogram.png: reflectivity over height and the way of the flight, with ground and canopy if they are known.
+    """Draw tomogram.png: reflectivity over height and along-track distance, with ground and canopy if they are known.
 
     Args:
-        bag: with the images of all channels (topic slc), or the phase history that gives them.
+        bag: bag with the images of all channels (topic slc), or the phase history that gives them.
         folder: output folder, which is made.
         looks: range looks and azimuth looks of a pixel.
-        row: of the cut, in pixels of these looks; None: the middle one.
-        jobs: dwells of which images are made side by side, if the bag holds none.
+        row: row of the cut, in pixels of these looks; None: the middle one.
+        jobs: number of dwells of which images are made side by side, if the bag has no images.
 
     Returns:
-        The number of pixels of the cut whose ground can be told.
+        The number of pixels of the cut whose ground can be estimated.
 
     Raises:
-        UserError: the bag cannot be read, holds no images, or they have no such row.
+        UserError: the bag cannot be read, has no images, or they have no such row.
     """
     settings = GROUND.settings(range_looks=looks[0], azimuth_looks=looks[1])
     dwells = list(_dwells(bag, jobs))

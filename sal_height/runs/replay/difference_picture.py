@@ -62,7 +62,7 @@ def draw_difference(golden: BagReader, made: BagReader, topic: str, dwell: int, 
 
 
 def _heights(bag: BagReader, topic: str, dwell: int) -> F64:
-    """Heights of the first surface of a dwell, (rows, cols); NaN where there is none."""
+    """Heights of the first surface of a dwell, m, shape (rows, cols); NaN where the pixel has no surface."""
     decoded = (bag.decode(one.type_name, one.cdr) for one in bag.messages([topic]))
     message: Any = next(image for image in decoded if image.dwell == dwell)
     shape = message.grid.rows, message.grid.cols

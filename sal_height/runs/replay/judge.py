@@ -36,7 +36,7 @@ def draw_worst_dwell(golden: BagReader, made: BagReader, compared: Mapping[str, 
 
 
 def verdict_of(compared: Mapping[str, TopicComparison]) -> str:
-    """The worst verdict of all topics; EQUAL, WITHIN or CHANGED, which it also is if there are none."""
+    """The worst verdict of all topics; EQUAL, WITHIN or CHANGED, which it also is without topics."""
     verdicts = {one.verdict for one in compared.values()} or {CHANGED}
     return next(verdict for verdict in (CHANGED, WITHIN, EQUAL) if verdict in verdicts)
 
@@ -44,7 +44,7 @@ def verdict_of(compared: Mapping[str, TopicComparison]) -> str:
 def as_json(
     golden: BagReader, made: BagReader, compared: Mapping[str, TopicComparison], tolerances: Tolerances
 ) -> dict[str, Any]:
-    """What a report says of a comparison of two bags; latencies are those that the nodes told last.
+    """Entries of a report on a comparison of two bags; latencies are the last ones that the nodes published.
 
     Raises:
         UserError: a bag cannot be read.
@@ -76,7 +76,7 @@ def topics_to_compare(golden: BagReader, made: BagReader, named: Collection[str]
 
 
 def _latencies(bag: BagReader) -> dict[str, float]:
-    """Median latency of each node, ms, as it told it last in a bag."""
+    """Median latency of each node, ms, as it published it last in a bag."""
     found = {}
     for recorded in bag.messages([DIAGNOSTICS_RECORDED]) if DIAGNOSTICS_RECORDED in bag.topics else ():
         for status in bag.decode(recorded.type_name, recorded.cdr).status:

@@ -54,7 +54,7 @@ def draw_cloud(estimator: str, surfaces: PublishedErrors, preset: Preset, path: 
 
 
 def projected(place: F64, side: float) -> tuple[F64, F64, F64]:
-    """Parallel projection of places (east, north, height): to the right, upwards, and away from the viewer, all m.
+    """Parallel projection of positions (east, north, height): to the right, upwards, and away from the viewer, all m.
 
     Args:
         place: shape (points, 3), m.

@@ -61,10 +61,10 @@ def true_ground(
     """The terrain of a simulated flight in the cells of an estimate.
 
     Args:
-        estimate: of the ground.
-        images: from which it was made.
+        estimate: estimate of the ground.
+        images: images from which it was made.
         flight: the flight.
-        surfaces: what was lit in each dwell.
+        surfaces: lit surfaces of each dwell.
     """
     height, lit, inside = (np.full(estimate.height.shape, value) for value in (np.nan, False, False))
     first = np.floor(np.array([estimate.north, estimate.east]) / estimate.cell_size).astype(np.intp)
@@ -85,9 +85,9 @@ def true_ground(
 def ground_statistics(estimate: GroundEstimate, truth: TrueGround, tolerance: float) -> dict[str, Any]:
     """Part `ground` of a report: how much of the lit ground is known, and the errors of measured and other heights.
 
-    `right`: share of the lit cells whose height is right to `tolerance` (m); `lit` and `shadow`: shares of the cells by
+    `right`: fraction of the lit cells with a height right to `tolerance` (m); `lit` and `shadow`: fractions of cells by
     what their heights rest on. The error of each published height is that from the terrain in the middle of its cell,
-    beside an edge, too, which sigma has to allow for.
+    next to an edge, too, which sigma has to allow for.
     """
     error = estimate.height - truth.height
     kinds = {kind.name.lower(): estimate.kind == kind for kind in GroundKind}

@@ -30,10 +30,10 @@ def draw_profile(images: Mapping[str, Sequence[HeightImage]], source: str, fligh
     """Draw the heights of the column that `telling_column` chooses as a PNG.
 
     Args:
-        images: of a run, by the prefix of their estimator's topics.
+        images: images of a run, by the prefix of their estimator's topics.
         source: prefix of the heights that were tracked.
-        flight: that was simulated.
-        path: of the picture.
+        flight: flight that was simulated.
+        path: path of the picture.
 
     Returns:
         Whether there were tracked heights to draw.
@@ -85,8 +85,8 @@ class _Profile:
     """All surfaces of a column; arrays with an entry each, in the order of the rows, the strongest surfaces first.
 
     Attributes:
-        number: of the surface in its pixel, from 0.
-        row: of its pixel.
+        number: number of the surface in its pixel, from 0.
+        row: row of its pixel.
         place: east and north, m, shape (surfaces, 2).
         height: m.
         sigma: m.

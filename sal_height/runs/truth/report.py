@@ -32,14 +32,14 @@ class Mosaic:
         east: centres of the cells, arc distance from the map origin, m, shape (cols,).
         north: centres of the cells, m, shape (rows,).
         height: estimate, m, shape (rows, cols).
-        error: estimate minus true height of the same pixels with the same weights, m; without pixels that hold no
+        error: estimate minus true height of the same pixels with the same weights, m; without pixels that have no
             scatterer.
         sigma: predicted standard deviation, m, with the mean of those that pose and beams leave, which no average
-            reduces; of tracked pixels, which share their errors, that of one.
+            reduces; of tracked pixels, whose errors are common, that of one.
         bound: Cramer-Rao bound averaged over speckle for all looks in the cell, m.
-        single: True where all pixels hold a single scatterer.
+        single: True where all pixels have a single scatterer.
         valid_share: valid pixels over all pixels of the images.
-        two_share: pixels in which two scatterers were told apart, over all pixels.
+        two_share: pixels with two separate scatterers, over all pixels.
         ghosts: valid pixels in which there is no scatterer.
     """
 
@@ -64,10 +64,10 @@ class _Pixels:
         north: m.
         height: estimate, m.
         sigma: predicted, m.
-        common: its part that pose and beams leave, which other pixels and dwells share, m.
+        common: part of it that pose and beams leave, which is common to pixels and dwells, m.
         truth: true height, m; NaN where there is no scatterer.
         bound: Cramer-Rao bound for two looks averaged over speckle, m: 1 / sqrt(information of one look).
-        single: True where the pixel holds a single scatterer.
+        single: True where the pixel has a single scatterer.
     """
 
     east: F64
@@ -86,7 +86,7 @@ def mosaic(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Map
     Args:
         images: height images of a simulated flight.
         flight: the flight.
-        surfaces: what was visible in each dwell.
+        surfaces: visible surfaces of each dwell.
     """
     parts = [_pixels(image, flight, surfaces[image.dwell]) for image in images]
     pixels = _Pixels(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(_Pixels)))
@@ -125,7 +125,7 @@ def mosaic(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Map
 
 
 def _share(images: Sequence[HeightImage], validity: int) -> float:
-    """Share of the pixels that have this validity, averaged over the images."""
+    """Fraction of the pixels that have this validity, averaged over the images."""
     return float(np.mean([np.mean(np.asarray(image.validity) == validity) for image in images]))
 
 
@@ -134,11 +134,11 @@ AFTER_BOUND = ("within_1_sigma", "beyond_5_sigma")
 
 
 def statistics(result: Mosaic | None) -> dict[str, Any]:
-    """Errors over the cells that hold a single scatterer; numbers that do not exist (no valid pixel) are None.
+    """Errors over the cells with a single scatterer; numbers that do not exist (no valid pixel) are None.
 
     Errors are those of `ErrorStatistics`, and `crb_m` is the mean Cramér-Rao bound averaged over speckle, m. `valid` is
     the fraction of valid pixels, `two_scatterers` that of pixels with the heights of two, `ghost_pixels` the number of
-    valid ones in which there is nothing. `layover` has the same errors over the other cells, whose pixels hold several
+    valid ones without a scatterer. `layover` has the same errors over the other cells, whose pixels have several
     scatterers and were still found valid.
     """
     if result is None:

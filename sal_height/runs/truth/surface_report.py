@@ -1,4 +1,4 @@
-"""What report.json says of published surfaces: their errors by kind of pixel, ghosts, confusion, and the lit ground.
+"""Part of report.json on published surfaces: errors by kind of pixel, ghosts, confusion, and the lit ground.
 
 Nothing that is published remains uncounted: each surface of each pixel with a height is in one of the kinds.
 """
@@ -47,7 +47,7 @@ class GroundCoverage:
     """Cells of the ground that the images of a run reach by range and Doppler; arrays of shape (cells,).
 
     Attributes:
-        size: of a cell, m.
+        size: side of a cell, m.
         tolerance: error of a height up to which it is right, m.
         number: row (north) and column (east) of the cell, counted from the map's origin, shape (cells, 2); its centre
             is at (number + 0.5) sizes.
@@ -78,11 +78,11 @@ class GroundCoverage:
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """The height images of one estimator beside the truth.
+    """The height images of one estimator compared with the truth.
 
     Attributes:
-        comparison: of pixels and published surfaces.
-        ground: what of the ground was seen.
+        comparison: comparison of pixels and published surfaces.
+        ground: coverage of the ground.
     """
 
     comparison: SurfaceComparison
@@ -98,7 +98,7 @@ def height_beamwidth(flight: SimulatedFlight) -> float:
 def as_flown(
     field: HeightField, aperture: ApertureState, flight: SimulatedFlight, dwell: int
 ) -> tuple[HeightField, ApertureState]:
-    """Where the pixels of a height image and its points lie, seen from where the platform was.
+    """Positions of the pixels of a height image and of its points, seen from where the platform was.
 
     Range and Doppler count from there, not from where the odometry says; a pixel is compared with what it saw. Heights
     and covariances stay as they were published. In stripmap the error of the odometry is that in the middle of the last
@@ -106,8 +106,8 @@ def as_flown(
 
     Args:
         field: the heights.
-        aperture: as whose image they are published.
-        flight: that was simulated.
+        aperture: aperture of the image as which they are published.
+        flight: flight that was simulated.
         dwell: whose image it is, or which block has completed it.
     """
     true = flight.aperture(dwell)
@@ -128,10 +128,10 @@ def true_surfaces(
 
     Args:
         field: the heights (`as_flown`).
-        aperture: from where they were seen (`as_flown`).
-        beams: as images have them.
-        flight: that was simulated.
-        surface: what was lit in the dwell.
+        aperture: aperture from which they were seen (`as_flown`).
+        beams: beams as images have them.
+        flight: flight that was simulated.
+        surface: lit surface of the dwell.
     """
     sensor = flight.sensor
     connected = max(CONNECTED, 1.5 * flight.scene.layer_spacing / height_beamwidth(flight))
@@ -143,9 +143,9 @@ def judged(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Map
     """Compare all height images of one estimator with what their dwells saw.
 
     Args:
-        images: of a simulated flight.
+        images: images of a simulated flight.
         flight: the flight.
-        surfaces: what was lit in each dwell.
+        surfaces: lit surfaces of each dwell.
     """
     sensor, track = flight.sensor, flight.preset.flight
     across = height_beamwidth(flight)
@@ -167,7 +167,7 @@ def judged(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Map
 
 
 def _is_right(field: HeightField, cells: GroundCells, tolerance: float) -> Bool:
-    """Whether a surface of the pixel of each cell, or of the pixels next to it in range, has the cell's height."""
+    """True if a surface of the pixel of each cell, or of the pixels next to it in range, has the cell's height."""
     right = np.zeros(len(cells.height), dtype=bool)
     for step in (-1, 0, 1):
         row = np.clip(cells.pixel[:, 0] + step, 0, field.grid.rows - 1)
@@ -200,9 +200,9 @@ def _coverage(seen: Sequence[tuple[GroundCells, Bool, Bool]], size: float, toler
 def surface_statistics(judgement: Judged) -> dict[str, Any]:
     """Part `surfaces` of an estimator's report: errors of all published surfaces and of each kind, and the lit ground.
 
-    `valid`: share of the lit pixels inside the array with a height; `missed`: share of the lit surfaces for which none
-    is published; `ghosts_in_shadow`: share of the pixels in shadow with a height; `confusion`: pixels by what they
-    hold (rows) and what was found; `ground`: `GroundCoverage.shares`.
+    `valid`: fraction of the lit pixels inside the array with a height; `missed`: fraction of the lit surfaces of which
+    none is published; `ghosts_in_shadow`: fraction of the pixels in shadow with a height; `confusion`: pixels by what
+    they contain (rows) and what was found; `ground`: `GroundCoverage.shares`.
     """
     result, ground = judgement.comparison, judgement.ground
     kinds = {value.name: result.errors.where(result.errors.validity == value) for value in map(Validity, USABLE)}

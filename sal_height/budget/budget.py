@@ -197,7 +197,7 @@ class Budget:
         look = flight.look_angle_rad
         ground = self._lit_across / np.cos(look)
         window = spectrum_sensor(sensor).range_window / np.sin(look)
-        beside = sensor.azimuth_beamwidth * flight.slant_range_m
+        along = sensor.azimuth_beamwidth * flight.slant_range_m
         group = "place"
         yield BudgetEntry(group, "slant_range_m", "slant range", flight.slant_range_m, "m")
         yield BudgetEntry(group, "height_m", "height over the ground", flight.slant_range_m * np.cos(look), "m")
@@ -205,7 +205,7 @@ class Budget:
         yield BudgetEntry(group, "window_m", "range window, on the ground", window, "m")
         across = sensor.beamwidth * flight.slant_range_m
         yield BudgetEntry(group, "beam_across_m", "width of a beam across the line of sight", across, "m")
-        yield BudgetEntry(group, "beam_along_m", "width of a beam along the flight", beside, "m")
+        yield BudgetEntry(group, "beam_along_m", "width of a beam along the flight", along, "m")
 
     def _resolution(self) -> Iterator[BudgetEntry]:
         slant, ground, along = self._cells

@@ -123,7 +123,7 @@ def describe_autofocus(of: Situation) -> str:
         return f"No autofocus is needed: {known}."
     if of.settings.autofocus == "never":
         return f"Autofocus is needed, but autofocus is never: {known}."
-    if not _speckle_tells_beams(of):
+    if not _speckle_locates_beams(of):
         return (
             f"Autofocus would be needed: {known}; but the beams are so wide that speckle cannot tell where they are, "
             "so that images are left as odometry focuses and places them."
@@ -131,7 +131,7 @@ def describe_autofocus(of: Situation) -> str:
     return f"Autofocus is needed: {known}."
 
 
-def _speckle_tells_beams(of: Situation) -> bool:
+def _speckle_locates_beams(of: Situation) -> bool:
     """True if autofocus can measure the beams."""
     if of.sensor.mode == "stripmap":
         return stays_in_range_cell(of.sensor, of.slant_range)

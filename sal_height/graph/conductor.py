@@ -66,7 +66,7 @@ class Conductor(Node):
         """True if all nodes are connected, and have done what they do before the first dwell."""
         return self.connected() and all(self.accounts[name].ready for name in self._inputs)
 
-    def listen_raw(self, message_type: type, topic: str, receive: Callable[[bytes], None]) -> None:
+    def subscribe_raw(self, message_type: type, topic: str, receive: Callable[[bytes], None]) -> None:
         """Have the serialized messages of a topic received by `receive`."""
         self.create_subscription(class_of(message_type), topic, receive, FRAMES_QOS, raw=True)
 

@@ -125,7 +125,7 @@ def colour_bar(shown: ScalarMappable, axes: Any, label: str, values: F64, **wher
         shown: artist that is drawn in these colours.
         axes: one or several panels.
         label: quantity with its unit.
-        values: all that is drawn in these colours.
+        values: values that are drawn in these colours.
         where: keywords of Figure.colorbar.
     """
     figure = np.ravel(axes)[0].figure

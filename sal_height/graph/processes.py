@@ -154,7 +154,7 @@ class Forked:
             os.kill(self.pid, number)
 
 
-def beside(run: Callable[[], int], name: str) -> Forked | None:
+def run_in_copy(run: Callable[[], int], name: str) -> Forked | None:
     """Have a function run in a copy of this process, which ends with this one; if it cannot fork, run it here.
 
     Args:

@@ -105,9 +105,9 @@ def _judged(reader: BagReader, made: Path, scheme: Scheme) -> dict[str, Any]:
     columns: dict[str, Any] = {"against_recorded": verdict_of(compared) if compared else ""}
     for prefix, images in read_images(made).items():
         sigma = np.concatenate([image.surfaces[0].sigma for image in images if image.surfaces])
-        held = np.isfinite(sigma)
-        columns[f"{prefix}_with_height"] = float(np.mean(held)) if held.size else None
-        columns[f"{prefix}_median_sigma_m"] = float(np.median(sigma[held])) if held.any() else None
+        known_sigma = np.isfinite(sigma)
+        columns[f"{prefix}_with_height"] = float(np.mean(known_sigma)) if known_sigma.size else None
+        columns[f"{prefix}_median_sigma_m"] = float(np.median(sigma[known_sigma])) if known_sigma.any() else None
     flight = recorded_flight(reader)
     if flight is None:
         return columns

@@ -65,7 +65,7 @@ class Scheme:
         bag: folder of the bag, or its file.
         namespace: namespace of its topics; empty: no namespace.
         makers: height nodes whose heights are made.
-        stages: all that process, in their order.
+        stages: stages that process, in their order.
         parameters: parameters of all nodes at the first dwell, by node and name.
         changes: changes before later dwells.
         frames: times when the frames of each dwell were recorded.

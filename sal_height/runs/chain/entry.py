@@ -75,7 +75,7 @@ class Part:
         """True if some dwells may be left out."""
         return replace(self, entry=FRAMES, namespace=None) != WHOLE
 
-    def dwells_of(self, held: Sequence[DwellKey]) -> DwellRange:
+    def dwells_of(self, recorded: Sequence[DwellKey]) -> DwellRange:
         """The dwells that are played, of those in a bag, in its order.
 
         Raises:
@@ -83,14 +83,14 @@ class Part:
         """
         if not self.is_limited:
             return ALL
-        origin_ns = held[0].stamp_ns if held else 0
+        origin_ns = recorded[0].stamp_ns if recorded else 0
         end_ns = LATEST_NS if math.isinf(self.end_s) else min(LATEST_NS, origin_ns + round(self.end_s * 1e9))
         chosen = DwellRange(self.first, self.last, origin_ns + round(self.start_s * 1e9), end_ns)
-        if not any(dwell in chosen for dwell in held):
-            numbers = [dwell.number for dwell in held] or [0]
-            length_s = max(((dwell.stamp_ns - origin_ns) * 1e-9 for dwell in held), default=0.0)
+        if not any(dwell in chosen for dwell in recorded):
+            numbers = [dwell.number for dwell in recorded] or [0]
+            length_s = max(((dwell.stamp_ns - origin_ns) * 1e-9 for dwell in recorded), default=0.0)
             raise UserError(
-                f"No dwell of the bag is in this range; its {len(held)} dwells have the numbers {min(numbers)} to "
+                f"No dwell of the bag is in this range; its {len(recorded)} dwells have the numbers {min(numbers)} to "
                 f"{max(numbers)} and begin from 0 to {length_s:.6g} s."
             )
         return chosen
@@ -107,7 +107,7 @@ class ReplayNodes:
     Attributes:
         entry: one of ENTRIES.
         makers: nodes whose heights there are, made here or in the bag.
-        stages: all that process, in their order.
+        stages: nodes that process, in their order.
         dwells: number of dwells in the bag.
         dwell_topics: topics of the bag that the dwells are on.
         air: topics of the bag with air data.
@@ -148,19 +148,19 @@ def chain_of(reader: BagReader, entry: str, estimators: Collection[str]) -> Repl
         UserError: the bag lacks what is to be played, an estimator does not suit it, or there is nothing to make.
     """
     makers_of = {prefix: node for node, prefix in HEIGHTS.items() if node != TRACKER}
-    held = [name for name in makers_of if _count(reader, f"/{name}/height")]
+    recorded = [name for name in makers_of if _count(reader, f"/{name}/height")]
     if entry == FROM_HEIGHTS:
-        if not held:
+        if not recorded:
             raise _lacking(reader, "heights of an estimator, such as /ml/height", entry)
         if estimators:
             raise UserError("Option --estimators has no meaning with --from heights: no estimator works there.")
-        topics = [f"/{name}/height" for name in held]
-        makers = [makers_of[name] for name in held]
+        topics = [f"/{name}/height" for name in recorded]
+        makers = [makers_of[name] for name in recorded]
         return ReplayNodes(entry, makers, [TRACKER, MAPPER], max(_count(reader, topic) for topic in topics), topics)
     sensor, dwells = contents(reader, entry)
-    if held and _count(reader, f"/{MOVERS}"):
-        held.append(MOVERS)
-    height_nodes = suited(sensor, estimators or held)
+    if recorded and _count(reader, f"/{MOVERS}"):
+        recorded.append(MOVERS)
+    height_nodes = suited(sensor, estimators or recorded)
     if entry == IMAGES and not height_nodes:
         raise UserError(f"Bag {reader.path} is of a sensor with one detector: of its images no heights can be made.")
     if entry == IMAGES and ADJUSTER in height_nodes:

@@ -26,7 +26,7 @@ def products_of(reader: BagReader) -> list[str]:
     return heights or [topic for topic in [f"/{IMAGES}"] if topic in reader.topics]
 
 
-def tells_of_its_making(reader: BagReader) -> bool:
+def states_processing(reader: BagReader) -> bool:
     """True if a bag has anything that states how dwells were processed."""
     return bool(products_of(reader) or {"/calibration", PARAMETER_EVENTS} & reader.topics.keys())
 

@@ -122,11 +122,11 @@ def processing_of(
     """
     check_given(given, chain)
     timeline = timeline_of(reader, chain.dwell_topics)
-    held = timeline.dwells
-    if not held:
-        held = FlightRecord(reader, chain.dwell_topics).dwells
-    dwells = part.dwells_of(list(held))
-    played = {dwell: frames for dwell, frames in held.items() if dwell in dwells}
+    recorded = timeline.dwells
+    if not recorded:
+        recorded = FlightRecord(reader, chain.dwell_topics).dwells
+    dwells = part.dwells_of(list(recorded))
+    played = {dwell: frames for dwell, frames in recorded.items() if dwell in dwells}
     recorded = recorded_at_start(reader, timeline, chain.stages, chain.makers)
     own, sources = _at_start(recorded, timeline, chosen, given)
     if timeline.mountings and own.get(APPLIED.node, {}).get("mounting_from_tf"):
@@ -151,19 +151,19 @@ def processing_of(
         *_unopened(timeline, chain, sources),
         *_unmade(recorded, values, given),
         *(_restarted(one) for one in wanted if _is_read_only(one.parameter)),
-        *(_not_held(one) for one in timeline.missing if _applies_calibrations(chain, values)),
+        *(_missing_calibration(one) for one in timeline.missing if _applies_calibrations(chain, values)),
     ]
     for warning in warnings:
         _LOG.warning("Bag %s: %s", reader.path, warning)
     return ReplayPlan(
         values,
         _of_stages(sources, chain.stages),
-        _cues(timeline.dwells, dwells, changes, calibrations),
+        _scheduled_changes(timeline.dwells, dwells, changes, calibrations),
         _listed(timeline.dwells, changes, calibrations),
         warnings,
         dwells,
         len(played) or chain.dwells,
-        not held or next(iter(held)) in dwells,
+        not recorded or next(iter(recorded)) in dwells,
         played,
         timeline.mountings if chain.entry == FRAMES else {},
     )
@@ -199,10 +199,10 @@ def _of_stages(sources: Mapping[Parameter, str], stages: Sequence[str]) -> dict[
 
 
 def _listed(
-    held: Iterable[DwellKey], changes: Sequence[Change], calibrations: Sequence[Applied]
+    recorded: Iterable[DwellKey], changes: Sequence[Change], calibrations: Sequence[Applied]
 ) -> list[dict[str, Any]]:
     """Changes in flight, for the report, in the order of the dwells."""
-    order = {dwell: place for place, dwell in enumerate(held)}
+    order = {dwell: number for number, dwell in enumerate(recorded)}
     happened: list[Change | Applied] = [*calibrations, *changes]
     return [
         {"dwell": one.dwell.number, **_described(one), "source": one.source}
@@ -216,11 +216,11 @@ def _described(one: Change | Applied) -> dict[str, Any]:
     return {"parameter": ".".join(one.parameter), "value": one.value}
 
 
-def _cues(
-    held: Iterable[DwellKey], dwells: DwellRange, changes: Sequence[Change], calibrations: Sequence[Applied]
+def _scheduled_changes(
+    recorded: Iterable[DwellKey], dwells: DwellRange, changes: Sequence[Change], calibrations: Sequence[Applied]
 ) -> list[DwellChanges]:
     """Changes before each dwell that is played; a change before a dwell that is left out applies to the next one."""
-    cues: list[DwellChanges] = []
+    scheduled: list[DwellChanges] = []
     happened: dict[DwellKey, list[Change | Applied]] = {}
     for change in changes:
         happened.setdefault(change.dwell, []).append(change)
@@ -228,16 +228,16 @@ def _cues(
         happened.setdefault(calibration.dwell, []).append(calibration)
     values: dict[str, dict[str, Any]] = {}
     applied: list[str] = []
-    for dwell in held:
+    for dwell in recorded:
         for one in happened.get(dwell, ()):
             if isinstance(one, Applied):
                 applied.append(one.calibration)
             else:
                 values.setdefault(one.parameter.node, {})[one.parameter.name] = one.value
         if dwell in dwells and (values or applied):
-            cues.append(DwellChanges(dwell, values, tuple(applied)))
+            scheduled.append(DwellChanges(dwell, values, tuple(applied)))
             values, applied = {}, []
-    return cues
+    return scheduled
 
 
 def _forgotten(timeline: Timeline, chain: ReplayNodes) -> list[str]:
@@ -285,7 +285,7 @@ def _restarted(change: Change) -> str:
     )
 
 
-def _not_held(missing: Applied) -> str:
+def _missing_calibration(missing: Applied) -> str:
     return (
         f"Calibration {missing.calibration!r}, which was applied from dwell {missing.dwell.number} on, is not in the "
         "bag and is left out; record topic /calibration."

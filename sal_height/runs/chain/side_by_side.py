@@ -107,7 +107,7 @@ class Control(NamedTuple):
 
     Attributes:
         port: port of the item.
-        item: such as the description of a sensor.
+        item: item, such as the description of a sensor.
     """
 
     port: str
@@ -139,11 +139,11 @@ class Ring:
         room = -(-array.nbytes // 64) * 64
         if not self.used:
             self.at = 0
-        begins_anew = self.at + room > self.size
-        skipped = self.size - self.at if begins_anew else 0
+        wraps = self.at + room > self.size
+        skipped = self.size - self.at if wraps else 0
         if self.used + skipped + room > self.size:
             return None
-        at = 0 if begins_anew else self.at
+        at = 0 if wraps else self.at
         np.frombuffer(self.memory, array.dtype, array.size, at)[:] = array.reshape(-1)
         self.at, self.used, self.taken = at + room, self.used + skipped + room, self.taken + skipped + room
         return at
@@ -227,7 +227,7 @@ class _Worker:
         self.pipe.send_bytes(file.getbuffer())
         return self.ring.taken
 
-    def listen(self, arrived: SimpleQueue[tuple[_Worker, bytes]]) -> None:
+    def receive(self, arrived: SimpleQueue[tuple[_Worker, bytes]]) -> None:
         """Read what the process returns as soon as it does, so that it never waits while this one sends (a thread).
 
         Empty bytes stand for its end.
@@ -317,7 +317,7 @@ class SideBySide(Chain):
         for _, theirs in pipes:
             theirs.close()
         for worker in self._workers:
-            Thread(target=worker.listen, args=(self._arrived,), daemon=True).start()
+            Thread(target=worker.receive, args=(self._arrived,), daemon=True).start()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -337,12 +337,12 @@ class SideBySide(Chain):
     def change(self, stage: Stage, settings: Any, before: DwellKey) -> None:
         """Have a stage use other settings from a dwell on, here and in the workers."""
         super().change(stage, settings, before)
-        self._tell(stage, Scheduled(self.stages.index(stage), before, "", settings))
+        self._schedule(stage, Scheduled(self.stages.index(stage), before, "", settings))
 
     def schedule(self, stage: Stage, before: DwellKey, port: str, item: Any) -> None:
         """Have a stage accept an item right before the job of a dwell is made, here and in the workers."""
         super().schedule(stage, before, port, item)
-        self._tell(stage, Scheduled(self.stages.index(stage), before, port, item))
+        self._schedule(stage, Scheduled(self.stages.index(stage), before, port, item))
 
     def give(self, stage: Stage, port: str, item: Any) -> None:
         """Have a stage accept an item now, here and in the workers."""
@@ -351,7 +351,7 @@ class SideBySide(Chain):
             for worker in self._workers:
                 worker.send(Control(port, item))
 
-    def _tell(self, stage: Stage, message: Scheduled) -> None:
+    def _schedule(self, stage: Stage, message: Scheduled) -> None:
         if self._is_remote(stage):
             for worker in self._workers:
                 worker.send(message)

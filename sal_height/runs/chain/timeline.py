@@ -21,7 +21,7 @@ from sal_height.engine.stage import DwellKey
 from sal_height.errors import UserError
 from sal_height.geometry import Mounting
 from sal_height.graph.catalogue import SETTABLE
-from sal_height.runs.chain.flight_record import FlightRecord, ReceivedCalibration, Said, tells_of_its_making
+from sal_height.runs.chain.flight_record import FlightRecord, ReceivedCalibration, Said, states_processing
 from sal_height.settings import settings_of
 
 PROVENANCE, EVENT, MESSAGE = "provenance", "parameter event", "order of the bag"
@@ -109,7 +109,7 @@ def timeline_of(reader: BagReader, dwell_topics: Sequence[str] = ("/phase_histor
     Returns:
         The timeline; an empty one if nothing in the bag states how dwells were processed.
     """
-    if not tells_of_its_making(reader):
+    if not states_processing(reader):
         return Timeline()
     record = FlightRecord(reader, dwell_topics)
     timeline = Timeline(record.dwells)

@@ -46,7 +46,7 @@ class Deployment(StrictKeys):
     Attributes:
         nodes: nodes by name.
         namespace: namespace of all nodes that have none of their own; empty: no namespace.
-        one_process: True if they share a process instead of having one each.
+        one_process: True if all are in one process instead of one each.
     """
 
     nodes: dict[str, Annotated[NodeEntry, BeforeValidator(_nothing_is_empty)]]

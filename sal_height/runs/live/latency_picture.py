@@ -33,7 +33,7 @@ def draw_run(folder: Path) -> bool:
     Raises:
         UserError: the bag cannot be read, or the picture not be written.
     """
-    latencies = told_latencies(folder / "bag")
+    latencies = published_latencies(folder / "bag")
     if latencies:
         budget_s = float(json.loads((folder / "report.json").read_text())["latency_budget_s"])
         with writing(folder / LATENCIES):
@@ -41,7 +41,7 @@ def draw_run(folder: Path) -> bool:
     return bool(latencies)
 
 
-def told_latencies(bag: Path) -> dict[str, F64]:
+def published_latencies(bag: Path) -> dict[str, F64]:
     """Latencies that the nodes published in a bag, by node.
 
     Args:
@@ -52,7 +52,7 @@ def told_latencies(bag: Path) -> dict[str, F64]:
         (3, times); nodes that published none are left out.
     """
     reader, topic = BagReader(bag), f"/{DIAGNOSTICS.removeprefix('/')}"
-    told: dict[str, list[tuple[float, float, float]]] = {}
+    published: dict[str, list[tuple[float, float, float]]] = {}
     begin_ns = None
     for recorded in reader.messages([topic]) if topic in reader.topics else ():
         begin_ns = recorded.log_time_ns if begin_ns is None else begin_ns
@@ -61,8 +61,8 @@ def told_latencies(bag: Path) -> dict[str, F64]:
             latencies = account.latency_p50_ms, account.latency_p95_ms
             if all(map(math.isfinite, latencies)):
                 time_s = (recorded.log_time_ns - begin_ns) * 1e-9
-                told.setdefault(status.name, []).append((time_s, *latencies))
-    return {node: np.array(rows).T for node, rows in told.items()}
+                published.setdefault(status.name, []).append((time_s, *latencies))
+    return {node: np.array(rows).T for node, rows in published.items()}
 
 
 def _looks(nodes: Sequence[str]) -> dict[str, tuple[str, Any]]:
@@ -77,7 +77,7 @@ def draw_latencies(latencies: Mapping[str, F64], budget_s: float, path: Path) ->
     """Write a PNG: median and 95th percentile of each node's latency over time, and the latency budget of a dwell.
 
     Args:
-        latencies: result of `told_latencies`, at least one node.
+        latencies: result of `published_latencies`, at least one node.
         budget_s: latency budget from a dwell to its heights, s.
         path: path of the picture.
     """
@@ -85,9 +85,9 @@ def draw_latencies(latencies: Mapping[str, F64], budget_s: float, path: Path) ->
     with page(path, 2.9) as figure:
         panels = figure.subplots(1, 2, sharex=True, sharey=True)
         for axes, row, title in zip(panels, (1, 2), ("median", "95th percentile"), strict=True):
-            for node, told in latencies.items():
+            for node, published in latencies.items():
                 colour, line = looks[node]
-                axes.plot(told[0], told[row], color=colour, ls=line, label=node)
+                axes.plot(published[0], published[row], color=colour, ls=line, label=node)
             axes.axhline(1e3 * budget_s, color="0.8", lw=2.5, label="budget of a dwell, for all nodes")
             axes.set(title=f"{title} of the last thousand dwells", xlabel="time (s)", yscale="log")
             axes.yaxis.set_major_formatter("{x:g}")

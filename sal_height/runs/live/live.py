@@ -26,7 +26,7 @@ from sal_height.graph.conductor import Conductor
 from sal_height.graph.ensemble import Ensemble, members_of
 from sal_height.graph.interruption import Interruption
 from sal_height.graph.plan import RECORDER, Execution, Plan
-from sal_height.graph.processes import beside, process_age_s
+from sal_height.graph.processes import process_age_s, run_in_copy
 from sal_height.graph.reporting import PARAMETERS, PRESET, merged, reporting
 from sal_height.graph.supervisor import Supervisor
 from sal_height.graph.watch import Watcher, looks
@@ -187,7 +187,7 @@ def live(
         warn_of_overload(core_rate_hz(playlist, feed.sensor, stages, values, processors), 1 / interval_s, processors)
         return 0
 
-    tested = beside(test, "self test")  # while the nodes start
+    tested = run_in_copy(test, "self test")  # while the nodes start
 
     def let_go_and_show(watched: Watched) -> None:
         if tested:
@@ -248,7 +248,7 @@ def _perform(
         watched.start_s["ready"] = process_age_s()
         supervisor = Supervisor(ensemble, time.monotonic()) if how.supervised else None
         for topic in watched.latencies_s:
-            conductor.listen_raw(HeightImage, topic, _keeper(topic, clock, watched))
+            conductor.subscribe_raw(HeightImage, topic, _keeper(topic, clock, watched))
         wait(sensor.has_begun, f"an answer of node {SOURCE}")
         watched.cpu_at_start_s = {name: a.cpu_s for name, a in watched.accounts.items()}
         watched.began_at_s = time.time()

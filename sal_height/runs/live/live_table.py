@@ -27,7 +27,7 @@ COLOURS = {"ok": "green", "warning": "yellow", "error": "red", GONE: "red"}
 def showing(draw: Callable[[Any], RenderableType]) -> Iterator[Callable[[Any], None]]:
     """A function that shows what `draw` makes of what it is given.
 
-    On a terminal that is in place; else only the last is shown, at the end: a log is no place for a table that changes.
+    A terminal shows each as it arrives; else only the last is shown, at the end, since a log cannot change.
     """
     console = Console()
     if console.is_terminal:
@@ -88,7 +88,7 @@ def _sentences(entry: NodeAccount, state: str) -> Iterator[str]:
         counts = ", ".join(f"{reason} {lately.get(reason, 0)} ({count})" for reason, count in lost.items())
         yield f"has left out in the last minute (in all): {counts}."
     if state == GONE:
-        yield "tells nothing any more."
+        yield "publishes nothing any more."
     elif state != "ok":
         yield f"says: {entry.message}"
 

@@ -44,7 +44,7 @@ class RecordingProgress:
         return sum(ledger.written for ledger in self.ledgers.values())
 
     @property
-    def heard(self) -> int:
+    def received(self) -> int:
         """Messages in the bag of topics that somebody asked for."""
         return self.written - self.ledgers.get(PARAMETER_EVENTS, Ledger()).written
 

@@ -56,7 +56,7 @@ def core_rate_hz(
 
     Args:
         playlist: dwells to process.
-        sensor: whose they are.
+        sensor: sensor of the dwells.
         stages: names of the processing nodes.
         values: values of their parameters.
         processors: number of processors that the nodes may use.

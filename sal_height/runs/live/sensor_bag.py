@@ -22,7 +22,7 @@ from sal_height.bag.topics import FIX_TYPE, FRAME_TYPE, ODOMETRY_TYPE, SENSOR_TY
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import HEIGHTS, TRACKER, suited
-from sal_height.graph.processes import Forked, beside
+from sal_height.graph.processes import Forked, run_in_copy
 from sal_height.graph.reporting import PARAMETERS, PRESET, SEED, merged
 from sal_height.nodes.playing.playlist import Playlist
 from sal_height.runs.chain.entry import contents
@@ -40,7 +40,7 @@ class Feed:
 
     Attributes:
         bag: folder or file.
-        sensor: whose dwells are played.
+        sensor: sensor whose dwells are played.
         nodes: the height nodes that process them.
         parameters: parameters of nodes that the bag was made with.
         custom_data: custom data of the bag: texts by name.
@@ -85,7 +85,7 @@ class Feed:
             record_sensor(preset, seed, folder)
             return 0
 
-        simulation = beside(simulate, "simulation")
+        simulation = run_in_copy(simulate, "simulation")
         custom_data = _custom_data(flight)
         values = json.loads(custom_data[PARAMETERS])
         return cls(folder, flight.sensor, suited(flight.sensor, preset.estimators), values, custom_data, simulation)

@@ -59,11 +59,11 @@ KNOWN = {"boresight_sigma_rad": 0.0, "lever_arm_sigma_m": 0.0, "odometry_delay_s
 
 @dataclass(frozen=True, eq=False)
 class AdjustedBag:
-    """What became of a bag.
+    """Result of the adjustment of a bag.
 
     Attributes:
-        summary: what the report says.
-        warnings: sentences on what could not be done.
+        summary: numbers of the report.
+        warnings: warnings on what could not be done.
         bag: the new one.
     """
 
@@ -86,7 +86,7 @@ def adjust_bag(
     Args:
         bag: folder of the recorded bag, or its .mcap file.
         out: folder; must be new or empty.
-        estimator: whose heights are compared.
+        estimator: estimator whose heights are compared.
         given: parameters of nodes that replace recorded ones.
         wanted: settings of the adjustment by name; of the mounting and the delay those that the bag's compression had.
         references: known ground.
@@ -136,7 +136,7 @@ def adjust_bag(
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """What was found in a bag: the adjustment, the mounting as described, what was left out, and what a report says."""
+    """The adjustment of a bag, the mounting as described, the losses, and numbers and warnings of the report."""
 
     adjustment: Adjustment
     mounting: Mounting

@@ -48,7 +48,7 @@ def calibrate(
         What was done, and the calibration; None if the user has interrupted.
 
     Raises:
-        UserError: the bag cannot be used, or too much of it was dropped for a calibration.
+        UserError: the bag cannot be used, or too many dwells of it were dropped for a calibration.
     """
     sensor, dwells = contents(Part().open(bag))
     unweighted = {COMPRESSION: {"range_window": "rectangular", "rows": 0, "calibration": ""}}

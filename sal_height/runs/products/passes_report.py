@@ -182,7 +182,7 @@ def passes_table(summary: dict[str, Any]) -> str:
     if summary["references"]:
         lines.append(f"{'reference east':>15}{'north':>10}{'height':>9}{'error m':>9}{'+-':>8}")
     for one in summary["references"]:
-        place = f"{one['east_m']:15.3f}{one['north_m']:10.3f}{one['height_m']:9.3f}"
-        told = f"{one['error_height_m']:9.3f}{one['sigma_m']:8.3f}" if one["found"] else f"{'not found':>17}"
-        lines.append(place + told + (" tied" if one["ties"] else ""))
+        position = f"{one['east_m']:15.3f}{one['north_m']:10.3f}{one['height_m']:9.3f}"
+        found = f"{one['error_height_m']:9.3f}{one['sigma_m']:8.3f}" if one["found"] else f"{'not found':>17}"
+        lines.append(position + found + (" tied" if one["ties"] else ""))
     return "\n".join(lines)

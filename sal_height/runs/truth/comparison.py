@@ -41,7 +41,7 @@ class PublishedErrors:
     Attributes:
         place: arc distances east and north from the map's origin and height above the sphere, m, shape (surfaces, 3).
         validity: validity of its pixel.
-        sigma: predicted standard deviation of the error, m: of height, and of place along the flight times the rise of
+        sigma: predicted standard deviation of the error, m: of height, and of along-track position times the rise of
             the true surface, because a pixel is compared with what lies at its range and Doppler.
         nearest: height minus that of the nearest true surface in the pixel, m; in a pixel without scatterers, of the
             surfaces in the eight pixels around it; NaN if these have no surface either. An extended surface stands for

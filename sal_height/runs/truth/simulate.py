@@ -114,7 +114,7 @@ def processing_of(flight: SimulatedFlight, estimators: list[str]) -> dict[str, d
     """Parameters of the nodes that follow from the size of a preset's images, its looks and its position on the earth.
 
     Args:
-        flight: whose dwells are processed.
+        flight: flight whose dwells are processed.
         estimators: the height nodes.
     """
     preset = flight.preset

@@ -108,7 +108,7 @@ def as_flown(
         field: the heights.
         aperture: aperture of the image as which they are published.
         flight: flight that was simulated.
-        dwell: whose image it is, or which block has completed it.
+        dwell: number of the dwell of the image, or of the block that completed it.
     """
     true = flight.aperture(dwell)
     stated = aperture

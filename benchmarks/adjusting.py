@@ -27,7 +27,7 @@ from sal_height.adjustment import (
     adjust,
 )
 from sal_height.adjustment.observed import pose_jacobian
-from sal_height.numeric import F64, Index
+from sal_height.numeric import F64, Index, root_mean_square
 from sal_height.simulation import Preset, flight_of, load_preset
 
 PRESET, STRIPS = "sal_passes", "sal_strips"
@@ -94,7 +94,7 @@ def brought_together() -> Iterator[Row]:
         boresights.append(found[BORESIGHT] + true)
         stated.append(np.sqrt(covariance.diagonal()[BORESIGHT]))
     about_flight, text = 1e6 * np.array(boresights)[:, 0], f"{FLIGHTS} flights of {len(flights[0].dwells)} dwells"
-    speed, height = _rms(np.concatenate(apart)), _rms(np.concatenate(off))
+    speed, height = root_mean_square(np.concatenate(apart), axis=0), root_mean_square(np.concatenate(off), axis=0)
     yield Row("heights between dwells", 1e3 * speed[1], "mm", "<= 10", text)
     yield Row("errors between dwells over what is stated", float(np.sqrt(np.mean(over))), "1", "<= 1.2", text)
     yield Row("velocity that moves images, between dwells", speed[0], "mm/s", "<= 0.5", text)
@@ -103,7 +103,7 @@ def brought_together() -> Iterator[Row]:
     sigma = 1e6 * float(np.mean(np.array(stated)[:, 0]))
     yield Row(
         "boresight about the flight",
-        float(_rms(about_flight[:, None])[0]),
+        float(root_mean_square(about_flight)),
         "urad",
         "<= 10",
         f"{text}; stated {sigma:.1f}",
@@ -139,7 +139,7 @@ def of_strips() -> Iterator[Row]:
         errors, sigmas = _between(adjustment, passes)
         apart.append(errors[:, [0, 2]])
         over.append(np.mean((errors / sigmas) ** 2, axis=0))
-    along, height = 1e3 * _rms(np.concatenate(apart))
+    along, height = 1e3 * root_mean_square(np.concatenate(apart), axis=0)
     count = preset.flight.passes.count
     text = f"{FLIGHTS_OF_STRIPS} flights of {count} strips"
     yield Row("heights between images of strips", height, "mm", "<= 10", text)
@@ -226,12 +226,16 @@ def as_they_come(flights: list[FlownPasses], settings: AdjustmentSettings) -> It
         over += [e @ np.linalg.solve(c, e) / 3 for e, c in zip(errors[late], stated[late], strict=True)]
     text = f"one by one, {WINDOW_DWELLS} held; the later half of {len(flights)} flights"
     grown = f"{text}, from dwell {UNKNOWN_DWELLS + 1} of each pass on"
-    speed, height = _rms(np.concatenate(apart))
+    speed, height = root_mean_square(np.concatenate(apart), axis=0)
     yield Row("heights between dwells as they come", 1e3 * height, "mm", "<= 10", grown)
     yield Row("velocity that moves images, as they come", speed, "mm/s", "<= 0.5", grown)
     alike = grown.replace(f"{WINDOW_DWELLS} held", f"{ALL_DWELLS} held")
     yield Row(
-        "velocity that moves images, as they come, all held", _rms(np.concatenate(of_all))[0], "mm/s", "<= 0.5", alike
+        "velocity that moves images, as they come, all held",
+        root_mean_square(np.concatenate(of_all), axis=0)[0],
+        "mm/s",
+        "<= 0.5",
+        alike,
     )
     yield Row("errors of dwells as they come over what is stated", float(np.sqrt(np.mean(over))), "1", "<= 1.2", text)
     yield Row("time for a dwell as it comes", 1e3 * float(np.median(seconds)), "ms", "<= 100", f"{text}; {load()}")
@@ -254,10 +258,6 @@ def _one_by_one(passes: FlownPasses, settings: AdjustmentSettings, held: int) ->
         errors.append(jacobian @ off.error - truth)
         stated.append(jacobian @ off.covariance @ jacobian.T)
     return np.array(errors), np.array(stated), np.array(seconds)
-
-
-def _rms(values: F64) -> F64:
-    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
 
 
 def _between(adjustment: Adjustment, passes: FlownPasses) -> tuple[F64, F64]:

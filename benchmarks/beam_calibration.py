@@ -13,7 +13,7 @@ from benchmarks.row import Row, sized
 from sal_height.beams import Beams
 from sal_height.calibration import BeamCalibration, calibrate_beams
 from sal_height.elevation import OBJECTIVES, Looks, covariance, peak_elevation
-from sal_height.numeric import C64, F64
+from sal_height.numeric import C64, root_mean_square
 from sal_height.theory.array_trials import TARGETS, TargetPixels
 
 ROWS, COLS = sized((400, 500), (40, 50))
@@ -52,18 +52,19 @@ def _from_a_scene(name: str) -> Iterator[Row]:
     )
     yield Row(
         f"{label}, rms error of the gains",
-        _rms(ratio.real) / DB,
+        float(root_mean_square(ratio.real)) / DB,
         "dB",
         "<= 0.05",
-        f"{_rms(np.log(np.abs(truth.gains))) / DB:.2f} dB wrong before; {stated} {_rms(found.gain_sigmas) / DB:.4f} dB",
+        f"{root_mean_square(np.log(np.abs(truth.gains))) / DB:.2f} dB wrong before; {stated} "
+        f"{root_mean_square(found.gain_sigmas) / DB:.4f} dB",
     )
     yield Row(
         f"{label}, rms error of the phases",
-        np.degrees(_rms(ratio.imag)),
+        float(np.degrees(root_mean_square(ratio.imag))),
         "degrees",
         "<= 0.5",
-        f"{np.degrees(_rms(np.angle(truth.gains))):.1f} degrees wrong before; {stated} "
-        f"{np.degrees(_rms(found.phase_sigmas)):.3f} degrees",
+        f"{np.degrees(root_mean_square(np.angle(truth.gains))):.1f} degrees wrong before; {stated} "
+        f"{np.degrees(root_mean_square(found.phase_sigmas)):.3f} degrees",
     )
     actual = _calibrated(beams, truth)
     before, after = (_greatest_bias(actual, used) for used in (beams, _calibrated(beams, found)))
@@ -111,7 +112,3 @@ def _greatest_bias(actual: Beams, used: Beams) -> float:
         found = peak_elevation(seen, used, OBJECTIVES["normalised"], 0.0)
         biases.append(abs(float(np.mean(found)) - elevation) / used.beamwidth)
     return max(biases)
-
-
-def _rms(values: F64) -> float:
-    return float(np.sqrt(np.mean(values**2)))

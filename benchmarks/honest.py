@@ -9,8 +9,8 @@ heights, at the geometry of preset sal_spotlight.
     python -m benchmarks.honest 'step*' 'level 20*'       some cases; --estimator monopulse: of another estimator
     python -m benchmarks.honest 'step +1.0*' --confusion  with the table of what pixels hold against what was found
 
-From other code: `compared(case_named("step +1.0"), "ml")` is a `runs.comparison.Comparison`, whose `errors` hold
-every published surface; `measured(case, "ml")` is the height image, the truth and the images themselves.
+From other code: `compared(case_named("step +1.0"), "ml")` is a `SurfaceComparison` (`runs.truth.comparison`) with the
+`errors` of every published surface; `measured(case, "ml")` is the height image, the truth and the images themselves.
 """
 
 from __future__ import annotations
@@ -32,9 +32,10 @@ from benchmarks.row import Row, sized
 from benchmarks.spread import in_processes
 from sal_height.elevation import ESTIMATORS
 from sal_height.imaging import ImageSettings, Processing
+from sal_height.numeric import error_statistics, fraction_of
 from sal_height.pipeline import heights
 from sal_height.relief import HeightField
-from sal_height.runs.truth.comparison import FOUND_ORDERS, TRUE_ORDERS, Comparison, compare
+from sal_height.runs.truth.comparison import FOUND_ORDERS, TRUE_ORDERS, SurfaceComparison, compare
 from sal_height.simulation import Scene
 from sal_height.simulation.lit_surfaces import CONNECTED, LitSurfaces, lit_surfaces
 
@@ -123,20 +124,20 @@ def case_named(pattern: str) -> Case:
     return next(case for case in CASES if fnmatchcase(case.name, pattern + "*"))
 
 
-def compared(case: Case, estimator: str = "ml", pixels: int = PIXELS, **settings: Any) -> Comparison:
+def compared(case: Case, estimator: str = "ml", pixels: int = PIXELS, **settings: Any) -> SurfaceComparison:
     """A case of so many height pixels against its truth; `settings` are those of the estimator."""
     field, truth, images = measured(case, estimator, pixels, **settings)
     return compare(field, truth, images.sensor.beamwidth)
 
 
-def all_compared(cases: Sequence[Case], estimator: str = "ml", pixels: int = PIXELS) -> Iterator[Comparison]:
+def all_compared(cases: Sequence[Case], estimator: str = "ml", pixels: int = PIXELS) -> Iterator[SurfaceComparison]:
     """Cases against their truth, in their order; those that share images in one process."""
     groups = [list(group) for _, group in groupby(cases, lambda case: case.images(pixels))]
     for group in in_processes(partial(_compared_group, estimator=estimator, pixels=pixels), groups):
         yield from group
 
 
-def _compared_group(cases: Sequence[Case], estimator: str, pixels: int) -> list[Comparison]:
+def _compared_group(cases: Sequence[Case], estimator: str, pixels: int) -> list[SurfaceComparison]:
     return [compared(case, estimator, pixels) for case in cases]
 
 
@@ -198,22 +199,22 @@ class Summary:
     right_order: float
 
     @classmethod
-    def of(cls, result: Comparison) -> Summary:
+    def of(cls, result: SurfaceComparison) -> Summary:
         """Summary of a comparison."""
         errors = result.errors.where(np.isfinite(result.errors.nearest))
-        off, own = np.abs(errors.nearest) / errors.sigma, np.abs(errors.own) / errors.sigma
+        off = error_statistics(errors.nearest, errors.sigma)
         found = result.confusion[1:, 2:6]
         return cls(
             pixels=result.pixels,
-            valid=_share(result.valid, result.pixels),
+            valid=fraction_of(result.valid, result.pixels),
             published=len(result.errors.sigma),
-            within_1=_mean(off < 1),
-            within_2=_mean(off < 2),
-            beyond_5=_mean(off > 5),
-            own_beyond_5=_mean(~(own <= 5)),
-            missed=_share(result.missed, result.surfaces),
-            ghosts=_share(result.ghosts, result.shadow),
-            right_order=_share(int(np.trace(found)), int(found.sum())),
+            within_1=off.within_1_sigma,
+            within_2=off.within_2_sigma,
+            beyond_5=off.beyond_5_sigma,
+            own_beyond_5=errors.own_beyond_5_sigma,
+            missed=fraction_of(result.missed, result.surfaces),
+            ghosts=fraction_of(result.ghosts, result.shadow),
+            right_order=fraction_of(int(np.trace(found)), int(found.sum())),
         )
 
     def as_line(self) -> str:
@@ -226,14 +227,6 @@ class Summary:
 
 
 HEADING = "pixels  valid  publ.     c1     c2      o5  own o5 missed ghosts  order"
-
-
-def _mean(chosen: np.ndarray) -> float:
-    return float(np.mean(chosen)) if chosen.size else np.nan
-
-
-def _share(part: int, whole: int) -> float:
-    return part / whole if whole else np.nan
 
 
 def coverage() -> Iterator[Row]:
@@ -278,7 +271,7 @@ def table(
     return 0 if chosen else 2
 
 
-def confusion_table(result: Comparison) -> str:
+def confusion_table(result: SurfaceComparison) -> str:
     """Lit pixels inside the array and pixels in shadow: what they hold (rows) against what was found (columns)."""
     lines = [" " * 18 + "".join(f"{name:>13}" for name in FOUND_ORDERS)]
     for name, counts in zip(TRUE_ORDERS, result.confusion, strict=True):

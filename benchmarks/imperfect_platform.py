@@ -32,7 +32,7 @@ from sal_height.elevation import ESTIMATORS
 from sal_height.errors import Rejected
 from sal_height.imaging import ImageSettings, Slc, image_beams
 from sal_height.pipeline import Compressor, heights
-from sal_height.runs.truth.comparison import Comparison, compare, joined_comparisons
+from sal_height.runs.truth.comparison import SurfaceComparison, compare, joined_comparisons
 from sal_height.runs.truth.surface_report import as_flown, true_surfaces
 from sal_height.simulation import Preset, Scene, SimulatedFlight, flight_of, load_preset
 from sal_height.simulation.impairments import Impairments, PointingJitter
@@ -226,7 +226,7 @@ class Flown:
 
     dwells: int
     refused: Counter[str]
-    comparison: Comparison | None
+    comparison: SurfaceComparison | None
 
     @property
     def summary(self) -> Summary | None:
@@ -262,7 +262,7 @@ def flown(seed: int, preset: Preset, autofocus: str, scene: Callable[[int], Scen
     return Flown(len(numbers), refused, joined_comparisons(found) if found else None)
 
 
-def _compared(slc: Slc, flight: SimulatedFlight, dwell: int, settings: ImageSettings) -> Comparison:
+def _compared(slc: Slc, flight: SimulatedFlight, dwell: int, settings: ImageSettings) -> SurfaceComparison:
     """Heights of an image beside the truth."""
     preset, sensor = flight.preset, flight.sensor
     estimator = ESTIMATORS[next(iter(preset.estimators), "ml")]

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.fft
 
 from benchmarks.row import Row, medians, sized
-from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Target, make_tape
+from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, TapeTarget, make_tape
 from sal_height.numeric import C64, WORKERS
 from sal_height.response import (
     PointSpread,
@@ -24,13 +24,13 @@ from sal_height.response import (
 
 SIDE = sized(2048, 512)
 PLACES = [(row * SIDE / 2048, col * SIDE / 2048) for row in (300, 1600) for col in (500, 1300)]
-TARGETS = tuple(Target(row + 0.3, col + 0.6, 40.0) for row, col in PLACES)
+TARGETS = tuple(TapeTarget(row + 0.3, col + 0.6, 40.0) for row, col in PLACES)
 
 
 def target_route() -> Iterator[Row]:
     """Survey, transfer function and point-spread function of an image, with few targets and with many candidates."""
     rng = np.random.default_rng(1)
-    crowd = tuple(Target(row, col, over) for row, col, over in rng.uniform((0, 0, 25), (SIDE, SIDE, 45), (300, 3)))
+    crowd = tuple(TapeTarget(row, col, over) for row, col, over in rng.uniform((0, 0, 25), (SIDE, SIDE, 45), (300, 3)))
     for name, targets in (("4 targets", TARGETS), ("300 targets", crowd)):
         image = make_tape((SIDE, SIDE), rng, targets, RangeFault(), AzimuthFault())
         calibration, pair = medians(partial(_calibrate, image), partial(_there_and_back, image))

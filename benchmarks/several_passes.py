@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from benchmarks.row import Row, load, medians, sized
 from sal_height.elevation import ESTIMATORS, conditional_crb
-from sal_height.numeric import F64
+from sal_height.numeric import F64, error_statistics, mean_of, root_mean_square
 from sal_height.passes import (
     GOTCHA_ELEVATIONS,
     OF_POINTS,
@@ -152,9 +152,9 @@ def pairs_in_a_cell() -> Iterator[Row]:
     sigmas = np.concatenate([one.result.found.points.total_sigma for one in scenes])
     single = (REFLECTORS - PAIRS) * PAIR_SCENES
     source = f"{len(errors)} heights; {single} reflectors alone and {PAIRS * PAIR_SCENES} pairs, {PAIR_CNR_DB:g} dB"
-    good = np.abs(errors) <= 5 * sigmas
+    wrong = mean_of(~(np.abs(errors) <= 5 * sigmas))  # those without a reflector in reach, too
     yield Row("passes: beside pairs, heights", len(errors) / single, "1", ">= 0.8", source)
-    yield Row("passes: beside pairs, wrong heights", float(np.mean(~good)), "1", "<= 0.01", source)
+    yield Row("passes: beside pairs, wrong heights", wrong, "1", "<= 0.01", source)
 
 
 def coverage() -> Iterator[Row]:
@@ -171,25 +171,25 @@ def single_points() -> Iterator[Row]:
     errors = np.concatenate([one.errors for one in scenes])
     sigmas = np.concatenate([one.result.found.points.total_sigma for one in scenes])
     known = np.isfinite(errors)
-    ratios = np.abs(errors[known] / sigmas[known])
+    found = error_statistics(errors[known], sigmas[known])
     total = SCENES * REFLECTORS
     source = f"{known.sum()} points of {total} reflectors in {SCENES} scenes, eight passes as of Gotcha, {CNR_DB:g} dB"
-    error = np.sqrt(0.68 * 0.32 / len(ratios))
+    error = np.sqrt(0.68 * 0.32 / found.count)
     yield Row(
         "passes: c1, share within sigma",
-        float(np.mean(ratios < 1)),
+        found.within_1_sigma,
         "1",
         ">= 0.6",
         f"{source}; standard error {error:.2f}",
-        {"c2": float(np.mean(ratios < 2)), "rms_m": float(np.sqrt(np.mean(errors[known] ** 2)))},
+        {"c2": found.within_2_sigma, "rms_m": found.rms},
     )
-    yield Row("passes: o5, share beyond five sigma", float(np.mean(ratios > 5)), "1", "<= 0.01", source)
+    yield Row("passes: o5, share beyond five sigma", found.beyond_5_sigma, "1", "<= 0.01", source)
     yield Row("passes: heights where nothing is", float(np.mean(~known)), "1", "<= 0.01", source)
     yield Row("passes: reflectors with a height", known.sum() / total, "1", ">= 0.9", source)
     clean = np.concatenate([one.over_bound for one in scenes[::2]])
     yield Row(
         "passes: error across over the Cramer-Rao bound",
-        float(np.sqrt(np.mean(clean**2))),
+        float(root_mean_square(clean)),
         "1",
         "<= 1.15",
         f"{len(clean)} points of equal amplitude in all passes, CNR over the measured background; standard error "
@@ -203,5 +203,5 @@ if __name__ == "__main__":
         ratio = one.errors / one.result.found.points.total_sigma
         print(  # noqa: T201
             f"scene {number}: {len(one.errors)} points, rms {np.sqrt(np.nanmean(one.errors**2)):.4f} m, "
-            f"over sigma {np.sqrt(np.nanmean(ratio**2)):.2f}, over bound {np.sqrt(np.mean(one.over_bound**2)):.2f}"
+            f"over sigma {np.sqrt(np.nanmean(ratio**2)):.2f}, over bound {root_mean_square(one.over_bound):.2f}"
         )

@@ -11,7 +11,7 @@ from benchmarks.row import Row, sized
 from benchmarks.spread import in_processes
 from sal_height.figures.psf_speckle import noise_weights
 from sal_height.figures.psf_theory import chip_transform
-from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Saturation, Target, make_tape
+from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Saturation, TapeTarget, make_tape
 from sal_height.numeric import F64, frequencies
 from sal_height.response import estimate_speckle_spectra, find_pure_speckle, superposition
 from sal_height.simulation import RangeSawtooth
@@ -85,7 +85,7 @@ def _p_values(
     """P-values of a new tape with 8 targets of 40 dB beside 960 columns of speckle, by the length of chips."""
     rng = np.random.default_rng(seed)
     cols = [SPECKLE_COLS + 96 + 64 * number for number in range(8)]
-    targets = tuple(Target(ROWS // 2, col, 40.0) for col in cols)
+    targets = tuple(TapeTarget(ROWS // 2, col, 40.0) for col in cols)
     limiter = Saturation(level) if level else None
     shape = ROWS, SPECKLE_COLS + 576
     tape = make_tape(shape, rng, targets, fault, AzimuthFault(), noise, 0.0, limiter, weights)

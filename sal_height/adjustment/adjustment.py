@@ -23,7 +23,7 @@ from sal_height.adjustment.comparing import (
     FINE_POINTS,
     ROUGH_POINTS,
     STRIP_POINTS,
-    Chain,
+    DwellChain,
     compared,
     joined,
     sighted,
@@ -208,10 +208,10 @@ def _all_compared(
     single: bool = False,
 ) -> list[Comparison]:
     """Compare each chain, or each of its dwells by itself, with chains that were flown before."""
-    chains = [Chain.of(dwells, network, known) for dwells in numbers]
+    chains = [DwellChain.of(dwells, network, known) for dwells in numbers]
     in_threads(attrgetter("points.surface"), [chain for chain in chains if chain.points.place.size])  # kept for later
     found: list[Comparison] = []
     for number, chain in enumerate(chains):
-        parts = [Chain.of(range(n, n + 1), network, known) for n in chain.shifts] if single else []
+        parts = [DwellChain.of(range(n, n + 1), network, known) for n in chain.shifts] if single else []
         found += compared(chain, chains[:number], network, known, references, most_points, parts)
     return found

@@ -49,7 +49,7 @@ compared one by one: they do not tell where they are."""
 
 
 @dataclass(frozen=True, eq=False)
-class Chain:
+class DwellChain:
     """Dwells that follow each other, joined.
 
     Attributes:
@@ -75,7 +75,7 @@ class Chain:
         return Rarity.of(self.points)
 
     @classmethod
-    def of(cls, dwells: range, network: Network, known: Solution) -> Chain:
+    def of(cls, dwells: range, network: Network, known: Solution) -> DwellChain:
         """Dwells of a network by their numbers, each without the shift that is known."""
         shifts = {number: known.at(network.displacements[number]) for number in dwells}
         points = Points.joined([network.dwells[n].points.connected.moved(shift) for n, shift in shifts.items()])
@@ -102,13 +102,13 @@ def continues(first: ObservedDwell, count: int, dwell: ObservedDwell, settings: 
 
 
 def compared(
-    chain: Chain,
-    earlier: Sequence[Chain],
+    chain: DwellChain,
+    earlier: Sequence[DwellChain],
     network: Network,
     known: Solution,
     references: References,
     most_points: int,
-    parts: Sequence[Chain] = (),
+    parts: Sequence[DwellChain] = (),
 ) -> Iterator[Comparison]:
     """Compare a chain with chains that were flown before, and with the terrain.
 
@@ -170,10 +170,10 @@ class _Met:
     shifts: Mapping[int, F64]
     since: F64
     covariance: F64
-    chain: Chain | None = None
+    chain: DwellChain | None = None
 
     @classmethod
-    def of(cls, chain: Chain, network: Network, known: Solution, covariance: F64) -> _Met:
+    def of(cls, chain: DwellChain, network: Network, known: Solution, covariance: F64) -> _Met:
         now = known.at(network.displacements[chain.middle])
         since = now - chain.shifts[chain.middle]
         return cls(chain.points.surface, len(chain.points.place), chain.shifts, since, covariance, chain)
@@ -186,13 +186,13 @@ class _Met:
         """Whether the points are known to be beside it well enough to tell how high they are."""
         return float(np.linalg.eigvalsh(self.covariance[:2, :2])[-1]) <= (PLACED_SPACINGS * spacing) ** 2
 
-    def is_recognised(self, found: Match, part: Chain) -> bool:
+    def is_recognised(self, found: Match, part: DwellChain) -> bool:
         """Whether the images overlap wherever they may lie, or are seen to show the same ground."""
         if self.chain is None or found.everywhere >= SURELY_MET:
             return True
         return evidence(part.points.moved(-self.since), part.rarity, self.chain.points, found.shift) >= SURE
 
-    def is_clear(self, found: Match, part: Chain) -> bool:
+    def is_clear(self, found: Match, part: DwellChain) -> bool:
         """Whether enough of a strip meets it, not farther off than may be."""
         count = len(part.points.place)
         variance = self.covariance + np.linalg.inv(found.information)
@@ -203,7 +203,7 @@ class _Met:
 
 
 def _all_met(
-    chain: Chain, earlier: Sequence[Chain], network: Network, known: Solution, references: References
+    chain: DwellChain, earlier: Sequence[DwellChain], network: Network, known: Solution, references: References
 ) -> list[_Met]:
     """Known ground about a chain, and earlier chains that may have seen the same ground."""
     before = [other for other in earlier if not _goes_on(other, chain, network)]
@@ -218,7 +218,7 @@ def _all_met(
     return met
 
 
-def _told(found: Match, part: Chain, other: _Met, network: Network, share: float) -> Comparison:
+def _told(found: Match, part: DwellChain, other: _Met, network: Network, share: float) -> Comparison:
     """What a match tells, with a share of its information."""
     one, two = found.dwells
     taken_out = _mean(one, part.shifts) - _mean(two, other.shifts) - other.since
@@ -268,13 +268,13 @@ def _reach(covariance: F64, spacing: float, settings: AdjustmentSettings) -> F64
     return np.minimum(farthest, settings.reach_spacings * spacing)
 
 
-def _goes_on(other: Chain, chain: Chain, network: Network) -> bool:
+def _goes_on(other: DwellChain, chain: DwellChain, network: Network) -> bool:
     """Whether images of a strip go on with those of another chain, beside whose ground they show other ground."""
     last, first = (network.dwells[choose(one.shifts)] for one, choose in ((other, max), (chain, min)))
     return first.aperture.sliding and first.seconds - last.seconds <= network.settings.strip_s
 
 
-def _near(chain: Chain, earlier: Sequence[Chain], settings: AdjustmentSettings) -> list[Chain]:
+def _near(chain: DwellChain, earlier: Sequence[DwellChain], settings: AdjustmentSettings) -> list[DwellChain]:
     """The latest of earlier chains that may have seen the same ground."""
     reach = settings.reach_spacings * chain.points.spacing
     near = [

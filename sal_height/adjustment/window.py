@@ -19,7 +19,7 @@ from sal_height.adjustment.adjustment import Adjustment
 from sal_height.adjustment.comparing import (
     FINE_POINTS,
     ROUGH_POINTS,
-    Chain,
+    DwellChain,
     compared,
     continues,
     sighted,
@@ -74,7 +74,7 @@ class Window:
         """
         self._network = Network(mounting, settings, ground_sigma=references.ground_sigma)
         self._references, self._most_dwells, self._most_points = references, most_dwells, most_points
-        self._over: list[Chain] = []
+        self._over: list[DwellChain] = []
         self._growing = range(0)
         # Comparisons of chains that are over, and of the one that grows; of how many of its images all were compared.
         self._compared: list[Comparison] = []
@@ -134,8 +134,8 @@ class Window:
     def _compare(self, known: Solution, most_points: int, alone: Sequence[int] = ()) -> list[Comparison]:
         """Compare the chain that grows with those that are over, or some of its dwells by themselves."""
         network = self._network
-        chain = Chain.of(self._growing, network, known)
-        parts = [Chain.of(range(number, number + 1), network, known) for number in alone]
+        chain = DwellChain.of(self._growing, network, known)
+        parts = [DwellChain.of(range(number, number + 1), network, known) for number in alone]
         return list(compared(chain, self._over, network, known, self._references, most_points, parts))
 
     @property
@@ -173,7 +173,7 @@ class Window:
             return
         if continues(network.dwells[growing.start], len(growing), dwell, network.settings):
             return
-        self._over.append(Chain.of(growing, network, self._solution))
+        self._over.append(DwellChain.of(growing, network, self._solution))
         self._compared += self._of_growing
         self._growing, self._of_growing, self._grown = range(0), [], 0
         while len(self._over) > 1 and (self.dwells >= self._most_dwells or self.points >= self._most_points):

@@ -46,7 +46,7 @@ class Key(NamedTuple):
 
 
 @dataclass
-class Comparison:
+class TopicComparison:
     """What one topic of a bag has in common with that of the golden one.
 
     Attributes:
@@ -118,7 +118,7 @@ def compare_bags(
     topics: Collection[str] | None = None,
     counts: Callable[[Any], bool] | None = None,
     counts_too: Callable[[Any], bool] | None = None,
-) -> dict[str, Comparison]:
+) -> dict[str, TopicComparison]:
     """Match the messages of two bags by topic and dwell, and compare their fields.
 
     Provenance and the order of processing are not compared.
@@ -139,7 +139,7 @@ def compare_bags(
     """
     bags = golden, other
     numbers = [_numbers(bag, topics) for bag in bags]
-    found = {topic: Comparison() for topic in dict.fromkeys([*numbers[0], *numbers[1]])}
+    found = {topic: TopicComparison() for topic in dict.fromkeys([*numbers[0], *numbers[1]])}
     read = found.keys() if counts or counts_too else numbers[0].keys() & numbers[1].keys()
     for topic in found.keys() - read:
         found[topic].missing, found[topic].extra = (side.get(topic, 0) for side in numbers)
@@ -187,7 +187,7 @@ def _messages(
         yield key._replace(repetition=number) if numbered else key._replace(dwell=number), message
 
 
-def _compare(golden: Any, made: Any, tolerances: Tolerances, dwell: int, result: Comparison) -> None:
+def _compare(golden: Any, made: Any, tolerances: Tolerances, dwell: int, result: TopicComparison) -> None:
     """Add what a message has in common with its golden counterpart."""
     ours, theirs = fields_of(golden, NOT_COMPARED), fields_of(made, NOT_COMPARED)
     for side, fields in zip(result.digests, (ours, theirs), strict=True):

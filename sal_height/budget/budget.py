@@ -1,4 +1,4 @@
-"""What a sensor needs and gives, from its preset alone: power, resolution, swath, pulses, data and accuracy."""
+"""Needs and performance of a sensor from its preset alone: power, resolution, swath, pulses, data and accuracy."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from scipy.constants import speed_of_light
 
-from sal_height.budget.budget_entry import Entry
+from sal_height.budget.budget_entry import BudgetEntry
 from sal_height.budget.budget_errors import Situation, describe_autofocus, error_entries, image_settings
 from sal_height.budget.budget_picture import draw_budget
 from sal_height.elevation import stochastic_crb
@@ -29,13 +29,13 @@ BUDGET, PICTURE = "budget.json", "budget.png"
 """Files in the output folder."""
 
 ALBEDO, BACKSCATTER_DB = 0.3, -10.0
-"""What is assumed of the ground: in light a diffuse surface, for radio waves a radar cross-section per area."""
+"""Assumptions on the ground: in light a diffuse surface, for radio waves a radar cross-section per area."""
 
 DEFOCUSING_RAD = np.pi / 4
 """Phase at the ends of the aperture that widens a response noticeably."""
 
 PAIRED_ECHO_DB = -20.0
-"""Of the echoes that a vibration puts beside each target."""
+"""Power of the paired echoes that a vibration makes on both sides of each target."""
 
 SENSITIVITY = "sensitivity to uncorrected errors"
 """Heading of what an error of a unit does, whether the preset has it or not."""
@@ -46,13 +46,13 @@ PLACES = 201
 
 @dataclass(frozen=True)
 class Assumptions:
-    """What a preset does not say.
+    """Assumptions on what a preset does not state.
 
     Attributes:
         power: mean power that is transmitted, W; None: the one for the CNR of the preset.
         backscatter: radar cross-section per area of ground, a ratio; None: the usual one (ALBEDO, BACKSCATTER_DB).
-        loss: of power in transmitter, air and receiver together, 1 or more.
-        noise_figure: of the receivers, 1 or more.
+        loss: power ratio lost in transmitter, air and receiver together, 1 or more.
+        noise_figure: noise figure of the receivers, 1 or more.
     """
 
     power: float | None = None
@@ -65,17 +65,17 @@ class Budget:
     """A preset's sensor over level ground, abeam, in the middle of its beams.
 
     Attributes:
-        preset: as given.
-        sensor: of the preset.
-        assumed: what the preset does not say.
+        preset: preset of the flight.
+        sensor: sensor of the preset.
+        assumed: assumptions on what the preset does not state.
         backscatter: radar cross-section per area of ground, as assumed or the usual one.
-        link: from transmitter to receiver.
+        link: power budget from transmitter to receiver.
         cnr: carrier-to-noise ratio of a look of a detector that looks straight at the ground.
         power: mean power that is transmitted, W.
     """
 
     def __init__(self, preset: Preset, assumed: Assumptions) -> None:
-        """Take the sensor apart.
+        """Derive the numbers of the sensor.
 
         Raises:
             UserError: beams that leave the quarter between nadir and horizon, or a parameter that is not allowed.
@@ -96,8 +96,8 @@ class Budget:
         """Least standard deviation (m) of a height by noise, of a pixel with the looks of the preset.
 
         Args:
-            cnr: of a look.
-            elevation: of the target, rad; None: the middle of the beams.
+            cnr: clutter-to-noise ratio of a look.
+            elevation: elevation of the target, rad; None: the middle of the beams.
         """
         beams = image_beams(self.sensor, "taylor")
         middle = float(np.mean(beams.span))
@@ -111,7 +111,7 @@ class Budget:
         elevation = np.linspace(first, last, PLACES)
         return elevation - middle, self.height_deviation(self.cnr, elevation)
 
-    def entries(self) -> list[Entry]:
+    def entries(self) -> list[BudgetEntry]:
         """All numbers, in the order in which they are printed."""
         return [
             *self._place(),
@@ -125,14 +125,14 @@ class Budget:
         ]
 
     def refusals(self) -> list[str]:
-        """Sentences with which a run refuses the preset, each once."""
+        """Messages with which a run refuses the preset, each once."""
         found = list(describe_beam_misfits(self.preset, self.sensor))
         if self.preset.impairments.air and isinstance(self._path, str):
             found.append(self._path)
         return found
 
     def notes(self) -> list[str]:
-        """Sentences on what numbers do not say."""
+        """Notes on what the numbers leave out."""
         found = [describe_autofocus(self._situation)]
         if isinstance(self._path, str):
             found.append(f"The table has nothing on air: {self._path[0].lower()}{self._path[1:]}")
@@ -140,7 +140,7 @@ class Budget:
 
     @cached_property
     def _situation(self) -> Situation:
-        """What the effects of the preset's errors depend on."""
+        """Situation that the effects of the preset's errors depend on."""
         return Situation(self.preset, self.sensor, self._settings, self._aperture, self._aperture_time, self._climb)
 
     @cached_property
@@ -192,29 +192,29 @@ class Budget:
         """Width that the beams light up across the line of sight, m."""
         return _elevation_width(self.sensor) * self.preset.flight.slant_range_m
 
-    def _place(self) -> Iterator[Entry]:
+    def _place(self) -> Iterator[BudgetEntry]:
         flight, sensor = self.preset.flight, self.sensor
         look = flight.look_angle_rad
         ground = self._lit_across / np.cos(look)
         window = spectrum_sensor(sensor).range_window / np.sin(look)
-        beside = sensor.azimuth_beamwidth * flight.slant_range_m
+        along = sensor.azimuth_beamwidth * flight.slant_range_m
         group = "place"
-        yield Entry(group, "slant_range_m", "slant range", flight.slant_range_m, "m")
-        yield Entry(group, "height_m", "height over the ground", flight.slant_range_m * np.cos(look), "m")
-        yield Entry(group, "swath_m", "swath of all beams, on the ground", ground, "m")
-        yield Entry(group, "window_m", "range window, on the ground", window, "m")
+        yield BudgetEntry(group, "slant_range_m", "slant range", flight.slant_range_m, "m")
+        yield BudgetEntry(group, "height_m", "height over the ground", flight.slant_range_m * np.cos(look), "m")
+        yield BudgetEntry(group, "swath_m", "swath of all beams, on the ground", ground, "m")
+        yield BudgetEntry(group, "window_m", "range window, on the ground", window, "m")
         across = sensor.beamwidth * flight.slant_range_m
-        yield Entry(group, "beam_across_m", "width of a beam across the line of sight", across, "m")
-        yield Entry(group, "beam_along_m", "width of a beam along the flight", beside, "m")
+        yield BudgetEntry(group, "beam_across_m", "width of a beam across the line of sight", across, "m")
+        yield BudgetEntry(group, "beam_along_m", "width of a beam along the flight", along, "m")
 
-    def _resolution(self) -> Iterator[Entry]:
+    def _resolution(self) -> Iterator[BudgetEntry]:
         slant, ground, along = self._cells
-        yield Entry("resolution", "range_cell_m", "slant range", slant, "m")
-        yield Entry("resolution", "ground_cell_m", "range on the ground", ground, "m")
-        yield Entry("resolution", "along_cell_m", "along the flight", along, "m")
-        yield Entry("resolution", "aperture_ms", "time of an aperture", 1e3 * self._aperture_time, "ms")
+        yield BudgetEntry("resolution", "range_cell_m", "slant range", slant, "m")
+        yield BudgetEntry("resolution", "ground_cell_m", "range on the ground", ground, "m")
+        yield BudgetEntry("resolution", "along_cell_m", "along the flight", along, "m")
+        yield BudgetEntry("resolution", "aperture_ms", "time of an aperture", 1e3 * self._aperture_time, "ms")
 
-    def _pulses(self) -> Iterator[Entry]:
+    def _pulses(self) -> Iterator[BudgetEntry]:
         sensor, flight, group = self.sensor, self.preset.flight, "pulses"
         rate = sensor.pulse_repetition_frequency
         least = lit_doppler(sensor, flight.speed_mps)
@@ -222,24 +222,24 @@ class Budget:
         lowest_title = "lowest PRF that samples the Doppler of the main lobes"
         highest_title = "highest PRF without range ambiguity in the swath"
         aliases = "" if samples_doppler(self.preset, sensor) else "too low"
-        yield Entry(group, "prf_hz", "pulse repetition frequency (PRF)", rate, "Hz", aliases)
-        yield Entry(group, "least_prf_hz", lowest_title, least, "Hz")
-        yield Entry(group, "greatest_prf_hz", highest_title, greatest, "Hz")
+        yield BudgetEntry(group, "prf_hz", "pulse repetition frequency (PRF)", rate, "Hz", aliases)
+        yield BudgetEntry(group, "least_prf_hz", lowest_title, least, "Hz")
+        yield BudgetEntry(group, "greatest_prf_hz", highest_title, greatest, "Hz")
         on_the_way = 2 * flight.slant_range_m * rate / speed_of_light
-        yield Entry(group, "pulses_on_the_way", "pulses in flight", on_the_way, "")
+        yield BudgetEntry(group, "pulses_on_the_way", "pulses on the way at once", on_the_way, "")
         fastest = sensor.wavelength * rate / 4
-        yield Entry(group, "radial_velocity_mps", "radial velocity without ambiguity, up to", fastest, "m/s")
+        yield BudgetEntry(group, "radial_velocity_mps", "radial velocity without ambiguity, up to", fastest, "m/s")
 
-    def _data(self) -> Iterator[Entry]:
+    def _data(self) -> Iterator[BudgetEntry]:
         sensor, preset = self.sensor, self.preset
         while_received = sensor.dwell_bytes * sensor.pulse_repetition_frequency / sensor.pulse_count
         per_second = preset.flight.speed_mps / preset.dwell_spacing_m
-        yield Entry("data", "dwell_mb", "of a dwell", sensor.dwell_bytes / 1e6, "MB")
-        yield Entry("data", "dwells_per_s", "dwells", per_second, "1/s")
-        yield Entry("data", "mean_mb_per_s", "in the mean", sensor.dwell_bytes * per_second / 1e6, "MB/s")
-        yield Entry("data", "burst_mb_per_s", "during a dwell", while_received / 1e6, "MB/s")
+        yield BudgetEntry("data", "dwell_mb", "of a dwell", sensor.dwell_bytes / 1e6, "MB")
+        yield BudgetEntry("data", "dwells_per_s", "dwells", per_second, "1/s")
+        yield BudgetEntry("data", "mean_mb_per_s", "in the mean", sensor.dwell_bytes * per_second / 1e6, "MB/s")
+        yield BudgetEntry("data", "burst_mb_per_s", "while pulses come", while_received / 1e6, "MB/s")
 
-    def _accuracy(self) -> Iterator[Entry]:
+    def _accuracy(self) -> Iterator[BudgetEntry]:
         group = "power and accuracy"
         decibels = {
             "backscatter_db": ("backscatter of the ground (sigma0)", self.backscatter),
@@ -248,38 +248,38 @@ class Budget:
             "cnr_db": ("single-look CNR at beam centre", self.cnr),
         }
         for key, (title, ratio) in decibels.items():
-            yield Entry(group, key, title, 10 * np.log10(ratio), "dB")
-        yield Entry(group, "power_w", "mean power transmitted", self.power, "W")
+            yield BudgetEntry(group, key, title, 10 * np.log10(ratio), "dB")
+        yield BudgetEntry(group, "power_w", "mean power transmitted", self.power, "W")
         deviation = float(self.height_deviation(self.cnr))
-        yield Entry(group, "height_sigma_m", "sigma of a height by noise, at least", deviation, "m")
+        yield BudgetEntry(group, "height_sigma_m", "sigma of a height by noise, at least", deviation, "m")
 
-    def _sensitivities(self) -> Iterator[Entry]:
+    def _sensitivities(self) -> Iterator[BudgetEntry]:
         flight, sensor, group = self.preset.flight, self.sensor, SENSITIVITY
         time, wavelength = self._aperture_time, sensor.wavelength
         arm = flight.slant_range_m * np.sin(flight.look_angle_rad)
         shift = flight.slant_range_m / flight.speed_mps
         acceleration = DEFOCUSING_RAD * wavelength / (2 * np.pi) / (time / 2) ** 2
         vibration = 2 * 10 ** (PAIRED_ECHO_DB / 20) * wavelength / (4 * np.pi)
-        yield Entry(group, "roll_m_per_urad", "roll: height, for a microradian", 1e-6 * arm, "m")
-        yield Entry(
+        yield BudgetEntry(group, "roll_m_per_urad", "roll: height, for a microradian", 1e-6 * arm, "m")
+        yield BudgetEntry(
             group, "range_m_per_m", "range: height, for a metre too far", -np.cos(flight.look_angle_rad).item(), "m"
         )
-        yield Entry(
-            group, "velocity_m_per_mm_per_s", "azimuth shift per mm/s of line-of-sight velocity", 1e-3 * shift, "m"
+        yield BudgetEntry(
+            group, "velocity_m_per_mm_per_s", "velocity along the sight: place, for a mm/s", 1e-3 * shift, "m"
         )
-        yield Entry(
-            group, "clock_m_per_ms", "azimuth shift per ms of odometry clock offset", 1e-3 * flight.speed_mps, "m"
+        yield BudgetEntry(
+            group, "clock_m_per_ms", "clock of the odometry: place, for a ms", 1e-3 * flight.speed_mps, "m"
         )
-        yield Entry(
-            group, "acceleration_mps2", "line-of-sight acceleration that defocuses (pi/4)", acceleration, "m/s²"
+        yield BudgetEntry(
+            group, "acceleration_mps2", "acceleration along the sight that defocuses (pi/4)", acceleration, "m/s²"
         )
-        yield Entry(group, "vibration_um", "vibration with echoes of -20 dB, amplitude", 1e6 * vibration, "µm")
+        yield BudgetEntry(group, "vibration_um", "vibration with echoes of -20 dB, amplitude", 1e6 * vibration, "µm")
 
     @cached_property
     def _ground_above_sea(self) -> float:
         """Height of the map's origin above sea level, m, as the preset says it.
 
-        The height of an origin above the ellipsoid, which differs by up to 100 m, is taken where nothing else is said.
+        The height of an origin above the ellipsoid, which differs by up to 100 m, is used where nothing else is stated.
         """
         if self.preset.impairments.air:
             return self.preset.impairments.air.map_height_m
@@ -288,7 +288,7 @@ class Budget:
 
     @cached_property
     def _path(self) -> AirPath | str:
-        """What the air of the preset, or else the standard atmosphere, does; or a sentence on why it is not known."""
+        """Effect of the air of the preset, or else of the standard atmosphere; or a message on why it is not known."""
         flight, ground, wavelength = self.preset.flight, self._ground_above_sea, self.sensor.wavelength
         above = flight.slant_range_m * np.cos(flight.look_angle_rad)
         try:
@@ -298,19 +298,19 @@ class Budget:
         except UserError as error:
             return str(error)
 
-    def _air(self) -> Iterator[Entry]:
-        """What the air does; nothing where it is not known."""
+    def _air(self) -> Iterator[BudgetEntry]:
+        """Entries on the air; empty where its effect is not known."""
         flight, path = self.preset.flight, self._path
         if isinstance(path, str):
             return
         group = ("air of this preset" if self.preset.impairments.air else "standard atmosphere") + ", uncorrected"
         look = flight.look_angle_rad
         by_range, by_bend = -np.cos(look) * path.delay, flight.slant_range_m * np.sin(look) * path.bend
-        yield Entry(group, "air_map_height_m", "ground above sea level", self._ground_above_sea, "m")
-        yield Entry(group, "air_range_m", "slant range, too long by", path.delay, "m")
-        yield Entry(group, "air_bend_urad", "elevation, too far from nadir by", 1e6 * path.bend, "µrad")
-        yield Entry(group, "air_height_by_range_m", "height, by range", by_range, "m")
-        yield Entry(group, "air_height_by_bend_m", "height, by elevation", by_bend, "m")
+        yield BudgetEntry(group, "air_map_height_m", "ground above sea level", self._ground_above_sea, "m")
+        yield BudgetEntry(group, "air_range_m", "slant range, too long by", path.delay, "m")
+        yield BudgetEntry(group, "air_bend_urad", "elevation, too far from nadir by", 1e6 * path.bend, "µrad")
+        yield BudgetEntry(group, "air_height_by_range_m", "height, by range", by_range, "m")
+        yield BudgetEntry(group, "air_height_by_bend_m", "height, by elevation", by_bend, "m")
 
 
 def _elevation_width(sensor: Sensor) -> float:
@@ -330,11 +330,11 @@ class DrawnUp:
 
     Attributes:
         entries: its numbers.
-        notes: sentences on what these do not say.
-        refusals: sentences with which a run refuses the preset.
+        notes: notes on what these leave out.
+        refusals: messages with which a run refuses the preset.
     """
 
-    entries: list[Entry]
+    entries: list[BudgetEntry]
     notes: list[str]
     refusals: list[str]
 

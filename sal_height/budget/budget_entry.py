@@ -12,15 +12,15 @@ from sal_height.tables import aligned
 
 
 @dataclass(frozen=True)
-class Entry:
+class BudgetEntry:
     """A number of the budget.
 
     Attributes:
         group: heading.
-        key: in the JSON file, with its unit.
-        title: what it is, in words.
-        value: in `unit`.
-        unit: as printed.
+        key: name in the JSON file, with its unit.
+        title: name in words.
+        value: number in `unit`.
+        unit: unit as printed.
         remark: printed behind it; empty: none.
     """
 
@@ -32,7 +32,7 @@ class Entry:
     remark: str = ""
 
 
-def budget_table(entries: Sequence[Entry]) -> str:
+def budget_table(entries: Sequence[BudgetEntry]) -> str:
     """The numbers as lines of text, under their headings."""
     cells = [(f"  {one.title}", _number(one.value), f"{one.unit.ljust(4)} {one.remark}".rstrip()) for one in entries]
     width = max(len(unit) for *_, unit in cells)

@@ -1,4 +1,4 @@
-"""What the errors that a preset has do to places and heights, one by one, where nobody corrects them.
+"""Effects of the errors of a preset on positions and heights, one by one, if nothing corrects them.
 
 Each function is of one impairment, and gives nothing where the preset has none. Errors that are constant are given by
 their size, random ones by their standard deviation.
@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import jv
 
 from sal_height.beams import Beams
-from sal_height.budget.budget_entry import Entry
+from sal_height.budget.budget_entry import BudgetEntry
 from sal_height.elevation import information
 from sal_height.geometry import ApertureState
 from sal_height.imaging import (
@@ -37,17 +37,17 @@ JITTER_NODES = 2001
 """Frequencies of the integral over the spectrum of a pointing jitter."""
 
 QUARTIC_REST = np.sqrt((4 / 7) ** 2 / 5 + (8 / 35) ** 2 / 9)
-"""Rms of x^4 over -1 < x < 1 beside its mean, by Legendre's polynomials: x^4 = 1/5 + 4/7 P2 + 8/35 P4."""
+"""Rms of x^4 over -1 < x < 1 about its mean and slope, by Legendre's polynomials: x^4 = 1/5 + 4/7 P2 + 8/35 P4."""
 
 
 @dataclass(frozen=True, eq=False)
 class Situation:
-    """What the effect of an error depends on: a preset's sensor, abeam of level ground.
+    """Situation that the effect of an error depends on: a preset's sensor, abeam of level ground.
 
     Attributes:
-        preset: as given.
-        sensor: of the preset.
-        settings: of the compression, as the preset has them.
+        preset: preset of the flight.
+        sensor: sensor of the preset.
+        settings: settings of the compression, as the preset has them.
         aperture: state of the antenna in the middle of an aperture.
         seconds: time of an aperture.
         climb: height (m) that a radian of elevation moves a point by.
@@ -86,7 +86,7 @@ def image_settings(preset: Preset) -> ImageSettings:
     return ImageSettings(**{key: given[key] for key in ImageSettings.model_fields.keys() - {"air"} if key in given})
 
 
-def error_entries(of: Situation) -> Iterator[Entry]:
+def error_entries(of: Situation) -> Iterator[BudgetEntry]:
     """All errors that the preset has."""
     return chain(
         _navigation(of),
@@ -109,7 +109,7 @@ def error_entries(of: Situation) -> Iterator[Entry]:
 
 
 def describe_autofocus(of: Situation) -> str:
-    """A sentence on whether the compression needs autofocus, by its own rule."""
+    """Remark on whether the compression needs autofocus, by its own rule."""
     prior, allowed = _prior(of), of.settings.autofocus_from_beamwidths
     uncertain = of.settings.beams_are_uncertain(prior, of.sensor)
     known = (
@@ -123,7 +123,7 @@ def describe_autofocus(of: Situation) -> str:
         return f"No autofocus is needed: {known}."
     if of.settings.autofocus == "never":
         return f"Autofocus is needed, but autofocus is never: {known}."
-    if not _speckle_tells_beams(of):
+    if not _speckle_locates_beams(of):
         return (
             f"Autofocus would be needed: {known}; but the beams are so wide that speckle does not show their position, "
             "so that images are left as odometry focuses and places them."
@@ -131,15 +131,15 @@ def describe_autofocus(of: Situation) -> str:
     return f"Autofocus is needed: {known}."
 
 
-def _speckle_tells_beams(of: Situation) -> bool:
-    """Whether autofocus can find the beams."""
+def _speckle_locates_beams(of: Situation) -> bool:
+    """True if autofocus can measure the beams."""
     if of.sensor.mode == "stripmap":
         return stays_in_range_cell(of.sensor, of.slant_range)
     return is_for_speckle(of.sensor, of.speed * of.seconds / 2 * np.outer([-1, 1], of.aperture.direction))
 
 
 def _prior(of: Situation) -> NavigationPrior:
-    """What odometry and mounting are stated to know of the beams."""
+    """Stated uncertainty of the beams from odometry and mounting."""
     errors = of.preset.impairments.odometry
     stated = np.diag([errors.position_m] * 3 + errors.turn_rad.tolist()) ** 2
     aperture = with_known_errors(replace(of.aperture, covariance=stated), of.sensor, of.settings)
@@ -147,11 +147,11 @@ def _prior(of: Situation) -> NavigationPrior:
 
 
 def _in_beamwidths(prior: NavigationPrior, sensor: Sensor) -> float:
-    """Standard deviation of the place of the beams along the flight."""
+    """Standard deviation of the along-track position of the beams."""
     return prior.spread / prior.flight_speed / sensor.beams.track_beamwidth
 
 
-def _navigation(of: Situation) -> Iterator[Entry]:
+def _navigation(of: Situation) -> Iterator[BudgetEntry]:
     """An error of velocity moves the image by range over speed; one of attitude turns the beams."""
     errors = of.preset.impairments.odometry
     if not errors.is_wrong:
@@ -167,14 +167,14 @@ def _navigation(of: Situation) -> Iterator[Entry]:
     )
 
 
-def _autofocus(of: Situation) -> Iterator[Entry]:
-    """How well the beams are known along the flight, which decides on autofocus."""
+def _autofocus(of: Situation) -> Iterator[BudgetEntry]:
+    """Uncertainty of the beams along the track, which decides on autofocus."""
     if (prior := _prior(of)).spread:
         title = "beams along the flight, as stated, in beamwidths"
         yield _entry("beams_uncertainty_beamwidths", title, _in_beamwidths(prior, of.sensor), "")
 
 
-def _odometry_delay(of: Situation) -> Iterator[Entry]:
+def _odometry_delay(of: Situation) -> Iterator[BudgetEntry]:
     """Stamps that are late by a time put everything as far along the flight as the platform moves in it."""
     if delay := of.preset.impairments.odometry.delay_s - of.settings.odometry_delay_s:
         name = "odometry stamped late"
@@ -182,7 +182,7 @@ def _odometry_delay(of: Situation) -> Iterator[Entry]:
         yield _entry("odometry_delay_along_m", f"{name}: along-track position error", of.speed * abs(delay), "m")
 
 
-def _lever_arm(of: Situation) -> Iterator[Entry]:
+def _lever_arm(of: Situation) -> Iterator[BudgetEntry]:
     """All points are displaced as much as the antenna is; the arm is in axes of base_link, and the antenna level."""
     if any(described := of.preset.impairments.odometry.undescribed_lever_arm_m):
         arm, name = of.sensor.mounting.axes.inv().apply(described), "undescribed lever arm"
@@ -191,7 +191,7 @@ def _lever_arm(of: Situation) -> Iterator[Entry]:
         yield _entry("lever_arm_height_m", f"{name}: height", abs(float(arm[2])), "m")
 
 
-def _boresight(of: Situation) -> Iterator[Entry]:
+def _boresight(of: Situation) -> Iterator[BudgetEntry]:
     """A turn about the flight is one of elevation; one about the normal of flight and sight turns the beams ahead."""
     if any(turn := of.preset.impairments.odometry.undescribed_boresight_rad):
         ahead, name = float(np.cross(of.sight, of.aperture.direction) @ turn), "undescribed boresight"
@@ -200,7 +200,7 @@ def _boresight(of: Situation) -> Iterator[Entry]:
         yield _entry("boresight_beams_m", f"{name}: beams along the flight", of.slant_range * abs(ahead), "m")
 
 
-def _vibration(of: Situation) -> Iterator[Entry]:
+def _vibration(of: Situation) -> Iterator[BudgetEntry]:
     """Of lines of independent phase, each 4 pi / wavelength times its displacement."""
     lines, radians = of.preset.impairments.vibration.all_lines, 4 * np.pi / of.sensor.wavelength
     if not lines:
@@ -211,15 +211,15 @@ def _vibration(of: Situation) -> Iterator[Entry]:
     yield from _of_phase(of, "vibration", sum_of_phases(phases))
 
 
-def _laser(of: Situation) -> Iterator[Entry]:
-    """An echo is mixed with what the laser sends when it comes back (`laser_structure`)."""
+def _laser(of: Situation) -> Iterator[BudgetEntry]:
+    """Phase noise of the laser: an echo is mixed with the light sent when it arrives (`laser_structure`)."""
     if linewidth := of.preset.impairments.laser_linewidth_hz:
         yield _entry("laser_linewidth_khz", "laser linewidth", 1e-3 * linewidth, "kHz")
         structure = laser_structure(linewidth, of.slant_range)
         yield from _of_phase(of, "laser linewidth", phase_of_structure(structure, of.seconds))
 
 
-def _turbulence(of: Situation) -> Iterator[Entry]:
+def _turbulence(of: Situation) -> Iterator[BudgetEntry]:
     """Phases of the structure function of `Turbulence`, which the platform passes at its speed."""
     if turbulence := of.preset.impairments.turbulence:
         above = of.slant_range * float(np.cos(of.preset.flight.look_angle_rad))
@@ -231,7 +231,7 @@ def _turbulence(of: Situation) -> Iterator[Entry]:
         yield from _of_phase(of, "turbulence", found)
 
 
-def _of_phase(of: Situation, name: str, found: AperturePhase) -> Iterator[Entry]:
+def _of_phase(of: Situation, name: str, found: AperturePhase) -> Iterator[BudgetEntry]:
     """A trend is a velocity along the line of sight, whose image lies elsewhere along the flight; the rest spreads."""
     key = name.split(maxsplit=1)[0]
     along = of.slant_range / of.speed * of.sensor.wavelength / (4 * np.pi) * found.trend
@@ -240,7 +240,7 @@ def _of_phase(of: Situation, name: str, found: AperturePhase) -> Iterator[Entry]
     yield _entry(f"{key}_spread_percent", f"{name}: energy out of its pixel", 100 * found.spread_share, "%")
 
 
-def _pointing_jitter(of: Situation) -> Iterator[Entry]:
+def _pointing_jitter(of: Situation) -> Iterator[BudgetEntry]:
     """The mean of a flat spectrum over an aperture: the mean of sinc^2 over the band, by frequency times its time."""
     if rms := (jitter := of.preset.impairments.pointing_jitter).rms_rad:
         turns = np.linspace(0.0, jitter.highest_hz * of.seconds, JITTER_NODES)
@@ -254,7 +254,7 @@ def _pointing_jitter(of: Situation) -> Iterator[Entry]:
         yield _entry("jitter_beams_m", f"{name}: beams along the flight, rms", of.slant_range * angle, "m")
 
 
-def _antenna_swing(of: Situation) -> Iterator[Entry]:
+def _antenna_swing(of: Situation) -> Iterator[BudgetEntry]:
     """The beams look ahead and back."""
     if amplitude := of.preset.impairments.antenna_swing.amplitude_rad:
         yield _entry("swing_urad", "antenna swing, amplitude", 1e6 * amplitude, "µrad", _swing_remark(of))
@@ -265,7 +265,7 @@ def _swing_remark(of: Situation) -> str:
     return "" if swings_little(of.preset, of.sensor) else "too much"
 
 
-def _quartic_phase(of: Situation) -> Iterator[Entry]:
+def _quartic_phase(of: Situation) -> Iterator[BudgetEntry]:
     """It has no trend, and spreads energy."""
     if edge := of.preset.impairments.quartic_phase_rad:
         share = AperturePhase(0.0, abs(edge) * float(QUARTIC_REST)).spread_share
@@ -273,15 +273,15 @@ def _quartic_phase(of: Situation) -> Iterator[Entry]:
         yield _entry("quartic_spread_percent", "quartic phase: energy out of its pixel", 100 * share, "%")
 
 
-def _vegetation(of: Situation) -> Iterator[Entry]:
-    """What moves along the sight is displaced by range over speed."""
+def _vegetation(of: Situation) -> Iterator[BudgetEntry]:
+    """Displacement by motion along the sight: range over speed times the velocity."""
     if wind := of.preset.impairments.vegetation_wind:
         along = of.slant_range / of.speed * wind.rms_velocity_mps
         yield _entry("vegetation_mps", "wind in vegetation: velocity, rms", wind.rms_velocity_mps, "m/s")
         yield _entry("vegetation_along_m", "wind in vegetation: along-track position error, rms", along, "m")
 
 
-def _converters(of: Situation) -> Iterator[Entry]:
+def _converters(of: Situation) -> Iterator[BudgetEntry]:
     """Rounding to the step q adds noise of the power q^2 / 6 to a sample (`simulation.receivers`)."""
     if bits := of.preset.impairments.adc_bits:
         step = 2 * of.sensor.full_scale / (2**bits - 1)
@@ -290,7 +290,7 @@ def _converters(of: Situation) -> Iterator[Entry]:
         yield _entry("adc_noise_db", "converters: noise higher by", 10 * float(np.log10(rise)), "dB")
 
 
-def _gains(of: Situation) -> Iterator[Entry]:
+def _gains(of: Situation) -> Iterator[BudgetEntry]:
     """A change c of the response a moves elevation by c a' / D, a' the slope perpendicular to a.
 
     With gains 1 + e of the receivers it is c = e a, and behind a channel matrix M in the antenna M^-1 e M a
@@ -311,8 +311,8 @@ def _gains(of: Situation) -> Iterator[Entry]:
         yield _entry("phases_rad", "undescribed phases, rms", float(np.sqrt(np.mean(np.square(phases)))), "rad")
 
 
-def _beams(of: Situation) -> Iterator[Entry]:
-    """Sizes only: what they do to heights, a calibration tells."""
+def _beams(of: Situation) -> Iterator[BudgetEntry]:
+    """Sizes of errors of beams only: their effect on heights is estimated by a calibration."""
     impairments = of.preset.impairments
     if (factor := impairments.beam_width_factor) != 1:
         yield _entry("beam_width_factor", "beams wider than described, by the factor", factor, "")
@@ -320,8 +320,8 @@ def _beams(of: Situation) -> Iterator[Entry]:
         yield _entry("pupil_waves", "aberrations of the pupil, rms", float(np.linalg.norm(waves)), "waves")
 
 
-def _receivers(of: Situation) -> Iterator[Entry]:
-    """What ripples over the band put beside each target, and the sizes of the rest."""
+def _receivers(of: Situation) -> Iterator[BudgetEntry]:
+    """Paired echoes of ripples over the band, and the sizes of the other errors."""
     impairments, cell = of.preset.impairments, spectrum_sensor(of.sensor).range_resolution
     if (ripple := impairments.chirp_ripple) and ripple.amplitude_rad:
         level = abs(jv(1, ripple.amplitude_rad) / jv(0, ripple.amplitude_rad))
@@ -338,5 +338,5 @@ def _receivers(of: Situation) -> Iterator[Entry]:
         yield _entry("spur_over_noise", "spur, over the noise of a sample", spur, "")
 
 
-def _entry(key: str, title: str, value: float, unit: str, remark: str = "") -> Entry:
-    return Entry(GROUP, key, title, value, unit, remark)
+def _entry(key: str, title: str, value: float, unit: str, remark: str = "") -> BudgetEntry:
+    return BudgetEntry(GROUP, key, title, value, unit, remark)

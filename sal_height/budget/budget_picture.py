@@ -15,11 +15,11 @@ def draw_budget(
     """Write a PNG: sigma of a height by noise over the mean power, and over the swath.
 
     Args:
-        name: of the preset.
+        name: name of the preset.
         by_power: mean power transmitted (W), and sigma (m) in the middle of the swath.
         by_place: elevation from the middle of the beams (beamwidths), and sigma (m).
         point: power (W) and sigma (m) of the budget.
-        path: of the picture.
+        path: path of the picture.
 
     Raises:
         UserError: it cannot be written.

@@ -1,4 +1,4 @@
-"""What the sensor sees beside its heights: the power of every pixel over noise, by range and along the flight."""
+"""Picture of the power of every pixel over noise, by range and along the track."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def draw_powers(axes: Axes, images: Sequence[HeightImage], factor: float) -> tup
     """Draw the pixels of all dwells side by side; returns the last image, and all values (dB).
 
     Args:
-        axes: to draw on.
+        axes: axes to draw on.
         images: heights of one estimator.
         factor: units of length in a metre.
     """

@@ -74,7 +74,7 @@ def record(
     if done.left_out:
         complain([f"{done.left_out} messages are not in the bag; the table says why."])
         return FAILED
-    if not done.heard:
-        complain(["No message was received; check the names of the topics, and the ROS domain (--domain)."])
+    if not done.received:
+        complain(["No message came; check the names of the topics, and the ROS domain (--domain)."])
         return FAILED
     return DONE

@@ -136,7 +136,7 @@ class PlacedMounting(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Adjusted:
+class AdjustedDwell:
     """How a dwell was adjusted.
 
     Attributes:
@@ -177,7 +177,7 @@ class FlightAdjuster:
 
     def adjust(
         self, heights: Heights, sensor: Sensor, states: list[PlatformState], settings: AdjusterSettings
-    ) -> Adjusted:
+    ) -> AdjustedDwell:
         """Adjust the heights of a dwell, which is later than all before, to those of earlier ones.
 
         Another description of the sensor, or other settings, start again.
@@ -225,7 +225,7 @@ class FlightAdjuster:
                 "the next dwell is adjusted as the first one.",
             )
         seconds = [(state.stamp_ns - self._epoch_ns) * 1e-9 for state in states]
-        return Adjusted(
+        return AdjustedDwell(
             corrected_heights(heights.field, dwell, off),
             corrected_aperture(dwell, off),
             off,
@@ -417,7 +417,7 @@ class HeightAdjuster(DwellStage):
         )
 
     def _platform(
-        self, heights: Heights, found: Adjusted, adjuster: FlightAdjuster, settings: AdjusterSettings
+        self, heights: Heights, found: AdjustedDwell, adjuster: FlightAdjuster, settings: AdjusterSettings
     ) -> Iterator[Result]:
         """Odometry that was not published yet, with the stamps that it had, and the mounting."""
         delay_ns = _delay_ns(heights)

@@ -37,7 +37,7 @@ class MoverDetectionSettings(ChannelSettings, MoverSettings):
 
 
 @dataclass(frozen=True, eq=False)
-class FoundMovers:
+class ImageMovers:
     """What moves in a dwell.
 
     Attributes:
@@ -71,7 +71,7 @@ class MoverDetection(ImageStage):
     @classmethod
     def outputs(cls, settings: Any) -> Sequence[Port]:  # noqa: ARG003
         """The movers."""
-        return [Port(MOVERS, FoundMovers, "what moves in each dwell, sensor_msgs/PointCloud2 in map")]
+        return [Port(MOVERS, ImageMovers, "what moves in each dwell, sensor_msgs/PointCloud2 in map")]
 
     def check(self, message: Image, sensor: Sensor) -> None:
         """Check the size of an image, and whether its sensor can detect movers."""
@@ -155,7 +155,7 @@ class MoverDetection(ImageStage):
                 yield self._product(images, looked)
 
     def _product(self, images: Images, looked: Looked) -> Product:
-        return Product(MOVERS, FoundMovers(images.key, images.frame_id, images, looked))
+        return Product(MOVERS, ImageMovers(images.key, images.frame_id, images, looked))
 
 
 def _movers_of_sensors(search: MoverSettings) -> Latest[DwellMovers[Images]]:

@@ -23,7 +23,7 @@ from sal_height.figures.psf_theory import (
     through_fejer,
     tied,
 )
-from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Target, make_tape
+from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, TapeTarget, make_tape
 from sal_height.numeric import C128, F64
 from sal_height.response import (
     FINENESS,
@@ -149,7 +149,7 @@ def psf_recovery(trials: int, seed: int) -> Iterator[Curve]:
 def _targets(fault: RangeFault, rng: np.random.Generator) -> tuple[PointTarget, ...]:
     """The targets found in a new tape."""
     places = np.array(PLACES) + rng.uniform(-0.5, 0.5, (len(PLACES), 2))
-    targets = tuple(Target(row, col, OVER_CLUTTER_DB) for row, col in places.tolist())
+    targets = tuple(TapeTarget(row, col, OVER_CLUTTER_DB) for row, col in places.tolist())
     return find_targets(make_tape(TAPE, rng, targets, fault, AZIMUTH)).require()
 
 
@@ -182,7 +182,7 @@ def _squares(rng: np.random.Generator, truth: list[C128]) -> F64:
     """Mean square errors of a group of targets at each of RECOVERY_DB: shape (.., R and A, modulus and phase)."""
     squares = []
     for level in RECOVERY_DB.tolist():
-        target = Target(20, 30, level)
+        target = TapeTarget(20, 30, level)
         tapes = (make_tape((COUNT, COUNT), rng, (target,), RANGE, AZIMUTH) for _ in PLACES)
         made = estimate_transfer_function([chip_at(tape, 20, 30, clutter=1.0) for tape in tapes])
         estimates = (made.range.response, made.azimuth.response)

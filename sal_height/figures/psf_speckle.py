@@ -16,7 +16,7 @@ from sal_height.figures.noise import circular
 from sal_height.figures.psf_estimators import depth_and_pedestal, mean_modulus
 from sal_height.figures.psf_tapes import COUNT, FREQUENCY, generators, held, in_band, shown
 from sal_height.figures.psf_theory import chip_transform, cosine_beam, swung_modulus, through_fejer
-from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Saturation, Target, make_tape
+from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Saturation, TapeTarget, make_tape
 from sal_height.numeric import C64, C128, F64, Bool, frequencies, window
 from sal_height.response import (
     SpeckleSpectra,
@@ -123,7 +123,7 @@ def _over_mean(modulus: F64) -> F64:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class TapeResponses:
     """Targets and speckle of one tape.
 
     Attributes:
@@ -170,7 +170,7 @@ def psf_superposition(trials: int, seed: int) -> Iterator[Curve]:
 
 def _compared(
     rng: np.random.Generator, noise: float, level: float | None = None, noise_window: str | None = None
-) -> Comparison:
+) -> TapeResponses:
     """A new tape with targets to one side, and what it tells.
 
     Args:
@@ -180,7 +180,7 @@ def _compared(
         noise_window: weights over the band that the noise has passed; None: it is white.
     """
     cols = [SPECKLE_COLS + 96 + COUNT * number for number in range(TARGETS)]
-    targets = tuple(Target(ROWS // 2, col, OVER_CLUTTER_DB) for col in cols)
+    targets = tuple(TapeTarget(ROWS // 2, col, OVER_CLUTTER_DB) for col in cols)
     limiter = Saturation(level) if level else None
     shape = ROWS, SPECKLE_COLS + COUNT * (TARGETS + 1)
     tape = make_tape(shape, rng, targets, RANGE, AzimuthFault(), noise, 0.0, limiter, noise_weights(noise_window))
@@ -192,7 +192,7 @@ def _compared(
     over_clutter = TARGETS * np.mean(np.abs(peaks) ** 2) / np.mean(np.abs(clutter) ** 2)
     power = np.interp(frequencies(BINS), FREQUENCY, speckle.range.power, period=1)
     error = np.sqrt(BINS * power / over_clutter)
-    return Comparison(response, error, speckle)
+    return TapeResponses(response, error, speckle)
 
 
 def noise_weights(name: str | None) -> F64 | None:
@@ -224,7 +224,7 @@ def _covariance(noise: float) -> C128:
     return (signal / signal[0] + noise**2 * (np.arange(COUNT) == 0)) / (1 + noise**2)
 
 
-def _powers(tapes: list[Comparison]) -> Iterator[Curve]:
+def _powers(tapes: list[TapeResponses]) -> Iterator[Curve]:
     """|R|^2 of targets and of speckle, each over its mean."""
     response, error = _mean_response(tapes)
     of_targets = np.abs(response) ** 2 - error**2
@@ -235,14 +235,14 @@ def _powers(tapes: list[Comparison]) -> Iterator[Curve]:
     yield shown("|R|^2", "linear prediction", FREQUENCY, _prediction(SHOWN_NOISE), "--", 2)
 
 
-def _mean_response(tapes: list[Comparison]) -> tuple[C128, F64]:
+def _mean_response(tapes: list[TapeResponses]) -> tuple[C128, F64]:
     """Mean response of the targets of several tapes, with its standard error."""
     response = np.mean([tape.response for tape in tapes], axis=0)
     error = np.sqrt(np.mean([tape.error**2 for tape in tapes], axis=0) / len(tapes))
     return response, error
 
 
-def _readings(tapes: dict[float, list[Comparison]], rng: np.random.Generator) -> Iterator[Curve]:
+def _readings(tapes: dict[float, list[TapeResponses]], rng: np.random.Generator) -> Iterator[Curve]:
     """Depth of the sawtooth and pedestal, of targets and of speckle, over the noise.
 
     What noise in a spectrum does to such a reading, too, is in the closed form: it is the mean reading of spectra drawn

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sal_height.numeric import F64, Bool
+from sal_height.numeric import F64, Bool, half_width
 from sal_height.theory import NORMAL_SHARES
 
 
@@ -47,10 +47,9 @@ def s68(sample: F64) -> Measured:
     The covariance of the quantiles of shares p < q is p (1 - q) / (n f_p f_q).
     """
     low, high = NORMAL_SHARES
-    values = np.quantile(sample, NORMAL_SHARES)
     at_low, at_high = (_inverse_density(sample, share) for share in NORMAL_SHARES)
     variance = low * high * (at_low**2 + at_high**2) - 2 * low * (1 - high) * at_low * at_high
-    return Measured(float(values[1] - values[0]) / 2, float(np.sqrt(variance / sample.size) / 2))
+    return Measured(half_width(sample, NORMAL_SHARES), float(np.sqrt(variance / sample.size) / 2))
 
 
 def share(chosen: Bool) -> Measured:

@@ -84,7 +84,7 @@ class Saturation:
 
 
 @dataclass(frozen=True)
-class Target:
+class TapeTarget:
     """A point target: place in pixels, which may be fractions, and power over the mean of the speckle, at its peak."""
 
     row: float
@@ -95,7 +95,7 @@ class Target:
 def make_tape(
     shape: tuple[int, int],
     rng: np.random.Generator,
-    targets: tuple[Target, ...] = (),
+    targets: tuple[TapeTarget, ...] = (),
     range_fault: RangeFault | None = None,
     azimuth_fault: AzimuthFault | None = None,
     noise: float = 0.0,
@@ -136,7 +136,7 @@ def make_tape(
 def _scene_spectrum(
     shape: tuple[int, int],
     rng: np.random.Generator,
-    targets: tuple[Target, ...],
+    targets: tuple[TapeTarget, ...],
     range_response: C128 | F64,
     azimuth_response: C128,
 ) -> C128:

@@ -1,4 +1,4 @@
-"""The accounts of all nodes of a graph, kept over all their lives, as they come on /diagnostics."""
+"""The accounts of all nodes of a graph, kept over all their lives, as they arrive on /diagnostics."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ SAMPLES = 5
 """Samples of the processor time, half a second apart, that its rate is measured over."""
 
 MOST_NODES = 1000
-"""Nodes that are kept: whoever publishes names without end takes no more memory."""
+"""Greatest number of nodes that are kept: a publisher of endless names uses no more memory."""
 
 SILENT_AFTER_S = 3.0
-"""A node that has told nothing for so long is gone."""
+"""Silence after which a node is gone, s."""
 
 LEVELS = {
     DiagnosticStatus.OK: "ok",
@@ -26,21 +26,21 @@ LEVELS = {
 
 
 @dataclass
-class Entry:
-    """What is known of a node.
+class NodeAccount:
+    """State of a node.
 
     Attributes:
-        account: over all processes that it has had.
-        level: of its diagnostics, "ok", "warning", "error" or "stale".
-        message: of its diagnostics.
-        heard_at: when it was last heard of, s of the monotonic clock.
+        account: account over all processes that it has had.
+        level: level of its diagnostics, "ok", "warning", "error" or "stale".
+        message: message of its diagnostics.
+        received_at: time of its last message, s of the monotonic clock.
         lives: number of processes that it has had.
     """
 
     account: Account = field(default_factory=Account)
     level: str = ""
     message: str = ""
-    heard_at: float = 0.0
+    received_at: float = 0.0
     lives: int = 0
     _before: Account = field(default_factory=Account)
     _pid: int = 0
@@ -48,41 +48,41 @@ class Entry:
 
     @property
     def cpu_per_second(self) -> float:
-        """Processor seconds that its process takes in a second, over the last seconds; 0 before two samples."""
+        """Processor seconds that its process uses per second, over the last seconds; 0 before two samples."""
         if len(self._cpu) < 2:
             return 0.0
         (began, first), (ended, last) = self._cpu[0], self._cpu[-1]
         return (last - first) / (ended - began) if ended > began else 0.0
 
     def is_gone(self, now: float) -> bool:
-        """Whether it has told nothing for some time."""
-        return now - self.heard_at > SILENT_AFTER_S
+        """True if it has published nothing for SILENT_AFTER_S."""
+        return now - self.received_at > SILENT_AFTER_S
 
     def take(self, status: DiagnosticStatus, now: float) -> None:
-        """Enter what the node tells."""
+        """Enter a status of the node."""
         account = Account.of_status(status)
         if self.lives == 0 or account.pid != self._pid:
             self._before, self._pid = self.account, account.pid
             self.lives += 1
             self._cpu.clear()
         self.account = account.after(self._before)
-        self.level, self.message, self.heard_at = LEVELS.get(status.level, "?"), status.message, now
+        self.level, self.message, self.received_at = LEVELS.get(status.level, "?"), status.message, now
         self._cpu.append((now, account.cpu_s))
 
 
 class AccountBook:
-    """What is known of all nodes.
+    """States of all nodes.
 
     Attributes:
-        entries: by the name of the node with its namespace, without leading slash.
+        entries: states by the name of the node with its namespace, without leading slash.
     """
 
     def __init__(self) -> None:
-        self.entries: dict[str, Entry] = {}
+        self.entries: dict[str, NodeAccount] = {}
 
     def take(self, message: DiagnosticArray, now: float) -> None:
-        """Enter a message that came at the time `now`, s of the monotonic clock."""
+        """Enter a message that arrived at the time `now`, s of the monotonic clock."""
         for status in message.status:
             if status.name not in self.entries and len(self.entries) >= MOST_NODES:
                 continue
-            self.entries.setdefault(status.name, Entry()).take(status, now)
+            self.entries.setdefault(status.name, NodeAccount()).take(status, now)

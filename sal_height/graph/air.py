@@ -1,4 +1,4 @@
-"""The air that the compression takes from topics: which of these a bag has, and whether what is needed is there."""
+"""Topics of the air: which of these a bag has, and whether those that the compression needs are there."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sal_height.sensor import Sensor
 
 
 def air_in(reader: BagReader) -> list[str]:
-    """The topics of a bag that tell the air, as nodes know them."""
+    """Topics of a bag with air data, as nodes know them."""
     return [
         topic
         for topic, quantity in messages.AIR.items()
@@ -23,13 +23,13 @@ def air_in(reader: BagReader) -> list[str]:
 
 
 def check_air(parameters: NodeParameters, sensors: Iterable[Sensor], topics: Collection[str], source: str) -> None:
-    """Refuse a compression that is to hear the air where nothing tells it, or of strips.
+    """Refuse a compression that is to read the air from topics that are absent, or one of strips.
 
     Args:
-        parameters: of the nodes.
-        sensors: whose dwells are compressed.
-        topics: that tell the air, of those that nodes know.
-        source: of the messages, as the begin of a sentence.
+        parameters: parameters of the nodes.
+        sensors: sensors whose dwells are compressed.
+        topics: topics with air data, of those that nodes know.
+        source: source of the messages, as the start of the message to the user.
 
     Raises:
         UserError: something is missing.

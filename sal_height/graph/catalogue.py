@@ -91,9 +91,9 @@ def suited(sensor: Sensor, asked: Collection[str] = ()) -> list[str]:
     """The height nodes of a run: those of the estimators that are asked for, in the order of ESTIMATORS.
 
     Args:
-        sensor: whose channels the estimators take.
+        sensor: sensor whose channels the estimators read.
         asked: names of estimators; none: those that suit the sensor and need not be asked for. With the name of the
-            adjuster's product that node comes after them; it needs heights of an estimator. With that of the topic of
+            adjuster's product that node follows them; it needs heights of an estimator. With that of the topic of
             movers the node that finds these is the last one.
 
     Raises:
@@ -115,27 +115,27 @@ def check_estimator(name: str, sensor: Sensor) -> None:
     """Refuse what makes no heights of each dwell by itself, as do the products of the adjuster and of the detector.
 
     Raises:
-        UserError: it is none, or does not suit the sensor.
+        UserError: a name is unknown, or does not suit the sensor.
     """
     if name not in (suiting := _suiting(sensor)):
         raise _refusal(name, list(suiting))
 
 
 def _suiting(sensor: Sensor) -> dict[str, ElevationEstimator]:
-    """The estimators that can take the channels of a sensor, by name."""
+    """Estimators that suit the channels of a sensor, by name."""
     return {name: estimator for name, estimator in ESTIMATORS.items() if estimator.suits(sensor)}
 
 
 def _refusal(name: str, allowed: Sequence[str]) -> UserError:
-    """The sentence on an estimator that cannot be had."""
+    """Message on an estimator that is not available."""
     reason = "does not suit the sensor's channels" if name in ESTIMATORS else "does not exist"
     return UserError(f"Estimator {name!r} {reason}; allowed are {', '.join(allowed) or 'none'}.")
 
 
 def consumers(estimators: list[str]) -> dict[str, dict[str, str]]:
-    """Parameters that let nodes take heights that are made: of maximum likelihood, or the first.
+    """Parameters that connect nodes to heights that are made: of maximum likelihood, or the first.
 
-    Mappers take adjusted ones where these are made.
+    Mappers read adjusted ones where these are made.
 
     Args:
         estimators: the height nodes of a run.
@@ -160,8 +160,8 @@ def placed(origin: Origin | None) -> dict[str, dict[str, float]]:
 def recorded_topics(stages: list[str], parameters: NodeParameters, played: Sequence[str] = SENSOR) -> list[str]:
     """The topics that a run through `stages` records: its inputs, and its heights, or else its images.
 
-    Images are left out beside heights, for they can be formed again from the phase history; so is the relief map, which
-    follows from the heights.
+    Images are left out if there are heights, for they can be formed again from the phase history; so is the relief map,
+    which follows from the heights.
     """
     heights = [f"{HEIGHTS[name]}/height" for name in stages if name in HEIGHTS]
     applied = parameters.get("sar_compression", {}).get("calibration", "") not in {"", HEARD}
@@ -172,7 +172,7 @@ def recorded_topics(stages: list[str], parameters: NodeParameters, played: Seque
 
 
 def height_sources(stages: list[str], parameters: NodeParameters, played: Sequence[str] = SENSOR) -> dict[str, str]:
-    """Find, for each of the `stages` that uses heights, the topic on which they come.
+    """Find, for each of the `stages` that uses heights, the topic on which they arrive.
 
     Args:
         stages: names of the processing nodes.
@@ -205,7 +205,7 @@ def stage_inputs(stages: list[str], parameters: NodeParameters, played: Sequence
         played: topics that the source of the dwells publishes.
 
     Raises:
-        UserError: a stage takes heights that no other stage makes.
+        UserError: a stage reads heights that no other stage makes.
     """
     inputs = {name: "slc" if takes_images(STAGES[name]) else "phase_history" for name in stages}
     return inputs | height_sources(stages, parameters, played)

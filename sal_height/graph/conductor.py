@@ -1,4 +1,4 @@
-"""Starts a live graph: knows by the accounts of all nodes when they are ready, and asks the sensor to begin."""
+"""Starts a live graph: learns from the accounts of all nodes when they are ready, and asks the sensor to start."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from sal_height.nodes.transport.quality import FRAMES_QOS
 
 
 class Conductor(Node):
-    """Reads the accounts of all nodes, and asks the source to begin.
+    """Reads the accounts of all nodes, and asks the source to start.
 
     Attributes:
-        accounts: of the nodes of the plan, by name.
+        accounts: accounts of the nodes of the plan, by name.
     """
 
     def __init__(self, plan: Plan, **node_arguments: Any) -> None:
         """Conduct the nodes of a plan; `node_arguments` go to rclpy's Node.
 
         Raises:
-            UserError: a stage takes heights that no other stage makes.
+            UserError: a stage reads heights that no other stage makes.
         """
         super().__init__("conductor", **node_arguments)
         self.accounts: dict[str, Account] = {}
@@ -46,7 +46,7 @@ class Conductor(Node):
         self.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 100)
 
     def connected(self) -> bool:
-        """Whether every topic has its subscribers, as its publisher counts them: nothing will be lost.
+        """True if every topic has its subscribers, as its publisher counts them: nothing will be lost.
 
         Raises:
             UserError: a topic to record is published by no node.
@@ -63,15 +63,15 @@ class Conductor(Node):
         return alone and all(offered[topic] >= n for topic, n in needed.items()) and self._begin.service_is_ready()
 
     def ready(self) -> bool:
-        """Whether all nodes are connected, and have done what they do before the first dwell."""
+        """True if all nodes are connected, and have done what they do before the first dwell."""
         return self.connected() and all(self.accounts[name].ready for name in self._inputs)
 
-    def listen_raw(self, message_type: type, topic: str, receive: Callable[[bytes], None]) -> None:
+    def subscribe_raw(self, message_type: type, topic: str, receive: Callable[[bytes], None]) -> None:
         """Have the serialized messages of a topic received by `receive`."""
         self.create_subscription(class_of(message_type), topic, receive, FRAMES_QOS, raw=True)
 
     def ask(self) -> Future:
-        """Ask the source to begin; its answer is in the future."""
+        """Ask the source to start; its answer is in the future."""
         return self._begin.call_async(Trigger.Request())
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:

@@ -29,11 +29,11 @@ class Member:
     """A node of an ensemble.
 
     Attributes:
-        name: of the node, unlike that of every other one.
-        kind: which one of NODES it is; empty: the one of its name.
+        name: name of the node, unlike that of every other one.
+        kind: key in NODES; empty: the name.
         parameters: values by name; all others have their defaults.
         remappings: other names of its topics and services, by their own.
-        namespace: before its relative names; empty: none.
+        namespace: prefix of its relative names; empty: no prefix.
     """
 
     name: str
@@ -75,13 +75,13 @@ def members_of(plan: Plan) -> list[Member]:
     recording |= plan.parameters.get(RECORDER, {})
     others = {name: plan.parameters.get(name, {}) for name in [*reversed(plan.stages), plan.source]}
     return [
-        Member(RECORDER, parameters={**recording, **time_source}),  # which is told the names as they are published
+        Member(RECORDER, parameters={**recording, **time_source}),  # subscribes to the names as they are published
         *(Member(name, "", {**values, **time_source}, plan.remapped) for name, values in others.items()),
     ]
 
 
 class Ensemble:
-    """The nodes of a run, all in this process or each in its own, and a graph beside them; a context manager.
+    """The nodes of a run, all in this process or each in its own, with a graph of this process; a context manager.
 
     At the end the first one is ended first.
 
@@ -124,7 +124,7 @@ class Ensemble:
     def __enter__(self) -> Self:
         """Start the nodes; if one cannot be, none is left.
 
-        Those in processes come before the graph, whose threads would be in the way of `Forked`.
+        Those in processes start before the graph, whose threads would prevent `Forked`.
 
         Raises:
             UserError: a node refuses its parameters, or its process cannot be started.
@@ -151,7 +151,7 @@ class Ensemble:
         self._at_end.close()
 
     def _end_processes(self) -> None:
-        """Send SIGTERM, and give time to finish what is held."""
+        """Send SIGTERM, and allow time to finish what is in work."""
         for process in self._processes.values():
             if process.poll() is None:
                 process.terminate()
@@ -166,7 +166,7 @@ def _process_of(member: Member, forks: bool) -> subprocess.Popen[bytes] | Forked
 
     Args:
         member: the node.
-        forks: whether the process goes on with what this one has imported and computed, or begins anew.
+        forks: True if the process goes on with what this one has imported and computed; else it starts afresh.
 
     Raises:
         UserError: it cannot be started.
@@ -184,7 +184,7 @@ def _process_of(member: Member, forks: bool) -> subprocess.Popen[bytes] | Forked
 def _run(kind: str, parent: int, arguments: list[str]) -> int:
     """Run a node until the process `parent`, which started this one, ends, even if it is killed.
 
-    Those that complete a file are then asked to end; the others hold nothing that anybody waits for. What a node waits
+    Those that complete a file are then asked to end; the others have nothing to finish. What a node waits
     for is not said in its log, for all others of the run are coming up.
     """
     if not end_with_parent(parent, signal.SIGTERM if NODES[kind].completes_file else signal.SIGKILL):

@@ -1,4 +1,4 @@
-"""Run the graph step by step in one process: the next step begins when all messages of the one before are processed.
+"""Run the graph step by step in one process: the next step starts when all messages of the one before are processed.
 
 Nodes exchange ROS messages, and the recorder is a subscriber. Only the control is by objects: a step is over when the
 counts of the node objects say so, parameters are set on the objects, and what no longer arrives is announced to them.
@@ -31,7 +31,7 @@ from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.worker import WorkerNode
 
 COMPANY_TIMEOUT_S = 1.0
-"""How long to look for other sensors before anything is started: discovery takes a few tenths of a second
+"""Time for which other sensors are looked for before the start, s: discovery needs a few tenths of a second
 on an idle machine."""
 
 LOOK_PERIOD_S = 0.1
@@ -56,7 +56,7 @@ class Ends(NamedTuple):
 
     @property
     def is_received(self) -> bool:
-        """Whether every subscription has received them, but for those that the middleware has lost."""
+        """True if every subscription has received them, but for those that the middleware has lost."""
         published = self.published
         return all(inlet.received + inlet.missed - before >= published for inlet, before in self.inlets)
 
@@ -83,7 +83,7 @@ class Lockstep:
             raise UserError(f"No node of this run publishes topic {unknown[0].lstrip('/')}; it has {names}.")
 
     def is_ready(self) -> bool:
-        """Whether all nodes are connected, and have done what they do before the first dwell."""
+        """True if all nodes are connected, and have done what they do before the first dwell."""
         if not (self._source.is_ready and all(stage.is_ready for stage in self._stages.values())):
             return False
         subscribed = self._recorder.recorded
@@ -100,7 +100,7 @@ class Lockstep:
         return all(outlet.subscribers >= ours[outlet.topic] for outlet in outlets)
 
     def begin(self) -> None:
-        """Take note of what was published and received so far, and schedule what happens before dwells."""
+        """Record what was published and received so far, and schedule what happens before dwells."""
         ends: dict[str, Ends] = defaultdict(lambda: Ends([], []))
         for node in self._workers:
             for outlet in node.outlets:
@@ -130,11 +130,11 @@ class Lockstep:
             self._source.schedule({one.dwell: one.calibrations for one in self._plan.changes}, self._plan.frames)
 
     def step(self) -> bool:
-        """Have the source publish the next step; False when there is none."""
+        """Have the source publish the next step; False at the end."""
         return self._source.step()[0]
 
     def is_settled(self) -> bool:
-        """Whether all that was published has been received, processed and recorded."""
+        """True if all that was published has been received, processed and recorded."""
         if any(node.jobs for node in self._workers):
             return False
         if not all(ends.is_received for ends in self._ends.values()):
@@ -152,7 +152,7 @@ class Lockstep:
             wait(self.is_settled, f"the last dwells to be processed by {name}")
 
     def check(self) -> None:
-        """Make sure that the source works, that the bag takes what arrives, and that nobody else publishes frames.
+        """Make sure that the source works, that the bag records what arrives, and that nobody else publishes frames.
 
         Raises:
             UserError: it is not so.
@@ -169,7 +169,7 @@ class Lockstep:
 
     @property
     def progress(self) -> tuple[int, ...]:
-        """What changes as long as a node gets on with its work."""
+        """Numbers that change as long as a node makes progress."""
         counts = [ends.published for ends in self._ends.values()]
         received = [inlet.received for node in self._workers for inlet in node.inlets]
         recorded = [self._recorder.recorded.get(topic, 0) for topic in self._recorded]  # not accounts, which go on
@@ -177,7 +177,7 @@ class Lockstep:
 
     @property
     def is_working(self) -> bool:
-        """Whether a node works on something."""
+        """True if a node works on something."""
         return any(node.jobs for node in self._workers)
 
     @property
@@ -186,7 +186,7 @@ class Lockstep:
         return self._source.account().dwells
 
     def drops(self) -> str:
-        """What the nodes have dropped so far, in a few words."""
+        """Messages that the nodes have dropped so far, in a few words."""
         return ", ".join(
             f"{name} {reason}: {count}"
             for name, node in self._stages.items()
@@ -227,7 +227,7 @@ def perform(plan: Plan, execution: Execution = DEFAULT) -> Outcome:
     What goes wrong once all nodes are started is in the outcome, together with the accounts up to then.
 
     Raises:
-        UserError: a node or the bag refuses its parameters, a stage takes heights that no other makes, no node
+        UserError: a node or the bag refuses its parameters, a stage reads heights that no other makes, no node
             publishes a topic that is to be recorded, or somebody else publishes frames.
     """
     also = [topic.removeprefix("/") for topic in execution.record]
@@ -265,12 +265,12 @@ def perform(plan: Plan, execution: Execution = DEFAULT) -> Outcome:
 
 
 def refuse_company(node: Any, topics: Iterable[str], own: int) -> None:
-    """Make sure that nobody else publishes what a sensor does: two on one topic cannot be told apart.
+    """Make sure that nobody else publishes what a sensor does: two on one topic cannot be distinguished.
 
     Args:
-        node: that looks.
-        topics: of the sensor.
-        own: how many publishers of each topic are ours.
+        node: node that looks for publishers.
+        topics: topics of the sensor.
+        own: number of our own publishers of each topic.
 
     Raises:
         UserError: somebody does.
@@ -285,7 +285,7 @@ def refuse_company(node: Any, topics: Iterable[str], own: int) -> None:
 def _waiter(
     graph: Graph, run: Lockstep, interruption: Interruption, timeout_s: float
 ) -> Callable[[Callable[[], bool], str], None]:
-    """Make a function that spins the graph until a condition holds, which it is told with words for it.
+    """Make a function that spins the graph until a condition is true, which it is given with words for it.
 
     The function raises UserError if the run cannot go on, and KeyboardInterrupt if the user has interrupted.
     """
@@ -316,7 +316,7 @@ def _waiter(
 
 
 def _look_for_company(plan: Plan) -> None:
-    """Look for other sensors as long as it takes to discover them.
+    """Look for other sensors as long as discovery needs.
 
     Raises:
         UserError: there is one.

@@ -1,4 +1,4 @@
-"""How the pictures of runs look: their width, fonts, colour maps, and the colour and line of each estimator."""
+"""Style of the pictures of runs: their width, fonts, colour maps, and the colour and line of each estimator."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ LEAST_POINTS = 6.0
 """Size of the smallest letters."""
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a5c00")
-"""Colours of lines, those of Okabe and Ito, Color Universal Design, 2008, and a brown in place of their yellow."""
+"""Colours of lines, those of Okabe and Ito, Color Universal Design, 2008, and a brown instead of their yellow."""
 
 STYLE: dict[Any, Any] = {
     "axes.prop_cycle": cycler(color=COLOURS),
@@ -59,14 +59,14 @@ STYLE: dict[Any, Any] = {
 """Sizes in points, and the colours of lines that stand for no estimator."""
 
 HEIGHTS, SIGMAS, ERRORS, POWERS = "viridis", "magma", "RdBu_r", "gray"
-"""Colour maps, which survive print in grey (but for the sign of an error) and are told apart by the colour-blind."""
+"""Colour maps, which survive print in grey (but for the sign of an error) and suit the colour-blind."""
 
 FAULT = "magenta"
 """Colour, which no colour map has, of what must not be there: a height where nothing is lit, or on one side only."""
 
 
 class Look(NamedTuple):
-    """Colour, style of line and marker of an estimator: the same in all pictures, and told apart in grey, too."""
+    """Colour, style of line and marker of an estimator: the same in all pictures, and distinct in grey, too."""
 
     colour: str
     line: Any
@@ -86,13 +86,13 @@ _LOOKS = (
 
 
 def look_of(estimator: str) -> Look:
-    """How the estimator of that prefix of topics is drawn; one that is in no registry is drawn as tracked heights."""
+    """Style of the estimator of that prefix of topics; one that is in no registry is drawn as tracked heights."""
     names = list(ESTIMATORS)
     return _LOOKS[names.index(estimator) % len(_LOOKS)] if estimator in names else _TRACKED
 
 
 def title_of(estimator: str) -> str:
-    """What pictures call the estimator of that prefix of topics."""
+    """Name in pictures of the estimator of that prefix of topics."""
     return ESTIMATORS[estimator].title if estimator in ESTIMATORS else estimator
 
 
@@ -112,20 +112,20 @@ def page(path: Path, tall: float, wide: float = WIDTH) -> Iterator[Figure]:
 
 
 def beyond(values: F64, limits: tuple[float, float]) -> str:
-    """At which ends of a scale values lie outside of it: "neither", "min", "max" or "both"; NaN lies nowhere."""
+    """Ends of a scale that values lie beyond: "neither", "min", "max" or "both"; NaN is ignored."""
     known = values[np.isfinite(values)]
     low, high = (known < limits[0]).any(), (known > limits[1]).any()
     return ("both" if high else "min") if low else ("max" if high else "neither")
 
 
 def colour_bar(shown: ScalarMappable, axes: Any, label: str, values: F64, **where: Any) -> Colorbar:
-    """Draw the scale of colours beside `axes`, with a triangle at each end that `values` go beyond.
+    """Draw the scale of colours next to `axes`, with a triangle at each end that `values` go beyond.
 
     Args:
-        shown: what is drawn in these colours.
+        shown: artist that is drawn in these colours.
         axes: one or several panels.
         label: quantity with its unit.
-        values: all that is drawn in these colours.
+        values: values that are drawn in these colours.
         where: keywords of Figure.colorbar.
     """
     figure = np.ravel(axes)[0].figure

@@ -1,4 +1,4 @@
-"""What a run of the graph is made of, how it is carried out, and what it did."""
+"""Parts of a run of the graph, its execution, and its outcome."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ UNCOUNTED = ("diagnostics",)
 
 @dataclass(frozen=True)
 class DwellChanges:
-    """What happens before a dwell.
+    """Changes before a dwell.
 
     Attributes:
         dwell: the dwell.
@@ -39,7 +39,7 @@ class DwellChanges:
 
 @dataclass(frozen=True)
 class Plan:
-    """What a run of the graph is made of.
+    """Nodes, settings and changes of a run of the graph.
 
     Attributes:
         source: name of the node that publishes dwells, "simulator" or "player".
@@ -51,11 +51,11 @@ class Plan:
         custom_data: texts by name to store in the bag.
         played: topics of the source.
         remapped: other names of topics of all nodes, by their own; all without leading slash.
-        simulated_time: whether all nodes take the time from /clock, which the source publishes.
-        changes: what happens before dwells.
-        mountings: of sensors (config_hash) on the platform, where the flight had others than their descriptions state.
-        announces: whether the source knows what no longer arrives, so that nothing waits for a time-out.
-        frames: when the frames of each dwell of a bag were recorded.
+        simulated_time: True if all nodes read the time from /clock, which the source publishes.
+        changes: changes before dwells.
+        mountings: mountings of sensors (config_hash) on the platform, where the flight had others than described.
+        announces: True if the source knows what no longer arrives, so that nothing waits for a time-out.
+        frames: times when the frames of each dwell of a bag were recorded.
     """
 
     source: str
@@ -80,14 +80,14 @@ class Plan:
 
 @dataclass(frozen=True)
 class Execution:
-    """How a run is carried out; the heights do not depend on it.
+    """Execution of a run; the heights do not depend on it.
 
     Attributes:
-        processes: whether each node of a live graph gets a process of its own; others run in one process.
+        processes: True if each node of a live graph gets a process of its own; others run in one process.
         domain: the ROS domain of the nodes.
-        record: topics to record besides those that the run needs, with or without leading slash.
-        timeout_s: how long to wait while no node works and no message moves, s, before the run is given up. A dwell may
-            take longer, as long as a node works on it.
+        record: topics to record in addition to those that the run needs, with or without leading slash.
+        timeout_s: time without a working node or a moving message after which the run is given up, s. A dwell may
+            last longer, as long as a node works on it.
     """
 
     processes: bool = False
@@ -101,14 +101,14 @@ DEFAULT = Execution()
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run did.
+    """Outcome of a run.
 
     Attributes:
         stages: account of the source and of every stage, by node name; of the recorder, if it has missed messages.
         dwells: number of dwells that were played.
-        interrupted: whether the user stopped the run.
+        interrupted: True if the user stopped the run.
         failure: why the run ended early, unless the user stopped it.
-        elapsed_s: from the first step until the last dwell was settled, or until the run ended, s.
+        elapsed_s: time from the first step until the last dwell was settled, or until the run ended, s.
     """
 
     stages: dict[str, Account]
@@ -119,7 +119,7 @@ class Outcome:
 
     @property
     def losses(self) -> list[str]:
-        """A sentence for each node that dropped messages."""
+        """Warnings, one for each node that dropped messages."""
         return [
             f"Node {name} dropped {count} messages ({reason})."
             for name, account in self.stages.items()

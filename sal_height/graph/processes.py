@@ -18,7 +18,7 @@ from pathlib import Path
 from sal_height.errors import UserError
 
 ONE_BLAS_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
-"""Matrices of a dwell are small: products of them take longer in several threads than in one."""
+"""Matrices of a dwell are small: products of them are slower in several threads than in one."""
 
 ONE_THREAD = {"SAL_HEIGHT_THREADS": "1", **ONE_BLAS_THREAD}
 """Environment of nodes in processes of their own: these share the processors among them, one thread each."""
@@ -46,10 +46,10 @@ def use_one_blas_thread() -> None:
 
 
 def can_fork() -> bool:
-    """Whether a process can go on with the memory of this one.
+    """True if a process can go on with the memory of this one.
 
     Neither Python nor the middleware may have other threads, which a copy lacks and might wait for; nor may NumPy have
-    been imported to use any. The two that LTTng starts with rclpy only listen for its tools.
+    been imported to use any. The two that LTTng starts with rclpy only wait for its tools.
     """
     tasks = Path("/proc/self/task")  # Linux
     limited = all(os.environ.get(name) == count for name, count in ONE_THREAD.items())
@@ -89,8 +89,8 @@ class Forked:
     """A copy of this process that runs a function; used as a `subprocess.Popen` is.
 
     It has a process group of its own, so that Ctrl-C does not reach it, the signal handlers of a new process, and ends
-    without what this one does at its end. It stays in the session: Linux shares the processors out among sessions first
-    (sched_autogroup), and nodes in sessions of their own would get equal shares, however much their work takes.
+    without what this one does at its end. It stays in the session: Linux divides the processors among sessions first
+    (sched_autogroup), and nodes in sessions of their own would get equal parts, whatever their work needs.
 
     Attributes:
         pid: number of the process.
@@ -98,11 +98,11 @@ class Forked:
     """
 
     def __init__(self, run: Callable[[], int], name: str) -> None:
-        """Begin.
+        """Start the process.
 
         Args:
             run: returns the exit status.
-            name: of the process, in lists of processes.
+            name: name of the process, in lists of processes.
 
         Raises:
             OSError: there cannot be another process.
@@ -154,12 +154,12 @@ class Forked:
             os.kill(self.pid, number)
 
 
-def beside(run: Callable[[], int], name: str) -> Forked | None:
+def run_in_copy(run: Callable[[], int], name: str) -> Forked | None:
     """Have a function run in a copy of this process, which ends with this one; if it cannot fork, run it here.
 
     Args:
-        run: returns the exit status; a UserError is told on stderr, and the status is 2.
-        name: of the copy, in lists of processes.
+        run: function that returns the exit status; a UserError is written to stderr, and the status is 2.
+        name: name of the copy, in lists of processes.
 
     Returns:
         The copy; None: the function has been run.

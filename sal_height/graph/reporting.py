@@ -1,4 +1,4 @@
-"""What `run`, `replay` and `calibrate` have in common: their report.json, and what becomes of an outcome."""
+"""Common parts of `run`, `replay` and `calibrate`: their report.json, and the handling of an outcome."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ RELIEF_MAP = "relief_map.tif"
 
 @contextmanager
 def reporting(folder: Path, known: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """A report that begins with what is `known`; left in `folder`/report.json even after a failure, which it names.
+    """A report that starts with what is `known`; left in `folder`/report.json even after a failure, which it names.
 
     Raises:
         UserError: the file cannot be written.
@@ -42,7 +42,7 @@ def reporting(folder: Path, known: dict[str, Any]) -> Iterator[dict[str, Any]]:
         yield report
     except BaseException as error:
         report["failed"] = str(error) or type(error).__name__
-        with suppress(UserError):  # the first failure is the one to tell
+        with suppress(UserError):  # the first failure is the one to report
             write()
         raise
     write()
@@ -65,12 +65,12 @@ def conclude(outcome: Outcome, values: NodeParameters, report: dict[str, Any]) -
 
 
 def merged(base: NodeParameters, changes: NodeParameters) -> dict[str, dict[str, Any]]:
-    """Node parameters of `base` with those of `changes` in their place."""
+    """Node parameters of `base`, overridden by those of `changes`."""
     return {name: {**base.get(name, {}), **changes.get(name, {})} for name in {**base, **changes}}
 
 
 def _stage(account: Account) -> dict[str, Any]:
-    """What the report says of one node."""
+    """Entry of the report on one node."""
     return {
         "in": account.received,
         "processed": account.processed,

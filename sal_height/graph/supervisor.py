@@ -20,7 +20,7 @@ STEADY_S = 60.0
 
 @dataclass
 class _Fate:
-    """What has become of a node: when it was started, how long to wait before the next time, and until when."""
+    """State of a node: time of its last start, delay before the next one, s, and the time at which that is due."""
 
     began: float
     wait_s: float = FIRST_WAIT_S
@@ -36,7 +36,7 @@ class Supervisor:
         self._fates = {name: _Fate(now) for name in ensemble.members}
 
     def look(self, now: float) -> list[str]:
-        """Tell which nodes have ended, and start those again whose time has come; returns their names."""
+        """Report nodes that have ended, and start those again whose delay is over; returns their names."""
         started = []
         for name, status in self._ensemble.ended().items():
             fate = self._fates[name]
@@ -62,7 +62,7 @@ class Supervisor:
 
 
 def _described(status: int) -> str:
-    """How a process ended, in words."""
+    """End of a process, in words."""
     if status >= 0:
         return f"with status {status}, and what it said is above"
     try:

@@ -1,11 +1,11 @@
-"""What `run` and `replay` print at their end, as lines of text."""
+"""Tables that `run` and `replay` print at their end, as lines of text."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from sal_height.bag.compare import Comparison
+from sal_height.bag.compare import TopicComparison
 from sal_height.engine.registry import STAGES, takes_heights
 from sal_height.graph.catalogue import HEIGHTS
 from sal_height.graph.plan import Outcome
@@ -21,10 +21,10 @@ MOST_CHANGES = 5
 def results_table(outcome: Outcome, accuracy: Mapping[str, Mapping[str, Any]]) -> str:
     """Height images, messages dropped and, where the truth is known, the errors of each estimator.
 
-    The bound is that of the looks of a pixel; it does not hold for heights to which neighbours contribute.
+    The bound is that of the looks of a pixel; it does not apply to heights to which neighbours contribute.
 
     Args:
-        outcome: of the run.
+        outcome: outcome of the run.
         accuracy: statistics of each estimator (`report.statistics`) by prefix of its topics; empty: no truth is known.
     """
     heading = ["estimator", "images", "inputs dropped", "valid %", "bias m", "s68 m", "bound m", "within 1 sigma %"]
@@ -48,7 +48,7 @@ def results_table(outcome: Outcome, accuracy: Mapping[str, Mapping[str, Any]]) -
 
 
 def achieved(accuracy: Mapping[str, Mapping[str, Any]]) -> str:
-    """A sentence on the estimator with the smallest errors, and its bound; empty if there is none.
+    """Summary of the estimator with the smallest errors, and its bound; empty without errors.
 
     Args:
         accuracy: statistics of each estimator (`report.statistics`) by prefix of its topics.
@@ -67,8 +67,8 @@ def _length(metres: float) -> str:
     return f"{1000 * metres:.1f} mm" if metres < 0.1 else f"{metres:.2f} m"
 
 
-def comparison_table(compared: Mapping[str, Comparison]) -> str:
-    """How topics compare with the golden ones, and a sentence on each field that is beyond its tolerance."""
+def comparison_table(compared: Mapping[str, TopicComparison]) -> str:
+    """Comparison of topics with the golden ones, and a line on each field that is beyond its tolerance."""
     heading = ["topic", "verdict", "compared", "missing", "extra", "values", "different", "beyond tolerance"]
     rows = []
     for topic, result in compared.items():
@@ -82,8 +82,8 @@ def comparison_table(compared: Mapping[str, Comparison]) -> str:
     return "\n".join([aligned([heading, *rows]), *changes])
 
 
-def _changes(compared: Mapping[str, Comparison]) -> Iterator[str]:
-    """A sentence on each field with values beyond the tolerance, for all topics with the same worst value together."""
+def _changes(compared: Mapping[str, TopicComparison]) -> Iterator[str]:
+    """Lines on the fields with values beyond the tolerance, for all topics with the same worst value together."""
     said: dict[str, list[str]] = {}
     for topic, result in compared.items():
         for name, one in result.fields.items():
@@ -95,7 +95,7 @@ def _changes(compared: Mapping[str, Comparison]) -> Iterator[str]:
 
 
 def campaign_table(rows: Sequence[Mapping[str, Any]], varied: Sequence[str]) -> str:
-    """What became of each bag and setting of a campaign; sigma and error are those of all estimators, in m."""
+    """Results of each bag and setting of a campaign; sigma and error are those of all estimators, in m."""
     endings = ("median_sigma_m", "s68_m")
     numbers = [name for name in dict.fromkeys(key for row in rows for key in row) if name.endswith(endings)]
     heading = ["bag", *varied, "dwells", "dropped", "s", "against recorded", *numbers]

@@ -28,15 +28,15 @@ LOOK_PERIOD_S = 0.05
 
 
 class Watcher(Node):
-    """Reads what all nodes tell on /diagnostics.
+    """Reads the accounts of all nodes on /diagnostics.
 
     Attributes:
         book: their accounts.
-        is_deaf: whether nothing more can come, since the process has lost a port of shared memory; it is said once.
+        is_deaf: True if nothing more can arrive, since the process has lost a port of shared memory; it is said once.
     """
 
     def __init__(self, book: AccountBook, **node_arguments: Any) -> None:
-        """Enter what comes into `book`; `node_arguments` go to rclpy's Node."""
+        """Enter messages into `book`; `node_arguments` go to rclpy's Node."""
         super().__init__("sal_height_watcher", **node_arguments)
         self.book = book
         self.is_deaf = False
@@ -55,7 +55,7 @@ class Watcher(Node):
 
 
 def looks(graph: Graph, interruption: Interruption, seconds: float) -> Iterator[tuple[float, bool]]:
-    """Spin a graph for so long; time and again, yields the time since the begin, s, and whether it is time to show.
+    """Spin a graph for a time; again and again, yields the time since the start, s, and whether it is time to show.
 
     Raises:
         KeyboardInterrupt: the user has interrupted.
@@ -71,11 +71,11 @@ def looks(graph: Graph, interruption: Interruption, seconds: float) -> Iterator[
 
 
 def watch(domain: DomainChoice, seconds: float, show: Callable[[AccountBook], None]) -> AccountBook:
-    """Read what the nodes of a domain tell until the time is over or the user interrupts.
+    """Read the accounts of the nodes of a domain until the time is over or the user interrupts.
 
     Args:
-        domain: of the nodes.
-        seconds: how long, s; infinity: until it is interrupted.
+        domain: ROS domain of the nodes.
+        seconds: duration, s; infinity: until it is interrupted.
         show: called once a second with what is known.
     """
     book = AccountBook()

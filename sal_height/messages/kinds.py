@@ -19,7 +19,7 @@ from sal_height.engine.frames import USUAL, Frames, PlacedOrigin
 from sal_height.engine.height_items import Heights
 from sal_height.engine.image_items import Image, Images
 from sal_height.engine.mapper import PlacedRelief
-from sal_height.engine.movers import FoundMovers
+from sal_height.engine.movers import ImageMovers
 from sal_height.engine.navigation import Attitude, Fix, Pose, Twist
 from sal_height.engine.stage import Port
 from sal_height.engine.static_frames import StaticTransform
@@ -217,7 +217,7 @@ def write_relief(placed: PlacedRelief, _: Any = None) -> list[bytes]:
     return [SHIPPED.serialize(relief_to_message(placed))]
 
 
-def write_movers(found: FoundMovers, _: Any = None) -> list[bytes]:
+def write_movers(found: ImageMovers, _: Any = None) -> list[bytes]:
     """The serialized PointCloud2 of what moves in a dwell."""
     return [SHIPPED.serialize(mover_points(found.looked.movers, header_of(found.key.stamp_ns, found.frame_id)))]
 
@@ -258,7 +258,7 @@ KINDS: Mapping[type, Kind] = {
     Attitude: Kind("sensor_msgs/msg/Imu", read_attitude_sample, _nothing_writes),
     Twist: Kind("geometry_msgs/msg/TwistStamped", read_twist_sample, _nothing_writes),
     PlacedRelief: Kind("sal_height_msgs/msg/ReliefMap", _nothing_reads, write_relief),
-    FoundMovers: Kind("sensor_msgs/msg/PointCloud2", _nothing_reads, write_movers),
+    ImageMovers: Kind("sensor_msgs/msg/PointCloud2", _nothing_reads, write_movers),
     PlacedMounting: Kind("geometry_msgs/msg/PoseWithCovarianceStamped", _nothing_reads, write_mounting),
 }
 """How the items of each class are read and written."""

@@ -15,7 +15,7 @@ from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS
 from sal_height.nodes.worker import WorkerNode
 
 
-class Viewer(Protocol):
+class ViewPublisher(Protocol):
     """Publishes what viewers show of a product."""
 
     def publish(self, item: Any) -> None:

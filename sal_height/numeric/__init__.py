@@ -3,8 +3,9 @@
 Read `arrays` (types of arrays), `jit` (how kernels are compiled), `threads` (how work is spread over processors) and
 `blas_threads` (why BLAS is not) first, then `windows` (spectral weights), `phasors` (exp(j phase) with the phase
 reduced in float64), `chirp_z`, `centred_sums` and `fft` (transforms of many rows), `parabola` (peaks between samples),
-`medians` (how well they are known), `bilinear` (interpolation on nodes), `range_profiles` (interpolation of
-band-limited profiles) and `vectors` (of three numbers, within compiled loops). Nothing here knows of sensors or images.
+`medians` (how well they are known), `error_statistics` (of errors and their predicted standard deviations), `bilinear`
+(interpolation on nodes), `range_profiles` (interpolation of band-limited profiles) and `vectors` (of three numbers,
+within compiled loops). Nothing here knows of sensors or images.
 """
 
 from sal_height.numeric._kernels import cosine_and_sine, cosine_and_sine_of_part, tap_weights
@@ -13,6 +14,14 @@ from sal_height.numeric.bilinear import between_nodes, bilinear, node_before
 from sal_height.numeric.blas_threads import one_blas_thread
 from sal_height.numeric.centred_sums import LARGEST, CentredSums
 from sal_height.numeric.chirp_z import ChirpZ, chirp_z
+from sal_height.numeric.error_statistics import (
+    ErrorStatistics,
+    error_statistics,
+    fraction_of,
+    half_width,
+    mean_of,
+    root_mean_square,
+)
 from sal_height.numeric.fft import blocks, fast_length, frequencies, rows_at_once
 from sal_height.numeric.jit import compiled, compiled_with_nan, inlined, squared
 from sal_height.numeric.medians import MEDIAN_ERROR
@@ -48,6 +57,7 @@ __all__ = [
     "CentredSums",
     "ChirpZ",
     "Complex",
+    "ErrorStatistics",
     "Index",
     "Vector",
     "available_processors",
@@ -63,16 +73,21 @@ __all__ = [
     "cross",
     "dense_profiles",
     "dot",
+    "error_statistics",
     "fast_length",
+    "fraction_of",
     "frequencies",
+    "half_width",
     "in_parallel",
     "in_threads",
     "inlined",
     "kernel_transform",
+    "mean_of",
     "node_before",
     "noise_gain",
     "one_blas_thread",
     "outer_phasors",
+    "root_mean_square",
     "rows_at_once",
     "spectra_of_profiles",
     "squared",

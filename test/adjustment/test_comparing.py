@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sal_height.adjustment import UNKNOWN_GROUND, AdjustmentSettings, ObservedDwell, Points, Stated, adjust
-from sal_height.adjustment.comparing import STRIP_POINTS, Chain, _Met, compared, joined
+from sal_height.adjustment.comparing import STRIP_POINTS, DwellChain, _Met, compared, joined
 from sal_height.adjustment.matching import Match, Surface, match
 from sal_height.adjustment.network import Comparison, Network
 from sal_height.imaging import Placement
@@ -47,7 +47,7 @@ def compared_after(
         network.add(replace(image, stated=replace(image.stated, pose=pose, velocity=1e-8 * np.eye(3))))
     chains = joined(network.dwells, SETTINGS)
     known = network.solved(chains)
-    first, second = (Chain.of(chain, network, known) for chain in chains)
+    first, second = (DwellChain.of(chain, network, known) for chain in chains)
     return list(compared(second, [first], network, known, UNKNOWN_GROUND, STRIP_POINTS, [second] if alone else []))
 
 
@@ -86,7 +86,7 @@ def test_a_strip_is_placed_where_enough_of_it_fits(only: slice, count: int) -> N
 @pytest.mark.parametrize(("share", "clear"), [(0.39, False), (0.41, True)])
 def test_a_match_of_a_strip_is_clear_from_a_share_of_the_smaller_image_on(share: float, clear: bool) -> None:
     """And if it is within what was known: 3.5 standard deviations, of 10 cm and 1 cm, and not 4.5."""
-    chain = Chain({}, points_of(1000), np.zeros(2), np.zeros(2))
+    chain = DwellChain({}, points_of(1000), np.zeros(2), np.zeros(2))
     met = _Met(chain.points.surface, 2000, {}, np.zeros(3), 0.01 * np.eye(3))
     found = Match(np.array([0.3, 0.0, 0.0]), 1e4 * np.eye(3), ({0: 1.0}, {1: 1.0}), share)
     assert met.is_clear(found, chain) == clear

@@ -10,7 +10,7 @@ from flown_passes import flown, flown_as, preset_of
 
 from benchmarks.passes import FlownPasses
 from sal_height.adjustment import AdjustmentSettings, References, Target, Terrain, Window, adjust
-from sal_height.adjustment.comparing import FINE_POINTS, Chain, compared, joined
+from sal_height.adjustment.comparing import FINE_POINTS, DwellChain, compared, joined
 from sal_height.adjustment.equations import Solution
 from sal_height.adjustment.network import Network
 from sal_height.adjustment.observed import pose_jacobian
@@ -112,14 +112,14 @@ def test_no_more_points_are_held_than_wanted() -> None:
     assert 2 * chain < max(held) < 3.5 * chain
 
 
-def chains_of(passes: FlownPasses) -> tuple[Network, Solution, list[Chain]]:
+def chains_of(passes: FlownPasses) -> tuple[Network, Solution, list[DwellChain]]:
     """A network of all dwells, what is known of it without comparisons, and its chains."""
     network = Network(passes.flight.sensor.mounting, SETTINGS)
     for dwell in passes.dwells:
         network.add(dwell)
     chains = joined(network.dwells, SETTINGS)
     known = network.solved(chains)
-    return network, known, [Chain.of(numbers, network, known) for numbers in chains]
+    return network, known, [DwellChain.of(numbers, network, known) for numbers in chains]
 
 
 @pytest.mark.parametrize("wrong_m", [0.0, 20.0])

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sal_height.bag.compare import CHANGED, EQUAL, WITHIN, Comparison, compare_bags
+from sal_height.bag.compare import CHANGED, EQUAL, WITHIN, TopicComparison, compare_bags
 from sal_height.bag.fields import content_hash, fields_of
 from sal_height.bag.reader import BagReader
 from sal_height.bag.tolerance import EXACT, ROUNDING, Tolerance, Tolerances, read_tolerances
@@ -51,7 +51,7 @@ class Bags:
                     writer.write(topic, serialize(message), time, time)
         return BagReader(self.folder / str(self.written))
 
-    def compare(self, golden: list[Any], made: list[Any], tolerances: Tolerances = EXACT) -> Comparison:
+    def compare(self, golden: list[Any], made: list[Any], tolerances: Tolerances = EXACT) -> TopicComparison:
         return compare_bags(self.write({"/h": golden}), self.write({"/h": made}), tolerances)["/h"]
 
 
@@ -236,7 +236,7 @@ def test_a_dwell_number_that_comes_twice_is_matched_twice(bags: Bags) -> None:
 
 def test_nothing_is_not_equal_to_nothing(bags: Bags) -> None:
     assert compare_bags(bags.write({}), bags.write({})) == {}
-    assert Comparison().verdict == CHANGED
+    assert TopicComparison().verdict == CHANGED
 
 
 def test_from_a_bag_without_height_images_all_are_missing(bags: Bags) -> None:

@@ -17,7 +17,7 @@ from sal_height.calibration.settings import CalibrationSettings
 from sal_height.elevation.estimators.maximum_likelihood import MlSettings, ml_elevation
 from sal_height.elevation.looks.looks import Looks
 from sal_height.errors import NotDetermined, Rejected
-from sal_height.figures.synthetic_tape import RangeFault, Target, make_tape
+from sal_height.figures.synthetic_tape import RangeFault, TapeTarget, make_tape
 from sal_height.geometry.earth import sphere_point
 from sal_height.geometry.frames import angles_of
 from sal_height.geometry.trajectory import Trajectory
@@ -81,7 +81,7 @@ def test_the_common_response_is_that_of_a_tape_at_its_frequencies() -> None:
     """Four targets of 50 dB; the chip of 64 rows does not hold all that the step at the edge of the band makes."""
     places = ((120.0, 100.0), (120.4, 300.3), (380.2, 100.7), (380.0, 400.0))
     fault = RangeFault(support=0.8, sawtooth=0.05)
-    tape = make_tape((512, 512), np.random.default_rng(5), tuple(Target(*place, 50.0) for place in places), fault)
+    tape = make_tape((512, 512), np.random.default_rng(5), tuple(TapeTarget(*place, 50.0) for place in places), fault)
     targets = targets_in(tape, PointTargetSettings())
     assert len(targets) == 4
     found, true = common_response(list(targets), 256), fault.response(256)

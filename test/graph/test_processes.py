@@ -22,7 +22,7 @@ use_one_thread()
 
 
 def said_by(code: str) -> object:
-    """What a program in an interpreter of its own prints as JSON: tests have threads, beside which nothing can fork."""
+    """What a program in an interpreter of its own prints as JSON: tests have threads, so that nothing can fork."""
     result = subprocess.run(  # noqa: S603 (our own code)
         [sys.executable, "-c", PRELUDE + code], capture_output=True, text=True, timeout=60, check=True
     )
@@ -105,13 +105,13 @@ copy.kill()
 def test_work_is_done_beside_the_program_or_before_it_goes_on() -> None:
     """The latter where it has other threads."""
     code = """
-from sal_height.graph.processes import beside
+from sal_height.graph.processes import run_in_copy
 done = []
-copy = beside(lambda: done.append(1) or 0, "work")
+copy = run_in_copy(lambda: done.append(1) or 0, "work")
 status = copy.wait(30.0)
 ended = threading.Event()
 threading.Thread(target=ended.wait).start()
-print(json.dumps([status, len(done), beside(lambda: done.append(1) or 0, "work"), len(done)]))
+print(json.dumps([status, len(done), run_in_copy(lambda: done.append(1) or 0, "work"), len(done)]))
 ended.set()
 """
     assert said_by(code) == [0, 0, None, 1]

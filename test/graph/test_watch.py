@@ -77,7 +77,7 @@ def test_the_table_fits_a_terminal_and_says_what_is_wrong() -> None:
     assert line == ["sar_compression", "ok", "85.9", "5.2", "0.00", "249"]
     assert "ml_height has left out in the last minute (in all): overload 4 (12)." in " ".join(text.split())
     assert "ml_height says: 12 dropped" in text
-    assert "gone_long_ago has stopped publishing." in text
+    assert "gone_long_ago publishes nothing any more." in text
 
 
 def test_names_without_end_take_no_memory_without_end() -> None:

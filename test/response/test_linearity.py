@@ -12,7 +12,7 @@ from helpers import assert_one_sentence, circular
 from sal_height.errors import NotDetermined
 from sal_height.figures.psf_estimators import depth_and_pedestal
 from sal_height.figures.psf_speckle import noise_weights
-from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Saturation, Target, make_tape
+from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Saturation, TapeTarget, make_tape
 from sal_height.numeric.fft import frequencies
 from sal_height.numeric.windows import window
 from sal_height.response.linearity import KnownNoise, ShapedNoise, Superposition, _target_covariance, superposition
@@ -33,7 +33,7 @@ def target_and_speckle(
     image = make_tape(
         (ROWS, SPECKLE_COLS + 64 * (TARGETS + 1)),
         rng,
-        tuple(Target(ROWS // 2, col, 40) for col in cols),
+        tuple(TapeTarget(ROWS // 2, col, 40) for col in cols),
         RangeFault(sawtooth=0.0) if weights == "calibrated" else RangeFault(),
         AzimuthFault(),
         noise,

@@ -11,7 +11,7 @@ from helpers import circular
 from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 
-from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Target, make_tape
+from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, TapeTarget, make_tape
 from sal_height.numeric.fft import frequencies
 from sal_height.response.impulse import measure_brightest
 from sal_height.response.point_spread import FINENESS, anomalous_sidelobes, cut_through, estimate_point_spread
@@ -113,7 +113,7 @@ def test_the_echoes_of_a_sawtooth_on_a_tape() -> None:
     """Of 4 targets of 50 dB: the error of an echo's level is 0.4 dB rms; 1.3 dB are three times that."""
     rng = np.random.default_rng(22)
     fault = RangeFault()
-    targets = tuple(Target(row + 0.3, col - 0.2, 50.0) for row in (128, 384) for col in (128, 384))
+    targets = tuple(TapeTarget(row + 0.3, col - 0.2, 50.0) for row in (128, 384) for col in (128, 384))
     made = estimate_transfer_function(find_targets(make_tape((512, 512), rng, targets, fault)).require())
     spread = estimate_point_spread(made)
     pixels = np.fft.fftshift(np.fft.ifft(np.fft.ifftshift(fault.response(2048))))

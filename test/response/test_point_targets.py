@@ -10,7 +10,7 @@ from helpers import assert_one_sentence, circular
 from numpy.testing import assert_allclose
 
 from sal_height.errors import NotDetermined, UserError
-from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Target, make_tape
+from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, TapeTarget, make_tape
 from sal_height.response import point_targets
 from sal_height.response.point_targets import BLOCK, PointTargetSettings, Verdict, chip_at, find_targets
 
@@ -18,7 +18,7 @@ SIDE = 256
 PLACES = ((70.3, 60.8), (80.0, 190.45), (190.75, 100.1))
 
 
-def tape(*targets: Target, seed: int = 1, shape: tuple[int, int] = (SIDE, SIDE)) -> np.ndarray:
+def tape(*targets: TapeTarget, seed: int = 1, shape: tuple[int, int] = (SIDE, SIDE)) -> np.ndarray:
     """A Taylor-weighted range band, a cosine beam."""
     fault = RangeFault(sawtooth=0.0)
     return make_tape(shape, np.random.default_rng(seed), targets, fault, AzimuthFault())
@@ -32,7 +32,7 @@ def verdicts(image: np.ndarray, chip: tuple[int, int] = (64, 64)) -> list[Verdic
 @pytest.mark.parametrize("carrier", [(0.0, 0.0), (0.45, -0.2)])
 def test_targets_are_found_where_they_are(carrier: tuple[float, float]) -> None:
     # The standard error of a place in clutter is about 0.01 pixels in range here, and less in azimuth.
-    image = tape(*(Target(*place, 40.0 + i) for i, place in enumerate(PLACES)))
+    image = tape(*(TapeTarget(*place, 40.0 + i) for i, place in enumerate(PLACES)))
     rows, cols = np.ogrid[:SIDE, :SIDE]
     image = (image * np.exp(2j * np.pi * (carrier[0] * rows + carrier[1] * cols))).astype(np.complex64)
     survey = find_targets(image)
@@ -44,7 +44,7 @@ def test_targets_are_found_where_they_are(carrier: tuple[float, float]) -> None:
 
 @pytest.mark.parametrize("scale", [1e-15, 1e15])
 def test_the_scale_of_an_image_does_not_matter(scale: float) -> None:
-    image = tape(Target(*PLACES[0], 40.0))
+    image = tape(TapeTarget(*PLACES[0], 40.0))
     (plain,), (scaled,) = (find_targets((image * factor).astype(np.complex64)).targets for factor in (1, scale))
     assert_allclose(scaled.spectrum, plain.spectrum, rtol=1e-3, atol=1e-3)
     assert scaled.over_clutter == pytest.approx(plain.over_clutter, rel=1e-4)
@@ -69,7 +69,7 @@ def test_a_chip_holds_the_response_between_the_pixels() -> None:
 
 def test_a_chip_as_wide_as_the_image_is_cyclic() -> None:
     """A narrow image has no columns to spare beside a chip."""
-    image = tape(Target(128.2, 9.7, 45.0), shape=(SIDE, 12))
+    image = tape(TapeTarget(128.2, 9.7, 45.0), shape=(SIDE, 12))
     survey = find_targets(image, (64, 12))
     (target,) = survey.require()
     assert target.spectrum.shape == (64, 12)
@@ -85,18 +85,18 @@ def test_speckle_has_no_targets() -> None:
 
 
 def with_gap(value: float, size: int) -> np.ndarray:
-    image = tape(Target(120, 130, 40.0))
+    image = tape(TapeTarget(120, 130, 40.0))
     image[100 : 100 + size, 140 : 140 + size] = value
     return image
 
 
 def pair(rows: float, cols: float, over: float = 40.0) -> np.ndarray:
     """Two targets, one of 40 dB."""
-    return tape(Target(120.0, 130.0, 40.0), Target(120.0 + rows, 130.0 + cols, over))
+    return tape(TapeTarget(120.0, 130.0, 40.0), TapeTarget(120.0 + rows, 130.0 + cols, over))
 
 
 def limited(level: float, *, part: bool) -> np.ndarray:
-    image = tape(Target(120, 130, 40.0))
+    image = tape(TapeTarget(120, 130, 40.0))
     if part:
         return np.clip(image.view(np.float32), -level, level).view(np.complex64)
     amplitude = np.abs(image)
@@ -106,8 +106,8 @@ def limited(level: float, *, part: bool) -> np.ndarray:
 @pytest.mark.parametrize(
     ("image", "verdict"),
     [
-        (tape(Target(20, 130, 40.0)), Verdict.EDGE),
-        (tape(Target(120, 230, 40.0)), Verdict.EDGE),
+        (tape(TapeTarget(20, 130, 40.0)), Verdict.EDGE),
+        (tape(TapeTarget(120, 230, 40.0)), Verdict.EDGE),
         (with_gap(np.nan, 1), Verdict.NOT_FINITE),
         (with_gap(np.inf, 1), Verdict.NOT_FINITE),
         (with_gap(0.0, 8), Verdict.GAPS),
@@ -131,19 +131,19 @@ def test_what_is_no_point_alone_is_not_taken(image: np.ndarray, verdict: Verdict
 
 def test_what_is_much_fainter_does_not_crowd() -> None:
     assert verdicts(pair(30, 28, 18)) == [Verdict.ACCEPTED]
-    assert verdicts(tape(Target(120, 130, 60), Target(150, 105, 35))) == [Verdict.ACCEPTED, Verdict.CROWDED]
+    assert verdicts(tape(TapeTarget(120, 130, 60), TapeTarget(150, 105, 35))) == [Verdict.ACCEPTED, Verdict.CROWDED]
     assert verdicts(with_gap(0.0, 4)) == [Verdict.ACCEPTED]
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_speckle_does_not_make_a_faint_target_complicated(seed: int) -> None:
-    assert verdicts(tape(Target(120, 130, 24.0), seed=seed)) == [Verdict.ACCEPTED]
+    assert verdicts(tape(TapeTarget(120, 130, 24.0), seed=seed)) == [Verdict.ACCEPTED]
 
 
 def test_two_that_are_not_resolved_are_wider_than_the_others() -> None:
     # In one row the pair is the product of its cuts: alone it would pass.
-    others = (Target(190, 60, 40), Target(60, 190, 40))
-    image = tape(*others, Target(70.0, 60.0, 42), Target(71.9, 60.0, 42), seed=2)
+    others = (TapeTarget(190, 60, 40), TapeTarget(60, 190, 40))
+    image = tape(*others, TapeTarget(70.0, 60.0, 42), TapeTarget(71.9, 60.0, 42), seed=2)
     found = {candidate.row: candidate.verdict for candidate in find_targets(image).candidates}
     assert sorted(found.values()) == [Verdict.ACCEPTED, Verdict.ACCEPTED, Verdict.COMPLICATED]
     assert found[190] is found[60] is Verdict.ACCEPTED
@@ -182,7 +182,7 @@ def test_crowds_of_a_city_need_little_memory() -> None:
 
 
 def test_settings_decide_what_is_taken() -> None:
-    image = tape(*(Target(*place, 40.0 + i) for i, place in enumerate(PLACES)))
+    image = tape(*(TapeTarget(*place, 40.0 + i) for i, place in enumerate(PLACES)))
     survey = find_targets(image, settings=PointTargetSettings(points_per_image=2))
     assert [candidate.verdict for candidate in survey.candidates] == [Verdict.ACCEPTED, Verdict.ACCEPTED, Verdict.SPARE]
     assert len(survey.targets) == 2
@@ -190,7 +190,9 @@ def test_settings_decide_what_is_taken() -> None:
     assert not find_targets(image, settings=PointTargetSettings(point_sidelobes_db=45.0)).targets
     lone = pair(30, 28, 18)
     assert not find_targets(lone, settings=PointTargetSettings(point_isolation_db=26.0)).targets
-    close = tape(Target(190, 60, 40), Target(60, 190, 40), Target(70.0, 60.0, 42), Target(71.9, 60.0, 42), seed=2)
+    close = tape(
+        TapeTarget(190, 60, 40), TapeTarget(60, 190, 40), TapeTarget(70.0, 60.0, 42), TapeTarget(71.9, 60.0, 42), seed=2
+    )
     assert len(find_targets(close, settings=PointTargetSettings(point_energy_ratio=5.0)).targets) == 3
 
 

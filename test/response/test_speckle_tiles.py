@@ -7,7 +7,7 @@ import pytest
 from helpers import assert_one_sentence, circular
 
 from sal_height.errors import NotDetermined, UserError
-from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Target, make_tape
+from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, TapeTarget, make_tape
 from sal_height.numeric.windows import window
 from sal_height.response.speckle_tiles import REASONS, SpeckleSettings, find_pure_speckle, sum_of_powers
 
@@ -59,7 +59,7 @@ def test_moment_has_the_variance_of_its_independent_pixels() -> None:
 
 def test_what_is_not_pure_is_counted_by_its_reason() -> None:
     """Each in a tile of its own, of 8 x 8; the others are pure but for the significance."""
-    targets = (Target(32, 32, 30), Target(100, 40, 25))
+    targets = (TapeTarget(32, 32, 30), TapeTarget(100, 40, 25))
     image = make_tape((512, 512), np.random.default_rng(6), targets, RangeFault(), AzimuthFault())
     image[128 + 5, 3] = np.nan
     image[128 + 5, 64 + 3] = np.inf + 1j
@@ -177,7 +177,7 @@ def test_small_images_have_small_tiles() -> None:
 
 
 def test_an_image_of_targets_has_no_pure_speckle() -> None:
-    targets = tuple(Target(32 + 64 * i, 32 + 64 * j, 40) for i in range(2) for j in range(2))
+    targets = tuple(TapeTarget(32 + 64 * i, 32 + 64 * j, 40) for i in range(2) for j in range(2))
     image = make_tape((128, 128), np.random.default_rng(10), targets, RangeFault(), AzimuthFault())
     with pytest.raises(NotDetermined) as error:
         find_pure_speckle(image)

@@ -15,7 +15,7 @@ from sal_height.figures.psf_estimators import masked_spectrum, masked_transfer_f
 from sal_height.figures.synthetic_tape import (
     AzimuthFault,
     RangeFault,
-    Target,
+    TapeTarget,
     frequencies,
     make_tape,
 )
@@ -44,7 +44,7 @@ def errors(response: np.ndarray, expected: np.ndarray) -> tuple[float, float]:
 
 def cyclic(rng: np.random.Generator, over_db: float, azimuth: AzimuthFault = EVEN, count: int = 4) -> list[PointTarget]:
     """Targets in the middle of pixels, each in an image as large as its chip."""
-    images = (make_tape((COUNT, COUNT), rng, (Target(20, 30, over_db),), RANGE, azimuth) for _ in range(count))
+    images = (make_tape((COUNT, COUNT), rng, (TapeTarget(20, 30, over_db),), RANGE, azimuth) for _ in range(count))
     return [chip_at(image, 20, 30, clutter=1.0) for image in images]
 
 
@@ -78,7 +78,7 @@ def test_the_accuracy_promised() -> None:
     expected = truth(RANGE.response), truth(COSINE.response)
     found = []
     for _ in range(5):
-        targets = tuple(Target(*(np.array(place) + rng.uniform(-1, 1, 2)), 40.0) for place in PLACES)
+        targets = tuple(TapeTarget(*(np.array(place) + rng.uniform(-1, 1, 2)), 40.0) for place in PLACES)
         made = estimate_transfer_function(find_targets(make_tape((512, 512), rng, targets, RANGE, COSINE)).require())
         assert made.targets == 4
         found.append([*errors(made.range.response, expected[0]), *errors(made.azimuth.response, expected[1])])
@@ -121,7 +121,7 @@ def test_phases_cost_nothing() -> None:
 @pytest.mark.parametrize("fraction", [0.1, 0.45, 0.5])
 def test_a_full_band_between_the_pixels(fraction: float) -> None:
     """Power over half of the peak's lies on both sides, and falls off so slowly that the chip's context cuts some."""
-    image = make_tape((512, 512), np.random.default_rng(20), (Target(200.3, 250 + fraction, 70.0),), RANGE, EVEN)
+    image = make_tape((512, 512), np.random.default_rng(20), (TapeTarget(200.3, 250 + fraction, 70.0),), RANGE, EVEN)
     made = estimate_transfer_function(find_targets(image).require())
     assert np.sqrt(np.mean(np.abs(made.azimuth.response - 1) ** 2)) < 0.045
 
@@ -129,7 +129,7 @@ def test_a_full_band_between_the_pixels(fraction: float) -> None:
 def test_outside_of_the_band_the_error_is_that_of_noise() -> None:
     """White noise lifts |R| where it is 0; sigma says by how much."""
     rng = np.random.default_rng(13)
-    images = [make_tape((COUNT, COUNT), rng, (Target(20, 30, 40.0),), RANGE, EVEN, noise=0.5) for _ in range(40)]
+    images = [make_tape((COUNT, COUNT), rng, (TapeTarget(20, 30, 40.0),), RANGE, EVEN, noise=0.5) for _ in range(40)]
     made = estimate_transfer_function([chip_at(image, 20, 30, clutter=1.25) for image in images])
     outside = np.abs(RANGE.response(COUNT)) == 0
     square = np.mean(np.abs(made.range.response[outside]) ** 2)
@@ -209,7 +209,7 @@ def test_dividing_errs_less_than_the_papers_means_and_without_clutter_much_less(
     expected = truth(COSINE.response)
     ours, masked, cleaned = [], [], []
     for _ in range(60):
-        target = Target(*(128 + rng.uniform(-1, 1, 2)), 40.0)
+        target = TapeTarget(*(128 + rng.uniform(-1, 1, 2)), 40.0)
         found = find_targets(make_tape((256, 256), rng, (target,), RANGE, COSINE)).require()
         made = estimate_transfer_function(found)
         ours.append(made.azimuth.response)

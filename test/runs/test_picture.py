@@ -19,15 +19,15 @@ from sal_height.messages import serialize
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, KeyValue
 from sal_height.relief import GroundEstimate, HeightField, Surface
 from sal_height.runs.campaign.campaign_picture import _style
-from sal_height.runs.live.latency_picture import draw_run, told_latencies
+from sal_height.runs.live.latency_picture import draw_run, published_latencies
 from sal_height.runs.products.calibration_picture import beyond_error
 from sal_height.runs.responses.image_picture import corners, draw_image, ground_steps
 from sal_height.runs.truth.cloud_picture import projected
-from sal_height.runs.truth.comparison import Comparison, PublishedErrors
+from sal_height.runs.truth.comparison import PublishedErrors, SurfaceComparison
 from sal_height.runs.truth.error_picture import _normal, counted
 from sal_height.runs.truth.ground_picture import kind_shares
 from sal_height.runs.truth.height_picture import ground_picture, height_limits, percent_text
-from sal_height.runs.truth.profile import telling_column
+from sal_height.runs.truth.profile import column_of_greatest_relief
 from sal_height.runs.truth.surface_report import GroundCoverage, Judged
 
 
@@ -57,7 +57,7 @@ def judgement_of(place: list[list[float]], sigma: list[float], ghost: list[bool]
         ghost=np.array(ghost),
         true_order=np.ones(count, dtype=np.int64),
     )
-    comparison = Comparison(errors, 2, 2, 2, 0, 1, 0, np.zeros((5, 7), dtype=np.int64))
+    comparison = SurfaceComparison(errors, 2, 2, 2, 0, 1, 0, np.zeros((5, 7), dtype=np.int64))
     inside = np.array([True, True, True, False])
     ground = GroundCoverage(
         size=1.0,
@@ -152,11 +152,11 @@ def test_the_profile_goes_through_the_column_of_the_greatest_relief() -> None:
     heights[0, 0, 0] = 90.0
     higher = heights.copy()
     higher[1, 20:, 3] = 4.0
-    assert telling_column({7: field_of(heights)}) == (7, 3)
-    assert telling_column({7: field_of(heights), 9: field_of(higher)}) == (9, 3)
-    assert telling_column({7: field_of(heights[:1])}) == (7, 1)
-    assert telling_column({7: field_of(np.full((1, 3, 3), np.nan))}) is None
-    assert telling_column({}) is None
+    assert column_of_greatest_relief({7: field_of(heights)}) == (7, 3)
+    assert column_of_greatest_relief({7: field_of(heights), 9: field_of(higher)}) == (9, 3)
+    assert column_of_greatest_relief({7: field_of(heights[:1])}) == (7, 1)
+    assert column_of_greatest_relief({7: field_of(np.full((1, 3, 3), np.nan))}) is None
+    assert column_of_greatest_relief({}) is None
 
 
 @pytest.mark.parametrize(
@@ -259,7 +259,7 @@ def test_latencies_of_a_bag_are_those_that_nodes_told_over_time(tmp_path: Path) 
                 states.append(DiagnosticStatus(name=name, values=[KeyValue(key=k, value=str(v)) for k, v in values]))
             stamp = 10**9 + step * 500_000_000
             bag.write("/diagnostics", serialize(DiagnosticArray(status=states)), stamp, stamp)
-    found = told_latencies(tmp_path / "run" / "bag")
+    found = published_latencies(tmp_path / "run" / "bag")
     assert found.keys() == {"ml_height", "map"}
     np.testing.assert_allclose(found["ml_height"], [[0.0, 0.5], [4.0, 5.0], [9.0, 8.0]])
     np.testing.assert_allclose(found["map"], [[0.5], [1.0], [2.0]])

@@ -19,7 +19,7 @@ from sal_height import messages
 from sal_height.bag.writer import BagWriter
 from sal_height.commands import main
 from sal_height.figures.psf_estimators import depth_and_pedestal
-from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Saturation, Target, make_tape
+from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Saturation, TapeTarget, make_tape
 from sal_height.geometry.grid import Grid
 from sal_height.imaging.focus import Slc
 from sal_height.imaging.pixels import azimuth_resolution
@@ -44,7 +44,7 @@ def tape(
 ) -> Any:
     """A tape with targets up to a pixel from `places`."""
     rng = np.random.default_rng(seed)
-    targets = tuple(Target(*(np.array(place) + rng.uniform(-1, 1, 2)), over_db) for place in places)
+    targets = tuple(TapeTarget(*(np.array(place) + rng.uniform(-1, 1, 2)), over_db) for place in places)
     return make_tape(shape, rng, targets, **{"range_fault": RANGE, "azimuth_fault": AzimuthFault(), **how})
 
 

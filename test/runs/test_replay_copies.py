@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from sal_height.bag.compare import EQUAL, Comparison, compare_bags
+from sal_height.bag.compare import EQUAL, TopicComparison, compare_bags
 from sal_height.bag.cut import Range, cut
 from sal_height.bag.reader import BagReader
 from sal_height.bag.upgrade import upgrade
 from sal_height.runs.replay.bag_replay import replay
 
 
-def compare(golden: Path, made: Path) -> dict[str, Comparison]:
+def compare(golden: Path, made: Path) -> dict[str, TopicComparison]:
     return compare_bags(BagReader(golden), BagReader(made))
 
 

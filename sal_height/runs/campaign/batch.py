@@ -30,20 +30,20 @@ CAMPAIGN, SUMMARY, PICTURE = "campaign.json", "summary.parquet", "comparison.png
 """Files in the output folder: what was asked for, a row for each bag and setting, and the settings compared."""
 
 CONNECT_S = 10.0
-"""How long to look for a scheduler."""
+"""Time for which a scheduler is looked for."""
 
 EXTRA = "A campaign needs the package {}, which is not installed; run: pip install 'sal_height[batch]'."
 
 
 @dataclass(frozen=True)
 class Campaign:
-    """What is processed.
+    """Inputs and settings of a campaign.
 
     Attributes:
         bags: folders or files.
         given: parameters of nodes that replace recorded ones.
         varied: values that a parameter gets in turn, by "node.name"; each is combined with each of the others.
-        estimators: names of those whose heights are made; none: those whose heights a bag holds, or the standard ones.
+        estimators: names of those whose heights are made; empty: those whose heights a bag has, or the standard ones.
     """
 
     bags: Sequence[Path]
@@ -63,7 +63,7 @@ class Campaign:
         return cases
 
     def as_json(self) -> dict[str, Any]:
-        """What is kept in the output folder, so that the same campaign can go on."""
+        """Contents of the output folder, so that the same campaign can go on."""
         return {
             "version": __version__,
             "bags": [str(bag.resolve()) for bag in self.bags],
@@ -75,11 +75,11 @@ class Campaign:
 
 @dataclass(frozen=True)
 class Workers:
-    """Who does the work.
+    """Processes or hosts that do the work.
 
     Attributes:
         count: number of processes that are started on this machine; 0: one for each processor.
-        scheduler: address of a Dask cluster that does the work instead, and sees the same files; empty: none.
+        scheduler: address of a Dask cluster that does the work instead, and sees the same files; empty: no cluster.
     """
 
     count: int = 0
@@ -92,12 +92,12 @@ def run_campaign(campaign: Campaign, out: Path, workers: Workers) -> list[dict[s
     A bag that cannot be processed has a row with its failure, and does not stop the others.
 
     Args:
-        campaign: what is processed.
-        out: folder that is new or empty, or holds the same campaign.
-        workers: who does the work.
+        campaign: inputs and settings.
+        out: folder that is new or empty, or contains the same campaign.
+        workers: processes or hosts that do the work.
 
     Raises:
-        UserError: an estimator or a parameter is not allowed, the folder holds something else, there is no cluster,
+        UserError: an estimator or a parameter is not allowed, the folder contains something else, there is no cluster,
             or a package is not installed.
         KeyboardInterrupt: the user has interrupted; what is done stays.
     """
@@ -126,7 +126,7 @@ def run_campaign(campaign: Campaign, out: Path, workers: Workers) -> list[dict[s
 
 
 class _Progress:
-    """What is done and what remains to be done of a campaign."""
+    """Parts of a campaign that are done, and those that remain to be done."""
 
     def __init__(self, cases: Sequence[Case]) -> None:
         """Find out what is done already."""
@@ -239,10 +239,10 @@ def _check_estimators(names: Sequence[str]) -> None:
 
 
 def _enter(campaign: Campaign, out: Path) -> None:
-    """Begin in a folder, or go on in one that holds the same campaign.
+    """Start in a folder, or go on in one that contains the same campaign.
 
     Raises:
-        UserError: it holds something else.
+        UserError: it contains something else.
     """
     wanted = json.loads(json.dumps(campaign.as_json()))
     file = out / CAMPAIGN

@@ -32,7 +32,7 @@ from sal_height.runs.replay.judge import verdict_of
 from sal_height.runs.truth.accuracy import read_accuracy, read_images, recorded_flight
 
 DONE = "done.json"
-"""File in the folder of a part, or of a bag, that says what became of it; where it is, all else is."""
+"""File in the folder of a part, or of a bag, with its result; it is written last."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,8 @@ class Case:
 
     Attributes:
         bag: folder of the bag, or its file.
-        folder: where its results belong.
-        values: of parameters that are varied, by "node.name".
+        folder: folder of its results.
+        values: values of parameters that are varied, by "node.name".
         given: parameters of nodes that replace recorded ones, with those that are varied.
         estimators: names of those whose heights are made; none: as `chain_of` has it.
     """
@@ -99,15 +99,15 @@ def process_case(case: Case, jobs: int) -> dict[str, Any]:
 
 
 def _judged(reader: BagReader, made: Path, scheme: Scheme) -> dict[str, Any]:
-    """Columns on the heights: their share and sigma, and how they compare with those in the bag and with the truth."""
+    """Columns on the heights: fraction, sigma, and comparison with those in the bag and with the truth."""
     recorded = [topic.name for topic in reader.topics.values() if topic.type_name == HEIGHT_TYPE and topic.count]
     compared = compare_bags(reader, BagReader(made), ROUNDING, recorded)
     columns: dict[str, Any] = {"against_recorded": verdict_of(compared) if compared else ""}
     for prefix, images in read_images(made).items():
         sigma = np.concatenate([image.surfaces[0].sigma for image in images if image.surfaces])
-        held = np.isfinite(sigma)
-        columns[f"{prefix}_with_height"] = float(np.mean(held)) if held.size else None
-        columns[f"{prefix}_median_sigma_m"] = float(np.median(sigma[held])) if held.any() else None
+        known_sigma = np.isfinite(sigma)
+        columns[f"{prefix}_with_height"] = float(np.mean(known_sigma)) if known_sigma.size else None
+        columns[f"{prefix}_median_sigma_m"] = float(np.median(sigma[known_sigma])) if known_sigma.any() else None
     flight = recorded_flight(reader)
     if flight is None:
         return columns
@@ -122,9 +122,9 @@ ACCURACY = ("valid", "two_scatterers", "bias_m", "rms_m", "s68_m", "sigma_m", "w
 
 
 def _once(folder: Path, make: Callable[[Path], dict[str, Any]]) -> dict[str, Any]:
-    """Have a folder made, and return what is known of it: from the file in it if there is one.
+    """Have a folder made unless it is done, and return its result.
 
-    The folder is made beside its place, and moved there once it is whole.
+    The folder is made next to its final name, and moved there once it is whole.
     """
     if is_done(folder):
         return known(folder)
@@ -144,11 +144,11 @@ def _once(folder: Path, make: Callable[[Path], dict[str, Any]]) -> dict[str, Any
 
 
 def is_done(folder: Path) -> bool:
-    """Whether a folder has been made."""
+    """True if a folder has been made."""
     return (folder / DONE).is_file()
 
 
 def known(folder: Path) -> dict[str, Any]:
-    """What is known of a folder that has been made."""
+    """Result in a folder that has been made."""
     found: dict[str, Any] = json.loads((folder / DONE).read_text(encoding="utf-8"))
     return found

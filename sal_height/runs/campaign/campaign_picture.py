@@ -1,4 +1,4 @@
-"""The settings of a campaign compared: share of heights, their sigma and error, and time, over a parameter."""
+"""The settings of a campaign compared: fraction of heights, their sigma and error, and time, over a parameter."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PANELS = {
 """Columns of each estimator that are drawn, and what they are."""
 
 EXPECTED = {"within_1_sigma": 0.683}
-"""Where a line is drawn for comparison."""
+"""Values at which a line is drawn for comparison."""
 
 
 LINES = ("-", "--", "-.", ":")
@@ -30,9 +30,9 @@ def draw_settings(rows: Sequence[Mapping[str, Any]], varied: Sequence[str], file
     """Draw the summary of a campaign over the first parameter that is varied.
 
     Args:
-        rows: of the summary; those that failed are left out.
+        rows: rows of the summary; those that failed are left out.
         varied: names of the parameters; each combination of the others, each bag and estimator has a line.
-        file: of the picture.
+        file: path of the picture.
     """
     done = [row for row in rows if not row["failure"]]
     values = list(dict.fromkeys(row[varied[0]] for row in done))

@@ -45,12 +45,12 @@ TAKEN = (ODOMETRY, *AIR_PARAMETERS, PHASE_HISTORY)
 """Topics of a whole replay that are read in the order of the bag."""
 
 Fed = Callable[[str, BagMessage, Sequence[Any] | None], None]
-"""Receives each message of the bag that is fed: its port, the message, and the items that were read of it; None: it
-cannot be decoded, and whoever feeds the messages leaves it out."""
+"""Receives each message of the bag that is fed: its port, the message, and the items that were read from it; None: it
+cannot be decoded, and is left out."""
 
 
 class _Read(NamedTuple):
-    """The items of a message, what becomes of one that cannot be used, and whether it cannot be decoded."""
+    """Items of a message, the loss if it cannot be used, and a flag that is True if it cannot be decoded."""
 
     items: Sequence[Any]
     refused: Loss | Notice | None = None
@@ -59,20 +59,20 @@ class _Read(NamedTuple):
 
 @dataclass(frozen=True)
 class Scheme:
-    """How the dwells of a bag are processed.
+    """Scheme by which the dwells of a bag are processed.
 
     Attributes:
         bag: folder of the bag, or its file.
-        namespace: of its topics; empty: none.
+        namespace: namespace of its topics; empty: no namespace.
         makers: height nodes whose heights are made.
-        stages: all that process, in their order.
-        parameters: of all nodes at the first dwell, by node and name.
-        changes: what happens before later dwells.
-        frames: when the frames of each dwell were recorded.
-        mountings: of sensors on the platform, where the flight had others than their descriptions state.
-        warnings: sentences on what cannot be done as in flight.
-        topics: that are fed in the order of the bag.
-        dwells: that are processed.
+        stages: stages that process, in their order.
+        parameters: parameters of all nodes at the first dwell, by node and name.
+        changes: changes before later dwells.
+        frames: times when the frames of each dwell were recorded.
+        mountings: mountings of sensors on the platform, where the flight had others than their descriptions state.
+        warnings: warnings on what cannot be done as in flight.
+        topics: topics that are fed in the order of the bag.
+        dwells: dwells that are processed.
         renamed: other names of topics by those that are recorded.
     """
 
@@ -102,7 +102,7 @@ def plan(bag: Path, given: NodeParameters, estimators: Collection[str] = (), *, 
         bag: folder of the bag, or its file.
         given: parameters of nodes that replace recorded ones.
         estimators: names of those whose heights are made; none: as `chain_of` has it.
-        for_heights: whether a bag of one detector is refused.
+        for_heights: True if a bag of one detector is refused.
 
     Raises:
         UserError: the bag cannot be used, or a parameter is not allowed.
@@ -135,9 +135,9 @@ class BagRun:
     """The dwells of a bag, processed by stages that are joined by calls.
 
     Attributes:
-        scheme: how.
-        sensors: that the bag describes, by config_hash.
-        losses: what was left out so far.
+        scheme: scheme of the bag.
+        sensors: sensors that the bag describes, by config_hash.
+        losses: losses so far.
         files: contents of the files that stages have made so far.
     """
 
@@ -153,11 +153,11 @@ class BagRun:
         """Make the stages.
 
         Args:
-            scheme: of the bag.
-            names: of the stages, in the order of the data.
+            scheme: scheme of the bag.
+            names: names of the stages, in the order of the data.
             jobs: dwells that are processed side by side.
             wanted: ports whose products are needed, if several jobs work.
-            settings: of stages, in place of those of the scheme.
+            settings: settings of stages that replace those of the scheme.
 
         Raises:
             UserError: a value is not allowed, or a file cannot be read.
@@ -189,11 +189,11 @@ class BagRun:
         self._ended = 0
 
     def results(self, doing: str = "", fed: Fed | None = None) -> Iterator[Made]:
-        """What the stages make of the dwells and what they leave out, which is counted, too.
+        """Products that the stages make of the dwells, and their losses, which are counted, too.
 
         Args:
-            doing: what is done, for a progress bar; empty: there is none.
-            fed: is told what is fed.
+            doing: words on what is done, for a progress bar; empty: no progress bar.
+            fed: callback that receives what is fed.
 
         Raises:
             UserError: the bag is damaged, or a worker has ended.
@@ -233,7 +233,7 @@ class BagRun:
         return chain
 
     def _schedule_changes(self, chain: Chain) -> None:
-        """Have settings and calibrations of the flight hold from their dwells on."""
+        """Schedule settings and calibrations of the flight, each from its dwell on."""
         now = dict(self.settings)
         calibrations = self.calibrations()
         for change in self.scheme.changes:
@@ -282,7 +282,7 @@ class BagRun:
         yield from chain.nothing_before(TF_STATIC, FOREVER_NS)
         for port in set(AIR_PARAMETERS).intersection(self.scheme.topics):  # earlier dwells have waited for it
             for recorded in islice(self._messages([port]), 1):
-                for item in self._read(port, recorded).items:  # what is refused is counted in its place
+                for item in self._read(port, recorded).items:  # a refused one is counted where it is fed
                     yield from chain.feed(port, item)
         messages = self._chosen()
         if doing:
@@ -324,11 +324,11 @@ class BagRun:
         return self._reader.messages(topics) if topics else iter(())
 
     def _has(self, port: str) -> bool:
-        """Whether the bag has a topic."""
+        """True if the bag has a topic."""
         return _topic_of(port) in self._reader.topics
 
     def _read(self, port: str, recorded: BagMessage) -> _Read:
-        """The items of a message, and what becomes of one that cannot be used."""
+        """Items of a message, and the loss if it cannot be used."""
         kind = kind_of_topic(port)
         if recorded.type_name != kind.type_name:
             return _Read(())

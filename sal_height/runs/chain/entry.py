@@ -1,4 +1,4 @@
-"""Where in the chain of nodes a replay begins: what is played of the bag, and which nodes work on it."""
+"""Entry of a replay into the chain of nodes: topics of the bag that are played, and the nodes that work on them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _LOG = logging.getLogger(__name__)
 FROM_HEIGHTS = "heights"
 
 ENTRIES = FRAMES, IMAGES, FROM_HEIGHTS
-"""Where a replay may begin: with the phase history, the complex images, or the heights in the bag."""
+"""Entries of a replay: the phase history, the complex images, or the heights in the bag."""
 
 MAPPER = "relief_mapper"
 
@@ -38,20 +38,20 @@ HOW = {
     IMAGES: "`sal-height run` and `sal-height replay` record the complex images with --record slc",
     FROM_HEIGHTS: "`sal-height run`, `sal-height replay` and `sal-height record` record heights",
 }
-"""How to record what a replay begins with."""
+"""Advice on recording the topics that a replay starts with."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """What of a bag is replayed.
+    """Part of a bag that is replayed.
 
     Attributes:
         entry: one of ENTRIES.
         first: number of the first dwell.
         last: number of the last dwell.
-        start_s: earliest begin of a dwell, s after that of the first one in the bag.
-        end_s: latest begin of a dwell, likewise.
-        namespace: of the topics in the bag; None: the one that has what is played, or none.
+        start_s: earliest start of a dwell, s after that of the first one in the bag.
+        end_s: latest start of a dwell, likewise.
+        namespace: namespace of the topics in the bag; None: the one that has what is played, or no namespace.
     """
 
     entry: str = FRAMES
@@ -72,25 +72,25 @@ class Part:
 
     @property
     def is_limited(self) -> bool:
-        """Whether some dwells may be left out."""
+        """True if some dwells may be left out."""
         return replace(self, entry=FRAMES, namespace=None) != WHOLE
 
-    def dwells_of(self, held: Sequence[DwellKey]) -> DwellRange:
-        """The dwells that are played of those that a bag holds, in its order.
+    def dwells_of(self, recorded: Sequence[DwellKey]) -> DwellRange:
+        """The dwells that are played, of those in a bag, in its order.
 
         Raises:
-            UserError: there is none.
+            UserError: the part is empty.
         """
         if not self.is_limited:
             return ALL
-        origin_ns = held[0].stamp_ns if held else 0
+        origin_ns = recorded[0].stamp_ns if recorded else 0
         end_ns = LATEST_NS if math.isinf(self.end_s) else min(LATEST_NS, origin_ns + round(self.end_s * 1e9))
         chosen = DwellRange(self.first, self.last, origin_ns + round(self.start_s * 1e9), end_ns)
-        if not any(dwell in chosen for dwell in held):
-            numbers = [dwell.number for dwell in held] or [0]
-            length_s = max(((dwell.stamp_ns - origin_ns) * 1e-9 for dwell in held), default=0.0)
+        if not any(dwell in chosen for dwell in recorded):
+            numbers = [dwell.number for dwell in recorded] or [0]
+            length_s = max(((dwell.stamp_ns - origin_ns) * 1e-9 for dwell in recorded), default=0.0)
             raise UserError(
-                f"No dwell of the bag is in this range; its {len(held)} dwells have the numbers {min(numbers)} to "
+                f"No dwell of the bag is in this range; its {len(recorded)} dwells have the numbers {min(numbers)} to "
                 f"{max(numbers)} and begin from 0 to {length_s:.6g} s."
             )
         return chosen
@@ -101,16 +101,16 @@ WHOLE = Part()
 
 
 @dataclass(frozen=True)
-class Chain:
+class ReplayNodes:
     """The nodes of a replay.
 
     Attributes:
         entry: one of ENTRIES.
         makers: nodes whose heights there are, made here or in the bag.
-        stages: all that process, in their order.
-        dwells: how many dwells the bag has.
+        stages: nodes that process, in their order.
+        dwells: number of dwells in the bag.
         dwell_topics: topics of the bag that the dwells are on.
-        air: topics of the bag that tell the air.
+        air: topics of the bag with air data.
     """
 
     entry: str
@@ -124,7 +124,7 @@ class Chain:
         """Topics that are played to nodes with these parameters.
 
         Raises:
-            UserError: a node takes heights that are not among those in the bag.
+            UserError: a node reads heights that are not among those in the bag.
         """
         if self.entry != FROM_HEIGHTS:
             return [*SENSOR, *self.air] if self.entry == FRAMES else [SENSOR_INFO, IMAGES]
@@ -135,32 +135,32 @@ class Chain:
         return topics
 
 
-def chain_of(reader: BagReader, entry: str, estimators: Collection[str]) -> Chain:
+def chain_of(reader: BagReader, entry: str, estimators: Collection[str]) -> ReplayNodes:
     """The nodes that replay a bag from an entry on.
 
     Args:
-        reader: of the bag.
+        reader: reader of the bag.
         entry: one of ENTRIES.
-        estimators: names of those whose heights are made, as of `suited`; none: those whose heights the bag holds, or
+        estimators: names of those whose heights are made, as of `suited`; empty: those whose heights the bag has, or
             else all that suit the sensor and need not be asked for.
 
     Raises:
         UserError: the bag lacks what is to be played, an estimator does not suit it, or there is nothing to make.
     """
     makers_of = {prefix: node for node, prefix in HEIGHTS.items() if node != TRACKER}
-    held = [name for name in makers_of if _count(reader, f"/{name}/height")]
+    recorded = [name for name in makers_of if _count(reader, f"/{name}/height")]
     if entry == FROM_HEIGHTS:
-        if not held:
+        if not recorded:
             raise _lacking(reader, "heights of an estimator, such as /ml/height", entry)
         if estimators:
             raise UserError("Option --estimators has no meaning with --from heights: no estimator works there.")
-        topics = [f"/{name}/height" for name in held]
-        makers = [makers_of[name] for name in held]
-        return Chain(entry, makers, [TRACKER, MAPPER], max(_count(reader, topic) for topic in topics), topics)
+        topics = [f"/{name}/height" for name in recorded]
+        makers = [makers_of[name] for name in recorded]
+        return ReplayNodes(entry, makers, [TRACKER, MAPPER], max(_count(reader, topic) for topic in topics), topics)
     sensor, dwells = contents(reader, entry)
-    if held and _count(reader, f"/{MOVERS}"):
-        held.append(MOVERS)
-    height_nodes = suited(sensor, estimators or held)
+    if recorded and _count(reader, f"/{MOVERS}"):
+        recorded.append(MOVERS)
+    height_nodes = suited(sensor, estimators or recorded)
     if entry == IMAGES and not height_nodes:
         raise UserError(f"Bag {reader.path} is of a sensor with one detector: of its images no heights can be made.")
     if entry == IMAGES and ADJUSTER in height_nodes:
@@ -169,15 +169,15 @@ def chain_of(reader: BagReader, entry: str, estimators: Collection[str]) -> Chai
         height_nodes.remove(ADJUSTER)
     first = ["sar_compression"] if entry == FRAMES else []
     stages = [*first, *((*height_nodes, TRACKER) if height_nodes else ())]
-    return Chain(entry, height_nodes, stages, dwells, [f"/{entry}"], air_in(reader))
+    return ReplayNodes(entry, height_nodes, stages, dwells, [f"/{entry}"], air_in(reader))
 
 
 def contents(reader: BagReader, entry: str = FRAMES) -> tuple[Sensor, int]:
     """The sensor of a bag, and the number of its dwells.
 
     Args:
-        reader: of the bag.
-        entry: on which topic the dwells are, phase_history or slc.
+        reader: reader of the bag.
+        entry: topic of the dwells, phase_history or slc.
 
     Raises:
         UserError: there is no sensor info that is valid, or nothing on that topic.
@@ -190,8 +190,8 @@ def contents(reader: BagReader, entry: str = FRAMES) -> tuple[Sensor, int]:
     return sensor, -(-reader.topics[f"/{entry}"].count // sensor.detector_count)
 
 
-def check_given(given: NodeParameters, chain: Chain) -> None:
-    """Refuse parameters of nodes that do not work in a replay that does not begin with the phase history.
+def check_given(given: NodeParameters, chain: ReplayNodes) -> None:
+    """Refuse parameters of nodes that do not work in a replay that does not start with the phase history.
 
     Raises:
         UserError: there are such.

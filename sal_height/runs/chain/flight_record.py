@@ -1,4 +1,4 @@
-"""What a bag says of the flight it was recorded in: its dwells, and what nodes and products say of their making."""
+"""Record of the flight in a bag: its dwells, and what nodes and products state of their parameters."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def products_of(reader: BagReader) -> list[str]:
     return heights or [topic for topic in [f"/{IMAGES}"] if topic in reader.topics]
 
 
-def tells_of_its_making(reader: BagReader) -> bool:
-    """Whether a bag has anything that says how dwells were processed."""
+def states_processing(reader: BagReader) -> bool:
+    """True if a bag has anything that states how dwells were processed."""
     return bool(products_of(reader) or {"/calibration", PARAMETER_EVENTS} & reader.topics.keys())
 
 
@@ -36,10 +36,10 @@ class Said(NamedTuple):
     """A node said that parameters have these values.
 
     Attributes:
-        time_ns: when it was recorded.
+        time_ns: time when it was recorded, ns since the epoch.
         node: name of the node, without its namespace.
-        values: by name.
-        is_change: whether they had other values before; if not, the node was asked for them, or has just started.
+        values: values by name.
+        is_change: True if they had other values before; if not, the node was asked for them, or has just started.
     """
 
     time_ns: int
@@ -48,30 +48,30 @@ class Said(NamedTuple):
     is_change: bool
 
 
-class Heard(NamedTuple):
-    """A calibration came, at a time (ns)."""
+class ReceivedCalibration(NamedTuple):
+    """A calibration that was received, with the time, ns."""
 
     time_ns: int
     calibration: str
 
 
 class FlightRecord:
-    """What was found in a bag.
+    """Dwells, parameters and calibrations of a bag.
 
     Attributes:
-        dwells: when the first frame and the last frame of each dwell were recorded, in the order of the first frames.
+        dwells: times when the first and the last frame of each dwell were recorded, in the order of the first frames.
         stages: parameters in the provenance of each dwell's products, by node.
         applied: identity of the calibration in the provenance of each dwell's products; empty: none but the sensor's.
         sensors: the config_hash of the sensor of each calibration in the bag, by identity.
-        said: what nodes said of their parameters, in the order of the bag.
-        heard: calibrations, in the order of the bag.
+        said: parameters that nodes published, in the order of the bag.
+        received: calibrations that were received, in the order of the bag.
     """
 
     def __init__(self, reader: BagReader, dwell_topics: Sequence[str] = ("/phase_history",)) -> None:
-        """Read a bag up to its end, or up to where it is damaged; whoever plays it will tell that.
+        """Read a bag up to its end, or up to where it is damaged, which is reported when it is played.
 
         Args:
-            reader: of the bag.
+            reader: reader of the bag.
             dwell_topics: topics with the frames that dwells are made of, or with their images or heights instead.
         """
         self.dwells: dict[DwellKey, LogTimes] = {}
@@ -79,54 +79,54 @@ class FlightRecord:
         self.applied: dict[DwellKey, str] = {}
         self.sensors: dict[str, str] = {}
         self.said: list[Said] = []
-        self.heard: list[Heard] = []
+        self.received: list[ReceivedCalibration] = []
         self._reader = reader
         self._own: set[str] = set()
         self._dwell_topics = dwell_topics
-        takers: dict[str, Callable[[BagMessage], None]] = {
-            **dict.fromkeys([*dwell_topics, *products_of(reader)], self._take_product),
-            "/sensor_info": self._take_sensor,
-            "/calibration": self._take_calibration,
-            PARAMETER_EVENTS: self._take_event,
+        readers: dict[str, Callable[[BagMessage], None]] = {
+            **dict.fromkeys([*dwell_topics, *products_of(reader)], self._read_product),
+            "/sensor_info": self._read_sensor,
+            "/calibration": self._read_calibration,
+            PARAMETER_EVENTS: self._read_event,
         }
         known = reader.topics
         frames = [topic for topic in dwell_topics if topic in known and known[topic].type_name == FRAME_TYPE]
         for log_time_ns, part in heapq.merge(*map(reader.frame_parts, frames), key=lambda one: one.log_time_ns):
-            self._take_dwell(part, log_time_ns)
-        self._read([topic for topic in takers if topic in known and topic not in frames], takers)
+            self._read_dwell(part, log_time_ns)
+        self._read([topic for topic in readers if topic in known and topic not in frames], readers)
         self.applied = {dwell: "" if name in self._own else name for dwell, name in self.applied.items()}
 
-    def _read(self, topics: list[str], takers: Mapping[str, Callable[[BagMessage], None]]) -> None:
+    def _read(self, topics: list[str], readers: Mapping[str, Callable[[BagMessage], None]]) -> None:
         with suppress(UserError):
             for recorded in self._reader.messages(topics):
-                with suppress(UserError, RuntimeError):  # a message that is none
-                    takers[recorded.topic](recorded)
+                with suppress(UserError, RuntimeError):  # an invalid message
+                    readers[recorded.topic](recorded)
 
-    def _take_dwell(self, part: DwellPart, log_time_ns: int) -> None:
+    def _read_dwell(self, part: DwellPart, log_time_ns: int) -> None:
         first_ns, _ = self.dwells.get(part.dwell, (log_time_ns, 0))
         self.dwells[part.dwell] = LogTimes(first_ns, log_time_ns)
 
-    def _take_product(self, recorded: BagMessage) -> None:
+    def _read_product(self, recorded: BagMessage) -> None:
         part = part_of(recorded)
         if part is None:
             return
         if recorded.topic in self._dwell_topics:
-            self._take_dwell(part, recorded.log_time_ns)
+            self._read_dwell(part, recorded.log_time_ns)
         if part.provenance is not None:
             stages = provenance_of(part.provenance).stages
             renamed = {node: with_new_names(values) for node, values in stages.items()}
             self.stages.setdefault(part.dwell, {}).update(renamed)
             self.applied[part.dwell] = part.provenance.calibration_id
 
-    def _take_sensor(self, recorded: BagMessage) -> None:
+    def _read_sensor(self, recorded: BagMessage) -> None:
         self._own.add(self._reader.decode(recorded.type_name, recorded.cdr).calibration_id)
 
-    def _take_calibration(self, recorded: BagMessage) -> None:
+    def _read_calibration(self, recorded: BagMessage) -> None:
         calibration = self._reader.decode(recorded.type_name, recorded.cdr)
         self.sensors[calibration.id] = calibration.config_hash
-        self.heard.append(Heard(recorded.log_time_ns, calibration.id))
+        self.received.append(ReceivedCalibration(recorded.log_time_ns, calibration.id))
 
-    def _take_event(self, recorded: BagMessage) -> None:
+    def _read_event(self, recorded: BagMessage) -> None:
         event = self._reader.decode(recorded.type_name, recorded.cdr)
         if isinstance(self._reader, NamespacedReader) and not self._reader.holds(event.node):
             return

@@ -44,7 +44,7 @@ def recorded_slc(bag: Path, jobs: int = 1) -> Iterator[tuple[str, Any, Complex, 
 
     Args:
         bag: its path.
-        jobs: dwells of which images are made side by side, if the bag holds none.
+        jobs: number of dwells of which images are made side by side, if the bag has no images.
 
     Raises:
         UserError: the bag cannot be read, an image in it is damaged, or its sensor_info is missing.
@@ -72,7 +72,7 @@ def recorded_slc(bag: Path, jobs: int = 1) -> Iterator[tuple[str, Any, Complex, 
 
 
 def _serialized_images(reader: BagReader, bag: Path, jobs: int) -> Iterator[tuple[str, bytes]]:
-    """Topic and bytes of each image that a bag holds, or that is made of its phase history."""
+    """Topic and bytes of each image in a bag, or of each that is made of its phase history."""
     images = [topic for topic in _topics(reader, IMAGE_TYPE) if reader.topics[topic].count]
     if images or not any(reader.topics[topic].count for topic in _topics(reader, FRAME_TYPE)):
         yield from ((recorded.topic, recorded.cdr) for recorded in reader.messages(images))
@@ -88,7 +88,7 @@ def _serialized_images(reader: BagReader, bag: Path, jobs: int) -> Iterator[tupl
 
 
 def _noise_shape(message: Any, grid: Grid, sensor: Sensor) -> ShapedNoise | None:
-    """How the compression has shaped receiver noise; None if the image does not tell, or receivers were equalised."""
+    """Shape of receiver noise after compression; None if the image does not state it, or receivers were equalised."""
     made = messages.stages_of(message.provenance.parameters).get("sar_compression", {})
     names = [made.get(name) for name in ("range_window", "azimuth_window")]
     if message.provenance.calibration_id or not set(names) <= set(WINDOWS):

@@ -1,13 +1,13 @@
 """The parameters that the dwells of a bag were processed with at its first dwell, as far as the bag states them.
 
 The provenance of products states every parameter of the nodes that made them, also those that were defaults when the
-bag was recorded. All of these values are used, so that the defaults of today hold only for parameters that did not
+bag was recorded. All of these values are used, so that the defaults of today apply only to parameters that did not
 exist then. Where the provenance says nothing, the custom data of the bag decide, and where these say nothing either,
 the parameter events of the nodes. Three kinds of values are exceptions:
 
 - Files. The provenance alone is no reason to open or write a file, for its path (`Setting.names_file`) may belong to
   another machine; custom data and parameter events decide on these parameters. A replay goes on without a file that
-  only the provenance names, with a warning. Calibrations in the bag take the place of their file.
+  only the provenance names, with a warning. Calibrations in the bag replace their file.
 - The latency budget and `autostart` (`timeline.OF_MACHINE`). They suited the machine of the flight and change no
   height; but a latency budget leaves out the dwells that a slower machine is late with, and nodes that wait to be
   activated stop a replay. They are used from custom data only: `sal-height live` stores its latency budget there, and
@@ -15,7 +15,7 @@ the parameter events of the nodes. Three kinds of values are exceptions:
 - The heights that a node uses (`estimator`). If these are not made, as where other estimators are asked for, neither
   provenance nor parameter events count, with a warning.
 
-A value that is not allowed today is refused with a sentence that says where it is stated and how to replace it. With
+A value that is not allowed today is refused with a message that says where it is stated and how to replace it. With
 the default of today instead, heights would differ for a reason that is easily overlooked.
 """
 
@@ -49,7 +49,7 @@ from sal_height.settings import settings_of
 _LOG = logging.getLogger(__name__)
 
 CUSTOM_DATA, TOPIC = "custom data of the bag", f"topic {MAP_ORIGIN} of the bag"
-"""Where a value is stated, besides the sources of `timeline.Value`."""
+"""Origins of a value, in addition to the sources of `timeline.Value`."""
 
 STATED_IN = {
     PROVENANCE: "the provenance of bag {}",
@@ -57,7 +57,7 @@ STATED_IN = {
     CUSTOM_DATA: "the custom data of bag {}",
     TOPIC: f"topic {MAP_ORIGIN} of bag {{}}",
 }
-"""The same as the subject of a sentence."""
+"""The same as the subject of a message."""
 
 
 @dataclass(frozen=True)
@@ -66,8 +66,8 @@ class RecordedParameters:
 
     Attributes:
         bag: path of the bag.
-        values: by node and name, as the bag states them: not checked.
-        sources: where each of them is stated.
+        values: values by node and name, as the bag states them: not checked.
+        sources: origin of each of them.
         unmade: heights that nodes used, and that are not made; neither in `values` nor in `sources`.
     """
 
@@ -82,12 +82,12 @@ class RecordedParameters:
         """Do what `check_parameters` does with values of which some are those of the bag, and with given ones.
 
         Args:
-            values: by node and name.
-            given: values of the user's, in place of these.
+            values: values by node and name.
+            given: values of the user's, which override these.
             settable: nodes whose parameters may have values.
 
         Raises:
-            UserError: a value is not allowed; the sentence also says where it is stated and how it can be replaced, if
+            UserError: a value is not allowed; the message also says where it is stated and how it can be replaced, if
                 it is one of the bag's.
         """
         checked: dict[str, dict[str, Any]] = {}
@@ -112,7 +112,7 @@ class RecordedParameters:
             raise _replaceable(error, self.bag, change.parameter, change.source, whence) from error
 
     def _refusal(self, error: UserError, node: str, values: Mapping[str, Any], given: Collection[str]) -> UserError:
-        """The sentence on a node whose parameters are refused; if it names a bag's value, with what can be done."""
+        """Message on a node whose parameters are refused; if it names a bag's value, with what can be done."""
         if node not in SETTABLE or values.keys() - settings_of(STAGES[node].settings).keys():
             return error
         of_bag = self.values.get(node, {})
@@ -125,7 +125,7 @@ class RecordedParameters:
 
 
 def _replaceable(error: UserError, bag: Path, parameter: Parameter, source: str, whence: str = "") -> UserError:
-    """The sentence on a value that is not allowed, with where the bag states it and how to replace it."""
+    """Message on a value that is not allowed, with where the bag states it and how to replace it."""
     return UserError(
         f"{str(error).removesuffix('.')}; {STATED_IN[source].format(bag)} states the value{whence}, and --param "
         f"{'.'.join(parameter)}=VALUE replaces it."
@@ -147,16 +147,16 @@ def recorded_at_start(
     nodes: Collection[str] = SETTABLE,
     makers: Collection[str] = tuple(HEIGHTS),
 ) -> RecordedParameters:
-    """Find the values that parameters of nodes had at the first dwell of a bag; if there are none, that is warned of.
+    """Find the values that parameters of nodes had at the first dwell of a bag; if the bag has no values, warn.
 
-    Custom data are in the bag; older bags have a file parameters.yaml beside them instead. Other programs, such as
+    Custom data are in the bag; older bags have a file parameters.yaml next to them instead. Other programs, such as
     rosbags-convert, leave both behind, and a recorder that was started by itself has neither.
 
     Args:
-        reader: of the bag.
-        timeline: of its flight; None: read from its products, or else from its parameter events.
-        nodes: that are at work; of others only values in custom data are found.
-        makers: nodes whose heights there are, besides those of the tracker.
+        reader: reader of the bag.
+        timeline: timeline of its flight; None: read from its products, or else from its parameter events.
+        nodes: nodes at work; of others only values in custom data are found.
+        makers: nodes whose heights are available, in addition to those of the tracker.
 
     Raises:
         UserError: custom data are not what this program writes.
@@ -199,7 +199,7 @@ def parameters_in(values: NodeParameters) -> list[Parameter]:
 
 
 def _is_unmade(parameter: Parameter, value: Any, made: Collection[str]) -> bool:
-    """Whether a value names heights that are not made."""
+    """True if a value names heights that are not made."""
     names_heights = parameter.name == "estimator" and takes_heights(STAGES[parameter.node])
     return names_heights and isinstance(value, str) and value not in made
 
@@ -225,7 +225,7 @@ def _places_by_topic(reader: BagReader, stated: NodeParameters) -> dict[str, dic
 
 
 def _custom_data(reader: BagReader) -> dict[str, dict[str, Any]] | None:
-    """Node parameters in the custom data of a bag, or in a file beside it; None if there are neither.
+    """Node parameters in the custom data of a bag, or in a file next to it; None if there are neither.
 
     Raises:
         UserError: they are not what this program writes.
@@ -247,7 +247,7 @@ def _custom_data(reader: BagReader) -> dict[str, dict[str, Any]] | None:
 
 
 def _read(text: str) -> Any:
-    """What a text in JSON says, or else in YAML, for which 1e-05 is no number."""
+    """Value of a text in JSON, or else in YAML, for which 1e-05 is no number."""
     with suppress(json.JSONDecodeError):
         return json.loads(text)
     return yaml.safe_load(text)

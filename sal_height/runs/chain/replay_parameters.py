@@ -21,7 +21,7 @@ from sal_height.graph.catalogue import NodeParameters, parameters_of
 from sal_height.graph.plan import DwellChanges
 from sal_height.graph.reporting import merged
 from sal_height.messages import to_ns
-from sal_height.runs.chain.entry import Chain, Part, check_given
+from sal_height.runs.chain.entry import Part, ReplayNodes, check_given
 from sal_height.runs.chain.flight_record import FlightRecord
 from sal_height.runs.chain.recorded_parameters import RecordedParameters, parameters_in, recorded_at_start
 from sal_height.runs.chain.timeline import NO_FILE, PROVENANCE, Applied, Change, Parameter, Timeline, timeline_of
@@ -30,27 +30,27 @@ from sal_height.settings import settings_of
 _LOG = logging.getLogger(__name__)
 
 COMMAND_LINE, DEFAULT, CHOSEN = "command line", "default", "chosen by the replay"
-"""Where the value of a parameter comes from, besides the sources of `RecordedParameters`."""
+"""Origins of the value of a parameter, in addition to the sources of `RecordedParameters`."""
 
 APPLIED = Parameter("sar_compression", "calibration")
 """Says which calibration is applied."""
 
 
 @dataclass(frozen=True)
-class Processing:
-    """How a replay processes its dwells.
+class ReplayPlan:
+    """Dwells, parameters and changes of a replay.
 
     Attributes:
-        values: of the nodes' parameters at the start.
-        sources: where the values of all parameters of the nodes at work come from, by node and name.
-        changes: what happens before dwells.
-        listed: the same for the report, in the order of the dwells.
-        warnings: a sentence on each thing of the flight that cannot be done again.
-        dwells: those that are played.
-        count: how many these are.
-        begins_with_bag: whether the first dwell of the bag is among them: tracked heights follow from those before.
-        frames: when the frames of each of them were recorded.
-        mountings: of sensors (config_hash) on the platform, where the flight had others than their descriptions state.
+        values: values of the nodes' parameters at the start.
+        sources: origins of the values of all parameters of the nodes at work, by node and name.
+        changes: changes before dwells.
+        listed: changes for the report, in the order of the dwells.
+        warnings: warnings, one on each event of the flight that cannot be reproduced.
+        dwells: range of the dwells that are played.
+        count: number of the dwells that are played.
+        begins_with_bag: True if the first dwell of the bag is among them: tracked heights follow from those before.
+        frames: times when the frames of each of them were recorded.
+        mountings: mountings of sensors (config_hash) on the platform, where the flight had others than described.
     """
 
     values: dict[str, dict[str, Any]]
@@ -71,7 +71,7 @@ class Processing:
 
     @property
     def plays_calibrations(self) -> bool:
-        """Whether calibrations of the bag are published."""
+        """True if calibrations of the bag are published."""
         return any(one.calibrations for one in self.changes)
 
     @property
@@ -82,12 +82,12 @@ class Processing:
         return {**bounds, "start_ns": dwells.start_ns, "end_ns": dwells.end_ns}
 
     def plays(self, image: Any) -> bool:
-        """Whether the dwell of a height image is played."""
+        """True if the dwell of a height image is played."""
         key = DwellKey(image.provenance.config_hash, image.dwell, to_ns(image.header.stamp))
         return key in self.dwells
 
     def is_of_first_pass(self, image: Any) -> bool:
-        """Whether a height image was made of a dwell with the stamp that is in the bag, not of a repetition."""
+        """True if a height image was made of a dwell with the stamp that is in the bag, not of a repetition."""
         return not self.frames or to_ns(image.header.stamp) <= self._last_stamp_ns
 
     @cached_property
@@ -95,38 +95,38 @@ class Processing:
         return max(dwell.stamp_ns for dwell in self.frames)
 
     def report(self) -> dict[str, Any]:
-        """What the report says of it."""
+        """Entries of the report on the replay."""
         return {"parameter_sources": self.sources, "changes_in_flight": self.listed, "warnings": self.warnings}
 
 
 def processing_of(
     reader: BagReader,
-    chain: Chain,
+    chain: ReplayNodes,
     part: Part,
     chosen: NodeParameters,
     given: NodeParameters,
-) -> Processing:
+) -> ReplayPlan:
     """Find out how the dwells of a bag were processed in flight, and what of that the user wants otherwise.
 
     What cannot be done as it was in flight is warned of.
 
     Args:
-        reader: of the bag.
+        reader: reader of the bag.
         chain: the nodes at work.
-        part: what of the bag is replayed.
+        part: part of the bag that is replayed.
         chosen: values where neither the bag nor the user says anything.
-        given: values of the user's, which hold for all dwells.
+        given: values of the user's, which apply to all dwells.
 
     Raises:
         UserError: the bag's parameters cannot be read, a value is not allowed today, or the bag lacks the air.
     """
     check_given(given, chain)
     timeline = timeline_of(reader, chain.dwell_topics)
-    held = timeline.dwells
-    if not held:
-        held = FlightRecord(reader, chain.dwell_topics).dwells
-    dwells = part.dwells_of(list(held))
-    played = {dwell: frames for dwell, frames in held.items() if dwell in dwells}
+    recorded = timeline.dwells
+    if not recorded:
+        recorded = FlightRecord(reader, chain.dwell_topics).dwells
+    dwells = part.dwells_of(list(recorded))
+    played = {dwell: frames for dwell, frames in recorded.items() if dwell in dwells}
     recorded = recorded_at_start(reader, timeline, chain.stages, chain.makers)
     own, sources = _at_start(recorded, timeline, chosen, given)
     if timeline.mountings and own.get(APPLIED.node, {}).get("mounting_from_tf"):
@@ -145,25 +145,25 @@ def processing_of(
             check_air(one, sensors, chain.air, f"Bag {reader.path}")
     calibrations = timeline.calibrations if _applies_calibrations(chain, values) else []
     if not calibrations and given.get(APPLIED.node, {}).get(APPLIED.name) == HEARD:
-        calibrations = timeline.come  # which nobody applied in flight
+        calibrations = timeline.received  # which were not applied in flight
     warnings = [
         *_forgotten(timeline, chain),
         *_unopened(timeline, chain, sources),
         *_unmade(recorded, values, given),
         *(_restarted(one) for one in wanted if _is_read_only(one.parameter)),
-        *(_not_held(one) for one in timeline.missing if _applies_calibrations(chain, values)),
+        *(_missing_calibration(one) for one in timeline.missing if _applies_calibrations(chain, values)),
     ]
     for warning in warnings:
         _LOG.warning("Bag %s: %s", reader.path, warning)
-    return Processing(
+    return ReplayPlan(
         values,
         _of_stages(sources, chain.stages),
-        _cues(timeline.dwells, dwells, changes, calibrations),
+        _scheduled_changes(timeline.dwells, dwells, changes, calibrations),
         _listed(timeline.dwells, changes, calibrations),
         warnings,
         dwells,
         len(played) or chain.dwells,
-        not held or next(iter(held)) in dwells,
+        not recorded or next(iter(recorded)) in dwells,
         played,
         timeline.mountings if chain.entry == FRAMES else {},
     )
@@ -172,7 +172,7 @@ def processing_of(
 def _at_start(
     recorded: RecordedParameters, timeline: Timeline, chosen: NodeParameters, given: NodeParameters
 ) -> tuple[dict[str, dict[str, Any]], dict[Parameter, str]]:
-    """Values of parameters at the first dwell without those that are given, and where all of them come from."""
+    """Values of parameters at the first dwell without those that are given, and the origins of all of them."""
     own = merged(chosen, recorded.values)
     sources = dict.fromkeys(parameters_in(chosen), CHOSEN) | recorded.sources
     applied = own.get(APPLIED.node, {}).get(APPLIED.name, timeline.files.get(APPLIED, ""))
@@ -186,23 +186,23 @@ def _is_read_only(parameter: Parameter) -> bool:
     return settings_of(STAGES[parameter.node].settings)[parameter.name].read_only
 
 
-def _applies_calibrations(chain: Chain, values: NodeParameters) -> bool:
-    """Whether calibrations of the bag are applied, or were to the images that are played."""
+def _applies_calibrations(chain: ReplayNodes, values: NodeParameters) -> bool:
+    """True if calibrations of the bag are applied, or were to the images that are played."""
     of_topic = values.get(APPLIED.node, {}).get(APPLIED.name) == HEARD
     return chain.entry == IMAGES or (chain.entry == FRAMES and of_topic)
 
 
 def _of_stages(sources: Mapping[Parameter, str], stages: Sequence[str]) -> dict[str, dict[str, str]]:
-    """Where the values of all parameters of some nodes come from, by node and name."""
+    """Origins of the values of all parameters of some nodes, by node and name."""
     names = {node: settings_of(STAGES[node].settings) for node in stages}
     return {node: {name: sources.get(Parameter(node, name), DEFAULT) for name in names[node]} for node in stages}
 
 
 def _listed(
-    held: Iterable[DwellKey], changes: Sequence[Change], calibrations: Sequence[Applied]
+    recorded: Iterable[DwellKey], changes: Sequence[Change], calibrations: Sequence[Applied]
 ) -> list[dict[str, Any]]:
-    """What changed in flight, for the report, in the order of the dwells."""
-    order = {dwell: place for place, dwell in enumerate(held)}
+    """Changes in flight, for the report, in the order of the dwells."""
+    order = {dwell: number for number, dwell in enumerate(recorded)}
     happened: list[Change | Applied] = [*calibrations, *changes]
     return [
         {"dwell": one.dwell.number, **_described(one), "source": one.source}
@@ -216,11 +216,11 @@ def _described(one: Change | Applied) -> dict[str, Any]:
     return {"parameter": ".".join(one.parameter), "value": one.value}
 
 
-def _cues(
-    held: Iterable[DwellKey], dwells: DwellRange, changes: Sequence[Change], calibrations: Sequence[Applied]
+def _scheduled_changes(
+    recorded: Iterable[DwellKey], dwells: DwellRange, changes: Sequence[Change], calibrations: Sequence[Applied]
 ) -> list[DwellChanges]:
-    """What happens before each dwell that is played; what happened before others holds for the next one."""
-    cues: list[DwellChanges] = []
+    """Changes before each dwell that is played; a change before a dwell that is left out applies to the next one."""
+    scheduled: list[DwellChanges] = []
     happened: dict[DwellKey, list[Change | Applied]] = {}
     for change in changes:
         happened.setdefault(change.dwell, []).append(change)
@@ -228,20 +228,20 @@ def _cues(
         happened.setdefault(calibration.dwell, []).append(calibration)
     values: dict[str, dict[str, Any]] = {}
     applied: list[str] = []
-    for dwell in held:
+    for dwell in recorded:
         for one in happened.get(dwell, ()):
             if isinstance(one, Applied):
                 applied.append(one.calibration)
             else:
                 values.setdefault(one.parameter.node, {})[one.parameter.name] = one.value
         if dwell in dwells and (values or applied):
-            cues.append(DwellChanges(dwell, values, tuple(applied)))
+            scheduled.append(DwellChanges(dwell, values, tuple(applied)))
             values, applied = {}, []
-    return cues
+    return scheduled
 
 
-def _forgotten(timeline: Timeline, chain: Chain) -> list[str]:
-    """Sentences on parameters of nodes at work that do not exist any more, and on nodes that there are not."""
+def _forgotten(timeline: Timeline, chain: ReplayNodes) -> list[str]:
+    """Warnings on parameters of nodes at work that do not exist any more, and on nodes that do not exist."""
     unknown = {node: source for (node, _), source in timeline.forgotten.items() if node not in STAGES}
     return [
         *(
@@ -257,8 +257,8 @@ def _forgotten(timeline: Timeline, chain: Chain) -> list[str]:
     ]
 
 
-def _unopened(timeline: Timeline, chain: Chain, sources: Mapping[Parameter, str]) -> list[str]:
-    """Sentences on files that only the provenance names."""
+def _unopened(timeline: Timeline, chain: ReplayNodes, sources: Mapping[Parameter, str]) -> list[str]:
+    """Warnings on files that only the provenance names."""
     return [
         f"Node {parameter.node} used the file {path!r} in flight ({PROVENANCE}); a replay opens no file that only the "
         f"provenance names, and goes on without it: set --param {'.'.join(parameter)}=FILE to use it."
@@ -268,7 +268,7 @@ def _unopened(timeline: Timeline, chain: Chain, sources: Mapping[Parameter, str]
 
 
 def _unmade(recorded: RecordedParameters, values: NodeParameters, given: NodeParameters) -> list[str]:
-    """Sentences on heights that nodes used in flight, and that are not made."""
+    """Warnings on heights that nodes used in flight, and that are not made."""
     return [
         f"Node {parameter.node} used the heights of {value!r} in flight ({source}), which are not made here; it uses "
         f"those of {parameters_of(parameter.node, values.get(parameter.node, {})).estimator!r}."
@@ -285,7 +285,7 @@ def _restarted(change: Change) -> str:
     )
 
 
-def _not_held(missing: Applied) -> str:
+def _missing_calibration(missing: Applied) -> str:
     return (
         f"Calibration {missing.calibration!r}, which was applied from dwell {missing.dwell.number} on, is not in the "
         "bag and is left out; record topic /calibration."

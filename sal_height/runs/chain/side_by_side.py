@@ -1,10 +1,10 @@
 """The chain host with worker processes: jobs that do not depend on each other are processed side by side.
 
-A dwell goes to a worker as the job of the first stage, and comes back as the products of all stages that work on
+A dwell goes to a worker as the job of the first stage, and returns as the products of all stages that work on
 single dwells: its images never leave the worker unless a stage here consumes them. What depends on the dwells before is
 processed here, in the order in which the jobs were made, so that the products are those of one process.
 
-Large arrays go to a worker through memory that both share; sensors, settings and calibrations go once.
+Large arrays go to a worker through shared memory; sensors, settings and calibrations go once.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ SHARED = (Sensor, Settings, Calibration)
 """Classes of objects that are never changed, and of which workers keep the ones that they were sent."""
 
 LEAST_SHARED_BYTES = 16_384
-"""Smallest array that goes through shared memory."""
+"""Least size of an array that goes through shared memory, bytes."""
 
 CONTROLS = (SENSOR_INFO, CALIBRATION)
 """Ports of what is no dwell, which all workers must know."""
@@ -57,7 +57,7 @@ AHEAD = 2
 """Batches of jobs that a worker may have at a time; it is sent the next one once it has returned one of them."""
 
 LEAST_RING_BYTES, MOST_RING_BYTES = 64_000_000, 256_000_000
-"""Shared memory of a worker; arrays beyond it are sent as other objects are."""
+"""Shared memory of a worker, bytes; arrays beyond it are sent as other objects are."""
 
 BYTES_TOGETHER = 32_000_000
 """Largest size of a batch of more than one job: what is made of the jobs is of about the same size."""
@@ -68,7 +68,7 @@ class Remote(NamedTuple):
 
     Attributes:
         stage: number of the stage.
-        jobs: to be processed.
+        jobs: jobs to be processed.
     """
 
     stage: int
@@ -76,7 +76,7 @@ class Remote(NamedTuple):
 
 
 class Scheduled(NamedTuple):
-    """What a stage accepts right before the job of a dwell is made; port "": other settings."""
+    """An item that a stage accepts right before the job of a dwell is made; port "": other settings."""
 
     stage: int
     before: DwellKey
@@ -103,11 +103,11 @@ def count_messages(item: Any) -> int:
 
 
 class Control(NamedTuple):
-    """An item that the stages of a worker accept beside dwells.
+    """An item that the stages of a worker accept in addition to dwells.
 
     Attributes:
-        port: of the item.
-        item: such as the description of a sensor.
+        port: port of the item.
+        item: item, such as the description of a sensor.
     """
 
     port: str
@@ -120,18 +120,18 @@ Sent: TypeAlias = tuple[int, DwellKey | None, Result]
 
 @dataclass
 class Ring:
-    """Memory that two processes share; what is written is released in the order in which it was written."""
+    """Memory shared by two processes; what is written is released in the order in which it was written."""
 
     memory: mmap.mmap
     size: int
     at: int = 0
     used: int = 0
     taken: int = 0
-    """Bytes taken by the message at hand."""
+    """Bytes used by the current message."""
 
     @classmethod
     def of(cls, size: int) -> Ring:
-        """A ring of `size` bytes, which processes that are forked share."""
+        """A ring of `size` bytes, shared by processes that are forked."""
         return cls(mmap.mmap(-1, size), size)
 
     def put(self, array: np.ndarray[Any, np.dtype[Any]]) -> int | None:
@@ -139,23 +139,23 @@ class Ring:
         room = -(-array.nbytes // 64) * 64
         if not self.used:
             self.at = 0
-        begins_anew = self.at + room > self.size
-        skipped = self.size - self.at if begins_anew else 0
+        wraps = self.at + room > self.size
+        skipped = self.size - self.at if wraps else 0
         if self.used + skipped + room > self.size:
             return None
-        at = 0 if begins_anew else self.at
+        at = 0 if wraps else self.at
         np.frombuffer(self.memory, array.dtype, array.size, at)[:] = array.reshape(-1)
         self.at, self.used, self.taken = at + room, self.used + skipped + room, self.taken + skipped + room
         return at
 
     def release(self, taken: int) -> None:
-        """Give back what the oldest message has taken."""
+        """Release the bytes of the oldest message."""
         self.used -= taken
 
 
 @functools.cache
 def _is_shared(kind: type) -> bool:
-    """Whether objects of a class are sent once."""
+    """True if objects of a class are sent once."""
     return issubclass(kind, SHARED)
 
 
@@ -167,7 +167,7 @@ class _Pickler(pickle.Pickler):
         self._known, self._ring = known, ring
 
     def persistent_id(self, obj: Any) -> Any:
-        """How an object is sent that is not sent as it is; called for every one, however small."""
+        """Substitute for an object that is not sent as it is; called for every one, however small."""
         kind = type(obj)
         if kind is np.ndarray:
             if self._ring and obj.nbytes >= LEAST_SHARED_BYTES and obj.flags.c_contiguous:
@@ -212,7 +212,7 @@ class _Worker:
     known: dict[int, tuple[int, Any]] = field(default_factory=dict)
     received: dict[int, Any] = field(default_factory=dict)
     sent: deque[tuple[int, int, int]] = field(default_factory=deque)
-    """Of each message with jobs its number, the bytes that it takes of the ring, and how many jobs it has."""
+    """Number of each message with jobs, the bytes that it uses of the ring, and the number of its jobs."""
 
     @property
     def dwells(self) -> int:
@@ -220,15 +220,15 @@ class _Worker:
         return sum(jobs for _, _, jobs in self.sent)
 
     def send(self, message: Any) -> int:
-        """Send a message; returns the bytes that it takes of the ring."""
+        """Send a message; returns the bytes that it uses of the ring."""
         file = io.BytesIO()
         self.ring.taken = 0
         _Pickler(file, self.known, self.ring).dump(message)
         self.pipe.send_bytes(file.getbuffer())
         return self.ring.taken
 
-    def listen(self, arrived: SimpleQueue[tuple[_Worker, bytes]]) -> None:
-        """Take what the process returns as soon as it does, so that it never waits while this one sends (a thread).
+    def receive(self, arrived: SimpleQueue[tuple[_Worker, bytes]]) -> None:
+        """Read what the process returns as soon as it does, so that it never waits while this one sends (a thread).
 
         Empty bytes stand for its end.
         """
@@ -239,7 +239,7 @@ class _Worker:
             arrived.put((self, b""))
 
     def read(self, returned: bytes) -> tuple[int, Sequence[Sent]]:
-        """The number of the oldest message with jobs, and what was made of it.
+        """The number of the oldest message with jobs, and the results.
 
         Raises:
             UserError: the process has ended.
@@ -263,7 +263,7 @@ def _ring_bytes(job: Job) -> int:
 
 
 def _together(pending: Sequence[Job]) -> int:
-    """How many jobs like the first of those that wait a worker is sent at a time."""
+    """Number of jobs like the first pending one that a worker is sent at a time."""
     return max(1, min(TOGETHER, BYTES_TOGETHER // max(1, pending[0].size)))
 
 
@@ -274,9 +274,9 @@ class SideBySide(Chain):
         """Join stages.
 
         Args:
-            stages: in the order of the data.
-            settings: of each.
-            jobs: number of processes that work beside this one, 1 or more.
+            stages: stages in the order of the data.
+            settings: settings of each stage.
+            jobs: number of worker processes, 1 or more.
             wanted: ports whose products the caller needs; others are returned only if a stage here consumes them.
 
         Raises:
@@ -302,7 +302,7 @@ class SideBySide(Chain):
         return self
 
     def _start(self, job: Job) -> None:
-        """Fork the workers, which begin with all that this process has loaded and all tables that it has made.
+        """Fork the workers, which start with all that this process has loaded and all tables that it has made.
 
         `job` is the first one that was processed here.
         """
@@ -317,7 +317,7 @@ class SideBySide(Chain):
         for _, theirs in pipes:
             theirs.close()
         for worker in self._workers:
-            Thread(target=worker.listen, args=(self._arrived,), daemon=True).start()
+            Thread(target=worker.receive, args=(self._arrived,), daemon=True).start()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -337,12 +337,12 @@ class SideBySide(Chain):
     def change(self, stage: Stage, settings: Any, before: DwellKey) -> None:
         """Have a stage use other settings from a dwell on, here and in the workers."""
         super().change(stage, settings, before)
-        self._tell(stage, Scheduled(self.stages.index(stage), before, "", settings))
+        self._schedule(stage, Scheduled(self.stages.index(stage), before, "", settings))
 
     def schedule(self, stage: Stage, before: DwellKey, port: str, item: Any) -> None:
         """Have a stage accept an item right before the job of a dwell is made, here and in the workers."""
         super().schedule(stage, before, port, item)
-        self._tell(stage, Scheduled(self.stages.index(stage), before, port, item))
+        self._schedule(stage, Scheduled(self.stages.index(stage), before, port, item))
 
     def give(self, stage: Stage, port: str, item: Any) -> None:
         """Have a stage accept an item now, here and in the workers."""
@@ -351,7 +351,7 @@ class SideBySide(Chain):
             for worker in self._workers:
                 worker.send(Control(port, item))
 
-    def _tell(self, stage: Stage, message: Scheduled) -> None:
+    def _schedule(self, stage: Stage, message: Scheduled) -> None:
         if self._is_remote(stage):
             for worker in self._workers:
                 worker.send(message)
@@ -360,7 +360,7 @@ class SideBySide(Chain):
         return self._remote[self.stages.index(stage)]
 
     def _deliver(self, port: str, item: Any) -> None:
-        """Besides what a chain does: let workers know what is no dwell, and keep what they process from stages here."""
+        """In addition to a chain: send controls to workers, and do not deliver what they process to stages here."""
         super()._deliver(port, item)
         if port in CONTROLS and any(map(self._is_remote, self._consumers.get(port, ()))):
             for worker in self._workers:
@@ -384,7 +384,7 @@ class SideBySide(Chain):
     def _due(self, *, drain: bool) -> list[tuple[Stage, list[Job]]]:
         """The jobs that are processed here: those of other stages, and those that depend on each other.
 
-        Until every stage has processed a job, all are, one by one: what takes time at first is done once, and not by
+        Until every stage has processed a job, all are, one by one: what is slow at first is done once, and not by
         each worker, and no job waits when the workers start, so that none overtakes another.
         """
         alone = not self._workers
@@ -421,7 +421,7 @@ class SideBySide(Chain):
         return sent
 
     def _waits_for_workers(self, *, drain: bool) -> bool:
-        """Whether nothing can go on here before a worker has returned something."""
+        """True if nothing can go on here before a worker has returned something."""
         if not any(worker.sent for worker in self._workers):
             return False
         waiting = [self._pending[stage] for stage, remote in zip(self.stages, self._remote, strict=True) if remote]
@@ -429,7 +429,7 @@ class SideBySide(Chain):
         return drain or crowded
 
     def _receive(self, *, blocking: bool) -> None:
-        """Take what workers have returned; if blocking, wait for one of them."""
+        """Read what workers have returned; if blocking, wait for one of them."""
         waits = blocking and any(worker.sent for worker in self._workers)
         with suppress(Empty):
             while True:
@@ -439,7 +439,7 @@ class SideBySide(Chain):
                 waits = False
 
     def _give_back(self) -> bool:
-        """Take what was made in the order in which the jobs were sent; whether there was any."""
+        """Deliver results in the order in which the jobs were sent; True if there was any."""
         before = self._given_back
         while (results := self._returned.pop(self._given_back, None)) is not None:
             self._given_back += 1
@@ -478,7 +478,7 @@ class SideBySide(Chain):
                 pipe.send_bytes(file.getbuffer())
 
     def _made_of(self, remote: Remote) -> list[Sent]:
-        """What the stages of a worker make of jobs, in the order of the stages (in the worker)."""
+        """Results of the stages of a worker for jobs, in the order of the stages (in the worker)."""
         made: list[Sent] = []
         waiting: dict[int, list[Job]] = {remote.stage: list(remote.jobs)}
         while waiting:

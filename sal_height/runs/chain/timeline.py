@@ -1,7 +1,7 @@
-"""What happened in a recorded flight between its dwells: parameters of nodes that changed, calibrations that came.
+"""Events of a recorded flight between its dwells: changed parameters of nodes, and received calibrations.
 
 The provenance of heights, or of images, says with which parameters and calibration their dwell was processed. Of dwells
-without them, the order of the bag decides: what came before the last frame of a dwell was in force for it.
+without them, the order of the bag decides: what was recorded before the last frame of a dwell was in effect for it.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from sal_height.engine.stage import DwellKey
 from sal_height.errors import UserError
 from sal_height.geometry import Mounting
 from sal_height.graph.catalogue import SETTABLE
-from sal_height.runs.chain.flight_record import FlightRecord, Heard, Said, tells_of_its_making
+from sal_height.runs.chain.flight_record import FlightRecord, ReceivedCalibration, Said, states_processing
 from sal_height.settings import settings_of
 
 PROVENANCE, EVENT, MESSAGE = "provenance", "parameter event", "order of the bag"
-"""How it is known what was in force for a dwell."""
+"""Sources of the values and calibrations that were in effect for a dwell."""
 
 NO_SETTINGS = {"use_sim_time", "start_type_description_service", LEFT_OUT, POSE_ERROR}
-"""Names beside the parameters of our nodes: those that rclpy gives to every node, and what provenance adds."""
+"""Names in addition to the parameters of our nodes: those that rclpy gives to every node, and what provenance adds."""
 
 OF_MACHINE = frozenset({"autostart", "latency_budget_s"})
 """Parameters of all nodes that suited the machine of the flight; none changes heights. `recorded_parameters` says why a
@@ -37,7 +37,7 @@ replay does not repeat them."""
 NO_FILE = "", HEARD
 """Values of parameters that name files which are no paths."""
 
-Recorded = TypeVar("Recorded", Said, Heard)
+Recorded = TypeVar("Recorded", Said, ReceivedCalibration)
 
 
 class Parameter(NamedTuple):
@@ -73,19 +73,19 @@ class Applied(NamedTuple):
 
 @dataclass(frozen=True)
 class Timeline:
-    """What happened in a flight, in the order of its dwells.
+    """Events of a flight, in the order of its dwells.
 
     Attributes:
-        dwells: when the frames of each dwell were recorded, in the order of their first frames.
+        dwells: times when the frames of each dwell were recorded, in the order of their first frames.
         start: values of parameters at the first dwell, as far as they are known, but for those `OF_MACHINE`.
         files: paths in the provenance, by the parameter that names the file; they are neither in `start` nor in
             `changes`, unless the node itself stated them.
-        changes: of parameters, later on.
-        calibrations: that the bag holds and that were applied.
-        missing: calibrations that were applied and that the bag does not hold.
-        come: all calibrations that the bag holds, from the dwell on before which each came.
+        changes: changes of parameters, later on.
+        calibrations: calibrations in the bag that were applied.
+        missing: calibrations that were applied and are not in the bag.
+        received: all calibrations in the bag, each with the dwell before which it was received.
         forgotten: parameters of that time that the nodes do not have today, and how they are known.
-        mountings: of sensors (config_hash) on the platform, where the flight had others than their descriptions state.
+        mountings: mountings of sensors (config_hash) on the platform, where the flight had others than described.
     """
 
     dwells: Mapping[DwellKey, LogTimes] = field(default_factory=dict)
@@ -94,40 +94,40 @@ class Timeline:
     changes: list[Change] = field(default_factory=list)
     calibrations: list[Applied] = field(default_factory=list)
     missing: list[Applied] = field(default_factory=list)
-    come: list[Applied] = field(default_factory=list)
+    received: list[Applied] = field(default_factory=list)
     forgotten: dict[Parameter, str] = field(default_factory=dict)
     mountings: dict[str, Mounting] = field(default_factory=dict)
 
 
 def timeline_of(reader: BagReader, dwell_topics: Sequence[str] = ("/phase_history",)) -> Timeline:
-    """Find out what happened in the flight that a bag was recorded in; up to where the bag is damaged, if it is.
+    """Read the events of the flight that a bag was recorded in, up to where the bag is damaged, if it is.
 
     Args:
-        reader: of the bag.
+        reader: reader of the bag.
         dwell_topics: topics with the frames that dwells are made of, or with their images or heights instead.
 
     Returns:
-        The timeline; an empty one if nothing in the bag says how dwells were processed.
+        The timeline; an empty one if nothing in the bag states how dwells were processed.
     """
-    if not tells_of_its_making(reader):
+    if not states_processing(reader):
         return Timeline()
     record = FlightRecord(reader, dwell_topics)
     timeline = Timeline(record.dwells)
     parameters, calibrations = _Parameters(timeline), _Calibrations(timeline, record.sensors)
-    said, heard = deque(record.said), deque(record.heard)
+    said, received = deque(record.said), deque(record.received)
     for dwell, frames in record.dwells.items():
         for one in _until(frames.last_ns, said):
-            parameters.hear(one)
+            parameters.receive(one)
         stages = record.stages.get(dwell, {})
         parameters.enter(dwell, stages)
         if (mounting := _mounting_in(stages.get("sar_compression", {}))) is not None:
             timeline.mountings.setdefault(dwell.sensor, mounting)
-        for message in _until(frames.last_ns, heard):
-            calibrations.hear(message)
+        for message in _until(frames.last_ns, received):
+            calibrations.receive(message)
         calibrations.enter(dwell, record.applied.get(dwell))
     for one in said:  # of nodes that were asked only after the last dwell
-        parameters.hear(one)
-    parameters.enter_what_was_told_late()
+        parameters.receive(one)
+    parameters.enter_late_reports()
     return timeline
 
 
@@ -143,7 +143,7 @@ def _mounting_in(stage: Mapping[str, Any]) -> Mounting | None:
 
 
 def _until(time_ns: int, recorded: deque[Recorded]) -> Iterator[Recorded]:
-    """Take out what was recorded up to a time."""
+    """Remove and yield what was recorded up to a time, ns."""
     while recorded and recorded[0].time_ns <= time_ns:
         yield recorded.popleft()
 
@@ -155,11 +155,11 @@ class _Parameters:
         self._timeline, self._first = timeline, next(iter(timeline.dwells), None)
         self._now: dict[Parameter, Any] = {}
         self._said: dict[Parameter, tuple[Any, bool]] = {}
-        """What nodes said and no product has shown yet: a value, and whether the parameter had another one before."""
+        """Published values that no product has shown yet, with True if the parameter had another one before."""
         self._stated: dict[str, Mapping[str, Any]] = {}
 
-    def hear(self, said: Said) -> None:
-        """Take note of what a node said."""
+    def receive(self, said: Said) -> None:
+        """Record what a node published."""
         for parameter, value in self._known(said.node, said.values, EVENT):
             self._said[parameter] = value, said.is_change
 
@@ -180,17 +180,17 @@ class _Parameters:
             self._stated.pop(parameter.node, None)
 
     def _is_stated(self, parameter: Parameter, stages: Mapping[str, Mapping[str, Any]]) -> bool:
-        """Whether the provenance states a value of a parameter that is used."""
+        """True if the provenance states a value of a parameter that is used."""
         return parameter.name in stages.get(parameter.node, {}) and parameter not in self._timeline.files
 
-    def enter_what_was_told_late(self) -> None:
-        """Take values that nodes told after the last dwell for those that they had all the time."""
+    def enter_late_reports(self) -> None:
+        """Use values that nodes reported after the last dwell as those that they had all the time."""
         for parameter, (value, is_change) in self._said.items():
             if not is_change:
                 self._timeline.start.setdefault(parameter, Value(value, EVENT))
 
     def _set(self, dwell: DwellKey, parameter: Parameter, value: Value, is_change: bool) -> None:
-        """Take note of a value; one that is told late for the first time was in force from the start."""
+        """Record a value; the first one in a late report was in effect from the start."""
         if parameter not in self._now and (not is_change or dwell == self._first):
             self._timeline.start[parameter] = value
         elif parameter not in self._now or self._now[parameter] != value.value:
@@ -218,25 +218,25 @@ class _Calibrations:
     def __init__(self, timeline: Timeline, sensors: Mapping[str, str]) -> None:
         self._timeline, self._sensors = timeline, sensors
         self._now: dict[str, str] = {}
-        self._heard: dict[str, str] = {}
-        self._come: list[str] = []
+        self._pending: dict[str, str] = {}
+        self._received: list[str] = []
 
-    def hear(self, message: Heard) -> None:
-        """Take note of a calibration that came."""
-        self._heard[self._sensors[message.calibration]] = message.calibration
-        self._come.append(message.calibration)
+    def receive(self, message: ReceivedCalibration) -> None:
+        """Record a calibration that was received."""
+        self._pending[self._sensors[message.calibration]] = message.calibration
+        self._received.append(message.calibration)
 
     def enter(self, dwell: DwellKey, applied: str | None) -> None:
         """Go on to a dwell, with the calibration that its provenance names; None: it has no products."""
-        self._timeline.come.extend(Applied(dwell, calibration, MESSAGE) for calibration in self._come)
-        self._come.clear()
+        self._timeline.received.extend(Applied(dwell, calibration, MESSAGE) for calibration in self._received)
+        self._received.clear()
         if applied is None:
-            heard, self._heard = self._heard, {}
-            for calibration in heard.values():
+            pending, self._pending = self._pending, {}
+            for calibration in pending.values():
                 self._apply(Applied(dwell, calibration, MESSAGE))
         elif applied in self._sensors:
-            if self._heard.get(self._sensors[applied]) == applied:
-                del self._heard[self._sensors[applied]]
+            if self._pending.get(self._sensors[applied]) == applied:
+                del self._pending[self._sensors[applied]]
             self._apply(Applied(dwell, applied, PROVENANCE))
         elif applied and applied not in {one.calibration for one in self._timeline.missing}:
             self._timeline.missing.append(Applied(dwell, applied, PROVENANCE))

@@ -1,1 +1,1 @@
-"""Nodes beside a sensor that does not wait: run, deployed, watched and recorded."""
+"""Nodes with a sensor that does not wait: run, deployed, watched and recorded."""

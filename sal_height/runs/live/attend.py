@@ -1,4 +1,4 @@
-"""Start the nodes of a deployment beside a sensor that others operate, and watch them."""
+"""Start the nodes of a deployment for a sensor that others operate, and watch them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sal_height.nodes.transport.domain import ros_domain
 
 @dataclass
 class Attended:
-    """What has been seen of a deployment.
+    """Progress of a deployment.
 
     Attributes:
         book: the accounts of all nodes of the graph, those of others too.
@@ -30,7 +30,7 @@ class Attended:
 
     @property
     def has_worked(self) -> bool:
-        """Whether any node has processed or recorded anything."""
+        """True if any node has processed or recorded anything."""
         accounts = [entry.account for entry in self.book.entries.values()]
         return any(account.processed or any(account.recorded.values()) for account in accounts)
 
@@ -47,8 +47,8 @@ def attend(
     Args:
         members: the nodes.
         execution: domain; whether each node has a process of its own.
-        seconds: how long, s; infinity: until it is interrupted.
-        supervised: whether nodes that have ended are started again.
+        seconds: duration, s; infinity: until it is interrupted.
+        supervised: True if nodes that have ended are started again.
         show: called once a second with what has been seen.
 
     Raises:
@@ -75,7 +75,7 @@ def attend(
 
 
 def _refused(ensemble: Ensemble, book: AccountBook) -> bool:
-    """Whether a node has ended by itself before it told anything, as one does that refuses its parameters."""
+    """True if a node has ended by itself before it published an account, as one does that refuses its parameters."""
     members = ensemble.members
     named = {name: f"{members[name].namespace}/{name}".removeprefix("/") for name in members}
     return any(status >= 0 and named[name] not in book.entries for name, status in ensemble.ended().items())

@@ -21,10 +21,10 @@ OF_ROS: Mapping[str, type] = {"use_sim_time": bool, "start_type_description_serv
 
 
 def members_of(deployment: Deployment) -> list[Member]:
-    """The nodes of a deployment as an ensemble takes them: those that complete files end first.
+    """The nodes of a deployment as an ensemble starts them: those that complete files end first.
 
     Raises:
-        UserError: there is none, or a node, parameter, topic or name is not allowed.
+        UserError: the deployment is empty, or a node, parameter, topic or name is not allowed.
     """
     if not deployment.nodes:
         raise UserError(f"There are no nodes; list at least one of {', '.join(NODES)}.")
@@ -58,13 +58,13 @@ def _checked(name: str, kind: str, values: Mapping[str, Any]) -> dict[str, Any]:
     Raises:
         UserError: a parameter does not exist, or its value is not allowed.
     """
-    beside = {key: value for key, value in values.items() if key in OF_ROS or key.startswith("qos_overrides.")}
-    for key, value in beside.items():
+    of_ros = {key: value for key, value in values.items() if key in OF_ROS or key.startswith("qos_overrides.")}
+    for key, value in of_ros.items():
         if not isinstance(value, OF_ROS.get(key, (str, int))):
             allowed = "true or false" if key in OF_ROS else "a text or a whole number"
             raise UserError(f"Node {name}: parameter {key} is {value!r}; it must be {allowed}.")
-    own = {key: value for key, value in values.items() if key not in beside}
-    return {**check_values(name, NODES[kind].parameters, own), **beside}
+    own = {key: value for key, value in values.items() if key not in of_ros}
+    return {**check_values(name, NODES[kind].parameters, own), **of_ros}
 
 
 def _check_topic(name: str, topic: str, node: type[Any]) -> None:

@@ -1,4 +1,4 @@
-"""Which nodes are started beside a sensor, with which parameters and names, as a YAML file says it.
+"""Nodes that are started for a sensor, with their parameters and names, as stated in a YAML file.
 
 Nothing here brings NumPy with it: how many threads that may use depends on the file.
 """
@@ -27,10 +27,10 @@ class NodeEntry(StrictKeys):
     """A node of a deployment.
 
     Attributes:
-        node: which node it is; empty: the one of its name.
+        node: key in NODES; empty: the name.
         parameters: values by name.
         remap: other names of its topics, by their own.
-        namespace: of this node, instead of that of all.
+        namespace: namespace of this node, instead of that of all.
     """
 
     node: str = ""
@@ -44,9 +44,9 @@ class Deployment(StrictKeys):
     """The nodes that are started together.
 
     Attributes:
-        nodes: by name.
-        namespace: of all nodes that have none of their own; empty: none.
-        one_process: whether they share a process instead of having one each.
+        nodes: nodes by name.
+        namespace: namespace of all nodes that have none of their own; empty: no namespace.
+        one_process: True if all are in one process instead of one each.
     """
 
     nodes: dict[str, Annotated[NodeEntry, BeforeValidator(_nothing_is_empty)]]
@@ -55,7 +55,7 @@ class Deployment(StrictKeys):
 
 
 def load_deployment(path: Path) -> Deployment:
-    """The deployment in a YAML file; whether its nodes are allowed is told by `deployed_nodes.members_of`.
+    """The deployment in a YAML file; `deployed_nodes.members_of` checks whether its nodes are allowed.
 
     Raises:
         UserError: it cannot be read, is no YAML, or has a key that is missing, unknown or of another type.

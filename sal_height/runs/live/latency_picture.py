@@ -1,4 +1,4 @@
-"""Picture of the latency of every node over the time of a live run, as the nodes told it on /diagnostics."""
+"""Picture of the latency of every node over the time of a live run, as the nodes published it on /diagnostics."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ OTHERS = (("black", "-"), ("black", "--"), ("0.5", "-"), ("0.5", "--"), ("black"
 
 
 def draw_run(folder: Path) -> bool:
-    """Draw latency.png of a live run in its `folder`, beside bag and report.json.
+    """Draw latency.png of a live run in its `folder`, which has bag and report.json.
 
     Returns:
-        Whether any node has told of its latency.
+        True if any node has published its latency.
 
     Raises:
         UserError: the bag cannot be read, or the picture not be written.
     """
-    latencies = told_latencies(folder / "bag")
+    latencies = published_latencies(folder / "bag")
     if latencies:
         budget_s = float(json.loads((folder / "report.json").read_text())["latency_budget_s"])
         with writing(folder / LATENCIES):
@@ -41,18 +41,18 @@ def draw_run(folder: Path) -> bool:
     return bool(latencies)
 
 
-def told_latencies(bag: Path) -> dict[str, F64]:
-    """What the nodes told in a bag of their latencies, by node.
+def published_latencies(bag: Path) -> dict[str, F64]:
+    """Latencies that the nodes published in a bag, by node.
 
     Args:
-        bag: with topic diagnostics.
+        bag: bag with topic diagnostics.
 
     Returns:
         Time since the first diagnostics (s), median and 95th percentile (ms) of the node's last thousand dwells, shape
-        (3, times); nodes that told none are left out.
+        (3, times); nodes that published none are left out.
     """
     reader, topic = BagReader(bag), f"/{DIAGNOSTICS.removeprefix('/')}"
-    told: dict[str, list[tuple[float, float, float]]] = {}
+    published: dict[str, list[tuple[float, float, float]]] = {}
     begin_ns = None
     for recorded in reader.messages([topic]) if topic in reader.topics else ():
         begin_ns = recorded.log_time_ns if begin_ns is None else begin_ns
@@ -61,8 +61,8 @@ def told_latencies(bag: Path) -> dict[str, F64]:
             latencies = account.latency_p50_ms, account.latency_p95_ms
             if all(map(math.isfinite, latencies)):
                 time_s = (recorded.log_time_ns - begin_ns) * 1e-9
-                told.setdefault(status.name, []).append((time_s, *latencies))
-    return {node: np.array(rows).T for node, rows in told.items()}
+                published.setdefault(status.name, []).append((time_s, *latencies))
+    return {node: np.array(rows).T for node, rows in published.items()}
 
 
 def _looks(nodes: Sequence[str]) -> dict[str, tuple[str, Any]]:
@@ -77,17 +77,17 @@ def draw_latencies(latencies: Mapping[str, F64], budget_s: float, path: Path) ->
     """Write a PNG: median and 95th percentile of each node's latency over time, and the latency budget of a dwell.
 
     Args:
-        latencies: as of `told_latencies`, at least one.
-        budget_s: of the whole way from a dwell to its heights, s.
-        path: of the picture.
+        latencies: result of `published_latencies`, at least one node.
+        budget_s: latency budget from a dwell to its heights, s.
+        path: path of the picture.
     """
     looks = _looks(list(latencies))
     with page(path, 2.9) as figure:
         panels = figure.subplots(1, 2, sharex=True, sharey=True)
         for axes, row, title in zip(panels, (1, 2), ("median", "95th percentile"), strict=True):
-            for node, told in latencies.items():
+            for node, published in latencies.items():
                 colour, line = looks[node]
-                axes.plot(told[0], told[row], color=colour, ls=line, label=node)
+                axes.plot(published[0], published[row], color=colour, ls=line, label=node)
             axes.axhline(1e3 * budget_s, color="0.8", lw=2.5, label="budget of a dwell, for all nodes")
             axes.set(title=f"{title} of the last thousand dwells", xlabel="time (s)", yscale="log")
             axes.yaxis.set_major_formatter("{x:g}")

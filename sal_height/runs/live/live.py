@@ -1,4 +1,4 @@
-"""`sal-height live`: the graph beside a sensor that does not wait for it, and what becomes of its dwells."""
+"""`sal-height live`: the graph with a sensor that does not wait for it, and the account of its dwells."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from sal_height.graph.conductor import Conductor
 from sal_height.graph.ensemble import Ensemble, members_of
 from sal_height.graph.interruption import Interruption
 from sal_height.graph.plan import RECORDER, Execution, Plan
-from sal_height.graph.processes import beside, process_age_s
+from sal_height.graph.processes import process_age_s, run_in_copy
 from sal_height.graph.reporting import PARAMETERS, PRESET, merged, reporting
 from sal_height.graph.supervisor import Supervisor
 from sal_height.graph.watch import Watcher, looks
@@ -53,7 +53,7 @@ STEPS = 3
 """Nodes that a dwell passes one after the other: compression, heights and tracker."""
 
 MAPPER, MAP_QUEUE = "relief_mapper", 256
-"""The map has no latency budget: a dwell is as good for it a second later, which it takes to publish a large one."""
+"""The map has no latency budget: a dwell is as good for it a second later, and a large map is published that long."""
 
 ASK_PERIOD_S = 1.0
 """Time after which a sensor that has not answered is asked again."""
@@ -61,13 +61,13 @@ ASK_PERIOD_S = 1.0
 
 @dataclass(frozen=True)
 class Live:
-    """How a sensor is processed live.
+    """Settings of a live run.
 
     Attributes:
         rate: seconds of the sensor in a second.
-        seconds: how long, s; infinity: until it is interrupted.
+        seconds: duration, s; infinity: until it is interrupted.
         budget_s: latency budget; 0: that of the preset, or the default.
-        supervised: whether nodes that have ended are started again.
+        supervised: True if nodes that have ended are started again.
     """
 
     rate: float = 1.0
@@ -78,17 +78,17 @@ class Live:
 
 @dataclass
 class Watched:
-    """What has been seen of a live graph so far.
+    """Progress of a live graph.
 
     Attributes:
         elapsed_s: time since the sensor began to deliver.
         offered_hz: dwells in a second that the sensor delivers, as planned.
         book: the accounts of all nodes.
-        latencies_s: from the last pulse of a dwell to its height image, by topic.
+        latencies_s: latencies from the last pulse of a dwell to its height image, s, by topic.
         cpu_at_start_s: processor time of the nodes' processes when the sensor began.
-        began_at_s: when the sensor began, s since the epoch.
-        start_s: time from the begin of this program to the end of each step of the start: tables are made, dwells
-            are there, all nodes are ready, the first height has come.
+        began_at_s: time when the sensor started, s since the epoch.
+        start_s: time from the start of this program to the end of each step of the start, s: tables are made, dwells
+            are there, all nodes are ready, the first height has arrived.
     """
 
     elapsed_s: float
@@ -100,7 +100,7 @@ class Watched:
     start_s: dict[str, float] = field(default_factory=dict)
 
     def cpu_per_second(self, node: str) -> float:
-        """Processor seconds that the processes of a node have taken in a second since the sensor began."""
+        """Processor seconds that the processes of a node have used per second since the sensor started."""
         used = self.accounts[node].cpu_s - self.cpu_at_start_s.get(node, 0.0)
         return used / self.elapsed_s if self.elapsed_s else 0.0
 
@@ -111,11 +111,11 @@ class Watched:
 
     @property
     def heights(self) -> int:
-        """Number of height images that have come."""
+        """Number of height images received."""
         return sum(len(values) for values in self.latencies_s.values())
 
     def as_json(self) -> dict[str, Any]:
-        """What report.json says."""
+        """Entries of report.json."""
         return {
             "start_s": self.start_s,
             "elapsed_s": self.elapsed_s,
@@ -149,7 +149,7 @@ def live(
         out: output folder, new or empty, for the bag of the products and report.json.
         parameters: values that replace those that the bag was made with.
         how: pace, duration and latency budget.
-        execution: how the nodes are run, and what is recorded besides heights and diagnostics.
+        execution: execution of the nodes, and topics to record in addition to heights and diagnostics.
         show: called once a second with what has been seen.
 
     Raises:
@@ -187,7 +187,7 @@ def live(
         warn_of_overload(core_rate_hz(playlist, feed.sensor, stages, values, processors), 1 / interval_s, processors)
         return 0
 
-    tested = beside(test, "self test")  # while the nodes start
+    tested = run_in_copy(test, "self test")  # while the nodes start
 
     def let_go_and_show(watched: Watched) -> None:
         if tested:
@@ -248,7 +248,7 @@ def _perform(
         watched.start_s["ready"] = process_age_s()
         supervisor = Supervisor(ensemble, time.monotonic()) if how.supervised else None
         for topic in watched.latencies_s:
-            conductor.listen_raw(HeightImage, topic, _keeper(topic, clock, watched))
+            conductor.subscribe_raw(HeightImage, topic, _keeper(topic, clock, watched))
         wait(sensor.has_begun, f"an answer of node {SOURCE}")
         watched.cpu_at_start_s = {name: a.cpu_s for name, a in watched.accounts.items()}
         watched.began_at_s = time.time()
@@ -260,7 +260,7 @@ def _perform(
 
 
 def _keeper(topic: str, clock: DwellClock, watched: Watched) -> Callable[[bytes], None]:
-    """Takes the heights of a topic."""
+    """Receives the heights of a topic."""
 
     def keep(cdr: bytes) -> None:
         if not watched.heights:
@@ -276,7 +276,7 @@ class DwellClock:
 
     Attributes:
         rate: seconds of the sensor in a second.
-        duration_s: from the stamp of a dwell to its last pulse, s.
+        duration_s: time from the stamp of a dwell to its last pulse, s.
         begin_ns: the stamp that the sensor began with, at the same time by the clock of this machine.
     """
 
@@ -291,21 +291,21 @@ class DwellClock:
 
 
 class Beginning:
-    """Has the sensor begin to deliver, once or again after its node was started anew."""
+    """Asks the sensor to start, once, and again after its node was restarted."""
 
     def __init__(self, conductor: Conductor, clock: DwellClock) -> None:
-        """Ask by means of `conductor`; `clock` is told when the sensor begins."""
+        """Ask by means of `conductor`; `clock` is notified when the sensor starts."""
         self._conductor, self._clock = conductor, clock
         self._asked: Future | None = None
         self._asked_at = -math.inf
         self._begun = False
 
     def forget(self) -> None:
-        """The sensor's node has been started anew."""
+        """Forget the sensor's answer, since its node has been restarted."""
         self._begun = False
 
     def has_begun(self) -> bool:
-        """Whether the sensor delivers; if it does not, it is asked to, again and again: it may not be there yet."""
+        """True if the sensor delivers; if it does not, it is asked to, again and again: it may not be there yet."""
         if not self._begun and self._asked and self._asked.done() and self._asked.result().success:
             self._clock.begin_ns = int(self._asked.result().message)
             self._begun, self._asked = True, None

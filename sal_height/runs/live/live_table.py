@@ -15,7 +15,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from sal_height.graph.account_book import AccountBook, Entry
+from sal_height.graph.account_book import AccountBook, NodeAccount
 from sal_height.runs.live.live import SOURCE, Watched
 
 GONE = "gone"
@@ -27,7 +27,7 @@ COLOURS = {"ok": "green", "warning": "yellow", "error": "red", GONE: "red"}
 def showing(draw: Callable[[Any], RenderableType]) -> Iterator[Callable[[Any], None]]:
     """A function that shows what `draw` makes of what it is given.
 
-    On a terminal that is in place; else only the last is shown, at the end: a log is no place for a table that changes.
+    A terminal shows each as it arrives; else only the last is shown, at the end, since a log cannot change.
     """
     console = Console()
     if console.is_terminal:
@@ -40,12 +40,12 @@ def showing(draw: Callable[[Any], RenderableType]) -> Iterator[Callable[[Any], N
 
 
 def node_table(book: AccountBook, now: float, title: str, without: Collection[str] = ()) -> Group:
-    """A line for each node that tells of itself on /diagnostics; below, what was left out and what is wrong.
+    """A line for each node that publishes on /diagnostics; below, what was left out and what is wrong.
 
     Args:
-        book: what is known of the nodes.
+        book: states of the nodes.
         now: time, s of the monotonic clock.
-        title: of the table.
+        title: title of the table.
         without: names of nodes that are left out.
     """
     names = sorted(book.entries.keys() - set(without))
@@ -71,7 +71,7 @@ def _common_namespace(names: Sequence[str]) -> str:
     return f"{common.strip('/')}/".lstrip("/")
 
 
-def _numbers(entry: Entry) -> list[str]:
+def _numbers(entry: NodeAccount) -> list[str]:
     """Rates, latencies, processors and memory of a node, as texts."""
     account = entry.account
     numbers = account.offered_hz, account.achieved_hz, account.latency_p50_ms, account.latency_p95_ms
@@ -79,8 +79,8 @@ def _numbers(entry: Entry) -> list[str]:
     return [*texts, f"{entry.cpu_per_second:.2f}", f"{account.memory_mb:.0f}" if account.memory_mb else ""]
 
 
-def _sentences(entry: Entry, state: str) -> Iterator[str]:
-    """What there is to say of a node, without its name: starts, messages left out by reason, what is wrong."""
+def _sentences(entry: NodeAccount, state: str) -> Iterator[str]:
+    """Messages on a node, without its name: starts, messages left out by reason, what is wrong."""
     if entry.lives > 1:
         yield f"was started {entry.lives} times."
     lost, lately = {**entry.account.dropped, **entry.account.ignored}, entry.account.lost_last_minute
@@ -88,13 +88,13 @@ def _sentences(entry: Entry, state: str) -> Iterator[str]:
         counts = ", ".join(f"{reason} {lately.get(reason, 0)} ({count})" for reason, count in lost.items())
         yield f"has left out in the last minute (in all): {counts}."
     if state == GONE:
-        yield "has stopped publishing."
+        yield "publishes nothing any more."
     elif state != "ok":
         yield f"says: {entry.message}"
 
 
 def live_table(watched: Watched, now: float) -> Group:
-    """What has been seen of a live graph and the time from its sensor's last pulses to its heights."""
+    """Progress of a live graph, and the time from its sensor's last pulses to its heights."""
     title = f"{watched.elapsed_s:.0f} s, the sensor delivers {watched.offered_hz:.3g} dwells/s"
     ages = Table(title="from the last pulse to the heights, ms")
     for name in ("topic", "images", "p50", "p95", "p99.9"):

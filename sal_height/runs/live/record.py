@@ -1,4 +1,4 @@
-"""`sal-height record`: write what is published to a bag, and show what becomes of it."""
+"""`sal-height record`: write what is published to a bag, and show the account of each topic."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ DEFAULT_FOLDER = Path("out/recorded")
 
 
 @dataclass
-class Recorded:
-    """What has been recorded so far.
+class RecordingProgress:
+    """Progress of a recording.
 
     Attributes:
-        folder: of the bag.
-        elapsed_s: time since the begin.
-        topic_counts: what became of the messages of each topic.
+        folder: folder of the bag.
+        elapsed_s: time since the start, s.
+        ledgers: accounts of the messages of each topic.
     """
 
     folder: Path
@@ -44,7 +44,7 @@ class Recorded:
         return sum(counts.written for counts in self.topic_counts.values())
 
     @property
-    def heard(self) -> int:
+    def received(self) -> int:
         """Messages in the bag of topics that somebody asked for."""
         return self.written - self.topic_counts.get(PARAMETER_EVENTS, TopicCounts()).written
 
@@ -59,21 +59,21 @@ def record(
     parameters: Mapping[str, Any],
     domain: DomainChoice,
     seconds: float,
-    show: Callable[[Recorded], None],
-) -> Recorded:
+    show: Callable[[RecordingProgress], None],
+) -> RecordingProgress:
     """Record until the time is over or the user interrupts.
 
     Args:
         out: folder of the bag, new or empty; None: the next free one of DEFAULT_FOLDER, DEFAULT_FOLDER_2, ….
-        parameters: of node recorder, without its directory.
-        domain: of the nodes that publish.
-        seconds: how long, s; infinity: until it is interrupted.
+        parameters: parameters of node recorder, without its directory.
+        domain: ROS domain of the nodes that publish.
+        seconds: duration, s; infinity: until it is interrupted.
         show: called once a second with what has been recorded, and at the end.
 
     Raises:
         UserError: the folder or a parameter cannot be used.
     """
-    done = Recorded(out or free_folder(DEFAULT_FOLDER))
+    done = RecordingProgress(out or free_folder(DEFAULT_FOLDER))
     check_new_folder(done.folder)
     with ros_domain(domain), Interruption() as interruption, Graph() as graph:
         overrides = [Parameter(name, value=value) for name, value in parameters.items() if value]
@@ -89,7 +89,7 @@ def record(
     return done
 
 
-def recorded_table(done: Recorded) -> Table:
+def recorded_table(done: RecordingProgress) -> Table:
     """A line for each topic."""
     title = f"{done.folder}: {done.written} messages in {done.elapsed_s:.0f} s"
     table = Table(title=title, box=SIMPLE_HEAD)

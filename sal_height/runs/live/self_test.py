@@ -1,4 +1,4 @@
-"""What a live run does with the core before the sensor begins: it makes tables, and measures how fast the core is."""
+"""Test of the core before the sensor of a live run starts: it makes tables, and measures how fast the core is."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from sal_height.relief import PriorEstimate, track
 from sal_height.sensor import Sensor
 
 TEST_S = 0.25
-"""Processor time of the test, s, after the first dwell, which takes longer than the others."""
+"""Processor time of the test, s, after the first dwell, which is slower than the others."""
 
 
 def make_tables(sensor: Sensor, stages: list[str], values: Mapping[str, Mapping[str, Any]]) -> None:
     """Process a made-up dwell, so that nodes that are forked later find all tables made and all code loaded.
 
     Args:
-        sensor: whose dwells will come.
+        sensor: sensor whose dwells will arrive.
         stages: names of the processing nodes.
-        values: of their parameters.
+        values: values of their parameters.
     """
     parameters = {name: NODES[name].parameters(**values.get(name, {})) for name in stages}
     rng = np.random.default_rng(0)
@@ -49,17 +49,17 @@ def make_tables(sensor: Sensor, stages: list[str], values: Mapping[str, Mapping[
 def core_rate_hz(
     playlist: Playlist, sensor: Sensor, stages: list[str], values: Mapping[str, Mapping[str, Any]], processors: int
 ) -> float:
-    """Dwells in a second that so many processors could compress, turn into heights and track, without any messages.
+    """Dwells per second that N processors could compress, turn into heights and track, without any messages.
 
-    It is an upper bound of what the graph achieves: messages take their time as well. Infinity: there are too few
-    dwells to tell.
+    It is an upper bound of what the graph achieves: messages need time as well. Infinity: there are too few
+    dwells to estimate it.
 
     Args:
         playlist: dwells to process.
-        sensor: whose they are.
+        sensor: sensor of the dwells.
         stages: names of the processing nodes.
-        values: of their parameters.
-        processors: that the nodes may use.
+        values: values of their parameters.
+        processors: number of processors that the nodes may use.
     """
     parameters = {name: NODES[name].parameters(**values.get(name, {})) for name in stages}
     estimators = _estimators(stages)
@@ -89,10 +89,10 @@ def core_rate_hz(
 
 
 def _track_of(states: list[PlatformState], begin_ns: int, end_ns: int) -> Trajectory:
-    """The odometry around a dwell: passes have turns between them, of which it tells nothing.
+    """The odometry around a dwell: passes have turns between them, for which it has no states.
 
     Raises:
-        UserError: there is none, or it contradicts itself.
+        UserError: it is empty, or contradicts itself.
     """
     stamps = [state.stamp_ns for state in states]
     first = max(0, bisect.bisect_right(stamps, begin_ns) - 1)

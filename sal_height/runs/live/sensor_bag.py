@@ -1,4 +1,4 @@
-"""What a simulated sensor delivers, as a bag: to be played live, without a simulator beside the graph."""
+"""Dwells of a simulated sensor, as a bag: to be played live, without a simulator in the graph."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from sal_height.bag.topics import FIX_TYPE, FRAME_TYPE, ODOMETRY_TYPE, SENSOR_TY
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import HEIGHTS, TRACKER, suited
-from sal_height.graph.processes import Forked, beside
+from sal_height.graph.processes import Forked, run_in_copy
 from sal_height.graph.reporting import PARAMETERS, PRESET, SEED, merged
 from sal_height.nodes.playing.playlist import Playlist
 from sal_height.runs.chain.entry import contents
@@ -31,7 +31,7 @@ from sal_height.runs.truth.simulate import processing_of
 from sal_height.sensor import Sensor
 from sal_height.simulation import Preset, SimulatedFlight, flight_of
 
-tqdm.monitor_interval = 0  # no thread that refreshes slow bars: it would be in the way of `runs.processes.Forked`
+tqdm.monitor_interval = 0  # no thread that refreshes slow bars: it would prevent `graph.processes.Forked`
 
 
 @dataclass(frozen=True)
@@ -40,10 +40,10 @@ class Feed:
 
     Attributes:
         bag: folder or file.
-        sensor: whose dwells are played.
+        sensor: sensor whose dwells are played.
         nodes: the height nodes that process them.
-        parameters: of nodes, that the bag was made with.
-        custom_data: texts by name that the bag holds.
+        parameters: parameters of nodes that the bag was made with.
+        custom_data: custom data of the bag: texts by name.
         simulation: process that still writes the bag; None: it is complete.
     """
 
@@ -56,11 +56,11 @@ class Feed:
 
     @classmethod
     def of_bag(cls, bag: Path, estimators: Collection[str] = ()) -> Self:
-        """What a bag says of its sensor.
+        """Sensor and estimators of a bag.
 
         Args:
             bag: folder or file.
-            estimators: names of those that make heights; none: those whose heights the bag holds, or the standard ones.
+            estimators: names of those that make heights; empty: those whose heights the bag has, or the standard ones.
 
         Raises:
             UserError: it has no phase history or no sensor info, or an estimator does not suit the sensor.
@@ -79,13 +79,13 @@ class Feed:
             UserError: the flight leaves its scene, or the bag cannot be written.
         """
         flight = flight_of(preset, seed)
-        flight.surface(0)  # refuses a flight beside the scene before anything is started
+        flight.surface(0)  # refuses a flight outside the scene before anything is started
 
         def simulate() -> int:
             record_sensor(preset, seed, folder)
             return 0
 
-        simulation = beside(simulate, "simulation")
+        simulation = run_in_copy(simulate, "simulation")
         custom_data = _custom_data(flight)
         values = json.loads(custom_data[PARAMETERS])
         return cls(folder, flight.sensor, suited(flight.sensor, preset.estimators), values, custom_data, simulation)
@@ -150,7 +150,7 @@ def _topics_of(flight: SimulatedFlight) -> dict[str, tuple[str, Qos]]:
 
 
 def _custom_data(flight: SimulatedFlight) -> dict[str, str]:
-    """What the bag of a simulated sensor says of its making."""
+    """Custom data of the bag of a simulated sensor: preset, seed and the like."""
     preset = flight.preset
     values = merged(processing_of(flight, suited(flight.sensor, preset.estimators)), preset.processing)
     return {PARAMETERS: json.dumps(values), PRESET: json.dumps(dataclasses.asdict(preset)), SEED: str(flight.seed)}

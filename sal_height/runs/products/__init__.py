@@ -1,1 +1,1 @@
-"""What is made of a whole bag or of several: adjustment, calibration, movers, tomograms, heights of several passes."""
+"""Products of a whole bag or of several: adjustment, calibration, movers, tomograms, heights of several passes."""

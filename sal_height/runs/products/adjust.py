@@ -58,12 +58,12 @@ KNOWN = {"boresight_sigma_rad": 0.0, "lever_arm_sigma_m": 0.0, "odometry_delay_s
 
 
 @dataclass(frozen=True, eq=False)
-class Adjusted:
-    """What became of a bag.
+class AdjustedBag:
+    """Result of the adjustment of a bag.
 
     Attributes:
-        summary: what the report says.
-        warnings: sentences on what could not be done.
+        summary: numbers of the report.
+        warnings: warnings on what could not be done.
         bag: the new one.
     """
 
@@ -80,13 +80,13 @@ def adjust_bag(
     wanted: Mapping[str, Any] | None = None,
     references: References = UNKNOWN_GROUND,
     jobs: int = 1,
-) -> Adjusted:
+) -> AdjustedBag:
     """Adjust the dwells of a bag to each other; leaves report.json, adjustment.png and a new bag in `out`.
 
     Args:
         bag: folder of the recorded bag, or its .mcap file.
         out: folder; must be new or empty.
-        estimator: whose heights are compared.
+        estimator: estimator whose heights are compared.
         given: parameters of nodes that replace recorded ones.
         wanted: settings of the adjustment by name; of the mounting and the delay those that the bag's compression had.
         references: known ground.
@@ -131,12 +131,12 @@ def adjust_bag(
             odometry, known = None, {}
         custom = {PARAMETERS: json.dumps({**scheme.parameters, COMPRESSION: {**compression, **known}})}
         _write(reader, folder / "bag", {**custom, ADJUSTED_FROM: bag_name(bag)}, odometry)
-    return Adjusted(summary, warnings, folder / "bag")
+    return AdjustedBag(summary, warnings, folder / "bag")
 
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """What was found in a bag: the adjustment, the mounting as described, what was left out, and what a report says."""
+    """The adjustment of a bag, the mounting as described, the losses, and numbers and warnings of the report."""
 
     adjustment: Adjustment
     mounting: Mounting

@@ -1,4 +1,4 @@
-"""Picture of an adjustment: how far each dwell lay off, and how well comparisons agree before and after."""
+"""Picture of an adjustment: misalignment of each dwell, and agreement of comparisons before and after."""
 
 from __future__ import annotations
 

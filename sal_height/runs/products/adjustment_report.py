@@ -1,4 +1,4 @@
-"""What an adjustment found, in numbers and sentences."""
+"""Results of an adjustment, in numbers and warnings."""
 
 from __future__ import annotations
 
@@ -19,10 +19,11 @@ from sal_height.adjustment import (
 )
 from sal_height.geometry import Mounting
 from sal_height.graph.tables import ABSENT
+from sal_height.numeric import root_mean_square
 from sal_height.tables import aligned
 
 DETERMINED = 0.9
-"""Share of what was known beforehand below which the standard deviation must be for a parameter to be determined."""
+"""Fraction of its prior below which the standard deviation of a parameter must be for it to be determined."""
 
 NAMES = (
     *(f"boresight {axis} (rad)" for axis in "xyz"),
@@ -30,7 +31,7 @@ NAMES = (
     "odometry delay (s)",
     "pitch of beams",
 )
-"""Parameters that all dwells share, in their order."""
+"""Parameters common to all dwells, in their order."""
 
 
 def summary_of(
@@ -40,7 +41,7 @@ def summary_of(
     settings: AdjustmentSettings,
     references: References,
 ) -> tuple[dict[str, Any], list[str]]:
-    """What the report says, and sentences on what is not determined."""
+    """Numbers of the report, and warnings on what is not determined."""
     common, covariance = adjustment.common
     sigmas = np.sqrt(covariance.diagonal())
     prior = stated_sigmas(settings)
@@ -66,7 +67,7 @@ def summary_of(
         "comparisons_with_known_ground": absolute,
         "comparisons_that_contradict": adjustment.contradictions,
         "dwells_without_comparison": len(dwells) - len(met),
-        "shifts_rms_m": np.sqrt(np.mean(shifts**2, axis=0)).tolist(),
+        "shifts_rms_m": root_mean_square(shifts, axis=0).tolist(),
         "sigma_between_dwells_m": np.sqrt(np.mean(between, axis=0).diagonal()).tolist(),
         "sigma_of_all_dwells_m": np.sqrt(of_all.diagonal()).tolist(),
         "shifts_m": shifts.tolist(),
@@ -156,17 +157,17 @@ def _sentences(summary: dict[str, Any], references: References, adjustment: Adju
 
 
 def has_comparisons(summary: dict[str, Any]) -> bool:
-    """Whether dwells were compared with others or with known ground, so that odometry was corrected."""
+    """True if dwells were compared with others or with known ground, so that odometry was corrected."""
     return bool(summary["comparisons"] or summary["comparisons_with_known_ground"])
 
 
 def tells_nothing(summary: dict[str, Any]) -> bool:
-    """Whether all stays as it was known beforehand: no dwell was compared, nor did Doppler centroids tell anything."""
+    """True if all priors stay: no dwell was compared, nor did Doppler centroids determine a parameter."""
     return not has_comparisons(summary) and not any(one["determined"] for one in summary["parameters"].values())
 
 
 def adjustment_table(summary: dict[str, Any]) -> str:
-    """The parameters that all dwells share, and how far their surfaces lay off, as a table.
+    """The parameters common to all dwells, and the offsets of their surfaces, as a table.
 
     Of parameters that are not determined there are no values.
     """
@@ -193,7 +194,7 @@ def adjustment_table(summary: dict[str, Any]) -> str:
 
 
 def _found(parameter: dict[str, Any]) -> tuple[str, str]:
-    """What was found of a parameter, and its standard deviation."""
+    """Estimate of a parameter, and its standard deviation."""
     if not parameter["determined"]:
         return ABSENT, ABSENT
     return f"{parameter['error']:+.3g}", f"{parameter['sigma']:.2g}"

@@ -41,14 +41,14 @@ def calibrate(
         bag: folder of the recorded bag, or its .mcap file.
         out: folder; must be new or empty.
         parameters: values that replace recorded parameters of nodes.
-        execution: what is recorded besides the calibration.
+        execution: execution of the run, and topics to record in addition to the calibration.
         jobs: dwells that are compressed side by side.
 
     Returns:
         What was done, and the calibration; None if the user has interrupted.
 
     Raises:
-        UserError: the bag cannot be used, or too much of it was dropped for a calibration.
+        UserError: the bag cannot be used, or too many dwells of it were dropped for a calibration.
     """
     sensor, dwells = contents(Part().open(bag))
     unweighted = {COMPRESSION: {"range_window": "rectangular", "rows": 0, "calibration": ""}}

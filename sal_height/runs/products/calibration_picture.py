@@ -17,7 +17,7 @@ DECIBELS = 20 / np.log(10)
 """Of a change of ln amplitude."""
 
 SIGNIFICANT = 2.0
-"""A value is marked as a finding where it is more than so many standard errors from that described."""
+"""Standard errors from the described value beyond which a value is marked as a finding."""
 
 STYLES = ("-", "--", "-.", ":")
 
@@ -51,10 +51,10 @@ def beam_width(calibration: Calibration) -> str:
 
 
 def beyond_error(shapes: C128, sigma: F64) -> Bool:
-    """Which channels' responses differ from a flat one by more than their standard error, rms over the band.
+    """True for channels whose responses differ from a flat one by more than their standard error, rms over the band.
 
     Args:
-        shapes: over their own means, shape (channels, frequencies).
+        shapes: responses over their own means, shape (channels, frequencies).
         sigma: standard error of a frequency, shape (channels,); NaN: not measured, which is no finding.
     """
     return np.sqrt(np.mean(np.abs(shapes - 1) ** 2, axis=1)) > np.nan_to_num(sigma, nan=np.inf)
@@ -98,7 +98,7 @@ def _draw_shapes(panels: Sequence[Axes], shapes: C128, sigma: F64, found: Bool) 
 
 
 def _said_of_shapes(found: Bool, sigma: F64) -> str:
-    """A sentence on the channels whose responses are flat."""
+    """Note on the channels whose responses are flat."""
     if not np.isfinite(sigma).any():
         return "how receivers differ over the band was not determined"
     error = f"{DECIBELS * np.nanmedian(sigma) / np.sqrt(2):.2g} dB"

@@ -1,4 +1,4 @@
-"""`sal-height movers`: what moves in the strips or dwells of a bag, with its place, height and radial velocity."""
+"""`sal-height movers`: movers in the strips or dwells of a bag, with their position, height and radial velocity."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ import numpy as np
 
 from sal_height.bag.described import sensors_of
 from sal_height.bag.namespace import NamespacedReader
-from sal_height.engine.movers import MOVERS, MoverDetection
-from sal_height.engine.movers import FoundMovers as Movers
+from sal_height.engine.movers import MOVERS, ImageMovers, MoverDetection
 from sal_height.engine.stage import DwellKey, Product
 from sal_height.errors import UserError
 from sal_height.geometry import sphere_coordinates
@@ -34,8 +33,8 @@ class SeenMover:
 
     Attributes:
         dwell: number of the block that completed the image.
-        stamp_ns: of its first pulse.
-        mover: what was found.
+        stamp_ns: stamp of its first pulse, ns since the epoch.
+        mover: estimates of the mover.
     """
 
     dwell: int
@@ -43,7 +42,7 @@ class SeenMover:
     mover: Mover
 
     def summary(self) -> dict[str, Any]:
-        """What the report says of it."""
+        """Entries of the report on the mover."""
         east, north, height = (float(value) for value in sphere_coordinates(self.mover.position))
         one = self.mover
         return {
@@ -68,23 +67,23 @@ class SeenMover:
 
 
 def _along(one: Mover) -> dict[str, float]:
-    """What the report says of the velocity along the flight; nothing if nothing tells it."""
+    """Entries of the report on the along-track velocity; empty if it cannot be estimated."""
     if np.isnan(one.along_sigma):
         return {}
     return {"along_velocity_mps": one.along_velocity, "along_velocity_sigma_mps": one.along_sigma}
 
 
 @dataclass(frozen=True, eq=False)
-class FoundMovers:
-    """What was found in a bag.
+class BagMovers:
+    """Movers of a bag.
 
     Attributes:
-        movers: in the order of time.
+        movers: movers in the order of time.
         candidates: number of pixels that were looked at.
         images: number of images.
         dwells: number of dwells in the bag.
-        left_out: how many of them tell nothing.
-        warnings: sentences on what could not be used, and on what is used in spite of them.
+        left_out: number of dwells in which nothing could be searched.
+        warnings: warnings on what could not be used, and on what is used in spite of them.
     """
 
     movers: Sequence[SeenMover]
@@ -128,7 +127,7 @@ def find_in_bag(
     given: NodeParameters | None = None,
     wanted: Mapping[str, Any] | None = None,
     jobs: int = 1,
-) -> FoundMovers:
+) -> BagMovers:
     """Compress the strips or dwells of a bag and find what moves; leaves report.json in `out`.
 
     Args:
@@ -139,7 +138,7 @@ def find_in_bag(
         jobs: dwells that are processed side by side.
 
     Raises:
-        UserError: the bag cannot be used or has no image in which movers could be told, or a parameter or a setting is
+        UserError: the bag cannot be used or has no image in which movers could be found, or a parameter or a setting is
             not allowed.
     """
     settings = MoverSettings(**(wanted or {}))
@@ -152,7 +151,7 @@ def find_in_bag(
         own = MoverDetection.settings(**dict(settings))
         run = BagRun(scheme, STAGES_OF_MOVERS, jobs=jobs, wanted=[MOVERS], settings={COMPRESSION: first, DETECTOR: own})
         items = (made.result.item for made in run.results("images") if isinstance(made.result, Product))
-        found = [item for item in items if isinstance(item, Movers)]
+        found = [item for item in items if isinstance(item, ImageMovers)]
         looked, seen = [one.looked for one in found], [mover for one in found for mover in _seen(one)]
         dwells = len(scheme.frames)
         said = run.losses.described(dwells)
@@ -174,7 +173,7 @@ def find_in_bag(
             "ground_lag_rad": [list(one.ground_lag) for one in looked],
             "movers": [one.summary() for one in seen],
         }
-    return FoundMovers(seen, candidates, len(looked), dwells, run.losses.dwells, warnings)
+    return BagMovers(seen, candidates, len(looked), dwells, run.losses.dwells, warnings)
 
 
 def _settings_for(scheme: Scheme, sensors: Mapping[str, Sensor], given: NodeParameters, dwell: DwellKey) -> Any:
@@ -198,8 +197,8 @@ def _with_columns(scheme: Scheme, sensors: Mapping[str, Sensor], given: NodePara
     return first, replace(scheme, changes=tuple(changes))
 
 
-def _seen(found: Movers) -> list[SeenMover]:
-    """What was found in an image, in the order of the flight."""
+def _seen(found: ImageMovers) -> list[SeenMover]:
+    """Movers of an image, in the order of the flight."""
     direction = found.images.slc.aperture.direction
     in_order = sorted(found.looked.movers, key=lambda one: float(np.dot(one.position, direction)))
     return [SeenMover(found.key.number, found.key.stamp_ns, one) for one in in_order]

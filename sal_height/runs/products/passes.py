@@ -43,22 +43,22 @@ from sal_height.pipeline import corrected_spectrum
 from sal_height.relief import HeightField, Surface
 from sal_height.runs.chain.chain_runs import COMPRESSION, BagRun, plan
 from sal_height.runs.products.passes_picture import draw_passes
-from sal_height.runs.products.passes_report import Comparison, compared, summary_of, warnings_of
+from sal_height.runs.products.passes_report import ReferenceComparison, compared, summary_of, warnings_of
 from sal_height.settings import Settings
 
 
 @dataclass(frozen=True, eq=False)
 class FromPasses:
-    """What became of some bags.
+    """Heights from the passes of some bags.
 
     Attributes:
-        summary: what the report says.
-        comparisons: with reference points.
-        warnings: sentences on what was left out.
+        summary: numbers of the report.
+        comparisons: comparisons with reference points.
+        warnings: warnings on what was left out.
     """
 
     summary: dict[str, Any]
-    comparisons: Sequence[Comparison]
+    comparisons: Sequence[ReferenceComparison]
     warnings: list[str]
 
 
@@ -77,10 +77,10 @@ def heights_of_bags(
     Args:
         bags: folders or files, of one pass each or more.
         out: folder; must be new or empty.
-        estimator: of elevation, by its name.
+        estimator: name of the elevation estimator.
         given: parameters of nodes that replace recorded ones.
         wanted: settings by name, of the passes and of the estimator.
-        references: points of known place.
+        references: points of known position.
         centre: east and north of the middle of the scene, m; None: where the passes look, in the median.
         jobs: dwells of a bag that are compressed side by side.
 
@@ -132,9 +132,9 @@ class Gathered:
     """The passes of all bags.
 
     Attributes:
-        passes: with the point that each aims at, m in map, shape (3,).
+        passes: passes with the point that each aims at, m in map, shape (3,).
         first: reader of the first bag.
-        warnings: sentences on dwells that could not be used.
+        warnings: warnings on dwells that could not be used.
     """
 
     passes: Sequence[tuple[Pass, F64]]
@@ -178,7 +178,7 @@ def _passes_of(run: BagRun, doing: str) -> list[tuple[Pass, F64]]:
 
 
 def _pass_of(source: Source, name: str) -> tuple[Pass, F64]:
-    """The phase history of a dwell with what autofocus took out of it, and the point that it aims at, m."""
+    """The phase history of a dwell with the phase that autofocus removed from it, and the point that it aims at, m."""
     settings, slc = source.settings, source.slc
     track = Trajectory(source.states, source.sensor.mounting, settings.motion)
     history, track, sensor, _ = corrected_spectrum(

@@ -10,10 +10,10 @@ from matplotlib.axes import Axes
 
 from sal_height.graph.picture import HEIGHTS, colour_bar, page
 from sal_height.passes import PassHeights
-from sal_height.runs.products.passes_report import Comparison
+from sal_height.runs.products.passes_report import ReferenceComparison
 
 
-def draw_passes(result: PassHeights, comparisons: Sequence[Comparison], path: Path) -> None:
+def draw_passes(result: PassHeights, comparisons: Sequence[ReferenceComparison], path: Path) -> None:
     """Write a PNG: the map of the points on the left; on the right heights over range, and the array response."""
     with page(path, 5.6) as figure:
         panels = figure.subplot_mosaic([["plan", "profile"], ["plan", "response"]], width_ratios=[1.2, 1.0])
@@ -22,7 +22,7 @@ def draw_passes(result: PassHeights, comparisons: Sequence[Comparison], path: Pa
         _draw_response(panels["response"], result)
 
 
-def _draw_plan(axis: Axes, result: PassHeights, comparisons: Sequence[Comparison]) -> None:
+def _draw_plan(axis: Axes, result: PassHeights, comparisons: Sequence[ReferenceComparison]) -> None:
     points = result.found.points
     east, north, height = points.positions.T
     limits = np.percentile(height, [1, 99]) if len(height) else (0.0, 1.0)
@@ -34,7 +34,7 @@ def _draw_plan(axis: Axes, result: PassHeights, comparisons: Sequence[Comparison
     axis.set(aspect="equal", xlabel="east (m)", ylabel="north (m)", title=f"{len(height)} points, + reference points")
 
 
-def _draw_profile(axis: Axes, result: PassHeights, comparisons: Sequence[Comparison]) -> None:
+def _draw_profile(axis: Axes, result: PassHeights, comparisons: Sequence[ReferenceComparison]) -> None:
     points, array = result.found.points, result.array
     sight = array.axes[0] * np.array([1.0, 1.0, 0.0])
     sight /= np.linalg.norm(sight)

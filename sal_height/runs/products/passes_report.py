@@ -1,4 +1,4 @@
-"""What the report of heights from passes says, and the comparison with points of known place."""
+"""Report of heights from passes, and the comparison with points of known position."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sal_height.elevation import Validity
-from sal_height.numeric import F64
+from sal_height.numeric import F64, error_statistics
 from sal_height.passes import PassHeights, PassSettings, ReferencePoint
 
 FREE_GAUGE = (
@@ -19,18 +19,18 @@ FREE_GAUGE = (
 SEVERAL = (Validity.TWO_SCATTERERS, Validity.THREE_SCATTERERS)
 
 SIDELOBE_OF_NOTE = 0.25
-"""Share of the power from which on the greatest sidelobe is warned of."""
+"""Fraction of the power above which the greatest sidelobe is warned of."""
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class ReferenceComparison:
     """A reference point, and the point that was found there.
 
     Attributes:
         reference: the reference point.
-        error: of the place, m in map, shape (3,); None: no point was found.
+        error: error of the position, m in map, shape (3,); None: no point was found.
         sigma: standard deviation of the height that was found, m.
-        cnr_db: of the point.
+        cnr_db: clutter-to-noise ratio of the point, dB.
     """
 
     reference: ReferencePoint
@@ -39,7 +39,7 @@ class Comparison:
     cnr_db: float = np.nan
 
     def summary(self) -> dict[str, Any]:
-        """What the report says of it."""
+        """Entries of the report on the reference point."""
         east, north, up = self.reference.position.tolist()
         known = {"east_m": east, "north_m": north, "height_m": up, "ties": self.reference.ties}
         if self.error is None:
@@ -55,18 +55,18 @@ class Comparison:
         }
 
 
-def compared(reference: ReferencePoint, result: PassHeights, settings: PassSettings) -> Comparison:
+def compared(reference: ReferencePoint, result: PassHeights, settings: PassSettings) -> ReferenceComparison:
     """The point that is seen nearest to a reference point, within `reference_radius_m`, whatever its height."""
     points, array = result.found.points, result.array
     if not len(points.height):
-        return Comparison(reference)
+        return ReferenceComparison(reference)
     slant_range, along, _ = array.seen(reference.position)
     ranges, ways, _ = array.seen(points.positions)
     off = np.hypot(ranges - slant_range, ways - along)
     best = int(np.argmin(off))
     if off[best] > settings.reference_radius_m:
-        return Comparison(reference)
-    return Comparison(
+        return ReferenceComparison(reference)
+    return ReferenceComparison(
         reference,
         points.positions[best] - reference.position,
         float(points.total_sigma[best]),
@@ -74,8 +74,8 @@ def compared(reference: ReferencePoint, result: PassHeights, settings: PassSetti
     )
 
 
-def warnings_of(result: PassHeights, comparisons: Sequence[Comparison], settings: PassSettings) -> list[str]:
-    """Sentences on what was left out, and on what the heights do not tell."""
+def warnings_of(result: PassHeights, comparisons: Sequence[ReferenceComparison], settings: PassSettings) -> list[str]:
+    """Warnings on what was left out, and on what the heights cannot show."""
     found = list(result.warnings)
     if not result.tie.references:
         found.append(FREE_GAUGE)
@@ -95,12 +95,15 @@ def warnings_of(result: PassHeights, comparisons: Sequence[Comparison], settings
     return found
 
 
-def summary_of(result: PassHeights, comparisons: Sequence[Comparison], settings: PassSettings) -> dict[str, Any]:
+def summary_of(
+    result: PassHeights, comparisons: Sequence[ReferenceComparison], settings: PassSettings
+) -> dict[str, Any]:
     """The numbers of the report."""
     array, tie, ambiguity, points = result.array, result.tie, result.ambiguity, result.found.points
     passes, deviation = len(array.passes), np.sqrt(np.diag(tie.covariance))
-    errors = [one for one in comparisons if one.error is not None]
-    heights = np.array([one.error[2] for one in errors if one.error is not None])
+    found = [(one.error[2], one.sigma) for one in comparisons if one.error is not None]
+    heights = error_statistics(*np.array(found).reshape(-1, 2).T)
+    errors = heights.in_metres(("bias_m", "rms_m", "deviation_m"))
     return {
         "passes": [
             {
@@ -137,10 +140,10 @@ def summary_of(result: PassHeights, comparisons: Sequence[Comparison], settings:
         "bright_pixels_by_reason": {Validity(n).name: count for n, count in result.found.reasons.items()},
         "references": [one.summary() for one in comparisons],
         "reference_height_errors": {
-            "count": len(heights),
-            "mean_m": float(heights.mean()) if len(heights) else None,
-            "rms_m": float(np.sqrt(np.mean(heights**2))) if len(heights) else None,
-            "rms_about_mean_m": float(heights.std()) if len(heights) else None,
+            "count": heights.count,
+            "mean_m": errors["bias_m"],
+            "rms_m": errors["rms_m"],
+            "rms_about_mean_m": errors["deviation_m"],
         },
         "points": [
             {
@@ -181,7 +184,7 @@ def passes_table(summary: dict[str, Any]) -> str:
     if summary["references"]:
         lines.append(f"{'reference east':>15}{'north':>10}{'height':>9}{'error m':>9}{'+-':>8}")
     for one in summary["references"]:
-        place = f"{one['east_m']:15.3f}{one['north_m']:10.3f}{one['height_m']:9.3f}"
-        told = f"{one['error_height_m']:9.3f}{one['sigma_m']:8.3f}" if one["found"] else f"{'not found':>17}"
-        lines.append(place + told + (" tied" if one["ties"] else ""))
+        position = f"{one['east_m']:15.3f}{one['north_m']:10.3f}{one['height_m']:9.3f}"
+        found = f"{one['error_height_m']:9.3f}{one['sigma_m']:8.3f}" if one["found"] else f"{'not found':>17}"
+        lines.append(position + found + (" tied" if one["ties"] else ""))
     return "\n".join(lines)

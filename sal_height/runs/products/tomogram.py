@@ -37,15 +37,15 @@ GROUND = ESTIMATORS["canopy_ground"]
 
 
 @dataclass(frozen=True, eq=False)
-class Cut:
+class TomogramCut:
     """A row of pixels of one dwell, from near to far along the flight.
 
     Attributes:
         along: distance along the flight from the middle of the first dwell, m, shape (cols,).
-        width: of a pixel along the flight, m.
-        positions: of the nodes in map, m, shape (cols, nodes, 3).
+        width: along-track width of a pixel, m.
+        positions: positions of the nodes in map, m, shape (cols, nodes, 3).
         profiles: values of each estimator of a profile by its title, shape (cols, nodes).
-        ground: estimated height of the ground, m, NaN where it cannot be told, (cols,).
+        ground: estimated height of the ground, m, NaN where it cannot be estimated, shape (cols,).
         sigma: its standard deviation, m, (cols,).
     """
 
@@ -63,20 +63,20 @@ class Cut:
 
 
 def tomogram(bag: Path, folder: Path, looks: tuple[int, int], row: int | None, jobs: int = 1) -> int:
-    """Draw tomogram.png: reflectivity over height and the way of the flight, with ground and canopy if they are known.
+    """Draw tomogram.png: reflectivity over height and along-track distance, with ground and canopy if they are known.
 
     Args:
-        bag: with the images of all channels (topic slc), or the phase history that gives them.
+        bag: bag with the images of all channels (topic slc), or the phase history that gives them.
         folder: output folder, which is made.
         looks: range looks and azimuth looks of a pixel.
-        row: of the cut, in pixels of these looks; None: the middle one.
-        jobs: dwells of which images are made side by side, if the bag holds none.
+        row: row of the cut, in pixels of these looks; None: the middle one.
+        jobs: number of dwells of which images are made side by side, if the bag has no images.
 
     Returns:
-        The number of pixels of the cut whose ground can be told.
+        The number of pixels of the cut whose ground can be estimated.
 
     Raises:
-        UserError: the bag cannot be read, holds no images, or they have no such row.
+        UserError: the bag cannot be read, has no images, or they have no such row.
     """
     settings = GROUND.settings(range_looks=looks[0], azimuth_looks=looks[1])
     dwells = list(_dwells(bag, jobs))
@@ -101,7 +101,7 @@ def tomogram(bag: Path, folder: Path, looks: tuple[int, int], row: int | None, j
         nodes = next(iter(profiles.values())).elevation
         slant_range, ahead = np.linalg.norm(sight, axis=-1), sight @ aperture.direction
         cuts.append(
-            Cut(
+            TomogramCut(
                 along=(points - start) @ aperture.direction,
                 width=grid.col_spacing,
                 positions=locate_at_elevation(nodes, slant_range[:, None], ahead[:, None], aperture, sensor.look_side),
@@ -134,7 +134,7 @@ def _scene_of(bag: Path) -> Scene | None:
     return flight_of(parse_preset(json.loads(reader.custom_data[PRESET]), f"in bag {bag}"), 0).scene
 
 
-def _draw(cuts: Sequence[Cut], scene: Scene | None, path: Path) -> None:
+def _draw(cuts: Sequence[TomogramCut], scene: Scene | None, path: Path) -> None:
     """Write a PNG with one panel for each estimator of a profile."""
     figure = Figure(figsize=(12, 3.4 * len(PROFILES)), layout="constrained")
     for axis, title in zip(figure.subplots(len(PROFILES), 1, sharex=True, sharey=True), PROFILES, strict=True):
@@ -157,7 +157,7 @@ def _draw(cuts: Sequence[Cut], scene: Scene | None, path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-def _draw_truth(axis: Axes, cuts: Sequence[Cut], scene: Scene) -> None:
+def _draw_truth(axis: Axes, cuts: Sequence[TomogramCut], scene: Scene) -> None:
     """Draw the heights at which the circle of each pixel meets the ground, and leaves the canopy at its top."""
     along = np.concatenate([cut.along for cut in cuts])
     positions = np.concatenate([cut.positions for cut in cuts])

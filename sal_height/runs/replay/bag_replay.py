@@ -10,7 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from sal_height.bag.compare import CHANGED, Comparison, compare_bags
+from sal_height.bag.compare import CHANGED, TopicComparison, compare_bags
 from sal_height.bag.namespace import NamespacedReader, open_bag
 from sal_height.bag.played import LOCKSTEP
 from sal_height.bag.sensor_topics import FRAMES, SENSOR_INFO
@@ -25,7 +25,7 @@ from sal_height.response import measure_brightest
 from sal_height.runs.chain.chain_runs import Scheme
 from sal_height.runs.chain.entry import FROM_HEIGHTS, MAPPER, WHOLE, Part, chain_of
 from sal_height.runs.chain.recorded_images import recorded_slc
-from sal_height.runs.chain.replay_parameters import Processing, processing_of
+from sal_height.runs.chain.replay_parameters import ReplayPlan, processing_of
 from sal_height.runs.replay.judge import as_json, draw_worst_dwell
 from sal_height.runs.replay.playing import IN_LOCKSTEP, Playing
 from sal_height.runs.replay.remapping import remapping_of
@@ -36,11 +36,11 @@ _LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Against:
-    """What the heights of a replay are compared with.
+    """Tolerances and folder of the comparison with the golden heights.
 
     Attributes:
         golden: the bag whose heights are right; None: the bag that is replayed.
-        tolerances: how far values may be from the golden ones.
+        tolerances: tolerances of values against the golden ones.
     """
 
     golden: Path | None = None
@@ -54,26 +54,26 @@ HEIGHT_TOPICS = [f"{prefix}/height" for prefix in HEIGHTS.values()]
 
 @dataclass(frozen=True)
 class Replay:
-    """What a replay did.
+    """Outcome of a replay.
 
     Attributes:
-        outcome: what became of its dwells.
-        compared: comparison with the golden heights by topic; empty if there are none or the replay was interrupted.
+        outcome: outcome of the run.
+        compared: comparison with the golden heights by topic; empty without common topics or after an interruption.
         accuracy: errors of each estimator (`report.statistics`) by prefix of its topics; empty unless the bag says from
             which simulated flight it is.
         images: measures of the brightest target of each image; empty unless the sensor has a single channel.
     """
 
     outcome: Outcome
-    compared: Mapping[str, Comparison]
+    compared: Mapping[str, TopicComparison]
     accuracy: Mapping[str, Mapping[str, Any]]
     images: Sequence[Mapping[str, Any]]
 
     def shortfalls(self, changed: bool) -> list[str]:
-        """A sentence for everything that the replay lacks or has differently.
+        """Warnings on everything that the replay lacks or has differently.
 
         Args:
-            changed: whether it was made with other parameters than the recording, so that values may differ.
+            changed: True if it was made with other parameters than the recording, so that values may differ.
         """
         made = self.images or any(
             account.published_on.get(f"{HEIGHTS[name]}/height")
@@ -107,15 +107,15 @@ def replay(
     follows from the heights, which are compared. A replay from heights leaves relief_map.tif in `out`.
 
     Args:
-        bag: folder of the recorded bag, or its .mcap file; it holds the parameters it was made with.
+        bag: folder of the recorded bag, or its .mcap file, with the parameters it was made with.
         out: output folder; must be new or empty.
         parameters: values that replace recorded parameters of nodes.
-        execution: how the replay is carried out.
-        against: what the heights are compared with.
-        estimators: names of those whose heights are made; none: those whose heights the bag holds, or else all that
+        execution: execution of the replay.
+        against: tolerances and folder of the comparison.
+        estimators: names of those whose heights are made; empty: those whose heights the bag has, or else all that
             suit the sensor and need not be asked for.
-        part: what of the bag is played, if not all of its phase history.
-        playing: when it is played, how fast and how often. Of several passes the first one is compared.
+        part: part of the bag that is played, if not all of its phase history.
+        playing: time, rate and repetitions of the playback. Of several passes the first one is compared.
         remap: other names of topics of the bag and of nodes, each OLD:=NEW.
         jobs: dwells that are processed side by side without nodes; None: nodes process them one after the other,
             where ROS is installed.
@@ -189,7 +189,7 @@ def replay(
 
 
 def _perform(
-    plan: Plan, execution: Execution, reader: NamespacedReader, processing: Processing, jobs: int | None
+    plan: Plan, execution: Execution, reader: NamespacedReader, processing: ReplayPlan, jobs: int | None
 ) -> Outcome:
     """Process the dwells by nodes, or without them.
 

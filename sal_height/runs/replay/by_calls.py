@@ -39,9 +39,9 @@ def perform_by_calls(plan: Plan, scheme: Scheme, execution: Execution, jobs: int
     """Process the dwells of a bag by calls, and write what was played and made to a new one.
 
     Args:
-        plan: of the same replay through nodes.
-        scheme: of the bag.
-        execution: what is recorded besides.
+        plan: plan of the same replay through nodes.
+        scheme: scheme of the bag.
+        execution: topics to record in addition.
         jobs: dwells that are processed side by side.
 
     Raises:
@@ -75,7 +75,7 @@ def perform_by_calls(plan: Plan, scheme: Scheme, execution: Execution, jobs: int
 
 @dataclass
 class _Counts:
-    """What a stage, or the bag as the source of the dwells, has counted."""
+    """Counts of a stage, or of the bag as the source of the dwells."""
 
     received: int = 0
     published: Counter[str] = field(default_factory=Counter)
@@ -103,7 +103,7 @@ class _Recording:
     """Writes the new bag and counts as nodes do."""
 
     def __init__(self, run: BagRun, plan: Plan, wanted: Sequence[str]) -> None:
-        """Begin the bag.
+        """Start the bag.
 
         Raises:
             UserError: no stage makes a topic that is to be recorded, or the bag cannot be made.

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import ListedColormap, Normalize
 
-from sal_height.bag.compare import Comparison
+from sal_height.bag.compare import TopicComparison
 from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import HEIGHT_TYPE
 from sal_height.graph.picture import ERRORS, FAULT, HEIGHTS, colour_bar, page
 from sal_height.numeric import F64
 
 
-def worst_height_image(compared: Mapping[str, Comparison], golden: BagReader) -> tuple[str, int] | None:
+def worst_height_image(compared: Mapping[str, TopicComparison], golden: BagReader) -> tuple[str, int] | None:
     """Topic and dwell of the height image with most values beyond the tolerance; of those that differ if none is.
 
     None: no height image differs, or none is on both sides.
@@ -62,7 +62,7 @@ def draw_difference(golden: BagReader, made: BagReader, topic: str, dwell: int, 
 
 
 def _heights(bag: BagReader, topic: str, dwell: int) -> F64:
-    """Heights of the first surface of a dwell, (rows, cols); NaN where there is none."""
+    """Heights of the first surface of a dwell, m, shape (rows, cols); NaN where the pixel has no surface."""
     decoded = (bag.decode(one.type_name, one.cdr) for one in bag.messages([topic]))
     message: Any = next(image for image in decoded if image.dwell == dwell)
     shape = message.grid.rows, message.grid.cols

@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-from sal_height.bag.compare import CHANGED, EQUAL, WITHIN, Comparison
+from sal_height.bag.compare import CHANGED, EQUAL, WITHIN, TopicComparison
 from sal_height.bag.reader import BagReader
 from sal_height.bag.tolerance import Tolerances
 from sal_height.errors import UserError
@@ -22,7 +22,7 @@ PASSING = frozenset({DIAGNOSTICS_RECORDED, "/parameter_events", "/progress", "/r
 """Topics that say how a run went, which is another time never the same."""
 
 
-def draw_worst_dwell(golden: BagReader, made: BagReader, compared: Mapping[str, Comparison], folder: Path) -> None:
+def draw_worst_dwell(golden: BagReader, made: BagReader, compared: Mapping[str, TopicComparison], folder: Path) -> None:
     """Draw the worst dwell of a comparison in `folder`/comparison.png, if the heights of any differ.
 
     Raises:
@@ -35,16 +35,16 @@ def draw_worst_dwell(golden: BagReader, made: BagReader, compared: Mapping[str, 
             draw_difference(golden, made, *worst, folder / PICTURE)
 
 
-def verdict_of(compared: Mapping[str, Comparison]) -> str:
-    """The worst verdict of all topics; EQUAL, WITHIN or CHANGED, which it also is if there are none."""
+def verdict_of(compared: Mapping[str, TopicComparison]) -> str:
+    """The worst verdict of all topics; EQUAL, WITHIN or CHANGED, which it also is without topics."""
     verdicts = {one.verdict for one in compared.values()} or {CHANGED}
     return next(verdict for verdict in (CHANGED, WITHIN, EQUAL) if verdict in verdicts)
 
 
 def as_json(
-    golden: BagReader, made: BagReader, compared: Mapping[str, Comparison], tolerances: Tolerances
+    golden: BagReader, made: BagReader, compared: Mapping[str, TopicComparison], tolerances: Tolerances
 ) -> dict[str, Any]:
-    """What a report says of a comparison of two bags; latencies are those that the nodes told last.
+    """Entries of a report on a comparison of two bags; latencies are the last ones that the nodes published.
 
     Raises:
         UserError: a bag cannot be read.
@@ -76,7 +76,7 @@ def topics_to_compare(golden: BagReader, made: BagReader, named: Collection[str]
 
 
 def _latencies(bag: BagReader) -> dict[str, float]:
-    """Median latency of each node, ms, as it told it last in a bag."""
+    """Median latency of each node, ms, as it published it last in a bag."""
     found = {}
     for recorded in bag.messages([DIAGNOSTICS_RECORDED]) if DIAGNOSTICS_RECORDED in bag.topics else ():
         for status in bag.decode(recorded.type_name, recorded.cdr).status:

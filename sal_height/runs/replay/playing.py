@@ -1,4 +1,4 @@
-"""When a replay plays what a bag holds, how fast and how often."""
+"""Playback of a replay: its start, rate and repetitions."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from typing import Any
 
 from sal_height.bag.played import LOCKSTEP, PACED
 from sal_height.errors import UserError
-from sal_height.runs.chain.replay_parameters import Processing
+from sal_height.runs.chain.replay_parameters import ReplayPlan
 
 
 @dataclass(frozen=True)
 class Playing:
-    """When what a bag holds is played.
+    """Start, rate and repetitions of the playback of a bag.
 
     Attributes:
         clock: one of `player.CLOCKS`.
         rate: seconds of the sensor in a second; None: 1, if the clock has a rate at all.
-        loops: how often the bag is played.
+        loops: number of times that the bag is played.
     """
 
     clock: str = LOCKSTEP
@@ -37,7 +37,7 @@ class Playing:
                 f"Option --loop has no meaning with --clock {LOCKSTEP}; give it with --clock paced or burst."
             )
 
-    def check(self, processing: Processing) -> None:
+    def check(self, processing: ReplayPlan) -> None:
         """Refuse to repeat what changed in flight: the nodes would go into the next pass with what the last one left.
 
         Raises:
@@ -53,7 +53,7 @@ class Playing:
 
     @property
     def is_paced(self) -> bool:
-        """Whether the player tells the time of the sensor."""
+        """True if the player publishes the time of the sensor."""
         return self.clock == PACED
 
     @property
@@ -63,7 +63,7 @@ class Playing:
         return {"clock": self.clock, "loops": self.loops, **rate}
 
     def report(self) -> dict[str, Any]:
-        """What the report says of it."""
+        """Entries of the report on the playback."""
         return {"clock": self.clock, "rate": (self.rate or 1.0) if self.is_paced else None, "loops": self.loops}
 
 

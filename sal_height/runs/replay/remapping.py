@@ -23,7 +23,7 @@ KNOWN: Mapping[str, str] = {
     f"/{IMAGES}": IMAGE_TYPE,
     **{f"/{prefix}/height": HEIGHT_TYPE for prefix in HEIGHTS.values()},
 }
-"""What a replay reads of a bag: the names by which nodes know it, and its types."""
+"""Topics that a replay reads from a bag: the names by which nodes know them, and their types."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class Remapping:
     """Other names of topics, by their own.
 
     Attributes:
-        of_bag: of topics of the bag, with leading slash: as topics of these names they are read.
-        of_nodes: of topics of the nodes, without leading slash: under these names they are published and recorded.
+        of_bag: names of topics of nodes, by the topic of the bag, with leading slash, that is read as it.
+        of_nodes: names, without leading slash, under which topics of the nodes are published and recorded.
     """
 
     of_bag: Mapping[str, str] = field(default_factory=dict)
@@ -44,7 +44,7 @@ class Remapping:
         return {f"/{new}": f"/{old}" for old, new in self.of_nodes.items()}
 
     def check(self, played: Sequence[str], stages: Sequence[str]) -> None:
-        """Refuse names of topics that no node of the run has, or that two topics would share.
+        """Refuse names of topics that no node of the run has, or that two topics would have in common.
 
         Args:
             played: topics of the player.
@@ -69,7 +69,7 @@ class Remapping:
                 )
 
     def report(self) -> dict[str, dict[str, str]]:
-        """What the report says of it."""
+        """Entries of the report on the names."""
         return {"remapped": {**self.of_bag, **{f"/{old}": f"/{new}" for old, new in self.of_nodes.items()}}}
 
 
@@ -84,8 +84,8 @@ def remapping_of(rules: Sequence[str], bag: Path, entry: str) -> Remapping:
 
     Args:
         rules: each OLD:=NEW, as in ROS: the topic OLD gets the name NEW.
-        bag: that is replayed.
-        entry: one of `entry.ENTRIES`, where the replay begins.
+        bag: bag that is replayed.
+        entry: one of `entry.ENTRIES`, the topic that the replay starts with.
 
     Raises:
         UserError: the bag cannot be read, a rule has another form, a topic of the bag another type than its new name

@@ -21,9 +21,9 @@ def draw_image(image: C64, grid: Grid, title: str, path: Path) -> None:
 
     Args:
         image: pixels, shape (rows, cols).
-        grid: where they are; rows of a slant plane are laid out on level ground around its middle.
-        title: of the picture.
-        path: of the file.
+        grid: grid of the pixels; rows of a slant plane are laid out on level ground around its middle.
+        title: title of the picture.
+        path: path of the file.
     """
     power = np.abs(image) ** 2
     level = decibels(power / np.nanmax(power))

@@ -27,7 +27,7 @@ def images_of(path: Path, dwell: int | None, channel: int | None, azimuth_axis: 
         jobs: dwells of a bag without images of which these are made side by side.
 
     Raises:
-        UserError: the file cannot be read, or holds no such image.
+        UserError: the file cannot be read, or has no such image.
     """
     dwells, channels = set(), set()
     found = False
@@ -70,7 +70,7 @@ def _array_images(path: Path, azimuth_axis: int) -> Iterator[Image]:
     """The images of a file of arrays: one, or one per channel; those of NISAR have columns in range.
 
     Raises:
-        UserError: the file cannot be read, or does not hold complex arrays of one shape, which fits.
+        UserError: the file cannot be read, or has no complex arrays of one shape, which fits.
     """
     arrays = complex_images(path)
     if path.suffix.lower() == ".npz" and len(arrays) != 1:

@@ -14,7 +14,7 @@ from sal_height.io import check_new_folder, new_folder, or_null, write_text, wri
 from sal_height.response import CutResponse, ImpulseResponse, chip_around, measure_brightest, measure_windows
 from sal_height.response.image import AXES, Image, image_name
 from sal_height.runs.responses.images import images_of
-from sal_height.runs.responses.irf_picture import Target, draw_responses
+from sal_height.runs.responses.irf_picture import DrawnTarget, draw_responses
 
 MOST_DRAWN = 8
 """Greatest number of targets in the picture: the first ones. More would make it unreadable."""
@@ -50,7 +50,7 @@ def irf(
     """
     check_new_folder(out)
     entries: list[dict[str, Any]] = []
-    targets: list[Target] = []
+    targets: list[DrawnTarget] = []
     images = (image for path in paths for image in images_of(path, dwell, channel, azimuth_axis, jobs))
     for image in tqdm(images, desc="irf", unit="image", delay=1, leave=False):
         try:
@@ -60,7 +60,7 @@ def irf(
         entries.append(_entry(image, response))
         if len(targets) < MOST_DRAWN:
             chip = chip_around(image.pixels, round(response.row), round(response.col))
-            targets.append(Target(image.name, image.axes, chip, response))
+            targets.append(DrawnTarget(image.name, image.axes, chip, response))
     folder = new_folder(out)
     write_text(folder / "irf.json", json.dumps(entries, indent=2, allow_nan=False) + "\n")
     more = f" (the first {len(targets)} of {len(entries)} images)" if len(entries) > len(targets) else ""

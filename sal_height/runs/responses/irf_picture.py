@@ -21,7 +21,7 @@ HALF_POWER_DB = 10 * np.log10(0.5)
 
 
 @dataclass(frozen=True, eq=False)
-class Target:
+class DrawnTarget:
     """A measured target to be drawn.
 
     Attributes:
@@ -37,7 +37,7 @@ class Target:
     response: ImpulseResponse
 
 
-def draw_responses(targets: Sequence[Target], title: str, path: Path) -> None:
+def draw_responses(targets: Sequence[DrawnTarget], title: str, path: Path) -> None:
     """Write a PNG with a row for each target: its interpolated surroundings and both cuts through its peak."""
     with page(path, 0.6 + 2.0 * len(targets)) as figure:
         for panels, target in zip(figure.subplots(len(targets), 3, squeeze=False), targets, strict=True):
@@ -46,7 +46,7 @@ def draw_responses(targets: Sequence[Target], title: str, path: Path) -> None:
         figure.suptitle(title)
 
 
-def _draw_target(panels: Sequence[Axes], target: Target) -> None:
+def _draw_target(panels: Sequence[Axes], target: DrawnTarget) -> None:
     """Draw the surroundings of a target, and the cuts down and across."""
     surroundings, down, across = panels
     chip, response = target.chip, target.response

@@ -55,7 +55,7 @@ def psf(
         dwell: measure only the images of this dwell; None for all.
         channel: measure only the images of this channel; None for all.
         azimuth_axis: along-track axis (0 or 1) of arrays in .npy and .npz files; in bags it is 1.
-        settings: which pixels are taken for point targets, and which tiles for speckle; None for the defaults.
+        settings: criteria for pixels that are point targets and for tiles that are speckle; None for the defaults.
         noise_power: E|n|^2 of the receiver noise in a pixel of all images; None for what bags say.
         jobs: dwells of a bag without images of which these are made side by side.
 
@@ -100,7 +100,7 @@ def psf(
 
 
 def determined(entries: list[Entry]) -> bool:
-    """Whether anything could be estimated from the images of any channel."""
+    """True if anything could be estimated from the images of any channel."""
     return any(entry[part] is not None for entry in entries for part in ("range", "speckle"))
 
 
@@ -253,7 +253,7 @@ def _linearity_entry(report: PsfReport) -> Entry | None:
 
 
 def _missing_figures(figures: dict[str, Entry], report: PsfReport) -> dict[str, str]:
-    """A sentence for each axis whose cut is too short, and one if a single target cannot show agreement."""
+    """Remarks on each axis whose cut is too short, and one if a single target cannot show agreement."""
     reasons = {}
     for axis, length in zip(figures, report.chip, strict=False):
         missing = [name for name in ("width_px", "pslr_db", "islr_db") if figures[axis][name] is None]

@@ -28,7 +28,7 @@ CHIPS_SHOWN = 4
 """Number of targets whose chips are drawn, as in the paper."""
 
 PHASE_KNOWN = 3.0
-"""The phase of a response is drawn where its modulus exceeds so many standard errors."""
+"""Standard errors that the modulus of a response must exceed for its phase to be drawn."""
 
 FAINTEST_DB = -50
 """Lowest level of chips and point-spread functions in the picture, dB of the peak."""
@@ -55,9 +55,9 @@ def draw_psf(report: PsfReport, title: str, reasons: Sequence[str], path: Path) 
     What is not determined has no panel, but its reason in the text.
 
     Args:
-        report: what was measured.
+        report: report of the measurement.
         title: title of the picture.
-        reasons: a sentence for each quantity that is not determined.
+        reasons: remark for each quantity that is not determined.
         path: path of the picture.
     """
     panels, text = list(_panels(report)), _text(report, reasons)
@@ -74,7 +74,7 @@ def draw_psf(report: PsfReport, title: str, reasons: Sequence[str], path: Path) 
 
 
 def _panels(report: PsfReport) -> Iterator[Panel]:
-    """What is drawn, panel by panel."""
+    """Functions that draw the panels, in their order."""
     shown = report.targets[:CHIPS_SHOWN]
     for index, target in enumerate(shown):
         yield partial(_draw_chip, target=target, index=index)

@@ -1,4 +1,4 @@
-"""The heights in the bag of a simulated flight beside the truth: all that a report says and pictures show of them."""
+"""The heights in the bag of a simulated flight and the truth: all that a report and pictures show of them."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ _LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Heights beside the truth, by prefix of the topics of their estimator.
+    """Heights with the truth, by prefix of the topics of their estimator.
 
     Attributes:
-        heights: of the estimators with any height.
+        heights: comparisons of the estimators with any height.
         grounds: estimate of the ground and the terrain, of estimators with any height but the tracked ones.
-        statistics: what report.json says of each height node of the run.
+        statistics: entries of report.json on each height node of the run.
     """
 
     heights: Mapping[str, Judged]
@@ -66,7 +66,7 @@ def read_accuracy(bag: Path, flight: SimulatedFlight, stages: Sequence[str]) -> 
     """Compare the heights in a bag with the truth.
 
     Args:
-        bag: of a run or replay of the flight.
+        bag: bag of a run or replay of the flight.
         flight: the flight.
         stages: names of nodes; only height nodes among them are compared.
     """

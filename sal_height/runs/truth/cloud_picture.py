@@ -54,10 +54,10 @@ def draw_cloud(estimator: str, surfaces: PublishedErrors, preset: Preset, path: 
 
 
 def projected(place: F64, side: float) -> tuple[F64, F64, F64]:
-    """Parallel projection of places (east, north, height): to the right, upwards, and away from the viewer, all m.
+    """Parallel projection of positions (east, north, height): to the right, upwards, and away from the viewer, all m.
 
     Args:
-        place: shape (points, 3), m.
+        place: positions, m, shape (points, 3).
         side: +1 if the sensor looks to the right of its flight eastwards, and is in the north; -1 in the south.
     """
     east, north, height = place.T * np.array([[side], [side], [1.0]])

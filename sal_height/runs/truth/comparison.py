@@ -9,7 +9,7 @@ import numpy as np
 
 from sal_height.elevation import Validity
 from sal_height.geometry import sphere_coordinates
-from sal_height.numeric import F64, I64, U8, Bool, Index
+from sal_height.numeric import F64, I64, U8, Bool, Index, mean_of
 from sal_height.relief import HeightField
 from sal_height.simulation.lit_surfaces import LitSurfaces
 
@@ -17,10 +17,10 @@ WIDE = 0.1
 """Standard deviation of the elevations of a single surface from which on it is an extended one, beamwidths."""
 
 TRUE_ORDERS = ("shadow", "one", "two", "three or more", "extended")
-"""What a pixel truly holds: rows of the confusion table."""
+"""True contents of a pixel: rows of the confusion table."""
 
 FOUND_ORDERS = ("no signal", "refused", "one", "two", "three", "extended", "interpolated")
-"""What a height image says it holds: columns of the confusion table."""
+"""Contents of a pixel according to a height image: columns of the confusion table."""
 
 _FOUND = {
     Validity.LOW_CNR: 0,
@@ -40,16 +40,16 @@ class PublishedErrors:
 
     Attributes:
         place: arc distances east and north from the map's origin and height above the sphere, m, shape (surfaces, 3).
-        validity: of its pixel.
-        sigma: predicted standard deviation of the error, m: of height, and of place along the flight times the rise of
+        validity: validity of its pixel.
+        sigma: predicted standard deviation of the error, m: of height, and of along-track position times the rise of
             the true surface, because a pixel is compared with what lies at its range and Doppler.
         nearest: height minus that of the nearest true surface in the pixel, m; in a pixel without scatterers, of the
-            surfaces in the eight pixels around it; NaN where there is none either. An extended surface stands for all
-            that the pixel holds: its height minus the mean of all surfaces, weighted by their power.
+            surfaces in the eight pixels around it; NaN if these have no surface either. An extended surface stands for
+            all of its pixel: its height minus the mean of all surfaces, weighted by their power.
         own: height minus that of the true surface it should be, m: the strongest chooses the nearest, the others the
             nearest of what is left; NaN where nothing is left.
-        ghost: True where neither the pixel nor a neighbour holds a lit surface.
-        true_order: number in TRUE_ORDERS of what the pixel holds; -1: a pixel without scatterers beside one with some.
+        ghost: True where neither the pixel nor a neighbour has a lit surface.
+        true_order: number in TRUE_ORDERS of the pixel's contents; -1: a pixel without scatterers next to one with some.
     """
 
     place: F64
@@ -59,6 +59,11 @@ class PublishedErrors:
     own: F64
     ghost: Bool
     true_order: I64
+
+    @property
+    def own_beyond_5_sigma(self) -> float:
+        """Fraction that is farther than 5 sigma from the surface it should be, or has none; NaN of no surfaces."""
+        return mean_of(~(np.abs(self.own) <= 5 * self.sigma))
 
     def where(self, chosen: Bool) -> PublishedErrors:
         """Some of the surfaces."""
@@ -72,17 +77,17 @@ def joined_errors(parts: Sequence[PublishedErrors]) -> PublishedErrors:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class SurfaceComparison:
     """Height images against the lit surfaces.
 
     Attributes:
-        errors: of every published surface.
-        pixels: pixels that hold a lit surface inside the array.
-        valid: those of them with a height.
+        errors: errors of every published surface.
+        pixels: number of pixels with a lit surface inside the array.
+        valid: number of those pixels with a height.
         surfaces: lit surfaces inside the array that are not weak.
-        missed: those of them that no published surface is for.
+        missed: number of those surfaces without a published one.
         shadow: pixels in shadow.
-        ghosts: those of them with a height.
+        ghosts: number of those pixels with a height.
         confusion: pixels by TRUE_ORDERS (rows) and FOUND_ORDERS (columns); lit pixels inside the array only.
     """
 
@@ -96,23 +101,23 @@ class Comparison:
     confusion: I64
 
 
-def joined_comparisons(parts: Sequence[Comparison]) -> Comparison:
+def joined_comparisons(parts: Sequence[SurfaceComparison]) -> SurfaceComparison:
     """The comparisons of several images as one."""
     errors = joined_errors([part.errors for part in parts])
-    sums = (sum(getattr(part, entry.name) for part in parts) for entry in fields(Comparison)[1:])
-    return Comparison(errors, *sums)
+    sums = (sum(getattr(part, entry.name) for part in parts) for entry in fields(SurfaceComparison)[1:])
+    return SurfaceComparison(errors, *sums)
 
 
-def compare(field: HeightField, truth: LitSurfaces, beamwidth: float) -> Comparison:
+def compare(field: HeightField, truth: LitSurfaces, beamwidth: float) -> SurfaceComparison:
     """Compare every surface that a height image publishes with the lit surfaces of its pixels.
 
     Args:
         field: height image of shape (rows, cols).
-        truth: of its pixels.
-        beamwidth: of the detectors, rad.
+        truth: lit surfaces of its pixels.
+        beamwidth: beamwidth of the detectors, rad.
     """
     order, shadow = true_order(truth, beamwidth), truth.shadow
-    # An extended surface has one option, the mean; it takes all surfaces of the pixel.
+    # An extended surface has one option, the mean; it uses up all surfaces of the pixel.
     whole = (field.validity == Validity.EXTENDED) & np.isfinite(truth.height[0])
     heights = np.where(whole, np.nan, truth.height)
     heights[0] = np.where(whole, truth.mean_height, heights[0])
@@ -138,7 +143,7 @@ def compare(field: HeightField, truth: LitSurfaces, beamwidth: float) -> Compari
 
     valid = np.isfinite(field.first.height)
     lit = truth.count > 0
-    return Comparison(
+    return SurfaceComparison(
         errors=joined_errors(parts),
         pixels=int(np.count_nonzero(lit)),
         valid=int(np.count_nonzero(lit & valid)),
@@ -151,7 +156,7 @@ def compare(field: HeightField, truth: LitSurfaces, beamwidth: float) -> Compari
 
 
 def true_order(truth: LitSurfaces, beamwidth: float) -> I64:
-    """Number in TRUE_ORDERS of what each pixel holds, -1 for a pixel without scatterers that is not in shadow."""
+    """Number in TRUE_ORDERS of the contents of each pixel, -1 for one without scatterers that is not in shadow."""
     one, three = TRUE_ORDERS.index("one"), TRUE_ORDERS.index("three or more")
     several = np.minimum(truth.count - 1 + one, three)
     wide = (truth.count == 1) & (truth.spread[0] >= WIDE * beamwidth)
@@ -161,7 +166,7 @@ def true_order(truth: LitSurfaces, beamwidth: float) -> I64:
 
 
 def _confusion(order: I64, validity: U8) -> I64:
-    """Pixels by what they hold and what was found."""
+    """Pixels by their contents and what was found."""
     found = np.array([_FOUND.get(value, _REFUSED) for value in Validity])[validity]
     shape = len(TRUE_ORDERS), len(FOUND_ORDERS)
     return np.bincount(order * shape[1] + found, minlength=shape[0] * shape[1]).reshape(shape).astype(np.int64)
@@ -184,7 +189,7 @@ def _nearest(options: F64, height: F64) -> tuple[Index, F64]:
 
 
 def _without_nearest(options: F64, height: F64) -> F64:
-    """The options without those that the heights have taken."""
+    """The options without those that are nearest to the heights."""
     left = options.copy()
     index, error = _nearest(options, height)
     kept = np.take_along_axis(options, index, axis=0)[0]

@@ -1,4 +1,4 @@
-"""Picture of errors over their stated standard deviations: a histogram of every published surface beside N(0, 1)."""
+"""Picture of errors over their stated standard deviations: a histogram of every published surface, and N(0, 1)."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ EDGES = np.linspace(-8.0, 8.0, 65)
 
 @dataclass(frozen=True, eq=False)
 class SigmaCounts:
-    """How many published surfaces are how many of their sigmas off the nearest true surface.
+    """Histogram of the errors of published surfaces from the nearest true surface, in units of their sigma.
 
     Attributes:
         bins: surfaces between EDGES, those beyond in the first and the last, shape (len(EDGES) - 1,).
         unlit: surfaces where nothing is lit, which have no error.
-        within: shares of all surfaces, unlit ones included, that are within 1 and 2 sigma.
-        beyond: share of all surfaces that are more than 5 sigma off.
+        within: fractions of all surfaces, unlit ones included, that are within 1 and 2 sigma.
+        beyond: fraction of all surfaces that are more than 5 sigma off.
     """
 
     bins: I64
@@ -56,7 +56,7 @@ def counted(errors: PublishedErrors) -> SigmaCounts:
 
 
 def draw_errors(judgements: Mapping[str, Judged], path: Path) -> None:
-    """Write a PNG: errors over sigma of all surfaces of each estimator, their middle and tails, and the shares."""
+    """Write a PNG: errors over sigma of all surfaces of each estimator, their middle and tails, and the fractions."""
     counts = {name: counted(one.comparison.errors) for name, one in judgements.items()}
     with page(path, 2.9 + 0.16 * len(counts)) as figure:
         middle, tails = figure.subplots(1, 2)
@@ -81,7 +81,7 @@ def _draw_densities(axes: Axes, counts: Mapping[str, SigmaCounts]) -> None:
 
 
 def _normal() -> F64:
-    """Share of N(0, 1) in each bin; beyond the outermost ones there is nothing that could be seen."""
+    """Fraction of N(0, 1) in each bin; beyond the outermost ones it is invisible."""
     return np.diff(ndtr(EDGES))
 
 

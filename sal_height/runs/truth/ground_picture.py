@@ -71,7 +71,7 @@ def _show(axis: Axes, values: F64, colours: str | Colormap, norm: Normalize, how
 
 
 def kind_shares(estimate: GroundEstimate, cells: Bool) -> F64:
-    """Shares of some cells by what their heights rest on, in the order of GroundKind; all 0 if there is no cell."""
+    """Fractions of some cells by what their heights rest on, in the order of GroundKind; all 0 without cells."""
     count = np.bincount(estimate.kind[cells], minlength=len(GroundKind))
     return np.asarray(count / max(1, count.sum()))
 

@@ -10,10 +10,11 @@ import numpy as np
 
 from sal_height import messages
 from sal_height.imaging import image_beams
+from sal_height.io import or_null
 from sal_height.messages.types import HeightImage
-from sal_height.numeric import F64, Bool
+from sal_height.numeric import F64, Bool, error_statistics, mean_of
 from sal_height.relief import GroundEstimate, GroundKind, GroundMap, fine_cell_size, ground_spacings
-from sal_height.runs.truth.surface_report import coverage_of_sigma
+from sal_height.runs.truth.surface_report import COVERAGE
 from sal_height.simulation import SimulatedFlight, VisibleSurface
 from sal_height.simulation.lit_ground import ground_cells
 
@@ -60,10 +61,10 @@ def true_ground(
     """The terrain of a simulated flight in the cells of an estimate.
 
     Args:
-        estimate: of the ground.
-        images: from which it was made.
+        estimate: estimate of the ground.
+        images: images from which it was made.
         flight: the flight.
-        surfaces: what was lit in each dwell.
+        surfaces: lit surfaces of each dwell.
     """
     height, lit, inside = (np.full(estimate.height.shape, value) for value in (np.nan, False, False))
     first = np.floor(np.array([estimate.north, estimate.east]) / estimate.cell_size).astype(np.intp)
@@ -84,9 +85,9 @@ def true_ground(
 def ground_statistics(estimate: GroundEstimate, truth: TrueGround, tolerance: float) -> dict[str, Any]:
     """Part `ground` of a report: how much of the lit ground is known, and the errors of measured and other heights.
 
-    `right`: share of the lit cells whose height is right to `tolerance` (m); `lit` and `shadow`: shares of the cells by
+    `right`: fraction of the lit cells with a height right to `tolerance` (m); `lit` and `shadow`: fractions of cells by
     what their heights rest on. The error of each published height is that from the terrain in the middle of its cell,
-    beside an edge, too, which sigma has to allow for.
+    next to an edge, too, which sigma has to allow for.
     """
     error = estimate.height - truth.height
     kinds = {kind.name.lower(): estimate.kind == kind for kind in GroundKind}
@@ -94,9 +95,9 @@ def ground_statistics(estimate: GroundEstimate, truth: TrueGround, tolerance: fl
     return {
         "cell_m": estimate.cell_size,
         "tolerance_m": tolerance,
-        "right": _mean((np.abs(error) < tolerance)[truth.lit]),
-        "lit": {name: _mean(cells[truth.lit]) for name, cells in kinds.items()},
-        "shadow": {name: _mean(cells[truth.shadow]) for name, cells in kinds.items()},
+        "right": or_null(mean_of((np.abs(error) < tolerance)[truth.lit])),
+        "lit": {name: or_null(mean_of(cells[truth.lit])) for name, cells in kinds.items()},
+        "shadow": {name: or_null(mean_of(cells[truth.shadow])) for name, cells in kinds.items()},
         "measured": _errors(error[measured], estimate.sigma[measured]),
         "interpolated": _errors(error[interpolated], estimate.sigma[interpolated]),
     }
@@ -104,8 +105,5 @@ def ground_statistics(estimate: GroundEstimate, truth: TrueGround, tolerance: fl
 
 def _errors(error: F64, sigma: F64) -> dict[str, Any]:
     known = np.isfinite(error)
-    return {"cells": int(np.count_nonzero(known)), **coverage_of_sigma(error[known], sigma[known])}
-
-
-def _mean(values: F64 | Bool) -> float | None:
-    return float(np.mean(values)) if values.size else None
+    found = error_statistics(error[known], sigma[known])
+    return {"cells": found.count, **found.in_metres(COVERAGE)}

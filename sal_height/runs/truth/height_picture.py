@@ -32,7 +32,7 @@ from sal_height.graph.picture import (
     title_of,
 )
 from sal_height.messages.types import HeightImage
-from sal_height.numeric import F64
+from sal_height.numeric import F64, half_width
 from sal_height.runs.truth.comparison import FOUND_ORDERS, TRUE_ORDERS
 from sal_height.runs.truth.surface_report import CELL_PIXELS, Judged
 from sal_height.simulation import Preset
@@ -54,12 +54,12 @@ class GroundPicture:
     Attributes:
         extent: west, east, south and north edge, m.
         terrain: height of the ground inside the array, m.
-        lit: the same of what is lit.
-        height: of the surface nearest to the middle of the cell, m.
-        error: of that surface, m.
-        sigma: of that surface, m.
+        lit: terrain height where it is lit, m; NaN elsewhere.
+        height: height of the surface nearest to the middle of the cell, m.
+        error: error of that surface, m.
+        sigma: predicted standard deviation of that surface, m.
         ghost: 1 where that surface is where nothing is lit.
-        silent: 1 where there is none because nothing was found but noise, 0 where there is none for another reason.
+        silent: 1 where a height is absent because nothing was found but noise, 0 where it is absent for another reason.
     """
 
     extent: tuple[float, float, float, float]
@@ -109,14 +109,14 @@ def ground_picture(judgement: Judged) -> GroundPicture:
 def draw_heights(judgements: Mapping[str, Judged], images: Sequence[HeightImage], preset: Preset, path: Path) -> None:
     """Write a PNG: truth and CNR above; of each estimator heights, surfaces in a pixel, errors and sigmas below.
 
-    All heights share one colour scale, all errors another, centred on zero, and all sigmas a third. Tracked heights
+    All heights have one colour scale, all errors another, centred on zero, and all sigmas a third. Tracked heights
     look like those that they are tracked from: only their errors and sigmas are shown, in the first row.
 
     Args:
-        judgements: heights of each estimator beside the truth, by prefix of its topics.
-        images: of the estimator whose CNR is shown.
-        preset: that was flown.
-        path: of the picture.
+        judgements: comparisons of each estimator with the truth, by prefix of its topics.
+        images: images of the estimator whose CNR is shown.
+        preset: preset that was flown.
+        path: path of the picture.
     """
     pictures = {name: ground_picture(one) for name, one in judgements.items()}
     own = [name for name in pictures if name != PREFIX]
@@ -288,7 +288,7 @@ def _edges(picture: GroundPicture, factor: float) -> tuple[float, float, float, 
 
 
 def _draw_confusion(axis: Axes, table: npt.NDArray[np.int64], named: bool) -> None:
-    """Draw what was found in pixels, in percent of those that hold so many surfaces; `named`: with names of columns."""
+    """Draw the found orders of pixels, in percent of those with each true order; `named`: with names of columns."""
     totals = table.sum(axis=1, keepdims=True)
     share = table / np.maximum(totals, 1)
     axis.imshow(share, "Blues", vmin=0, vmax=1.4, aspect="auto")
@@ -302,7 +302,7 @@ def _draw_confusion(axis: Axes, table: npt.NDArray[np.int64], named: bool) -> No
 
 
 def percent_text(share: float) -> str:
-    """A share above 0 in percent, such that only nothing is 0 and only all is 100."""
+    """A fraction above 0 in percent, such that only nothing is 0 and only all is 100."""
     rounded = round(100 * share)
     if rounded == 0:
         return "<1"
@@ -315,4 +315,5 @@ def _percent(share: float | None) -> str:
 
 def _s68(error: F64) -> float:
     """Half the width from 16 to 84 %; 1 if there is no error at all, so that a colour scale exists."""
-    return float(np.diff(np.nanpercentile(error, [16, 84]))[0] / 2) if np.any(np.isfinite(error)) else 1.0
+    known = error[np.isfinite(error)]
+    return half_width(known) if known.size else 1.0

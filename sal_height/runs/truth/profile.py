@@ -27,20 +27,20 @@ MARKERS = ("o", "s", "D")
 
 
 def draw_profile(images: Mapping[str, Sequence[HeightImage]], source: str, flight: SimulatedFlight, path: Path) -> bool:
-    """Draw the heights of the column that `telling_column` chooses as a PNG.
+    """Draw the heights of the column that `column_of_greatest_relief` chooses as a PNG.
 
     Args:
-        images: of a run, by the prefix of their estimator's topics.
+        images: images of a run, by the prefix of their estimator's topics.
         source: prefix of the heights that were tracked.
-        flight: that was simulated.
-        path: of the picture.
+        flight: flight that was simulated.
+        path: path of the picture.
 
     Returns:
         Whether there were tracked heights to draw.
     """
     tracked, measured = ({one.dwell: one for one in images.get(prefix, ())} for prefix in (PREFIX, source))
     fields = {dwell: messages.field_from_message(measured[dwell]) for dwell in tracked.keys() & measured.keys()}
-    chosen = telling_column(fields)
+    chosen = column_of_greatest_relief(fields)
     if chosen is None:
         return False
     dwell, col = chosen
@@ -60,7 +60,7 @@ def draw_profile(images: Mapping[str, Sequence[HeightImage]], source: str, fligh
     return True
 
 
-def telling_column(fields: Mapping[int, HeightField]) -> tuple[int, int] | None:
+def column_of_greatest_relief(fields: Mapping[int, HeightField]) -> tuple[int, int] | None:
     """Dwell and column of the greatest relief, among columns with at least half as many heights as the fullest.
 
     The relief is the difference between the heights that 5 % and 95 % of all surfaces of a column are below. None:
@@ -85,9 +85,9 @@ class _Profile:
     """All surfaces of a column; arrays with an entry each, in the order of the rows, the strongest surfaces first.
 
     Attributes:
-        number: of the surface in its pixel, from 0.
-        row: of its pixel.
-        place: east and north, m, shape (surfaces, 2).
+        number: number of the surface in its pixel, from 0.
+        row: row of its pixel.
+        place: position east and north, m, shape (surfaces, 2).
         height: m.
         sigma: m.
         error: height minus that of the nearest true surface in the pixel, m; NaN where nothing is lit.
@@ -125,8 +125,8 @@ def _draw_heights(axes: Axes, profiles: Mapping[str, _Profile], source: str, sce
     tracked, measured = profiles[PREFIX], profiles[source]
     way = {name: one.place @ one.sight - start for name, one in profiles.items()}
     cut = np.linspace(0.0, max(one.max() for one in way.values()), 2000)
-    beside = measured.place[0] - (measured.place[0] @ measured.sight) * measured.sight
-    ground = beside[:, None] + measured.sight[:, None] * (start + cut)
+    across = measured.place[0] - (measured.place[0] @ measured.sight) * measured.sight
+    ground = across[:, None] + measured.sight[:, None] * (start + cut)
     axes.plot(cut, scene.heights(*ground), color="k", label="terrain")
     _draw_band(axes, tracked, way[PREFIX])
     look = look_of(source)

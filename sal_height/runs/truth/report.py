@@ -16,7 +16,7 @@ from sal_height.geometry import sphere_coordinates
 from sal_height.imaging import azimuth_resolution, image_beams
 from sal_height.io import or_null
 from sal_height.messages.types import HeightImage
-from sal_height.numeric import F64, Bool
+from sal_height.numeric import F64, Bool, error_statistics, mean_of
 from sal_height.relief import height_variance
 from sal_height.simulation import SimulatedFlight, VisibleSurface, truth_image
 
@@ -32,14 +32,14 @@ class Mosaic:
         east: centres of the cells, arc distance from the map origin, m, shape (cols,).
         north: centres of the cells, m, shape (rows,).
         height: estimate, m, shape (rows, cols).
-        error: estimate minus true height of the same pixels with the same weights, m; without pixels that hold no
+        error: estimate minus true height of the same pixels with the same weights, m; without pixels that have no
             scatterer.
         sigma: predicted standard deviation, m, with the mean of those that pose and beams leave, which no average
-            reduces; of tracked pixels, which share their errors, that of one.
+            reduces; of tracked pixels, whose errors are common, that of one.
         bound: Cramer-Rao bound averaged over speckle for all looks in the cell, m.
-        single: True where all pixels hold a single scatterer.
+        single: True where all pixels have a single scatterer.
         valid_share: valid pixels over all pixels of the images.
-        two_share: pixels in which two scatterers were told apart, over all pixels.
+        two_share: pixels with two separate scatterers, over all pixels.
         ghosts: valid pixels in which there is no scatterer.
     """
 
@@ -64,10 +64,10 @@ class _Pixels:
         north: m.
         height: estimate, m.
         sigma: predicted, m.
-        common: its part that pose and beams leave, which other pixels and dwells share, m.
+        common: part of it that pose and beams leave, which is common to pixels and dwells, m.
         truth: true height, m; NaN where there is no scatterer.
         bound: Cramer-Rao bound for two looks averaged over speckle, m: 1 / sqrt(information of one look).
-        single: True where the pixel holds a single scatterer.
+        single: True where the pixel has a single scatterer.
     """
 
     east: F64
@@ -86,7 +86,7 @@ def mosaic(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Map
     Args:
         images: height images of a simulated flight.
         flight: the flight.
-        surfaces: what was visible in each dwell.
+        surfaces: visible surfaces of each dwell.
     """
     parts = [_pixels(image, flight, surfaces[image.dwell]) for image in images]
     pixels = _Pixels(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(_Pixels)))
@@ -125,51 +125,43 @@ def mosaic(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Map
 
 
 def _share(images: Sequence[HeightImage], validity: int) -> float:
-    """Share of the pixels that have this validity, averaged over the images."""
+    """Fraction of the pixels that have this validity, averaged over the images."""
     return float(np.mean([np.mean(np.asarray(image.validity) == validity) for image in images]))
 
 
-ERRORS = ("bias_m", "rms_m", "median_m", "s68_m", "sigma_m", "crb_m", "within_1_sigma", "beyond_5_sigma")
+BEFORE_BOUND = ("bias_m", "rms_m", "median_m", "s68_m", "sigma_m")
+AFTER_BOUND = ("within_1_sigma", "beyond_5_sigma")
 
 
 def statistics(result: Mosaic | None) -> dict[str, Any]:
-    """Errors over the cells that hold a single scatterer; numbers that do not exist (no valid pixel) are None.
+    """Errors over the cells with a single scatterer; numbers that do not exist (no valid pixel) are None.
 
-    `bias_m` mean, `rms_m`, `median_m`, `s68_m` half the 16 to 84 % width, `sigma_m` mean predicted standard deviation,
-    `crb_m` mean Cramer-Rao bound averaged over speckle, `within_1_sigma` and `beyond_5_sigma` shares; `valid` is the
-    share of valid pixels, `two_scatterers` that of pixels with the heights of two, `ghost_pixels` those of the valid
-    ones in which there is nothing. `layover` has the same errors over the other cells, whose pixels hold several
+    Errors are those of `ErrorStatistics`, and `crb_m` is the mean Cramér-Rao bound averaged over speckle, m. `valid` is
+    the fraction of valid pixels, `two_scatterers` that of pixels with the heights of two, `ghost_pixels` the number of
+    valid ones without a scatterer. `layover` has the same errors over the other cells, whose pixels have several
     scatterers and were still found valid.
     """
     if result is None:
-        return {"valid": 0.0, "two_scatterers": 0.0, "cells": 0, "ghost_pixels": 0, **dict.fromkeys(ERRORS)}
-    seen = np.isfinite(result.error)
+        none = np.zeros(0)
+        return {"valid": 0.0, "two_scatterers": 0.0, "ghost_pixels": 0, **_errors(none, none, none)}
+    cells, seen = np.stack([result.error, result.sigma, result.bound]), np.isfinite(result.error)
     return {
         "valid": result.valid_share,
         "two_scatterers": result.two_share,
         "ghost_pixels": result.ghosts,
-        **_errors(result, seen & result.single),
-        "layover": _errors(result, seen & ~result.single),
+        **_errors(*cells[:, seen & result.single]),
+        "layover": _errors(*cells[:, seen & ~result.single]),
     }
 
 
-def _errors(result: Mosaic, chosen: Bool) -> dict[str, Any]:
-    """Error statistics over some cells."""
-    error, sigma = result.error[chosen], result.sigma[chosen]
-    if not len(error):
-        return {"cells": 0, **dict.fromkeys(ERRORS)}
-    low, middle, high = np.percentile(error, [16, 50, 84])
-    bound = float(np.mean(result.bound[chosen]))
+def _errors(error: F64, sigma: F64, bound: F64) -> dict[str, Any]:
+    """Entries of the report on errors of cells, their predicted standard deviations and their bounds, all in m."""
+    found = error_statistics(error, sigma)
     return {
-        "cells": len(error),
-        "bias_m": float(np.mean(error)),
-        "rms_m": float(np.sqrt(np.mean(error**2))),
-        "median_m": float(middle),
-        "s68_m": float(high - low) / 2,
-        "sigma_m": float(np.mean(sigma)),
-        "crb_m": or_null(bound),
-        "within_1_sigma": float(np.mean(np.abs(error) < sigma)),
-        "beyond_5_sigma": float(np.mean(np.abs(error) > 5 * sigma)),
+        "cells": found.count,
+        **found.in_metres(BEFORE_BOUND),
+        "crb_m": or_null(mean_of(bound)),
+        **found.in_metres(AFTER_BOUND),
     }
 
 

@@ -42,8 +42,8 @@ class Flown:
     """A flight that was simulated, processed and compared with the truth.
 
     Attributes:
-        flight: what was simulated.
-        outcome: what became of its dwells.
+        flight: flight that was simulated.
+        outcome: outcome of the run.
         accuracy: errors of each estimator, and the heights and grounds that they are of.
         source: prefix of the topics of the estimator whose heights are tracked.
     """
@@ -55,7 +55,7 @@ class Flown:
 
 
 def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execution: Execution = DEFAULT) -> Flown:
-    """Do what `fly` does, and leave pictures beside it in `out`; without any valid height there are none.
+    """Do what `fly` does, and leave pictures with it in `out`; without any valid height there are no pictures.
 
     Raises:
         UserError: as `fly`, or a picture cannot be written.
@@ -75,7 +75,7 @@ def fly(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
         seed: seed of all random numbers.
         out: output folder; must be new or empty.
         parameters: values that replace parameters of nodes that follow from the preset.
-        execution: how the run is carried out.
+        execution: execution of the run.
 
     Raises:
         UserError: a parameter is not allowed, the flight leaves its scene, or the run failed.
@@ -85,7 +85,7 @@ def fly(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
     estimators = suited(flight.sensor, preset.estimators)
     air = list(AIR) if preset.impairments.air else []
     check_air(parameters, [flight.sensor], air, "A simulated flight without air (impairments)")
-    flight.surface(0)  # refuses a flight beside the scene before anything is started
+    flight.surface(0)  # refuses a flight outside the scene before anything is started
     folder = new_folder(out)
     settings = folder / "preset.yaml"
     values = merged(processing_of(flight, estimators), parameters)
@@ -111,10 +111,10 @@ def fly(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
 
 
 def processing_of(flight: SimulatedFlight, estimators: list[str]) -> dict[str, dict[str, Any]]:
-    """Parameters of the nodes that follow from the size of a preset's images, its looks and its place on the earth.
+    """Parameters of the nodes that follow from the size of a preset's images, its looks and its position on the earth.
 
     Args:
-        flight: whose dwells are processed.
+        flight: flight whose dwells are processed.
         estimators: the height nodes.
     """
     preset = flight.preset
@@ -127,7 +127,7 @@ def processing_of(flight: SimulatedFlight, estimators: list[str]) -> dict[str, d
 
 
 def _draw(flown: Flown, preset: Preset, folder: Path) -> None:
-    """Write the pictures of a flight beside its bag.
+    """Write the pictures of a flight into the folder of its bag.
 
     Raises:
         UserError: a picture cannot be written, or none of the images lies on the scene.

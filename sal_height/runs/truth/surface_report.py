@@ -1,4 +1,4 @@
-"""What report.json says of published surfaces: their errors by kind of pixel, ghosts, confusion, and the lit ground.
+"""Part of report.json on published surfaces: errors by kind of pixel, ghosts, confusion, and the lit ground.
 
 Nothing that is published remains uncounted: each surface of each pixel with a height is in one of the kinds.
 """
@@ -18,13 +18,13 @@ from sal_height.geometry import ApertureState
 from sal_height.imaging import azimuth_resolution, image_beams
 from sal_height.io import or_null
 from sal_height.messages.types import HeightImage
-from sal_height.numeric import F64, Bool, Index
+from sal_height.numeric import F64, Bool, Index, error_statistics, fraction_of
 from sal_height.relief import HeightField
 from sal_height.runs.truth.comparison import (
     FOUND_ORDERS,
     TRUE_ORDERS,
-    Comparison,
     PublishedErrors,
+    SurfaceComparison,
     compare,
     joined_comparisons,
 )
@@ -35,6 +35,8 @@ from sal_height.simulation.lit_surfaces import CONNECTED, LitSurfaces, lit_surfa
 TOLERANCE_BEAMWIDTHS = 0.11
 """Error, across the line of sight, up to which a height is called right: 6 cm of height in sal_spotlight."""
 
+COVERAGE = ("bias_m", "median_m", "s68_m", "sigma_m", "within_1_sigma", "within_2_sigma", "beyond_5_sigma")
+"""Entries of a report on errors of surfaces and of the ground."""
 
 CELL_PIXELS = 0.5
 """Side of a cell of the ground in pixels of the height image on level ground."""
@@ -45,7 +47,7 @@ class GroundCoverage:
     """Cells of the ground that the images of a run reach by range and Doppler; arrays of shape (cells,).
 
     Attributes:
-        size: of a cell, m.
+        size: side of a cell, m.
         tolerance: error of a height up to which it is right, m.
         number: row (north) and column (east) of the cell, counted from the map's origin, shape (cells, 2); its centre
             is at (number + 0.5) sizes.
@@ -70,19 +72,20 @@ class GroundCoverage:
     def shares(self) -> dict[str, float | None]:
         """Of the cells inside the array, the lit ones and the others; of the lit ones, those that are right."""
         inside, lit, right = (int(np.count_nonzero(chosen)) for chosen in (self.inside, self.lit, self.right))
-        return {"lit": _share(lit, inside), "shadow": _share(inside - lit, inside), "right": _share(right, lit)}
+        parts = {"lit": (lit, inside), "shadow": (inside - lit, inside), "right": (right, lit)}
+        return {name: or_null(fraction_of(*counts)) for name, counts in parts.items()}
 
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """The height images of one estimator beside the truth.
+    """The height images of one estimator compared with the truth.
 
     Attributes:
-        comparison: of pixels and published surfaces.
-        ground: what of the ground was seen.
+        comparison: comparison of pixels and published surfaces.
+        ground: coverage of the ground.
     """
 
-    comparison: Comparison
+    comparison: SurfaceComparison
     ground: GroundCoverage
 
 
@@ -95,7 +98,7 @@ def height_beamwidth(flight: SimulatedFlight) -> float:
 def as_flown(
     field: HeightField, aperture: ApertureState, flight: SimulatedFlight, dwell: int
 ) -> tuple[HeightField, ApertureState]:
-    """Where the pixels of a height image and its points lie, seen from where the platform was.
+    """Positions of the pixels of a height image and of its points, seen from where the platform was.
 
     Range and Doppler count from there, not from where the odometry says; a pixel is compared with what it saw. Heights
     and covariances stay as they were published. In stripmap the error of the odometry is that in the middle of the last
@@ -103,9 +106,9 @@ def as_flown(
 
     Args:
         field: the heights.
-        aperture: as whose image they are published.
-        flight: that was simulated.
-        dwell: whose image it is, or which block has completed it.
+        aperture: aperture of the image as which they are published.
+        flight: flight that was simulated.
+        dwell: number of the dwell of the image, or of the block that completed it.
     """
     true = flight.aperture(dwell)
     stated = aperture
@@ -125,10 +128,10 @@ def true_surfaces(
 
     Args:
         field: the heights (`as_flown`).
-        aperture: from where they were seen (`as_flown`).
-        beams: as images have them.
-        flight: that was simulated.
-        surface: what was lit in the dwell.
+        aperture: aperture from which they were seen (`as_flown`).
+        beams: beams as images have them.
+        flight: flight that was simulated.
+        surface: lit surface of the dwell.
     """
     sensor = flight.sensor
     connected = max(CONNECTED, 1.5 * flight.scene.layer_spacing / height_beamwidth(flight))
@@ -140,9 +143,9 @@ def judged(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Map
     """Compare all height images of one estimator with what their dwells saw.
 
     Args:
-        images: of a simulated flight.
+        images: images of a simulated flight.
         flight: the flight.
-        surfaces: what was lit in each dwell.
+        surfaces: lit surfaces of each dwell.
     """
     sensor, track = flight.sensor, flight.preset.flight
     across = height_beamwidth(flight)
@@ -164,7 +167,7 @@ def judged(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Map
 
 
 def _is_right(field: HeightField, cells: GroundCells, tolerance: float) -> Bool:
-    """Whether a surface of the pixel of each cell, or of the pixels next to it in range, has the cell's height."""
+    """True if a surface of the pixel of each cell, or of the pixels next to it in range, has the cell's height."""
     right = np.zeros(len(cells.height), dtype=bool)
     for step in (-1, 0, 1):
         row = np.clip(cells.pixel[:, 0] + step, 0, field.grid.rows - 1)
@@ -197,55 +200,32 @@ def _coverage(seen: Sequence[tuple[GroundCells, Bool, Bool]], size: float, toler
 def surface_statistics(judgement: Judged) -> dict[str, Any]:
     """Part `surfaces` of an estimator's report: errors of all published surfaces and of each kind, and the lit ground.
 
-    `valid`: share of the lit pixels inside the array with a height; `missed`: share of the lit surfaces for which none
-    is published; `ghosts_in_shadow`: share of the pixels in shadow with a height; `confusion`: pixels by what they
-    hold (rows) and what was found; `ground`: `GroundCoverage.shares`.
+    `valid`: fraction of the lit pixels inside the array with a height; `missed`: fraction of the lit surfaces of which
+    none is published; `ghosts_in_shadow`: fraction of the pixels in shadow with a height; `confusion`: pixels by what
+    they contain (rows) and what was found; `ground`: `GroundCoverage.shares`.
     """
     result, ground = judgement.comparison, judgement.ground
     kinds = {value.name: result.errors.where(result.errors.validity == value) for value in map(Validity, USABLE)}
     return {
-        "valid": _share(result.valid, result.pixels),
-        "missed": _share(result.missed, result.surfaces),
-        "ghosts_in_shadow": _share(result.ghosts, result.shadow),
-        "all": error_statistics(result.errors),
-        **{name: error_statistics(errors) for name, errors in kinds.items()},
+        "valid": or_null(fraction_of(result.valid, result.pixels)),
+        "missed": or_null(fraction_of(result.missed, result.surfaces)),
+        "ghosts_in_shadow": or_null(fraction_of(result.ghosts, result.shadow)),
+        "all": _errors(result.errors),
+        **{name: _errors(errors) for name, errors in kinds.items()},
         "confusion": {"true": list(TRUE_ORDERS), "found": list(FOUND_ORDERS), "pixels": result.confusion.tolist()},
         "ground": {"cell_m": ground.size, "tolerance_m": ground.tolerance, **ground.shares},
     }
 
 
-def error_statistics(errors: PublishedErrors) -> dict[str, Any]:
+def _errors(errors: PublishedErrors) -> dict[str, Any]:
     """Number of surfaces, number of those in shadow, and errors of the others from the nearest true surface.
 
-    `own_beyond_5_sigma` is the share that is farther than 5 sigma from the surface it should be, or has none.
+    `own_beyond_5_sigma` is the fraction that is farther than 5 sigma from the surface it should be, or has none.
     """
     near = errors.where(np.isfinite(errors.nearest))
     return {
         "surfaces": len(errors.sigma),
         "in_shadow": int(np.count_nonzero(errors.ghost)),
-        **coverage_of_sigma(near.nearest, near.sigma),
-        "own_beyond_5_sigma": _mean(~(np.abs(near.own) <= 5 * near.sigma)),
+        **error_statistics(near.nearest, near.sigma).in_metres(COVERAGE),
+        "own_beyond_5_sigma": or_null(near.own_beyond_5_sigma),
     }
-
-
-def coverage_of_sigma(error: F64, sigma: F64) -> dict[str, Any]:
-    """Errors (m) and how they keep what their sigmas (m) promise; None where there is no error."""
-    off = np.abs(error) / sigma
-    low, middle, high = np.percentile(error, [16, 50, 84]) if len(off) else (np.nan,) * 3
-    return {
-        "bias_m": _mean(error),
-        "median_m": or_null(float(middle)),
-        "s68_m": or_null(float(high - low) / 2),
-        "sigma_m": _mean(sigma),
-        "within_1_sigma": _mean(off < 1),
-        "within_2_sigma": _mean(off < 2),
-        "beyond_5_sigma": _mean(off > 5),
-    }
-
-
-def _mean(values: F64 | Bool) -> float | None:
-    return float(np.mean(values)) if values.size else None
-
-
-def _share(part: int, whole: int) -> float | None:
-    return part / whole if whole else None

@@ -25,9 +25,9 @@ from sal_height.geometry import Origin
 from sal_height.graph.catalogue import SETTABLE, consumers, parameters_of
 from sal_height.graph.plan import DwellChanges
 from sal_height.runs.chain.chain_runs import plan
-from sal_height.runs.chain.entry import FROM_HEIGHTS, WHOLE, Chain, Part, chain_of
+from sal_height.runs.chain.entry import FROM_HEIGHTS, WHOLE, Part, ReplayNodes, chain_of
 from sal_height.runs.chain.recorded_parameters import recorded_parameters
-from sal_height.runs.chain.replay_parameters import Processing, processing_of
+from sal_height.runs.chain.replay_parameters import ReplayPlan, processing_of
 from sal_height.runs.chain.timeline import OF_MACHINE
 from sal_height.runs.live.sensor_bag import Feed
 from sal_height.runs.replay.bag_replay import replay
@@ -37,7 +37,7 @@ BAGS = Path(__file__).parents[3] / "bags"
 ALL = sorted(folder.name for folder in BAGS.iterdir() if folder.is_dir())
 
 STAGES = ["sar_compression", "ml_height", "relief_tracker"]
-CHAIN = Chain("phase_history", ["ml_height"], STAGES, 1, ["/phase_history"])
+CHAIN = ReplayNodes("phase_history", ["ml_height"], STAGES, 1, ["/phase_history"])
 
 OTHER = {
     "sar_compression": {"range_window": "hamming", "azimuth_window": "hamming", "ground_spacing_m": 2.0, "rows": 8},
@@ -111,8 +111,8 @@ def test_heights_of_a_golden_bag_do_not_depend_on_the_defaults_of_today(tmp_path
 
 
 def processing(
-    reader: BagReader, given: Any = None, chain: Chain = CHAIN, chosen: Mapping[str, Any] | None = None
-) -> Processing:
+    reader: BagReader, given: Any = None, chain: ReplayNodes = CHAIN, chosen: Mapping[str, Any] | None = None
+) -> ReplayPlan:
     return processing_of(reader, chain, WHOLE, chosen or {}, given or {})
 
 
@@ -178,7 +178,7 @@ def test_a_file_that_only_the_provenance_names_is_not_opened(source: str, tmp_pa
     events = [told("height_adjuster", **TERRAIN)] if source == "parameter event" else []
     flown = custom(height_adjuster=TERRAIN) if source.startswith("custom") else {}
     given = {"height_adjuster": {"terrain": path}} if source == "command line" else {}
-    chain = Chain(
+    chain = ReplayNodes(
         "phase_history", ["ml_height", "height_adjuster"], [*STAGES, "height_adjuster"], 1, ["/phase_history"]
     )
     found = processing(written(tmp_path / "bag", [*events, *said], flown), given, chain)
@@ -279,7 +279,7 @@ def test_values_of_nodes_that_are_not_at_work_are_not_looked_at(tmp_path: Path) 
     """They may be refused today, and could not be replaced where their node does not work."""
     stages = {"sar_compression": {"rows": -1}, "capon_height": {"loading": -1.0}, "ml_height": {"range_looks": 3}}
     reader = written(tmp_path / "bag", [frame(0), heights(0, **stages)])
-    chain = Chain("slc", ["ml_height"], ["ml_height", "relief_tracker"], 1, ["/phase_history"])
+    chain = ReplayNodes("slc", ["ml_height"], ["ml_height", "relief_tracker"], 1, ["/phase_history"])
     found = processing(reader, chain=chain)
     assert found.values == {"ml_height": {"range_looks": 3}}
     with pytest.raises(UserError, match=r"sar_compression\.rows=VALUE"):
@@ -290,7 +290,7 @@ def test_values_that_are_not_allowed_together_are_refused_with_one_that_can_be_r
     reader = written(
         tmp_path / "bag", [frame(0), heights(0, sum_difference_height={"range_looks": 1, "azimuth_looks": 1})]
     )
-    chain = Chain("phase_history", ["sum_difference_height"], ["sum_difference_height"], 1, ["/phase_history"])
+    chain = ReplayNodes("phase_history", ["sum_difference_height"], ["sum_difference_height"], 1, ["/phase_history"])
     with pytest.raises(UserError, match=r"both 1.*--param sum_difference_height\.range_looks=VALUE"):
         processing(reader, chain=chain)
     assert processing(reader, {"sum_difference_height": {"range_looks": 4}}, chain).values

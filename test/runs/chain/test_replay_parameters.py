@@ -13,14 +13,14 @@ from written_bag import calibration, changed, frame, heights, key, told, written
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
 from sal_height.graph.plan import DwellChanges
-from sal_height.runs.chain.entry import WHOLE, Chain
-from sal_height.runs.chain.replay_parameters import Processing, processing_of
+from sal_height.runs.chain.entry import WHOLE, ReplayNodes
+from sal_height.runs.chain.replay_parameters import ReplayPlan, processing_of
 
 STAGES = ["sar_compression", "ml_height", "relief_tracker"]
-CHAIN = Chain("phase_history", ["ml_height"], STAGES, 1, ["/phase_history"])
+CHAIN = ReplayNodes("phase_history", ["ml_height"], STAGES, 1, ["/phase_history"])
 
 
-def processing(reader: BagReader, given: Any = None) -> Processing:
+def processing(reader: BagReader, given: Any = None) -> ReplayPlan:
     return processing_of(reader, CHAIN, WHOLE, {"relief_tracker": {"estimator": "capon"}}, given or {})
 
 

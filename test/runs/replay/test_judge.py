@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sal_height.bag.compare import CHANGED, EQUAL, WITHIN, Comparison, compare_bags
+from sal_height.bag.compare import CHANGED, EQUAL, WITHIN, TopicComparison, compare_bags
 from sal_height.bag.reader import BagReader
 from sal_height.bag.tolerance import Tolerance, Tolerances
 from sal_height.bag.topics import HEIGHT_TYPE
@@ -37,7 +37,7 @@ def write(folder: Path, heights: dict[int, np.ndarray], latency_ms: float = 5.0)
     return BagReader(folder)
 
 
-def judged(golden: BagReader, made: BagReader, folder: Path) -> dict[str, Comparison]:
+def judged(golden: BagReader, made: BagReader, folder: Path) -> dict[str, TopicComparison]:
     compared = compare_bags(golden, made)
     draw_worst_dwell(golden, made, compared, folder)
     return compared
@@ -80,7 +80,7 @@ def test_equal_bags_need_no_picture(tmp_path: Path) -> None:
 
 
 def test_the_verdict_is_the_worst_of_all_topics() -> None:
-    equal, changed = Comparison(matched=1), Comparison(matched=1, missing=1)
+    equal, changed = TopicComparison(matched=1), TopicComparison(matched=1, missing=1)
     assert verdict_of({"/a": equal}) == EQUAL
     assert verdict_of({"/a": equal, "/b": changed}) == CHANGED
     assert verdict_of({}) == CHANGED

@@ -11,7 +11,7 @@ from helpers import BEAMWIDTH
 from sal_height.elevation.array.estimate import Validity
 from sal_height.geometry.grid import Grid
 from sal_height.relief.heights import HeightField, Surface
-from sal_height.runs.truth.comparison import FOUND_ORDERS, TRUE_ORDERS, Comparison, compare
+from sal_height.runs.truth.comparison import FOUND_ORDERS, TRUE_ORDERS, SurfaceComparison, compare
 from sal_height.simulation.lit_surfaces import LitSurfaces
 
 NAN = np.nan
@@ -41,7 +41,7 @@ def field_of(validity: list[Validity], *heights: list[float], sigma: float = 0.1
     return HeightField(grid, codes, tuple(surfaces))
 
 
-def counts(result: Comparison) -> dict[tuple[str, str], int]:
+def counts(result: SurfaceComparison) -> dict[tuple[str, str], int]:
     """Entries of the confusion table that are not 0."""
     there = np.argwhere(result.confusion)
     return {(TRUE_ORDERS[r], FOUND_ORDERS[c]): int(result.confusion[r, c]) for r, c in there}

@@ -23,6 +23,7 @@ from sal_height.errors import Rejected, UserError
 from sal_height.imaging import Slc
 from sal_height.movers.drive import Drive, Drives, is_in_focus
 from sal_height.movers.ground import ground_lag, spectra_of_image
+from sal_height.movers.likelihood import HYPOTHESES
 from sal_height.movers.mover import Looked, Mover, Sighting, mover_of, peak_of, without_ambiguities
 from sal_height.movers.search import Search, Seen
 from sal_height.movers.settings import MoverSettings
@@ -30,9 +31,6 @@ from sal_height.movers.spectrum import Bins
 from sal_height.movers.walk import Walked, Walks, about_ranges
 from sal_height.numeric import C64, C128, F64, Bool, Index
 from sal_height.sensor import Sensor
-
-HYPOTHESES = 10.0
-"""Lags that can be told apart."""
 
 LEAST_COLUMNS = 16
 """Of an image, along the flight."""

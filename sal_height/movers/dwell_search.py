@@ -15,11 +15,10 @@ from scipy.special import logsumexp
 
 from sal_height.movers.dwell_course import Course
 from sal_height.movers.dwell_images import COLUMN_STEPS
-from sal_height.movers.dwell_likelihood import told
 from sal_height.movers.dwell_paths import DwellPaths, Sight
 from sal_height.movers.dwell_places import Placed, in_place
 from sal_height.movers.dwell_still import deep, glinting, several, standing_instead
-from sal_height.movers.search import MODEL_ERROR
+from sal_height.movers.likelihood import HYPOTHESES, MODEL_ERROR, ratio_in_dwells
 from sal_height.movers.walk import FINE_STEP
 from sal_height.numeric import C128, F64, Index, vertex
 
@@ -49,9 +48,6 @@ LEAST_GAIN = 0.1
 
 WALKING = 5.0
 """Standard deviations of the velocity of the walk, or along the flight, from which what moves is taken to walk."""
-
-HYPOTHESES = 10.0
-"""Squints that can be told apart."""
 
 KNOWN_PART = 0.9
 """Of the likelihood of bright targets, to which their responses are known."""
@@ -164,9 +160,9 @@ class DwellSearch:
         fine = self._brightest(sight, matched[0])
         # Without a walk: under any squint, and under that of what stands still.
         at_rest = paths.path(sight, fine, np.zeros(1))
-        lagging = float(paths.told(*matched, at_rest, near).max())
+        lagging = float(paths.ratios(*matched, at_rest, near).max())
         ground = max(
-            float(paths.told(standing, ground_gains, at_rest, still).max()), glinting(paths, sight, at_rest, still)
+            float(paths.ratios(standing, ground_gains, at_rest, still).max()), glinting(paths, sight, at_rest, still)
         )
         walking = Course.matched_by(paths, sight, matched, fine, self.speeds)
         # What drives along the flight, against one that stands still at each place where it would be.
@@ -210,7 +206,7 @@ class DwellSearch:
         course, paths, sight = steered.course, steered.course.paths, steered.course.sight
         still = paths.ambiguous(sight)
         standing, gains = paths.matched_each(sight, still)
-        ground = float(paths.told(standing, gains, course.path, still).max())
+        ground = float(paths.ratios(standing, gains, course.path, still).max())
         ratio = 2 * (course.likelihood - max(ground, glinting(paths, sight, course.path, still)))
         # Places count twice, as what fades by chance has bright ground beside it.
         if ratio < 2 * (np.log(HYPOTHESES / rate) + 2 * steered.tried):
@@ -279,12 +275,12 @@ class DwellSearch:
         matched, gains = paths.matched_each(sight, everywhere)
         matched[near], gains[near] = course.moving, course.gains
         path = paths.path(sight, course.row, np.array([course.speed]))
-        own = paths.told(matched[near], gains[near], path, near)[0]
+        own = paths.ratios(matched[near], gains[near], path, near)[0]
         powers = np.abs(paths.on_path(matched[near], path[0])[0, int(own.argmax())]) ** 2 * (paths.seconds != 0)
         tied = paths.seconds[int(powers.argmax())]
         speeds = np.append(self.speeds, course.speed)
         rows: F64 = course.row + (course.speed - speeds) * tied / paths.depth
-        rivals = paths.told(matched, gains, paths.path(sight, rows, speeds), everywhere)
+        rivals = paths.ratios(matched, gains, paths.path(sight, rows, speeds), everywhere)
         return bool(rivals.max() > own.max() + ROUNDING)
 
     def _steered(self, course: Course) -> Placed:
@@ -378,7 +374,7 @@ class DwellSearch:
         under = fine[:, None] + paths.lobes.ahead
         matched, gains = paths.matching(course.sight, paths.beams.response(elevation[0] + paths.lobes.higher, under))
         weights, parts = course.path
-        logarithms = told(np.abs(paths.on_path(matched, weights))[0], gains * parts[0])
+        logarithms = ratio_in_dwells(np.abs(paths.on_path(matched, weights))[0], gains * parts[0])
         if logarithms.argmax() in (0, len(fine) - 1):
             return None
         weight = np.exp(logarithms - logsumexp(logarithms))
@@ -401,7 +397,10 @@ class DwellSearch:
         speeds = course.speed + step * np.arange(-6, 7, dtype=np.float64)
         rows = course.row + FINE_STEP * np.arange(-4, 5, dtype=np.float64)
         each = np.array(
-            [paths.told(course.moving, course.gains, paths.path(sight, one, speeds), paths.lobes.near) for one in rows]
+            [
+                paths.ratios(course.moving, course.gains, paths.path(sight, one, speeds), paths.lobes.near)
+                for one in rows
+            ]
         )
         profile = each.max(axis=(0, 2))
         best = int(np.clip(profile.argmax(), 1, len(speeds) - 2))

@@ -6,9 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from sal_height.movers.dwell_likelihood import told, told_of_cloud
 from sal_height.movers.dwell_paths import DwellPaths, Sight
-from sal_height.movers.search import MODEL_ERROR
+from sal_height.movers.likelihood import MODEL_ERROR, ratio_in_dwells, ratio_over_rows
 from sal_height.movers.walk import DEPTHS, FINE_STEP, LEAST_PART, NEIGHBOURS
 from sal_height.numeric import C128, F64, Index
 
@@ -76,7 +75,7 @@ def _standing(paths: DwellPaths, sight: Sight, dwell: int, row: float, shares: F
     squints = paths.ambiguous(sight)
     matched, gains = paths.matched_each(sight, squints, dwell, row)
     path = paths.path(sight, row, np.zeros(1))
-    told = paths.told(matched, shares * gains, path, squints)
+    told = paths.ratios(matched, shares * gains, path, squints)
     return max(float(told.max()), glinting(paths, sight, path, squints, shares))
 
 
@@ -92,9 +91,8 @@ def glinting(paths: DwellPaths, sight: Sight, path: tuple[F64, F64], still: Inde
     seen = np.abs(np.sum(amplitudes.conj() * along[:, None], axis=-1)) ** 2 / (squares + floor)
     best = seen.argmax(axis=-1)[..., None]
     matched, gains = (np.take_along_axis(one, best, -1)[..., 0] for one in (seen, squares + floor))
-    return float(
-        told(np.sqrt(matched / sight.backgrounds), shares * path[1][0] * np.sqrt(gains / sight.backgrounds)).max()
-    )
+    amplitudes, gains = np.sqrt(matched / sight.backgrounds), np.sqrt(gains / sight.backgrounds)
+    return float(ratio_in_dwells(amplitudes, shares * path[1][0] * gains).max())
 
 
 def several(
@@ -120,7 +118,7 @@ def _greedy(paths: DwellPaths, sight: Sight, standing: C128, gains: F64, still: 
         if not energy[one] > 0:
             break
         shown = parts * np.where(norms > LEAST_PART, norms, 0.0)
-        total += float(paths.told(standing, gains, (left[[one]], shown[[one]]), still)[0, 0])
+        total += float(paths.ratios(standing, gains, (left[[one]], shown[[one]]), still)[0, 0])
         best = max(best, total)
         found = np.concatenate([found, left[one][:, None]], axis=1)
     return best
@@ -131,4 +129,4 @@ def deep(sight: Sight, standing: C128, gains: F64, row: float) -> float:
     there = sight.numbers - (sight.still + row)[:, None]
     shares = np.exp(-(there**2) / (2 * np.square(DEPTHS)[:, None, None])) * sight.inside
     shares = shares / np.maximum(shares.sum(axis=-1, keepdims=True), 1e-12)
-    return max(told_of_cloud(np.abs(one), gain, shares) for one, gain in zip(standing, gains, strict=True))
+    return max(ratio_over_rows(np.abs(one), gain, shares) for one, gain in zip(standing, gains, strict=True))

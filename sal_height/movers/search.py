@@ -9,12 +9,9 @@ from functools import cached_property
 import numpy as np
 
 from sal_height.beams import Beams
-from sal_height.movers.likelihood import LagLikelihood
+from sal_height.movers.likelihood import MODEL_ERROR, LagLikelihood
 from sal_height.movers.spectrum import Bins
 from sal_height.numeric import C64, C128, F64, Bool, Index, vertex
-
-MODEL_ERROR = 0.01
-"""Power by which spectra differ from what the beams let expect, over their own."""
 
 ELEVATION_STEP = 0.05
 """Of the search, in beamwidths."""
@@ -148,7 +145,7 @@ class Search:
         steps = np.where(apart, np.rint((elevations - middle) / step), 0)
         for number in np.unique(steps):
             shape = self._shape(middle + number * step) if number else common
-            yield LagLikelihood.held(self._nominal.frequencies, shape, self._known), np.flatnonzero(steps == number)
+            yield LagLikelihood.cached(self._nominal.frequencies, shape, self._known), np.flatnonzero(steps == number)
 
     def likelihood_at(self, elevation: float) -> LagLikelihood:
         """That of targets at an elevation."""

@@ -15,10 +15,9 @@ from sal_height.imaging import ImageSettings, Slc
 from sal_height.movers import DwellMovers, Looked, Mover, MoverSettings, dwell_detection
 from sal_height.movers.dwell_detection import ShownDwell, Track
 from sal_height.movers.dwell_images import COLUMN_STEPS, DwellImage
-from sal_height.movers.dwell_likelihood import told, told_of_cloud
 from sal_height.movers.dwell_lobes import Lobes
 from sal_height.movers.dwell_paths import DwellPaths
-from sal_height.movers.search import MODEL_ERROR
+from sal_height.movers.likelihood import MODEL_ERROR, ratio_in_dwells, ratio_over_rows
 from sal_height.pipeline import Compressor, dwell_with_movers
 from sal_height.simulation.flight import SimulatedFlight, flight_of
 from sal_height.simulation.preset import load_preset
@@ -393,7 +392,7 @@ def test_it_is_the_likelihood_of_a_point_or_of_speckle() -> None:
             point = np.sum(np.log(np.mean(np.exp(least - misfit), axis=0)) - least - np.log(variance) + matched**2)
             speckle = np.sum(-(matched**2) / (1 + power) - np.log(1 + power) + matched**2)
             best = max(best, point, speckle)
-        assert float(told(matched, gains)) == pytest.approx(best, rel=1e-3)
+        assert float(ratio_in_dwells(matched, gains)) == pytest.approx(best, rel=1e-3)
 
 
 def test_it_is_the_likelihood_of_a_cloud_that_is_spread_over_rows() -> None:
@@ -402,7 +401,7 @@ def test_it_is_the_likelihood_of_a_cloud_that_is_spread_over_rows() -> None:
     for decibels in range(-6, 55, 3):
         power = 10 ** (decibels / 10) * gains[:, None] ** 2 * shares
         best = max(best, float(np.sum(matched**2 - matched**2 / (1 + power) - np.log(1 + power))))
-    assert told_of_cloud(matched, gains, shares) == pytest.approx(best)
+    assert ratio_over_rows(matched, gains, shares) == pytest.approx(best)
 
 
 def test_images_that_are_held_have_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,7 +24,7 @@ from sal_height.imaging import Slc
 from sal_height.movers.drive import Drive, Drives, is_in_focus
 from sal_height.movers.ground import ground_lag, spectra_of_image
 from sal_height.movers.likelihood import HYPOTHESES
-from sal_height.movers.mover import Looked, Mover, Sighting, mover_of, peak_of, without_ambiguities
+from sal_height.movers.mover import Looked, Mover, MoverMeasurement, mover_of, peak_of, without_ambiguities
 from sal_height.movers.search import Search, Seen
 from sal_height.movers.settings import MoverSettings
 from sal_height.movers.spectrum import Bins
@@ -207,7 +207,7 @@ class _Looking:
         walk = self.drives.blurred(drive.slowed(walk) if drive else walk)
         lag, sigma = peak_of(seen.told, search.lags)
         own = lag - self.ground[0], math.hypot(sigma, self.ground[1], self._left_in_blocks)
-        sighting = Sighting(row, seen.col, seen.cnr, elevation, own, walk, walks, ratio, along)
+        sighting = MoverMeasurement(row, seen.col, seen.cnr, elevation, own, walk, walks, ratio, along)
         return [mover_of(sighting, self.slc, self.sensor)]
 
     @property

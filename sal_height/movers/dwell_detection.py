@@ -21,8 +21,8 @@ from sal_height.movers.detection import MARGIN, SIDELOBES
 from sal_height.movers.dwell_images import COLUMN_STEPS, DwellImage
 from sal_height.movers.dwell_lobes import FARTHEST
 from sal_height.movers.dwell_paths import DwellPaths
-from sal_height.movers.dwell_search import DwellSearch, Found
-from sal_height.movers.mover import Looked, Mover, Sighting, mover_of, without_ambiguities
+from sal_height.movers.dwell_search import DwellDetection, DwellSearch
+from sal_height.movers.mover import Looked, Mover, MoverMeasurement, mover_of, without_ambiguities
 from sal_height.movers.settings import MoverSettings
 from sal_height.numeric import F64, Index, vertex
 from sal_height.sensor import Sensor
@@ -86,7 +86,7 @@ class ShownDwell:
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
+class MoverTrack:
     """A mover, and where other dwells show it.
 
     Attributes:
@@ -103,7 +103,7 @@ class Track:
     drift: float
     seconds: float
 
-    def covers(self, other: Track, dwells: Sequence[DwellImage]) -> bool:
+    def covers(self, other: MoverTrack, dwells: Sequence[DwellImage]) -> bool:
         """Whether another is less sure, and is this one or in its pixel in one of the dwells."""
         if other.mover.likelihood_ratio >= self.mover.likelihood_ratio:
             return False
@@ -111,7 +111,7 @@ class Track:
             return True
         return any(self._is_beside(other, dwell) for dwell in dwells)
 
-    def _is_beside(self, other: Track, dwell: DwellImage) -> bool:
+    def _is_beside(self, other: MoverTrack, dwell: DwellImage) -> bool:
         """Whether the pixels of two tracks in a dwell are those of one target."""
         (row, col), (other_row, other_col) = self._pixel(dwell), other._pixel(dwell)
         cols, beside = dwell.steps // COLUMN_STEPS, abs(col - other_col)
@@ -125,11 +125,11 @@ class Track:
 
 
 @dataclass(frozen=True, eq=False)
-class _Found:
+class _Searched:
     """What was found in a dwell, and where others show it; None: no other overlaps with it."""
 
     looked: Looked | None
-    tracks: Sequence[Track]
+    tracks: Sequence[MoverTrack]
 
 
 Of = TypeVar("Of")
@@ -149,7 +149,7 @@ class DwellMovers(Generic[Of]):
 
     def _begin(self) -> None:
         self._held: list[ShownDwell] = []
-        self._found: list[_Found] = []
+        self._found: list[_Searched] = []
         self._told = 0
         self._of: deque[Of] = deque()
 
@@ -189,17 +189,17 @@ class DwellMovers(Generic[Of]):
         """How far two of the dwells that are held are apart, in beamwidths."""
         return self._held[one].apart(self._held[other])
 
-    def _search(self, number: int) -> _Found:
+    def _search(self, number: int) -> _Searched:
         """Look for movers that one of the dwells sees best."""
         group = [other for other in range(len(self._held)) if self._apart(number, other) <= OVERLAP]
         thin = -(-len(group) // MOST_DWELLS)
         group = [other for other in group if (other - number) % thin == 0]
         if len(group) < LEAST_DWELLS:
-            return _Found(None, [])
+            return _Searched(None, [])
         shown, images = self._held[number], [self._held[other].image for other in group]
         return find_over_dwells(images, group.index(number), shown, self._settings)
 
-    def _is_covered(self, track: Track, number: int) -> bool:
+    def _is_covered(self, track: MoverTrack, number: int) -> bool:
         """Whether what was found in another dwell covers a track of this one."""
         for other, each in enumerate(self._found):
             between = [held.image for held in self._held[min(other, number) : max(other, number) + 1]]
@@ -217,7 +217,9 @@ class DwellMovers(Generic[Of]):
         return self._of.popleft(), looked
 
 
-def find_over_dwells(dwells: Sequence[DwellImage], middle: int, shown: ShownDwell, settings: MoverSettings) -> _Found:
+def find_over_dwells(
+    dwells: Sequence[DwellImage], middle: int, shown: ShownDwell, settings: MoverSettings
+) -> _Searched:
     """Find what moves and is seen best in one of some dwells.
 
     Args:
@@ -239,10 +241,12 @@ def find_over_dwells(dwells: Sequence[DwellImage], middle: int, shown: ShownDwel
             sighting = _sighting(seen, (step + off) / COLUMN_STEPS, off, paths)
             walk = seen.walk[0] if seen.walks else 0.0
             drift = paths.driving(seen.along[0]).drift
-            tracks.append(Track(mover_of(sighting, slc, sensor), seen.place, walk / paths.depth, drift, dwell.seconds))
+            tracks.append(
+                MoverTrack(mover_of(sighting, slc, sensor), seen.place, walk / paths.depth, drift, dwell.seconds)
+            )
     surest = without_ambiguities(one.mover for one in tracks)
     looked = Looked(surest, len(candidates), paths.ground, float(search.speeds[-1]))
-    return _Found(looked, [one for one in tracks if any(one.mover is mover for mover in surest)])
+    return _Searched(looked, [one for one in tracks if any(one.mover is mover for mover in surest)])
 
 
 def _brightest(dwell: DwellImage, row: int, col: int) -> tuple[int, float]:
@@ -253,7 +257,7 @@ def _brightest(dwell: DwellImage, row: int, col: int) -> tuple[int, float]:
     return int(steps[best] % dwell.steps), float(vertex(*power[best - 1 : best + 2])[0])
 
 
-def _sighting(seen: Found, col: float, off: float, paths: DwellPaths) -> Sighting:
+def _sighting(seen: DwellDetection, col: float, off: float, paths: DwellPaths) -> MoverMeasurement:
     """What was seen of a mover in the middle dwell.
 
     Args:
@@ -270,7 +274,7 @@ def _sighting(seen: Found, col: float, off: float, paths: DwellPaths) -> Sightin
     speed = float(np.linalg.norm(aperture.velocity))
     walk = seen.walk[0] + lag * speed, float(np.hypot(seen.walk[1], sigma * speed))
     found = seen.row, col, seen.cnr, seen.elevation, (lag, sigma), walk, seen.walks, seen.ratio, seen.along
-    return Sighting(*found, tells_along=seen.tells_along)
+    return MoverMeasurement(*found, tells_along=seen.tells_along)
 
 
 def _bright(dwell: DwellImage, prominence_db: float) -> Index:

@@ -73,7 +73,7 @@ class Pair:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class DwellDetection:
     """The best walk of a target, and how much likelier it is than what stands still.
 
     Attributes:
@@ -137,7 +137,7 @@ class DwellSearch:
         """Number of velocities along the flight that can be told apart."""
         return 1 + 2 * int(np.ceil(self.paths.fastest / self.along_of_column))
 
-    def look(self, row: int, step: int, bright: Mapping[int, Index], rate: float) -> Found | None:
+    def look(self, row: int, step: int, bright: Mapping[int, Index], rate: float) -> DwellDetection | None:
         """What is bright in a row and at a step of the middle dwell.
 
         Args:
@@ -192,7 +192,7 @@ class DwellSearch:
             self._described(self._steered(lags), ratio, walks=False) if ratio >= 2 * np.log(HYPOTHESES / rate) else None
         )
 
-    def _moving(self, steered: Placed, ratio: float, rate: float) -> Found | None:
+    def _moving(self, steered: Placed, ratio: float, rate: float) -> DwellDetection | None:
         """What was found by its walk; if images are so unsure that it may have none, what lags."""
         found = self._described(steered, ratio, walks=True)
         if found is None or found.goes:
@@ -201,7 +201,7 @@ class DwellSearch:
             return None
         return self._lagging(self._steered(replace(steered.course, speed=0.0)), rate)
 
-    def _lagging(self, steered: Placed, rate: float) -> Found | None:
+    def _lagging(self, steered: Placed, rate: float) -> DwellDetection | None:
         """What only lags, against what stands still in images that lie where they show it."""
         course, paths, sight = steered.course, steered.course.paths, steered.course.sight
         still = paths.ambiguous(sight)
@@ -310,7 +310,7 @@ class DwellSearch:
         sight = likeliest.sight(course.sight.place, course.sight.elevation)
         return Placed(Course.of(likeliest, sight, course.row, speeds), sigma, known=True)
 
-    def _described(self, steered: Placed, ratio: float, walks: bool) -> Found | None:
+    def _described(self, steered: Placed, ratio: float, walks: bool) -> DwellDetection | None:
         """A target on a course; None: it is at an end of the array, of another row or of another dwell.
 
         Args:
@@ -345,7 +345,7 @@ class DwellSearch:
         aperture = paths.dwells[paths.middle].aperture
         ahead = float((sight.place - aperture.position) @ aperture.direction) / paths.reach
         walk = walk[0] + ahead * paths.drift, walk[1]
-        return Found(
+        return DwellDetection(
             there,
             squint,
             walk,

@@ -8,8 +8,8 @@ combined by that beam, over noise and clutter of power 1,
 
 Position, height and radial velocity of a mover are in g_n. A dwell shows it under the squint of its position. In a
 strip a Doppler frequency is the time at which the antenna saw a target under one aspect; the radial velocity v_r of a
-mover adds the same to all its frequencies, so that its image shows it under aspects that are v_r / v too small. With the
-lag
+mover adds the same to all its frequencies, so that its image shows it under aspects that are v_r / v too small. With
+the lag
 
     beta = v_r / v
 

@@ -89,7 +89,7 @@ class Looked:
 
 
 @dataclass(frozen=True)
-class Sighting:
+class MoverMeasurement:
     """What was seen of a mover, and in which pixel of an image.
 
     Attributes:
@@ -117,7 +117,7 @@ class Sighting:
     tells_along: bool = True
 
 
-def mover_of(seen: Sighting, slc: Slc, sensor: Sensor) -> Mover:
+def mover_of(seen: MoverMeasurement, slc: Slc, sensor: Sensor) -> Mover:
     """A mover from what was seen of it in an image, and the sensor that took that."""
     point = slc.grid.points(seen.row, seen.col)
     aperture = aperture_at(point, slc.aperture)

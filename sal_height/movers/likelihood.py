@@ -205,7 +205,7 @@ class LagLikelihood:
         return likelihood
 
     def of_rows(self, spectra: C128, lag: int, covariances: F64) -> float:
-        """Logarithm of the likelihood of clouds that are spread over range, its greatest, without the same term.
+        """Logarithm of the likelihood ratio of clouds that are spread over range, equation (1), its greatest.
 
         Args:
             spectra: m of rows about the centre of a target, background 1, shape (bins, rows).
@@ -219,11 +219,7 @@ class LagLikelihood:
         both = powers[cases, :, None, :, None] * np.maximum(fractions, 0.0)[:, None, :]
         amplitudes = (modes[cases] @ spectra)[:, :, None] @ parts
         energy = np.abs(amplitudes) ** 2
-        misfits = []
-        for power in POWERS[::2]:
-            with_background = 1 + power * both
-            misfits.append(np.sum(np.log(with_background) + energy / with_background, axis=(-2, -1)).min())
-        return -float(min(misfits))
+        return max(float(cloud_ratio(energy, power * both, (-2, -1)).max()) for power in POWERS[::2])
 
 
 @lru_cache(maxsize=16)  # for the next images; 10 MB each

@@ -44,8 +44,10 @@ class Course:
         """The same with the amplitudes and gains of the near squints; if walks are many, few of these tell which."""
         near, (moving, gains), speed = paths.lobes.near, matched, float(speeds[0])
         if len(speeds) > 1:
-            walks = paths.path(sight, row, speeds)
-            each = paths.ratios(moving[1::2], gains[1::2], walks, near[1::2], POWERS_IN_DWELLS[::2], points=False)
+            paths_of_speeds = paths.path(sight, row, speeds)
+            each = paths.ratios(
+                moving[1::2], gains[1::2], paths_of_speeds, near[1::2], POWERS_IN_DWELLS[::2], points=False
+            )
             speed = float(speeds[each.max(axis=-1).argmax()])
         path = paths.path(sight, row, np.array([speed]))
         likelihood = float(paths.ratios(moving, gains, path, near, points=False).max())

@@ -19,7 +19,7 @@ from sal_height.movers.dwell_paths import DwellPaths, Sight
 from sal_height.movers.dwell_places import Placed, in_place
 from sal_height.movers.dwell_still import deep, glinting, several, standing_instead
 from sal_height.movers.likelihood import HYPOTHESES, MODEL_ERROR, ratio_in_dwells
-from sal_height.movers.walk import FINE_STEP
+from sal_height.movers.migration import FINE_STEP
 from sal_height.numeric import C128, F64, Index, vertex
 
 FINE_SQUINTS = 5
@@ -46,7 +46,7 @@ SAME_COLUMNS = 1.0
 LEAST_GAIN = 0.1
 """Of the beam over the greatest, as a power, with which a dwell counts in the elevation."""
 
-WALKING = 5.0
+MIGRATING = 5.0
 """Standard deviations of the velocity of the walk, or along the flight, from which what moves is taken to walk."""
 
 KNOWN_PART = 0.9
@@ -69,7 +69,7 @@ class Pair:
     """
 
     along: float
-    walk: float
+    migration: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,10 +92,10 @@ class DwellDetection:
 
     row: float
     squint: tuple[float, float]
-    walk: tuple[float, float]
+    migration: tuple[float, float]
     along: tuple[float, float]
-    tells_along: bool
-    walks: bool
+    along_known: bool
+    migrates: bool
     ratio: float
     elevation: tuple[float, float]
     cnr: float
@@ -105,7 +105,7 @@ class DwellDetection:
     @property
     def goes(self) -> bool:
         """Whether its walk or its velocity along the flight is beyond what they may be off."""
-        return max(abs(value) / sigma for value, sigma in (self.walk, self.along)) > WALKING
+        return max(abs(value) / sigma for value, sigma in (self.migration, self.along)) > MIGRATING
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,10 +164,10 @@ class DwellSearch:
         ground = max(
             float(paths.ratios(standing, ground_gains, at_rest, still).max()), glinting(paths, sight, at_rest, still)
         )
-        walking = Course.matched_by(paths, sight, matched, fine, self.speeds)
+        migrating = Course.matched_by(paths, sight, matched, fine, self.speeds)
         # What drives along the flight, against one that stands still at each place where it would be.
         driving = self._driving(place, fine, bright)
-        if driving and driving.likelihood > walking.likelihood:
+        if driving and driving.likelihood > migrating.likelihood:
             steered = self._steered(driving)
             needed = 2 * (np.log(HYPOTHESES * len(self.speeds) * self.drifts / rate) + steered.tried)
             if (ratio := self._ratio_of_driving(steered.course, place, lagging)) >= needed:
@@ -176,25 +176,27 @@ class DwellSearch:
                 return None  # it may be one or the other
         # The best of the walks, against all that does not walk.
         needed = 2 * np.log(HYPOTHESES * len(self.speeds) / rate)
-        ratio = 2 * (walking.likelihood - max(lagging, ground))
+        ratio = 2 * (migrating.likelihood - max(lagging, ground))
         if ratio > needed:
-            rows = several(paths, sight, standing, ground_gains, still, fine, walking.speed)
+            rows = several(paths, sight, standing, ground_gains, still, fine, migrating.speed)
             cloud = deep(sight, standing, ground_gains, fine)
-            ratio = 2 * (walking.likelihood - max(lagging, ground, rows, cloud))
+            ratio = 2 * (migrating.likelihood - max(lagging, ground, rows, cloud))
         if ratio >= needed:
-            return self._moving(self._steered(walking), ratio, rate)
+            return self._moving(self._steered(migrating), ratio, rate)
         # What only lags.
         lags = Course.matched_by(paths, sight, matched, fine, np.zeros(1))
         if paths.unsure:
             return self._lagging(self._steered(lags), rate)
         ratio = 2 * (lags.likelihood - ground)
         return (
-            self._described(self._steered(lags), ratio, walks=False) if ratio >= 2 * np.log(HYPOTHESES / rate) else None
+            self._described(self._steered(lags), ratio, migrates=False)
+            if ratio >= 2 * np.log(HYPOTHESES / rate)
+            else None
         )
 
     def _moving(self, steered: Placed, ratio: float, rate: float) -> DwellDetection | None:
         """What was found by its walk; if images are so unsure that it may have none, what lags."""
-        found = self._described(steered, ratio, walks=True)
+        found = self._described(steered, ratio, migrates=True)
         if found is None or found.goes:
             return found
         if not self.paths.unsure:
@@ -211,7 +213,7 @@ class DwellSearch:
         # Places count twice, as what fades by chance has bright ground beside it.
         if ratio < 2 * (np.log(HYPOTHESES / rate) + 2 * steered.tried):
             return None
-        return self._described(steered, ratio, walks=False)
+        return self._described(steered, ratio, migrates=False)
 
     def _ratio_of_driving(self, driving: Course, place: tuple[F64, int], lagging: float) -> float:
         """Twice the logarithm of the likelihood ratio of what drives along the flight against what stands still.
@@ -241,11 +243,11 @@ class DwellSearch:
         courses = []
         for pair in self._pairs(place[0], bright):
             driving = self.paths.driving(pair.along)
-            courses.append(Course.of(driving, driving.sight(*place), row, pair.walk + self._beside))
+            courses.append(Course.of(driving, driving.sight(*place), row, pair.migration + self._velocities_nearby))
         return max(courses, key=lambda one: one.likelihood, default=None)
 
     @cached_property
-    def _beside(self) -> F64:
+    def _velocities_nearby(self) -> F64:
         """Walks beside the one of a pair that are looked for, over that, m/s."""
         return WALK_STEP * self.paths.speed_of_row * np.arange(-BESIDE_WALK, BESIDE_WALK + 1, dtype=np.float64)
 
@@ -257,11 +259,11 @@ class DwellSearch:
             still, there = dwell.shows(place)
             half = dwell.steps // 2
             columns = ((COLUMN_STEPS * pixels[:, 1] - there + half) % dwell.steps - half) / COLUMN_STEPS
-            walks = (pixels[:, 0] - still) * paths.depth / seconds
-            for column, walk in zip(columns.tolist(), walks.tolist(), strict=True):
+            migrates = (pixels[:, 0] - still) * paths.depth / seconds
+            for column, migration in zip(columns.tolist(), migrates.tolist(), strict=True):
                 along = paths.along_of(column * dwell.grid.col_spacing / seconds)
-                if abs(column) > SAME_COLUMNS and abs(walk) <= paths.fastest and abs(along) <= paths.fastest:
-                    pairs.append(Pair(along, walk))
+                if abs(column) > SAME_COLUMNS and abs(migration) <= paths.fastest and abs(along) <= paths.fastest:
+                    pairs.append(Pair(along, migration))
         return pairs
 
     def _belongs_elsewhere(self, course: Course) -> bool:
@@ -310,7 +312,7 @@ class DwellSearch:
         sight = likeliest.sight(course.sight.place, course.sight.elevation)
         return Placed(Course.of(likeliest, sight, course.row, speeds), sigma, known=True)
 
-    def _described(self, steered: Placed, ratio: float, walks: bool) -> DwellDetection | None:
+    def _described(self, steered: Placed, ratio: float, migrates: bool) -> DwellDetection | None:
         """A target on a course; None: it is at an end of the array, of another row or of another dwell.
 
         Args:
@@ -321,8 +323,8 @@ class DwellSearch:
         course, unsure = steered.course, steered.sigma
         if self._belongs_elsewhere(course):
             return None
-        row, walk, best = self._refined(course)
-        course = replace(course, row=row, speed=walk[0])
+        row, migration, best = self._refined(course)
+        course = replace(course, row=row, speed=migration[0])
         squint = self._squint(course, best)
         if squint is None:
             return None
@@ -344,14 +346,14 @@ class DwellSearch:
         # The rows of what stands still at the places of the image are not all its own.
         aperture = paths.dwells[paths.middle].aperture
         ahead = float((sight.place - aperture.position) @ aperture.direction) / paths.reach
-        walk = walk[0] + ahead * paths.drift, walk[1]
+        migration = migration[0] + ahead * paths.drift, migration[1]
         return DwellDetection(
             there,
             squint,
-            walk,
+            migration,
             (paths.along, unsure),
             steered.known,
-            walks,
+            migrates,
             ratio,
             elevation,
             power,
@@ -407,8 +409,8 @@ class DwellSearch:
         offset, bend = vertex(*profile[best - 1 : best + 2])
         place = int(each[:, best].max(axis=-1).argmax())
         sigma = float(np.hypot(step / np.sqrt(bend), WALK_ERROR * paths.speed_of_row))
-        walk = float(speeds[best] + step * offset), sigma
-        return float(rows[place]), walk, int(each[place, best].argmax())
+        migration = float(speeds[best] + step * offset), sigma
+        return float(rows[place]), migration, int(each[place, best].argmax())
 
     def _elevation(self, course: Course, squint: float) -> tuple[float, float] | None:
         """The most likely elevation of a target under a squint in the middle dwell, and its standard deviation.

@@ -8,7 +8,7 @@ import numpy as np
 
 from sal_height.movers.dwell_paths import DwellPaths, Sight
 from sal_height.movers.likelihood import MODEL_ERROR, ratio_in_dwells, ratio_over_rows
-from sal_height.movers.walk import DEPTHS, FINE_STEP, LEAST_PART, NEIGHBOURS
+from sal_height.movers.migration import DEPTHS, FINE_STEP, LEAST_PART, NEIGHBOURS
 from sal_height.numeric import C128, F64, Index
 
 APART = 0.75
@@ -31,16 +31,16 @@ def standing_instead(
         speed: of the walk, m/s.
     """
     column = paths.dwells[paths.middle].grid.col_spacing
-    places, taken, told = driving.places(bright[0]), list[int](), list[float]()
+    places, taken, likelihoods = driving.places(bright[0]), list[int](), list[float]()
     for dwell in np.argsort(np.abs(paths.seconds), kind="stable").tolist():
         apart = np.abs(driving.drifts - driving.drifts[dwell]) / column
         sight = paths.sight(places[dwell], bright[1])
         if np.all(apart[taken] >= APART) and np.isfinite(sight.backgrounds[dwell]):
             sight, shares = _cleared(paths, sight, places, np.where(apart >= APART, apart, np.inf))
             there = row + speed * float(paths.seconds[dwell]) / paths.depth
-            told.append(_standing(paths, sight, dwell, there, shares))
+            likelihoods.append(_standing(paths, sight, dwell, there, shares))
             taken.append(dwell)
-    return told
+    return likelihoods
 
 
 def _cleared(paths: DwellPaths, sight: Sight, places: F64, apart: F64) -> tuple[Sight, F64]:
@@ -52,13 +52,13 @@ def _cleared(paths: DwellPaths, sight: Sight, places: F64, apart: F64) -> tuple[
     near = np.isfinite(apart)
     shared = np.where(near, paths.response_along(np.where(near, apart, 0.0)), 0.0)
     shares = np.sqrt(1 - shared**2)
-    beside = np.array(
+    adjacent = np.array(
         [
             one.column(rows, one.shows(place)[1])[0]
             for one, rows, place in zip(paths.dwells, sight.numbers, places, strict=True)
         ]
     )
-    spectra = (sight.spectra - shared[:, None, None] * beside) / shares[:, None, None]
+    spectra = (sight.spectra - shared[:, None, None] * adjacent) / shares[:, None, None]
     return replace(sight, spectra=spectra.astype(np.complex64)), shares
 
 
@@ -75,8 +75,8 @@ def _standing(paths: DwellPaths, sight: Sight, dwell: int, row: float, shares: F
     squints = paths.ambiguous(sight)
     matched, gains = paths.matched_each(sight, squints, dwell, row)
     path = paths.path(sight, row, np.zeros(1))
-    told = paths.ratios(matched, shares * gains, path, squints)
-    return max(float(told.max()), glinting(paths, sight, path, squints, shares))
+    likelihoods = paths.ratios(matched, shares * gains, path, squints)
+    return max(float(likelihoods.max()), glinting(paths, sight, path, squints, shares))
 
 
 def glinting(paths: DwellPaths, sight: Sight, path: tuple[F64, F64], still: Index, shares: F64 | float = 1.0) -> float:
@@ -99,8 +99,8 @@ def several(
     paths: DwellPaths, sight: Sight, standing: C128, gains: F64, still: Index, row: float, speed: float
 ) -> float:
     """Logarithm of the likelihood of targets that stand still in different rows of the walk."""
-    beside = abs(speed) * float(np.abs(paths.seconds).max()) / abs(paths.depth) + 1.0
-    places: F64 = row + np.arange(-beside, beside + FINE_STEP / 2, 2 * FINE_STEP, dtype=np.float64)
+    adjacent = abs(speed) * float(np.abs(paths.seconds).max()) / abs(paths.depth) + 1.0
+    places: F64 = row + np.arange(-adjacent, adjacent + FINE_STEP / 2, 2 * FINE_STEP, dtype=np.float64)
     return max(_greedy(paths, sight, standing[[one]], gains[[one]], still[[one]], places) for one in range(len(still)))
 
 

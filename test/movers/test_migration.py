@@ -10,7 +10,7 @@ from test_detection import NORTH, mover, strip
 
 from sal_height.movers import Looked, Mover, MoverSettings
 from sal_height.movers.likelihood import LagLikelihood
-from sal_height.movers.walk import about_ranges
+from sal_height.movers.migration import about_ranges
 from sal_height.pipeline import movers
 from sal_height.simulation.scene import PointScatterer
 

@@ -1,7 +1,7 @@
 """What moves in the images of a strip, or of dwells that follow each other.
 
-In a strip read `detection`, then `likelihood`, `spectrum` and `walk`. For dwells read `dwell_detection`, then
-`dwell_search`, `dwell_likelihood` and `dwell_images`.
+Read `likelihood` first, which both searches share. For strips read `detection`, then `search`, `spectrum` and `walk`;
+for dwells read `dwell_detection`, then `dwell_search`, `dwell_paths` and `dwell_images`.
 """
 
 from sal_height.movers.detection import check_sensor, find_movers

@@ -23,16 +23,14 @@ from sal_height.errors import Rejected, UserError
 from sal_height.imaging import Slc
 from sal_height.movers.drive import Drive, Drives, is_in_focus
 from sal_height.movers.ground import ground_lag, spectra_of_image
-from sal_height.movers.mover import Looked, Mover, Sighting, mover_of, peak_of, without_ambiguities
+from sal_height.movers.likelihood import HYPOTHESES
+from sal_height.movers.migration import Migration, Migrations, about_ranges
+from sal_height.movers.mover import Looked, Mover, MoverMeasurement, mover_of, peak_of, without_ambiguities
 from sal_height.movers.search import Search, Seen
 from sal_height.movers.settings import MoverSettings
 from sal_height.movers.spectrum import Bins
-from sal_height.movers.walk import Walked, Walks, about_ranges
 from sal_height.numeric import C64, C128, F64, Bool, Index
 from sal_height.sensor import Sensor
-
-HYPOTHESES = 10.0
-"""Lags that can be told apart."""
 
 LEAST_COLUMNS = 16
 """Of an image, along the flight."""
@@ -48,7 +46,7 @@ BETWEEN_LAGS = 8.0
 
 A target whose lag has the standard deviation of 0.015 beamwidths, the least that MODEL_ERROR leaves, loses 7."""
 
-WALKING = 5.0
+MIGRATING = 5.0
 """Standard deviations of the walk's velocity from which what moves is taken to walk."""
 
 WALK_ROWS = 2.0
@@ -102,15 +100,15 @@ def find_movers(images: C64 | C128, beams: Beams, slc: Slc, sensor: Sensor, sett
     search, coarse = Search(images, beams, bins), Search(images, beams, bins, COARSE_STEP)
     whole = Bins.of(slc, sensor, images.shape[-1])
     ground = ground_lag(slc, sensor, search.lags, lambda: spectra_of_image(images, beams, whole, search.lags))
-    walks = Walks.of(coarse, slc, sensor, settings.fastest_mps, ground[0])
-    of_rows = Walks.of(Search(images, beams, whole, COARSE_STEP), slc, sensor, settings.fastest_mps, ground[0])
+    migrations = Migrations.of(coarse, slc, sensor, settings.fastest_mps, ground[0])
+    of_rows = Migrations.of(Search(images, beams, whole, COARSE_STEP), slc, sensor, settings.fastest_mps, ground[0])
     drives = Drives.of(of_rows.search, slc, sensor)
-    looking = _Looking(search, walks, of_rows, drives, ground, slc, sensor)
-    walking, looked_at = looking.for_walks(settings)
+    looking = _Looking(search, migrations, of_rows, drives, ground, slc, sensor)
+    migrating, looked_at = looking.for_migration(settings)
     lagging, candidates = looking.for_lags(settings)
-    apart = [one for one in lagging if not any(_in_image_of(one, other, walks) for other in walking)]
-    fastest = min(settings.fastest_mps, float(walks.speeds[-1]))
-    return Looked(without_ambiguities([*walking, *apart]), looked_at + candidates, ground, fastest)
+    apart = [one for one in lagging if not any(_in_image_of(one, other, migrations) for other in migrating)]
+    fastest = min(settings.fastest_mps, float(migrations.speeds[-1]))
+    return Looked(without_ambiguities([*migrating, *apart]), looked_at + candidates, ground, fastest)
 
 
 def _bright(power: F64, prominence_db: float) -> Bool:
@@ -130,8 +128,8 @@ class _Looking:
     """The search in an image; `of_rows` has walks through it as spectra of whole rows, from which `drives` tells."""
 
     search: Search
-    walks: Walks
-    of_rows: Walks
+    migrations: Migrations
+    of_rows: Migrations
     drives: Drives
     ground: tuple[float, float]
     slc: Slc
@@ -144,60 +142,61 @@ class _Looking:
         found = []
         for seen in self.search.at(self._screened(candidates, threshold)):
             ratio = self._ratio(seen)
-            if ratio < threshold or not self._is_inside(seen.told):
+            if ratio < threshold or not self._is_inside(seen.likelihoods):
                 continue
             row, col = round(seen.row), round(seen.col)
-            walked = self.walks.look(row, col, len(self.walks.speeds) // 2)
-            if walked is None:
+            migration = self.migrations.look(row, col, len(self.migrations.speeds) // 2)
+            if migration is None:
                 continue
-            if abs(walked.speed) < WALKING * walked.sigma:
-                found += self._mover(seen, ratio, walked)
+            if abs(migration.speed) < MIGRATING * migration.sigma:
+                found += self._mover(seen, ratio, migration)
                 continue
             # One row has it in a part of the bins, and so another lag.
-            for along in self.search.of(walked.spectra[None], np.array([row]), np.array([col])):
-                if (ratio := self._ratio(along)) > threshold and self._is_inside(along.told):
-                    found += self._mover(along, ratio, walked, walks=True)
+            for along in self.search.of(migration.spectra[None], np.array([row]), np.array([col])):
+                if (ratio := self._ratio(along)) > threshold and self._is_inside(along.likelihoods):
+                    found += self._mover(along, ratio, migration, migrates=True)
         return found, len(candidates)
 
     def _screened(self, pixels: Index, threshold: float) -> Index:
         """The pixels whose ratio may exceed the threshold, by a few lags."""
-        coarse = self.walks.search
+        coarse = self.migrations.search
         maybe = [
             seen.pixel
             for seen in coarse.at(pixels)
-            if 2 * (seen.told.max() - _at(self.ground[0], coarse.lags, seen.told)) > threshold - BETWEEN_LAGS
+            if 2 * (seen.likelihoods.max() - _at(self.ground[0], coarse.lags, seen.likelihoods))
+            > threshold - BETWEEN_LAGS
         ]
         return np.array(maybe, np.intp).reshape(-1, 2)
 
     def _ratio(self, seen: Seen) -> float:
         """Twice the logarithm of the likelihood ratio of the best lag against that of the ground."""
-        return float(2 * (seen.told.max() - _at(self.ground[0], self.search.lags, seen.told)))
+        return float(2 * (seen.likelihoods.max() - _at(self.ground[0], self.search.lags, seen.likelihoods)))
 
-    def for_walks(self, settings: MoverSettings) -> tuple[list[Mover], int]:
+    def for_migration(self, settings: MoverSettings) -> tuple[list[Mover], int]:
         """What walks through rows while the beam passes it, and the number of pixels that were looked at."""
         if settings.fastest_mps == 0:
             return [], 0
-        powers = np.array(list(self.walks.powers()))
+        powers = np.array(list(self.migrations.powers()))
         candidates = np.argwhere(_bright(powers.max(axis=0), settings.prominence_db))
         threshold = 2 * np.log(HYPOTHESES * len(powers) / settings.false_alarm_rate)
         found = []
         for row, col in candidates.tolist():
-            walked = self.walks.look(row, col, int(powers[:, row, col].argmax()), threshold)
-            if walked is None or abs(walked.speed) < WALKING * walked.sigma:
+            migration = self.migrations.look(row, col, int(powers[:, row, col].argmax()), threshold)
+            if migration is None or abs(migration.speed) < MIGRATING * migration.sigma:
                 continue
-            for seen in self.search.of(walked.spectra[None], np.array([row]), np.array([col])):
-                if self._is_inside(seen.told):
-                    found += self._mover(seen, walked.likelihood_ratio, walked, walks=True)
+            for seen in self.search.of(migration.spectra[None], np.array([row]), np.array([col])):
+                if self._is_inside(seen.likelihoods):
+                    found += self._mover(seen, migration.likelihood_ratio, migration, migrates=True)
         return found, len(candidates)
 
-    def _mover(self, seen: Seen, ratio: float, walked: Walked, walks: bool = False) -> list[Mover]:
+    def _mover(self, seen: Seen, ratio: float, migration: Migration, migrates: bool = False) -> list[Mover]:
         """What was seen, as a mover; none: it is at an end of the array, or out of focus."""
-        elevation = self.search.elevation(seen.spectra, float(self.search.lags[seen.told.argmax()]))
+        elevation = self.search.elevation(seen.spectra, float(self.search.lags[seen.likelihoods.argmax()]))
         if elevation is None:
             return []
-        row, walk = walked.row if walks else seen.row, (walked.speed, walked.sigma)
+        row, velocity = migration.row if migrates else seen.row, (migration.speed, migration.sigma)
         search, along = self.search, None
-        drive = self.drives.look(self.of_rows.spectra(row, walked.speed if walks else 0.0), elevation[0])
+        drive = self.drives.look(self.of_rows.spectra(row, migration.speed if migrates else 0.0), elevation[0])
         if drive:
             # A Doppler frequency is that of a greater aspect, and of a time that is later, than of what stands still.
             search = replace(search, bins=search.bins.slowed(drive.share))
@@ -207,10 +206,10 @@ class _Looking:
             (seen, elevation), along = focused, drive.along
         if not is_in_focus(search, seen.spectra, elevation[0]):
             return []
-        walk = self.drives.blurred(drive.slowed(walk) if drive else walk)
-        lag, sigma = peak_of(seen.told, search.lags)
+        velocity = self.drives.blurred(drive.slowed(velocity) if drive else velocity)
+        lag, sigma = peak_of(seen.likelihoods, search.lags)
         own = lag - self.ground[0], math.hypot(sigma, self.ground[1], self._left_in_blocks)
-        sighting = Sighting(row, seen.col, seen.cnr, elevation, own, walk, walks, ratio, along)
+        sighting = MoverMeasurement(row, seen.col, seen.cnr, elevation, own, velocity, migrates, ratio, along)
         return [mover_of(sighting, self.slc, self.sensor)]
 
     @property
@@ -223,25 +222,25 @@ class _Looking:
         cols = np.array([drive.col])
         chip = drive.row[:, search.first(cols)[0] + np.arange(search.bins.pixels)]
         for one in search.of(search.bins.spectra(chip).T[None], np.array([seen.pixel[0]]), cols):
-            elevation = search.elevation(one.spectra, float(search.lags[one.told.argmax()]))
-            if elevation and self._is_inside(one.told):
+            elevation = search.elevation(one.spectra, float(search.lags[one.likelihoods.argmax()]))
+            if elevation and self._is_inside(one.likelihoods):
                 return one, elevation
         return None
 
-    def _is_inside(self, told: F64) -> bool:
+    def _is_inside(self, likelihoods: F64) -> bool:
         """Whether the best lag is none of the outermost."""
-        return bool(0 < told.argmax() < len(told) - 1)
+        return bool(0 < likelihoods.argmax() < len(likelihoods) - 1)
 
 
-def _at(lag: float, lags: F64, told: F64) -> float:
+def _at(lag: float, lags: F64, likelihoods: F64) -> float:
     """Logarithm of the likelihood of a lag between those that were looked for, by the parabola through three."""
     best = int(np.clip(np.rint((lag - lags[0]) / (lags[1] - lags[0])), 1, len(lags) - 2))
-    before, there, after = told[best - 1 : best + 2].tolist()
+    before, there, after = likelihoods[best - 1 : best + 2].tolist()
     off = float(np.clip((lag - lags[best]) / (lags[1] - lags[0]), -1, 1))
     return float(there + off * (after - before) / 2 + off**2 * (after + before - 2 * there) / 2)
 
 
-def _in_image_of(one: Mover, other: Mover, walks: Walks) -> bool:
+def _in_image_of(one: Mover, other: Mover, migrations: Migrations) -> bool:
     """Whether what was seen without its walk may be part of the image of what walks."""
-    rows = abs(other.walk_velocity) / walks.speed_of_row / 2 + WALK_ROWS
+    rows = abs(other.walk_velocity) / migrations.speed_of_row / 2 + WALK_ROWS
     return abs(one.row - other.row) <= rows and abs(one.col - other.col) <= 2 * MARGIN

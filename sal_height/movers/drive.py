@@ -76,10 +76,10 @@ class Drive:
         """1 - u / v: speed with which the target passes the beam, over that of the platform."""
         return 1 - self.along[0] / self.speed if self.along else 1.0
 
-    def slowed(self, walk: tuple[float, float]) -> tuple[float, float]:
+    def slowed(self, velocity: tuple[float, float]) -> tuple[float, float]:
         """The walk and its standard deviation, m/s, that look so where Doppler frequencies change with the platform."""
         unsure = 2 * self.share * self.along[1] / self.speed if self.along else self.smear
-        return self.share**2 * walk[0], float(np.hypot(self.share**2 * walk[1], unsure * walk[0]))
+        return self.share**2 * velocity[0], float(np.hypot(self.share**2 * velocity[1], unsure * velocity[0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,9 +109,9 @@ class Drives:
         place = slc.placement.beams_error * slant_range / speed
         return cls(search, cells, speed, SMEAR_OF_BLOCKS * place / (search.bins.cell * grid.col_spacing))
 
-    def blurred(self, walk: tuple[float, float]) -> tuple[float, float]:
+    def blurred(self, velocity: tuple[float, float]) -> tuple[float, float]:
         """A walk and its standard deviation, m/s, with what an image out of focus does to the rate of its Doppler."""
-        return walk[0], float(np.hypot(walk[1], self.blur / self.cells * walk[0]))
+        return velocity[0], float(np.hypot(velocity[1], self.blur / self.cells * velocity[0]))
 
     def look(self, spectra: C128, elevation: float) -> Drive | None:
         """How a target drives; None: not at all, as far as its image tells.
@@ -139,10 +139,10 @@ class Drives:
         if rate <= 0:
             return None
         along, per_cell = self.speed * (1 - rate**-0.5), self.speed * rate**-1.5 / (2 * self.cells)
-        told = None if self.blur else (along, per_cell * SMEAR_ERROR)
+        published = None if self.blur else (along, per_cell * SMEAR_ERROR)
         col = bins.pixels // 2 + round(place * bins.cell)
         in_focus = spectra.T * np.exp(-1j * np.pi * smear * bins.frequencies**2)
-        return Drive(told, smear / self.cells, self.speed, col, bins.image(in_focus))
+        return Drive(published, smear / self.cells, self.speed, col, bins.image(in_focus))
 
 
 def is_in_focus(search: Search, spectra: C128, elevation: float) -> bool:

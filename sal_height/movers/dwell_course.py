@@ -7,8 +7,8 @@ from typing import Self
 
 import numpy as np
 
-from sal_height.movers.dwell_likelihood import POWERS
 from sal_height.movers.dwell_paths import DwellPaths, Sight
+from sal_height.movers.likelihood import POWERS_IN_DWELLS
 from sal_height.numeric import C128, F64
 
 
@@ -44,11 +44,13 @@ class Course:
         """The same with the amplitudes and gains of the near squints; if walks are many, few of these tell which."""
         near, (moving, gains), speed = paths.lobes.near, matched, float(speeds[0])
         if len(speeds) > 1:
-            walks = paths.path(sight, row, speeds)
-            each = paths.told(moving[1::2], gains[1::2], walks, near[1::2], POWERS[::2], points=False)
+            paths_of_speeds = paths.path(sight, row, speeds)
+            each = paths.ratios(
+                moving[1::2], gains[1::2], paths_of_speeds, near[1::2], POWERS_IN_DWELLS[::2], points=False
+            )
             speed = float(speeds[each.max(axis=-1).argmax()])
         path = paths.path(sight, row, np.array([speed]))
-        likelihood = float(paths.told(moving, gains, path, near, points=False).max())
+        likelihood = float(paths.ratios(moving, gains, path, near, points=False).max())
         return cls(paths, sight, moving, gains, row, speed, likelihood)
 
     @property
@@ -63,7 +65,7 @@ class Course:
         weights, parts = self.path
         others = np.arange(len(self.paths.seconds)) != self.paths.middle
         path = weights * others[:, None], parts * others
-        return float(self.paths.told(self.moving, self.gains, path, self.paths.lobes.near, points=False).max())
+        return float(self.paths.ratios(self.moving, self.gains, path, self.paths.lobes.near, points=False).max())
 
     @property
     def path(self) -> tuple[F64, F64]:

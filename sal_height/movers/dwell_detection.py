@@ -21,8 +21,8 @@ from sal_height.movers.detection import MARGIN, SIDELOBES
 from sal_height.movers.dwell_images import COLUMN_STEPS, DwellImage
 from sal_height.movers.dwell_lobes import FARTHEST
 from sal_height.movers.dwell_paths import DwellPaths
-from sal_height.movers.dwell_search import DwellSearch, Found
-from sal_height.movers.mover import Looked, Mover, Sighting, mover_of, without_ambiguities
+from sal_height.movers.dwell_search import DwellDetection, DwellSearch
+from sal_height.movers.mover import Looked, Mover, MoverMeasurement, mover_of, without_ambiguities
 from sal_height.movers.settings import MoverSettings
 from sal_height.numeric import F64, Index, vertex
 from sal_height.sensor import Sensor
@@ -86,7 +86,7 @@ class ShownDwell:
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
+class MoverTrack:
     """A mover, and where other dwells show it.
 
     Attributes:
@@ -103,19 +103,19 @@ class Track:
     drift: float
     seconds: float
 
-    def covers(self, other: Track, dwells: Sequence[DwellImage]) -> bool:
+    def covers(self, other: MoverTrack, dwells: Sequence[DwellImage]) -> bool:
         """Whether another is less sure, and is this one or in its pixel in one of the dwells."""
         if other.mover.likelihood_ratio >= self.mover.likelihood_ratio:
             return False
         if len(without_ambiguities([self.mover, other.mover])) == 1:
             return True
-        return any(self._is_beside(other, dwell) for dwell in dwells)
+        return any(self._shares_pixel(other, dwell) for dwell in dwells)
 
-    def _is_beside(self, other: Track, dwell: DwellImage) -> bool:
+    def _shares_pixel(self, other: MoverTrack, dwell: DwellImage) -> bool:
         """Whether the pixels of two tracks in a dwell are those of one target."""
         (row, col), (other_row, other_col) = self._pixel(dwell), other._pixel(dwell)
-        cols, beside = dwell.steps // COLUMN_STEPS, abs(col - other_col)
-        return abs(row - other_row) <= SAME_ROWS and min(beside, cols - beside) <= MARGIN
+        cols, adjacent = dwell.steps // COLUMN_STEPS, abs(col - other_col)
+        return abs(row - other_row) <= SAME_ROWS and min(adjacent, cols - adjacent) <= MARGIN
 
     def _pixel(self, dwell: DwellImage) -> tuple[float, float]:
         """Row and column at which a dwell shows it."""
@@ -125,11 +125,11 @@ class Track:
 
 
 @dataclass(frozen=True, eq=False)
-class _Found:
+class _Searched:
     """What was found in a dwell, and where others show it; None: no other overlaps with it."""
 
     looked: Looked | None
-    tracks: Sequence[Track]
+    tracks: Sequence[MoverTrack]
 
 
 Of = TypeVar("Of")
@@ -148,13 +148,13 @@ class DwellMovers(Generic[Of]):
         self._begin()
 
     def _begin(self) -> None:
-        self._held: list[ShownDwell] = []
-        self._found: list[_Found] = []
-        self._told = 0
+        self._dwells: list[ShownDwell] = []
+        self._found: list[_Searched] = []
+        self._published = 0
         self._of: deque[Of] = deque()
 
     @property
-    def untold(self) -> int:
+    def unpublished(self) -> int:
         """Number of dwells that have not been told yet."""
         return len(self._of)
 
@@ -164,60 +164,62 @@ class DwellMovers(Generic[Of]):
         None: it overlaps with no dwell before or after it, and so tells no movers. Where those that are held have more
         than MOST_BYTES, the next begins anew, as does one of another flight.
         """
-        held = sum(one.image.pixels.nbytes for one in self._held)
-        goes_on = not self._held or (held <= MOST_BYTES and dwell.follows(self._held[-1]))
+        cached = sum(one.image.pixels.nbytes for one in self._dwells)
+        goes_on = not self._dwells or (cached <= MOST_BYTES and dwell.follows(self._dwells[-1]))
         done = [] if goes_on else self.end()
-        self._held.append(dwell)
+        self._dwells.append(dwell)
         self._of.append(of)
-        while self._held[len(self._found)].apart(dwell) > OVERLAP:
+        while self._dwells[len(self._found)].apart(dwell) > OVERLAP:
             self._found.append(self._search(len(self._found)))
-        while self._told < len(self._found) and self._apart(self._told, len(self._found) - 1) > FARTHEST:
-            done.append(self._tell())
-        while self._told and self._apart(0, self._told) > FARTHEST + OVERLAP:
-            del self._held[0], self._found[0]
-            self._told -= 1
+        while self._published < len(self._found) and self._distance(self._published, len(self._found) - 1) > FARTHEST:
+            done.append(self._publish())
+        while self._published and self._distance(0, self._published) > FARTHEST + OVERLAP:
+            del self._dwells[0], self._found[0]
+            self._published -= 1
         return done
 
     def end(self) -> list[tuple[Of, Looked | None]]:
         """No more dwells follow these: what was found in those that are left, in their order."""
-        self._found += [self._search(number) for number in range(len(self._found), len(self._held))]
-        done = [self._tell() for _ in range(self._told, len(self._held))]
+        self._found += [self._search(number) for number in range(len(self._found), len(self._dwells))]
+        done = [self._publish() for _ in range(self._published, len(self._dwells))]
         self._begin()
         return done
 
-    def _apart(self, one: int, other: int) -> float:
+    def _distance(self, one: int, other: int) -> float:
         """How far two of the dwells that are held are apart, in beamwidths."""
-        return self._held[one].apart(self._held[other])
+        return self._dwells[one].apart(self._dwells[other])
 
-    def _search(self, number: int) -> _Found:
+    def _search(self, number: int) -> _Searched:
         """Look for movers that one of the dwells sees best."""
-        group = [other for other in range(len(self._held)) if self._apart(number, other) <= OVERLAP]
+        group = [other for other in range(len(self._dwells)) if self._distance(number, other) <= OVERLAP]
         thin = -(-len(group) // MOST_DWELLS)
         group = [other for other in group if (other - number) % thin == 0]
         if len(group) < LEAST_DWELLS:
-            return _Found(None, [])
-        shown, images = self._held[number], [self._held[other].image for other in group]
+            return _Searched(None, [])
+        shown, images = self._dwells[number], [self._dwells[other].image for other in group]
         return find_over_dwells(images, group.index(number), shown, self._settings)
 
-    def _is_covered(self, track: Track, number: int) -> bool:
+    def _is_covered(self, track: MoverTrack, number: int) -> bool:
         """Whether what was found in another dwell covers a track of this one."""
         for other, each in enumerate(self._found):
-            between = [held.image for held in self._held[min(other, number) : max(other, number) + 1]]
+            between = [cached.image for cached in self._dwells[min(other, number) : max(other, number) + 1]]
             if other != number and any(rival.covers(track, between) for rival in each.tracks):
                 return True
         return False
 
-    def _tell(self) -> tuple[Of, Looked | None]:
+    def _publish(self) -> tuple[Of, Looked | None]:
         """What was found in the next dwell, without what others show better, or have told."""
-        number, found = self._told, self._found[self._told]
+        number, found = self._published, self._found[self._published]
         kept = [one for one in found.tracks if not self._is_covered(one, number)]
         self._found[number] = replace(found, tracks=kept)
-        self._told += 1
+        self._published += 1
         looked = replace(found.looked, movers=tuple(one.mover for one in kept)) if found.looked else None
         return self._of.popleft(), looked
 
 
-def find_over_dwells(dwells: Sequence[DwellImage], middle: int, shown: ShownDwell, settings: MoverSettings) -> _Found:
+def find_over_dwells(
+    dwells: Sequence[DwellImage], middle: int, shown: ShownDwell, settings: MoverSettings
+) -> _Searched:
     """Find what moves and is seen best in one of some dwells.
 
     Args:
@@ -229,20 +231,22 @@ def find_over_dwells(dwells: Sequence[DwellImage], middle: int, shown: ShownDwel
     slc, sensor, dwell = shown.slc, shown.sensor, dwells[middle]
     paths = DwellPaths.of(dwells, middle, shown.beams, slc, sensor, settings.fastest_mps)
     search, candidates = DwellSearch(paths), _bright(dwell, settings.prominence_db)
-    beside = [n for n in (middle - 1, middle + 1) if 0 <= n < len(dwells)]
-    bright = {n: _bright(dwells[n], settings.prominence_db) for n in beside}
+    adjacent = [n for n in (middle - 1, middle + 1) if 0 <= n < len(dwells)]
+    bright = {n: _bright(dwells[n], settings.prominence_db) for n in adjacent}
     tracks = []
     for row, col in candidates.tolist():
         step, off = _brightest(dwell, row, col)
         seen = search.look(row, step, bright, settings.false_alarm_rate)
         if seen:
             sighting = _sighting(seen, (step + off) / COLUMN_STEPS, off, paths)
-            walk = seen.walk[0] if seen.walks else 0.0
+            migration = seen.migration[0] if seen.migrates else 0.0
             drift = paths.driving(seen.along[0]).drift
-            tracks.append(Track(mover_of(sighting, slc, sensor), seen.place, walk / paths.depth, drift, dwell.seconds))
+            tracks.append(
+                MoverTrack(mover_of(sighting, slc, sensor), seen.place, migration / paths.depth, drift, dwell.seconds)
+            )
     surest = without_ambiguities(one.mover for one in tracks)
     looked = Looked(surest, len(candidates), paths.ground, float(search.speeds[-1]))
-    return _Found(looked, [one for one in tracks if any(one.mover is mover for mover in surest)])
+    return _Searched(looked, [one for one in tracks if any(one.mover is mover for mover in surest)])
 
 
 def _brightest(dwell: DwellImage, row: int, col: int) -> tuple[int, float]:
@@ -253,7 +257,7 @@ def _brightest(dwell: DwellImage, row: int, col: int) -> tuple[int, float]:
     return int(steps[best] % dwell.steps), float(vertex(*power[best - 1 : best + 2])[0])
 
 
-def _sighting(seen: Found, col: float, off: float, paths: DwellPaths) -> Sighting:
+def _sighting(seen: DwellDetection, col: float, off: float, paths: DwellPaths) -> MoverMeasurement:
     """What was seen of a mover in the middle dwell.
 
     Args:
@@ -268,9 +272,9 @@ def _sighting(seen: Found, col: float, off: float, paths: DwellPaths) -> Sightin
     sigma = float(np.linalg.norm([seen.squint[1], COLUMN_ERROR * column, paths.ground[1]]))
     # Rows are those of what stands still at the place in the image: its range rate comes on top of the walk.
     speed = float(np.linalg.norm(aperture.velocity))
-    walk = seen.walk[0] + lag * speed, float(np.hypot(seen.walk[1], sigma * speed))
-    found = seen.row, col, seen.cnr, seen.elevation, (lag, sigma), walk, seen.walks, seen.ratio, seen.along
-    return Sighting(*found, tells_along=seen.tells_along)
+    migration = seen.migration[0] + lag * speed, float(np.hypot(seen.migration[1], sigma * speed))
+    found = seen.row, col, seen.cnr, seen.elevation, (lag, sigma), migration, seen.migrates, seen.ratio, seen.along
+    return MoverMeasurement(*found, along_known=seen.along_known)
 
 
 def _bright(dwell: DwellImage, prominence_db: float) -> Index:

@@ -24,12 +24,11 @@ from sal_height.beams import Beams, column_squint
 from sal_height.geometry import locate_at_elevation
 from sal_height.imaging import Slc
 from sal_height.movers.dwell_images import DwellImage
-from sal_height.movers.dwell_likelihood import POWERS, told
 from sal_height.movers.dwell_lobes import Lobes
 from sal_height.movers.ground import ground_lag
+from sal_height.movers.likelihood import MODEL_ERROR, POWERS_IN_DWELLS, ratio_in_dwells
+from sal_height.movers.migration import LEAST_PART, REACH
 from sal_height.movers.response import point_response
-from sal_height.movers.search import MODEL_ERROR
-from sal_height.movers.walk import LEAST_PART, REACH
 from sal_height.numeric import C64, C128, F64, Bool, Index
 from sal_height.sensor import Sensor
 
@@ -318,13 +317,13 @@ class DwellPaths:
         """Amplitudes along walks, shape (walks, squints, dwells)."""
         return np.asarray(np.einsum("wnr,snr->wsn", weights, matched))
 
-    def told(
+    def ratios(
         self,
         matched: C128,
         gains: F64,
         path: tuple[F64, F64],
         squints: Index,
-        powers: F64 = POWERS,
+        powers: F64 = POWERS_IN_DWELLS,
         points: bool = True,
     ) -> F64:
         """Logarithm of the likelihoods of walks and numbered squints, shape (walks, squints).
@@ -335,7 +334,7 @@ class DwellPaths:
         along = np.abs(self.on_path(matched, weights))
         strength = gains * parts[:, None]
         known = self.lobes.known[squints]
-        both = told(along, strength, powers, points)
+        both = ratio_in_dwells(along, strength, powers, points)
         if np.all(known):
             return both
-        return np.maximum(both, told(along, np.where(known, strength, 0.0), powers, points))
+        return np.maximum(both, ratio_in_dwells(along, np.where(known, strength, 0.0), powers, points))

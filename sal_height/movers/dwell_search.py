@@ -15,12 +15,11 @@ from scipy.special import logsumexp
 
 from sal_height.movers.dwell_course import Course
 from sal_height.movers.dwell_images import COLUMN_STEPS
-from sal_height.movers.dwell_likelihood import told
 from sal_height.movers.dwell_paths import DwellPaths, Sight
 from sal_height.movers.dwell_places import Placed, in_place
 from sal_height.movers.dwell_still import deep, glinting, several, standing_instead
-from sal_height.movers.search import MODEL_ERROR
-from sal_height.movers.walk import FINE_STEP
+from sal_height.movers.likelihood import HYPOTHESES, MODEL_ERROR, ratio_in_dwells
+from sal_height.movers.migration import FINE_STEP
 from sal_height.numeric import C128, F64, Index, vertex
 
 FINE_SQUINTS = 5
@@ -47,11 +46,8 @@ SAME_COLUMNS = 1.0
 LEAST_GAIN = 0.1
 """Of the beam over the greatest, as a power, with which a dwell counts in the elevation."""
 
-WALKING = 5.0
+MIGRATING = 5.0
 """Standard deviations of the velocity of the walk, or along the flight, from which what moves is taken to walk."""
-
-HYPOTHESES = 10.0
-"""Squints that can be told apart."""
 
 KNOWN_PART = 0.9
 """Of the likelihood of bright targets, to which their responses are known."""
@@ -73,11 +69,11 @@ class Pair:
     """
 
     along: float
-    walk: float
+    migration: float
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class DwellDetection:
     """The best walk of a target, and how much likelier it is than what stands still.
 
     Attributes:
@@ -96,10 +92,10 @@ class Found:
 
     row: float
     squint: tuple[float, float]
-    walk: tuple[float, float]
+    migration: tuple[float, float]
     along: tuple[float, float]
-    tells_along: bool
-    walks: bool
+    along_known: bool
+    migrates: bool
     ratio: float
     elevation: tuple[float, float]
     cnr: float
@@ -109,7 +105,7 @@ class Found:
     @property
     def goes(self) -> bool:
         """Whether its walk or its velocity along the flight is beyond what they may be off."""
-        return max(abs(value) / sigma for value, sigma in (self.walk, self.along)) > WALKING
+        return max(abs(value) / sigma for value, sigma in (self.migration, self.along)) > MIGRATING
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +137,7 @@ class DwellSearch:
         """Number of velocities along the flight that can be told apart."""
         return 1 + 2 * int(np.ceil(self.paths.fastest / self.along_of_column))
 
-    def look(self, row: int, step: int, bright: Mapping[int, Index], rate: float) -> Found | None:
+    def look(self, row: int, step: int, bright: Mapping[int, Index], rate: float) -> DwellDetection | None:
         """What is bright in a row and at a step of the middle dwell.
 
         Args:
@@ -164,14 +160,14 @@ class DwellSearch:
         fine = self._brightest(sight, matched[0])
         # Without a walk: under any squint, and under that of what stands still.
         at_rest = paths.path(sight, fine, np.zeros(1))
-        lagging = float(paths.told(*matched, at_rest, near).max())
+        lagging = float(paths.ratios(*matched, at_rest, near).max())
         ground = max(
-            float(paths.told(standing, ground_gains, at_rest, still).max()), glinting(paths, sight, at_rest, still)
+            float(paths.ratios(standing, ground_gains, at_rest, still).max()), glinting(paths, sight, at_rest, still)
         )
-        walking = Course.matched_by(paths, sight, matched, fine, self.speeds)
+        migrating = Course.matched_by(paths, sight, matched, fine, self.speeds)
         # What drives along the flight, against one that stands still at each place where it would be.
         driving = self._driving(place, fine, bright)
-        if driving and driving.likelihood > walking.likelihood:
+        if driving and driving.likelihood > migrating.likelihood:
             steered = self._steered(driving)
             needed = 2 * (np.log(HYPOTHESES * len(self.speeds) * self.drifts / rate) + steered.tried)
             if (ratio := self._ratio_of_driving(steered.course, place, lagging)) >= needed:
@@ -180,42 +176,44 @@ class DwellSearch:
                 return None  # it may be one or the other
         # The best of the walks, against all that does not walk.
         needed = 2 * np.log(HYPOTHESES * len(self.speeds) / rate)
-        ratio = 2 * (walking.likelihood - max(lagging, ground))
+        ratio = 2 * (migrating.likelihood - max(lagging, ground))
         if ratio > needed:
-            rows = several(paths, sight, standing, ground_gains, still, fine, walking.speed)
+            rows = several(paths, sight, standing, ground_gains, still, fine, migrating.speed)
             cloud = deep(sight, standing, ground_gains, fine)
-            ratio = 2 * (walking.likelihood - max(lagging, ground, rows, cloud))
+            ratio = 2 * (migrating.likelihood - max(lagging, ground, rows, cloud))
         if ratio >= needed:
-            return self._moving(self._steered(walking), ratio, rate)
+            return self._moving(self._steered(migrating), ratio, rate)
         # What only lags.
         lags = Course.matched_by(paths, sight, matched, fine, np.zeros(1))
         if paths.unsure:
             return self._lagging(self._steered(lags), rate)
         ratio = 2 * (lags.likelihood - ground)
         return (
-            self._described(self._steered(lags), ratio, walks=False) if ratio >= 2 * np.log(HYPOTHESES / rate) else None
+            self._described(self._steered(lags), ratio, migrates=False)
+            if ratio >= 2 * np.log(HYPOTHESES / rate)
+            else None
         )
 
-    def _moving(self, steered: Placed, ratio: float, rate: float) -> Found | None:
+    def _moving(self, steered: Placed, ratio: float, rate: float) -> DwellDetection | None:
         """What was found by its walk; if images are so unsure that it may have none, what lags."""
-        found = self._described(steered, ratio, walks=True)
+        found = self._described(steered, ratio, migrates=True)
         if found is None or found.goes:
             return found
         if not self.paths.unsure:
             return None
         return self._lagging(self._steered(replace(steered.course, speed=0.0)), rate)
 
-    def _lagging(self, steered: Placed, rate: float) -> Found | None:
+    def _lagging(self, steered: Placed, rate: float) -> DwellDetection | None:
         """What only lags, against what stands still in images that lie where they show it."""
         course, paths, sight = steered.course, steered.course.paths, steered.course.sight
         still = paths.ambiguous(sight)
         standing, gains = paths.matched_each(sight, still)
-        ground = float(paths.told(standing, gains, course.path, still).max())
+        ground = float(paths.ratios(standing, gains, course.path, still).max())
         ratio = 2 * (course.likelihood - max(ground, glinting(paths, sight, course.path, still)))
         # Places count twice, as what fades by chance has bright ground beside it.
         if ratio < 2 * (np.log(HYPOTHESES / rate) + 2 * steered.tried):
             return None
-        return self._described(steered, ratio, walks=False)
+        return self._described(steered, ratio, migrates=False)
 
     def _ratio_of_driving(self, driving: Course, place: tuple[F64, int], lagging: float) -> float:
         """Twice the logarithm of the likelihood ratio of what drives along the flight against what stands still.
@@ -245,11 +243,11 @@ class DwellSearch:
         courses = []
         for pair in self._pairs(place[0], bright):
             driving = self.paths.driving(pair.along)
-            courses.append(Course.of(driving, driving.sight(*place), row, pair.walk + self._beside))
+            courses.append(Course.of(driving, driving.sight(*place), row, pair.migration + self._velocities_nearby))
         return max(courses, key=lambda one: one.likelihood, default=None)
 
     @cached_property
-    def _beside(self) -> F64:
+    def _velocities_nearby(self) -> F64:
         """Walks beside the one of a pair that are looked for, over that, m/s."""
         return WALK_STEP * self.paths.speed_of_row * np.arange(-BESIDE_WALK, BESIDE_WALK + 1, dtype=np.float64)
 
@@ -261,11 +259,11 @@ class DwellSearch:
             still, there = dwell.shows(place)
             half = dwell.steps // 2
             columns = ((COLUMN_STEPS * pixels[:, 1] - there + half) % dwell.steps - half) / COLUMN_STEPS
-            walks = (pixels[:, 0] - still) * paths.depth / seconds
-            for column, walk in zip(columns.tolist(), walks.tolist(), strict=True):
+            migrates = (pixels[:, 0] - still) * paths.depth / seconds
+            for column, migration in zip(columns.tolist(), migrates.tolist(), strict=True):
                 along = paths.along_of(column * dwell.grid.col_spacing / seconds)
-                if abs(column) > SAME_COLUMNS and abs(walk) <= paths.fastest and abs(along) <= paths.fastest:
-                    pairs.append(Pair(along, walk))
+                if abs(column) > SAME_COLUMNS and abs(migration) <= paths.fastest and abs(along) <= paths.fastest:
+                    pairs.append(Pair(along, migration))
         return pairs
 
     def _belongs_elsewhere(self, course: Course) -> bool:
@@ -279,12 +277,12 @@ class DwellSearch:
         matched, gains = paths.matched_each(sight, everywhere)
         matched[near], gains[near] = course.moving, course.gains
         path = paths.path(sight, course.row, np.array([course.speed]))
-        own = paths.told(matched[near], gains[near], path, near)[0]
+        own = paths.ratios(matched[near], gains[near], path, near)[0]
         powers = np.abs(paths.on_path(matched[near], path[0])[0, int(own.argmax())]) ** 2 * (paths.seconds != 0)
         tied = paths.seconds[int(powers.argmax())]
         speeds = np.append(self.speeds, course.speed)
         rows: F64 = course.row + (course.speed - speeds) * tied / paths.depth
-        rivals = paths.told(matched, gains, paths.path(sight, rows, speeds), everywhere)
+        rivals = paths.ratios(matched, gains, paths.path(sight, rows, speeds), everywhere)
         return bool(rivals.max() > own.max() + ROUNDING)
 
     def _steered(self, course: Course) -> Placed:
@@ -314,7 +312,7 @@ class DwellSearch:
         sight = likeliest.sight(course.sight.place, course.sight.elevation)
         return Placed(Course.of(likeliest, sight, course.row, speeds), sigma, known=True)
 
-    def _described(self, steered: Placed, ratio: float, walks: bool) -> Found | None:
+    def _described(self, steered: Placed, ratio: float, migrates: bool) -> DwellDetection | None:
         """A target on a course; None: it is at an end of the array, of another row or of another dwell.
 
         Args:
@@ -325,8 +323,8 @@ class DwellSearch:
         course, unsure = steered.course, steered.sigma
         if self._belongs_elsewhere(course):
             return None
-        row, walk, best = self._refined(course)
-        course = replace(course, row=row, speed=walk[0])
+        row, migration, best = self._refined(course)
+        course = replace(course, row=row, speed=migration[0])
         squint = self._squint(course, best)
         if squint is None:
             return None
@@ -348,14 +346,14 @@ class DwellSearch:
         # The rows of what stands still at the places of the image are not all its own.
         aperture = paths.dwells[paths.middle].aperture
         ahead = float((sight.place - aperture.position) @ aperture.direction) / paths.reach
-        walk = walk[0] + ahead * paths.drift, walk[1]
-        return Found(
+        migration = migration[0] + ahead * paths.drift, migration[1]
+        return DwellDetection(
             there,
             squint,
-            walk,
+            migration,
             (paths.along, unsure),
             steered.known,
-            walks,
+            migrates,
             ratio,
             elevation,
             power,
@@ -378,7 +376,7 @@ class DwellSearch:
         under = fine[:, None] + paths.lobes.ahead
         matched, gains = paths.matching(course.sight, paths.beams.response(elevation[0] + paths.lobes.higher, under))
         weights, parts = course.path
-        logarithms = told(np.abs(paths.on_path(matched, weights))[0], gains * parts[0])
+        logarithms = ratio_in_dwells(np.abs(paths.on_path(matched, weights))[0], gains * parts[0])
         if logarithms.argmax() in (0, len(fine) - 1):
             return None
         weight = np.exp(logarithms - logsumexp(logarithms))
@@ -401,15 +399,18 @@ class DwellSearch:
         speeds = course.speed + step * np.arange(-6, 7, dtype=np.float64)
         rows = course.row + FINE_STEP * np.arange(-4, 5, dtype=np.float64)
         each = np.array(
-            [paths.told(course.moving, course.gains, paths.path(sight, one, speeds), paths.lobes.near) for one in rows]
+            [
+                paths.ratios(course.moving, course.gains, paths.path(sight, one, speeds), paths.lobes.near)
+                for one in rows
+            ]
         )
         profile = each.max(axis=(0, 2))
         best = int(np.clip(profile.argmax(), 1, len(speeds) - 2))
         offset, bend = vertex(*profile[best - 1 : best + 2])
         place = int(each[:, best].max(axis=-1).argmax())
         sigma = float(np.hypot(step / np.sqrt(bend), WALK_ERROR * paths.speed_of_row))
-        walk = float(speeds[best] + step * offset), sigma
-        return float(rows[place]), walk, int(each[place, best].argmax())
+        migration = float(speeds[best] + step * offset), sigma
+        return float(rows[place]), migration, int(each[place, best].argmax())
 
     def _elevation(self, course: Course, squint: float) -> tuple[float, float] | None:
         """The most likely elevation of a target under a squint in the middle dwell, and its standard deviation.

@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from sal_height.movers.dwell_likelihood import told, told_of_cloud
 from sal_height.movers.dwell_paths import DwellPaths, Sight
-from sal_height.movers.search import MODEL_ERROR
-from sal_height.movers.walk import DEPTHS, FINE_STEP, LEAST_PART, NEIGHBOURS
+from sal_height.movers.likelihood import MODEL_ERROR, ratio_in_dwells, ratio_over_rows
+from sal_height.movers.migration import DEPTHS, FINE_STEP, LEAST_PART, NEIGHBOURS
 from sal_height.numeric import C128, F64, Index
 
 APART = 0.75
@@ -32,16 +31,16 @@ def standing_instead(
         speed: of the walk, m/s.
     """
     column = paths.dwells[paths.middle].grid.col_spacing
-    places, taken, told = driving.places(bright[0]), list[int](), list[float]()
+    places, taken, likelihoods = driving.places(bright[0]), list[int](), list[float]()
     for dwell in np.argsort(np.abs(paths.seconds), kind="stable").tolist():
         apart = np.abs(driving.drifts - driving.drifts[dwell]) / column
         sight = paths.sight(places[dwell], bright[1])
         if np.all(apart[taken] >= APART) and np.isfinite(sight.backgrounds[dwell]):
             sight, shares = _cleared(paths, sight, places, np.where(apart >= APART, apart, np.inf))
             there = row + speed * float(paths.seconds[dwell]) / paths.depth
-            told.append(_standing(paths, sight, dwell, there, shares))
+            likelihoods.append(_standing(paths, sight, dwell, there, shares))
             taken.append(dwell)
-    return told
+    return likelihoods
 
 
 def _cleared(paths: DwellPaths, sight: Sight, places: F64, apart: F64) -> tuple[Sight, F64]:
@@ -53,13 +52,13 @@ def _cleared(paths: DwellPaths, sight: Sight, places: F64, apart: F64) -> tuple[
     near = np.isfinite(apart)
     shared = np.where(near, paths.response_along(np.where(near, apart, 0.0)), 0.0)
     shares = np.sqrt(1 - shared**2)
-    beside = np.array(
+    adjacent = np.array(
         [
             one.column(rows, one.shows(place)[1])[0]
             for one, rows, place in zip(paths.dwells, sight.numbers, places, strict=True)
         ]
     )
-    spectra = (sight.spectra - shared[:, None, None] * beside) / shares[:, None, None]
+    spectra = (sight.spectra - shared[:, None, None] * adjacent) / shares[:, None, None]
     return replace(sight, spectra=spectra.astype(np.complex64)), shares
 
 
@@ -76,8 +75,8 @@ def _standing(paths: DwellPaths, sight: Sight, dwell: int, row: float, shares: F
     squints = paths.ambiguous(sight)
     matched, gains = paths.matched_each(sight, squints, dwell, row)
     path = paths.path(sight, row, np.zeros(1))
-    told = paths.told(matched, shares * gains, path, squints)
-    return max(float(told.max()), glinting(paths, sight, path, squints, shares))
+    likelihoods = paths.ratios(matched, shares * gains, path, squints)
+    return max(float(likelihoods.max()), glinting(paths, sight, path, squints, shares))
 
 
 def glinting(paths: DwellPaths, sight: Sight, path: tuple[F64, F64], still: Index, shares: F64 | float = 1.0) -> float:
@@ -92,17 +91,16 @@ def glinting(paths: DwellPaths, sight: Sight, path: tuple[F64, F64], still: Inde
     seen = np.abs(np.sum(amplitudes.conj() * along[:, None], axis=-1)) ** 2 / (squares + floor)
     best = seen.argmax(axis=-1)[..., None]
     matched, gains = (np.take_along_axis(one, best, -1)[..., 0] for one in (seen, squares + floor))
-    return float(
-        told(np.sqrt(matched / sight.backgrounds), shares * path[1][0] * np.sqrt(gains / sight.backgrounds)).max()
-    )
+    amplitudes, gains = np.sqrt(matched / sight.backgrounds), np.sqrt(gains / sight.backgrounds)
+    return float(ratio_in_dwells(amplitudes, shares * path[1][0] * gains).max())
 
 
 def several(
     paths: DwellPaths, sight: Sight, standing: C128, gains: F64, still: Index, row: float, speed: float
 ) -> float:
     """Logarithm of the likelihood of targets that stand still in different rows of the walk."""
-    beside = abs(speed) * float(np.abs(paths.seconds).max()) / abs(paths.depth) + 1.0
-    places: F64 = row + np.arange(-beside, beside + FINE_STEP / 2, 2 * FINE_STEP, dtype=np.float64)
+    adjacent = abs(speed) * float(np.abs(paths.seconds).max()) / abs(paths.depth) + 1.0
+    places: F64 = row + np.arange(-adjacent, adjacent + FINE_STEP / 2, 2 * FINE_STEP, dtype=np.float64)
     return max(_greedy(paths, sight, standing[[one]], gains[[one]], still[[one]], places) for one in range(len(still)))
 
 
@@ -120,7 +118,7 @@ def _greedy(paths: DwellPaths, sight: Sight, standing: C128, gains: F64, still: 
         if not energy[one] > 0:
             break
         shown = parts * np.where(norms > LEAST_PART, norms, 0.0)
-        total += float(paths.told(standing, gains, (left[[one]], shown[[one]]), still)[0, 0])
+        total += float(paths.ratios(standing, gains, (left[[one]], shown[[one]]), still)[0, 0])
         best = max(best, total)
         found = np.concatenate([found, left[one][:, None]], axis=1)
     return best
@@ -131,4 +129,4 @@ def deep(sight: Sight, standing: C128, gains: F64, row: float) -> float:
     there = sight.numbers - (sight.still + row)[:, None]
     shares = np.exp(-(there**2) / (2 * np.square(DEPTHS)[:, None, None])) * sight.inside
     shares = shares / np.maximum(shares.sum(axis=-1, keepdims=True), 1e-12)
-    return max(told_of_cloud(np.abs(one), gain, shares) for one, gain in zip(standing, gains, strict=True))
+    return max(ratio_over_rows(np.abs(one), gain, shares) for one, gain in zip(standing, gains, strict=True))

@@ -61,8 +61,8 @@ def lag_of_spectra(power: F64, gains: F64, lags: F64, prior: float) -> tuple[flo
         misfits.append(np.sum((columns @ share - level) ** 2) / error**2)
     misfit = np.array(misfits)
     excess = max(1.0, misfit.min() / max(1, len(level) - 3))
-    told = -misfit / (2 * excess) - (lags / prior) ** 2 / 2
-    weight = np.exp(told - logsumexp(told))
+    logarithm = -misfit / (2 * excess) - (lags / prior) ** 2 / 2
+    weight = np.exp(logarithm - logsumexp(logarithm))
     lag = float(weight @ lags)
     return lag, float(np.sqrt(weight @ (lags - lag) ** 2))
 

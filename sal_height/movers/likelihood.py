@@ -1,25 +1,39 @@
-"""Likelihood of the direction in which something was seen, from its spectrum along the flight.
+"""Likelihood of what the channels receive of a target, from its amplitudes in Doppler bins, or in dwells.
 
-In a strip each Doppler frequency of a target is the time at which the antenna saw it under one aspect, with the
-beam's amplitude there. The radial velocity v_r of a mover adds the same to all its frequencies, so that its image shows
-it under aspects that are v_r / v too small: the beam seems to look elsewhere. With the lag
+A target is received n = 1, 2, ... times, each time by the beam in another direction: in the Doppler bins of a strip, or
+in spotlight dwells that overlap. With g_n the amplitude of the beam in the direction of the target and m_n the channels
+combined by that beam, over noise and clutter of power 1,
+
+    m_n = g_n a_n + noise.
+
+Position, height and radial velocity of a mover are in g_n. A dwell shows it under the squint of its position. In a
+strip a Doppler frequency is the time at which the antenna saw a target under one aspect; the radial velocity v_r of a
+mover adds the same to all its frequencies, so that its image shows it under aspects that are v_r / v too small. With
+the lag
 
     beta = v_r / v
 
-the amplitude of bin k is that of the beam under the aspect alpha_k + beta (SAL paper, section 4).
+the amplitude in bin n is that of the beam under the aspect alpha_n + beta (SAL paper, section 4).
 
-A target is a cloud of scatterers: Gaussian amplitudes, spread along the flight with the rms width w about its centre,
-of the power P. Bins k and l have the covariance
+A cloud of scatterers has Gaussian amplitudes a_n of the power P and the coherence A. With s_i the power of m along the
+eigenvector i of g_k A_kl g_l, and q_i = P times its eigenvalue, the logarithm of the likelihood over that of noise and
+clutter alone is (Kay, Fundamentals of Statistical Signal Processing II, 1998, section 5.3)
 
-    C = 1 + P g_k g_l exp(-2 (pi w (f_k - f_l))^2)
+    ln L = sum over i of s_i q_i / (1 + q_i) - ln(1 + q_i).                                                          (1)
 
-with the beam's amplitudes g and background 1. A single point is w = 0, whose spectrum is the beam's amplitude; speckle
-is a wide cloud, each bin by itself. Beyond its main lobe a beam is not known well: there each bin is by itself, or the
-antenna sees nothing. The likelihood of beta is the greatest over P, w and these two: what two scatterers of a cell do
-to their spectrum by interference is counted, and not taken for motion.
+- In a strip a cloud has the rms width w along the flight about its centre, A_kl = exp(-2 (pi w (f_k - f_l))^2). A point
+  is w = 0, whose spectrum is the beam's amplitude; speckle is a wide cloud, each bin by itself.
+- The phase from dwell to dwell is unknown, and speckle differs from each to the next: A is the unit matrix.
+- A cloud that is spread over range has the coherence A in each row, and rows that are coherent as its response is wide.
 
-For a lag and a width the modes of C are the same whatever P is, and for all targets whose beam is the same. They and
-the weights that they have for each P are computed once; a spectrum then costs two small products of matrices.
+A point that is as bright in every dwell, but for errors of the beam, has amplitudes of known power and unknown phase
+(Kay, section 7.6):
+
+    ln L = sum over n of |m_n|^2 - (|m_n|^2 + q_n) / v_n + ln I_0(2 sqrt(q_n) |m_n| / v_n) - ln v_n,                 (2)
+    q_n = P g_n^2,  v_n = 1 + MODEL_ERROR q_n.
+
+The likelihood is the greatest over P, w and these kinds, so that interference and fading are not taken for motion.
+Beyond its main lobe a beam is not known well: there each bin is by itself, or the antenna sees nothing.
 """
 
 from __future__ import annotations
@@ -28,27 +42,102 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
+from scipy.special import i0e
 
 from sal_height.numeric import C128, F32, F64, Bool
 
+MODEL_ERROR = 0.01
+"""Power of the error of beam amplitudes, over their own."""
+
+HYPOTHESES = 10.0
+"""Number of lags, or squints, that can be separated.
+
+Measured with pairs of points in one cell, which stand still and are most often taken for movers."""
+
 WIDTHS = np.array([0.0, 0.15, 0.3, 0.6, 1.2, 2.4, 4.8, 9.6, 1e3])
-"""Rms widths of the clouds in resolution cells; the widest leaves no two bins alike."""
+"""Rms widths of clouds in resolution cells; the widest makes all bins incoherent."""
 
 POWERS = 10 ** (np.arange(-10, 41, 2) / 10)
-"""Powers of the clouds, over the background."""
+"""Powers of targets in Doppler bins, over the background."""
 
-HELD = 16
-"""Likelihoods that are kept for the next images, 10 MB each."""
+POWERS_IN_DWELLS = 10 ** (np.arange(-6, 55, 3) / 10)
+"""Powers of targets in dwells, over the background."""
+
+
+def cloud_ratio(energy: F64, powers: F64, axis: int | tuple[int, ...]) -> F64:
+    """Logarithm of the likelihood ratio of a cloud against noise and clutter, equation (1).
+
+    Args:
+        energy: s, power of the amplitudes along each eigenvector, background 1; broadcasts with `powers`.
+        powers: q, expected powers of the cloud along these.
+        axis: axes of the eigenvectors, over which the sum is taken.
+    """
+    return np.asarray(np.sum(energy * (powers / (1 + powers)) - np.log1p(powers), axis=axis))
+
+
+def point_ratio(amplitude: F64, powers: F64) -> F64:
+    """Logarithm of the likelihood ratio of a point of unknown phases against noise and clutter, equation (2).
+
+    Args:
+        amplitude: |m_n|, background 1, shape (..., dwells).
+        powers: q_n, broadcasts with that.
+
+    Returns:
+        Sum over dwells, shape (...).
+    """
+    square, variance = amplitude**2, 1 + MODEL_ERROR * powers
+    # ln I_0(x) is x and the logarithm of i0e, which does not overflow.
+    x = 2 * np.sqrt(powers) * amplitude / variance
+    each = square - (square + powers) / variance + x + np.log(i0e(x) / variance)
+    return np.asarray(np.sum(each, axis=-1))
+
+
+def ratio_in_dwells(matched: F64, gains: F64, powers: F64 = POWERS_IN_DWELLS, points: bool = True) -> F64:
+    """Logarithm of the likelihood ratio of a target in dwells, its greatest over powers and kinds.
+
+    What is to be published as moving must be likelier as speckle: bright speckle has among many points one that fits it
+    by chance.
+
+    Args:
+        matched: |m_n|, shape (..., dwells).
+        gains: g_n, amplitude of the beam over the background's, broadcasts to that shape.
+        powers: P, of which the best counts.
+        points: True if points count, too, and not only speckle.
+
+    Returns:
+        Shape (...); not less than 0, as there may be no target.
+    """
+    amplitude = np.abs(matched)
+    q = np.multiply.outer(powers, gains**2)
+    speckle = np.maximum(cloud_ratio(matched**2, q, -1).max(axis=0), 0.0)
+    return np.maximum(point_ratio(amplitude, q).max(axis=0), speckle) if points else np.asarray(speckle)
+
+
+def ratio_over_rows(matched: F64, gains: F64, fractions: F64) -> float:
+    """Logarithm of the likelihood ratio of speckle in dwells that is spread over rows, its greatest over spreads.
+
+    Args:
+        matched: |m_n| in each row, shape (dwells, rows).
+        gains: g_n, shape (dwells,).
+        fractions: fractions of the power in each row, shape (spreads, rows) or (spreads, dwells, rows).
+    """
+    square = matched**2
+    powers = np.broadcast_to(fractions if fractions.ndim == 3 else fractions[:, None], (len(fractions), *square.shape))
+    q = np.multiply.outer(POWERS_IN_DWELLS, powers * gains[:, None] ** 2)
+    return max(0.0, float(np.max(cloud_ratio(square, q, (-2, -1)))))
 
 
 @dataclass(frozen=True, eq=False)
 class LagLikelihood:
-    """Likelihoods of some lags, for targets at one elevation.
+    """Likelihoods of some lags in a strip, for targets at one elevation.
+
+    For a lag and a width the eigenvectors are the same whatever P is, and for all targets whose beam is the same. They
+    and the weights that they have for each P are computed once; a spectrum then costs two small products of matrices.
 
     Attributes:
-        frequencies: of the bins in cycles per resolution cell, shape (bins,); only their differences count.
+        frequencies: frequencies of the bins in cycles per resolution cell, shape (bins,); only their differences count.
         gains: amplitude of the beam in each bin for each lag, shape (lags, bins).
-        known: whether that is in the main lobe, same shape.
+        known: True where that is in the main lobe, same shape.
     """
 
     frequencies: F64
@@ -56,29 +145,32 @@ class LagLikelihood:
     known: Bool
 
     @staticmethod
-    def held(frequencies: F64, gains: F64, known: Bool) -> LagLikelihood:
-        """That of these arguments, made once for all images that have the very same ones."""
-        return _held(frequencies.tobytes(), gains.tobytes(), known.tobytes(), len(gains))
+    def cached(frequencies: F64, gains: F64, known: Bool) -> LagLikelihood:
+        """The likelihood of these arguments, made once for all images that have equal ones."""
+        return _cached(frequencies.tobytes(), gains.tobytes(), known.tobytes(), len(gains))
+
+    @cached_property
+    def _with_sidelobes(self) -> Bool:
+        """Lags with bins in sidelobes of the beam, shape (lags,)."""
+        return ~np.all(self.known, axis=-1)
 
     @cached_property
     def _cases(self) -> tuple[F64, Bool]:
-        """Gains of each lag, then of those lags whose beam has sidelobes, once more without them; where they are known.
+        """Gains, and where they are known: of all lags, then again of those with sidelobes, but with no gain there.
 
-        The lags of the latter are those that have an unknown bin, in their order.
+        Shape (cases, bins).
         """
-        beside = ~np.all(self.known, axis=-1)
-        gains = np.concatenate([self.gains, np.where(self.known, self.gains, 0.0)[beside]])
-        return gains, np.concatenate([self.known, self.known[beside]])
+        dark = np.where(self.known, self.gains, 0.0)[self._with_sidelobes]
+        return np.concatenate([self.gains, dark]), np.concatenate([self.known, self.known[self._with_sidelobes]])
 
     @cached_property
     def _modes(self) -> tuple[F32, F32, F32, F32]:
-        """What spectra are multiplied by.
+        """Eigenvectors and eigenvalues of the clouds of power 1.
 
         Returns:
-            The modes of each case and width, shape (cases, widths, modes, bins); their powers in a cloud of power 1,
-            shape (cases, widths, modes); one over the power that each has with the background for each power of the
-            cloud, shape (cases, widths, powers, modes); and the sum over the modes of the logarithm of that power,
-            shape (cases, widths, powers).
+            Eigenvectors of each case and width, shape (cases, widths, modes, bins); eigenvalues, shape (cases, widths,
+            modes); 1 / (1 + q) for each power of the cloud, shape (cases, widths, powers, modes); the sum over the
+            modes of ln(1 + q), shape (cases, widths, powers).
         """
         gains, known = self._cases
         apart = self.frequencies[:, None] - self.frequencies
@@ -94,47 +186,44 @@ class LagLikelihood:
         return modes, powers, weights, volumes
 
     def of(self, spectra: C128) -> F64:
-        """Logarithm of the likelihood of each lag, shape (targets, lags).
+        """Logarithm of the likelihood of each lag without the term of the noise alone, shape (targets, lags).
+
+        That term, the energy of the spectrum, makes it the ratio of equation (1).
 
         Args:
-            spectra: of targets about their centres, background 1, for each lag, shape (targets, lags, bins).
+            spectra: m of targets about their centres, background 1, for each lag, shape (targets, lags, bins).
         """
         modes, _, weights, volumes = self._modes
-        beside = ~np.all(self.known, axis=-1)
         both = np.concatenate([spectra.real, spectra.imag]).astype(np.float32)
-        columns = np.moveaxis(np.concatenate([both, both[:, beside]], axis=1), 0, -1)
+        columns = np.moveaxis(np.concatenate([both, both[:, self._with_sidelobes]], axis=1), 0, -1)
         amplitudes = modes @ columns[:, None]
         count = len(spectra)
-        seen = amplitudes[..., :count] ** 2 + amplitudes[..., count:] ** 2
-        misfits = np.min(weights @ seen + volumes[..., None], axis=(1, 2)).T.astype(np.float64)
-        told, without = -misfits[:, : len(self.gains)], -misfits[:, len(self.gains) :]
-        told[:, beside] = np.maximum(told[:, beside], without)
-        return told
+        energy = amplitudes[..., :count] ** 2 + amplitudes[..., count:] ** 2
+        misfits = np.min(weights @ energy + volumes[..., None], axis=(1, 2)).T.astype(np.float64)
+        likelihood, dark = -misfits[:, : len(self.gains)], -misfits[:, len(self.gains) :]
+        likelihood[:, self._with_sidelobes] = np.maximum(likelihood[:, self._with_sidelobes], dark)
+        return likelihood
 
     def of_rows(self, spectra: C128, lag: int, covariances: F64) -> float:
-        """Logarithm of the likelihood of clouds that are spread over range; its greatest.
+        """Logarithm of the likelihood ratio of clouds that are spread over range, equation (1), its greatest.
 
         Args:
-            spectra: of rows about the centre of a target, background 1, shape (bins, rows).
-            lag: its number.
-            covariances: of rows for some spreads of clouds of power 1, shape (spreads, rows, rows).
+            spectra: m of rows about the centre of a target, background 1, shape (bins, rows).
+            lag: number of the lag.
+            covariances: covariances of rows for some spreads of clouds of power 1, shape (spreads, rows, rows).
         """
         modes, powers, _, _ = self._modes
-        beside = ~np.all(self.known, axis=-1)
-        cases = [lag, len(self.known) + int(np.sum(beside[:lag]))] if beside[lag] else [lag]
-        shares, parts = np.linalg.eigh(covariances)
-        both = powers[cases, :, None, :, None] * np.maximum(shares, 0.0)[:, None, :]
+        dark = len(self.known) + int(np.sum(self._with_sidelobes[:lag]))
+        cases = [lag, dark] if self._with_sidelobes[lag] else [lag]
+        fractions, parts = np.linalg.eigh(covariances)
+        both = powers[cases, :, None, :, None] * np.maximum(fractions, 0.0)[:, None, :]
         amplitudes = (modes[cases] @ spectra)[:, :, None] @ parts
-        seen = np.abs(amplitudes) ** 2
-        misfits = []
-        for power in POWERS[::2]:
-            with_background = 1 + power * both
-            misfits.append(np.sum(np.log(with_background) + seen / with_background, axis=(-2, -1)).min())
-        return -float(min(misfits))
+        energy = np.abs(amplitudes) ** 2
+        return max(float(cloud_ratio(energy, power * both, (-2, -1)).max()) for power in POWERS[::2])
 
 
-@lru_cache(maxsize=HELD)
-def _held(frequencies: bytes, gains: bytes, known: bytes, lags: int) -> LagLikelihood:
+@lru_cache(maxsize=16)  # for the next images; 10 MB each
+def _cached(frequencies: bytes, gains: bytes, known: bytes, lags: int) -> LagLikelihood:
     return LagLikelihood(
         np.frombuffer(frequencies),
         np.frombuffer(gains).reshape(lags, -1),

@@ -89,7 +89,7 @@ class Looked:
 
 
 @dataclass(frozen=True)
-class Sighting:
+class MoverMeasurement:
     """What was seen of a mover, and in which pixel of an image.
 
     Attributes:
@@ -110,14 +110,14 @@ class Sighting:
     cnr: float
     elevation: tuple[float, float]
     lag: tuple[float, float]
-    walk: tuple[float, float]
-    walks: bool
+    migration: tuple[float, float]
+    migrates: bool
     ratio: float
     along: tuple[float, float] | None = None
-    tells_along: bool = True
+    along_known: bool = True
 
 
-def mover_of(seen: Sighting, slc: Slc, sensor: Sensor) -> Mover:
+def mover_of(seen: MoverMeasurement, slc: Slc, sensor: Sensor) -> Mover:
     """A mover from what was seen of it in an image, and the sensor that took that."""
     point = slc.grid.points(seen.row, seen.col)
     aperture = aperture_at(point, slc.aperture)
@@ -128,15 +128,15 @@ def mover_of(seen: Sighting, slc: Slc, sensor: Sensor) -> Mover:
     # The row of a strip is that at the aspect 0 of the image, that of a dwell in its middle. In a strip the target is
     # abeam at the aspect minus the lag.
     later = (slant_range * seen.lag[0] if slc.aperture.sliding else along) / (speed - driving)
-    walk, walk_sigma = seen.walk
-    farther, unsure = (walk, walk_sigma) if seen.walks else (0.0, float(np.hypot(walk, walk_sigma)))
+    migration, walk_sigma = seen.migration
+    farther, unsure = (migration, walk_sigma) if seen.migrates else (0.0, float(np.hypot(migration, walk_sigma)))
     moved = along + driving * later
     reach = float(np.sqrt((slant_range + farther * later) ** 2 - along**2 + moved**2))
-    told = (driving, driving_sigma) if seen.along and seen.tells_along else (np.nan, np.nan)
+    published = (driving, driving_sigma) if seen.along and seen.along_known else (np.nan, np.nan)
     position = locate_at_elevation(seen.elevation[0], reach, moved, aperture, sensor.look_side)
     depth = np.hypot(ROW_ERROR * slc.grid.row_spacing, unsure * later)
-    beside = float(np.hypot(slant_range * seen.lag[1], driving_sigma * later))
-    own, _ = measured_covariance(position, aperture, np.array(seen.elevation[1]), float(depth), beside)
+    along_sigma = float(np.hypot(slant_range * seen.lag[1], driving_sigma * later))
+    own, _ = measured_covariance(position, aperture, np.array(seen.elevation[1]), float(depth), along_sigma)
     # From where it is abeam, what it drives along the flight is not radial.
     ahead = along / slant_range
     placed = float(aperture.direction @ aperture.covariance[:3, :3] @ aperture.direction)
@@ -151,11 +151,11 @@ def mover_of(seen: Sighting, slc: Slc, sensor: Sensor) -> Mover:
         radial_velocity=seen.lag[0] * speed - driving * ahead,
         velocity_sigma=float(np.hypot(seen.lag[1] * speed, not_radial)),
         ambiguity=sensor.wavelength * sensor.pulse_repetition_frequency / 2,
-        walk_velocity=walk - driving * ahead,
+        walk_velocity=migration - driving * ahead,
         walk_sigma=walk_sigma,
-        along_velocity=told[0],
-        along_sigma=told[1],
-        walks=seen.walks,
+        along_velocity=published[0],
+        along_sigma=published[1],
+        walks=seen.migrates,
         likelihood_ratio=float(seen.ratio),
         cnr_db=float(10 * np.log10(seen.cnr)),
         row=round(seen.row),
@@ -175,8 +175,8 @@ def without_ambiguities(found: Iterable[Mover]) -> tuple[Mover, ...]:
     return tuple(kept)
 
 
-def peak_of(told: F64, lags: F64) -> tuple[float, float]:
+def peak_of(published: F64, lags: F64) -> tuple[float, float]:
     """The most likely lag, and its standard deviation by the bend of the likelihood there."""
-    best = int(np.clip(told.argmax(), 1, len(lags) - 2))
-    (offset, bend), step = vertex(*told[best - 1 : best + 2]), lags[1] - lags[0]
+    best = int(np.clip(published.argmax(), 1, len(lags) - 2))
+    (offset, bend), step = vertex(*published[best - 1 : best + 2]), lags[1] - lags[0]
     return float(lags[best] + step * offset), float(step / np.sqrt(bend))

@@ -9,12 +9,9 @@ from functools import cached_property
 import numpy as np
 
 from sal_height.beams import Beams
-from sal_height.movers.likelihood import LagLikelihood
+from sal_height.movers.likelihood import MODEL_ERROR, LagLikelihood
 from sal_height.movers.spectrum import Bins
 from sal_height.numeric import C64, C128, F64, Bool, Index, vertex
-
-MODEL_ERROR = 0.01
-"""Power by which spectra differ from what the beams let expect, over their own."""
 
 ELEVATION_STEP = 0.05
 """Of the search, in beamwidths."""
@@ -54,7 +51,7 @@ class Seen:
     row: float
     col: float
     elevation: float
-    told: F64
+    likelihoods: F64
     cnr: float
     spectra: C128
 
@@ -93,7 +90,7 @@ class Search:
         spectra, elevations = spectra[inside], elevations[inside]
         backgrounds = self.backgrounds(rows[inside], elevations)
         powers = np.mean(np.sum(np.abs(spectra) ** 2, axis=-1), axis=-1)
-        told, centres = self.likelihoods(spectra, elevations, np.maximum(backgrounds, MODEL_ERROR * powers))
+        likelihoods, centres = self.likelihoods(spectra, elevations, np.maximum(backgrounds, MODEL_ERROR * powers))
         first = self.first(cols[inside])
         middles = first + self.bins.pixels // 2 + centres * self.bins.pixels / len(self.bins.numbers)
         for number, pixel in enumerate(inside):
@@ -102,7 +99,7 @@ class Search:
                 self._row(int(rows[pixel]), int(cols[pixel])),
                 float(middles[number]),
                 float(elevations[number]),
-                told[number],
+                likelihoods[number],
                 float(powers[number] / backgrounds[number]),
                 spectra[number],
             )
@@ -121,7 +118,7 @@ class Search:
 
         What a target is a cloud about may be its brightest place or the centre of its power; the likelier one counts.
         """
-        told, centres = np.empty((len(spectra), len(self.lags))), np.empty(len(spectra))
+        likelihoods, centres = np.empty((len(spectra), len(self.lags))), np.empty(len(spectra))
         frequencies = self.bins.frequencies
         amplitudes = self.bins.amplitudes(self.beams, elevations[:, None, None], self.lags)
         gains = np.linalg.norm(amplitudes, axis=-1)
@@ -131,9 +128,9 @@ class Search:
             peaks, middles = centres_of(matched[targets, len(self.lags) // 2], frequencies)
             turned = np.exp(2j * np.pi * frequencies * np.concatenate([peaks, middles])[:, None])
             both = likelihood.of(np.concatenate([matched[targets]] * 2) * turned[:, None])
-            told[targets] = np.maximum(*np.split(both, 2))
+            likelihoods[targets] = np.maximum(*np.split(both, 2))
             centres[targets] = middles
-        return told, centres
+        return likelihoods, centres
 
     def _alike(self, elevations: F64, gains: F64) -> Iterator[tuple[LagLikelihood, Index]]:
         """Likelihoods, and the numbers of the targets that have them.
@@ -148,7 +145,7 @@ class Search:
         steps = np.where(apart, np.rint((elevations - middle) / step), 0)
         for number in np.unique(steps):
             shape = self._shape(middle + number * step) if number else common
-            yield LagLikelihood.held(self._nominal.frequencies, shape, self._known), np.flatnonzero(steps == number)
+            yield LagLikelihood.cached(self._nominal.frequencies, shape, self._known), np.flatnonzero(steps == number)
 
     def likelihood_at(self, elevation: float) -> LagLikelihood:
         """That of targets at an elevation."""

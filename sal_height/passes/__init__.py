@@ -12,7 +12,7 @@ from sal_height.passes.array import PassArray, Steering
 from sal_height.passes.boxes import Box, Lattice
 from sal_height.passes.flown import LEAST_PASSES, Pass, together
 from sal_height.passes.heights import ESTIMATORS_OF_PASSES, OF_POINTS, PassHeights, ReferencePoint, heights_from_passes
-from sal_height.passes.points import Points
+from sal_height.passes.points import PointHeights
 from sal_height.passes.registration import registered
 from sal_height.passes.settings import PassSettings
 from sal_height.passes.simulated import GOTCHA_ELEVATIONS, Circle, simulated_passes
@@ -31,7 +31,7 @@ __all__ = [
     "PassArray",
     "PassHeights",
     "PassSettings",
-    "Points",
+    "PointHeights",
     "ReferencePoint",
     "Steering",
     "Tie",

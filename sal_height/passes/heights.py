@@ -16,7 +16,7 @@ from sal_height.passes.array import PassArray
 from sal_height.passes.boxes import Lattice
 from sal_height.passes.chance import check_tie
 from sal_height.passes.flown import LEAST_PASSES, Pass, together
-from sal_height.passes.points import Found, find_points
+from sal_height.passes.points import PointDetections, find_points
 from sal_height.passes.registration import Registered, registered
 from sal_height.passes.settings import PassSettings
 from sal_height.passes.tie import Candidates, Tie, loosest, tie_passes
@@ -62,7 +62,7 @@ class PassHeights:
     shifts: F64
     tie: Tie
     ambiguity: Ambiguity
-    found: Found
+    found: PointDetections
     warnings: tuple[str, ...]
 
 

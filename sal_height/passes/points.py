@@ -59,7 +59,7 @@ FAINT = 0.4
 
 
 @dataclass(frozen=True, eq=False)
-class Points:
+class PointHeights:
     """Points with a height; arrays of shape (points, ...).
 
     Attributes:
@@ -110,7 +110,7 @@ class Points:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class PointDetections:
     """What a search of the volume found.
 
     Attributes:
@@ -119,7 +119,7 @@ class Found:
         reasons: number of them by `Validity`.
     """
 
-    points: Points
+    points: PointHeights
     peaks: int
     reasons: dict[int, int]
 
@@ -131,7 +131,7 @@ def find_points(
     estimator: ElevationEstimator,
     settings: HeightSettings,
     least_power: float,
-) -> Found:
+) -> PointDetections:
     """Heights of the peaks of power in the volume.
 
     Args:
@@ -142,12 +142,12 @@ def find_points(
         settings: of the estimator.
         least_power: of a peak, mean over the passes, over the background.
     """
-    several, reasons, peaks = [Points.none()], np.zeros(256, np.int64), 0
+    several, reasons, peaks = [PointHeights.none()], np.zeros(256, np.int64), 0
     columns, turn = lattice.columns(), (np.exp(-1j * tie.phase) / np.sqrt(background)).astype(np.complex64)
     for first in range(0, len(columns), COLUMNS_AT_ONCE):
         boxes, where = _lit(lattice, columns[first : first + COLUMNS_AT_ONCE], np.abs(turn), FAINT * least_power)
         for box, image in zip(boxes, lattice.images(boxes, where) if boxes else [], strict=True):
-            seen = Peaks.of(box, image * turn[:, None, None], lattice.response, least_power)
+            seen = PowerPeaks.of(box, image * turn[:, None, None], lattice.response, least_power)
             if seen is None:
                 continue
             estimate = seen.estimate(tie.uncertainty, estimator, settings)
@@ -155,10 +155,10 @@ def find_points(
             reasons += np.bincount(estimate.validity.ravel(), minlength=256)
             peaks += estimate.validity.size
     counts = {number: int(count) for number, count in enumerate(reasons.tolist()) if count}
-    points = Points.together(several)
+    points = PointHeights.together(several)
     low, high = lattice.heights
     inside = lattice.covers(points.positions) & (points.height >= low) & (points.height <= high)
-    return Found(_once(points.of(np.flatnonzero(inside)), lattice), peaks, counts)
+    return PointDetections(_once(points.of(np.flatnonzero(inside)), lattice), peaks, counts)
 
 
 def _lit(
@@ -193,7 +193,7 @@ def _lit(
 
 
 @dataclass(frozen=True, eq=False)
-class Peaks:
+class PowerPeaks:
     """The peaks of power in a box.
 
     Attributes:
@@ -251,7 +251,7 @@ class Peaks:
         found = with_foreign_power(found, found.sigma**2 * (self.looks.floor - 1))
         return without_imprecise(found, settings.max_sigma_beamwidths * beams.beamwidth)
 
-    def placed(self, estimate: ElevationEstimate, tie: Tie, lattice: Lattice) -> Points:
+    def placed(self, estimate: ElevationEstimate, tie: Tie, lattice: Lattice) -> PointHeights:
         """The peaks that hold one scatterer, within the box.
 
         Of several in a cell, one look of a sparse array finds wrong heights too often: they get none.
@@ -269,7 +269,7 @@ class Peaks:
             sight, _, across = array.axes_at(position)
             way = across * steering.beamwidth * steering.metres
             common[number] = variance * np.outer(way, way) + tie.range_sigma**2 * np.outer(sight, sight)
-        return Points(
+        return PointHeights(
             positions,
             surface.height[0, some],
             surface.own_covariance[0, some],
@@ -279,7 +279,7 @@ class Peaks:
         )
 
 
-def _once(points: Points, lattice: Lattice) -> Points:
+def _once(points: PointHeights, lattice: Lattice) -> PointHeights:
     """The points without those that another box holds more strongly."""
     if not len(points.height):
         return points

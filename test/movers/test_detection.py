@@ -14,7 +14,7 @@ from sal_height.geometry import PlatformState, Trajectory
 from sal_height.imaging import ImageSettings, Slc
 from sal_height.movers import Looked, Mover, MoverSettings, find_movers
 from sal_height.movers.drive import Drives, is_in_focus
-from sal_height.movers.likelihood import _held
+from sal_height.movers.likelihood import _cached
 from sal_height.movers.mover import without_ambiguities
 from sal_height.movers.search import Search
 from sal_height.movers.spectrum import Bins
@@ -156,9 +156,9 @@ def test_what_does_not_depend_on_the_image_is_computed_once() -> None:
     flight, (slc, *_) = strip(1)
     held: list[int] = []
     for angle in (0.0, 1e-6, -1e-6):
-        before = _held.cache_info().misses
+        before = _cached.cache_info().misses
         movers(crabbed(slc, angle), flight.sensor, MoverSettings())
-        held.append(_held.cache_info().misses - before)
+        held.append(_cached.cache_info().misses - before)
     assert held[1:] == [0, 0]
     assert not np.array_equal(
         Bins.of(slc, flight.sensor, 32).aspects, Bins.of(crabbed(slc, 1e-6), flight.sensor, 32).aspects

@@ -13,12 +13,11 @@ from sal_height.errors import UserError
 from sal_height.geometry import ApertureState, Grid, sphere_point
 from sal_height.imaging import ImageSettings, Slc
 from sal_height.movers import DwellMovers, Looked, Mover, MoverSettings, dwell_detection
-from sal_height.movers.dwell_detection import ShownDwell, Track
+from sal_height.movers.dwell_detection import MoverTrack, ShownDwell
 from sal_height.movers.dwell_images import COLUMN_STEPS, DwellImage
-from sal_height.movers.dwell_likelihood import told, told_of_cloud
 from sal_height.movers.dwell_lobes import Lobes
 from sal_height.movers.dwell_paths import DwellPaths
-from sal_height.movers.search import MODEL_ERROR
+from sal_height.movers.likelihood import MODEL_ERROR, ratio_in_dwells, ratio_over_rows
 from sal_height.pipeline import Compressor, dwell_with_movers
 from sal_height.simulation.flight import SimulatedFlight, flight_of
 from sal_height.simulation.preset import load_preset
@@ -287,8 +286,8 @@ def test_a_track_covers_what_is_less_sure_and_in_its_pixel_in_one_of_the_dwells(
     here, drift = np.asarray(second.grid.middle), 8 * second.grid.col_spacing / apart
     ahead = here + drift * apart * second.aperture.direction
     weak = replace(seen, position=seen.position + 100.0, likelihood_ratio=1.0)
-    surer = {speed: Track(seen, here, 0.0, speed, first.seconds) for speed in (0.0, drift)}
-    weaker = {speed: Track(weak, ahead, 0.0, speed, second.seconds) for speed in (0.0, drift)}
+    surer = {speed: MoverTrack(seen, here, 0.0, speed, first.seconds) for speed in (0.0, drift)}
+    weaker = {speed: MoverTrack(weak, ahead, 0.0, speed, second.seconds) for speed in (0.0, drift)}
     assert surer[drift].covers(weaker[0.0], [second])
     assert not surer[0.0].covers(weaker[0.0], [first, second])
     assert surer[0.0].covers(weaker[drift], [first, second])
@@ -393,7 +392,7 @@ def test_it_is_the_likelihood_of_a_point_or_of_speckle() -> None:
             point = np.sum(np.log(np.mean(np.exp(least - misfit), axis=0)) - least - np.log(variance) + matched**2)
             speckle = np.sum(-(matched**2) / (1 + power) - np.log(1 + power) + matched**2)
             best = max(best, point, speckle)
-        assert float(told(matched, gains)) == pytest.approx(best, rel=1e-3)
+        assert float(ratio_in_dwells(matched, gains)) == pytest.approx(best, rel=1e-3)
 
 
 def test_it_is_the_likelihood_of_a_cloud_that_is_spread_over_rows() -> None:
@@ -402,7 +401,7 @@ def test_it_is_the_likelihood_of_a_cloud_that_is_spread_over_rows() -> None:
     for decibels in range(-6, 55, 3):
         power = 10 ** (decibels / 10) * gains[:, None] ** 2 * shares
         best = max(best, float(np.sum(matched**2 - matched**2 / (1 + power) - np.log(1 + power))))
-    assert told_of_cloud(matched, gains, shares) == pytest.approx(best)
+    assert ratio_over_rows(matched, gains, shares) == pytest.approx(best)
 
 
 def test_images_that_are_held_have_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:

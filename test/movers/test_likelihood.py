@@ -8,8 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from sal_height.movers.detection import HYPOTHESES
-from sal_height.movers.likelihood import LagLikelihood
+from sal_height.movers.likelihood import HYPOTHESES, LagLikelihood
 
 Complex = npt.NDArray[np.complex128]
 

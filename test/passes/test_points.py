@@ -9,17 +9,17 @@ from pass_scenes import SETTINGS, array_of, flown
 from sal_height.elevation import ESTIMATORS
 from sal_height.passes import Tie
 from sal_height.passes.boxes import Lattice, background
-from sal_height.passes.points import Peaks, Points
+from sal_height.passes.points import PointHeights, PowerPeaks
 
 NO_ERRORS = Tie(np.zeros(8), np.zeros((8, 2)), np.zeros((24, 24)), 0.0, np.ones(8), 5, 1, np.zeros((5, 3)))
 
 
-def points_of(lattice: Lattice, number: tuple[int, int, int]) -> Points:
+def points_of(lattice: Lattice, number: tuple[int, int, int]) -> PointHeights:
     """The points that a box holds, by maximum likelihood."""
     box = lattice.box(number)
     (image,) = lattice.images([box])
     scaled = (image / np.sqrt(background([image]))[:, None, None]).astype(np.complex64)
-    peaks = Peaks.of(box, scaled, lattice.response, 10.0)
+    peaks = PowerPeaks.of(box, scaled, lattice.response, 10.0)
     assert peaks
     ml = ESTIMATORS["ml"]
     estimate = peaks.estimate(0.0, ml, ml.settings(range_looks=1, azimuth_looks=1))

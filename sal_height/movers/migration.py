@@ -27,8 +27,9 @@ import scipy.fft
 
 from sal_height.geometry import aperture_at
 from sal_height.imaging import Slc
+from sal_height.movers.likelihood import MODEL_ERROR
 from sal_height.movers.response import point_response
-from sal_height.movers.search import MODEL_ERROR, Search, centres_of
+from sal_height.movers.search import Search, centres_of
 from sal_height.movers.spectrum import column_aspects
 from sal_height.numeric import C64, C128, F64, Index, fast_length, vertex
 from sal_height.sensor import Sensor
@@ -65,7 +66,7 @@ DEPTHS = (0.35, 0.7, 1.4, 2.8)
 
 
 @dataclass(frozen=True, eq=False)
-class Walked:
+class Migration:
     """The walk of a target.
 
     Attributes:
@@ -84,7 +85,7 @@ class Walked:
 
 
 @dataclass(frozen=True, eq=False)
-class Walks:
+class Migrations:
     """What walks in an image.
 
     Attributes:
@@ -161,7 +162,7 @@ class Walks:
         spectra = self.search.spectra(numbers, np.full(len(numbers), cols // 2))
         return self._along(spectra, numbers, np.array([row]), np.array([speed]))[0]
 
-    def look(self, row: int, col: int, number: int, threshold: float | None = None) -> Walked | None:
+    def look(self, row: int, col: int, number: int, threshold: float | None = None) -> Migration | None:
         """The walk of what is bright at a pixel with the walk of a speed undone.
 
         Args:
@@ -188,7 +189,7 @@ class Walks:
         target = _Rows(numbers, spectra, matched, float(elevations[0]), background)
         return self._judged(target, row, speed, threshold)
 
-    def _judged(self, target: _Rows, row: int, about: float, threshold: float | None) -> Walked | None:
+    def _judged(self, target: _Rows, row: int, about: float, threshold: float | None) -> Migration | None:
         """The walk of a target about a row and a speed; None: it does not walk."""
         step = SPEED_STEP * self.speed_of_row
         speeds: F64 = about + step * np.arange(-11, 12, dtype=np.float64)
@@ -205,33 +206,33 @@ class Walks:
         speeds, energy = speeds[best - 1 : best + 2], energy[best - 1 : best + 2]
         places = energy.argmax(axis=1)
         spectra = self._along(target.spectra, target.numbers, fine[places], speeds)
-        walking = self._told(target, spectra).max(axis=1) + energy.max(axis=1)
+        migrating = self._likelihoods(target, spectra).max(axis=1) + energy.max(axis=1)
         ratio = np.inf
         if threshold is not None:
-            ratio = float(2 * (walking[1] - self._at_rest(target, still)))
+            ratio = float(2 * (migrating[1] - self._at_rest(target, still)))
             if ratio < threshold:
                 return None
-        offset, bend = vertex(*walking)
+        offset, bend = vertex(*migrating)
         speed, sigma = float(speeds[1] + step * offset), float(step / np.sqrt(bend))
-        return Walked(speed, sigma, float(fine[places[1]]), ratio, spectra[1])
+        return Migration(speed, sigma, float(fine[places[1]]), ratio, spectra[1])
 
     def _at_rest(self, target: _Rows, still: F64) -> float:
         """Logarithm of the greatest likelihood of what does not walk.
 
         It is one target of any lag, some that stand still in different rows, or one that is spread over range.
         """
-        told = self._told(target, np.einsum("tr,rbc->tbc", still, target.spectra))
+        likelihoods = self._likelihoods(target, np.einsum("tr,rbc->tbc", still, target.spectra))
         explained = np.sum(np.abs(still @ target.matched) ** 2, axis=-1)
-        one = told[0].max() + explained[0]
-        several = np.cumsum(told[:, self._ground] + explained).max()
-        return max(float(one), float(several), self._deep(target, still[0], int(told[0].argmax())))
+        one = likelihoods[0].max() + explained[0]
+        several = np.cumsum(likelihoods[:, self._ground] + explained).max()
+        return max(float(one), float(several), self._deep(target, still[0], int(likelihoods[0].argmax())))
 
     @cached_property
     def _ground(self) -> int:
         """Number of the lag of what stands still."""
         return int(np.abs(self.search.lags - self.ground_lag).argmin())
 
-    def _told(self, target: _Rows, spectra: C128) -> F64:
+    def _likelihoods(self, target: _Rows, spectra: C128) -> F64:
         """Logarithm of the likelihoods of all lags of spectra made of a target's rows, shape (spectra, lags)."""
         count = len(spectra)
         elevations, backgrounds = np.full(count, target.elevation), np.full(count, target.background)
@@ -246,8 +247,8 @@ class Walks:
             Shape (targets, rows), each orthogonal to the others: what of a target those before do not have.
         """
         numbers = target.numbers
-        beside = abs(speed) / self.speed_of_row / 2 + BESIDE
-        places: F64 = row + np.arange(-beside, beside + FINE_STEP / 2, FINE_STEP, dtype=np.float64)
+        margin = abs(speed) / self.speed_of_row / 2 + BESIDE
+        places: F64 = row + np.arange(-margin, margin + FINE_STEP / 2, FINE_STEP, dtype=np.float64)
         responses = self.response(numbers - places[:, None])
         found = np.zeros((0, len(numbers)))
         for _ in range(NEIGHBOURS):

@@ -10,7 +10,7 @@ from test_detection import NORTH, mover, strip
 
 from sal_height.movers import Looked, Mover, MoverSettings
 from sal_height.movers.likelihood import LagLikelihood
-from sal_height.movers.walk import about_ranges
+from sal_height.movers.migration import about_ranges
 from sal_height.pipeline import movers
 from sal_height.simulation.scene import PointScatterer
 
@@ -150,6 +150,6 @@ def test_it_is_the_likelihood_of_a_cloud_that_is_spread_over_rows() -> None:
             covariance = np.eye(21) + 10 ** (decibels / 10) * cloud
             _, log_det = np.linalg.slogdet(covariance)
             misfit = np.real(spectra.ravel().conj() @ np.linalg.solve(covariance, spectra.ravel()))
-            best = max(best, -log_det - misfit)
+            best = max(best, np.sum(np.abs(spectra) ** 2) - log_det - misfit)
     likelihood = LagLikelihood(frequencies, gains, np.ones((2, 7), np.bool_))
     assert likelihood.of_rows(spectra, 1, rows[None]) == pytest.approx(best, rel=1e-5)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from benchmarks.row import Row, sized
 from sal_height.figures import DEFAULT_TRIALS
-from sal_height.figures.catalogue import FIGURES, make_figures, summary
+from sal_height.figures.paper_figures import FIGURES, make_figures, summary
 
 NAMES = sized(list(FIGURES), ["fig3"])
 

@@ -13,8 +13,8 @@ from helpers import BEAMWIDTH, make_beams, make_sensor
 
 from sal_height.beams.pattern import _averaged, pattern_named
 from sal_height.elevation import OBJECTIVES, AxisResponse
-from sal_height.elevation.array.response_spread import shares_of_pixels, squared_pull
-from sal_height.elevation.array.search import SEARCHES_HELD, SQUINTS_AT_ONCE, PeakSearches, _searches
+from sal_height.elevation.array.response_spread import sidelobe_fractions, squared_pull
+from sal_height.elevation.array.search import SEARCHES_KEPT, SQUINTS_AT_ONCE, PeakSearches, _searches
 from sal_height.elevation.looks.look_windows import Window, axis_looks
 from sal_height.elevation.looks.noise_floor import _speckle_contrast
 from sal_height.elevation.monopulse.inverse_table import inverse_table
@@ -54,7 +54,7 @@ def new_contrast(samples: int) -> Any:
         (_speckle_contrast, lambda number, _: new_contrast(10 + number)),
         (inverse_table, lambda number, _: inverse_table(make_beams(count=2), number)),
         (squared_pull, lambda *_: squared_pull(make_beams(count=2))),
-        (shares_of_pixels, lambda number, _: shares_of_pixels(AxisResponse("taylor", 1.3), 1 + number)),
+        (sidelobe_fractions, lambda number, _: sidelobe_fractions(AxisResponse("taylor", 1.3), 1 + number)),
         (_fault_of_pulses, lambda number, _: _fault_of_pulses(np.arange(2.0).tobytes(), np.full(2, number).tobytes())),
         (_searches, lambda *_: PeakSearches.over(make_beams(), OBJECTIVES["normalised"], 0.0)),
     ],
@@ -72,7 +72,7 @@ def test_caches_are_bounded(cache: Any, use: Callable[[int, Path], Any], tmp_pat
     assert info.currsize < 17
 
 
-@pytest.mark.parametrize("columns", [SEARCHES_HELD // 8, 2 * SEARCHES_HELD])
+@pytest.mark.parametrize("columns", [SEARCHES_KEPT // 8, 2 * SEARCHES_KEPT])
 def test_searches_at_the_squints_of_columns_are_bounded(columns: int) -> None:
     squint = np.linspace(-0.1, 0.1, columns) * BEAMWIDTH
     searches = PeakSearches.over(make_beams(), OBJECTIVES["normalised"], 0.0)
@@ -80,7 +80,7 @@ def test_searches_at_the_squints_of_columns_are_bounded(columns: int) -> None:
         assert len(searches.of(block).tables.grid) <= SQUINTS_AT_ONCE
     of_parts: Any = searches.of_parts
     info, blocks = of_parts.cache_info(), -(-columns // SQUINTS_AT_ONCE)
-    assert (info.misses, info.currsize) == (blocks, min(blocks, SEARCHES_HELD // SQUINTS_AT_ONCE))
+    assert (info.misses, info.currsize) == (blocks, min(blocks, SEARCHES_KEPT // SQUINTS_AT_ONCE))
 
 
 def test_windows_and_what_follows_from_them_are_bounded() -> None:

@@ -69,16 +69,16 @@ def adjust(
     """Find errors of navigation and mounting, so that heights of overlapping dwells agree.
 
     The heights of all dwells, or of all images of strips, are made again and
-    compared where they show the same ground: best in passes flown to and fro,
-    which see it from both sides. From that, the Doppler centroids and what
-    odometry and mounting are stated to be, are estimated
+    compared where they show the same ground: best in passes flown to and fro, which
+    see it from both sides. From that, the Doppler centroids and the stated odometry
+    and mounting, the command estimates
       navigation   errors of position, velocity and attitude over time
       mounting     boresight, lever arm and delay, and the pitch of the beams
-    with their covariance. What stays open is said: without known ground all
-    dwells together lie where odometry puts them.
+    with their covariance. It reports what cannot be determined: without known
+    ground, a common offset of all dwells is that of the odometry.
 
     Dwells of one detector have no heights. Their images are compared on level
-    ground instead, which tells errors of navigation from dwell to dwell.
+    ground instead, which gives errors of navigation from dwell to dwell.
 
     The output folder holds a bag with the corrected odometry, to be replayed;
     report.json and adjustment.png. Errors of the mounting that were found are part
@@ -86,8 +86,8 @@ def adjust(
     dwell could be compared, the bag has the odometry as it was.
 
     Args:
-        estimator: Whose heights are compared, where there are any.
-        target: A point target at a known place in map; may be repeated.
+        estimator: Estimator of the heights that are compared.
+        target: A point target at a known position in map; may be repeated.
         targets: CSV file of more, with the columns east_m, north_m, height_m and, if it is not 0.01, sigma_m.
         terrain: Elevation model of known ground, as .tif or .npz, around the origin of map.
         terrain_sigma: Standard deviation of its heights. Default: 0.1 m.

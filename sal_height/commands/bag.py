@@ -64,7 +64,7 @@ DIFF_EXAMPLES = """
 
 CUT_EXAMPLES = """
   sal-height bag cut out/small/bag --dwells 1:1 --out out/second
-  sal-height bag cut flight --from 60 --to 90.5        seconds from its begin
+  sal-height bag cut flight --from 60 --to 90.5        seconds from its start
   sal-height bag cut flight --from 1795404227.7        a time since 1970
 """
 
@@ -96,8 +96,8 @@ def info(bag: Bag, /, *, dwells: Flag = False, json_: Json = False) -> int:
     """Topics, types, counts, rates, gaps, size and duration of a bag, from its index.
 
     Rates and gaps are those of the times at which messages were received. The
-    number of frames says how many are lacking of whole dwells at least; only
-    the messages tell which (--dwells), and reading them takes longer.
+    number of frames shows how many are missing at least from whole dwells; only
+    the messages show which (--dwells), and reading them takes longer.
 
     Args:
         dwells: Read all frames, and name every dwell that lacks channels or has some twice.
@@ -126,12 +126,12 @@ def _dwell_reports(bag: Path) -> list[DwellReport]:
 
 @check_app.default
 def check(bag: Bag, /, *, json_: Json = False) -> int:
-    """Whether a bag keeps the contract of rosbag2, and has what the nodes need.
+    """Check that a bag keeps the contract of rosbag2, and has what the nodes need.
 
-    Every finding is a sentence and what to do about it. All data are read, to
-    verify their checksums. Among what is looked at are metadata.yaml, types,
-    dwells that lack channels, odometry around each dwell, stamps, parameters,
-    and losses that the recorder tells of.
+    Every finding is a message with its remedy. All data are read, to
+    verify their checksums. It checks, among others, metadata.yaml, types, dwells
+    that lack channels, odometry around each dwell, stamps, parameters, and losses
+    that the recorder reports.
 
     Args:
         json_: Print JSON instead of text.
@@ -238,7 +238,7 @@ def cut(
     Dwells are kept whole or not at all, with odometry from a second before to a
     second after. What was latched before (descriptions of sensors, calibrations,
     static transforms) and the parameters of nodes are kept as they were last.
-    Times are those at which messages were received, in seconds from the begin of
+    Times are those at which messages were received, in seconds from the start of
     the bag, or since 1970.
 
     Args:
@@ -264,7 +264,7 @@ def cut(
 
 @upgrade_app.default
 def upgrade(bag: Bag, /, *, out: OutputFolder = None) -> int:
-    """Write a bag that was recorded with an older version of our messages anew, with those of today.
+    """Write a bag that was recorded with an older version of our messages again, with those of today.
 
     Programs that know only today's messages can read it then; `sal-height` itself
     reads bags of all versions as they are.

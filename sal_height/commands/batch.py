@@ -52,15 +52,17 @@ def batch(
     bag is processed by several. The heights are tracked, compared with those in the
     bag, and with the truth if the flight was simulated.
 
+    Several values of a parameter, with commas between them, are tried in turn, each
+    with those of other parameters, and compared in comparison.png.
+
     The output folder holds a bag with the heights of each BAG and a table,
     summary.parquet: a row for each bag and setting. After an interruption, or when
-    more is to be done of a failed bag, the same command goes on where it was.
+    a failed bag is to be completed, the same command continues where it ended.
 
     Args:
         bags: Folders of bags, or .mcap files.
         out: Output folder: new, empty, or that of the same campaign.
-        param: Set a parameter of a node; may be repeated. Several values with commas between them are
-            tried in turn, each with those of other parameters, and compared in comparison.png.
+        param: Set a parameter of a node, to one value or several with commas between them; may be repeated.
         workers: Processes on this machine. Default: one for each processor.
         scheduler: Address of a Dask cluster that does the work instead; it must see the same files.
         dwells: Has no effect any more.

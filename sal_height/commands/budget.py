@@ -55,24 +55,24 @@ def budget(
     in the middle of the beams. The transmitter lights up the beams of all
     detectors evenly and nothing else, and pixels are unweighted. CNR is that of
     one look of a detector that looks straight at the ground, as in presets, and
-    sigma the Cramer-Rao bound of a pixel with the looks of the preset.
+    sigma the Cramer-Rao bound of a pixel with the looks of the preset. A perfect
+    receiver (noise figure 0 dB) has the noise k T at 290 K, or h f in light; of a
+    lidar, the noise figure is one over the efficiency of detection.
 
-    The group "sensitivity to uncorrected errors" says what an error of a unit does,
-    whether the preset has it or not, and "errors of this preset" how large the
-    preset's impairments are and what they do to place and height where neither a
-    parameter nor autofocus takes them out. Random errors are rms, constant ones
-    without their sign. A sentence says whether autofocus is needed.
+    The group "sensitivity to uncorrected errors" gives the effect of an error of
+    one unit, whether the preset has it or not, and "errors of this preset" the size
+    of the preset's impairments and their effect on position and height where
+    neither a parameter nor autofocus removes them. Random errors are rms, constant
+    ones without their sign. The last line says whether autofocus is needed.
 
     The output folder holds budget.json and budget.png.
 
     Args:
         preset: Name of a preset or path of its YAML file.
-        power: Mean power transmitted. Default: what gives the CNR of the preset.
-        backscatter_db: Radar cross-section per area of ground (sigma0). Default: of a diffuse surface that scatters
-            0.3 of the light; of a radar, -10.
+        power: Mean transmitted power. Default: the power for the CNR of the preset.
+        backscatter_db: Radar cross-section per area of ground, sigma0. Default: diffuse, albedo 0.3; of a radar, -10.
         loss_db: Losses of power in transmitter, air and receiver together.
-        noise_figure_db: By how much the receiver is noisier than a perfect one, whose noise is k T at 290 K, or in
-            light h f; of a lidar, one over the efficiency of detection.
+        noise_figure_db: Noise of the receiver over that of a perfect one.
         out: Output folder, new or empty. Default: out/budget, or the next free of out/budget_2, ….
     """
     from sal_height.budget.budget import BUDGET, PICTURE, Assumptions

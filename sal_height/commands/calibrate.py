@@ -34,14 +34,14 @@ def calibrate(
 ) -> int:
     """Measure a sensor's receivers and beams on the scene of a recorded bag.
 
-    The bag is focused without range weighting. On the images of all its dwells
-    are estimated
+    The bag is focused without range weighting. From the images of all dwells, the
+    command estimates
       receivers    the frequency response of each channel beyond that in
                    sensor_info: relative to the other channels by cross-spectra,
                    on any scene; the common response by point targets
       gains, width the complex gains of the detectors and the width of their
-                   beams, by the scene. Of two detectors only the phase can be
-                   estimated, unless the images hold a reflector at a known
+                   beams, by the scene. With two detectors only the phase can be
+                   estimated, unless the images have a reflector at a known
                    position (east,north,height in m): --param
                    psf_calibration.target=12.5,-3,1.2
 

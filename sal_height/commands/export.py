@@ -42,21 +42,19 @@ def export(
 ) -> int:
     """Write the heights of a bag as a point cloud, a map or arrays, or its complex images as SICD.
 
-    Coordinates are easting, northing and height above the ellipsoid where the origin
-    of the map is known, by topic map_origin, the recorded parameters or --origin; else
-    those of the map frame.
+    Coordinates are easting, northing and height above the ellipsoid where the
+    origin of the map is known, by topic map_origin, the recorded parameters or
+    --origin; else those of the map frame.
 
     Args:
-        las: Point cloud, .las or .laz: every surface of every pixel is a return, with its sigma, CNR, probability and
-            dwell, and GPS time.
+        las: Point cloud, .las or .laz: a return for every surface, with sigma, CNR, probability, dwell and GPS time.
         cog: Map of all dwells as a Cloud-Optimized GeoTIFF, each cell the mean weighted by inverse variance.
         netcdf: Arrays of all dwells as netCDF 4, by the CF conventions.
         zarr: The same arrays as Zarr, in a new folder.
         film: Height and sigma dwell by dwell, .gif or .mp4.
         sicd: Complex images, recorded with --record slc: a SICD file for each dwell and channel, in a new folder.
         topic: Of the heights. Default: /ml/height, or the first that the bag has.
-        origin: Place of the map's origin on the earth: latitude and longitude in degrees, height above the WGS-84
-            ellipsoid in m. Default: as the bag says.
+        origin: Origin of the map on WGS 84: latitude and longitude in degrees, height in m. Default: as the bag says.
         crs: Coordinate reference system: utm, a code such as EPSG:25832, or local.
         cell_size: Side of a cell of the map, m. Default: as the pixels are.
     """

@@ -79,8 +79,7 @@ def arrays(
     Args:
         sensor: YAML file of the sensor.
         data: File of arrays: .npz, .mat or .h5.
-        track: Track of the platform: CSV with a line of names, SBET (.sbet, .out), or a bag with odometry or
-            satellite fixes.
+        track: Track of the platform: CSV with a line of names, SBET (.sbet, .out), or a bag with odometry or fixes.
         out: Folder of the new bag, new or empty. Default: out/DATA, or the next free of out/DATA_2, ….
     """
     from sal_height.imports import import_arrays
@@ -101,9 +100,9 @@ def cphd(
 ) -> int:
     """Convert a channel of compensated phase history data to a bag, which sal-height replay focuses.
 
-    Read are files of CPHD 1.0 and 1.1 of one platform, over frequency (FX) or time of
-    arrival (TOA), whatever their sign, number format and frequencies from pulse to
-    pulse. The map's origin is the image area reference point.
+    It reads files of CPHD 1.0 and 1.1 of one platform, over frequency (FX) or time
+    of arrival (TOA), with any sign, number format and frequencies that change from
+    pulse to pulse. The map's origin is the image area reference point.
 
     Args:
         file: The file.
@@ -128,14 +127,14 @@ def crsd(
 ) -> int:
     """Convert compensated radar signal data to a bag, which sal-height replay focuses.
 
-    Read are files of CRSD 1.0 with pulses and their echoes (CRSDsar), of one platform that
-    transmits a linear FM. Echoes are compressed in range. The map's origin is the image
-    area reference point. Channels that are beams of one antenna are read together.
+    It reads files of CRSD 1.0 with pulses and their echoes (CRSDsar), of one
+    platform that transmits a linear FM. Echoes are compressed in range. The map's
+    origin is the image area reference point. Channels that are beams of one antenna
+    are read together.
 
     Args:
         file: The file.
-        channel: Identifier of the channel. Default: all channels that are beams of one antenna, else the reference
-            channel.
+        channel: Identifier of the channel. Default: all that are beams of one antenna, else the reference channel.
         out: Folder of the new bag, new or empty. Default: out/FILE, or the next free of out/FILE_2, ….
     """
     from sal_height.imports import import_crsd

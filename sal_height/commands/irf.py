@@ -60,13 +60,13 @@ def irf(
                    needed to remove the phase of range first; adds positions and
                    widths in m
 
-    In cuts through the target's peak, interpolated to 32 samples per pixel, are
-    measured
+    Along cuts through the target's peak, interpolated to 32 samples per pixel, the
+    command measures
       width        at -3 dB
       PSLR         highest sidelobe over the peak
       ISLR         energy of the sidelobes, up to 10 widths from the peak, over
                    that of the main lobe
-    and in the whole image
+    and, in the whole image,
       peak         brightest pixel over the median
       entropy      of the energy distribution over the pixels
     A dash in the table and null in irf.json mean that an image does not show a

@@ -65,9 +65,9 @@ def live(
     """Process a sensor that does not wait, and show rate, latency and drops of every node.
 
     Without CONFIG, the sensor's dwells are simulated beforehand, or come from a
-    bag. They are played at the sensor's pace, again and again with stamps that
-    go on, until Ctrl-C. When dwells come faster than they are processed, the
-    oldest are left out whole and counted. The output folder holds the bag of
+    bag. They are played at the sensor's pace, repeatedly with increasing stamps,
+    until Ctrl-C. When dwells arrive faster than they are processed, the oldest are
+    left out whole and counted. The output folder holds the bag of
     the heights, report.json, and latency.png, which shows the latency of every
     node over time.
 
@@ -81,8 +81,7 @@ def live(
         rate: Seconds of the sensor in a second. Default: 1.
         seconds: End after this time. Default: at Ctrl-C.
         dwells: Number of dwells to simulate. Default: the preset's.
-        budget: Longest time from a dwell to its heights, in seconds. Default: the preset's latency_budget_s, or
-            three dwell intervals, but at least 0.2.
+        budget: Longest time from a dwell to its heights, s. Default: the preset's, or 3 dwell intervals, at least 0.2.
         one_process: Run all nodes in one process instead of one each.
         supervise: Start nodes again that have ended, after half a second at first and 30 s at most.
         seed: Seed of the random numbers. Default: 1.

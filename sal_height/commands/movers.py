@@ -34,17 +34,17 @@ app = command("movers", PROCESSING, EXAMPLES)
 def movers(
     bag: Bag, /, *, set_: Settings = (), param: NodeParameters = (), jobs: Jobs = 1, out: OutputFolder = None
 ) -> int:
-    """Find what moves in the strips or dwells of a bag: place, height and radial velocity.
+    """Find movers in the strips or dwells of a bag: position, height and radial velocity.
 
-    A mover's image lies beside it along the flight, by range times radial velocity
-    over speed. Where in the beam it was seen tells its velocity, and with it place
-    and height, but for multiples of the velocity that pulses cannot tell from none.
-    What moves at metres per second, up to fastest_mps, walks through rows of the
-    image while the beam passes, or from one spotlight dwell to the next, which tells
-    its speed without ambiguity. Spotlight dwells must overlap; they are compressed
-    anew with all Doppler frequencies, unless --param sar_compression.cols says
-    otherwise. What stands still is taken for a mover in at most false_alarm_rate of
-    what is looked at. The output folder holds report.json.
+    The image of a mover is displaced in azimuth by range times radial velocity over
+    speed. Its position in the beam gives its velocity, and with it position and
+    height, except for multiples of the velocity that the pulses cannot distinguish
+    from zero. At metres per second, up to fastest_mps, a mover migrates through
+    rows of the image while the beam passes, or from one spotlight dwell to the
+    next, which gives its speed without ambiguity. Spotlight dwells must overlap;
+    they are compressed again with all Doppler frequencies, unless --param
+    sar_compression.cols says otherwise. The rate of false alarms is
+    false_alarm_rate at most. The output folder holds report.json.
 
     Args:
         out: Output folder, new or empty. Default: out/movers_BAG, or the next free of out/movers_BAG_2, ….

@@ -73,10 +73,11 @@ def passes(
     """Make heights of bright points from several passes over the same ground.
 
     The passes are a sparse array in elevation, whose channels are their images.
-    Bright points tell what phases and positions of the passes are wrong against
-    each other, but for a height that all points share: it is that of reference
-    points (--tie), or else the median of the points is put at ground_m. Passes of
-    another band, of other ground or whose phase cannot be tied are left out.
+    Errors of phase and position between the passes are estimated from bright
+    points, except for a height that is common to all points: it is that of
+    reference points (--tie), or else the median of the points is set to ground_m.
+    Passes of another band, of other ground or whose phase cannot be tied are left
+    out.
 
     The output folder holds report.json, passes.png and a bag with the heights of
     the points, for `sal-height export`.
@@ -84,8 +85,8 @@ def passes(
     Args:
         bags: Folders of bags, or their .mcap files; of one pass each, three or more.
         estimator: Estimator of elevation: ml or capon.
-        tie: A reflector at a known place in map that all heights refer to; may be repeated.
-        compare: A reflector at a known place in map that heights are compared with; may be repeated.
+        tie: A reflector at a known position in map that all heights refer to; may be repeated.
+        compare: A reflector at a known position in map that heights are compared with; may be repeated.
         centre: Middle of the scene. Default: where the passes look.
         out: Output folder, new or empty. Default: out/passes, or the next free of out/passes_2, ….
     """

@@ -82,9 +82,10 @@ def psf(
                    speckle as large as this one, or larger. A small probability is
                    evidence against linearity. Receiver noise may have passed any
                    weights over range, but must be white along azimuth, unless a
-                   bag tells how it was weighted. Speckle within 128 range pixels of
+                   bag states its weights. Speckle within 128 range pixels of
                    a bright point is excluded, because it contains the point's
-                   echoes
+                   echoes. Without a known noise power, tiles whose neighbours in
+                   azimuth do not correlate are not used as speckle
 
     The output folder holds psf.json, psf.npz and psf.png; with several channels,
     psf_N.npz and psf_N.png are those of channel N. An entry of psf.json belongs
@@ -113,10 +114,8 @@ def psf(
 
     Args:
         images: Files or bags.
-        chip: Size of the chips around targets in pixels, range x azimuth. Default: 64x64, or what the smallest image
-            allows.
-        noise_power: Power of receiver noise in a pixel, in the unit of the pixels squared; 0: negligible. Default: what
-            a bag says. If it is unknown, tiles are not taken for speckle where neighbours in azimuth do not correlate.
+        chip: Size of the chips around targets in pixels, range x azimuth. Default: 64x64, or less for small images.
+        noise_power: Power of receiver noise in a pixel, unit of the pixels squared; 0: negligible. Default: a bag's.
         out: Output folder, new or empty. Default: out/psf, or the next free of out/psf_2, ….
     """
     from sal_height.response import PsfSettings

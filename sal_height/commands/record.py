@@ -18,7 +18,7 @@ EXAMPLES = """
 
 Texts = Annotated[tuple[str, ...], Parameter(consume_multiple=False, show_default=False)]
 
-app = command("record", BAGS, EXAMPLES, "nothing was received, or messages were left out")
+app = command("record", BAGS, EXAMPLES, "no message arrived, or messages were left out")
 
 
 @app.default
@@ -38,8 +38,8 @@ def record(
 
     Without topics, patterns and types: every topic but those of ROS itself. The
     parameters of all nodes are recorded, too, so that a replay needs nothing
-    else. At the end, a table says how many messages of each topic are in the
-    bag, and how many are not and why; the bag says it, too.
+    else. At the end, a table shows how many messages of each topic are in the bag,
+    and how many are not and why; the bag contains it, too.
 
     Args:
         topics: Topics to record.
@@ -48,8 +48,8 @@ def record(
         exclude: Record no topic whose name matches this regular expression; may be repeated.
         out: Folder of the bag, new or empty. Default: out/recorded, or the next free of out/recorded_2, ….
         compression: Of the file; echoes are noise, and hardly get smaller.
-        split_mb: Begin a new file at this size; each can be read alone.
-        split_s: Begin a new file after this time.
+        split_mb: Start a new file at this size; each can be read alone.
+        split_s: Start a new file after this time.
         domain: ROS domain of the graph. Default: that of ROS_DOMAIN_ID, or else 0.
         seconds: End after this time. Default: at Ctrl-C.
     """

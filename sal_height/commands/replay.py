@@ -130,17 +130,17 @@ def replay(
     --estimators, heights are made by those that made the recorded ones.
 
     Every value of every pixel is compared: equal, within the tolerance, or changed.
-    The default tolerance is what processors differ by in rounding.
+    The default tolerance is the rounding difference between processors. Where ROS
+    is not installed, a replay runs without nodes, as with --jobs.
 
     Args:
         dwells: Play only dwells of these numbers, both included.
-        start: Play only dwells that begin so long after the first one of the bag, in seconds.
-        end: Play only dwells that begin until so long after the first one, in seconds. Default: all.
+        start: Play only dwells that start at least this long after the first one of the bag, in seconds.
+        end: Play only dwells that start at most this long after the first one, in seconds. Default: all.
         entry: Begin with the complex images (slc) or the heights in the bag. Heights go to tracker and mapper alone.
         namespace: Play the topics of this namespace. Needed only if several have what is played.
-        rate: Play so many times as fast as the sensor was, with --clock paced. Default: 1.
-        jobs: Process the dwells without nodes, so many side by side; the heights are the same. Where ROS is not
-            installed, this is so by itself. Topic diagnostics, points and pictures are made by nodes only.
+        rate: Speed of the playback over that of the sensor, with --clock paced. Default: 1.
+        jobs: Process N dwells side by side, without nodes: same heights, but no diagnostics, points and pictures.
         processes: Has no effect any more: nodes of a replay share a process. Use --jobs 2 for long bags.
         against: Bag with the heights to compare with. Default: those of BAG.
         out: Output folder, new or empty. Default: out/replay_BAG, or the next free of out/replay_BAG_2, ….

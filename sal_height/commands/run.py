@@ -64,17 +64,17 @@ def run(
     """Simulate a flight, process it with the graph of nodes, and compare the heights with the truth.
 
     The output folder holds the recorded bag, report.json, height.png, errors.png,
-    ground.png, scene3d.png, profile.png and relief_map.tif. At the end stand the
-    errors of each estimator: bias, s68 (half the width between 16 % and 84 % of the
-    errors), the Cramer-Rao bound and the fraction of errors within 1 sigma.
+    ground.png, scene3d.png, profile.png and relief_map.tif. The command ends with a
+    table of the errors of each estimator: bias, s68 (half the width between 16 %
+    and 84 % of the errors), the Cramer-Rao bound and the percentage of errors
+    within 1 sigma. With an origin, the map is in UTM.
 
     Args:
         scene: Terrain: street, woods, jacksboro_fault, or a DEM as .tif or .npz file. Default: the preset's.
         dwells: Number of dwells. Default: the preset's.
         cnr_db: Single-look CNR in dB of a detector pointed at the ground. Default: the preset's.
         looks: Pixels averaged in range x azimuth, for example 2x2. Default: the preset's.
-        origin: Place of the map's origin on the earth: latitude and longitude in degrees, height above the WGS-84
-            ellipsoid in m. The map is in UTM there. Default: that of the scene, if its file has one, or the preset's.
+        origin: Origin of the map on WGS 84, in degrees and m. Default: that of the scene's file, or the preset's.
         processes: Has no effect any more: the nodes of a run share a process.
         out: Output folder, new or empty. Default: out/PRESET, or the next free of out/PRESET_2, ….
     """

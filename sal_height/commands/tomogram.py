@@ -1,4 +1,4 @@
-"""`sal-height tomogram`: draw a vertical cut through vegetation."""
+"""`sal-height tomogram`: plot a vertical cut through vegetation."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ def tomogram(
     jobs: Jobs = 1,
     out: OutputFolder = None,
 ) -> int:
-    """Draw the reflectivity over height and the way of the flight, and the ground under the canopy.
+    """Plot reflectivity against height and along-track distance, and the ground under the canopy.
 
-    The bag holds the images of all channels (topic slc), or the phase history
-    that gives them. The cut goes through the pixels of one range. Beside each other stand the regularised inversion of
-    the channels' covariance, Capon's spectrum, and MUSIC's pseudo-spectrum. Ground
-    is drawn where canopy_ground can tell it, and the true ground and top of the
-    canopy if the bag is that of a simulated flight.
+    The bag must contain the images of all channels (topic slc), or the phase
+    history for them. The cut goes through the pixels of one range. The panels show
+    the regularised inversion of the channels' covariance, Capon's spectrum, and
+    MUSIC's pseudo-spectrum; the ground where canopy_ground detects it; and the true
+    ground and top of the canopy if the flight was simulated.
 
     The output folder holds tomogram.png.
 
@@ -56,6 +56,6 @@ def tomogram(
     from sal_height.runs.products.tomogram import tomogram as draw
 
     folder = output_folder(out, f"tomogram_{bag_name(bag)}")
-    told = draw(bag, folder, looks or (1, 20), row, jobs)
-    print(f"ground detected in {told} pixels; see {folder}/tomogram.png")
+    detected = draw(bag, folder, looks or (1, 20), row, jobs)
+    print(f"ground detected in {detected or 'none of the'} pixels; see {folder}/tomogram.png")
     return DONE

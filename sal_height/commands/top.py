@@ -1,4 +1,4 @@
-"""`sal-height top`: what the nodes of a running graph do."""
+"""`sal-height top`: state of the nodes of a running graph."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ def top(
     domain: Annotated[int | None, Parameter(metavar="N", validator=Number(gte=0, lte=232))] = None,
     seconds: Annotated[float | None, Parameter(metavar="S", validator=Number(gt=0))] = None,
 ) -> int:
-    """Show what the nodes of a running graph do, until Ctrl-C.
+    """Show the state of the nodes of a running graph, until Ctrl-C.
 
-    A line for each node: its state, dwells that come and are processed in a
-    second, latency from a complete dwell to its product (median and 95th
-    percentile), processors, memory, and how many messages were left out in the
-    last minute, and in all, for which reason. Below, what nodes say that are
-    not well. It reads what the nodes publish on /diagnostics.
+    A line for each node: its state, dwells received and processed per second,
+    latency from a complete dwell to its product (median and 95th percentile),
+    processors, memory, and the messages left out in the last minute, and in total,
+    with the reason. Below are warnings and errors of nodes. It reads what the nodes
+    publish on /diagnostics.
 
     Args:
         domain: ROS domain of the graph. Default: that of ROS_DOMAIN_ID, or else 0.
@@ -46,6 +46,6 @@ def top(
     with showing(lambda book: node_table(book, time.monotonic(), "nodes")) as show:
         book = watch("environment" if domain is None else domain, math.inf if seconds is None else seconds, show)
     if not book.entries:
-        complain(["No node publishes /diagnostics in this domain; is ROS_DOMAIN_ID right?"])
+        complain(["No node publishes /diagnostics in this domain; is ROS_DOMAIN_ID, or --domain, right?"])
         return FAILED
     return DONE

@@ -27,17 +27,18 @@ def transport(
 ) -> int:
     """Print settings of Fast DDS for a program that publishes phase histories.
 
-    Fast DDS takes half a megabyte of shared memory for a process, less than a
-    dwell needs: frames get lost or come late, and odometry with them. The nodes
-    take more by themselves. A publisher of your own, in any language, does so
-    if it is started with the variable of the second example.
+    Fast DDS allocates half a megabyte of shared memory for a process, less than a
+    dwell needs: frames are lost or late, and odometry with them. The nodes allocate
+    more by themselves. A publisher of your own, in any language, does so if it is
+    started with the variable of the second example.
+
+    On a network that loses packets, as radio links do, use --packet-bytes 1400,
+    also for nodes: lost packets are then sent again one by one. By default 8 kB
+    travel together, up to 64 kB of large dwells, and are lost together.
 
     Args:
         dwell_mb: Size of the samples of a dwell, in megabytes.
-        packet_bytes: Size of the packets in which messages travel. On a network
-            that loses packets, as radio links do, take 1400, also for nodes:
-            what is lost is then sent again packet by packet. By default 8 kB
-            travel together, up to 64 kB of large dwells, and are lost together.
+        packet_bytes: Size of the packets of messages, in bytes.
     """
     from sal_height.nodes.transport.middleware import settings_for
 

@@ -23,12 +23,6 @@ EXAMPLES = """
   sal-height view --namespace uav1 --web
 """
 
-QUEUE_BYTES = 64_000_000
-"""Memory of messages of a live graph that wait to be shown, bytes."""
-
-NICENESS = 10
-"""How far the view of a live graph gives way to its nodes, as in nice(1)."""
-
 app = command("view", BAGS, EXAMPLES, "no message could be shown")
 
 
@@ -49,9 +43,9 @@ def view(
 ) -> int:
     """Show heights, images, tracks and the state of the nodes in the Rerun viewer.
 
-    With a bag, what it holds is shown, and the command ends; the window stays.
-    Without one, the topics of the live graph are shown as they come, until
-    Ctrl-C or the window is closed. What the viewer is too slow for is left out
+    With a bag, its contents are shown, and the command ends; the window stays.
+    Without one, the topics of the live graph are shown as they arrive, until Ctrl-C
+    or the window is closed. Messages for which the viewer is too slow are left out
     and counted; the graph never waits for it.
 
     It needs the Python package rerun-sdk.
@@ -82,7 +76,7 @@ def view(
         from sal_height.view.show import show_bag, show_live, wait_for_interrupt
 
     if bag is None:
-        os.nice(NICENESS)  # the viewer, too
+        os.nice(10)  # the viewer, too, yields to the nodes
     recorded = None if bag is None else Recorded(BagReader(bag), namespace)
     how = ("live graph", history) if bag is None else (bag_name(bag), math.inf)
     with ExitStack() as stack:
@@ -95,7 +89,8 @@ def view(
             screen = stack.enter_context(window_screen(memory_mb, *how))
         if recorded is None:
             stack.enter_context(ros_domain("environment" if domain is None else domain))
-            listener = stack.enter_context(Listener(namespace, QUEUE_BYTES))
+            queue_bytes = 64_000_000  # memory of messages that wait to be shown
+            listener = stack.enter_context(Listener(namespace, queue_bytes))
             end = time.monotonic() + (math.inf if seconds is None else seconds)
 
             def is_over() -> bool:

@@ -1,14 +1,14 @@
 """Elevation angle of the scatterer in each pixel, from the amplitude ratios between channels.
 
 Every estimator is a function `estimate(looks, beams, settings)` that returns an `ElevationEstimate`. Read `looks` first
-(what the channels have observed in each pixel; `cell_response`: what of that belongs to its neighbours), then
-`estimate` (the result and the reasons for none), `likelihood` with `search` (one scatterer, by the whole array),
-`spatial_prior` (help from neighbours), `several` (two and three scatterers in a pixel), `extended` (one surface that is
-spread over elevation), `order` (how probable each of these is), `layover` (which one a pixel is given) and
-`maximum_likelihood`, which joins these; `capon` and `music` (the two spectra known from tomography, on the same
-search), `monopulse` (pairs; sum and difference), `bounds` (the Cramér-Rao bounds), `registry` (the estimators by name)
-and `dwells` (several dwells at once). `profile` gives the reflectivity at all elevations of a pixel instead, as
-tomography of vegetation needs it, and `canopy_ground` the ground below it.
+(the covariance of the channels in each pixel; `cell_response`: the part of it that neighbouring pixels contribute),
+then `estimate` (the result and the reasons for an invalid pixel), `likelihood` with `search` (one scatterer, by the
+whole array), `spatial_prior` (smoothness between neighbours), `several` (two and three scatterers in a pixel),
+`extended` (one surface that is spread over elevation), `order` (probability of each of these models), `layover` (choice
+of the model of each pixel) and `maximum_likelihood`, which joins these; `capon` and `music` (the two spectra known from
+tomography, on the same search), `monopulse` (pairs; sum and difference), `bounds` (the Cramér-Rao bounds), `registry`
+(the estimators by name) and `dwells` (several dwells at once). `profile` gives the reflectivity at all elevations of a
+pixel, for tomography of vegetation, and `canopy_ground` the ground below it.
 """
 
 from sal_height.elevation.array.beam_error import common_deviation
@@ -28,10 +28,10 @@ from sal_height.elevation.array.estimate import (
     without_imprecise,
     without_saturated,
 )
+from sal_height.elevation.array.height_settings import MISFIT_SHARE, HeightSettings
 from sal_height.elevation.array.likelihood import AMBIGUOUS_RATIO, OBJECTIVES, peak_elevation, search_guard
 from sal_height.elevation.array.response_spread import sidelobe_variance
 from sal_height.elevation.array.search import Objective, PeakSearch, PeakSearches, Pixels
-from sal_height.elevation.array.settings import MISFIT_FRACTION, HeightSettings
 from sal_height.elevation.estimators.maximum_likelihood import MlSettings, ml_elevation
 from sal_height.elevation.estimators.registry import ESTIMATORS, ElevationEstimator, MakeChannels
 from sal_height.elevation.looks.cell_response import AxisResponse, CellResponse

@@ -1,7 +1,7 @@
 """Figures of the papers, recomputed, and Monte Carlo runs of the estimators, both checked against theory.
 
-Read `curve` first (what a figure is made of and how a point is checked), then `catalogue` (all figures, and how they
-are written), and `montecarlo` (one estimator at one operating point).
+Read `curve` first (the parts of a figure and the check of a point), then `paper_figures` (all figures, and their
+files), and `montecarlo` (one estimator at one operating point).
 
 Angles here are in beamwidths (wavelength / antenna diameter), as in the papers: the beams are those of an instrument
 whose beamwidth is 1 rad and whose array looks at 0.

@@ -38,32 +38,13 @@ END_OF_SEARCH = CHANNELS * PITCH / 2
 ELEVATIONS = np.linspace(0, 4, 9)
 """True elevations in figure 10, beamwidths; elevations below 0 mirror them."""
 
-LOOKS = (1, 4, 16)
-
-CNR_DB = (0, 5, 10, 20)
-
-THEORY_LOOKS, THEORY_CNR_DB = 16, 20
-"""Looks and CNR at which the error of the asymptotic theory is far below the standard error of 100 000 trials."""
-
-EXAMPLE_CNR, EXAMPLE_LOOKS, EXAMPLE_ELEVATION = 3.0, 4, 1.75
-"""CNR, looks and true elevation (beamwidths) of figure 11."""
-
-BINS = np.linspace(-4, 4, 161)
-"""Edges of the bins of the histogram, beamwidths."""
-
-CORE = 1.0
-"""Distance from the truth beyond which an estimate is an outlier, beamwidths."""
-
-STEP = 1e-3
-"""Step of the differences that approximate derivatives, beamwidths."""
-
 
 def fig10(trials: int, seed: int) -> Iterator[Curve]:
     """Mean and standard deviation of the estimate over the true elevation, by looks, CNR and objective."""
     beams = example_array()
     for objective in WEIGHTS:
-        for style, looks in zip((":", "--", "-"), LOOKS, strict=True):
-            for colour, cnr_db in enumerate(CNR_DB):
+        for style, looks in zip((":", "--", "-"), (1, 4, 16), strict=True):
+            for colour, cnr_db in enumerate((0, 5, 10, 20)):
                 cnr = 10 ** (cnr_db / 10)
                 samples = [estimates(elevation, cnr, looks, objective, trials, seed) for elevation in ELEVATIONS]
                 means, spreads = _theory(beams, objective, looks, cnr_db)
@@ -79,25 +60,27 @@ def fig10(trials: int, seed: int) -> Iterator[Curve]:
 
 
 def fig11(trials: int, seed: int) -> Iterator[Curve]:
-    """Histogram of the estimate for CNR 3, four looks and a target at 1.75 beamwidths; mean of those within CORE."""
-    width = BINS[1] - BINS[0]
+    """Histogram of the estimate for CNR 3, four looks and a target at 1.75 beamwidths; mean without outliers."""
+    cnr, looks, elevation = 3.0, 4, 1.75
+    bins = np.linspace(-4, 4, 161)
+    width = bins[1] - bins[0]
     for colour, objective in enumerate(WEIGHTS):
-        sample = estimates(EXAMPLE_ELEVATION, EXAMPLE_CNR, EXAMPLE_LOOKS, objective, trials, seed)
-        share = np.histogram(sample, BINS)[0] / trials
-        error = np.sqrt(share * (1 - share) / trials)
+        sample = estimates(elevation, cnr, looks, objective, trials, seed)
+        fraction = np.histogram(sample, bins)[0] / trials
+        error = np.sqrt(fraction * (1 - fraction) / trials)
         yield Curve(
             "density",
             objective,
-            BINS[:-1] + width / 2,
-            share / width,
+            bins[:-1] + width / 2,
+            fraction / width,
             error / width,
-            np.full_like(share, np.nan),
+            np.full_like(fraction, np.nan),
             "steps-mid",
             colour,
         )
-        core = mean(sample[np.abs(sample - EXAMPLE_ELEVATION) < CORE])
-        middle = limit(example_array(), objective, EXAMPLE_ELEVATION, EXAMPLE_CNR)
-        yield _point("core mean", objective, EXAMPLE_ELEVATION, core, middle)
+        core = mean(sample[np.abs(sample - elevation) < 1.0])  # beamwidths: outliers are farther from the truth
+        middle = limit(example_array(), objective, elevation, cnr)
+        yield _point("core mean", objective, elevation, core, middle)
 
 
 def example_array() -> Beams:
@@ -132,9 +115,10 @@ def limit_std(beams: Beams, objective: str, elevation: float, cnr: float, looks:
     The last factor is the loss caused by unknown amplitudes. For "normalised" the result is the stochastic Cramer-Rao
     bound times sqrt(K / (K - 1)). Beamwidths.
     """
-    target, place = beams.response(elevation, 0.0), limit(beams, objective, elevation, cnr)
-    below, here, above = (WEIGHTS[objective](beams.response(place + step, 0.0)) for step in (-STEP, 0.0, STEP))
-    slope, curvature = (above - below) / (2 * STEP), (above - 2 * here + below) / STEP**2
+    target, middle = beams.response(elevation, 0.0), limit(beams, objective, elevation, cnr)
+    step = 1e-3  # of the differences that approximate derivatives, beamwidths
+    below, here, above = (WEIGHTS[objective](beams.response(middle + offset, 0.0)) for offset in (-step, 0.0, step))
+    slope, curvature = (above - below) / (2 * step), (above - 2 * here + below) / step**2
     unknown_amplitudes = 1 + 1 / (cnr * target @ target)
     variance = unknown_amplitudes * slope @ slope / (curvature @ target) ** 2 / (2 * (looks - 1) * cnr)
     return float(np.sqrt(variance))
@@ -146,7 +130,8 @@ def _theory(beams: Beams, objective: str, looks: int, cnr_db: float) -> tuple[F6
     The middle of the array is its own mirror image. An estimate at the end of the search cannot pass it.
     """
     means, spreads = np.where(ELEVATIONS == 0, 0.0, np.nan), np.full_like(ELEVATIONS, np.nan)
-    if looks < THEORY_LOOKS or cnr_db < THEORY_CNR_DB:
+    # There the error of the asymptotic theory is far below the standard error of 100 000 trials.
+    if looks < 16 or cnr_db < 20:
         return means, spreads
     cnr = 10 ** (cnr_db / 10)
     for i, elevation in enumerate(ELEVATIONS.tolist()):

@@ -15,8 +15,7 @@ import numpy as np
 from sal_height.beams import Beams, detector_pattern
 from sal_height.elevation import invert
 from sal_height.figures.curve import Curve, exact_curve
-from sal_height.figures.patterns import DETECTOR_SIZE
-from sal_height.figures.reference import (
+from sal_height.figures.pair_quadrature import (
     ReferencePair,
     elevations_with,
     jinc,
@@ -24,6 +23,7 @@ from sal_height.figures.reference import (
     passed_over,
     seen_by,
 )
+from sal_height.figures.patterns import DETECTOR_SIZE
 from sal_height.figures.unit_arrays import array_of
 from sal_height.numeric import F64
 
@@ -38,12 +38,9 @@ ROTATIONS_DEG = (0, 15)
 AZIMUTHS = {"beam centre": 0.0, "upper beam edge": 0.5, "lower beam edge": -0.5}
 """Along-track angle of a target in spotlight, and of the Doppler centroid processed in stripmap; beamwidths."""
 
-ASPECTS = 16
-"""Quadrature nodes of the mean over the passing beam; a few are enough because the patterns vary slowly."""
-
 
 def fig8() -> Iterator[Curve]:
-    """Compute figure 8: in spotlight the target keeps its place in the beam."""
+    """Compute figure 8: in spotlight the target keeps its position in the beam."""
     for rotation in ROTATIONS_DEG:
         pair, reference = _pair(rotation), _reference(rotation)
         for place, azimuth in AZIMUTHS.items():
@@ -56,7 +53,8 @@ def fig9() -> Iterator[Curve]:
     for rotation in ROTATIONS_DEG:
         pair, reference = _pair(rotation), _reference(rotation)
         for place, centroid in AZIMUTHS.items():
-            passing = pair.averaged(*nodes_between(centroid - 0.5, centroid + 0.5, ASPECTS))
+            # 16 nodes of the mean over the passing beam suffice, because the patterns vary slowly.
+            passing = pair.averaged(*nodes_between(centroid - 0.5, centroid + 0.5, 16))
             yield _curve(f"psi {rotation} deg, centroid at {place}", passing, 0.0, passed_over(reference, centroid))
 
 
@@ -70,7 +68,7 @@ def _reference(rotation_deg: float) -> ReferencePair:
 
 
 def _curve(case: str, pair: Beams, squint: float, amplitudes: Amplitudes) -> Curve:
-    """Compute elevation over the discriminant by the inversion that the estimators use."""
+    """Compute elevation over the discriminant by the exact inversion, which the estimators tabulate."""
     elevation = invert(pair, RATIOS, squint).elevation
     style, colour = "--" if "edge" in case else "-", 0 if pair.rotation == 0 else 3
     return exact_curve("elevation", case, RATIOS, elevation, elevations_with(amplitudes, RATIOS), style, colour)

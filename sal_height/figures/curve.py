@@ -1,4 +1,4 @@
-"""What a figure is made of, and how far it is from theory."""
+"""The curves of a figure, and their distance from theory."""
 
 from __future__ import annotations
 
@@ -13,22 +13,19 @@ from sal_height.numeric import F64
 EXACT = 1e-9
 """Greatest difference from its closed form of a value without standard error."""
 
-MOST_STANDARD_ERRORS = 3.0
-"""Greatest distance from its closed form of a value with a standard error, in standard errors."""
-
 
 @dataclass(frozen=True)
 class Curve:
     """One curve of a figure; all arrays have the shape (points,).
 
     Attributes:
-        quantity: what is plotted: curves of one quantity share axes.
-        case: what distinguishes the curve from others of its quantity.
-        x: where it was evaluated.
-        value: of the curve.
-        standard_error: of the value; 0 where it comes from no random numbers.
-        closed_form: exact value; NaN where theory has none.
-        style: of its line, as matplotlib has it.
+        quantity: plotted quantity; curves of one quantity have common axes.
+        case: distinction from other curves of its quantity.
+        x: abscissa.
+        value: ordinate.
+        standard_error: standard error of the value; 0 without random numbers.
+        closed_form: exact value; NaN without a closed form.
+        style: style of its line in matplotlib.
         colour: number of its colour; curves with one number are to be compared.
     """
 
@@ -52,10 +49,10 @@ class Figure:
     """A figure of one of the papers, or one that adds to them.
 
     Attributes:
-        title: what it shows.
+        title: title of the picture.
         axes: labels of the horizontal and the vertical axis, by quantity.
         curve_count: number of curves.
-        curves: makes them from the number of Monte Carlo trials at each point and the seed.
+        curves: function of the number of Monte Carlo trials at each point and the seed that makes the curves.
     """
 
     title: str
@@ -81,7 +78,7 @@ def rows_of(figure: str, curve: Curve) -> list[dict[str, Any]]:
 
 
 def check_of(row: dict[str, Any]) -> dict[str, Any] | None:
-    """A point beside its closed form, with `z`: their difference in standard errors; None if there is no closed form.
+    """A point with its closed form and `z`, their difference in standard errors; None without a closed form.
 
     A value without standard error has no z, which is then None: it must be within EXACT. A value that should exist
     and does not is None.
@@ -95,9 +92,9 @@ def check_of(row: dict[str, Any]) -> dict[str, Any] | None:
 
 
 def holds(check: dict[str, Any]) -> bool:
-    """Whether the value is within MOST_STANDARD_ERRORS of its closed form, or within EXACT if it has no z."""
+    """True if the value is within 3 standard errors of its closed form, or within EXACT if it has no z."""
     if check["value"] is None:
         return False
     if check["z"] is None:
         return bool(abs(check["value"] - check["closed_form"]) <= EXACT)
-    return bool(abs(check["z"]) <= MOST_STANDARD_ERRORS)
+    return bool(abs(check["z"]) <= 3.0)

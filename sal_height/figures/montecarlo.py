@@ -1,4 +1,4 @@
-"""`sal-height montecarlo`: one estimator at one operating point, its statistics beside bounds and closed forms."""
+"""`sal-height montecarlo`: statistics of one estimator at one operating point, with bounds and closed forms."""
 
 from __future__ import annotations
 
@@ -44,21 +44,13 @@ from sal_height.theory import (
     with_streams,
 )
 
-OUTLIER = 1.0
-"""Least error of an outlier: beamwidths for an elevation, a number for a discriminant."""
-
-AT_EDGE = 1e-6
-"""Distance from the end of the search within which an estimate counts as stopped by it, beamwidths."""
-
-TRIALS_AT_ONCE = 8192
-
 DETECTORS, MOST_DETECTORS = 16, 128
 
 FARTHEST_SEARCH = 200.0
 """Greatest half width of the search, beamwidths."""
 
 ARRAY_ESTIMATORS = tuple(name for name, entry in ESTIMATORS.items() if entry.channels is whitened_channels)
-"""Estimators of ESTIMATORS that take detectors of equal noise, which is what the trials draw."""
+"""Estimators of ESTIMATORS that use detectors of equal noise, as in the trials."""
 
 BOUNDS = {
     "crb_conditional": conditional_crb,
@@ -69,16 +61,16 @@ BOUNDS = {
 
 @dataclass(frozen=True)
 class Experiment:
-    """Repeated observations of a target at one place in noise; angles in beamwidths.
+    """Repeated observations of a target at one elevation in noise; angles in beamwidths.
 
     Attributes:
-        beams: of the detectors, around 0, of a beamwidth of 1 rad.
+        beams: beams of the detectors, around 0, of a beamwidth of 1 rad.
         theta: elevation of the target above the middle of the detectors.
-        cnr_db: of one look, dB; which CNR the function says that takes it.
+        cnr_db: CNR of one look, as each function defines it, dB.
         looks: K.
         target: one of TARGETS.
         trials: number of estimates.
-        seed: of all random numbers.
+        seed: seed of all random numbers.
 
     Raises:
         UserError: a value out of its range.
@@ -111,9 +103,9 @@ def array_with(pattern: str, pitch: float, detectors: int | None, size: tuple[fl
 
     Args:
         pattern: one of PATTERNS, or the path of a CSV file of measured beams (`read_beam_tables`).
-        pitch: of the detectors, beamwidths.
-        detectors: number; None: as many as the file has beams, or 16. A single beam is that of all.
-        size: of a detector along the axis and beside it, beamwidths; 0 with measured beams, which have theirs in them.
+        pitch: pitch of the detectors, beamwidths.
+        detectors: number of detectors; None: as many as the file has beams, or 16. A single beam is that of all.
+        size: size of a detector along and across the axis, beamwidths; 0 with measured beams, which include it.
 
     Raises:
         UserError: one of them cannot be used.
@@ -140,9 +132,9 @@ def array_with(pattern: str, pitch: float, detectors: int | None, size: tuple[fl
 
 
 def search_guard(beams: Beams, domain: float | None) -> float:
-    """How far beyond half a pitch outside the array is searched (beamwidths) where `domain` is the half width of it.
+    """Extent of the search beyond half a pitch outside the array (beamwidths), if `domain` is its half width.
 
-    None: not at all, which is M pitch / 2.
+    None: 0, for a half width of M pitch / 2.
 
     Raises:
         UserError: a half width that is not positive, or too large.
@@ -300,19 +292,20 @@ def _from_covariances(experiment: Experiment, power: float, estimate: Callable[[
         samples = pixels.draw(rng, part.stop - part.start)
         estimates[part] = estimate(covariance(samples, experiment.beams.is_complex))
 
-    with_streams(work, experiment.seed, experiment.trials, max(1, TRIALS_AT_ONCE // experiment.looks))
+    with_streams(work, experiment.seed, experiment.trials, max(1, 8192 // experiment.looks))
     return estimates
 
 
 def _at_edge(elevations: F64, low: float, high: float) -> Bool:
-    return (elevations <= low + AT_EDGE) | (elevations >= high - AT_EDGE)
+    margin = 1e-6  # beamwidths
+    return (elevations <= low + margin) | (elevations >= high - margin)
 
 
 def _statistics(estimates: F64, truth: float, clipped: Bool) -> dict[str, float | None]:
     """Statistics with their standard errors (_se); estimates that do not exist count in clipped_share alone."""
     finite = estimates[np.isfinite(estimates)]
-    outliers = np.abs(estimates - truth) > OUTLIER
-    named: list[tuple[str, Measured]] = [("outlier_fraction", share(outliers)), ("clipped_share", share(clipped))]
+    outliers = np.abs(estimates - truth) > 1.0  # beamwidths of an elevation, or a number of a discriminant
+    named: list[tuple[str, Measured]] = [("outlier_share", share(outliers)), ("clipped_share", share(clipped))]
     if finite.size:
         average = mean(finite)
         bias = Measured(average.value - truth, average.standard_error)

@@ -1,4 +1,4 @@
-"""Figures 5 and 6 of the SAL paper: noise of the discriminant of a pair, beside its closed forms."""
+"""Figures 5 and 6 of the SAL paper: noise of the discriminant of a pair, with its closed forms."""
 
 from __future__ import annotations
 
@@ -69,8 +69,8 @@ def fig6(trials: int, seed: int) -> Iterator[Curve]:
 def discriminants(seed: np.random.SeedSequence, signal: Signal, cnr_sum: float, looks: int, trials: int) -> F64:
     """Estimates of the discriminant by `ratio`, shape (KAPPAS, trials).
 
-    All kappas see the same draws of target and noise, and so do all CNRs of a figure: their curves are smooth, and
-    chance has few occasions to bring a point far from theory.
+    All kappas use the same draws of target and noise, and so do all CNRs of a figure: their curves are smooth, and few
+    points are far from theory by chance.
     """
     counts = [min(BLOCK, trials - first) for first in range(0, trials, BLOCK)]
     draw = partial(_block, signal, cnr_sum, looks)

@@ -9,7 +9,7 @@ import numpy as np
 from sal_height.beams import Beams, detector_pattern, pattern_named
 from sal_height.elevation import discriminant
 from sal_height.figures.curve import Curve, exact_curve
-from sal_height.figures.reference import (
+from sal_height.figures.pair_quadrature import (
     ReferencePair,
     gaussian_from_pupil,
     jinc,
@@ -24,23 +24,21 @@ ELEVATIONS = np.linspace(-1, 1, 81)
 
 FROM_PUPIL = {"gaussian": gaussian_from_pupil, "sinc": sinc_from_pupil, "jinc": jinc_from_pupil}
 
-POINT_PITCH = 0.5
-"""Distance between the detectors in figure 3, beamwidths."""
-
 DETECTOR_SIZE = (0.6, 1.2)
 """Size of the detectors in figure 4 in elevation and azimuth, beamwidths; they touch."""
 
 
 def fig3() -> Iterator[Curve]:
-    """Point detectors half a beamwidth apart behind three apertures, beside integrals over those apertures."""
+    """Point detectors half a beamwidth apart behind three apertures, with integrals over those apertures."""
+    pitch = 0.5
     for colour, (name, cut) in enumerate(FROM_PUPIL.items()):
-        reference = ReferencePair(lambda e, _a, cut=cut: cut(e), POINT_PITCH, 0.0)  # type: ignore[misc]
-        pair = array_of((pattern_named(name),), 2, POINT_PITCH)
+        reference = ReferencePair(lambda e, _a, cut=cut: cut(e), pitch, 0.0)  # type: ignore[misc]
+        pair = array_of((pattern_named(name),), 2, pitch)
         yield from _curves(name, colour, pair, reference)
 
 
 def fig4() -> Iterator[Curve]:
-    """Points and detectors of some size behind a circular aperture, beside integrals over aperture and detectors."""
+    """Points and detectors of some size behind a circular aperture, with integrals over aperture and detectors."""
     pitch = DETECTOR_SIZE[0]
     point = ReferencePair(lambda e, _a: jinc_from_pupil(e), pitch, 0.0)
     yield from _curves("point detectors", 0, array_of((pattern_named("jinc"),), 2, pitch), point)

@@ -1,4 +1,4 @@
-"""Estimators as the PSF paper defines them, beside which the figures show those of `response`."""
+"""Estimators as the PSF paper defines them, for comparison with those of `response`."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def masked_transfer_function(
         range_stripe: columns of its stripe along range.
 
     Raises:
-        NotDetermined: there is no target.
+        NotDetermined: no target is given.
     """
     if not targets:
         raise NotDetermined("No point target determines the transfer function; one at least is needed.")
@@ -73,12 +73,12 @@ def mean_modulus(image: C64, tiles: SpeckleTiles) -> tuple[F64, F64]:
 def depth_and_pedestal(power: F64, teeth: float) -> tuple[float, float]:
     """Depth of a sawtooth and height of the pedestal in |R|: as the paper reads them from its figures 10 and 24.
 
-    The depth is pi / 2 times the sawtooth's fundamental in ln |R|, beside a parabola, where the power is above half of
+    The depth is pi / 2 times the sawtooth's fundamental in ln |R|, next to a parabola, where the power is above half of
     its greatest; the pedestal is the mean |R| of the quietest quarter of the frequencies over the greatest.
 
     Args:
         power: |R|^2 at frequencies from -1/2 up; of speckle, its mean periodogram.
-        teeth: of the sawtooth in all frequencies.
+        teeth: number of teeth of the sawtooth in all frequencies.
     """
     modulus = np.sqrt(np.maximum(power, 0))
     frequency = frequencies(len(power))

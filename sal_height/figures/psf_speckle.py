@@ -14,7 +14,7 @@ import numpy as np
 from sal_height.figures.curve import Curve, Figure
 from sal_height.figures.noise import circular
 from sal_height.figures.psf_estimators import depth_and_pedestal, mean_modulus
-from sal_height.figures.psf_tapes import COUNT, FREQUENCY, generators, held, in_band, shown
+from sal_height.figures.psf_tapes import COUNT, FREQUENCY, checked, generators, in_band, shown
 from sal_height.figures.psf_theory import chip_transform, cosine_beam, swung_modulus, through_fejer
 from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Saturation, TapeTarget, make_tape
 from sal_height.numeric import C64, C128, F64, Bool, frequencies, window
@@ -37,11 +37,8 @@ RANGE = RangeFault()
 SWINGING = AzimuthFault(swing=0.1, swing_period=float(ROWS * IMAGES))
 """A beam that swings by a tenth of the band, once in the tape."""
 
-WITHIN = 0.35
-"""Frequency up to which the tape's swinging beam is a cosine within 0.3 %: it is interpolated between pointings."""
-
 SPECKLE_COLS, TARGETS, BINS = 960, 8, 128
-"""Columns of speckle beside the targets, number of targets, and range pixels of their chips."""
+"""Columns of speckle next to the targets, number of targets, and range pixels of their chips."""
 
 OVER_CLUTTER_DB = 40.0
 
@@ -49,10 +46,7 @@ NOISES = np.array([0.0, 0.3, 0.6])
 """Rms of white noise over that of speckle."""
 
 SHOWN_NOISE = 0.6
-"""At which spectra are drawn, and p-values counted."""
-
-SPREADS = 200
-"""Draws of a spectrum by its standard errors, of which what is read off scatters as it does."""
+"""Noise at which spectra are drawn, and p-values counted."""
 
 P_VALUES = np.array([0.05, 0.25, 0.5, 0.75])
 
@@ -64,17 +58,14 @@ SIGNIFICANCE = 0.05
 NOISE_WINDOWS = {"white": None, "Taylor": "taylor", "Hamming": "hamming"}
 """Weights over the band that noise has passed, by name; the response itself has Taylor weights."""
 
-LINEAR = 3.0
-"""Linear tapes over the usual number: p-values need many."""
-
 SPECKLE_TAPES, NOISY_TAPES, LINEAR_TAPES, LIMITED_TAPES, READINGS = 50, 51, 52, 53, 54
-"""Numbers that tell tapes apart."""
+"""Numbers that distinguish tapes."""
 
 
 def psf_speckle(trials: int, seed: int) -> Iterator[Curve]:
     """|R| and |A| of eight images and of all, the paper's way, and the pointing of the antenna; figures 16 to 24.
 
-    Moduli are over their mean. Beside the paper's |A|, which the swing smears, is the one with the swing taken out.
+    Moduli are over their mean. The paper's |A| is smeared by the swing; the other one has the swing removed.
     """
     rngs = generators(trials, seed, SPECKLE_TAPES)
     moduli, powers, errors = [], [], []
@@ -92,14 +83,15 @@ def psf_speckle(trials: int, seed: int) -> Iterator[Curve]:
     mean = np.mean(moduli, axis=(0, 1))
     error = np.sqrt(np.mean(np.var(moduli, axis=0, ddof=1), axis=0) / (len(rngs) * IMAGES))
     power = through_fejer(np.abs(RANGE.response(ROWS)) ** 2, COUNT)
-    yield held("|R|", "average", mean[0], error[0], _over_mean(np.sqrt(power)), 0)
-    smeared = np.where(np.abs(FREQUENCY) < WITHIN, _over_mean(swung_modulus(COUNT, SWINGING.swing)), np.nan)
-    yield held("|A|", "average, smeared", mean[1], error[1], smeared, 0)
+    yield checked("|R|", "average", mean[0], error[0], _over_mean(np.sqrt(power)), 0)
+    # Up to this frequency the tape's swinging beam, interpolated between pointings, is a cosine within 0.3 %.
+    smeared = np.where(np.abs(FREQUENCY) < 0.35, _over_mean(swung_modulus(COUNT, SWINGING.swing)), np.nan)
+    yield checked("|A|", "average, smeared", mean[1], error[1], smeared, 0)
     still, aligned = np.sqrt(cosine_beam(COUNT)), np.sqrt(np.mean(powers, axis=0))
     scale = float(np.mean(still))
     error_of_power = np.mean(errors, axis=0) / np.sqrt(len(rngs))
     truth = np.where(in_band(still), still / scale, np.nan)
-    yield held("|A|", "average, swing taken out", aligned / scale, error_of_power / (2 * aligned * scale), truth, 1)
+    yield checked("|A|", "average, swing taken out", aligned / scale, error_of_power / (2 * aligned * scale), truth, 1)
 
 
 def _moduli(image: C64) -> list[F64]:
@@ -108,7 +100,7 @@ def _moduli(image: C64) -> list[F64]:
 
 
 def _pointing(spectra: SpeckleSpectra) -> Curve:
-    """Where the antenna points at each column of tiles; one in each image is held to the truth."""
+    """Pointing of the antenna at each column of tiles; one in each image is checked against the truth."""
     found = spectra.pointing
     nowhere = np.full(ROWS * IMAGES // COUNT, np.nan)
     columns = (np.arange(len(nowhere), dtype=np.float64) + 0.5) * COUNT - 0.5
@@ -129,7 +121,7 @@ class TapeResponses:
     Attributes:
         response: R of its targets at BINS frequencies, 1 at the peak.
         error: standard error of each, as a complex number.
-        speckle: its spectra.
+        speckle: spectra of its speckle.
     """
 
     response: C128
@@ -143,10 +135,10 @@ class TapeResponses:
 
 
 def psf_superposition(trials: int, seed: int) -> Iterator[Curve]:
-    """Responses of targets and of speckle, what the paper reads off them, and what the test says; figures 10 and 24.
+    """Responses of targets and of speckle, the paper's readings of them, and the result of the test; figures 10 and 24.
 
-    All systems are linear but those with a limiter. Depth and pedestal of speckle are those of R convolved with Fejer's
-    kernel, and of noise: no sign of what is not linear.
+    All systems are linear except those with a limiter. Depth and pedestal of speckle are those of R convolved with
+    Fejer's kernel, and of noise: no sign of non-linearity.
     """
     tapes = {
         noise: [_compared(rng, noise) for rng in generators(trials, seed, NOISY_TAPES)] for noise in NOISES.tolist()
@@ -156,27 +148,27 @@ def psf_superposition(trials: int, seed: int) -> Iterator[Curve]:
     for name, window_name in NOISE_WINDOWS.items():
         linear = [
             _compared(rng, SHOWN_NOISE, noise_window=window_name).p_value
-            for rng in generators(trials, seed, LINEAR_TAPES, LINEAR)
+            for rng in generators(trials, seed, LINEAR_TAPES, 3.0)  # p-values need many
         ]
         below = np.array(linear)[:, None] < P_VALUES
-        yield _share("share of linear tapes", f"p-value below, {name} noise", P_VALUES, below, P_VALUES)
+        yield _fraction("share of linear tapes", f"p-value below, {name} noise", P_VALUES, below, P_VALUES)
     limited = [
         [_compared(rng, SHOWN_NOISE, level).p_value < SIGNIFICANCE for level in LEVELS.tolist()]
         for rng in generators(trials, seed, LIMITED_TAPES)
     ]
     none = np.full(len(LEVELS), np.nan)
-    yield _share("share of limited tapes", "p-value below 0.05", LEVELS, np.array(limited), none)
+    yield _fraction("share of limited tapes", "p-value below 0.05", LEVELS, np.array(limited), none)
 
 
 def _compared(
     rng: np.random.Generator, noise: float, level: float | None = None, noise_window: str | None = None
-) -> TapeResponses:
-    """A new tape with targets to one side, and what it tells.
+) -> Comparison:
+    """Targets and speckle of a new tape with targets on one side.
 
     Args:
-        rng: of the tape.
-        noise: rms over that of the speckle.
-        level: of a limiter, over the rms; None: the system is linear.
+        rng: random numbers of the tape.
+        noise: rms of the noise over that of the speckle.
+        level: level of a limiter, over the rms; None: the system is linear.
         noise_window: weights over the band that the noise has passed; None: it is white.
     """
     cols = [SPECKLE_COLS + 96 + COUNT * number for number in range(TARGETS)]
@@ -196,7 +188,7 @@ def _compared(
 
 
 def noise_weights(name: str | None) -> F64 | None:
-    """Weights of noise at ROWS frequencies: a window over the band of the tape, nothing beside it; None: white."""
+    """Weights of noise at ROWS frequencies: a window over the band of the tape, 0 outside; None: white."""
     if name is None:
         return None
     band = np.flatnonzero(np.abs(frequencies(ROWS)) < RANGE.support / 2)
@@ -206,7 +198,7 @@ def noise_weights(name: str | None) -> F64 | None:
 
 
 def _truth() -> C128:
-    """What chips of BINS pixels hold of R, 1 at the peak."""
+    """R as chips of BINS pixels retain it, 1 at the peak."""
     pixels = np.fft.fftshift(np.fft.ifft(np.fft.ifftshift(RANGE.response(ROWS))))
     chip = pixels[(ROWS - BINS) // 2 :][:BINS]
     return chip_transform(chip / chip[BINS // 2])
@@ -231,7 +223,7 @@ def _powers(tapes: list[TapeResponses]) -> Iterator[Curve]:
     yield shown("|R|^2", "targets", frequencies(BINS), of_targets / of_targets.mean(), "-", 1)
     power = np.mean([tape.speckle.range.power for tape in tapes], axis=0)
     error = np.mean([tape.speckle.range.standard_error for tape in tapes], axis=0) / np.sqrt(len(tapes))
-    yield held("|R|^2", "speckle", power, error, _prediction(SHOWN_NOISE), 0)
+    yield checked("|R|^2", "speckle", power, error, _prediction(SHOWN_NOISE), 0)
     yield shown("|R|^2", "linear prediction", FREQUENCY, _prediction(SHOWN_NOISE), "--", 2)
 
 
@@ -245,19 +237,20 @@ def _mean_response(tapes: list[TapeResponses]) -> tuple[C128, F64]:
 def _readings(tapes: dict[float, list[TapeResponses]], rng: np.random.Generator) -> Iterator[Curve]:
     """Depth of the sawtooth and pedestal, of targets and of speckle, over the noise.
 
-    What noise in a spectrum does to such a reading, too, is in the closed form: it is the mean reading of spectra drawn
-    about the true one, and their scatter the standard error, or that of the tapes' readings if it is greater: without
-    noise the frequencies beside the band err more alike than a sub-image tells.
+    The closed form includes the effect of noise in a spectrum on a reading: it is the mean reading of spectra drawn
+    about the true one, and their scatter is the standard error, or that of the tapes' readings if it is greater:
+    without noise the errors at frequencies outside the band are more alike than those of a sub-image.
     """
+    draws = 200  # of a spectrum by its standard errors
     read = np.zeros((3, len(NOISES), 2, 2))
     for index, (noise, some) in enumerate(tapes.items()):
         response, error = _mean_response(some)
-        drawn = _truth() + error * circular(rng, (SPREADS, BINS))
+        drawn = _truth() + error * circular(rng, (draws, BINS))
         read[:, index, 0] = _reading(np.abs(response) ** 2 - error**2, np.abs(drawn) ** 2 - error**2)
         power = np.mean([tape.speckle.range.power for tape in some], axis=0)
         lines = sum(tape.speckle.range.independent for tape in some)
         scatter = periodogram_covariance(_covariance(noise), COUNT) / lines
-        read[:, index, 1] = _reading(power, rng.multivariate_normal(_prediction(noise), scatter, SPREADS))
+        read[:, index, 1] = _reading(power, rng.multivariate_normal(_prediction(noise), scatter, draws))
         of_tapes = np.std([depth_and_pedestal(tape.speckle.range.power, RANGE.teeth) for tape in some], axis=0, ddof=1)
         read[2, index, 1] = np.maximum(read[2, index, 1], of_tapes / np.sqrt(len(some)))
     read[1, :, 0, 1] = np.nan  # the pedestal of targets in noise is not drawn
@@ -274,11 +267,11 @@ def _reading(power: F64, drawn: F64) -> F64:
     return np.stack([depth_and_pedestal(power, RANGE.teeth), readings.mean(axis=0), readings.std(axis=0)])
 
 
-def _share(quantity: str, case: str, x: F64, happened: Bool, expected: F64) -> Curve:
-    """Share of tapes where something `happened`, shape (tapes, points); standard error by the expected share."""
+def _fraction(quantity: str, case: str, x: F64, happened: Bool, expected: F64) -> Curve:
+    """Fraction of tapes where something `happened`, (tapes, points); standard error by the expected fraction."""
     value = np.mean(happened, axis=0)
-    share = np.where(np.isnan(expected), value, expected)
-    return Curve(quantity, case, x, value, np.sqrt(share * (1 - share) / len(happened)), expected)
+    fraction = np.where(np.isnan(expected), value, expected)
+    return Curve(quantity, case, x, value, np.sqrt(fraction * (1 - fraction) / len(happened)), expected)
 
 
 _FREQUENCY = "frequency (cycles per pixel)"

@@ -1,4 +1,4 @@
-"""What the PSF paper's figures share: the number of tapes, and the points that are checked against theory."""
+"""Common parts of the PSF paper's figures: the number of tapes, and the points that are checked against theory."""
 
 from __future__ import annotations
 
@@ -13,39 +13,32 @@ COUNT = 64
 FREQUENCY = frequencies(COUNT)
 """Frequencies of a chip, cycles per pixel."""
 
-TRIALS_OF_A_TAPE = 1000
-"""Trials that one tape stands for: 20 tapes of the usual 20 000."""
-
-LEAST_TAPES, MOST_TAPES = 4, 40
-
-HELD = 5
-"""Step of the frequencies that are checked: bins err independently, and of hundreds some are three sigma off."""
-
-IN_BAND = 0.1
-"""Least modulus of a response, over its greatest, at which its phase is shown and checked."""
-
 
 def generators(trials: int, seed: int, figure: int, tapes: float = 1.0) -> list[np.random.Generator]:
     """Make a random generator for each tape.
 
     Args:
-        trials: that `sal-height figures` is asked for.
-        seed: of all.
-        figure: number of the figure, so that its tapes differ from those of others.
-        tapes: over the usual number of them.
+        trials: number of trials of `sal-height figures`.
+        seed: seed of all random numbers.
+        figure: number of the figure, whose tapes differ from those of others.
+        tapes: number of tapes over the usual one.
     """
-    count = round(tapes * min(max(trials // TRIALS_OF_A_TAPE, LEAST_TAPES), MOST_TAPES))
+    # A tape stands for 1000 trials: 20 tapes for the usual 20 000.
+    count = round(tapes * min(max(trials // 1000, 4), 40))
     return [np.random.default_rng(sequence) for sequence in np.random.SeedSequence((seed, figure)).spawn(count)]
 
 
 def in_band(response: Complex | F64) -> Bool:
-    """Where a response is strong enough to have a phase."""
-    return np.abs(response) > IN_BAND * np.abs(response).max()
+    """True where a response is strong enough to have a phase."""
+    return np.abs(response) > 0.1 * np.abs(response).max()
 
 
-def held(quantity: str, case: str, value: F64, error: F64, theory: F64, colour: int) -> Curve:
-    """A curve over FREQUENCY of which one point in HELD has a closed form."""
-    closed_form = np.where(np.arange(COUNT) % HELD == 0, theory, np.nan)
+def checked(quantity: str, case: str, value: F64, error: F64, theory: F64, colour: int) -> Curve:
+    """A curve over FREQUENCY of which every fifth point has a closed form.
+
+    Bins err independently, and of hundreds some are three sigma off.
+    """
+    closed_form = np.where(np.arange(COUNT) % 5 == 0, theory, np.nan)
     return Curve(quantity, case, FREQUENCY, value, error, closed_form, "-", colour)
 
 

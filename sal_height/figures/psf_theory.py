@@ -12,12 +12,6 @@ from scipy.optimize import minimize_scalar
 from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault
 from sal_height.numeric import C128, F64, frequencies
 
-NBAR = 5
-"""Sidelobes of the tape's Taylor weights that fall off little, plus one."""
-
-HARMONICS = 500
-"""Number of harmonics of the sawtooth that are summed; echoes decay with the number of the harmonic."""
-
 STEPS = 4096
 """Quadrature nodes over the band, and over the period of the swing."""
 
@@ -34,35 +28,36 @@ def taylor_coefficients(sidelobe_db: float, nbar: int) -> F64:
     return (-1.0) ** (order + 1) * above / (2 * np.prod(ratios, axis=1))
 
 
-def taylor_psf(place: F64, fault: RangeFault) -> F64:
-    """Point-spread function of the Taylor weights at places (pixels), 1 at 0: a sum of displaced sincs."""
-    across = fault.support * place
+def taylor_psf(distance: F64, fault: RangeFault) -> F64:
+    """Point-spread function of the Taylor weights at distances (pixels), 1 at 0: a sum of displaced sincs."""
+    across = fault.support * distance
     lobes = np.sinc(across)
-    for order, coefficient in enumerate(taylor_coefficients(fault.sidelobe_db, NBAR), start=1):
+    nbar = 5  # sidelobes of the tape's weights that fall off little, plus one
+    for order, coefficient in enumerate(taylor_coefficients(fault.sidelobe_db, nbar), start=1):
         lobes = lobes + coefficient * (np.sinc(across - order) + np.sinc(across + order))
     return lobes
 
 
-def range_psf(place: F64, fault: RangeFault) -> C128:
-    """Point-spread function along range at places (pixels), 1 at 0: Taylor's and the paired echoes of the sawtooth.
+def range_psf(distance: F64, fault: RangeFault) -> C128:
+    """Point-spread function along range at distances (pixels), 1 at 0: Taylor's and the paired echoes of the sawtooth.
 
     The n-th harmonic of a sawtooth of depth e, (-1)^(n + 1) 2 e / (pi n) sin(2 pi n P k) over the frequency k, makes
     echoes of the amplitude e / (pi n) at the distance n P to both sides, in quadrature with the sidelobes that are
     there without it.
     """
-    echoes = np.zeros(np.shape(place))
-    for harmonic in range(1, HARMONICS + 1):
+    echoes = np.zeros(np.shape(distance))
+    for harmonic in range(1, 501):  # echoes decay with the number of the harmonic
         shift = harmonic * fault.teeth
-        pair = taylor_psf(place + shift, fault) - taylor_psf(place - shift, fault)
+        pair = taylor_psf(distance + shift, fault) - taylor_psf(distance - shift, fault)
         echoes += (-1) ** (harmonic + 1) / (np.pi * harmonic) * pair
-    return taylor_psf(place, fault) - 1j * fault.sawtooth * echoes
+    return taylor_psf(distance, fault) - 1j * fault.sawtooth * echoes
 
 
-def azimuth_psf(place: F64, fault: AzimuthFault) -> C128:
-    """Point-spread function along azimuth at places (pixels), 1 at 0, of a beam that does not swing; by quadrature."""
+def azimuth_psf(distance: F64, fault: AzimuthFault) -> C128:
+    """Point-spread function along azimuth at distances (pixels), 1 at 0, of a beam without swing; by quadrature."""
     f = (np.arange(STEPS) + 0.5) / STEPS - 0.5
     response = np.cos(np.pi * f) ** fault.taper * np.exp(1j * fault.quartic * (2 * f) ** 4)
-    return np.exp(2j * np.pi * np.multiply.outer(place, f)) @ response / response.sum()
+    return np.exp(2j * np.pi * np.multiply.outer(distance, f)) @ response / response.sum()
 
 
 def chip_transform(chip: C128) -> C128:
@@ -71,19 +66,19 @@ def chip_transform(chip: C128) -> C128:
 
 
 def chip_response(psf: C128) -> C128:
-    """Response as a chip shows it: the transform of its pixels, with its own peak, of the value 1, in pixel 0.
+    """Response of a chip: the transform of its pixels, with its own peak, of the value 1, in pixel 0.
 
-    What the chip cuts off moves the peak a little.
+    The truncation by the chip moves the peak a little.
 
     Args:
-        psf: at pixels from -count / 2 up, shape (count,).
+        psf: point-spread function at pixels from -count / 2 up, shape (count,).
     """
     response = chip_transform(psf)
 
-    def moved(place: float) -> C128:
-        return response * np.exp(2j * np.pi * frequencies(len(psf)) * place)
+    def moved(shift: float) -> C128:
+        return response * np.exp(2j * np.pi * frequencies(len(psf)) * shift)
 
-    peak = minimize_scalar(lambda place: -np.abs(np.mean(moved(place))), bounds=(-0.5, 0.5), method="bounded")
+    peak = minimize_scalar(lambda shift: -np.abs(np.mean(moved(shift))), bounds=(-0.5, 0.5), method="bounded")
     return moved(peak.x) / np.mean(moved(peak.x))
 
 
@@ -91,8 +86,8 @@ def through_fejer(power: F64, size: int) -> F64:
     """Mean periodogram of `size` pixels of speckle whose power spectrum is `power`: a mean over Fejer's kernel.
 
     Args:
-        power: at evenly spaced frequencies from -1/2 up, many more than `size`.
-        size: pixels, and frequencies of the periodogram.
+        power: power spectrum at evenly spaced frequencies from -1/2 up, many more than `size`.
+        size: number of pixels, and of frequencies of the periodogram.
     """
     apart = np.pi * (frequencies(size)[:, None] - frequencies(len(power)))
     at_peak = np.abs(np.sin(apart)) < 1e-12
@@ -121,20 +116,20 @@ def relative_variance(response: C128, other: C128, over_clutter: float, floor: f
     Under an even beam this is rows / (TCR mean |R|^2).
 
     Args:
-        response: of mean 1.
-        other: of mean 1, along the other axis.
+        response: response of mean 1.
+        other: response of mean 1 along the other axis.
         over_clutter: power of the targets' peaks over the mean of the clutter, sum over the targets.
-        floor: of the weights, of the greatest power.
+        floor: floor of the weights, over the greatest power.
     """
     power = np.abs(other) ** 2
     q = power / (power + floor * power.max())
     pixels = len(response) * len(other)
-    share = np.sum(q**2) / np.sum(q) ** 2
-    return float(pixels * share / (np.mean(np.abs(response) ** 2) * np.mean(power) * over_clutter))
+    ratio = np.sum(q**2) / np.sum(q) ** 2
+    return float(pixels * ratio / (np.mean(np.abs(response) ** 2) * np.mean(power) * over_clutter))
 
 
 def tied(response: C128) -> tuple[F64, F64]:
-    """What is left of a unit variance over power, of the modulus and of the phase, once the peak has been tied.
+    """Remaining part of a unit variance over power, of the modulus and of the phase, after the peak has been tied.
 
     A response is scaled and turned to a mean of 1, and moved until its peak is in pixel 0. To first order that takes
     from its relative error r the mean of R r, and i g Im(mean of g R r) / mean(g^2 R), g being the frequency off the

@@ -1,7 +1,7 @@
-"""Heights tracked along range (the relief paper leaves this to Bayesian filtering), beside their closed forms.
+"""Heights tracked along range (the relief paper leaves this to Bayesian filtering), with their closed forms.
 
-A Gauss-Markov relief is drawn, measured in every cell, and tracked as the node does it; the error is taken in the
-middle of the swath, far from its ends.
+A Gauss-Markov relief is drawn, measured in every cell, and tracked as by the node; the error is that in the middle of
+the swath, far from its ends.
 """
 
 from __future__ import annotations
@@ -42,15 +42,6 @@ ROWS = 301
 SNR_DB = np.arange(0.0, 31.0, 5.0)
 """SNR of the sum channel in a cell, for the RMSE over it."""
 
-UNIT_SNR_DB = 10.0
-"""SNR of a measurement in the equisignal direction with MEASURED_SIGMA, by range and slope of the discriminator."""
-
-SNR_LENGTH = 20.0
-"""Correlation length of the relief in the curves over SNR, m."""
-
-LOOKS = 4
-"""Independent pixels whose mean power gives the noise of a cell where noise varies."""
-
 BLOCK = 4096
 """Number of tracks that are drawn at a time."""
 
@@ -65,11 +56,11 @@ def relief_tracking(trials: int, seed: int) -> Iterator[Curve]:
     """RMSE and gain of filter and smoother over the correlation length; RMSE over SNR, and with noise that varies.
 
     The closed forms are those of the steady state (`steady_sigmas`). Where noise varies (variances as 1 / power of
-    LOOKS looks of speckle), the smoother that knows each cell's variance stands beside one that takes the mean; there
-    the closed form is linear algebra with the covariance of the whole swath.
+    four looks of speckle), the smoother with each cell's variance is compared with one with their mean; there the
+    closed form is linear algebra with the covariance of the whole swath.
     """
     yield from _over_snr(trials, seed)
-    varying = MEASURED_SIGMA / np.sqrt(np.random.default_rng((seed, STREAM)).gamma(LOOKS, 1 / LOOKS, ROWS))
+    varying = MEASURED_SIGMA / np.sqrt(np.random.default_rng((seed, STREAM)).gamma(4, 1 / 4, ROWS))
     level = np.full(ROWS, float(np.sqrt(np.mean(varying**2))))
     priors = [ReliefPrior(length, RELIEF_SIGMA) for length in LENGTHS.tolist()]
     constant = np.full(ROWS, MEASURED_SIGMA)
@@ -88,9 +79,10 @@ def relief_tracking(trials: int, seed: int) -> Iterator[Curve]:
 
 def _over_snr(trials: int, seed: int) -> Iterator[Curve]:
     """Single cells, filter and smoother where the variance of a height is as 1 / SNR (`discriminator_variance`)."""
-    prior, snr = ReliefPrior(SNR_LENGTH, RELIEF_SIGMA), 10 ** (SNR_DB / 10)
+    prior, snr = ReliefPrior(20.0, RELIEF_SIGMA), 10 ** (SNR_DB / 10)
     first_order = np.sqrt(discriminator_variance(0.0, snr, (1.0, 1.0)))
-    unit = np.sqrt(discriminator_variance(0.0, 10 ** (UNIT_SNR_DB / 10), (1.0, 1.0)))
+    # Range and slope of the discriminator give MEASURED_SIGMA at 10 dB in the equisignal direction.
+    unit = np.sqrt(discriminator_variance(0.0, 10 ** (10.0 / 10), (1.0, 1.0)))
     sigmas = MEASURED_SIGMA * first_order / unit
     steady = np.array([steady_sigmas(prior, SPACING, sigma) for sigma in sigmas.tolist()])
     cases: list[tuple[str, Track, F64]] = [

@@ -44,22 +44,23 @@ def median(sample: F64) -> Measured:
 def s68(sample: F64) -> Measured:
     """Half the width from 16 to 84 %: the standard deviation of a normal distribution as wide.
 
-    The covariance of the quantiles of shares p < q is p (1 - q) / (n f_p f_q).
+    The covariance of the quantiles of probabilities p < q is p (1 - q) / (n f_p f_q).
     """
     low, high = NORMAL_SHARES
-    at_low, at_high = (_inverse_density(sample, share) for share in NORMAL_SHARES)
+    values = np.quantile(sample, NORMAL_SHARES)
+    at_low, at_high = (_inverse_density(sample, p) for p in NORMAL_SHARES)
     variance = low * high * (at_low**2 + at_high**2) - 2 * low * (1 - high) * at_low * at_high
     return Measured(half_width(sample, NORMAL_SHARES), float(np.sqrt(variance / sample.size) / 2))
 
 
 def share(chosen: Bool) -> Measured:
-    """Share of the sample that is chosen; the standard error of none or all is that of one more of each kind."""
+    """Fraction of the sample that is chosen; the standard error of 0 or 1 is that of one more of each kind."""
     smooth = (np.count_nonzero(chosen) + 1) / (chosen.size + 2)
     return Measured(float(np.mean(chosen)), float(np.sqrt(smooth * (1 - smooth) / chosen.size)))
 
 
-def _inverse_density(sample: F64, of_share: float) -> float:
-    """1 / f at the quantile of a share: from quantiles n^(-1/3) apart in share (Hall and Sheather 1988)."""
-    half = min(sample.size ** (-1 / 3) / 2, of_share, 1 - of_share)
-    low, high = np.quantile(sample, (of_share - half, of_share + half))
+def _inverse_density(sample: F64, probability: float) -> float:
+    """1 / f at a quantile, from quantiles n^(-1/3) apart in probability (Hall and Sheather 1988)."""
+    half = min(sample.size ** (-1 / 3) / 2, probability, 1 - probability)
+    low, high = np.quantile(sample, (probability - half, probability + half))
     return float((high - low) / (2 * half))

@@ -16,19 +16,16 @@ import scipy.fft
 from sal_height.numeric import C64, C128, F64, frequencies
 from sal_height.simulation import RangeSawtooth, RangeTaper
 
-SWING_KNOTS = 16
-"""Pointings per period of the swing between which the azimuth response is interpolated."""
-
 
 @dataclass(frozen=True)
 class RangeFault:
     """A range response: a Taylor-weighted band with a sawtooth on it.
 
     Attributes:
-        support: share of the frequencies that the band takes, in their middle.
-        sidelobe_db: of the Taylor weights, of which 4 on each side fall off little.
-        sawtooth: depth of the sawtooth, of the amplitude.
-        teeth: of the sawtooth in all frequencies: its echoes are this many pixels from the target.
+        support: fraction of the frequencies in the band, in their middle.
+        sidelobe_db: level of the Taylor weights' sidelobes, of which 4 on each side fall off little, dB.
+        sawtooth: depth of the sawtooth, over the amplitude.
+        teeth: number of teeth of the sawtooth in all frequencies, and distance of its echoes from the target, pixels.
     """
 
     support: float = 28 / 64
@@ -50,8 +47,8 @@ class AzimuthFault:
     Attributes:
         taper: exponent of the beam's cosine over the band.
         quartic: phase at the edges of the band, rad.
-        swing: greatest displacement of the beam by the swing of the antenna, of the band.
-        swing_period: of the swing, columns.
+        swing: greatest displacement of the beam by the swing of the antenna, over the band.
+        swing_period: period of the swing, columns.
     """
 
     taper: float = 1.0
@@ -75,8 +72,8 @@ class Saturation:
     """A limiter between pulse compression and the synthetic aperture, where a bright target is still short in range.
 
     Attributes:
-        level: at which the amplitude is limited, over the rms of the signal there.
-        aperture: columns that a target is spread over before azimuth compression.
+        level: greatest amplitude, over the rms of the signal there.
+        aperture: number of columns over which a target is spread before azimuth compression.
     """
 
     level: float
@@ -84,8 +81,8 @@ class Saturation:
 
 
 @dataclass(frozen=True)
-class TapeTarget:
-    """A point target: place in pixels, which may be fractions, and power over the mean of the speckle, at its peak."""
+class Target:
+    """A point target: position in pixels, with fractions, and power at its peak over the mean of the speckle."""
 
     row: float
     col: float
@@ -107,8 +104,8 @@ def make_tape(
 
     Args:
         shape: rows and columns.
-        rng: of speckle, noise and the targets' phases.
-        targets: beside the speckle.
+        rng: random numbers of speckle, noise and the targets' phases.
+        targets: point targets in the speckle.
         range_fault: range response; None: a flat band.
         azimuth_fault: azimuth response; None: a flat band.
         noise: rms of the noise, over that of the speckle.
@@ -164,17 +161,18 @@ def _limited(spectrum: C128, saturation: Saturation) -> C128:
 
 
 def _through_beam(spectrum: C128, beam: AzimuthFault) -> C128:
-    """The image through the beam, which points where it does at each column."""
+    """The image through the beam, with its pointing at each column."""
     rows, cols = spectrum.shape
     if not beam.swing:
         return scipy.fft.ifft2(scipy.fft.ifftshift(spectrum * beam.response(cols)))
-    count = max(2, int(np.ceil(SWING_KNOTS * cols / beam.swing_period)) + 1)
+    # The response is interpolated between 16 pointings per period of the swing.
+    count = max(2, int(np.ceil(16 * cols / beam.swing_period)) + 1)
     knots = np.linspace(0, cols - 1, count)
     image = np.zeros((rows, cols), dtype=np.complex128)
     for knot in knots:
-        share = np.interp(np.arange(cols), knots, (knots == knot).astype(float))
+        weight = np.interp(np.arange(cols), knots, (knots == knot).astype(float))
         response = beam.response(cols, float(beam.pointing(knot)))
-        image += share * scipy.fft.ifft2(scipy.fft.ifftshift(spectrum * response))
+        image += weight * scipy.fft.ifft2(scipy.fft.ifftshift(spectrum * response))
     return image
 
 

@@ -11,10 +11,10 @@ def array_of(patterns: tuple[Pattern, ...], detectors: int, pitch: float, rotati
     """Beams of `detectors`, `pitch` beamwidths apart around 0, on an axis turned by `rotation` (rad).
 
     Args:
-        patterns: of every detector, or the one common to all.
-        detectors: number of them.
-        pitch: of their boresights, beamwidths.
-        rotation: of the detector axis from elevation towards the direction of flight, rad.
+        patterns: pattern of every detector, or the one common to all.
+        detectors: number of detectors.
+        pitch: pitch of their boresights, beamwidths.
+        rotation: angle of the detector axis from elevation towards the direction of flight, rad.
     """
     boresights = (np.arange(detectors, dtype=np.float64) - (detectors - 1) / 2) * pitch
     return Beams(patterns, boresights, 1.0, rotation)

@@ -1,25 +1,14 @@
-"""Where things are: axes, the earth, pixel grids, and the platform's track.
+"""Axes, the earth, pixel grids, and the platform's track.
 
 Read `frames` first (body and map axes, the state of the sensor in mid-aperture, elevation and squint), then `earth`
-(heights above the sphere), `grid` (pixels of an image), `locate` (range and Doppler to a place on the ground),
-`mounting` (where the sensor is on the platform), `quaternion` (its attitude), `trajectory` (odometry to positions of
-the antenna at each pulse), `motion` (what gaps in it leave open), `geodesy` (the origin of a map on the ellipsoid),
+(heights above the sphere), `grid` (pixels of an image), `locate` (range and Doppler to a position on the ground),
+`mounting` (position of the sensor on the platform), `quaternion` (its attitude), `trajectory` (odometry to positions of
+the antenna at each pulse), `motion` (uncertainty in its gaps), `geodesy` (the origin of a map on the ellipsoid),
 `projection` (a map in UTM or the like), `elevation_model` and `elevation_grid` (heights of the ground from files),
-`conventions` (axes of aviation), `navigation` (positions, velocities and attitudes that come apart) and `air` (what the
-atmosphere does to range and direction). Angles are in rad, lengths in m, times in s.
+`conventions` (axes of aviation), `navigation` (positions, velocities and attitudes of separate instruments) and
+`refraction` (delay and bending by the atmosphere). Angles are in rad, lengths in m, times in s.
 """
 
-from sal_height.geometry.air import (
-    PRESSURES_PA,
-    RADIO_M,
-    STANDARD_ATMOSPHERE,
-    TEMPERATURES_K,
-    AirPath,
-    Atmosphere,
-    describe_implausible_pressure,
-    path_through_air,
-    refractivities,
-)
 from sal_height.geometry.conventions import BODY_AXES, MAP_AXES, ROS_AXES, Axes
 from sal_height.geometry.earth import EARTH_RADIUS, above_place, height_of, sphere_coordinates, sphere_point
 from sal_height.geometry.frames import (
@@ -39,6 +28,17 @@ from sal_height.geometry.mounting import AT_BASE_LINK, Mounting
 from sal_height.geometry.navigation import REORDERED_NS, Navigation, Sample
 from sal_height.geometry.projection import UTM, WGS_84, Projection, find_system
 from sal_height.geometry.quaternion import quaternion_of, rotation_matrix
+from sal_height.geometry.refraction import (
+    PRESSURES_PA,
+    RADIO_M,
+    STANDARD_ATMOSPHERE,
+    TEMPERATURES_K,
+    AirPath,
+    Atmosphere,
+    describe_implausible_pressure,
+    path_through_air,
+    refractivities,
+)
 from sal_height.geometry.trajectory import (
     GREATEST_POSE,
     GREATEST_VELOCITY,

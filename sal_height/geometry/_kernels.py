@@ -1,4 +1,4 @@
-"""Compiled loops over points: their places from range, Doppler and elevation or height, and on the sphere."""
+"""Compiled loops over points: positions from range, Doppler and elevation or height, and on the sphere."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def fill_heights(points: F64, earth: float, heights: F64) -> None:
 
 
 @compiled_with_nan
-def place_at_elevations(
+def locate_at_elevations(
     elevation: F64,
     slant_range: F64,
     along: F64,
@@ -31,9 +31,9 @@ def place_at_elevations(
     velocity: F64,
     rotation: F64,
     look_side: int,
-    places: F64,
+    positions: F64,
 ) -> None:
-    """Fill the places of `locate.locate_at_elevation`.
+    """Fill the positions of `locate.locate_at_elevation`.
 
     The direction fulfils A sin(squint) + B cos(squint) = cone, as in `frames.squint_on_cone`, which gives
 
@@ -42,14 +42,14 @@ def place_at_elevations(
     with the root of A^2 + B^2 - cone^2.
 
     Args:
-        elevation: rad, shape (n,).
-        slant_range: m, shape (n,).
-        along: m, shape (n,).
-        position: of the antenna, m, shape (n, 3), or (1, 3) for all points.
-        velocity: m/s, shape (3,).
-        rotation: from body to map axes, shape (3, 3).
+        elevation: elevations, shape (n,), rad.
+        slant_range: slant ranges, shape (n,), m.
+        along: components of the ranges along the flight, shape (n,), m.
+        position: positions of the antenna, shape (n, 3), or (1, 3) for all points, m.
+        velocity: velocity of the antenna, shape (3,), m/s.
+        rotation: matrix from body to map axes, shape (3, 3).
         look_side: +1 right, -1 left.
-        places: to be filled, m, shape (n, 3).
+        positions: array to fill, shape (n, 3), m.
     """
     flight = vector(velocity)
     speed = np.sqrt(dot(flight, flight))
@@ -64,11 +64,11 @@ def place_at_elevations(
         ahead, level = (forward * cone - down * root) / square, (down * cone + forward * root) / square
         body = ahead, -look_side * level * sine, -level * cosine
         for axis in range(3):
-            places[i, axis] = position[i * each, axis] + slant_range[i] * dot(vector(rotation[axis]), body)
+            positions[i, axis] = position[i * each, axis] + slant_range[i] * dot(vector(rotation[axis]), body)
 
 
 @compiled_with_nan
-def place_at_heights(
+def locate_at_heights(
     height: F64,
     slant_range: F64,
     along: F64,
@@ -76,11 +76,11 @@ def place_at_heights(
     velocity: F64,
     look_side: int,
     earth: float,
-    places: F64,
+    positions: F64,
 ) -> None:
-    """Fill the places of `locate.locate_at_height`.
+    """Fill the positions of `locate.locate_at_height`.
 
-    Arguments as of `place_at_elevations`, with heights and the radius of the `earth` in m.
+    Arguments as in `locate_at_elevations`, with heights and the radius of the `earth` in m.
     """
     flight = vector(velocity)
     speed = np.sqrt(dot(flight, flight))
@@ -101,20 +101,21 @@ def place_at_heights(
         across = look_side * np.sqrt(squared(slant_range[i]) - squared(along[i]) - squared(up))
         for axis in range(3):
             sight = along[i] * direction[axis] + up * upward[axis] + across * aside[axis]
-            places[i, axis] = antenna[axis] + sight
+            positions[i, axis] = antenna[axis] + sight
 
 
 @compiled_with_nan
-def place_on_sphere(points: F64, earth: float, places: F64) -> None:
+def fill_sphere_coordinates(points: F64, earth: float, coordinates: F64) -> None:
     """Fill the arc distances east and north and the height of `earth.sphere_coordinates`.
 
     Args:
-        points: m, shape (n, 3).
+        points: positions in map, shape (n, 3), m.
         earth: radius, m.
-        places: to be filled, m, shape (3, n).
+        coordinates: array to fill, shape (3, n), m.
     """
     for i in range(len(points)):
         x, y, z = vector(points[i])
         level = np.sqrt(x * x + y * y)
         scale = earth * np.arctan2(level, z + earth) / level if level > 0 else 1.0
-        places[0, i], places[1, i], places[2, i] = scale * x, scale * y, height_above((x, y, z), earth)
+        coordinates[0, i], coordinates[1, i] = scale * x, scale * y
+        coordinates[2, i] = height_above((x, y, z), earth)

@@ -28,8 +28,8 @@ class Axes:
     """The axes in which a navigation system states positions, and attitudes of the platform.
 
     Attributes:
-        map: of positions, a name in MAP_AXES.
-        body: of the platform, a name in BODY_AXES.
+        map: axes of positions, a name in MAP_AXES.
+        body: axes of the platform, a name in BODY_AXES.
     """
 
     map: str = "enu"
@@ -37,7 +37,7 @@ class Axes:
 
     @property
     def are_of_ros(self) -> bool:
-        """Whether they are those of REP 103, in which all of the project is."""
+        """True if they are those of REP 103, which the whole project uses."""
         return self == ROS_AXES
 
     def vector(self, in_map: F64) -> F64:

@@ -1,4 +1,4 @@
-"""Places and heights on the spherical earth that touches the origin of the map.
+"""Positions and heights on the spherical earth that touches the origin of the map.
 
 Map axes are ENU (x east, y north, z up) with the origin on a sphere of radius EARTH_RADIUS; heights are above that
 sphere.
@@ -31,9 +31,9 @@ def sphere_point(east: npt.ArrayLike, north: npt.ArrayLike, height: npt.ArrayLik
 def sphere_coordinates(points: F64) -> tuple[F64, F64, F64]:
     """Return arc distances east and north (m) and height (m) of map positions, shape (..., 3): undo `sphere_point`."""
     points = np.asarray(points, dtype=np.float64)
-    places = np.empty((3, *points.shape[:-1]))
-    kernels.place_on_sphere(_flat(points), EARTH_RADIUS, places.reshape(3, -1))
-    east, north, height = places
+    coordinates = np.empty((3, *points.shape[:-1]))
+    kernels.fill_sphere_coordinates(_flat(points), EARTH_RADIUS, coordinates.reshape(3, -1))
+    east, north, height = coordinates
     return east, north, height
 
 
@@ -50,7 +50,7 @@ def height_of(points: F64) -> F64:
 
 
 def _flat(points: F64) -> F64:
-    """Points as compiled loops take them, shape (n, 3)."""
+    """Contiguous points for compiled loops, shape (n, 3)."""
     return np.ascontiguousarray(points.reshape(-1, 3))
 
 

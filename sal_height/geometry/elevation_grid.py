@@ -16,20 +16,17 @@ from sal_height.geometry.geodesy import Origin
 from sal_height.geometry.projection import Projection
 from sal_height.numeric import F64, bilinear
 
-KNOTS = 33
-"""Places along each side of a scene at which PROJ is asked: between them coordinates are cubic, to 1 mm in 200 km."""
-
 
 @dataclass(frozen=True, eq=False)
 class ElevationModel:
     """Heights of the ground on nodes around the map origin, bilinear between them.
 
     Attributes:
-        name: name for people.
-        east: arc distances of the nodes from the map origin, m, increasing, shape (n_east,).
-        north: arc distances of the nodes, m, increasing, shape (n_north,).
-        height: heights above the sphere, m, shape (n_north, n_east).
-        origin: where on the earth the map origin is; None if the file does not say so.
+        name: name in messages.
+        east: arc distances of the nodes from the map origin, increasing, shape (n_east,), m.
+        north: arc distances of the nodes, increasing, shape (n_north,), m.
+        height: heights above the sphere, shape (n_north, n_east), m.
+        origin: geodetic position of the map origin; None if the file does not state it.
     """
 
     name: str
@@ -48,13 +45,13 @@ class ElevationGrid:
     """Elevations in cells of a coordinate reference system, north up.
 
     Attributes:
-        name: for people.
-        elevation: of the cells' centres, m, the northernmost row first, shape (rows, cols).
-        west: of the outer edge of the first column, in units of the system, as all of the following.
-        north: of the outer edge of the first row.
-        width: of a cell.
-        height: of a cell.
-        system: a pyproj.CRS with three axes, geographic or projected.
+        name: name in messages.
+        elevation: elevations of the cells' centres, the northernmost row first, shape (rows, cols), m.
+        west: outer edge of the first column, in units of the system, as the next three.
+        north: outer edge of the first row.
+        width: width of a cell.
+        height: height of a cell.
+        system: pyproj.CRS with three axes, geographic or projected.
     """
 
     name: str
@@ -68,9 +65,9 @@ class ElevationGrid:
     def model(self) -> ElevationModel:
         """The model around a map origin in its middle, on nodes as far apart as the cells are in the middle.
 
-        Every node has the height of the model at its place, bilinear between cells: places are those of PROJ, heights
-        above the sphere of the map follow from those above the ellipsoid, or the geoid if the system says so. Where
-        north of the system is not that of the map, nodes beside the model are left out.
+        Every node has the height of the model at its position, bilinear between cells: positions are those of PROJ,
+        heights above the sphere of the map follow from those above the ellipsoid, or the geoid if the system states it.
+        Where north of the system is not that of the map, nodes outside the model are left out.
 
         Raises:
             UserError: the system has no known relation to WGS 84, or needs a grid that is not installed.
@@ -80,9 +77,10 @@ class ElevationGrid:
         dx, dy = self._spacing(projection)
         east, north = (np.arange(cols) - (cols - 1) / 2) * dx, (np.arange(rows) - (rows - 1) / 2) * dy
         level = float(self.elevation.mean())
-        few_east, few_north = (np.linspace(axis[0], axis[-1], KNOTS) for axis in (east, north))
-        places = self._places(projection.coordinates(sphere_point(*np.meshgrid(few_east, few_north), level)))
-        row, col, up = (RectBivariateSpline(few_north, few_east, place)(north, east) for place in places)
+        # PROJ gives positions at 33 knots along each side; between them coordinates are cubic, to 1 mm in 200 km.
+        few_east, few_north = (np.linspace(axis[0], axis[-1], 33) for axis in (east, north))
+        positions = self._in_cells(projection.coordinates(sphere_point(*np.meshgrid(few_east, few_north), level)))
+        row, col, up = (RectBivariateSpline(few_north, few_east, values)(north, east) for values in positions)
         south_end, north_end, west_end, east_end = _inside(row, col, self.elevation.shape)
         kept = np.ix_(range(south_end, north_end), range(west_end, east_end))
         height = map_coordinates(self.elevation, [row[kept], col[kept]], order=1, mode="nearest") + level - up[kept]
@@ -100,7 +98,7 @@ class ElevationGrid:
 
     @property
     def _units(self) -> F64:
-        """What makes rad of angles in units of the system; 1 for lengths, which PROJ takes as they are."""
+        """Factors from units of the system to rad; 1 for lengths, which PROJ uses as they are."""
         if not self.system.is_geographic:
             return np.ones(3)
         return np.array([*(axis.unit_conversion_factor for axis in self.system.axis_info[:2]), 1.0])
@@ -114,8 +112,8 @@ class ElevationGrid:
         dx, dy = np.hypot(east[1:] - east[0], north[1:] - north[0]).tolist()
         return dx, dy
 
-    def _places(self, coordinates: F64) -> tuple[F64, F64, F64]:
-        """Row and column of places in the model, from 0 at the first cell's centre, and their heights, m."""
+    def _in_cells(self, coordinates: F64) -> tuple[F64, F64, F64]:
+        """Row and column of positions in the model, from 0 at the first cell's centre, and their heights, m."""
         x, y, up = np.moveaxis(coordinates / self._units, -1, 0)
         vertical = self.system.axis_info[2].unit_conversion_factor
         return (self.north - y) / self.height - 0.5, (x - self.west) / self.width - 0.5, up * vertical
@@ -124,12 +122,12 @@ class ElevationGrid:
 def _inside(row: F64, col: F64, shape: tuple[int, int]) -> tuple[int, int, int, int]:
     """The first node from the south that is kept, the one after the last, and the same from the west.
 
-    From whichever side reaches out farthest, nodes are left out until all are in cells of the model.
+    Nodes are left out on the side that reaches out farthest, until all are in cells of the model.
 
     Args:
-        row: of the model's row at each node, shape (north, east).
-        col: the same of columns.
-        shape: of the model.
+        row: row in the model of each node, shape (north, east).
+        col: column in the model of each node, same shape.
+        shape: shape of the model.
     """
     beyond = np.maximum.reduce([-0.5 - row, row - shape[0] + 0.5, -0.5 - col, col - shape[1] + 0.5])
     ends = [0, len(row), 0, row.shape[1]]

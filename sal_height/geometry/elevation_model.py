@@ -14,14 +14,14 @@ from sal_height.geometry.earth import EARTH_RADIUS
 from sal_height.geometry.elevation_grid import ElevationGrid, ElevationModel
 
 LOWEST, HIGHEST = -12000.0, 9000.0  # m, elevations that occur on Earth
-NO_DATA = (-9999.0, -32768.0)  # elevations that stand for none where a file does not say so
+NO_DATA = (-9999.0, -32768.0)  # elevations that usually mean no data where a file does not declare it
 
 
 def read_elevation_model(path: Path) -> ElevationModel:
     """Read the heights of the ground around the map origin from a GeoTIFF or an .npz file.
 
-    Rows run from north to south. A GeoTIFF says where on the earth it is (`ElevationGrid`). Of an
-    .npz only the size of cells is known; if they are given in degrees, the parallel in the middle keeps its length.
+    Rows run from north to south. A GeoTIFF states its position on the earth (`ElevationGrid`). Of an .npz only the size
+    of cells is known; if it is in degrees, the parallel in the middle keeps its length.
 
     Raises:
         UserError: another kind of file, or one that cannot be used.
@@ -42,7 +42,7 @@ def _read_npz(path: Path) -> ElevationModel:
             missing = [key for key in ("elevation", "dx", "dy") if key not in dem]
             elevation = _as_float(np.asarray(dem.get("elevation", np.nan)))
             numbers = {key: float(dem[key]) for key in ("dx", "dy", "ymin", "ymax") if key in dem}
-    except Exception as error:  # numpy, zipfile, zlib and the tokenizer each have their own for a damaged file
+    except Exception as error:  # numpy, zipfile, zlib and the tokenizer each have their own error for a damaged file
         raise UserError(f"Elevation model {path} is not a readable .npz file: {_cause(error)}.") from error
     if missing:
         raise UserError(f"Elevation model {path} lacks {', '.join(missing)}; needed are elevation, dx and dy.")
@@ -114,7 +114,7 @@ def _check_elevations(path: Path, elevation: Any, dx: float, dy: float) -> None:
 
 
 def _cause(error: Exception) -> str:
-    """What an error of a library says, as part of a sentence."""
+    """Text of an error of a library, as part of a message."""
     return " ".join(str(error.__cause__ or error).split()).rstrip(".") or type(error).__name__
 
 
@@ -124,7 +124,7 @@ def _as_float(elevation: Any) -> Any:
 
 
 def _faults(elevation: Any, dx: float, dy: float) -> Iterator[str]:
-    """What makes elevations (m) in cells of dx x dy (m) useless, each as the end of a sentence."""
+    """Faults of elevations (m) in cells of dx x dy (m), each as the end of a message."""
     if np.iscomplexobj(elevation):
         yield "complex elevations; they must be real numbers"
     if not (0 < dx < np.inf and 0 < dy < np.inf):

@@ -20,11 +20,12 @@ class ApertureState:
     """State of the sensor in the middle of a synthetic aperture; "body" axes are those of the sensor frame.
 
     Attributes:
-        position: of the antenna in map, m, shape (3,); after `aperture_at`, one for each point, shape (..., 3).
-        velocity: of the antenna in map axes, m/s, shape (3,).
+        position: position of the antenna in map, shape (3,), m; after `aperture_at`, one for each point, (..., 3).
+        velocity: velocity of the antenna in map axes, shape (3,), m/s.
         rotation: matrix that turns body into map axes, shape (3, 3).
-        length: of the synthetic aperture, m.
-        covariance: of position (m^2) and of rotation about x, y, z of map (rad^2), shape (6, 6); zeros: unknown.
+        length: length of the synthetic aperture, m.
+        covariance: covariance of position (m^2) and of rotation about x, y, z of map (rad^2), shape (6, 6); zeros:
+            unknown.
         sliding: True in stripmap, where the aperture slides along the flight with the columns of the image; `position`
             then belongs to the middle column.
     """
@@ -48,15 +49,15 @@ class ApertureState:
 
 
 def shift_along(aperture: ApertureState, sight: F64) -> F64:
-    """How a surface moves that is taken to be one metre farther along the flight, shape (3,).
+    """Displacement of a surface if it is assumed to be one metre farther along the flight, shape (3,).
 
-    Its slant range and its elevation, which is measured about the body's forward axis f, stay: with the unit vectors s
-    to the surface and v of the flight it moves by f - s (s f), over the component of that along v, as
-    `relief.position_jacobian` has it. In an image that slides, the aperture moves with it.
+    Its slant range and its elevation, which is measured about the body's forward axis f, are constant: with the unit
+    vectors s to the surface and v of the flight it moves by f - s (s f), over the component of that along v, as in
+    `relief.position_jacobian`. In an image that slides, the aperture moves with it.
 
     Args:
-        aperture: from which it is seen.
-        sight: unit vector to it, map axes, shape (3,).
+        aperture: aperture of the image.
+        sight: unit vector to the surface in map axes, shape (3,).
     """
     if aperture.sliding:
         return aperture.direction
@@ -72,7 +73,7 @@ def look_direction(elevation: npt.ArrayLike, squint: npt.ArrayLike, look_side: i
 
 
 def angles_of(points: F64, aperture: ApertureState, look_side: int) -> tuple[F64, F64, F64]:
-    """Return the slant range (m), elevation and squint (rad) at which an aperture sees `points` of shape (..., 3)."""
+    """Return slant range (m), elevation and squint (rad) of `points` of shape (..., 3) from an aperture."""
     body = (points - aperture.position) @ aperture.rotation
     slant_range = np.linalg.norm(body, axis=-1)
     return slant_range, np.arctan2(-look_side * body[..., 1], -body[..., 2]), np.arcsin(body[..., 0] / slant_range)
@@ -81,7 +82,7 @@ def angles_of(points: F64, aperture: ApertureState, look_side: int) -> tuple[F64
 def aperture_at(points: F64, aperture: ApertureState) -> ApertureState:
     """Return the aperture from which an image shows `points` of shape (..., 3).
 
-    If `aperture` does not slide, that is `aperture` itself. A sliding one is moved along its velocity to where each
+    If `aperture` does not slide, that is `aperture` itself. A sliding one is moved along its velocity until each
     point is abeam of the body (squint 0); the result has one position per point and does not slide.
     """
     if not aperture.sliding:

@@ -1,4 +1,4 @@
-"""The place of a map on the earth: geodetic coordinates on the WGS-84 ellipsoid, and the axes of east, north and up.
+"""The origin of a map on the earth: geodetic coordinates on the WGS-84 ellipsoid, and axes of east, north and up.
 
 Latitudes and longitudes are in rad, heights in m above the ellipsoid. Map coordinates are distances in space along the
 axes of east, north and up at the origin (topocentric, EPSG method 9837), not along the ground.
@@ -19,11 +19,11 @@ TOPOCENTRIC = (
     "+proj=pipeline +step +proj=cart +ellps=WGS84 "
     "+step +proj=topocentric +ellps=WGS84 +lat_0={latitude!r} +lon_0={longitude!r} +h_0={height!r}"
 )
-"""How PROJ makes map coordinates of geodetic ones; the origin is in degrees and m."""
+"""Pipeline of PROJ from geodetic to map coordinates; the origin is in degrees and m."""
 
 
 def local_axes(latitude: float, longitude: float) -> F64:
-    """East, north and up at a place as rows of earth-centred, earth-fixed coordinates, shape (3, 3).
+    """East, north and up at a position as rows of earth-centred, earth-fixed coordinates, shape (3, 3).
 
     x points to the equator at longitude 0, z to the north pole.
     """
@@ -42,9 +42,9 @@ class Origin:
     """The origin of a map, whose axes are east, north and up there.
 
     Attributes:
-        latitude: rad.
-        longitude: rad.
-        height: m above the ellipsoid.
+        latitude: geodetic latitude, rad.
+        longitude: longitude, rad.
+        height: height above the ellipsoid, m.
     """
 
     latitude: float
@@ -53,7 +53,7 @@ class Origin:
 
     @cached_property
     def _topocentric(self) -> Any:
-        from pyproj import Transformer  # noqa: PLC0415 (0.1 s; few programs need the place on the earth)
+        from pyproj import Transformer  # noqa: PLC0415 (0.1 s; few programs need the geodetic position)
 
         latitude, longitude = np.degrees([self.latitude, self.longitude]).tolist()
         return Transformer.from_pipeline(
@@ -61,9 +61,9 @@ class Origin:
         )
 
     def to_map(self, latitude: npt.ArrayLike, longitude: npt.ArrayLike, height: npt.ArrayLike) -> F64:
-        """Map coordinates (m) of places, shape (..., 3): all distances are those in space."""
-        places = np.broadcast_arrays(longitude, latitude, height)
-        return np.stack(self._topocentric.transform(*places, radians=True), axis=-1)
+        """Map coordinates (m) of geodetic positions, shape (..., 3): all distances are those in space."""
+        positions = np.broadcast_arrays(longitude, latitude, height)
+        return np.stack(self._topocentric.transform(*positions, radians=True), axis=-1)
 
     @property
     def axes(self) -> F64:
@@ -89,10 +89,10 @@ class Origin:
         return latitude, longitude, height
 
     def turn_at(self, position: F64) -> F64:
-        """The matrix that turns vectors from east, north and up at a place into map axes, shape (3, 3).
+        """The matrix that turns vectors from east, north and up at a position into map axes, shape (3, 3).
 
         Args:
-            position: the place in map, m, shape (3,).
+            position: position in map, shape (3,), m.
         """
         latitude, longitude, _ = self.to_geodetic(position)
         return self.axes @ local_axes(float(latitude), float(longitude)).T

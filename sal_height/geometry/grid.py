@@ -16,11 +16,11 @@ class Grid:
     """Pixel centres of an image in a plane of the map frame; the same content as sal_height_msgs/ImageGrid.
 
     Attributes:
-        origin: centre of pixel (0, 0), m, shape (3,).
+        origin: centre of pixel (0, 0), shape (3,), m.
         row_direction: unit vector of growing row (range), shape (3,).
         col_direction: unit vector of growing col (along the flight), shape (3,).
-        row_spacing: m.
-        col_spacing: m.
+        row_spacing: spacing of rows, m.
+        col_spacing: spacing of columns, m.
         rows: number of rows.
         cols: number of columns.
     """
@@ -40,12 +40,12 @@ class Grid:
 
     @property
     def col_step(self) -> F64:
-        """Way from a column to the next, m, shape (3,)."""
+        """Step from a column to the next, m, shape (3,)."""
         return self.col_spacing * self.col_direction
 
     @property
     def middle(self) -> F64:
-        """Its middle, m, shape (3,)."""
+        """Middle of the image, m, shape (3,)."""
         return self.points((self.rows - 1) / 2, (self.cols - 1) / 2)
 
     def points(self, row: npt.ArrayLike, col: npt.ArrayLike) -> F64:
@@ -79,11 +79,11 @@ def pixels_at(across: F64, along: F64, aperture: ApertureState, grid: Grid) -> t
 
 
 def ranges_of_phase(grid: Grid, aperture: ApertureState) -> F64:
-    """Distances R (m) of the pixels of an image for whose phase, 4 pi R / wavelength, a response turns among them.
+    """Distances R (m) of the pixels of an image; the phase of a response changes over pixels by 4 pi R / wavelength.
 
-    They are those from the middle of the aperture. A sliding aperture moves on with the columns, and sees every column
-    from abeam: along a row the phase of a response stays, even where wind drifts the antenna away from the pixels. So
-    the distances are those of the middle column, whose aperture is where `aperture` is.
+    They are those from the middle of the aperture. A sliding aperture moves with the columns, and every column is abeam
+    of it: along a row the phase of a response is constant, even where wind drifts the antenna away from the pixels. So
+    the distances are those of the middle column, whose aperture is at `aperture`.
 
     Args:
         grid: positions of the pixels.
@@ -107,7 +107,7 @@ def without_range_phase(image: Complex, grid: Grid, aperture: ApertureState, wav
         image: complex pixels, shape (rows, cols).
         grid: positions of the pixels.
         aperture: state of the platform with which the image was made.
-        wavelength: m.
+        wavelength: wavelength of the carrier, m.
 
     Returns:
         complex128 image, shape (rows, cols).

@@ -1,4 +1,4 @@
-"""How far a platform may have left the path between two samples of its odometry."""
+"""Uncertainty of a platform's path between two samples of its odometry."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ class Motion:
     """Accelerations of a platform that its odometry does not show: white noise, without a preferred direction.
 
     Attributes:
-        acceleration: of the position, m/s^2/sqrt(Hz).
-        turning: of the attitude, rad/s^2/sqrt(Hz).
-        interval_s: longest time between two samples that leaves nothing out, s: a longer one is a gap.
+        acceleration: density of the acceleration of the position, m/s^2/sqrt(Hz).
+        turning: density of the angular acceleration of the attitude, rad/s^2/sqrt(Hz).
+        interval_s: longest time between two samples that is not a gap, s.
     """
 
     acceleration: float
@@ -24,12 +24,12 @@ class Motion:
     interval_s: float
 
     def covariance(self, since_s: float, until_s: float) -> F64:
-        """Covariance of the pose inside a gap, beside that of the samples around it, shape (6, 6).
+        """Covariance of the pose inside a gap, in addition to that of the samples around it, shape (6, 6).
 
-        With position and velocity known at both ends, the position leaves the cubic by a variance of
-        q a^3 b^3 / (3 T^3) in each direction; with the attitude alone known, it leaves the shortest turn by one of
-        q a^2 b^2 / (3 T). These follow from the Green's functions of a beam that is clamped, and of one that is
-        supported, at its ends. It is 0 where there is no gap.
+        With position and velocity known at both ends, the position deviates from the cubic by a variance of
+        q a^3 b^3 / (3 T^3) in each direction; with only the attitude known, it deviates from the shortest turn by one
+        of q a^2 b^2 / (3 T). These follow from the Green's functions of a beam that is clamped, and of one that is
+        supported, at its ends. It is 0 without a gap.
 
         Args:
             since_s: time a since the sample before, s.
@@ -44,4 +44,4 @@ class Motion:
 
 
 STEADY = Motion(0.0, 0.0, float("inf"))
-"""A platform whose odometry leaves nothing out."""
+"""A platform whose odometry has no gaps."""

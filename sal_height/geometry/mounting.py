@@ -1,4 +1,4 @@
-"""How a sensor is fixed to the platform: the position of its antenna and the direction of its axes in the body."""
+"""Mounting of a sensor on the platform: the position of its antenna and the direction of its axes in the body."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FARTHEST_ARM = 1000.0  # m: no platform is larger, and millimetres given as metr
 
 @dataclass(frozen=True)
 class Mounting:
-    """Place and direction of the sensor frame in base_link; the same content as sal_height_msgs/Mounting.
+    """Position and direction of the sensor frame in base_link; the same content as sal_height_msgs/Mounting.
 
     Attributes:
         frame_id: name of the sensor frame; empty: "base_link".
@@ -43,7 +43,7 @@ class Mounting:
 
     @property
     def is_identity(self) -> bool:
-        """Whether the sensor frame is base_link itself."""
+        """True if the sensor frame is base_link itself."""
         return not (any(self.lever_arm) or any(self.rotation[:3]))
 
     @property

@@ -1,7 +1,7 @@
-"""Platform states from instruments that measure positions, velocities and attitudes apart, each at times of its own.
+"""Platform states from instruments that measure positions, velocities and attitudes separately, at different times.
 
-There is a state for each attitude: attitudes change fastest, and come most often. Positions between two samples follow
-a cubic Hermite spline, as those between the states that result do (`trajectory`).
+Each attitude gives a state: attitudes change fastest, and have the highest rate. Positions between two samples follow a
+cubic Hermite spline, as between the resulting states (`trajectory`).
 """
 
 from __future__ import annotations
@@ -19,11 +19,8 @@ from sal_height.geometry.trajectory import PlatformState
 from sal_height.numeric import F64
 
 REORDERED_NS = 1_000_000_000
-"""A sample that is older than the latest one by up to this was overtaken on its way; further back, a clock has started
-anew."""
-
-MOST_HELD = 4
-"""Positions and velocities are held for so many times as long as attitudes may wait, which may come later than they."""
+"""Greatest age of a sample against the latest one that was overtaken in transit; an older one means that a clock has
+started again."""
 
 
 class Sample(NamedTuple):
@@ -31,8 +28,8 @@ class Sample(NamedTuple):
 
     Attributes:
         stamp_ns: time, ns since the epoch.
-        value: what was measured, m, m/s or without unit, shape (3,) or (4,).
-        covariance: of the position (m^2) or the attitude (rad^2), shape (3, 3); zeros: not known.
+        value: measured value, shape (3,) or (4,), m, m/s or without unit.
+        covariance: covariance of the position (m^2) or the attitude (rad^2), shape (3, 3); zeros: not known.
     """
 
     stamp_ns: int
@@ -41,21 +38,21 @@ class Sample(NamedTuple):
 
 
 class Awaited(Exception):  # noqa: N818 (not an error)
-    """The sample of an instrument after a time has not come yet; its argument is what the instrument measures."""
+    """The sample of an instrument after a time has not arrived yet; its argument is the quantity that it measures."""
 
 
 class Series:
     """Samples of one instrument, in the order of their stamps."""
 
     def __init__(self, what: str, longest_gap_s: float) -> None:
-        """Begin a series of `what`, between whose samples there may be so many seconds."""
+        """Start a series of the quantity `what`, with at most `longest_gap_s` between samples."""
         self.what = what
         self.stamps: list[int] = []
         self.samples: list[Sample] = []
         self._longest_gap_ns = round(longest_gap_s * 1e9)
 
     def add(self, sample: Sample) -> None:
-        """Take a sample in.
+        """Append a sample.
 
         Raises:
             Rejected: it is not later than the last one.
@@ -71,38 +68,38 @@ class Series:
         self.samples.append(sample)
 
     def is_before(self, stamp_ns: int) -> bool:
-        """Whether a stamp is so far before the last one that the clock has started anew."""
+        """True if a stamp is so far before the last one that the clock has started again."""
         return bool(self.stamps) and self.stamps[-1] - stamp_ns > REORDERED_NS
 
     def around(self, stamp_ns: int) -> tuple[int, float]:
-        """Index of the last sample not after a time, and how far that is on the way to the next one, from 0 to 1.
+        """Index of the last sample not after a time, and the fraction of the interval to the next one, from 0 to 1.
 
         Raises:
-            Awaited: the next one has not come yet.
-            Rejected: there was none before, or too much time is between them.
+            Awaited: the next sample has not arrived yet.
+            Rejected: no sample is before, or too much time is between the two.
         """
         before = bisect.bisect_right(self.stamps, stamp_ns) - 1
         if before < 0:
             if not self.stamps:
                 raise Awaited(self.what)
-            sentence = f"No sample of the {self.what} is as old as the state that needs it."
-            raise Rejected(f"no {self.what}", sentence)
+            message = f"No sample of the {self.what} is as old as the state that needs it."
+            raise Rejected(f"no {self.what}", message)
         if self.stamps[before] == stamp_ns:
             return before, 0.0
         is_last = before == len(self.stamps) - 1
-        begin_ns, end_ns = self.stamps[before], stamp_ns if is_last else self.stamps[before + 1]
-        if end_ns - begin_ns > self._longest_gap_ns:
+        start_ns, end_ns = self.stamps[before], stamp_ns if is_last else self.stamps[before + 1]
+        if end_ns - start_ns > self._longest_gap_ns:
             raise Rejected(
                 f"{self.what} gap",
-                f"Samples of the {self.what} are {(end_ns - begin_ns) * 1e-9:.6g} s apart, or the next one is overdue; "
+                f"Samples of the {self.what} are {(end_ns - start_ns) * 1e-9:.6g} s apart, or the next one is overdue; "
                 f"{self._longest_gap_ns * 1e-9:g} s are allowed (longest_gap_s).",
             )
         if is_last:
             raise Awaited(self.what)
-        return before, (stamp_ns - begin_ns) / (end_ns - begin_ns)
+        return before, (stamp_ns - start_ns) / (end_ns - start_ns)
 
     def clear(self) -> None:
-        """Forget all."""
+        """Forget all samples."""
         self.forget(len(self.stamps))
 
     def forget(self, count: int) -> None:
@@ -117,32 +114,32 @@ class Series:
 class Navigation:
     """Merges positions, velocities and attitudes into platform states.
 
-    A stamp more than a second before the latest one says that a clock has started anew: everything is forgotten then.
+    A stamp more than a second before the latest one means that a clock has started again: all samples are dropped then.
     """
 
     def __init__(self, longest_gap_s: float, *, velocity_is_measured: bool, local_to: Origin | None = None) -> None:
-        """Begin.
+        """Start without samples.
 
         Args:
             longest_gap_s: longest time between two samples of a kind, s.
-            velocity_is_measured: whether velocities will come; if not, they are differences of positions.
-            local_to: origin of the map, if attitudes are against east, north and up where the platform is, as an
-                inertial unit measures them; None: they are against the axes of map.
+            velocity_is_measured: True if velocities will arrive; otherwise they are differences of positions.
+            local_to: origin of the map, if attitudes are against east, north and up at the platform, as an inertial
+                unit measures them; None: they are against the axes of map.
         """
         self._local_to = local_to
         self._positions = Series("position", longest_gap_s)
         self._velocities = Series("velocity", longest_gap_s)
         self._attitudes = Series("attitude", longest_gap_s)
         self._done = 0
-        """Attitudes at the begin of their series that have been taken."""
+        """Number of attitudes at the start of their series that have been processed."""
         self._velocity_is_measured = velocity_is_measured
         self._in_body = False
-        self._held_ns = round(2e9 * longest_gap_s)
-        """How long an attitude may wait, and how far before it samples are held."""
+        self._kept_ns = round(2e9 * longest_gap_s)
+        """Longest time for which an attitude may wait, and for which samples before it are kept."""
         self._declined: list[Rejected] = []
 
     def add_position(self, sample: Sample) -> None:
-        """Take a position of base_link in.
+        """Add a position of base_link.
 
         Raises:
             Rejected: it is late.
@@ -150,7 +147,7 @@ class Navigation:
         self._add(self._positions, sample)
 
     def add_velocity(self, sample: Sample, *, in_body: bool) -> None:
-        """Take a velocity in, in the axes of the body or of map.
+        """Add a velocity in the axes of the body or of map.
 
         Raises:
             Rejected: it is late.
@@ -161,7 +158,7 @@ class Navigation:
         self._add(self._velocities, sample)
 
     def add_attitude(self, sample: Sample) -> None:
-        """Take an attitude in.
+        """Add an attitude.
 
         Raises:
             Rejected: it is late.
@@ -169,7 +166,7 @@ class Navigation:
         self._add(self._attitudes, sample)
 
     def take(self) -> tuple[list[PlatformState], list[Rejected]]:
-        """The states that are determined since the last call, and why there is none at other attitudes."""
+        """The states determined since the last call, and the reasons for attitudes without a state."""
         states: list[PlatformState] = []
         declined, self._declined = self._declined, []
         while self._done < len(self._attitudes.samples):
@@ -179,10 +176,10 @@ class Navigation:
             except Rejected as reason:
                 declined.append(reason)
             except Awaited as awaited:
-                if self._attitudes.stamps[-1] - attitude.stamp_ns <= self._held_ns:
+                if self._attitudes.stamps[-1] - attitude.stamp_ns <= self._kept_ns:
                     break
-                sentence = f"No sample of the {awaited} arrived within {self._held_ns * 1e-9:g} s after an attitude."
-                declined.append(Rejected(f"no {awaited}", sentence))
+                message = f"No sample of the {awaited} came within {self._kept_ns * 1e-9:g} s after an attitude."
+                declined.append(Rejected(f"no {awaited}", message))
             self._done += 1
         self._forget()
         return states, declined
@@ -191,48 +188,48 @@ class Navigation:
         """The state at the time of an attitude.
 
         Raises:
-            Awaited: what is needed has not come yet.
-            Rejected: it will not come.
+            Awaited: a sample that is needed has not arrived yet.
+            Rejected: it will not arrive.
         """
-        before, share = self._positions.around(attitude.stamp_ns)
+        before, fraction = self._positions.around(attitude.stamp_ns)
         position, velocity = self._positions.samples[before].value, self._velocity_at(before)
-        if share:
-            position, velocity = self._between(before, share, velocity)
+        if fraction:
+            position, velocity = self._between(before, fraction, velocity)
         covariance = np.zeros((6, 6))
-        covariance[:3, :3] = self._positions.samples[before + round(share)].covariance
+        covariance[:3, :3] = self._positions.samples[before + round(fraction)].covariance
         covariance[3:, 3:] = attitude.covariance
         return PlatformState(
             attitude.stamp_ns, position, self._against_map(attitude.value, position), velocity, covariance
         )
 
-    def _between(self, before: int, share: float, velocity: F64) -> tuple[F64, F64]:
+    def _between(self, before: int, fraction: float, velocity: F64) -> tuple[F64, F64]:
         """Position and velocity on the cubic Hermite spline between two positions.
 
         Args:
-            before: index of the first of them.
-            share: how far on the way from one to the other.
-            velocity: at the first one, m/s.
+            before: index of the first position.
+            fraction: fraction of the interval from the first to the second.
+            velocity: velocity at the first position, m/s.
         """
         first, last = self._positions.samples[before : before + 2]
         step_s = (last.stamp_ns - first.stamp_ns) * 1e-9
         velocities = velocity, self._velocity_at(before + 1)
         spline = CubicHermiteSpline([0.0, step_s], np.stack([first.value, last.value]), np.stack(velocities))
-        return spline(share * step_s), spline(share * step_s, 1)
+        return spline(fraction * step_s), spline(fraction * step_s, 1)
 
     def _velocity_at(self, index: int) -> F64:
         """Velocity in map axes at the time of a position, m/s.
 
         Raises:
-            Awaited: what is needed has not come yet.
-            Rejected: it will not come.
+            Awaited: a sample that is needed has not arrived yet.
+            Rejected: it will not arrive.
         """
         if not self._velocity_is_measured:
             return self._slope_at(index)
         stamp_ns, position, _ = self._positions.samples[index]
-        before, share = self._velocities.around(stamp_ns)
+        before, fraction = self._velocities.around(stamp_ns)
         velocity = self._velocities.samples[before].value
-        if share:
-            velocity = (1 - share) * velocity + share * self._velocities.samples[before + 1].value
+        if fraction:
+            velocity = (1 - fraction) * velocity + fraction * self._velocities.samples[before + 1].value
         if not self._in_body:
             return velocity
         return rotation_matrix(self._against_map(self._attitude_at(stamp_ns), position)) @ velocity
@@ -251,9 +248,9 @@ class Navigation:
         return (second_s * first + first_s * second) / (first_s + second_s)
 
     def _attitude_at(self, stamp_ns: int) -> F64:
-        before, share = self._attitudes.around(stamp_ns)
+        before, fraction = self._attitudes.around(stamp_ns)
         first = self._attitudes.samples[before].value
-        return attitude_between(first, self._attitudes.samples[before + 1].value, share) if share else first
+        return attitude_between(first, self._attitudes.samples[before + 1].value, fraction) if fraction else first
 
     def _against_map(self, attitude: F64, position: F64) -> F64:
         """A measured attitude at a position, against the axes of map."""
@@ -263,22 +260,24 @@ class Navigation:
 
     def _add(self, series: Series, sample: Sample) -> None:
         if series.is_before(sample.stamp_ns):
-            sentence = "Stamps have gone back by more than a second: a clock has started again, or two sources publish."
-            self._declined.append(Rejected("clock restarted", sentence))
+            message = "Stamps have gone back by more than a second: a clock has started anew, or two sources publish."
+            self._declined.append(Rejected("clock restarted", message))
             self._done = 0
             for each in (self._positions, self._velocities, self._attitudes):
                 each.clear()
         series.add(sample)
-        if series is not self._attitudes:  # those are taken, sooner or later; without any, nothing would be forgotten
-            series.forget_before(sample.stamp_ns - MOST_HELD * self._held_ns)
+        # `take` drops attitudes; without any, nothing else would be dropped. Attitudes may arrive later than positions
+        # and velocities, so that these are kept four times as long as attitudes may wait.
+        if series is not self._attitudes:
+            series.forget_before(sample.stamp_ns - 4 * self._kept_ns)
 
     def _forget(self) -> None:
-        """Hold what attitudes that will come, or wait, may need."""
+        """Keep only samples that present and future attitudes may need."""
         if not self._attitudes.samples:
             return
         first_ns = self._attitudes.stamps[min(self._done, len(self._attitudes.stamps) - 1)]
         for series in (self._positions, self._velocities):
-            series.forget_before(first_ns - self._held_ns)
-        held = len(self._attitudes.stamps)
-        self._attitudes.forget_before(first_ns - self._held_ns)
-        self._done -= held - len(self._attitudes.stamps)
+            series.forget_before(first_ns - self._kept_ns)
+        count = len(self._attitudes.stamps)
+        self._attitudes.forget_before(first_ns - self._kept_ns)
+        self._done -= count - len(self._attitudes.stamps)

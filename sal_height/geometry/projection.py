@@ -1,4 +1,4 @@
-"""A map in a coordinate reference system in metres, such as UTM: where places with map coordinates are in it."""
+"""A map in a coordinate reference system in metres, such as UTM: conversion of map coordinates to it."""
 
 from __future__ import annotations
 
@@ -17,18 +17,6 @@ from sal_height.numeric import F64
 UTM = "utm"
 """Name that stands for the zone of UTM in which the origin of the map lies."""
 
-STEP = 100.0
-"""Distance over which the axes of a projection are determined, m: they turn by 1e-5 rad over it, as the earth does."""
-
-MARGIN_DEG = 6.0
-"""How far outside the area for which a system was made a map may lie, degrees: in the next zone, but not beyond."""
-
-GREATEST_SCALE_ERROR = 0.01
-"""How far a metre of a projection may differ from one on the ground at the map's origin; in UTM it is 0.0004 to 0.001.
-
-Slopes, cells and standard deviations of a map are those of its coordinates.
-"""
-
 WGS_84 = "EPSG:4979"
 """Latitude, longitude and height above the ellipsoid, in which origins are given."""
 
@@ -41,9 +29,9 @@ class Projection:
     compound one with a vertical part, above what that says.
 
     Attributes:
-        origin: of the map.
-        system: a pyproj.CRS with three axes.
-        name: of the system, as its authority has it (EPSG:32632).
+        origin: origin of the map.
+        system: pyproj.CRS with three axes.
+        name: name of the system by its authority (EPSG:32632).
     """
 
     origin: Origin
@@ -55,7 +43,7 @@ class Projection:
         """The system of a `name`: UTM, or anything that PROJ knows (EPSG:32632, EPSG:25832+7837, WKT).
 
         Raises:
-            UserError: there is no such system, it is not one in metres that suits the place of the origin, it has no
+            UserError: there is no such system, it is not one in metres that suits the position of the origin, it has no
                 datum, or the grid of its geoid is not installed.
         """
         code = _utm_zone(origin) if name.lower() == UTM else name
@@ -65,12 +53,12 @@ class Projection:
         return found
 
     def __reduce__(self) -> tuple[Any, tuple[Any, ...]]:
-        """What makes the projection again in another process, where PROJ looks for the way to it by itself."""
+        """Function and arguments that make the projection in another process, where PROJ finds the operation again."""
         return type(self).of, (self.name, self.origin)
 
     @property
     def has_geoid(self) -> bool:
-        """Whether heights are above something else than the ellipsoid."""
+        """True if heights are not above the ellipsoid."""
         return bool(self.system.is_compound)
 
     @property
@@ -86,7 +74,7 @@ class Projection:
 
     @cached_property
     def _operations(self) -> Any:
-        """The ways from longitude, latitude and height to coordinates that PROJ knows, best first."""
+        """Operations of PROJ from longitude, latitude and height to coordinates, best first."""
         from pyproj.transformer import TransformerGroup  # noqa: PLC0415
 
         with warnings.catch_warnings():
@@ -95,10 +83,10 @@ class Projection:
 
     @cached_property
     def _transformer(self) -> Any:
-        """The best of these that can be gone here, and whose error is known.
+        """The best operation that is available here and has a known error.
 
         Raises:
-            UserError: there is none.
+            UserError: no operation is available.
         """
         for transformer in self._operations.transformers:
             if transformer.accuracy >= 0:  # -1: a guess, such as that the height above the sea is that of the ellipsoid
@@ -106,7 +94,7 @@ class Projection:
         raise self._lacking()
 
     def _lacking(self) -> UserError:
-        """What is lacking for the best way."""
+        """Error that names the grids missing for the best operation."""
         operations = self._operations.unavailable_operations
         grids = dict.fromkeys(grid.short_name for operation in operations for grid in operation.grids)
         if not grids:
@@ -118,7 +106,7 @@ class Projection:
         )
 
     def coordinates(self, positions: F64) -> F64:
-        """Easting, northing and height (m) of map positions (m), both of shape (..., 3); NaN where there are none."""
+        """Easting, northing and height (m) of map positions (m), both of shape (..., 3); NaN where undefined."""
         latitude, longitude, height = self.origin.to_geodetic(positions)
         coordinates = np.stack(self._transformer.transform(longitude, latitude, height, radians=True), axis=-1)
         coordinates[~np.isfinite(coordinates)] = np.nan  # PROJ has infinity there
@@ -144,9 +132,12 @@ class Projection:
         """
         if not self._operations.best_available:
             raise self._lacking()
-        here, *steps = self.coordinates(STEP * np.concatenate([np.zeros((1, 3)), np.eye(3)]))
-        scale = (np.array(steps) - here).T / STEP
-        distorted = np.abs(scale.T @ scale - np.eye(3)).max() > 2 * GREATEST_SCALE_ERROR
+        step = 100.0  # m: over it the axes of a projection turn by 1e-5 rad, as those of the earth
+        here, *steps = self.coordinates(step * np.concatenate([np.zeros((1, 3)), np.eye(3)]))
+        scale = (np.array(steps) - here).T / step
+        # Slopes, cells and standard deviations of a map are those of its coordinates, whose metres may differ from
+        # those on the ground by 0.01; in UTM it is 0.0004 to 0.001.
+        distorted = np.abs(scale.T @ scale - np.eye(3)).max() > 2 * 0.01
         if self._is_outside() or not np.all(np.isfinite(scale)) or distorted:
             latitude, longitude = (math.degrees(angle) for angle in (self.origin.latitude, self.origin.longitude))
             raise UserError(
@@ -160,14 +151,15 @@ class Projection:
             )
 
     def _is_outside(self) -> bool:
-        """Whether the origin is more than MARGIN_DEG outside the area of use, if that is stated."""
+        """True if the origin is more than 6 degrees outside a stated area of use: beyond the next zone."""
+        margin_deg = 6.0
         area = self.system.area_of_use
         if area is None:
             return False
         latitude, longitude = math.degrees(self.origin.latitude), math.degrees(self.origin.longitude)
         width = (area.east - area.west) % 360 or 360.0
-        beyond = (longitude - area.west + MARGIN_DEG) % 360 > width + 2 * MARGIN_DEG
-        return beyond or not area.south - MARGIN_DEG <= latitude <= area.north + MARGIN_DEG
+        beyond = (longitude - area.west + margin_deg) % 360 > width + 2 * margin_deg
+        return beyond or not area.south - margin_deg <= latitude <= area.north + margin_deg
 
 
 def find_system(name: str) -> Any:
@@ -204,8 +196,8 @@ def _utm_zone(origin: Origin) -> str:
     from pyproj.database import query_utm_crs_info  # noqa: PLC0415
 
     latitude, longitude = math.degrees(origin.latitude), math.degrees(origin.longitude)
-    place = AreaOfInterest(longitude, latitude, longitude, latitude)
-    if not -80 <= latitude <= 84 or not (zones := query_utm_crs_info("WGS 84", place)):
+    area = AreaOfInterest(longitude, latitude, longitude, latitude)
+    if not -80 <= latitude <= 84 or not (zones := query_utm_crs_info("WGS 84", area)):
         raise UserError(
             f"UTM has no zone at latitude {latitude:.4f} degrees; give another system, such as EPSG:5041 in the north "
             "or EPSG:5042 in the south."
@@ -214,7 +206,7 @@ def _utm_zone(origin: Origin) -> str:
 
 
 def _fault(system: Any) -> str:
-    """What makes a system useless for a map, as the end of a sentence; empty: nothing does."""
+    """Fault that makes a system useless for a map, as the end of a message; empty: no fault."""
     if system.is_geographic:
         return "has angles for coordinates, a map needs metres"
     if not system.is_projected:

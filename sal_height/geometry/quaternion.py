@@ -1,6 +1,6 @@
-"""Single rotations as quaternions x, y, z, w: in plain numbers, as one message or one aperture needs them.
+"""Single rotations as quaternions x, y, z, w: in plain numbers, for one message or one aperture.
 
-`scipy.spatial.transform.Rotation` does the same for many rotations at once; one takes it 20 to 100 us.
+`scipy.spatial.transform.Rotation` does the same for many rotations at once, and needs 20 to 100 us for one.
 """
 
 from __future__ import annotations
@@ -11,8 +11,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from sal_height.numeric import F64
-
-STILL = 1e-9  # angle between attitudes, rad, below which the arc between them is its chord in float64
 
 
 def rotation_matrix(quaternion: Sequence[float] | F64) -> F64:
@@ -43,12 +41,14 @@ def quaternion_of(matrix: F64) -> tuple[float, float, float, float]:
     return q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm
 
 
-def attitude_between(first: F64, second: F64, share: float) -> F64:
-    """The quaternion at a `share` of the way from one to another, along the shorter arc (Shoemake, SIGGRAPH 1985)."""
+def attitude_between(first: F64, second: F64, fraction: float) -> F64:
+    """The quaternion at a `fraction` of the shorter arc from one to another (Shoemake, SIGGRAPH 1985)."""
     first, second = first / math.hypot(*first), second / math.hypot(*second)
     if first @ second < 0:
         second = -second
     angle = 2 * math.atan2(math.hypot(*(second - first)), math.hypot(*(second + first)))
-    if angle < STILL:
-        return np.asarray((1 - share) * first + share * second)
-    return np.asarray((math.sin((1 - share) * angle) * first + math.sin(share * angle) * second) / math.sin(angle))
+    if angle < 1e-9:  # rad: the arc is its chord in float64
+        return np.asarray((1 - fraction) * first + fraction * second)
+    return np.asarray(
+        (math.sin((1 - fraction) * angle) * first + math.sin(fraction * angle) * second) / math.sin(angle)
+    )

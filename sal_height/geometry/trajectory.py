@@ -17,14 +17,11 @@ from sal_height.geometry.mounting import AT_BASE_LINK, Mounting
 from sal_height.geometry.quaternion import attitude_between, rotation_matrix
 from sal_height.numeric import F64
 
-ROUNDING = 1e-5
-"""How far a variance may be below 0, over the greatest number of its covariance."""
-
 GREATEST_POSE = np.array([1e5, 1e5, 1e5, np.pi, np.pi, np.pi])
-"""Standard deviations of a pose, m and rad, of which nothing is known."""
+"""Standard deviations of an unknown pose, m and rad."""
 
 GREATEST_VELOCITY = np.array([1e3, 1e3, 1e3])
-"""Standard deviations of a velocity, m/s, of which nothing is known."""
+"""Standard deviations of an unknown velocity, m/s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,11 +30,11 @@ class PlatformState:
 
     Attributes:
         stamp_ns: time, ns since the epoch.
-        position: of base_link in map, m, shape (3,).
+        position: position of base_link in map, shape (3,), m.
         orientation: quaternion x, y, z, w that turns body into map axes, shape (4,).
-        velocity: in map axes, m/s, shape (3,).
-        covariance: of the pose, as in nav_msgs/Odometry, shape (6, 6).
-        velocity_covariance: of the velocity, in body axes, (m/s)^2, shape (3, 3); zeros: not stated.
+        velocity: velocity in map axes, shape (3,), m/s.
+        covariance: covariance of the pose, as in nav_msgs/Odometry, shape (6, 6).
+        velocity_covariance: covariance of the velocity in body axes, shape (3, 3), (m/s)^2; zeros: not stated.
     """
 
     stamp_ns: int
@@ -51,7 +48,7 @@ class PlatformState:
 class Trajectory:
     """Platform states over time: positions by cubic Hermite splines, attitudes by spherical linear interpolation.
 
-    Times are float64 seconds after `epoch_ns`. An absolute time in float64 is only good to 0.2 us, in which the
+    Times are float64 seconds after `epoch_ns`. An absolute time in float64 is only exact to 0.2 us, in which the
     platform travels many optical wavelengths.
 
     The track is that of a sensor with a given mounting on the platform. The lever arm follows a spline through the
@@ -63,7 +60,7 @@ class Trajectory:
     def __init__(self, states: list[PlatformState], mounting: Mounting = AT_BASE_LINK, motion: Motion = STEADY) -> None:
         """Interpolate two or more states of strictly increasing time, for a sensor with this mounting.
 
-        In gaps between states, the covariance grows by what `motion` tells.
+        In gaps between states, the covariance grows by that of `motion`.
 
         Raises:
             UserError: there are fewer than two states, their times do not increase, or their velocities contradict
@@ -93,15 +90,15 @@ class Trajectory:
         return RotationSpline(self._seconds, Rotation.from_quat(np.array([s.orientation for s in self.states])))
 
     def _around(self, t: float) -> tuple[int, float]:
-        """The state before a time in s after the epoch, and how far that is on the way to the next, from 0 to 1."""
+        """The state before a time in s after the epoch, and the fraction of the interval to the next, from 0 to 1."""
         first = min(max(0, bisect.bisect_right(self._seconds, t) - 1), len(self.states) - 2)
         return first, (t - self._seconds[first]) / (self._seconds[first + 1] - self._seconds[first])
 
     def _attitude(self, t: float) -> F64:
         """Matrix that turns the axes of the sensor into those of map, at a time in s after the epoch."""
-        first, share = self._around(t)
+        first, fraction = self._around(t)
         before, after = self.states[first : first + 2]
-        attitude = rotation_matrix(attitude_between(before.orientation, after.orientation, share))
+        attitude = rotation_matrix(attitude_between(before.orientation, after.orientation, fraction))
         return attitude if self.mounting.is_identity else attitude @ rotation_matrix(self.mounting.rotation)
 
     def between(self, start_ns: int, end_ns: int) -> Trajectory:
@@ -130,9 +127,9 @@ class Trajectory:
         return position if self.mounting.is_identity else position + self._turning(t).apply(self.mounting.lever_arm)
 
     def velocity_covariance(self, stamp_ns: int, pulse_times: F64) -> F64:
-        """Covariance ((m/s)^2, map axes, shape (3, 3)) that the sample nearest to the middle of the pulses states.
+        """Covariance of the velocity ((m/s)^2, map axes, (3, 3)) at the sample nearest to the middle of the pulses.
 
-        Zeros where it states what is none (`known_covariance`).
+        Zeros where the stated one is invalid (`known_covariance`).
 
         Raises:
             UserError: a time lies outside the track.
@@ -152,7 +149,7 @@ class Trajectory:
     def aperture(self, stamp_ns: int, pulse_times: F64) -> ApertureState:
         """Return the state in the middle of the pulses at `stamp_ns` + `pulse_times` (s, increasing).
 
-        Its covariance is what the nearest sample knows (`known_covariance`), and what a gap around it adds.
+        Its covariance is that of the nearest sample (`known_covariance`) plus that of a gap around it.
 
         Raises:
             UserError: a time lies outside the track, or the platform stands still.
@@ -184,8 +181,8 @@ class Trajectory:
 
     def _nearest(self, t: float) -> int:
         """Index of the state nearest to a time in s after the epoch."""
-        first, share = self._around(t)
-        return first + (share > 0.5)
+        first, fraction = self._around(t)
+        return first + (fraction > 0.5)
 
     def _offsets(self, stamp_ns: int, seconds_after: F64) -> F64:
         """Times in s after the epoch; refused if one lies outside the track."""
@@ -209,18 +206,18 @@ class Trajectory:
 
 
 def is_finite_covariance(matrix: F64) -> bool:
-    """Whether a matrix is finite and has no negative variance in any direction, but for rounding."""
+    """True if a matrix is finite and has no negative variance in any direction, except for rounding."""
     if not np.all(np.isfinite(matrix)):
         return False
-    return bool(np.linalg.eigvalsh(matrix / 2 + matrix.T / 2)[0] >= -ROUNDING * np.abs(matrix).max())
+    return bool(np.linalg.eigvalsh(matrix / 2 + matrix.T / 2)[0] >= -1e-5 * np.abs(matrix).max())
 
 
 def known_covariance(stated: F64, greatest: F64) -> F64:
-    """What a stated covariance tells.
+    """Valid part of a stated covariance.
 
     Args:
-        stated: of a velocity, shape (3, 3), or of a pose, (6, 6). Blocks of (3, 3) that are none count as zeros.
-        greatest: standard deviations, shape of the diagonal; what is stated beyond them counts as them.
+        stated: covariance of a velocity, shape (3, 3), or of a pose, (6, 6); invalid blocks of (3, 3) become zeros.
+        greatest: greatest standard deviations, shape of the diagonal; greater ones are reduced to these.
     """
     known = stated
     if not is_finite_covariance(stated):

@@ -20,7 +20,7 @@ from sal_height.theory.discriminator_noise import (
     straight_power,
 )
 from sal_height.theory.link_budget import Link, diffuse_backscatter, effective_area, noise_density
-from sal_height.theory.sum_difference import crossover_slope, hybrid_gain, synthesise
+from sal_height.theory.relief_radar import crossover_slope, hybrid_gain, synthesise
 
 __all__ = [
     "NORMAL_SHARES",

@@ -22,7 +22,7 @@ from sal_height.commands import main
 from sal_height.commands._options import node_parameters, output_folder
 from sal_height.commands._program import program
 from sal_height.errors import UserError
-from sal_height.figures import catalogue
+from sal_height.figures import paper_figures
 from sal_height.figures.curve import Curve
 
 FOLDER = Path(sal_height.commands.__file__).parent
@@ -278,11 +278,11 @@ def test_view_says_how_to_install_the_viewer(tmp_path: Path) -> None:
 def test_figures_end_with_status_1_if_a_check_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    right = catalogue.FIGURES["fig3"]
+    right = paper_figures.FIGURES["fig3"]
 
     def shifted(trials: int, seed: int) -> Iterator[Curve]:
         return (replace(curve, value=curve.value + 2e-9) for curve in right.curves(trials, seed))
 
-    monkeypatch.setitem(catalogue.FIGURES, "fig3", replace(right, curves=shifted))
+    monkeypatch.setitem(paper_figures.FIGURES, "fig3", replace(right, curves=shifted))
     assert main(["figures", "fig3", "--out", str(tmp_path / "wrong")]) == 1
     assert ", 0 off" not in capsys.readouterr().out

@@ -17,8 +17,8 @@ from matplotlib.image import imread
 from sal_height.commands import main
 from sal_height.errors import UserError
 from sal_height.figures import array_elevation, azimuth, noise
-from sal_height.figures.catalogue import COLUMNS, FIGURES, LEAST_TRIALS, make_figures, summary
 from sal_height.figures.curve import Curve, check_of, exact_curve, holds, rows_of
+from sal_height.figures.paper_figures import COLUMNS, FIGURES, LEAST_TRIALS, make_figures, summary
 
 TRIALS, SEED = 2000, 1
 

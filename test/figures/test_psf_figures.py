@@ -16,9 +16,10 @@ from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 from scipy.signal import windows
 
-from sal_height.figures import psf, psf_speckle
+from sal_height.figures import psf_point_targets as psf
+from sal_height.figures import psf_speckle
 from sal_height.figures.curve import Curve, check_of, holds, rows_of
-from sal_height.figures.psf import PSF_FIGURES
+from sal_height.figures.psf_point_targets import PSF_FIGURES
 from sal_height.figures.psf_tapes import generators
 from sal_height.figures.psf_theory import (
     azimuth_psf,

@@ -109,4 +109,4 @@ def test_top_shows_the_nodes_of_a_domain(graph: Graph, domain_id: int) -> None:
 
 def test_top_says_if_there_is_nobody(domain_id: int, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["top", "--domain", str(domain_id), "--seconds", "1"]) == 1
-    assert "No node tells of itself on /diagnostics" in capsys.readouterr().err
+    assert "No node publishes /diagnostics" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Compiled loops that try one more scatterer beside the single one of a pixel.
+"""Compiled loops that try one scatterer in addition to the single one of a pixel.
 
 Each has a twin in plain NumPy in the tests. Matrices are real or complex, as the beams are; positions are in steps of
 the table of unit responses, `SearchTables.unit_pieces`. The compiler takes all numbers to be finite.
@@ -15,27 +15,27 @@ from sal_height.numeric import F32, F64, Index, compiled
 
 Numbers = npt.NDArray[Any]
 
-LEAST_RESIDUE = 0.02  # least share of |a|^2 perpendicular to the other scatterers for which a node is tried
+LEAST_RESIDUE = 0.02  # least fraction of |a|^2 perpendicular to the other scatterers for which a node is tried
 
 
 @compiled
 def gain_beside_one(
     matrices: Numbers, squints: Index, values: F32, position: F64, pieces: Numbers, units: Numbers, found: F64
 ) -> None:
-    """Power that one more scatterer explains beside the single one, at the best node of the grid and along its slope.
+    """Power that one more scatterer explains: at the best node of the grid, and along the slope of the single one.
 
-    With the unit response u of the single one and u_j of node j, what the node adds is the power along the part of
-    u_j perpendicular to u. A surface that is spread over elevation adds power along the slope u',
-    less its part along u: responses of complex beams turn in phase.
+    With the unit response u of the single scatterer and u_j of node j, the node adds the power along the part of u_j
+    perpendicular to u. A surface that is spread over elevation adds power along the slope u', less its part along u:
+    responses of complex beams turn in phase.
 
     Args:
         matrices: R, (pixels, M, M).
         squints: number of the squint of each pixel, (pixels,).
         values: u_j^H R u_j, (pixels, nodes).
-        position: of the single scatterer, (pixels,).
-        pieces: of the table of unit responses, (squints, table nodes - 1, 4, M).
+        position: position of the single scatterer, (pixels,).
+        pieces: cubics of the table of unit responses, (squints, table nodes - 1, 4, M).
         units: u_j, (squints, M, nodes).
-        found: to fill with the gain at the best node, and with that along the slope, (2, pixels).
+        found: gains to fill in, at the best node and along the slope, (2, pixels).
     """
     _, size, nodes = units.shape
     unit, slope, output = np.empty(size, units.dtype), np.empty(size, units.dtype), np.empty(size, units.dtype)
@@ -55,8 +55,8 @@ def gain_beside_one(
                 cross[j] += np.conj(row[j]) * y
         best = np.float32(0)
         for j in range(nodes):
-            shared = (overlap[j] * np.conj(overlap[j])).real
-            beyond, apart = line[j] - two * (np.conj(overlap[j]) * cross[j]).real + shared * own, one - shared
+            inside = (overlap[j] * np.conj(overlap[j])).real
+            beyond, apart = line[j] - two * (np.conj(overlap[j]) * cross[j]).real + inside * own, one - inside
             best = max(best, beyond / max(apart, least) if apart > least else np.float32(0))
         found[0, i] = best
         turn = inner(unit, slope)
@@ -68,10 +68,10 @@ def gain_beside_one(
 
 
 @compiled
-def unit_at(place: float, pieces: Numbers, unit: Numbers, slope: Numbers) -> None:
+def unit_at(position: float, pieces: Numbers, unit: Numbers, slope: Numbers) -> None:
     """Unit response and its slope at a position, from the cubics of the table."""
-    node = min(int(place), len(pieces) - 1)
-    piece, t = pieces[node], np.float32(place - node)
+    node = min(int(position), len(pieces) - 1)
+    piece, t = pieces[node], np.float32(position - node)
     for m in range(unit.size):
         unit[m] = piece[0, m] + t * (piece[1, m] + t * (piece[2, m] + t * piece[3, m]))
         slope[m] = piece[1, m] + t * (2 * piece[2, m] + 3 * t * piece[3, m])

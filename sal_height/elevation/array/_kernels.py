@@ -13,14 +13,11 @@ from sal_height.numeric import F32, F64, Bool, Index, compiled, inlined
 GRID_STEP = 0.2  # spacing of the coarse search, beamwidths: a fifth of the shortest period of the objective
 TABLE_STEPS = 6  # steps of the table of weights in each step of the grid
 TILE = 4  # pixels, and entries of their matrices, that are multiplied at a time
-ROUNDING = 1e-5  # share of its greatest value by which a positive objective may be negative: the error of float32 sums
 NO_PEAK = -1e300  # height of a peak that does not exist: less than any objective, and finite
-SETTLED = 0.1  # last Newton step of a climb, steps of the table: the next would be 1e-5 beamwidths at most
-MAX_NEWTON_STEPS = 40  # of one climb; 40 bisections exhaust float64
 LOWEST = np.float32(-1e30)  # less than any log-likelihood, and finite
 
 NEAR_HIGHEST = float(np.cos(1.5 * np.pi * GRID_STEP / 2) ** 2)
-"""Peaks are climbed from nodes of the grid where the objective has this share of its greatest value there or more.
+"""Least fraction of the greatest value on the grid that a node needs for a climb to start from it.
 
 A function between 0 and 1 with periods of P or more is cos^2(pi x / P) or more at the distance x from where it is 1
 (M. Riesz), and the nearest node is half a step from the highest peak at most. P is 1 beamwidth; 1.5 leaves room for
@@ -33,7 +30,7 @@ BETWEEN_NODES = 1 / (2 * NEAR_HIGHEST - 1)
 more and of 1 - NEAR_HIGHEST or less at nodes. This bounds an objective that is negative somewhere from below."""
 
 FREE_NODES = 2
-"""Nodes of the grid (0.2 beamwidths) by which elevation may change from pixel to pixel at no cost.
+"""Nodes of the grid (0.2 beamwidths) by which elevation may change from pixel to pixel without cost.
 
 Level ground and slopes change it from row to row. Where it changes by 0.4 beamwidths a row, the looks of a pixel differ
 by as much and count as several scatterers (`estimate.is_explained`).
@@ -44,14 +41,14 @@ by as much and count as several scatterers (`estimate.is_explained`).
 def evaluate_on_grid(matrices: F32, squints: Index, entries: Index, grid: F32) -> F32:
     """Objective of every pixel at every node of the grid, (pixels, grid nodes).
 
-    A matrix product, in tiles of four entries and four pixels in a row of the same squint, that stay in registers. That
-    of BLAS takes half the time alone, but many times as long beside the threads that are at work here already.
+    A matrix product, in tiles of four entries and four successive pixels of one squint, which stay in registers. BLAS
+    takes half the time by itself, but many times as long among the threads that work here already.
 
     Args:
-        matrices: of the quadratic forms, shape (pixels, detectors, detectors).
+        matrices: matrices of the quadratic forms, shape (pixels, detectors, detectors).
         squints: number of the squint of each pixel, shape (pixels,).
-        entries: of `SearchTables`.
-        grid: of `SearchTables`.
+        entries: as in `SearchTables`.
+        grid: as in `SearchTables`.
     """
     pixels, size = len(matrices), matrices.shape[1] ** 2
     flat, values = matrices.reshape(pixels, size), np.zeros((pixels + TILE - 1, grid.shape[2]), np.float32)
@@ -86,15 +83,16 @@ def evaluate_on_grid(matrices: F32, squints: Index, entries: Index, grid: F32) -
 def climb_highest(
     matrices: F32, squints: Index, values: F32, margins: F32, pieces: F32, found: tuple[F64, F64, F64]
 ) -> None:
-    """Climb from the high nodes of the grid; keep the highest peak and the height of the second.
+    """Climb from the high nodes of the grid; return the highest peak and the height of the second.
 
     Args:
-        matrices: of the quadratic forms, shape (pixels, detectors, detectors).
+        matrices: matrices of the quadratic forms, shape (pixels, detectors, detectors).
         squints: number of the squint of each pixel, shape (pixels,).
-        values: of the objective on the grid, shape (pixels, grid nodes).
-        margins: by which second peaks may be lower, at each squint.
-        pieces: of `SearchTables`.
-        found: to fill with the place of the peak in steps of the table, its height, and that of the second, (pixels,).
+        values: objective on the grid, shape (pixels, grid nodes).
+        margins: greatest height of the first peak above the second, at each squint.
+        pieces: as in `SearchTables`.
+        found: arrays to fill with position (steps of the table) and height of the peak, and height of the second,
+            (pixels,).
     """
     work, last = np.empty((3, pieces.shape[3]), np.float32), values.shape[1] - 1
     position, height, second = found
@@ -104,7 +102,8 @@ def climb_highest(
         for g in range(line.size):
             top = max(top, line[g])
             bottom = min(bottom, line[g])
-        positive = bottom >= -np.float32(ROUNDING) * top
+        # The sums in float32 make a positive objective negative by 1e-5 of its greatest value at most.
+        positive = bottom >= -np.float32(1e-5) * top
         floor = np.float32(0) if positive else top - np.float32(BETWEEN_NODES) * (top - bottom)
         enough = floor + np.float32(NEAR_HIGHEST) * (top - margin - floor)
         position[i], height[i], second[i] = 0.0, NO_PEAK, NO_PEAK
@@ -114,16 +113,16 @@ def climb_highest(
             rises, falls = g == 0 or line[g] >= line[g - 1], g == last or line[g] > line[g + 1]
             if not (rises and falls) and not is_behind_a_dip(line, g):
                 continue
-            place, value = _climb(matrices[i], table, max(g - 1, 0), start_of_climb(line, g), min(g + 1, last), work)
+            there, value = _climb(matrices[i], table, max(g - 1, 0), start_of_climb(line, g), min(g + 1, last), work)
             if value > height[i]:
-                position[i], height[i], second[i] = place, value, height[i]
+                position[i], height[i], second[i] = there, value, height[i]
             else:
                 second[i] = max(second[i], value)
 
 
 @compiled
 def climb_uphill(matrices: F32, squints: Index, values: F32, pieces: F32, nodes: Index, position: F64) -> None:
-    """Climb from one node of each pixel's grid; arguments as of `climb_highest`."""
+    """Climb from one node of each pixel's grid; arguments as in `climb_highest`."""
     work, last = np.empty((3, pieces.shape[3]), np.float32), values.shape[1] - 1
     for i in range(len(values)):
         table, line, g = pieces[squints[i]], values[i], nodes[i]
@@ -136,7 +135,7 @@ def climb_uphill(matrices: F32, squints: Index, values: F32, pieces: F32, nodes:
 
 @compiled
 def is_behind_a_dip(line: F32, g: int) -> bool:
-    """Whether a higher neighbour of a node bends upwards: between peaks so near that the grid shows one only."""
+    """True if a higher neighbour of a node bends upwards: between peaks so near that the grid shows one only."""
     if g > 1 and line[g - 1] > line[g] and line[g - 2] + line[g] > 2 * line[g - 1]:
         return True
     return g < line.size - 2 and line[g + 1] >= line[g] and line[g + 2] + line[g] > 2 * line[g + 1]
@@ -152,30 +151,30 @@ def start_of_climb(line: F32, g: int) -> float:
 
 @inlined
 def _climb(matrix: F32, pieces: F32, low: float, start: float, high: float, work: F32) -> tuple[float, float]:
-    """Place and height of the peak between two nodes of the grid, by Newton steps kept within a shrinking bracket."""
-    low, place, high, height = float(low * TABLE_STEPS), start * TABLE_STEPS, float(high * TABLE_STEPS), 0.0
-    for _ in range(MAX_NEWTON_STEPS):
-        value, slope, curvature = _objective_at(place, matrix, pieces, work)
+    """Position and height of the peak between two nodes of the grid, by Newton steps within a shrinking bracket."""
+    low, position, high, height = float(low * TABLE_STEPS), start * TABLE_STEPS, float(high * TABLE_STEPS), 0.0
+    for _ in range(40):  # as many bisections exhaust float64
+        value, slope, curvature = _objective_at(position, matrix, pieces, work)
         if slope > 0:
-            low = place
+            low = position
         else:
-            high = place
+            high = position
         moved = 0.5 * (low + high)
-        if curvature < 0 and low <= place - slope / curvature <= high:
-            moved = place - slope / curvature
-        height = value + 0.5 * slope * (moved - place)
-        settled = abs(moved - place) < SETTLED
-        place = moved
+        if curvature < 0 and low <= position - slope / curvature <= high:
+            moved = position - slope / curvature
+        height = value + 0.5 * slope * (moved - position)
+        settled = abs(moved - position) < 0.1  # steps of the table: the next would be 1e-5 beamwidths at most
+        position = moved
         if settled:
             break
-    return place, height
+    return position, height
 
 
 @inlined
-def _objective_at(place: float, matrix: F32, pieces: F32, work: F32) -> tuple[float, float, float]:
+def _objective_at(position: float, matrix: F32, pieces: F32, work: F32) -> tuple[float, float, float]:
     """w^T R w, and its first and second derivative per step of the table."""
-    node = min(int(place), len(pieces) - 1)
-    t, two, three = np.float32(place - node), np.float32(2), np.float32(3)
+    node = min(int(position), len(pieces) - 1)
+    t, two, three = np.float32(position - node), np.float32(2), np.float32(3)
     weight, slope, bend = work[0], work[1], work[2]
     for m in range(weight.size):
         weight[m] = pieces[node, 0, m] + t * (pieces[node, 1, m] + t * (pieces[node, 2, m] + t * pieces[node, 3, m]))
@@ -205,7 +204,7 @@ def fit_scatterer(
     weight, slope = np.empty(size, np.float32), np.empty(size, np.float32)
     for i in range(len(position)):
         node = min(int(position[i]), pieces.shape[1] - 1)
-        piece, share = pieces[squints[i], node], power[squints[i], node]
+        piece, square_piece = pieces[squints[i], node], power[squints[i], node]
         t, two, three = np.float32(position[i] - node), np.float32(2), np.float32(3)
         for m in range(size):
             weight[m] = piece[0, m] + t * (piece[1, m] + t * (piece[2, m] + t * piece[3, m]))
@@ -223,7 +222,7 @@ def fit_scatterer(
             for m in range(half):
                 across += weight[m] * slope[half + m] - weight[half + m] * slope[m]
         found[0, i] = value / norm if norm > 0 else 0.0
-        found[1, i] = share[0] + t * (share[1] + t * (share[2] + t * share[3]))
+        found[1, i] = square_piece[0] + t * (square_piece[1] + t * (square_piece[2] + t * square_piece[3]))
         found[2, i] = (square - (along * along + across * across) / norm) / norm if norm > 0 else 0.0
 
 
@@ -231,7 +230,7 @@ def fit_scatterer(
 def send_along(
     own: F32, has_data: Bool, strength: np.float32, starts: Index, step: tuple[int, int], messages: F32
 ) -> None:
-    """Walk along lines and add to `messages` what the pixels before say (Viterbi's recursion, less its maximum)."""
+    """Add to `messages` those of the previous pixels along lines (Viterbi's recursion, less its maximum)."""
     rows, cols, count = own.shape
     path = np.full(count + 2 * FREE_NODES, LOWEST, np.float32)
     inner, message = path[FREE_NODES : FREE_NODES + count], np.zeros(count, np.float32)
@@ -252,7 +251,7 @@ def send_along(
 
 @compiled
 def pass_on(path: F32, strength: np.float32, message: F32) -> None:
-    """What the next pixel hears: the best of nearby nodes, or of all for a jump, less the greatest."""
+    """Message to the next pixel: the best of nearby nodes, or of all for a jump, less the greatest."""
     highest = LOWEST
     for g in range(path.size):
         highest = max(highest, path[g])

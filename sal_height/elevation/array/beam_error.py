@@ -1,10 +1,10 @@
-"""What beams that are not exactly known do to elevations and to the test of fit.
+"""Effect of uncertain beams on elevations and on the test of fit.
 
 A scatterer has the amplitude A_k (a_m + e_m) in channel m and look k, with errors e_m of the beams that are circular,
 independent between channels and of variance u^2 (`Beams.uncertainty`, relative to the beams' maximum). They act as
-noise, but as noise proportional to the signal: with the energy S = sum_k |A_k|^2 over the noise power it has the power
-u^2 S in the one direction of the looks that is that of the amplitudes, and none in the K - 1 others. So looks do not
-average it, and no energy overcomes it. To first order the likelihood's peak moves by (D as in `bounds`)
+noise proportional to the signal: with the energy S = sum_k |A_k|^2 over the noise power, it has the power u^2 S in the
+direction of the amplitudes over looks, and none in the K - 1 other directions. Looks do not average it, and more energy
+does not reduce it. To first order the likelihood's peak moves by (D as in `bounds`)
 
     d theta = Re(a'_perp^H e) / D,    variance = u^2 / (2 D)
 
@@ -26,7 +26,7 @@ from sal_height.numeric import F64
 
 
 def beam_deviation(determined: npt.ArrayLike, uncertainty: float) -> F64:
-    """Standard deviation of elevation (rad) because of the beams: u / sqrt(2 D); infinite where D is not positive.
+    """Standard deviation of elevation (rad) from uncertain beams: u / sqrt(2 D); infinite where D is not positive.
 
     Args:
         determined: D, 1/rad^2 (`bounds.information`).
@@ -49,8 +49,8 @@ class PowerLaw(NamedTuple):
     """Distribution of a power: shift + scale g, where g has the gamma distribution of that order.
 
     Attributes:
-        order: of the gamma distribution.
-        scale, shift: in units of the noise power.
+        order: order of the gamma distribution.
+        scale, shift: parameters in units of the noise power.
     """
 
     order: F64
@@ -59,7 +59,7 @@ class PowerLaw(NamedTuple):
 
     @classmethod
     def of(cls, order: F64, coherent: F64 | float, error: F64 | float) -> Self:
-        """Distribution of what noise and errors of the beams leave of a pixel, by its first three moments.
+        """Distribution of the power that noise and errors of the beams leave in a pixel, by its first three moments.
 
         Of the complex dimensions that a scatterer leaves, `coherent` lie in the direction of the amplitudes of the
         looks, and have the power 1 + `error`; the rest have 1. A sum of gamma distributions is near to one of them with
@@ -67,7 +67,7 @@ class PowerLaw(NamedTuple):
         to 1.5 10^-3. Without an error it is exact, and for one look.
 
         Args:
-            order: of the noise alone: number of complex dimensions, all together.
+            order: number of complex dimensions of the noise.
             coherent: number of those in the direction of the amplitudes.
             error: u^2 S.
         """
@@ -79,7 +79,7 @@ class PowerLaw(NamedTuple):
         return cls(fitted, scale, mean - fitted * scale)
 
     def exceeded(self, power: F64) -> F64:
-        """Probability that the power is greater than `power`, in noise powers; without any dimension it is 0."""
+        """Probability of more than `power` (in noise powers); 0 without any dimension."""
         some = self.order > 0
         beyond = np.maximum((power - self.shift) / self.scale, 0.0)
         return np.where(some, gammaincc(np.where(some, self.order, 1.0), beyond), power <= 0)

@@ -1,12 +1,12 @@
 """Least standard deviation of an elevation estimate from the detectors of an array.
 
 A target at elevation theta gives detector m the amplitude A_k a_m(theta) in look k, plus noise of variance sigma^2.
-A change of the amplitude moves the samples along a. Only the part of a' = da/dtheta that is perpendicular to a holds
+A change of the amplitude moves the samples along a. Only the part of a' = da/dtheta that is perpendicular to a contains
 information on theta:
 
     D = a'^H (I - a a^H / |a|^2) a'
 
-All bounds are Cramer-Rao bounds; they differ in what is known of the amplitudes (Stoica and Nehorai, IEEE Trans.
+All bounds are Cramer-Rao bounds; they differ in their assumptions on the amplitudes (Stoica and Nehorai, IEEE Trans.
 Acoustics, Speech and Signal Processing 38, 1990). CNR is |A|^2 / sigma^2: that of a detector with h = 1 at the target.
 """
 
@@ -52,9 +52,9 @@ def conditional_crb(
     """Least standard deviation (rad) for looks whose energies have the known sum K C: 1 / sqrt(2 K C D).
 
     Args:
-        beams: of the array.
-        elevation: of the target, rad; broadcasts with `squint` and `cnr`.
-        squint: of the target, rad.
+        beams: beams of the array.
+        elevation: elevation of the target, rad; broadcasts with `squint` and `cnr`.
+        squint: squint of the target, rad.
         cnr: C of one look, power ratio; the bound is infinite where it is not positive.
         looks: K.
     """
@@ -66,7 +66,7 @@ def stochastic_crb(
 ) -> F64:
     """Least standard deviation (rad) for Gaussian amplitudes of unknown power: sqrt((1 + 1 / (C |a|^2)) / (2 K C D)).
 
-    With many looks, estimates approach it at high CNR; with a few, `speckle_crb` is nearer. Arguments as of
+    With many looks, estimates approach it at high CNR; with a few, `speckle_crb` is nearer. Arguments as in
     `conditional_crb`.
     """
     response = beams.response(elevation, squint)
@@ -83,7 +83,7 @@ def stochastic_deviation(energy: F64, looks: npt.ArrayLike, power: F64, determin
 def speckle_crb(beams: Beams, elevation: npt.ArrayLike, squint: npt.ArrayLike, cnr: npt.ArrayLike, looks: int) -> F64:
     """Least standard deviation (rad) for Gaussian amplitudes: the root of the mean of the conditional variance.
 
-    The mean of the inverse of their energy is 1 / ((K - 1) C), which is infinite for one look. Arguments as of
+    The mean of the inverse of their energy is 1 / ((K - 1) C), which is infinite for one look. Arguments as in
     `conditional_crb`.
     """
     return conditional_crb(beams, elevation, squint, cnr, looks - 1)

@@ -1,4 +1,4 @@
-"""What every elevation estimator returns, and the reasons a pixel has no height."""
+"""The result of every elevation estimator, and the reasons for invalid pixels."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from scipy.special import gammainccinv
 
 from sal_height.elevation.array.beam_error import PowerLaw
 from sal_height.elevation.array.bounds import beam_power
-from sal_height.elevation.array.settings import HeightSettings
+from sal_height.elevation.array.height_settings import HeightSettings
 from sal_height.elevation.looks.looks import Covariance, Looks
 from sal_height.numeric import F64, U8, Bool
 
 
 class Validity(IntEnum):
-    """Why a pixel has no height, or two, or one from its neighbours; the values are those of HeightImage.msg."""
+    """Reason for which a pixel has no height, or the kind of its heights; the values are those of HeightImage.msg."""
 
     OK = 0
     LOW_CNR = 1
@@ -37,7 +37,7 @@ class Validity(IntEnum):
 
 
 SCATTERERS = {Validity.OK: 1, Validity.EXTENDED: 1, Validity.TWO_SCATTERERS: 2, Validity.THREE_SCATTERERS: 3}
-"""How many scatterers a pixel has whose measurement can be used, by its validity."""
+"""Number of scatterers of a pixel whose measurement can be used, by its validity."""
 
 MEASURED = tuple(SCATTERERS)
 """Validities of the pixels whose measurement can be used."""
@@ -49,7 +49,7 @@ _COUNTS = np.zeros(256, np.uint8)
 _COUNTS[list(SCATTERERS)] = list(SCATTERERS.values())
 
 ORDERS = 5
-"""Number of answers to what a pixel holds: 0, 1, 2 or 3 scatterers, or one extended surface."""
+"""Number of models of a pixel: 0, 1, 2 or 3 scatterers, or one extended surface."""
 
 
 def scatterer_count(validity: U8) -> U8:
@@ -59,10 +59,10 @@ def scatterer_count(validity: U8) -> U8:
 
 @dataclass(frozen=True)
 class Scatterer:
-    """One scatterer of every pixel; arrays of the shape (rows, cols) of the looks, NaN where there is none.
+    """One scatterer of every pixel; arrays of the shape (rows, cols) of the looks, NaN without a scatterer.
 
     Attributes:
-        elevation: rad from nadir in body axes; of the middle of an extended surface.
+        elevation: angle from nadir in body axes, or that of the middle of an extended surface, rad.
         sigma: standard deviation of elevation, rad; infinite where there is no signal.
         cnr: carrier-to-noise power ratio of one look in a hypothetical detector looking straight at the scatterer.
         spread: standard deviation of elevation within an extended surface, rad; 0: a single point.
@@ -74,7 +74,7 @@ class Scatterer:
     spread: F64
 
     def where(self, there: Bool, other: Scatterer | None = None) -> Scatterer:
-        """This scatterer `there`, and the other, or none, elsewhere."""
+        """This scatterer `there`, and the other one, or NaN, elsewhere."""
         values = ((getattr(self, f.name), getattr(other, f.name) if other else np.nan) for f in fields(self))
         return Scatterer(*(np.where(there, mine, theirs) for mine, theirs in values))
 
@@ -84,11 +84,11 @@ class ElevationEstimate:
     """Elevations of the scatterers in every pixel.
 
     Attributes:
-        scatterers: the strongest of every pixel, and as many weaker ones as were looked for; the first has numbers in
-            all pixels with a signal, valid or not.
+        scatterers: strongest scatterer of every pixel, and the weaker ones that were searched for; the first is finite
+            in all pixels with a signal, valid or not.
         validity: `Validity` of each pixel, uint8, shape (rows, cols).
-        order_probability: of 0, 1, 2 and 3 scatterers and of one extended surface, shape (rows, cols, ORDERS), with the
-            sum 1; NaN where it was not estimated. None: nowhere.
+        order_probability: probability of 0, 1, 2 and 3 scatterers and of one extended surface, with the sum 1, shape
+            (rows, cols, ORDERS); NaN where it was not estimated. None: not estimated.
     """
 
     scatterers: tuple[Scatterer, ...]
@@ -107,17 +107,17 @@ class ElevationEstimate:
 
     @property
     def elevation(self) -> F64:
-        """Of the strongest scatterer, rad."""
+        """Elevation of the strongest scatterer, rad."""
         return self.first.elevation
 
     @property
     def sigma(self) -> F64:
-        """Of the strongest scatterer, rad."""
+        """Standard deviation of the elevation of the strongest scatterer, rad."""
         return self.first.sigma
 
     @property
     def cnr(self) -> F64:
-        """Of the strongest scatterer, power ratio."""
+        """CNR of the strongest scatterer, power ratio."""
         return self.first.cnr
 
     def with_sigma(self, sigma: F64) -> Self:
@@ -127,16 +127,16 @@ class ElevationEstimate:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """How well a model explains each pixel; arrays (rows, cols), powers in units of the receivers' noise power.
+    """Fit of a model to each pixel; arrays (rows, cols), powers in units of the receivers' noise power.
 
     Attributes:
-        explained: power that its scatterers explain, sum over looks, their share of the noise included.
+        explained: power that its scatterers explain, sum over looks, including their part of the noise.
         left: power that they do not explain.
-        degrees: order of the gamma distribution of `left` if nothing but noise is left: half the number of real
-            dimensions of noise in K looks of M channels, less those that the model's parameters have taken.
+        degrees: order of the gamma distribution of `left` if only noise is left: half the number of real dimensions of
+            noise in K looks of M channels, less the parameters of the model.
         directions: number of independent directions among which the strongest was chosen.
         leaked: expected power of the sidelobes of scatterers in other pixels, sum over looks.
-        coherent: part of the degrees in which errors of the beams show as well (`beam_error.PowerLaw`).
+        coherent: part of the degrees that errors of the beams affect as well (`beam_error.PowerLaw`).
         beam_error: power of these errors in a channel.
     """
 
@@ -159,7 +159,7 @@ def array_fit(looks: Looks, explained: F64, gain: F64, uncertainty: float) -> Fi
         looks: covariance of M channels in each pixel.
         explained: a^H R a / |a|^2 over the receivers' noise power, shape (rows, cols).
         gain: |a|^2.
-        uncertainty: of the beams.
+        uncertainty: relative uncertainty of the beams.
     """
     channels = looks.covariance.shape[-1]
     return Fit(
@@ -186,17 +186,17 @@ def noise_limit(degrees: F64, rate: float) -> F64:
 def sidelobe_limit(leaked: F64 | float, rate: float) -> F64:
     """Power of other pixels' sidelobes that is exceeded with the probability `rate`; `leaked` is its expectation.
 
-    All looks of a pixel see nearly the same wave, as the sidelobes of one scatterer change little over a few pixels:
-    their power is that of one look of speckle, which is exponentially distributed.
+    All looks of a pixel receive nearly the same wave, as the sidelobes of one scatterer change little over a few
+    pixels: their power is that of one look of speckle, which is exponentially distributed.
     """
     return -np.log(rate) * np.asarray(leaked)
 
 
 def detection_limit(looks: Looks, directions: int, settings: HeightSettings) -> F64:
-    """Least power, in units of the receivers' noise power, of what is neither noise nor other pixels' sidelobes.
+    """Least power of a detected signal, above noise and other pixels' sidelobes, in the receivers' noise powers.
 
     Args:
-        looks: whose power is looked at, sum over looks.
+        looks: covariance of the pixels; the power is a sum over looks.
         directions: number of independent directions among which the strongest was chosen.
         settings: rates of false alarms.
     """
@@ -205,11 +205,11 @@ def detection_limit(looks: Looks, directions: int, settings: HeightSettings) -> 
 
 
 def is_explained(fit: Fit, settings: HeightSettings) -> Bool:
-    """Whether what a model leaves of a pixel is noise and error of the beams, or a small share of what it explains.
+    """True where a model leaves only noise and errors of the beams, or a small fraction of what it explains.
 
     Args:
-        fit: of one scatterer to every pixel, or of several.
-        settings: rates of false alarms, and share of the explained power that may be left beyond the mean of the noise.
+        fit: fit of one scatterer to every pixel, or of several.
+        settings: rates of false alarms, and the fraction of the explained power that may be left beyond the mean noise.
     """
     explained = np.array(fit.left - fit.degrees <= settings.misfit_fraction * fit.explained)
     unsure = ~explained
@@ -225,15 +225,15 @@ def is_explained(fit: Fit, settings: HeightSettings) -> Bool:
 def decide_validity(
     looks: Looks, fit: Fit, strong: Bool, inside: Bool, outside: Validity, settings: HeightSettings
 ) -> U8:
-    """Reason for which each pixel's estimate cannot be used, the first that applies, or OK; for every estimator.
+    """First reason for which the estimate of each pixel cannot be used, or OK; for every estimator.
 
     Args:
         looks: covariance of the channels in each pixel.
-        fit: of one scatterer to every pixel.
-        strong: where its CNR is sufficient.
-        inside: where its elevation is one that the estimator can tell.
-        outside: reason to give elsewhere.
-        settings: when a scatterer is detected, and is the only one.
+        fit: fit of one scatterer to every pixel.
+        strong: True where its CNR is sufficient.
+        inside: True where its elevation is one that the estimator can determine.
+        outside: reason elsewhere.
+        settings: limits for detection and for a single scatterer.
     """
     detected = fit.explained >= detection_limit(looks, fit.directions, settings)
     validity = np.where(is_explained(fit, settings), np.uint8(Validity.OK), np.uint8(Validity.NOT_ONE_SCATTERER))
@@ -259,7 +259,7 @@ def explained_power(covariance: Covariance, response: F64) -> F64:
 def with_foreign_power(estimate: ElevationEstimate, variance: F64) -> ElevationEstimate:
     """The estimate with the variance (rad^2, shape (rows, cols)) that sidelobes of other pixels add.
 
-    It is that of a scatterer with all the energy of a pixel; one of several has the share of its CNR.
+    It is that of a scatterer with all the energy of a pixel; one of several has the fraction given by its CNR.
     """
     total = sum(np.where(np.isfinite(one.cnr), one.cnr, 0.0) for one in estimate.scatterers)
 
@@ -271,15 +271,15 @@ def with_foreign_power(estimate: ElevationEstimate, variance: F64) -> ElevationE
 
 
 def without_imprecise(estimate: ElevationEstimate, limit: float) -> ElevationEstimate:
-    """The estimate with IMPRECISE where the sigma of a scatterer that a pixel holds is above the limit (rad)."""
-    held = scatterer_count(estimate.validity)
-    imprecise = np.zeros(held.shape, np.bool_)
+    """The estimate with IMPRECISE where the sigma of a scatterer of the pixel is above the limit (rad)."""
+    count = scatterer_count(estimate.validity)
+    imprecise = np.zeros(count.shape, np.bool_)
     for number, one in enumerate(estimate.scatterers):
-        imprecise |= (held > number) & ~(one.sigma <= limit)
+        imprecise |= (count > number) & ~(one.sigma <= limit)
     return replace(estimate, validity=np.where(imprecise, Validity.IMPRECISE, estimate.validity).astype(np.uint8))
 
 
 def without_saturated(estimate: ElevationEstimate) -> ElevationEstimate:
-    """The estimate of a dwell whose samples are clipped: what would be usable is SATURATED, and has one scatterer."""
+    """The estimate of a dwell with clipped samples: SATURATED, with one scatterer, where it would be measured."""
     validity = np.where(np.isin(estimate.validity, MEASURED), Validity.SATURATED, estimate.validity).astype(np.uint8)
     return replace(estimate, scatterers=estimate.scatterers[:1], validity=validity)

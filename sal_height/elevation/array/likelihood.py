@@ -21,8 +21,8 @@ from sal_height.beams import Beams
 from sal_height.elevation.array.beam_error import beam_deviation
 from sal_height.elevation.array.bounds import stochastic_deviation, unit_vectors
 from sal_height.elevation.array.estimate import ElevationEstimate, Validity, array_fit, decide_validity
+from sal_height.elevation.array.height_settings import HeightSettings
 from sal_height.elevation.array.search import Find, Objective, Peaks, PeakSearch, PeakSearches, Pixels
-from sal_height.elevation.array.settings import HeightSettings
 from sal_height.elevation.looks.looks import Covariance, Looks
 from sal_height.numeric import F64
 from sal_height.settings import setting
@@ -33,32 +33,22 @@ GUARD = 3.0
 With two detectors the search stays inside: their one ratio is also that of some direction between them.
 """
 
-SPARE_LOOKS = 2
-"""Number of looks whose noise power is subtracted from a pixel's power, in addition to its own, to compute sigma.
-
-The highest peak is where noise adds power, and among the valid pixels weak ones that noise has raised are more frequent
-than strong ones that it has lowered. From Monte Carlo trials: without this, 60 % and 89 % of the valid pixels at 0 dB
-with 2 or 4 looks lie within one and two sigma; with it 65 % and 93 %, and at 10 dB and above 68 to 72 % and 95 to 96 %.
-"""
-
 AMBIGUOUS_RATIO = 100.0
 """Ratio of the likelihoods of the highest and the second peak below which a pixel is AMBIGUOUS.
 
 With detectors half a beamwidth apart and 5 dB or more in every look, less than 1 % of the otherwise valid pixels are
 ambiguous, and they include about half of those whose highest peak is a wrong one. Detectors farther apart than a
-beamwidth receive the same from several directions, which this ratio reveals. Two detectors always do; which of their
-pixels are AMBIGUOUS is the business of `two_channels`.
+beamwidth receive the same from several directions, which this ratio reveals. Two detectors always do: `two_channels`
+decides which of their pixels are AMBIGUOUS.
 """
 
-SAME_PEAK = 0.5  # beamwidths between the peaks of two objectives up to which they belong to the same scatterer
-
 Spectrum = Callable[[Covariance, F64], Covariance]
-"""Gives from covariances R (pixels, M, M) and numbers of looks (pixels,) matrices S (pixels, M, M): what is searched
-for its highest peak is u^H S u with the unit response u = a / |a|."""
+"""Function of covariances R (pixels, M, M) and numbers of looks (pixels,) that returns matrices S (pixels, M, M): the
+search is for the highest peak of u^H S u with the unit response u = a / |a|."""
 
 
 class ArraySettings(HeightSettings):
-    """Settings of the estimators that take the whole array."""
+    """Settings of the estimators that use the whole array."""
 
     ambiguous_ratio: float = setting(
         AMBIGUOUS_RATIO,
@@ -90,7 +80,7 @@ OBJECTIVES: dict[str, Objective] = {"normalised": _normalised, "numerator": _num
 
 
 def search_guard(beams: Beams) -> float:
-    """How far beyond the array is searched, rad: GUARD, but 0 for two detectors."""
+    """Extent of the search beyond the array, rad: GUARD, but 0 for two detectors."""
     return GUARD * beams.beamwidth if beams.count > 2 else 0.0
 
 
@@ -99,9 +89,9 @@ def peak_elevation(looks: Looks, beams: Beams, objective: Objective, guard: floa
 
     Args:
         looks: covariance of M channels in each pixel; complex if the beams are.
-        beams: of the channels.
+        beams: beams of the channels.
         objective: one of OBJECTIVES.
-        guard: how far beyond the array is searched, rad (`Beams.domain`); with `search_guard` targets outside show.
+        guard: extent of the search beyond the array (`Beams.domain`), rad; `search_guard` reveals targets outside.
 
     Raises:
         UserError: the beams have no elevation in common, or are complex where the covariance is not.
@@ -116,13 +106,13 @@ class SinglePeaks:
     """A single scatterer fitted to each pixel; arrays (rows, cols), powers in units of the receivers' noise power.
 
     Attributes:
-        elevation: rad.
-        lead: power by which it explains more than any other peak; infinite if there is none.
+        elevation: elevation of the scatterer, rad.
+        lead: power by which it explains more than any other peak; infinite without another peak.
         explained: power that it explains, sum over looks.
         array_power: |a|^2 there.
-        turning: D / |a|^2 there, 1/rad^2 (`bounds.information`).
-        beside: power that one more scatterer would explain (`PeakSearch.gain_beside`); 0 if not looked for.
-        along_slope: power along the slope of its response; 0 if not looked for.
+        turning: D / |a|^2 there (`bounds.information`), 1/rad^2.
+        beside: power that one more scatterer would explain (`PeakSearch.gain_beside`); 0 if not computed.
+        along_slope: power along the slope of its response; 0 if not computed.
     """
 
     elevation: F64
@@ -135,7 +125,7 @@ class SinglePeaks:
 
     @classmethod
     def found_by(cls, find: Find, objective: Objective, looks: Looks, beams: Beams) -> Self:
-        """Gather what `find` gives for the pixels of a block: `elevation` to `along_slope`, in units of the looks."""
+        """Collect `elevation` to `along_slope`, which `find` gives for the pixels of a block in units of the looks."""
         searches = PeakSearches.over(beams, objective, search_guard(beams))
         elevation, lead, explained, array_power, turning, beside, along = searches.of_pixels(looks, 7, find)
         noise = looks.receiver_noise
@@ -143,7 +133,7 @@ class SinglePeaks:
 
     @classmethod
     def alone(cls, elevation: F64, explained: F64, array_power: F64, turning: F64) -> Self:
-        """Scatterers beside which no other peak and no other scatterer was looked for."""
+        """Scatterers without a search for other peaks or scatterers."""
         none = np.zeros_like(explained)
         return cls(elevation, np.full_like(explained, np.inf), explained, array_power, turning, none, none)
 
@@ -154,7 +144,7 @@ class SinglePeaks:
 
 
 def peaks_at(elevation: F64, looks: Looks, beams: Beams) -> SinglePeaks:
-    """Scatterers whose likelihood peaks at known elevations (rad, (rows, cols)); other peaks are not looked at."""
+    """Scatterers whose likelihood peaks at known elevations (rad, (rows, cols)); other peaks are not searched for."""
 
     def find(search: PeakSearch, pixels: Covariance, here: Pixels) -> F64:
         found = elevation[here]
@@ -180,7 +170,7 @@ def highest_peaks(looks: Looks, beams: Beams, settings: ArraySettings) -> Single
 
 
 def highest_peaks_of(objective: Objective, looks: Looks, beams: Beams, settings: ArraySettings) -> SinglePeaks:
-    """The highest peak of one of OBJECTIVES, as `highest_peaks`; one more scatterer is not looked for."""
+    """The highest peak of one of OBJECTIVES, as `highest_peaks`; without the gain of one more scatterer."""
 
     def find(search: PeakSearch, pixels: Covariance, _here: Pixels) -> F64:
         peaks = search.peaks(pixels, settings.margin * looks.receiver_noise)
@@ -190,13 +180,13 @@ def highest_peaks_of(objective: Objective, looks: Looks, beams: Beams, settings:
 
 
 def peaks_by_spectrum(spectrum: Spectrum, looks: Looks, beams: Beams, settings: ArraySettings) -> SinglePeaks:
-    """Where the quadratic form of another spectrum is greatest, and the likelihood there; errors of `highest_peaks`."""
+    """Maximum of the quadratic form of another spectrum, and the likelihood there; errors of `highest_peaks`."""
 
     def find(search: PeakSearch, pixels: Covariance, here: Pixels) -> F64:
         found = search.peaks(spectrum(pixels, looks.count[here])).elevation
         values = search.on_grid(pixels)
         likely = search.peaks_of(pixels, values, settings.margin * looks.receiver_noise)
-        at_it = np.abs(likely.elevation - found) < SAME_PEAK * beams.beamwidth
+        at_it = np.abs(likely.elevation - found) < 0.5 * beams.beamwidth  # peaks of the same scatterer
         fit = search.fit(pixels, found)
         lead = fit[0] - np.where(at_it, np.maximum(likely.second, 0.0), likely.height)
         return np.vstack([found, lead, fit, search.gain_beside(pixels, values, found)])
@@ -206,22 +196,26 @@ def peaks_by_spectrum(spectrum: Spectrum, looks: Looks, beams: Beams, settings: 
 
 def _with_lead(search: PeakSearch, pixels: Covariance, peaks: Peaks) -> F64:
     """Elevation, lead and fit of the highest peaks, (5, pixels)."""
-    second = np.maximum(peaks.second, 0.0)  # there may be none
-    share = np.divide(second, peaks.height, where=peaks.height > 0, out=np.zeros_like(peaks.height))
+    second = np.maximum(peaks.second, 0.0)  # it may not exist
+    relative = np.divide(second, peaks.height, where=peaks.height > 0, out=np.zeros_like(peaks.height))
     fit = search.fit(pixels, peaks.elevation)
-    return np.vstack([peaks.elevation, (1 - share) * fit[0], fit])
+    return np.vstack([peaks.elevation, (1 - relative) * fit[0], fit])
 
 
 def estimate_of(peaks: SinglePeaks, looks: Looks, beams: Beams, settings: ArraySettings) -> ElevationEstimate:
     """Sigma, CNR and validity of single scatterers.
 
-    Sigma is `bounds.stochastic_crb` for the energy of these very looks, less the noise of SPARE_LOOKS more, and
+    Sigma is `bounds.stochastic_crb` for the energy of these very looks, less the noise of two more, and
     `beam_error.beam_deviation`. It is that of errors about the scatterer's own peak: in some 1 % of the valid pixels at
     0 dB with 2 looks, and in fewer elsewhere, another peak is higher. A pixel is AMBIGUOUS where its likelihood is less
     than `ambiguous_ratio` times that of another peak; errors of the beams count as noise of every channel.
     """
     explained, gain, turning = peaks.explained, peaks.array_power, peaks.turning
-    cnr, noise = (explained - looks.count) / gain / looks.count, looks.count + SPARE_LOOKS
+    # The highest peak is where noise adds power, and among the valid pixels weak ones that noise has raised are more
+    # frequent than strong ones that it has lowered: so the noise of two more looks is subtracted. From Monte Carlo
+    # trials: without this, 60 % and 89 % of the valid pixels at 0 dB with 2 or 4 looks lie within one and two sigma;
+    # with it 65 % and 93 %, and at 10 dB and above 68 to 72 % and 95 to 96 %.
+    cnr, noise = (explained - looks.count) / gain / looks.count, looks.count + 2
     sigma = stochastic_deviation((explained - noise) / gain, noise, gain, turning * gain)
     sigma = np.hypot(sigma, beam_deviation(turning * gain, beams.uncertainty))
     fit, (first, last) = array_fit(looks, explained, gain, beams.uncertainty), beams.span

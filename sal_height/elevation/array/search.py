@@ -32,13 +32,12 @@ from sal_height.errors import UserError
 from sal_height.numeric import F32, F64, I64, Index, in_parallel
 
 Objective = Callable[[F64, F64], tuple[F64, F64]]
-"""Gives the weights and their slope from response and slope of the beams, all real and of shape (..., detectors)."""
+"""Function of response and slope of the beams that returns weights and their slope; all real, (..., detectors)."""
 
-PIXELS_OF_THREAD = 2048  # number of pixels from which on another thread is worthwhile
-PIXELS_AT_ONCE = 2048  # pixels whose covariance and objective are held at a time: they fit into a processor's cache
+PIXELS_OF_THREAD = 2048  # number of pixels from which another thread pays
+PIXELS_AT_ONCE = 2048  # pixels whose covariance and objective are computed at a time: they fit into a processor's cache
 SQUINTS_AT_ONCE = 16  # squints whose tables are made together, of 0.2 MB each with 16 detectors
-SEARCHES_HELD = 64  # squints whose tables are held: several blocks of pixels have the same ones
-ARRAYS_HELD = 4  # arrays of beams whose searches are held: a calibration makes ever new ones
+SEARCHES_KEPT = 64  # squints whose tables are cached: several blocks of pixels have the same ones
 
 SQUINT_STEP = 1 / 16
 """Beamwidths between the squints at which responses are computed from the beams' patterns.
@@ -47,22 +46,16 @@ Over squint they are as smooth as over elevation: a polynomial through six of th
 period of 2 beamwidths, the shortest of an aperture's beams, and by 2e-5 for half of that.
 """
 
-LANES = 8  # nodes that processors multiply by at a time
-
 NEAREST = np.arange(-2, 4)  # numbers of these six squints, counted from the one below
-
-SQUINT_PARTS = 2**15
-"""Parts of such a step to which squints are rounded, 1e-6 beamwidths at most: columns that differ by rounding errors
-share a search. Squints move elevations by a fraction of their own error."""
 
 
 class Peaks(NamedTuple):
     """The highest peak of the objective in each pixel; arrays of shape (pixels,).
 
     Attributes:
-        elevation: of the peak, rad; the end of the domain where the objective still rises there.
+        elevation: elevation of the peak, or the end of the domain where the objective still rises there, rad.
         height: value of the objective there.
-        second: value of the objective at the second highest peak; `NO_PEAK` where there is none.
+        second: value of the objective at the second highest peak; `NO_PEAK` if it does not exist.
     """
 
     elevation: F64
@@ -76,15 +69,15 @@ class SearchTables:
 
     Attributes:
         first: lowest elevation searched, rad.
-        step: of the table, rad; the grid takes every TABLE_STEPS-th node.
+        step: step of the table, of whose nodes the grid has every TABLE_STEPS-th, rad.
         entries: positions of the upper triangle in a flattened matrix, padded by zeros to a multiple of TILE.
         grid: products w_m w_n at each node of the grid, those of m < n doubled, shape (squints, entries, grid nodes); 0
             where `entries` is padded.
         pieces: cubic polynomials for w between the nodes of the table (Hermite: w and w' are exact at the nodes),
             coefficients of rising powers, shape (squints, table nodes - 1, 4, detectors). For the aperture's beams,
             whose shortest period is 2 beamwidths, the error is 5e-8 in w and 5e-6 per beamwidth in w'.
-        power: such polynomials for |a|^2, shape (squints, table nodes - 1, 4).
-        complex_beams: whether w stands for complex numbers: their real parts, then their imaginary parts.
+        power: cubic polynomials for |a|^2, shape (squints, table nodes - 1, 4).
+        complex_beams: True if w has the real parts, then the imaginary parts, of complex numbers.
     """
 
     first: float
@@ -97,7 +90,7 @@ class SearchTables:
 
     @classmethod
     def of(cls, nodes: F64, response: F64, slope: F64, objective: Objective) -> Self:
-        """Tables whose `nodes` (rad) hold the beams' response and slope, shape (squints, nodes, detectors)."""
+        """Tables from response and slope of the beams at `nodes` (rad), shape (squints, nodes, detectors)."""
         step = float(nodes[-1] - nodes[0]) / (len(nodes) - 1)
         response, slope, complex_beams = _as_real(response), _as_real(slope), np.iscomplexobj(response)
         weight, weight_slope = objective(response, slope)
@@ -163,9 +156,9 @@ class PeakSearch:
     """The search of some pixels, each at its own squint.
 
     Attributes:
-        tables: at the squints.
+        tables: tables at the squints.
         squints: number of the squint of each pixel in the tables, shape (pixels,); or one for all, shape (1,). Pixels
-            of the same squint are best neighbours.
+            of the same squint are fastest next to each other.
     """
 
     tables: SearchTables
@@ -176,7 +169,7 @@ class PeakSearch:
         return replace(self, squints=self.squints[some])
 
     def every(self, pixels: int) -> Index:
-        """Number of the squint of each of so many pixels."""
+        """Number of the squint of each of N pixels."""
         return self.squints if len(self.squints) == pixels else np.repeat(self.squints, pixels)
 
     def position(self, elevation: F64) -> F64:
@@ -195,8 +188,8 @@ class PeakSearch:
         Args:
             covariance: matrices of the quadratic forms, shape (pixels, channels, channels); complex if the beams are.
                 They need not be positive.
-            margin: the second peak is looked for among those that lie lower by the objective of a scatterer of this
-                power at most, in the unit of the covariance.
+            margin: power of a scatterer, in the unit of the covariance; the second peak is searched for among those
+                that are lower than the first by its objective at most.
 
         Raises:
             UserError: the beams are complex and the covariance is not.
@@ -209,7 +202,7 @@ class PeakSearch:
         return Peaks(*np.concatenate(parts, axis=1))
 
     def peaks_of(self, covariance: Covariance, values: F32, margin: float) -> Peaks:
-        """The same as `peaks` from the objective `on_grid`."""
+        """The same as `peaks`, from the objective `on_grid`."""
         squints, tables = self.every(len(covariance)), self.tables
         position, height, second = np.empty((3, len(covariance)))
         margins = np.float32(margin) * tables.greatest
@@ -220,7 +213,7 @@ class PeakSearch:
         """Numbers of the pixels whose highest peak may be beyond the domain (rad) and `least` high or more, (pixels,).
 
         The node nearest to the highest peak has NEAR_HIGHEST of its height, and is half a step from it at most. The
-        objective must not be negative; errors as `peaks`.
+        objective must not be negative; errors as in `peaks`.
         """
         grid = _grid_beyond(self.tables, *domain)
         squints = self.every(len(covariance))
@@ -228,14 +221,14 @@ class PeakSearch:
         return np.flatnonzero(values.max(axis=1, initial=-np.inf) >= NEAR_HIGHEST * least)
 
     def gain_beside(self, covariance: Covariance, values: F32, elevation: F64) -> F64:
-        """What one more scatterer beside a single one would explain, in the unit of the covariance, (2, pixels).
+        """Power that a scatterer in addition to the single one explains, in the unit of the covariance, (2, pixels).
 
-        First at the node of the grid where that is most, second along the slope of the single one's response.
+        First at the best node of the grid, second along the slope of the response of the single scatterer.
 
         Args:
             covariance: shape (pixels, channels, channels).
-            values: of the normalised objective `on_grid`.
-            elevation: of the single one, within the domain, rad, shape (pixels,).
+            values: normalised objective `on_grid`.
+            elevation: elevation of the single scatterer, within the domain, shape (pixels,), rad.
         """
         found, tables, squints = np.empty((2, len(covariance))), self.tables, self.every(len(covariance))
         matrices = covariance if tables.complex_beams else self._real(covariance)
@@ -248,17 +241,17 @@ class PeakSearch:
 
         Args:
             covariance: shape (pixels, channels, channels); complex if the beams are.
-            elevation: rad, shape (pixels,); those beyond the domain count as its ends.
+            elevation: elevation of the scatterer, shape (pixels,), rad; those beyond the domain count as its ends.
 
         Returns:
-            The power that the scatterer explains, w^H R w / |w|^2; |a|^2; and how fast the direction of w turns,
-            D / |a|^2 in 1/rad^2 (`bounds.information`). Shape (3, pixels); NaN where the elevation is.
+            The power that the scatterer explains, w^H R w / |w|^2; |a|^2; and the squared rate at which the direction
+            of w turns, D / |a|^2 in 1/rad^2 (`bounds.information`). Shape (3, pixels); NaN where the elevation is.
         """
         position, tables, squints = self.position(elevation), self.tables, self.every(len(elevation))
         found = np.empty((3, len(position)))
         known = np.isfinite(position)
-        place, kind = np.where(known, position, 0.0), tables.complex_beams
-        fit_scatterer(self._real(covariance), squints, place, tables.pieces, tables.power, kind, found)
+        at, kind = np.where(known, position, 0.0), tables.complex_beams
+        fit_scatterer(self._real(covariance), squints, at, tables.pieces, tables.power, kind, found)
         found[2] /= tables.step**2
         found[:, ~known] = np.nan
         return found
@@ -279,16 +272,16 @@ class PeakSearch:
         return weight, slope, np.sum(powers * tables.power[number, node], axis=-1)
 
     def on_grid(self, covariance: Covariance) -> F32:
-        """Evaluate the objective of some pixels at all nodes of the grid, (pixels, grid nodes); errors as `peaks`."""
+        """Objective of some pixels at all nodes of the grid, (pixels, grid nodes); errors as in `peaks`."""
         squints = self.every(len(covariance))
         return evaluate_on_grid(self._real(covariance), squints, self.tables.entries, self.tables.grid)
 
     def peaks_uphill(self, covariance: Covariance, nodes: Index) -> F64:
-        """Find the elevation (rad) of the peak uphill of a node of the grid in each pixel; errors as `peaks`.
+        """Find the elevation (rad) of the peak uphill of a node of the grid in each pixel; errors as in `peaks`.
 
         Args:
             covariance: shape (pixels, channels, channels).
-            nodes: of the grid, one for each pixel, shape (pixels,).
+            nodes: node of the grid of each pixel, shape (pixels,).
         """
         position, matrices, squints = np.empty(len(covariance)), self._real(covariance), self.every(len(covariance))
         values = evaluate_on_grid(matrices, squints, self.tables.entries, self.tables.grid)
@@ -311,14 +304,15 @@ Pixels = tuple[Index, Index]
 """Rows and columns of some pixels of an image, each of shape (pixels,)."""
 
 Find = Callable[[PeakSearch, Covariance, Pixels], F64]
-"""Gives numbers (count, pixels) from the search of some pixels and their covariance (pixels, channels, channels)."""
+"""Function of the search of some pixels and their covariance (pixels, channels, channels) that returns numbers (count,
+pixels)."""
 
 
 class Block(NamedTuple):
     """Columns or pixels that are searched at a time.
 
     Attributes:
-        parts: squints for which there are tables, in the unit of `PeakSearches.part`.
+        parts: squints that have tables, in the unit of `PeakSearches.part`.
         squints: number of the squint of each item among them.
         items: numbers of the columns or pixels, shape (items,).
     """
@@ -335,7 +329,7 @@ class PeakSearches:
     Attributes:
         grid_nodes: elevations of the grid, rad.
         part: least difference of squints that have tables of their own, rad.
-        of_parts: gives the tables at multiples of `part`.
+        of_parts: function that returns the tables at multiples of `part`.
     """
 
     grid_nodes: F64
@@ -346,8 +340,8 @@ class PeakSearches:
     def over(cls, beams: Beams, objective: Objective, guard: float) -> PeakSearches:
         """Searches over `beams.domain(guard)`, at any squint; angles in rad.
 
-        They are made when they are needed, from tables at multiples of SQUINT_STEP, and held for the next image of the
-        same beams. What a search finds depends on its squint alone, not on the other columns.
+        They are made when they are needed, from tables at multiples of SQUINT_STEP, and cached for the next image of
+        the same beams. The result of a search depends on its squint alone, not on the other columns.
 
         Raises:
             UserError: the beams have no elevation in common.
@@ -367,10 +361,10 @@ class PeakSearches:
         """Items in the order of their squints, `most` or fewer of SQUINTS_AT_ONCE squints at a time.
 
         Args:
-            squint: of all columns of an image, rad, shape (cols,). Tables are made for all of them, so that the next
-                image, in which other columns have items, finds them.
+            squint: squints of all columns of an image, shape (cols,), rad. Tables are made for all of them, for the
+                next image, in which other columns have items.
             cols: column of each item, shape (items,).
-            most: number of items.
+            most: greatest number of items at a time.
         """
         parts, number = np.unique(self._parts(squint), return_inverse=True)
         tables = [tuple(parts[i : i + SQUINTS_AT_ONCE].tolist()) for i in range(0, len(parts), SQUINTS_AT_ONCE)]
@@ -402,8 +396,8 @@ class PeakSearches:
         columns = self.blocks(squint, np.arange(len(squint)), PIXELS_AT_ONCE // high)
         blocks = [(block, np.arange(top, min(top + high, rows))) for block in columns for top in range(0, rows, high)]
 
-        def work_on(share: slice) -> None:
-            for block, down in blocks[share]:
+        def work_on(some: slice) -> None:
+            for block, down in blocks[some]:
                 each = np.repeat(np.arange(len(block.items)), len(down))
                 work(self.of(block).of(each), (np.tile(down, len(block.items)), block.items[each]))
 
@@ -419,49 +413,52 @@ def _as_real(values: F64) -> F64:
     return np.concatenate([values.real, values.imag], axis=-1) if np.iscomplexobj(values) else values
 
 
-@lru_cache(ARRAYS_HELD)
+@lru_cache(4)  # arrays of beams, as a calibration always makes new ones
 def _searches(beams: Beams, objective: Objective, guard: float) -> PeakSearches:
-    """See `PeakSearches.over`; beams are told apart by their identity."""
+    """See `PeakSearches.over`; beams are distinguished by their identity."""
     first, last = beams.domain(guard)
     grid_steps = max(1, int(np.ceil((last - first) / (GRID_STEP * beams.beamwidth))))
     nodes = np.linspace(first, last, TABLE_STEPS * grid_steps + 1)
     squint_step = SQUINT_STEP * beams.track_beamwidth
+    # Squints are rounded to these parts of a step, 1e-6 beamwidths at most, so that columns that differ by rounding
+    # errors have one search. Squints move elevations by a fraction of their own error.
+    parts_of_step = 2**15
 
-    @lru_cache(SEARCHES_HELD)
+    @lru_cache(SEARCHES_KEPT)
     def exact(number: int) -> tuple[F64, F64]:
         squint = number * squint_step
         return beams.response(nodes, squint), beams.slope(nodes, squint)
 
     def at_squint(part: int) -> tuple[F64, F64]:
-        number, rest = divmod(part, SQUINT_PARTS)
-        weights = _lagrange(rest / SQUINT_PARTS)
+        number, rest = divmod(part, parts_of_step)
+        weights = _lagrange(rest / parts_of_step)
         used = [(weight, *exact(number + k)) for weight, k in zip(weights, NEAREST.tolist(), strict=True) if weight]
         response, slope = (sum(weight * values[n] for weight, *values in used) for n in (0, 1))
         return np.asarray(response), np.asarray(slope)
 
-    @lru_cache(SEARCHES_HELD // SQUINTS_AT_ONCE)
+    @lru_cache(SEARCHES_KEPT // SQUINTS_AT_ONCE)
     def of_parts(parts: tuple[int, ...]) -> SearchTables:
         responses, slopes = zip(*map(at_squint, parts), strict=True)
         return SearchTables.of(nodes, np.stack(responses), np.stack(slopes), objective)
 
-    return PeakSearches(nodes[::TABLE_STEPS], squint_step / SQUINT_PARTS, of_parts)
+    return PeakSearches(nodes[::TABLE_STEPS], squint_step / parts_of_step, of_parts)
 
 
-@lru_cache(SEARCHES_HELD // SQUINTS_AT_ONCE)
+@lru_cache(SEARCHES_KEPT // SQUINTS_AT_ONCE)
 def _grid_beyond(tables: SearchTables, first: float, last: float) -> F32:
     """The part of `tables.grid` at the nodes that are nearest to elevations below `first` or above `last` (rad).
 
-    Zeros make their number a multiple of LANES.
+    Zeros make their number a multiple of 8, as processors multiply so many at a time.
     """
     half = 0.5 * TABLE_STEPS * tables.step
     near = (tables.grid_nodes < first + half) | (tables.grid_nodes > last - half)
-    return np.pad(tables.grid[:, :, near], ((0, 0), (0, 0), (0, -int(near.sum()) % LANES)))
+    return np.pad(tables.grid[:, :, near], ((0, 0), (0, 0), (0, -int(near.sum()) % 8)))
 
 
-def _lagrange(place: float) -> list[float]:
-    """Weights by which a polynomial through values at NEAREST gives its value at `place`."""
+def _lagrange(position: float) -> list[float]:
+    """Weights of the values at NEAREST in the polynomial through them, at `position`."""
     others = ((number, NEAREST[number != NEAREST]) for number in NEAREST)
-    return [float(np.prod((place - other) / (number - other))) for number, other in others]
+    return [float(np.prod((position - other) / (number - other))) for number, other in others]
 
 
 def _hermite(value: F64, slope: F64) -> F64:

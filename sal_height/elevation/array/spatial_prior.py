@@ -1,7 +1,7 @@
 """A spatial smoothness prior: semi-global matching chooses among the peaks of each pixel's likelihood.
 
 At low CNR the highest peak of a pixel may be one of noise, anywhere in the search domain, while the second or third is
-the target's. The neighbours decide which: along a line of pixels the elevation changes little from one to the next, or
+the target's. The neighbours decide: along a line of pixels the elevation changes little from one to the next, or
 it jumps, at the cost of `strength`. A line is a hidden Markov chain, whose best elevations follow by dynamic
 programming. Eight lines end in every pixel; the messages along them are added to the pixel's own log-likelihood.
 
@@ -28,7 +28,7 @@ from sal_height.elevation.looks.looks import Looks
 from sal_height.numeric import F32, F64, Bool, Index, in_parallel
 
 RECOMMENDED_STRENGTH = 0.75
-"""Strength that reduces the outliers of four looks at 5 dB more than tenfold and keeps steps of 3 beamwidths in place.
+"""Strength that reduces the outliers of four looks at 5 dB more than tenfold and preserves steps of 3 beamwidths.
 
 At 5 dB a single pixel 3 beamwidths off its surroundings is then lost in a fifth of the cases with four looks and in two
 thirds with one (without the prior: 6 and 40 %); at 10 dB in 2 and 40 % (0 and 14 %). Bars two pixels wide are found
@@ -40,10 +40,7 @@ DIRECTIONS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, -1), (1, -1), (-1, 
 """Steps in rows and columns along the lines."""
 
 TILE = 512
-"""Number of rows and columns whose likelihoods are held at a time: 41 to 71 nodes, twice, are 110 to 190 MB."""
-
-MARGIN = 32
-"""Number of pixels around a tile in which its lines start; the influence of those farther away has faded."""
+"""Number of rows and columns whose likelihoods are kept at a time: 41 to 71 nodes, twice, are 110 to 190 MB."""
 
 
 @dataclass(frozen=True)
@@ -51,8 +48,8 @@ class _Tile:
     """A part of the image with its margin.
 
     Attributes:
-        rows, cols: numbers of those of the part with its margin.
-        core: the part itself, within `rows` and `cols`.
+        rows, cols: numbers of the rows and columns of the part with its margin.
+        core: part without the margin, within `rows` and `cols`.
     """
 
     rows: Index
@@ -61,13 +58,13 @@ class _Tile:
 
 
 def smoothed_peaks(looks: Looks, beams: Beams, strength: float) -> F64:
-    """Elevation (rad) of the peak of the exact likelihood that suits the neighbours best, in every pixel (rows, cols).
+    """Elevation (rad) of the peak of the exact likelihood that fits the neighbours best, in every pixel (rows, cols).
 
     Pixels of zero covariance, which stand for missing data, end the lines: neither they nor those beyond contribute.
 
     Args:
         looks: covariance of M channels of equal noise in each pixel; complex if the beams are.
-        beams: of the channels.
+        beams: beams of the channels.
         strength: loss of log-likelihood at a jump of elevation between neighbours, along each line, 0 or more; 0 gives
             `likelihood.peak_elevation` with the normalised objective; RECOMMENDED_STRENGTH suits most scenes.
 
@@ -88,17 +85,18 @@ def smoothed_peaks(looks: Looks, beams: Beams, strength: float) -> F64:
 def _tiles(rows: int, columns: DwellColumns) -> Iterator[_Tile]:
     """The tiles of an image, each of which lies in one dwell."""
     wide = columns.cols
+    margin = 32  # pixels around a tile in which its lines start; the influence of those farther away has faded
     for dwell, top, left in product(columns.slices, range(0, rows, TILE), range(0, wide, TILE)):
-        first_row, first_col = max(0, top - MARGIN), max(0, left - MARGIN)
+        first_row, first_col = max(0, top - margin), max(0, left - margin)
         yield _Tile(
-            rows=np.arange(first_row, min(top + TILE + MARGIN, rows)),
-            cols=dwell.start + np.arange(first_col, min(left + TILE + MARGIN, wide)),
+            rows=np.arange(first_row, min(top + TILE + margin, rows)),
+            cols=dwell.start + np.arange(first_col, min(left + TILE + margin, wide)),
             core=(slice(top - first_row, top - first_row + TILE), slice(left - first_col, left - first_col + TILE)),
         )
 
 
 def _log_likelihood(looks: Looks, tile: _Tile, searches: PeakSearches) -> tuple[F32, Bool]:
-    """Log-likelihood ratio to noise alone at every node of the grid, and which pixels of the tile have data.
+    """Log-likelihood ratio to noise alone at every node of the grid, and a mask of the pixels of the tile with data.
 
     It is K (q - ln q - 1) with q = a^H R a / (K sigma^2 |a|^2), or 0 for q < 1: maximised over the power of Gaussian
     amplitudes. Shapes (rows, cols, grid nodes) and (rows, cols).
@@ -143,14 +141,16 @@ def _starts(rows: int, cols: int, step: tuple[int, int]) -> Index:
 def _move(elevation: F64, total: F32, messages: F32, looks: Looks, tile: _Tile, searches: PeakSearches) -> None:
     """Move pixels of the tile's core to another peak if their neighbours prefer it: changes `elevation` (rad) in place.
 
-    `total` and `messages` are of the core: log-likelihood with what the neighbours say of each node, and that alone.
+    `total` and `messages` are arrays of the core: log-likelihood plus messages at each node, and messages alone.
     """
     rows, cols = tile.rows[tile.core[0]], tile.cols[tile.core[1]]
     nodes = searches.grid_nodes
     alone = np.rint((elevation[rows[:, None], cols] - nodes[0]) / (nodes[1] - nodes[0])).astype(np.intp)
     together = np.argmax(total, axis=2)
-    heard, before = (np.take_along_axis(messages, node[..., None], axis=2)[..., 0] for node in (together, alone))
-    changed = (heard > before) & (together != alone)
+    there_message, here_message = (
+        np.take_along_axis(messages, node[..., None], axis=2)[..., 0] for node in (together, alone)
+    )
+    changed = (there_message > here_message) & (together != alone)
 
     def work(search: PeakSearch, pixels: Pixels) -> None:
         moved = np.flatnonzero(changed[pixels])

@@ -1,15 +1,15 @@
-"""Elevation by Capon's method: the direction in which a minimum-variance beamformer lets most power through.
+"""Elevation by Capon's method: the direction with the greatest output power of a minimum-variance beamformer.
 
 The beamformer that passes a scatterer with the unit response u = a / |a| undistorted and suppresses everything else has
 the output power 1 / (u^H R^-1 u) (Capon, Proceedings of the IEEE 57, 1969; Lombardini and Montanari, IEEE Trans.
 Aerospace and Electronic Systems 38, 2002, for several scatterers in a SAR pixel). The unit response is needed because
-detectors near the ends of the array see a scatterer with less power: with a itself, Capon's maximum would lie there.
+detectors near the ends of the array receive less power of a scatterer: with a itself, Capon's maximum would be there.
 
-To be invertible with few looks K, the mean covariance R / K is loaded with LOADING noise powers (Carlson, IEEE
-Trans. AES 24, 1988). Much loading gives maximum likelihood, little a noisier estimate that separates scatterers better.
+To be invertible with few looks K, the mean covariance R / K is loaded with some noise powers (Carlson, IEEE Trans.
+AES 24, 1988). Much loading gives maximum likelihood, little a noisier estimate that separates scatterers better.
 
-It does not look for a second scatterer. A weak one within the resolution leaves the pixel a single one, and draws its
-peak aside; what it leaves along the slope of the response says by how much (`misfit_factor`).
+It does not search for a second scatterer. A weak one within the resolution leaves the pixel with a single peak and
+displaces it; the power along the slope of the response shows by how much (`misfit_factor`).
 """
 
 from __future__ import annotations
@@ -26,17 +26,15 @@ from sal_height.elevation.looks.looks import Covariance, Looks
 from sal_height.numeric import F64
 from sal_height.settings import setting
 
-LOADING = 1.0
-"""Loading in noise powers. With 16 detectors and 16 looks the standard deviation is 5 % above that of maximum
-likelihood (25 % with 0.1, 0.2 % with 10), and a second scatterer half a beamwidth away, 3 dB weaker, displaces the
-median estimate by 0.04 beamwidths instead of 0.14."""
-
 
 class CaponSettings(ArraySettings):
     """Settings of Capon's method."""
 
+    # With 16 detectors and 16 looks the standard deviation is 5 % above that of maximum likelihood (25 % with 0.1,
+    # 0.2 % with 10), and a second scatterer half a beamwidth away, 3 dB weaker, displaces the median estimate by 0.04
+    # beamwidths instead of 0.14.
     loading: float = setting(
-        LOADING,
+        1.0,
         "power added to the diagonal of the mean covariance before it is inverted; more of it lowers the noise of the "
         "estimate, less of it separates scatterers better",
         unit="noise powers",
@@ -48,8 +46,8 @@ class CaponSettings(ArraySettings):
 def capon_elevation(looks: Looks, beams: Beams, settings: CaponSettings) -> ElevationEstimate:
     """Elevation of the peak of Capon's spectrum.
 
-    Sigma is that of maximum likelihood times `deviation_factor`, and `misfit_factor` where a pixel contains several
-    scatterers. Arguments and errors as of `ml_elevation`.
+    Sigma is that of maximum likelihood times `deviation_factor`, and `misfit_factor` where a pixel holds more than one
+    scatterer. Arguments and errors as in `ml_elevation`.
     """
 
     def spectrum(covariance: Covariance, count: F64) -> Covariance:
@@ -65,20 +63,20 @@ def capon_elevation(looks: Looks, beams: Beams, settings: CaponSettings) -> Elev
 
 
 def misfit_factor(peaks: SinglePeaks, looks: Looks, beams: Beams, settings: CaponSettings) -> F64:
-    """Standard deviation of an estimate where a pixel contains more than one scatterer, over that by noise alone.
+    """Standard deviation of an estimate where a pixel has more than one scatterer, over that of noise alone.
 
     With the derivative s_k of the response along its slope in look k, the estimate is off by sum_k Re(A_k* s_k) over
-    sum_k |A_k|^2 D / |a|^2. Whatever s_k is made of, if its phase is not that of A_k, the real part has half of its
+    sum_k |A_k|^2 D / |a|^2. Whatever the cause of s_k, if its phase is not that of A_k, the real part has half of its
     power, so that the variance grows by the power along the slope over that of noise, of which K - 1/2 complex
     dimensions are left (the variance of a misspecified likelihood: White, Econometrica 50, 1982). Power that noise,
-    beams and level ground rarely exceed leaves the factor at 1. A single look does not tell the part in phase, which
+    beams and level ground rarely exceed leaves the factor at 1. A single look does not show the part in phase, which
     moves the peak as another elevation does.
 
     Args:
-        peaks: where the estimates are.
-        looks: of the pixels.
-        beams: of the channels.
-        settings: how rarely that is.
+        peaks: likelihood at the estimates.
+        looks: covariance of the pixels.
+        beams: beams of the channels.
+        settings: rates of false alarms.
     """
     noise, free = PixelNoise.of(peaks, looks, beams), np.maximum(free_looks(looks.count), 0.5)
     over = peaks.along_slope / (noise.raised * noise.along_slope)

@@ -1,8 +1,8 @@
 """Several dwells at once: in less time than one by one, and with the same result to the last bit.
 
-Dwells of a few hundred pixels take most of their time in calls. Their looks are put side by side as one image, which an
-estimator takes as that of one dwell: what it finds of a pixel depends on that pixel alone. Where it also depends on
-others of the dwell, such as its neighbours, estimators ask `Looks.columns` for them.
+Dwells of a few hundred pixels need most of their time for calls. Their looks are put side by side as one image, which
+an estimator processes as that of one dwell: the result of a pixel depends on that pixel alone. Where it also depends on
+other pixels of the dwell, such as its neighbours, estimators get these from `Looks.columns`.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ def estimate_dwells(
     """The estimate of each of several dwells, as of each alone; those of one kind are estimated at once.
 
     Args:
-        estimate: of an estimator.
+        estimate: function of an estimator.
         observed: looks and beams of each dwell. Dwells with the same channels have the same object as beams.
-        settings: of the estimator.
+        settings: settings of the estimator.
     """
     kinds: dict[Hashable, list[int]] = {}
     for number, (looks, beams) in enumerate(observed):
-        # A covariance that is too large to be kept would have to be computed to be put beside others.
+        # A covariance that is too large to be kept would have to be computed to be joined with others.
         kind = _kind(looks, beams) if isinstance(looks.covariance, np.ndarray) else number
         kinds.setdefault(kind, []).append(number)
     found: dict[int, ElevationEstimate] = {}
@@ -51,7 +51,7 @@ def _kind(looks: Looks, beams: Beams) -> Hashable:
 
 
 def side_by_side(several: Sequence[Looks]) -> Looks:
-    """The looks of several dwells of one kind as one image, the columns of one after those of the other."""
+    """The looks of several dwells of one kind as one image, in the order of their columns."""
     first = several[0]
     if len(several) == 1:
         return first

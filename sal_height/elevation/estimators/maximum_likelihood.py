@@ -31,23 +31,23 @@ class MlSettings(LayoverSettings):
 
 
 def ml_elevation(looks: Looks, beams: Beams, settings: MlSettings) -> ElevationEstimate:
-    """Elevations of the scatterers in every pixel: one, two, three or an extended one, as the looks demand.
+    """Elevations of the scatterers in every pixel: one, two, three or an extended one, as the looks require.
 
     Args:
         looks: covariance of M channels of equal noise in each pixel.
-        beams: of the M detectors.
-        settings: with a prior, the objective is always the exact one.
+        beams: beams of the M detectors.
+        settings: settings of the estimator; with a prior, the objective is always the exact one.
 
     Raises:
         UserError: a real covariance of complex beams.
     """
     if settings.prior_strength:
-        # The peak that suits the neighbours best.
+        # The peak that fits the neighbours best.
         peaks = peaks_at(smoothed_peaks(looks, beams, settings.prior_strength), looks, beams)
     elif settings.objective == "normalised" and settings.layover:
         peaks = highest_peaks(looks, beams, settings)
     else:
-        # Without layover nobody asks what one more scatterer would explain.
+        # Without layover the gain of one more scatterer is not needed.
         peaks = highest_peaks_of(OBJECTIVES[settings.objective], looks, beams, settings)
     estimate = estimate_of(peaks, looks, beams, settings)
     if beams.count == 2:

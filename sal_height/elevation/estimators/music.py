@@ -33,8 +33,8 @@ def music_elevation(looks: Looks, beams: Beams, settings: MusicSettings) -> Elev
     """Elevation of the highest peak of MUSIC's spectrum in every pixel.
 
     Of order 2 a second scatterer close by displaces it less, but a single one is estimated with more noise: sigma is
-    that of maximum likelihood over sqrt(1 - (order - 1) / (M - 1)), because the additional eigenvectors take so many
-    of the M - 1 dimensions in which the response can turn. Arguments as of `ml_elevation`.
+    that of maximum likelihood over sqrt(1 - (order - 1) / (M - 1)), because the additional eigenvectors take order - 1
+    of the M - 1 dimensions in which the response can turn. Arguments as in `ml_elevation`.
 
     Raises:
         UserError: the order is not less than the number of detectors; or as in `ml_elevation`.

@@ -1,7 +1,7 @@
-"""The estimators of elevation by name: all that the pipeline, the nodes and the commands know of them.
+"""The estimators of elevation by name, for the pipeline, the nodes and the commands.
 
 To add one, write a module with a function from looks, beams and settings to an `ElevationEstimate`, and add an entry to
-ESTIMATORS. Its node, topics, console script, settings, and its place in reports and pictures follow from the entry.
+ESTIMATORS. Its node, topics, console script, settings, reports and pictures follow from the entry.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from sal_height.beams import Beams
 from sal_height.elevation.array.estimate import ElevationEstimate
-from sal_height.elevation.array.settings import HeightSettings
+from sal_height.elevation.array.height_settings import HeightSettings
 from sal_height.elevation.estimators.capon import CaponSettings, capon_elevation
 from sal_height.elevation.estimators.dwells import Estimate, estimate_dwells
 from sal_height.elevation.estimators.maximum_likelihood import MlSettings, ml_elevation
@@ -25,16 +25,16 @@ from sal_height.numeric import C128
 from sal_height.sensor import Channels, Sensor, sum_difference_channels, whitened_channels
 
 MakeChannels = Callable[[C128, C128], Channels]
-"""From the noise covariance of the sensor's channels and its channel matrix to the channels that an estimator takes."""
+"""Function of noise covariance and channel matrix of a sensor that returns the channels of an estimator."""
 
 
 def has_several_detectors(sensor: Sensor) -> bool:
-    """Whether elevation can be had at all: for estimators that take the whole array, whatever its channels are."""
+    """True if elevation can be estimated: for estimators that use the whole array, with any channels."""
     return sensor.detector_count > 1
 
 
 def has_separate_detectors(sensor: Sensor) -> bool:
-    """Whether whitening gives the detectors one by one, each with noise of its own: for estimators that take pairs."""
+    """True if whitening gives single detectors, each with independent noise: for estimators that use pairs."""
     if not sensor.is_mixed:
         return has_several_detectors(sensor)
     channels = whitened_channels(sensor.noise_covariance, sensor.mixing)
@@ -42,7 +42,7 @@ def has_separate_detectors(sensor: Sensor) -> bool:
 
 
 def has_sum_and_difference(sensor: Sensor) -> bool:
-    """Whether the channels are the sum and the difference of two beams."""
+    """True if the channels are the sum and the difference of two beams."""
     try:
         sum_difference_channels(sensor.noise_covariance, sensor.mixing)
     except UserError:
@@ -55,14 +55,14 @@ class ElevationEstimator:
     """An estimator of elevation.
 
     Attributes:
-        name: in topics, `<name>/height`, in HeightImage.estimator, and on the command line.
+        name: name in topics, `<name>/height`, in HeightImage.estimator, and on the command line.
         node: name of its ROS node and of the console script that starts it.
-        title: what pictures and tables call it.
+        title: title in pictures and tables.
         settings: class of its settings.
-        estimate: elevation of every pixel of a dwell.
-        suits: whether a sensor has the channels that it needs.
-        channels: that it takes, from those of the sensor; whitened ones unless stated otherwise.
-        by_default: whether a run makes its heights without being asked to.
+        estimate: function that returns the elevation of every pixel of a dwell.
+        suits: function that is true for a sensor with the channels that it needs.
+        channels: function that returns its channels from those of the sensor; whitened ones by default.
+        by_default: True if a run makes its heights by default.
     """
 
     name: str

@@ -1,6 +1,6 @@
 """Several scatterers per pixel, or one surface that is spread over elevation.
 
-`several` and `extended` estimate them, `single` judges one scatterer, `order` gives the probability of each number of
-scatterers, `models` weighs them, and `layover` chooses one for each pixel. `two_channels` states what two channels
-cannot separate.
+`several` and `extended` estimate them, `single` tests one scatterer, `order` gives the probability of each number of
+scatterers, `models` fits them, and `layover` chooses one for each pixel. `two_channels` accounts for layover that two
+channels cannot resolve.
 """

@@ -17,34 +17,31 @@ from sal_height.numeric import F32, F64, Index, compiled
 
 Numbers = npt.NDArray[Any]
 Table = tuple[Numbers, F32, F64, F64, F64]
-"""Pieces of unit responses and of |a|^2, at one squint or at all; for each quadrature the places of its nodes (in
-spreads) and their weights, (quadratures, nodes), those of few nodes first and filled up with zeros; and the greatest
-spread it is for."""
+"""Pieces of unit responses and of |a|^2, at one squint or at all; for each quadrature the positions of its nodes (in
+spreads) and their weights, (quadratures, nodes), those of few nodes first and padded with zeros; and the greatest
+spread of each."""
 
 
 class SurfacePrior(NamedTuple):
-    """Prior density of surfaces: even over t and ln p within a range, and falling with a power of the spread.
+    """Prior density of surfaces: uniform over t and ln p within a range, and falling with a power of the spread.
 
     Attributes:
-        place: range of t, steps of the table.
+        position: range of t, steps of the table.
         spread: range of ln s.
         power: range of ln p.
-        steepness: the density of ln s falls with this power of s.
-        density: logarithm of the density of ln s over an even one, where s is one step of the table.
+        steepness: power of s with which the density of ln s falls.
+        density: logarithm of the density of ln s over a uniform one, where s is one step of the table.
     """
 
-    place: float
+    position: float
     spread: float
     power: float
     steepness: float
     density: float
 
 
-SCORING_STEPS = 12  # few pixels need more than five; those of high CNR do
 GREATEST_STEPS = (0.5, 0.5, 1.0)  # of t over s, ln s and ln p
 RIDGE = 1e-3  # added to the information of a look on each parameter, so that it can be inverted
-SMALL_RISE = 0.1  # of the likelihood, which the next step is not worth
-HOPEFUL = 60.0  # times the rise that a step promises, over the number of steps, within which evidence is reached
 
 
 @compiled
@@ -58,18 +55,18 @@ def climb_surfaces(
     prior: SurfacePrior,
     found: tuple[F64, F64, F64, F64],
 ) -> None:
-    """Climb the likelihood of extended surfaces by Fisher's scoring; the best place passed is kept.
+    """Climb the likelihood of extended surfaces by Fisher's scoring; the best point passed is kept.
 
     Args:
         matrices: R, (pixels, M, M), double precision.
         squints: number of the squint of each pixel, (pixels,).
         looks: K, (pixels,).
-        least: log-evidence of interest, (pixels,); pixels that seem unable to reach it are climbed no farther.
-        tables: of the unit responses at all squints, and the quadratures.
-        spreads: least and greatest one.
-        prior: of the surfaces.
-        found: t, s and p of the start, replaced by those found, (3, pixels); to fill with the log-likelihood and the
-            log-evidence, (pixels,), and the information there, (pixels, 3, 3).
+        least: log-evidence of interest, (pixels,); the climb ends in pixels that seem unable to reach it.
+        tables: unit responses at all squints, and the quadratures.
+        spreads: least and greatest spread.
+        prior: prior of the surfaces.
+        found: t, s and p of the start, replaced by those of the maximum, (3, pixels); and to fill: the log-likelihood
+            and the log-evidence, (pixels,), and the information there, (pixels, 3, 3).
     """
     surfaces, likelihoods, evidences, informations = found
     pieces, kind, count = tables[0], matrices.dtype, tables[2].shape[1]
@@ -82,7 +79,7 @@ def climb_surfaces(
         for k in range(3):
             place[k] = surfaces[k, i]
         likelihoods[i] = -np.finfo(np.float64).max
-        for step in range(SCORING_STEPS):
+        for step in range(12):  # few pixels need more than five; those of high CNR do
             likelihood = likelihood_at(matrices[i], looks[i], place, table, (vectors, squares), gradient, information)
             if likelihood > likelihoods[i]:
                 likelihoods[i] = likelihood
@@ -96,7 +93,8 @@ def climb_surfaces(
             right[:] = gradient
             solve(damped, right, move)
             rise = gradient[0] * move[0] + gradient[1] * move[1] + gradient[2] * move[2]
-            if not (rise > SMALL_RISE and evidences[i] + HOPEFUL / (step + 1) * rise > least[i]):
+            # A rise of 0.1 is not worth a step; the evidence to come is 60 / steps times the next rise at most.
+            if not (rise > 0.1 and evidences[i] + 60.0 / (step + 1) * rise > least[i]):
                 break
             for k in range(3):
                 move[k] = min(max(move[k], -GREATEST_STEPS[k]), GREATEST_STEPS[k])
@@ -108,8 +106,8 @@ def climb_surfaces(
 
 @compiled
 def occam_factor(information: F64, spread: float, prior: SurfacePrior, work: F64) -> float:
-    """Logarithm of the share of the prior that looks with this information leave; see `order`. `work` is (3, 3)."""
-    ranges = prior.place / spread, prior.spread, prior.power
+    """Logarithm of the fraction of the prior that looks with this information leave; see `order`. `work` is (3, 3)."""
+    ranges = prior.position / spread, prior.spread, prior.power
     for k in range(3):
         for n in range(3):
             work[k, n] = information[k, n] * ranges[k] * ranges[n] / (2 * np.pi)
@@ -129,7 +127,7 @@ def likelihood_at(
 ) -> float:
     """Log-likelihood of a surface, and to fill: its gradient over t / s, ln s and ln p, and the information on these.
 
-    With B of `extended`, its slopes T over t / s, and A = I + B^H B, C^-1 = I - B A^-1 B^H: all is done by products of
+    With B of `extended`, its slopes T over t / s, and A = I + B^H B, C^-1 = I - B A^-1 B^H: all terms are products of
     the columns of B and T. The derivatives of C are T B^H + B T^H, the same with T diag(x), and B B^H.
     """
     vectors, squares = work
@@ -155,14 +153,14 @@ def likelihood_at(
     logarithm = invert_positive(inverse, count)
     product(inverse, cross, squares[5], count)  # B^H C^-1 T
     product(seen, inverse, squares[6], count)  # B^H R C^-1 B
-    take_product(cross, squares[5], rest, count)  # T^H C^-1 T
+    subtract_product(cross, squares[5], rest, count)  # T^H C^-1 T
     explained = sum_up(looks, nodes[:count], squares, gradient, information)
     return explained - looks * logarithm
 
 
 @compiled
 def sum_up(looks: float, nodes: F64, squares: Numbers, gradient: F64, information: F64) -> float:
-    """Traces that gradient and information consist of, from the products of `likelihood_at`; returns tr(R - C^-1 R)."""
+    """Gradient and information as sums of traces, from the products of `likelihood_at`; returns tr(R - C^-1 R)."""
     inverse, seen, along, rest = squares[0], squares[1], squares[3], squares[4]
     whitened, left = squares[5], squares[6]
     explained = 0.0
@@ -221,8 +219,8 @@ def fill_responses(place: F64, table: Table, rule: int, responses: Numbers, turn
             turns[i] = 0
             continue
         node = min(int(position), last - 1)
-        piece, share, t = pieces[node], power[node], position - node
-        square = share[0] + t * (share[1] + t * (share[2] + t * share[3]))
+        piece, cubic, t = pieces[node], power[node], position - node
+        square = cubic[0] + t * (cubic[1] + t * (cubic[2] + t * cubic[3]))
         amplitude = np.sqrt(max(weights[i] * square * place[2], 0.0))
         turn = amplitude * place[1]
         for m in range(responses.shape[1]):
@@ -232,7 +230,7 @@ def fill_responses(place: F64, table: Table, rule: int, responses: Numbers, turn
 
 
 @compiled
-def take_product(left: Numbers, right: Numbers, result: Numbers, count: int) -> None:
+def subtract_product(left: Numbers, right: Numbers, result: Numbers, count: int) -> None:
     """Subtract left^H right, of the first rows and columns."""
     for i in range(count):
         for k in range(count):

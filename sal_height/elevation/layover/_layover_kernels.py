@@ -1,4 +1,4 @@
-"""Compiled loops of layover: which scatterers of the models that were fitted to a pixel are its own.
+"""Compiled loops of layover: choice of the scatterers of each pixel from the models fitted to it.
 
 Each has a twin in plain NumPy in the tests. NaN stands for scatterers that a model does not have.
 """
@@ -13,64 +13,64 @@ from sal_height.numeric import F64, Index, compiled_with_nan, squared
 @compiled_with_nan
 def choose_scatterers(
     models: tuple[F64, F64, F64, F64],
-    taken: Index,
+    chosen: Index,
     probability: F64,
     limits: tuple[float, float, float, float],
     found: F64,
     counts: Index,
 ) -> None:
-    """The scatterers of the model that each pixel is given: those inside the array, if all of these are determined.
+    """The scatterers of the model chosen for each pixel: those inside the array, if all of these are determined.
 
     Args:
         models: elevation, sigma, CNR and spread of the scatterers of every model, (models, pixels, most scatterers).
-        taken: number of the model of each pixel, (pixels,).
-        probability: of the models, (pixels, models).
-        limits: lowest and highest elevation inside, the least CNR, and the sigma from which on one is not determined.
-        found: NaN; to fill with elevation, sigma over all models, CNR and spread, strongest first, (4, pixels, most
-            scatterers).
-        counts: to fill with the numbers of scatterers that are inside, and of those chosen, (2, pixels).
+        chosen: number of the model of each pixel, (pixels,).
+        probability: probability of the models, (pixels, models).
+        limits: lowest and highest elevation inside, least CNR, and sigma from which a scatterer is not determined.
+        found: array of NaN to fill with elevation, sigma over all models, CNR and spread, strongest first, (4, pixels,
+            most scatterers).
+        counts: numbers of scatterers to fill in: those inside, and those chosen, (2, pixels).
     """
     (elevation, sigma, cnr, spread), (first, last, least, greatest) = models, limits
-    for i in range(len(taken)):
-        model, inside, determined, chosen = taken[i], 0, True, found[:, i]
+    for i in range(len(chosen)):
+        model, inside, determined, result = chosen[i], 0, True, found[:, i]
         for s in range(elevation.shape[2]):
-            place, strength = elevation[model, i, s], cnr[model, i, s]
-            if not (first <= place <= last and strength >= least and strength > 0):
+            angle, strength = elevation[model, i, s], cnr[model, i, s]
+            if not (first <= angle <= last and strength >= least and strength > 0):
                 continue
-            deviation = deviation_over_models(place, elevation[:, i], sigma[:, i], probability[i])
+            deviation = deviation_over_models(angle, elevation[:, i], sigma[:, i], probability[i])
             determined = determined and deviation < greatest
             rank = inside
-            while rank > 0 and chosen[2, rank - 1] < strength:
-                chosen[:, rank] = chosen[:, rank - 1]
+            while rank > 0 and result[2, rank - 1] < strength:
+                result[:, rank] = result[:, rank - 1]
                 rank -= 1
-            chosen[0, rank], chosen[1, rank], chosen[2, rank] = place, deviation, strength
-            chosen[3, rank] = spread[model, i, s]
+            result[0, rank], result[1, rank], result[2, rank] = angle, deviation, strength
+            result[3, rank] = spread[model, i, s]
             inside += 1
         counts[0, i], counts[1, i] = inside, inside if determined else 0
         if not determined:
-            chosen[:] = np.nan
+            result[:] = np.nan
 
 
 @compiled_with_nan
-def deviation_over_models(place: float, elevation: F64, sigma: F64, probability: F64) -> float:
-    """Standard deviation (rad) of the elevation `place` of a scatterer that may be that of any of the models.
+def deviation_over_models(angle: float, elevation: F64, sigma: F64, probability: F64) -> float:
+    """Standard deviation (rad) of the elevation `angle` of a scatterer over all models.
 
-    Each model has its own idea of the scatterer next to it: the variance over all of them is the mean of their
-    variances and squared distances. Models that were not fitted, or have an infinite sigma, do not count.
+    In each model it is the scatterer nearest to it: the variance over all models is the mean of their variances and
+    squared distances. Models that were not fitted, or have an infinite sigma, do not count.
 
     Args:
-        place: rad.
-        elevation: of the scatterers of every model, rad, (models, most scatterers).
-        sigma: of them, rad.
-        probability: of the models, (models,).
+        angle: elevation of the scatterer, rad.
+        elevation: elevations of the scatterers of every model, (models, most scatterers), rad.
+        sigma: standard deviations of these, rad.
+        probability: probability of the models, (models,).
     """
     total, weight = 0.0, 0.0
     for k in range(len(elevation)):
         nearest = 0
         for s in range(1, elevation.shape[1]):
-            if abs(elevation[k, s] - place) < abs(elevation[k, nearest] - place):
+            if abs(elevation[k, s] - angle) < abs(elevation[k, nearest] - angle):
                 nearest = s
-        square = squared(sigma[k, nearest]) + squared(elevation[k, nearest] - place)
+        square = squared(sigma[k, nearest]) + squared(elevation[k, nearest] - angle)
         if np.isfinite(square):
             total += probability[k] * square
             weight += probability[k]

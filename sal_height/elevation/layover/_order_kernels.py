@@ -1,4 +1,4 @@
-"""Compiled loops of the weighing of models: shares of the models among neighbours, and small matrices.
+"""Compiled loops of the probability of models: fractions of the models among neighbours, and small matrices.
 
 Each has a twin in plain NumPy in the tests. The compiler takes all numbers to be finite.
 """
@@ -21,43 +21,43 @@ def learn_from_neighbours(
     reach: int,
     steps: int,
     found: F64,
-    shares: F64,
+    fractions: F64,
 ) -> None:
     """See `order.log_probabilities`.
 
     Args:
-        evidence: logarithm, of every model of some pixels, shape (pixels, models).
+        evidence: log-evidence of every model of some pixels, shape (pixels, models).
         here: rows and columns of the pixels, row by row.
         dwell_cols: columns of each of the images that are side by side.
-        prior: probability of each model, those of the place last.
+        prior: probability of each model, the local ones last.
         reach: pixels to each side that count.
-        steps: of the EM algorithm.
+        steps: number of steps of the EM algorithm.
         found: logarithm of the probabilities, same shape as `evidence`; changed.
-        shares: of the models of the place in all pixels of the image, 0 to begin with, shape (rows, cols, models of the
-            place); changed.
+        fractions: fractions of the local models in all pixels of the image, 0 at first, shape (rows, cols, local
+            models); changed.
     """
-    (rows, cols), (height, width, kinds) = here, shares.shape
+    (rows, cols), (height, width, kinds) = here, fractions.shape
     first, around, own_prior, lines = len(prior) - kinds, np.empty(kinds), prior.copy(), np.empty((width, kinds))
-    together = prior[first:].sum()
-    usual = prior[first:] / together
+    total = prior[first:].sum()
+    usual = prior[first:] / total
     for _ in range(steps):
         for i in range(len(rows)):
             single = 0.0
             for k in range(first):
                 single += np.exp(found[i, k])
             for k in range(kinds):
-                shares[rows[i], cols[i], k] = 0.0 if single > 0.5 else np.exp(found[i, first + k])
+                fractions[rows[i], cols[i], k] = 0.0 if single > 0.5 else np.exp(found[i, first + k])
         for i in range(len(rows)):
             if i == 0 or rows[i] != rows[i - 1]:
                 lines[:] = 0
                 for r in range(max(rows[i] - reach, 0), min(rows[i] + reach + 1, height)):
-                    lines += shares[r]
-            around[:] = usual - shares[rows[i], cols[i]]
+                    lines += fractions[r]
+            around[:] = usual - fractions[rows[i], cols[i]]
             first_col = cols[i] // dwell_cols * dwell_cols
             for c in range(max(cols[i] - reach, first_col), min(cols[i] + reach + 1, first_col + dwell_cols)):
                 for k in range(kinds):
                     around[k] += lines[c, k]
-            own_prior[first:] = around * (together / around.sum())
+            own_prior[first:] = around * (total / around.sum())
             weigh(evidence[i], own_prior, found[i])
 
 
@@ -77,7 +77,7 @@ def weigh(evidence: F64, prior: F64, found: F64) -> None:
 def weigh_priors(
     turning: Numbers, inverses: Numbers, powers: F64, information: F64, looks: F64, ranges: F64, volumes: F64
 ) -> None:
-    """Logarithms of the shares of the prior that looks of several scatterers leave, (pixels,); see `order`.
+    """Logarithms of the fractions of the prior that looks of several scatterers leave, (pixels,); see `order`.
 
     If the amplitudes are independent and have the powers P, the information on the elevations is
 
@@ -87,14 +87,14 @@ def weigh_priors(
         turning: D^H (I - P_U) D, (pixels, S, S).
         inverses: (U^H U)^-1, (pixels, S, S).
         powers: P of each scatterer, (pixels, S).
-        information: on the logarithms of the powers, (pixels, S, S).
+        information: information on the logarithms of the powers, (pixels, S, S).
         looks: K, (pixels,).
-        ranges: of the elevations and of the logarithms of the powers, within which they are uniform, (2,).
-        volumes: to fill.
+        ranges: ranges of the elevations and of the logarithms of the powers, within which they are uniform, (2,).
+        volumes: logarithms to fill in.
     """
     count = powers.shape[1]
     certain, scaled = np.empty((count, count), inverses.dtype), np.empty((2, count, count))
-    by_place, by_power = ranges[0] * ranges[0] / (2 * np.pi), ranges[1] * ranges[1] / (2 * np.pi)
+    by_elevation, by_power = ranges[0] * ranges[0] / (2 * np.pi), ranges[1] * ranges[1] / (2 * np.pi)
     for i in range(len(powers)):
         for s in range(count):
             for r in range(count):
@@ -104,7 +104,7 @@ def weigh_priors(
         for s in range(count):
             for r in range(count):
                 known = powers[i, r] * certain[r, s] * powers[i, s]
-                scaled[0, s, r] = by_place * 2 * looks[i] * (turning[i, s, r] * known).real
+                scaled[0, s, r] = by_elevation * 2 * looks[i] * (turning[i, s, r] * known).real
                 scaled[1, s, r] = by_power * information[i, s, r]
             scaled[0, s, s] += 1
             scaled[1, s, s] += 1

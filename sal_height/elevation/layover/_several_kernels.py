@@ -14,16 +14,9 @@ from sal_height.elevation.array._beside_kernels import LEAST_RESIDUE, Numbers, i
 from sal_height.elevation.array._kernels import TABLE_STEPS
 from sal_height.numeric import F32, F64, Index, compiled
 
-LEAST_SEPARATION = 0.5 * TABLE_STEPS  # least distance of two scatterers, 0.1 beamwidths: far below what is resolved
+LEAST_SEPARATION = 0.5 * TABLE_STEPS  # least distance of two scatterers, 0.1 beamwidths: far below the resolution
 REACH = 0.5 * TABLE_STEPS  # greatest step of the climb: half a step of the grid
-SETTLED = 3e-4  # convergence threshold of the climb, steps of the table: 1e-5 beamwidths
-NEWTON_STEPS = 12  # maximum number of steps of a climb
-SWEEPS = 2  # times that each scatterer is moved to its best node beside the others before the climb
-RIDGE = 1e-9  # share of the trace that is added to the curvature, so that it can be inverted
-SCORING_STEPS = 4  # of the powers; the first start from moments and are right to first order in the noise
-GREATEST_STEP = 1.0  # of the logarithm of a power
-LEAST_POWER = 2.0  # of a scatterer in the whole array, noise powers: weaker ones are never told from noise
-POWER_RIDGE = 1e-6  # added to the information of a look on each power
+LEAST_POWER = 2.0  # of a scatterer in the whole array, noise powers: weaker ones are never distinct from noise
 
 
 @compiled
@@ -38,72 +31,75 @@ def search_beside(
 ) -> None:
     """The scatterers that together explain most: one more than given, where that is worth a climb.
 
-    The climb starts from the given ones and the node of the grid that explains most beside them, which suits a weak
-    scatterer beside a strong one. Where alternating projection (Ziskind and Wax, IEEE Trans. Acoustics, Speech and
-    Signal Processing 36, 1988) moves one of those found to another node, as it may if their power is the same, the
-    climb starts again from there.
+    The climb starts from the given scatterers and the node of the grid that explains most in addition, which suits a
+    weak scatterer near a strong one. Where alternating projection (Ziskind and Wax, IEEE Trans. Acoustics, Speech and
+    Signal Processing 36, 1988) moves one of these to another node, as it may if their power is the same, the climb
+    starts again from there.
 
     Args:
         matrices: R, (pixels, M, M), double precision.
         squints: number of the squint of each pixel, (pixels,).
         values: u_j^H R u_j, (pixels, nodes).
         start: positions of one scatterer less, (pixels, S - 1).
-        least: power that the best node must explain beside them to be worth a climb, (pixels,).
+        least: power that the best node must explain in addition to be worth a climb, (pixels,).
         tables: unit responses at the nodes of the grid, (squints, M, nodes), and the pieces of their tables.
-        found: to fill with the positions, (pixels, S), with the power that they explain, 0 without a climb, and with
-            that of the best node beside the given ones, (pixels,).
+        found: arrays to fill with the positions, (pixels, S), the power that they explain, 0 without a climb, and that
+            of the best additional node, (pixels,).
     """
     positions, explained, gains = found
     count = positions.shape[1]
     other = np.empty(count)
     for i in range(len(matrices)):
-        matrix, own, place = matrices[i], values[i], positions[i]
+        matrix, own, position = matrices[i], values[i], positions[i]
         units, pieces = tables[0][squints[i]], tables[1][squints[i]]
-        place[: count - 1] = start[i]
-        node, gain = best_node(matrix, own, units, pieces, place[: count - 1])
-        place[count - 1], explained[i], gains[i] = TABLE_STEPS * node, 0.0, gain
+        position[: count - 1] = start[i]
+        node, gain = best_node(matrix, own, units, pieces, position[: count - 1])
+        position[count - 1], explained[i], gains[i] = TABLE_STEPS * node, 0.0, gain
         if gain < least[i]:
             continue
-        explained[i] = climb_together(matrix, place, pieces)
-        other[:] = place
+        explained[i] = climb_together(matrix, position, pieces)
+        other[:] = position
         if alternate(matrix, own, units, pieces, other):
             height = climb_together(matrix, other, pieces)
             if height > explained[i]:
-                place[:] = other
+                position[:] = other
                 explained[i] = height
 
 
 @compiled
-def alternate(matrix: Numbers, own: F32, units: Numbers, pieces: Numbers, place: F64) -> bool:
-    """Move each scatterer in turn to the node that explains most beside the others; returns whether one has moved.
+def alternate(matrix: Numbers, own: F32, units: Numbers, pieces: Numbers, position: F64) -> bool:
+    """Move each scatterer in turn to the node that explains most in addition to the others; True if one has moved.
 
-    One that is within a step of that node stays.
+    A scatterer within a step of that node stays.
     """
-    count, moved = place.size, False
+    count, moved = position.size, False
     others = np.empty(count - 1)
-    for turn in range(SWEEPS * count):
+    for turn in range(2 * count):  # each scatterer twice
         changed = turn % count
         if turn == count and not moved:
             break
         row = 0
         for s in range(count):
             if s != changed:
-                others[row] = place[s]
+                others[row] = position[s]
                 row += 1
         best = float(TABLE_STEPS * best_node(matrix, own, units, pieces, others)[0])
-        if abs(best - place[changed]) > TABLE_STEPS:
-            place[changed], moved = best, True
+        if abs(best - position[changed]) > TABLE_STEPS:
+            position[changed], moved = best, True
     return moved
 
 
 @compiled
-def best_node(matrix: Numbers, own: F32, units: Numbers, pieces: Numbers, place: F64) -> tuple[int, float]:
-    """The node of the grid that explains most beside scatterers at `place`, and how much; `own` is u_j^H R u_j."""
-    count, (size, nodes), kind = place.size, units.shape, matrix.dtype
+def best_node(matrix: Numbers, own: F32, units: Numbers, pieces: Numbers, position: F64) -> tuple[int, float]:
+    """Node of the grid that explains most in addition to scatterers at `position`, and that power.
+
+    `own` is u_j^H R u_j.
+    """
+    count, (size, nodes), kind = position.size, units.shape, matrix.dtype
     basis, outputs, unused = np.empty((count, size), kind), np.empty((count, size), kind), np.empty(size, kind)
     factor, inside = np.zeros((count, count), kind), np.empty((count, count), kind)
     for s in range(count):
-        unit_at(place[s], pieces, outputs[s], unused)
+        unit_at(position[s], pieces, outputs[s], unused)
     orthonormalise(outputs, basis, factor)
     for s in range(count):
         multiply(matrix, basis[s], outputs[s])
@@ -137,31 +133,31 @@ def project(units: Numbers, vector: Numbers, products: Numbers) -> None:
 
 
 @compiled
-def climb_together(matrix: Numbers, place: F64, pieces: Numbers) -> float:
+def climb_together(matrix: Numbers, position: F64, pieces: Numbers) -> float:
     """Climb from positions to the peak of the explained power f = tr(P R) near them; returns its height.
 
     Gauss-Newton steps with the expected curvature for these amplitudes. A step after which f is not higher is undone,
     and the next is a quarter of it at most.
     """
-    count, last, size = place.size, float(len(pieces)), len(matrix)
-    trial, step, next_step = place.copy(), np.zeros(count), np.zeros(count)
+    count, last, size = position.size, float(len(pieces)), len(matrix)
+    trial, step, next_step = position.copy(), np.zeros(count), np.zeros(count)
     work = (
         np.empty((4, count, size), matrix.dtype),
         np.empty((3, count, count), matrix.dtype),
         np.empty(size, matrix.dtype),
     )
-    height, reach = newton_step(matrix, place, pieces, step, work), REACH
-    for _ in range(NEWTON_STEPS):
+    height, reach = newton_step(matrix, position, pieces, step, work), REACH
+    for _ in range(12):
         longest = 0.0
         for s in range(count):
             step[s] = min(max(step[s], -reach), reach)
             longest = max(longest, abs(step[s]))
-            trial[s] = min(max(place[s] + step[s], 0.0), last)
-        if longest < SETTLED:
+            trial[s] = min(max(position[s] + step[s], 0.0), last)
+        if longest < 3e-4:  # steps of the table: 1e-5 beamwidths
             break
         trial_height = newton_step(matrix, trial, pieces, next_step, work) if are_apart(trial) else -1.0
         if trial_height > height:
-            place[:] = trial
+            position[:] = trial
             step[:] = next_step
             height = trial_height
         else:
@@ -170,34 +166,34 @@ def climb_together(matrix: Numbers, place: F64, pieces: Numbers) -> float:
 
 
 @compiled
-def are_apart(place: F64) -> bool:
-    for s in range(place.size):
+def are_apart(position: F64) -> bool:
+    for s in range(position.size):
         for r in range(s):
-            if abs(place[s] - place[r]) < LEAST_SEPARATION:
+            if abs(position[s] - position[r]) < LEAST_SEPARATION:
                 return False
     return True
 
 
 @compiled
 def newton_step(
-    matrix: Numbers, place: F64, pieces: Numbers, step: F64, work: tuple[Numbers, Numbers, Numbers]
+    matrix: Numbers, position: F64, pieces: Numbers, step: F64, work: tuple[Numbers, Numbers, Numbers]
 ) -> float:
-    """Explained power of scatterers at `place`, and the Gauss-Newton step from there, (S,).
+    """Explained power of scatterers at `position`, and the Gauss-Newton step from there, (S,).
 
     With the unit responses A = Q T (orthonormal Q, triangular T), f = tr(Q^H R Q), the fitted amplitudes have the sums
-    of products T^-1 Q^H R Q T^-H, and the gradient is twice the real diagonal of T^-1 Q^H R (I - Q Q^H) A'. To work in:
-    arrays (4, S, M), (3, S, S) and (M,).
+    of products T^-1 Q^H R Q T^-H, and the gradient is twice the real diagonal of T^-1 Q^H R (I - Q Q^H) A'. `work`
+    has arrays of shapes (4, S, M), (3, S, S) and (M,).
     """
-    count, (vectors, squares, output) = place.size, work
+    count, (vectors, squares, output) = position.size, work
     units, slopes, basis, fitted = vectors[0], vectors[1], vectors[2], vectors[3]
     factor, inverse, amplitudes = squares[0], squares[1], squares[2]
     for s in range(count):
-        unit_at(place[s], pieces, units[s], slopes[s])
+        unit_at(position[s], pieces, units[s], slopes[s])
     orthonormalise(units, basis, factor)
     height = fit_amplitudes(matrix, basis, (factor, inverse, output), fitted, amplitudes)
     for s in range(count):
         for r in range(count):
-            take_share(basis[r], inner(basis[r], slopes[s]), slopes[s])
+            subtract_multiple(basis[r], inner(basis[r], slopes[s]), slopes[s])
     curvature, gradient, trace = np.empty((count, count)), np.empty(count), 0.0
     for s in range(count):
         gradient[s] = inner(fitted[s], slopes[s]).real
@@ -205,7 +201,7 @@ def newton_step(
             curvature[s, r] = (inner(slopes[s], slopes[r]) * amplitudes[r, s]).real
         trace += curvature[s, s]
     for s in range(count):
-        curvature[s, s] += RIDGE * trace
+        curvature[s, s] += 1e-9 * trace  # so that it can be inverted
     solve(curvature, gradient, step)
     return height
 
@@ -220,11 +216,10 @@ def weigh_together(
 ) -> None:
     """Products of unit responses U, their slopes and R for scatterers at known positions, (pixels, S).
 
-    `squints` are the numbers of the pixels' squints, and `tables` the pieces of unit responses and of |a|^2 at all.
-
-    To fill: the power that they explain, (pixels,); |a|^2, (pixels, S); U^H U; its inverse; U^H R U; the sums of
-    products of the fitted amplitudes; and those of the slopes' parts perpendicular to U, per step of the table squared,
-    all (pixels, S, S).
+    `squints` are the numbers of the pixels' squints, and `tables` the pieces of unit responses and of |a|^2 at all
+    squints. `found` is filled with the power that they explain, (pixels,); |a|^2, (pixels, S); U^H U; its inverse;
+    U^H R U; the sums of products of the fitted amplitudes; and those of the slopes' parts perpendicular to U, per step
+    of the table squared, all (pixels, S, S).
     """
     explained, powers, grams, inverses, seen, fitted, turning = found
     count, size, kind = positions.shape[1], matrices.shape[1], matrices.dtype
@@ -248,7 +243,7 @@ def weigh_together(
                 seen[i, s, r] = inner(units[s], output)
         for s in range(count):
             for r in range(count):
-                take_share(basis[r], inner(basis[r], slopes[s]), slopes[s])
+                subtract_multiple(basis[r], inner(basis[r], slopes[s]), slopes[s])
         for s in range(count):
             for r in range(count):
                 turning[i, s, r] = inner(slopes[s], slopes[r])
@@ -256,18 +251,19 @@ def weigh_together(
 
 @compiled
 def maximise_powers(grams: Numbers, seen: Numbers, looks: F64, powers: F64, found: tuple[F64, F64]) -> None:
-    """See `several.fit_powers`; `powers` (pixels, S) is the start, and replaced by what is found.
+    """See `several.fit_powers`; `powers` (pixels, S) is the start, and is replaced by the result.
 
-    `found` is to be filled with the log-likelihood, (pixels,), and the information, (pixels, S, S).
+    `found` is filled with the log-likelihood, (pixels,), and the information, (pixels, S, S).
     """
     likelihoods, informations = found
+    steps = 4  # the powers start from moments and are right to first order in the noise
     count, kind = powers.shape[1], grams.dtype
     squares, damped = np.empty((4, count, count), kind), np.empty((count, count))
     noise, signal, shared, both = squares[0], squares[1], squares[2], squares[3]
     gradient, move = np.empty(count), np.empty(count)
     for i in range(len(grams)):
         power, information = powers[i], informations[i]
-        for step in range(SCORING_STEPS + 1):
+        for step in range(steps + 1):
             for s in range(count):
                 power[s] = max(power[s], LEAST_POWER)
             for s in range(count):
@@ -287,11 +283,11 @@ def maximise_powers(grams: Numbers, seen: Numbers, looks: F64, powers: F64, foun
                     part = -noise[s, r] + (1.0 if s == r else 0.0)
                     information[s, r] = looks[i] * (part * np.conj(part)).real
                     damped[s, r] = information[s, r]
-                damped[s, s] += POWER_RIDGE * looks[i]
-            if step < SCORING_STEPS:
+                damped[s, s] += 1e-6 * looks[i]  # so that it can be inverted
+            if step < steps:
                 solve(damped, gradient, move)
                 for s in range(count):
-                    power[s] *= np.exp(min(max(move[s], -GREATEST_STEP), GREATEST_STEP))
+                    power[s] *= np.exp(min(max(move[s], -1.0), 1.0))
 
 
 @compiled
@@ -304,7 +300,7 @@ def fit_amplitudes(
 ) -> float:
     """Rows of A^+ R, conjugated, and A^+ R A^+H, for A = `basis` @ factor; returns tr(Q^H R Q).
 
-    `parts` are the factor, and arrays (S, S) and (M,) to work in.
+    `parts` are the factor, and work arrays (S, S) and (M,).
     """
     (factor, inverse, output), (count, size) = parts, basis.shape
     invert_triangular(factor, inverse)
@@ -316,7 +312,7 @@ def fit_amplitudes(
         multiply(matrix, basis[r], output)
         height += inner(basis[r], output).real
         for s in range(r + 1):
-            take_share(output, -np.conj(inverse[s, r]), fitted[s])
+            subtract_multiple(output, -np.conj(inverse[s, r]), fitted[s])
     for s in range(count):
         for r in range(count):
             amplitudes[s, r] = 0
@@ -337,10 +333,10 @@ def square(factor: Numbers, result: Numbers) -> None:
 
 
 @compiled
-def take_share(vector: Numbers, share: Any, rest: Numbers) -> None:
-    """Subtract a share of a vector."""
+def subtract_multiple(vector: Numbers, factor: Any, rest: Numbers) -> None:
+    """Subtract a multiple of a vector."""
     for m in range(rest.size):
-        rest[m] -= share * vector[m]
+        rest[m] -= factor * vector[m]
 
 
 @compiled
@@ -349,10 +345,10 @@ def solve(matrix: F64, right: F64, solution: F64) -> None:
     count = right.size
     for s in range(count):
         for r in range(s + 1, count):
-            share = matrix[r, s] / matrix[s, s]
+            factor = matrix[r, s] / matrix[s, s]
             for c in range(s, count):
-                matrix[r, c] -= share * matrix[s, c]
-            right[r] -= share * right[s]
+                matrix[r, c] -= factor * matrix[s, c]
+            right[r] -= factor * right[s]
     for s in range(count - 1, -1, -1):
         solution[s] = right[s]
         for c in range(s + 1, count):
@@ -369,7 +365,7 @@ def orthonormalise(vectors: Numbers, basis: Numbers, factor: Numbers) -> None:
         for r in range(s):
             factor[r, s] = inner(basis[r], basis[s])
             factor[s, r] = 0
-            take_share(basis[r], factor[r, s], basis[s])
+            subtract_multiple(basis[r], factor[r, s], basis[s])
         norm = np.sqrt(inner(basis[s], basis[s]).real)
         factor[s, s] = norm
         for m in range(vectors.shape[1]):
@@ -401,7 +397,7 @@ def invert_positive(matrix: Numbers, count: int) -> float:
 
 @compiled
 def eliminate(matrix: Numbers, k: int, count: int) -> None:
-    """Take one step of the inversion of the first rows and columns of a matrix in place: that of its k-th pivot."""
+    """Step of the inversion of the first rows and columns of a matrix in place, with its k-th pivot."""
     pivot = matrix[k, k].real
     matrix[k, k] = 1
     for j in range(count):

@@ -1,7 +1,7 @@
 """One surface that is spread over elevation within a pixel: a slope towards the sensor, rubble, foliage.
 
-Its scatterers are many and independent. If their elevations are spread evenly about the middle t with the standard
-deviation s, and p is the CNR of them together, the K looks of a pixel have the covariance
+Its scatterers are many and independent. If their elevations are uniform about the middle t with the standard deviation
+s, and p is their total CNR, the K looks of a pixel have the covariance
 
     C = p mean over x of a(t + s x) a(t + s x)^H + I,    |x| <= sqrt 3
 
@@ -27,25 +27,22 @@ from sal_height.numeric import F64, Bool, Index
 
 LEAST_SPREAD, GREATEST_SPREAD = 0.05, 1.0  # standard deviation of a surface's elevation, beamwidths
 QUADRATURES = (5, 0.235), (7, 0.45), (9, GREATEST_SPREAD)
-"""Numbers of nodes of the quadrature (Gauss and Legendre), and the greatest spread that each is for, beamwidths.
+"""Numbers of nodes of the quadrature (Gauss and Legendre), and the greatest spread of each, beamwidths.
 
 In products of responses, whose shortest period is 1 beamwidth, the first two err by 1e-5 at their greatest spread, the
-last one by 1e-2: a surface of 30 dB that is spread so wide is seen as nine scatterers.
+last one by 1e-2: a surface of 30 dB with this spread is modelled as nine scatterers.
 """
 
-PLACES, SHARES = np.zeros((2, len(QUADRATURES), QUADRATURES[-1][0]))  # of the nodes, in spreads; and of the power
+NODES, WEIGHTS = np.zeros((2, len(QUADRATURES), QUADRATURES[-1][0]))  # of the nodes, in spreads; and of the power
 for _rule, (_count, _) in enumerate(QUADRATURES):
     _nodes, _weights = np.polynomial.legendre.leggauss(_count)
-    PLACES[_rule, :_count], SHARES[_rule, :_count] = np.sqrt(3) * _nodes, _weights / 2
+    NODES[_rule, :_count], WEIGHTS[_rule, :_count] = np.sqrt(3) * _nodes, _weights / 2
 
 STEEPNESS = 1.75
-"""The prior density of the logarithm of a spread falls with this power of it: wide surfaces are rarer than narrow ones.
+"""Power of the spread with which the prior density of its logarithm falls: wide surfaces are rarer than narrow ones.
 
-At 10 dB in four looks two scatterers a beamwidth apart and a surface half a beamwidth spread look much the same.
+At 10 dB in four looks, two scatterers a beamwidth apart and a surface with a spread of half a beamwidth are similar.
 """
-
-FAINTEST = 0.01  # least CNR of a scatterer of a surface; fitted ones may have none
-NOISE_LIKE = 0.1  # mean power in a direction, in noise powers, below which the surface has none there
 
 
 class Surfaces(NamedTuple):
@@ -54,7 +51,7 @@ class Surfaces(NamedTuple):
     Attributes:
         elevation: t, rad.
         spread: s, rad.
-        cnr: p of one look in a detector that looks straight at the surface, all its scatterers together.
+        cnr: p of one look in a detector that looks straight at the surface, sum over its scatterers.
     """
 
     elevation: F64
@@ -62,7 +59,7 @@ class Surfaces(NamedTuple):
     cnr: F64
 
     def within_bounds(self, tables: SearchTables, beamwidth: float) -> Surfaces:
-        """The surfaces as the model allows them: of some spread, and with a good part where the search is."""
+        """The surfaces within the bounds of the model: with a least spread, and mostly within the search domain."""
         spread = np.clip(self.spread, LEAST_SPREAD * beamwidth, GREATEST_SPREAD * beamwidth)
         return Surfaces(np.clip(self.elevation, tables.first - spread, tables.last + spread), spread, self.cnr.copy())
 
@@ -71,7 +68,7 @@ class Surfaces(NamedTuple):
         return Surfaces(*(part[index] for part in self))
 
     def in_steps(self, tables: SearchTables) -> F64:
-        """T and s in steps of the table, and p, (3, pixels), as the compiled loops take them."""
+        """T and s in steps of the table, and p, (3, pixels), for the compiled loops."""
         return np.array([(self.elevation - tables.first) / tables.step, self.spread / tables.step, self.cnr])
 
 
@@ -80,10 +77,10 @@ class ExtendedSurfaces:
     """Extended surfaces fitted to some pixels; arrays of shape (pixels, ...).
 
     Attributes:
-        found: the most likely ones.
-        sigma: standard deviation of their elevation, rad, (pixels,).
-        log_likelihood, log_evidence: against noise alone, (pixels,).
-        information: on t / s, ln s and ln p, (pixels, 3, 3).
+        found: most likely surfaces.
+        sigma: standard deviation of their elevation, (pixels,), rad.
+        log_likelihood, log_evidence: logarithms against noise alone, (pixels,).
+        information: Fisher information on t / s, ln s and ln p, (pixels, 3, 3).
     """
 
     found: Surfaces
@@ -106,13 +103,13 @@ class ExtendedSurfaces:
         """Fit a surface to each pixel.
 
         Args:
-            search: of the normalised objective, of these pixels.
+            search: search of these pixels with the normalised objective.
             covariance: R in noise powers, (pixels, M, M).
             looks: K, (pixels,).
-            start: of the climb.
-            least: log-evidence of interest, (pixels,); pixels that seem unable to reach it are climbed no farther.
+            start: start of the climb.
+            least: log-evidence of interest, (pixels,); the climb ends in pixels that seem unable to reach it.
             domain: range of their elevations, rad.
-            beamwidth: rad.
+            beamwidth: beamwidth of the antenna, rad.
         """
         tables, squints = search.tables, search.every(len(looks))
         values = start.within_bounds(tables, beamwidth).in_steps(tables)
@@ -148,22 +145,22 @@ def _mean_density() -> float:
 
 
 def _prior(domain: float, beamwidth: float) -> SurfacePrior:
-    """The prior in steps of the table, as the compiled loops take it."""
+    """The prior in steps of the table, for the compiled loops."""
     density = STEEPNESS * math.log(beamwidth) - math.log(_mean_density())
     return SurfacePrior(domain, math.log(GREATEST_SPREAD / LEAST_SPREAD), CNR_RANGE, STEEPNESS, density)
 
 
 def surfaces_over(elevation: F64, cnr: F64) -> Surfaces:
-    """Surfaces with the power, the middle and the spread of some scatterers, from which to climb.
+    """Surfaces with the power, the middle and the spread of some scatterers, as the start of a climb.
 
-    Where a surface is wide, the best two scatterers are about its spread away from its middle. That the spread follows
-    from them rather than from the power over elevation leaves no side lobe in it.
+    Where a surface is wide, the best two scatterers are about its spread away from its middle. As the spread follows
+    from them rather than from the power over elevation, sidelobes do not widen it.
 
     Args:
-        elevation: of the scatterers, rad, (pixels, S).
-        cnr: of one look of each, (pixels, S).
+        elevation: elevations of the scatterers, (pixels, S), rad.
+        cnr: CNR of one look of each, (pixels, S).
     """
-    weight = np.maximum(cnr, FAINTEST)
+    weight = np.maximum(cnr, 0.01)  # fitted CNRs may be 0 or less
     power = weight.sum(axis=1)
     middle = np.sum(weight * elevation, axis=1) / power
     variance = np.sum(weight * (elevation - middle[:, None]) ** 2, axis=1) / power
@@ -171,10 +168,11 @@ def surfaces_over(elevation: F64, cnr: F64) -> Surfaces:
 
 
 def explained_by(search: PeakSearch, covariance: Numbers, surfaces: Surfaces, beamwidth: float) -> tuple[F64, F64]:
-    """Power of the pixels in the directions in which surfaces are not NOISE_LIKE, and the number of these, (pixels,).
+    """Power of the pixels in the directions in which surfaces have power, and the number of these, (pixels,).
 
-    It is the sum over looks, in noise powers. Arguments as of `ExtendedSurfaces.fit`.
+    It is the sum over looks, in noise powers. Arguments as in `ExtendedSurfaces.fit`.
     """
+    least = 0.1  # noise powers: mean power in a direction below which a surface has none there
     most, tables, squints = QUADRATURES[-1][0], search.tables, search.every(len(covariance))
     rows = np.empty((len(covariance), most, covariance.shape[-1]), covariance.dtype)
     all_responses(surfaces.in_steps(tables), squints, table_of(tables, beamwidth), rows)
@@ -182,24 +180,24 @@ def explained_by(search: PeakSearch, covariance: Numbers, surfaces: Surfaces, be
     strength, turn = np.linalg.eigh(adjoint(responses) @ responses)
     along = responses @ turn
     seen = np.sum(along.conj() * (covariance @ along), axis=1).real
-    counted = strength > NOISE_LIKE
+    counted = strength > least
     counted[:, : max(most - covariance.shape[-1] + 1, 0)] = False
-    return np.sum(seen * counted / np.maximum(strength, NOISE_LIKE), axis=1), counted.sum(axis=1).astype(np.float64)
+    return np.sum(seen * counted / np.maximum(strength, least), axis=1), counted.sum(axis=1).astype(np.float64)
 
 
 def table_of(tables: SearchTables, beamwidth: float) -> Table:
-    """The unit responses at all squints and the quadratures, as the compiled loops take them."""
+    """The unit responses at all squints and the quadratures, for the compiled loops."""
     greatest = np.array([spread for _, spread in QUADRATURES]) * beamwidth / tables.step
-    return tables.unit_pieces, tables.power, PLACES, SHARES, greatest
+    return tables.unit_pieces, tables.power, NODES, WEIGHTS, greatest
 
 
 def free_looks(looks: F64) -> F64:
-    """Number of complex dimensions of the power along the slope: K, less the real one that the peak has taken."""
+    """Number of complex dimensions of the power along the slope: K, less the real one that determines the peak."""
     return looks - 0.5
 
 
 def spread_of(along_slope: F64, looks: F64, power: F64, turning: F64) -> F64:
-    """Standard deviation of elevation, rad; 0 where there is no more power along the slope than noise has.
+    """Standard deviation of elevation, rad; 0 where the power along the slope is not greater than that of noise.
 
     Args:
         along_slope: power along the slope of the response, sum over looks, noise powers.

@@ -1,4 +1,4 @@
-"""One, two, three scatterers or an extended surface, fitted to the pixels where one point may not be enough."""
+"""One, two, three scatterers or an extended surface, fitted to the pixels that may have more than one point."""
 
 from __future__ import annotations
 
@@ -28,20 +28,19 @@ from sal_height.elevation.looks.looks import Looks
 from sal_height.numeric import F32, F64, Index, in_parallel
 
 PIXELS_AT_ONCE = 512  # pixels whose models are fitted at a time
-IMPROBABLE = 10.0  # logarithm of how many times less probable a model is that need not be fitted
-MOST = 3  # scatterers of a pixel at most
+MOST = 3  # greatest number of scatterers of a pixel
 
 
 @dataclass(frozen=True, eq=False)
 class Models:
-    """The models fitted to some pixels, by their index in `order`; those that were not have explained nothing.
+    """The models fitted to some pixels, by their index in `order`; other models explain no power.
 
     Attributes:
-        elevation: of their scatterers, rad, (ORDERS, pixels, MOST), NaN where there are fewer.
-        sigma, cnr, spread: of them.
+        elevation: elevations of their scatterers, NaN beyond their number, (ORDERS, pixels, MOST), rad.
+        sigma, cnr, spread: those of the same scatterers.
         explained: power, sum over looks, over the raised noise power, (ORDERS, pixels).
         directions: number of dimensions of the channels in which they may explain a look, (ORDERS, pixels).
-        evidence: logarithm, against no scatterer, (ORDERS, pixels).
+        evidence: log-evidence against no scatterer, (ORDERS, pixels).
     """
 
     elevation: F64
@@ -54,13 +53,13 @@ class Models:
 
     @classmethod
     def of_single(cls, single: SingleScatterers, evidence: F64, looks: Looks, here: tuple[Index, Index]) -> Self:
-        """Those of the pixels `here` that single peaks give: one scatterer, and one that is spread a little.
+        """Models of the pixels `here` from single peaks: one scatterer, and one with a small spread.
 
         Args:
             single: scatterers of all pixels.
-            evidence: of all pixels, (rows, cols, ORDERS).
-            looks: the pixels.
-            here: rows and columns of some.
+            evidence: log-evidence of all pixels, (rows, cols, ORDERS).
+            looks: covariance of the pixels.
+            here: rows and columns of some pixels.
         """
         pixels, spread, point, peaks = len(here[0]), single.spread, single.estimate.first, single.peaks
         elevation, sigma, cnr, width = np.full((4, ORDERS, pixels, MOST), np.nan)
@@ -74,7 +73,7 @@ class Models:
         explained[ONE], explained[SPREAD] = peaks.explained[here], (peaks.explained + peaks.along_slope)[here]
         return cls(elevation, sigma, cnr, width, explained, directions, evidence[here].T.copy())
 
-    def put_several(
+    def add_several(
         self, several: SeveralScatterers, raised: F64, uncertainty: float, evidence: F64, part: Index
     ) -> None:
         """Enter two or three scatterers of the pixels `part`, fitted in noise that is `raised` over the receivers'."""
@@ -84,7 +83,7 @@ class Models:
         self.sigma[here] = np.hypot(several.sigma, several.deviation_by_beams(uncertainty))
         self.spread[here], self.explained[count, part], self.evidence[count, part] = 0.0, several.explained, evidence
 
-    def put_extended(self, surfaces: ExtendedSurfaces, explained: tuple[F64, F64], raised: F64, part: Index) -> None:
+    def add_extended(self, surfaces: ExtendedSurfaces, explained: tuple[F64, F64], raised: F64, part: Index) -> None:
         """Enter extended surfaces of the pixels `part`, fitted in noise that is `raised` over the receivers'.
 
         `explained` is their power, and the number of directions in which they have it.
@@ -94,37 +93,37 @@ class Models:
         self.sigma[here], self.cnr[here] = surfaces.sigma, raised * cnr
         self.explained[SPREAD, part], self.directions[SPREAD, part] = explained
 
-    def chosen(
-        self, taken: Index, probability: F64, span: tuple[float, float], least_cnr: float, greatest_sigma: float
+    def scatterers(
+        self, chosen: Index, probability: F64, span: tuple[float, float], least_cnr: float, greatest_sigma: float
     ) -> tuple[F64, Index, Index]:
-        """The scatterers of the model `taken` for each pixel that are inside the array, if all these are determined.
+        """The scatterers of the model `chosen` for each pixel that are inside the array, if all these are determined.
 
         Args:
-            taken: number of the model of each pixel, (pixels,).
-            probability: of the models, (pixels, ORDERS).
-            span: of the elevations inside, rad.
-            least_cnr: of a scatterer.
-            greatest_sigma: from which on a scatterer is not determined, rad.
+            chosen: number of the model of each pixel, (pixels,).
+            probability: probability of the models, (pixels, ORDERS).
+            span: lowest and highest elevation inside, rad.
+            least_cnr: least CNR of a scatterer.
+            greatest_sigma: sigma from which a scatterer is not determined, rad.
 
         Returns:
-            Elevation, sigma over all models, CNR and spread, strongest first, (4, pixels, MOST), NaN where there are
-            fewer; and the numbers of scatterers inside, and of those chosen, (pixels,).
+            Elevation, sigma over all models, CNR and spread, strongest first, NaN beyond their number, (4, pixels,
+            MOST); and the numbers of scatterers inside, and of those returned, (pixels,).
         """
-        found, counts = np.full((4, len(taken), MOST), np.nan), np.empty((2, len(taken)), np.intp)
+        found, counts = np.full((4, len(chosen), MOST), np.nan), np.empty((2, len(chosen)), np.intp)
         models = self.elevation, self.sigma, self.cnr, self.spread
-        choose_scatterers(models, taken, probability, (*span, least_cnr, greatest_sigma), found, counts)
+        choose_scatterers(models, chosen, probability, (*span, least_cnr, greatest_sigma), found, counts)
         return found, counts[0], counts[1]
 
 
 @dataclass(frozen=True, eq=False)
 class Suspects:
-    """Pixels that models are fitted to, in the order of their squints; arrays (pixels, ...).
+    """Pixels to which models are fitted, in the order of their squints; arrays (pixels, ...).
 
     Attributes:
         covariance: R in noise powers, double precision, (pixels, M, M).
-        values: of the objective on the grid.
+        values: objective on the grid.
         looks: K.
-        search: of the normalised objective.
+        search: search with the normalised objective.
     """
 
     covariance: Numbers
@@ -154,16 +153,16 @@ def fit_models(
     Args:
         here: rows and columns of the pixels.
         single: scatterers of all pixels.
-        evidence: of all pixels without such fits, (rows, cols, ORDERS).
+        evidence: log-evidence of all pixels without such fits, (rows, cols, ORDERS).
         looks: covariance of M channels of equal noise in each pixel.
-        beams: of the M detectors.
+        beams: beams of the M detectors.
     """
     models = Models.of_single(single, evidence, looks, here)
     searches = PeakSearches.over(beams, OBJECTIVES["normalised"], search_guard(beams))
     blocks = searches.blocks(looks.squint, here[1], PIXELS_AT_ONCE)
 
-    def work(share: slice) -> None:
-        for block in blocks[share]:
+    def work(some: slice) -> None:
+        for block in blocks[some]:
             part = block.items
             pixels = here[0][part], here[1][part]
             suspects = Suspects.at(pixels, single.noise.raised[pixels], looks, beams, searches.of(block))
@@ -177,7 +176,7 @@ def fit_models(
 def _fit_several(
     models: Models, part: Index, pixels: tuple[Index, Index], suspects: Suspects, single: SingleScatterers, beams: Beams
 ) -> None:
-    """Fit one scatterer more as long as it explains enough, to the pixels `part` of the models."""
+    """Fit more scatterers to the pixels `part` of the models, as long as one more explains enough."""
     peaks, domain, looks = single.peaks, float(np.ptp(beams.span)), suspects.looks
     turning, tried, raised = peaks.turning[pixels], single.levels.tried[pixels], single.noise.raised[pixels]
     some, start = np.arange(len(part)), peaks.elevation[pixels][:, None]
@@ -194,7 +193,7 @@ def _fit_several(
             these = these.of(np.flatnonzero(climbed))
             several = SeveralScatterers.at(these.search, these.covariance, these.looks, start)
             weighed = log_evidence_of_several(several, domain)
-            models.put_several(several, raised[some], beams.uncertainty, weighed, part[some])
+            models.add_several(several, raised[some], beams.uncertainty, weighed, part[some])
 
 
 def _fit_extended(
@@ -208,11 +207,11 @@ def _fit_extended(
         return
     chosen, whole = part[some], (pixels[0][some], pixels[1][some])
     these = suspects.of(some)
-    least = models.evidence[TWO : THREE + 1, chosen].max(axis=0) - IMPROBABLE
+    least = models.evidence[TWO : THREE + 1, chosen].max(axis=0) - 10.0  # less probable models are not fitted
     raised = single.noise.raised[whole]
     first = surfaces_over(models.elevation[TWO, chosen, :TWO], models.cnr[TWO, chosen, :TWO] / raised[:, None])
     surfaces = ExtendedSurfaces.fit(these.search, these.covariance, these.looks, first, least, domain, beams.beamwidth)
-    # Of surfaces that were given up no more is known than how improbable they are.
+    # Of a climb that was ended early, only the evidence is used.
     models.evidence[SPREAD, chosen] = surfaces.log_evidence
     likely = np.flatnonzero(surfaces.log_evidence > least)
     if not likely.size:
@@ -221,4 +220,4 @@ def _fit_extended(
     surfaces = surfaces.with_uncertain_beams(beams.uncertainty, peaks.turning[whole] * peaks.array_power[whole])
     these = these.of(likely)
     explained = explained_by(these.search, these.covariance, surfaces.found, beams.beamwidth)
-    models.put_extended(surfaces, explained, raised[likely], chosen[likely])
+    models.add_extended(surfaces, explained, raised[likely], chosen[likely])

@@ -1,13 +1,13 @@
-"""How many scatterers a pixel holds: none, one, two, three, or one extended surface; by tests and by probability.
+"""Number of scatterers in a pixel: none, one, two, three, or one extended surface; by tests and by probability.
 
 Every further scatterer, and the spread of one, is accepted by a likelihood-ratio test in its own direction, at a stated
-rate of false alarms; and what an accepted model leaves must be noise. The probability of each model follows from
+rate of false alarms; and an accepted model must leave only noise. The probability of each model follows from
 Bayes' rule, by Laplace's approximation (MacKay, Neural Computation 4, 1992): with the maximum l of the log-likelihood
 over the parameters x, their Fisher information F and prior density p(x),
 
     ln P(model | looks) = ln P(model) + l + ln p(x) + n/2 ln 2 pi - 1/2 ln det F + const
 
-The last three terms are the Occam factor: the share of the prior that the looks have left.
+The last three terms are the Occam factor: the fraction of the prior that the looks have left.
 """
 
 from __future__ import annotations
@@ -32,12 +32,10 @@ NONE, ONE, TWO, THREE, SPREAD = range(5)
 """The models: none, one, two, three scatterers, or one that is spread; as in `ElevationEstimate.order_probability`."""
 
 PRIOR = np.array([0.05, 0.7, 0.1, 0.05, 0.1])
-"""Probability of each model before the looks are seen."""
+"""Prior probability of each model."""
 
-NEIGHBOURS = 7  # pixels in range and in azimuth over which the ground is taken for alike
-THRESHOLD_STEPS = 50  # of Newton's method for a threshold; a few do
-THRESHOLD_ERROR = 1e-9  # last such step, over the threshold
-EM_STEPS = 5  # its shares of the models are then within .01 of their limit
+NEIGHBOURS = 7  # pixels in range and in azimuth over which the ground is assumed to be alike
+EM_STEPS = 5  # the fractions of the models are then within 0.01 of their limit
 
 SPREADS = np.geomspace(LEAST_SPREAD, GREATEST_SPREAD, 10)
 """Standard deviations of elevation of extended surfaces at which the prior is summed up, beamwidths."""
@@ -47,22 +45,22 @@ def log_evidence_of_one(explained: F64, looks: F64, turning: F64, domain: float)
     """Log-evidence of one scatterer against none, or of one more, from the power that it explains; any shape.
 
     Args:
-        explained: sum over looks, noise powers.
+        explained: power that it explains, sum over looks, noise powers.
         looks: K.
-        turning: how fast the direction of its response turns, D / |a|^2 in 1/rad^2.
+        turning: squared rate at which the direction of its response turns, D / |a|^2, 1/rad^2.
         domain: range of its elevation, rad.
     """
     power = power_of(explained, looks)
     likelihood = explained * power / (1 + power) - looks * np.log1p(power)
-    place = _log_volume(2 * looks * power**2 / (1 + power) * turning, domain)
-    return likelihood + place + _log_volume(looks * (power / (1 + power)) ** 2, CNR_RANGE)
+    of_elevation = _log_volume(2 * looks * power**2 / (1 + power) * turning, domain)
+    return likelihood + of_elevation + _log_volume(looks * (power / (1 + power)) ** 2, CNR_RANGE)
 
 
 def log_evidence_of_several(several: SeveralScatterers, domain: float) -> F64:
     """Log-evidence of S scatterers against none, (pixels,).
 
     Args:
-        several: their fit.
+        several: fit of the scatterers.
         domain: range of their elevations, rad.
     """
     fit = fit_powers(several.gram, several.seen, several.looks, several.power * several.array_power)
@@ -80,9 +78,9 @@ def log_evidence_of_spread(
         along_slope: power along the slope of the response, sum over looks, noise powers.
         explained: power that the point explains.
         looks: K.
-        turning: D / |a|^2 in 1/rad^2.
+        turning: D / |a|^2, 1/rad^2.
         level: mean power of one look of level ground along the slope, noise included, noise powers.
-        beamwidth: rad.
+        beamwidth: beamwidth of the antenna, rad.
     """
     unit = power_of(explained, looks) * turning * beamwidth**2
     gains = _gain_of_spread(along_slope, looks, level + np.multiply.outer(SPREADS**2, unit))
@@ -109,31 +107,31 @@ def _gain_of_spread(along_slope: F64, looks: F64, level: F64) -> F64:
 def log_probabilities(log_evidence: F64, here: tuple[Index, Index], columns: DwellColumns) -> F64:
     """Logarithm of the posterior probability of each model from log-evidences against noise, (rows, cols, ORDERS).
 
-    How often TWO, THREE and SPREAD are among the pixels that are not single is a matter of the place: kerbs have pairs,
-    forests do not. For each of the pixels `here` it is estimated from the others of NEIGHBOURS pixels each way (the EM
-    algorithm; Dempster, Laird and Rubin, J. Royal Statistical Society B 39, 1977), and one more with shares as PRIOR.
+    The frequencies of TWO, THREE and SPREAD among the pixels that are not single depend on the scene: kerbs have pairs,
+    forests do not. For each of the pixels `here` they are estimated from the others in a square of NEIGHBOURS pixels
+    (EM algorithm; Dempster, Laird and Rubin, J. Royal Statistical Society B 39, 1977), and one more as in PRIOR.
 
     Args:
-        log_evidence: shape (rows, cols, ORDERS).
+        log_evidence: log-evidence against noise, shape (rows, cols, ORDERS).
         here: rows and columns of some pixels, row by row.
-        columns: of the dwells: pixels of one say nothing of another.
+        columns: columns of the dwells, which are independent of each other.
     """
     found = log_evidence + np.log(PRIOR)
     found -= _log_sum(found, axis=-1)
-    some, shares = found[here], np.zeros((*log_evidence.shape[:2], ORDERS - TWO))
-    learn_from_neighbours(log_evidence[here], here, columns.cols, PRIOR, NEIGHBOURS // 2, EM_STEPS, some, shares)
+    some, fractions = found[here], np.zeros((*log_evidence.shape[:2], ORDERS - TWO))
+    learn_from_neighbours(log_evidence[here], here, columns.cols, PRIOR, NEIGHBOURS // 2, EM_STEPS, some, fractions)
     found[here] = some
     return found
 
 
 def _log_sum(logarithm: F64, axis: int) -> F64:
-    """Logarithm of the sum over an axis, which is kept, of what has these logarithms; one of them is finite."""
+    """Logarithm of the sum, over an axis that is kept, of numbers with these logarithms; one of them is finite."""
     highest = np.max(logarithm, axis=axis, keepdims=True)
     return np.asarray(highest + np.log(np.sum(np.exp(logarithm - highest), axis=axis, keepdims=True)))
 
 
 def _log_volume(information: F64, prior_range: float) -> F64:
-    """Logarithm of the share of a uniform prior that looks with this information leave; 0 at most, about."""
+    """Logarithm of the fraction of a uniform prior that looks with this information leave; about 0 at most."""
     return 0.5 * np.log(2 * np.pi / (information * prior_range**2 + 2 * np.pi))
 
 
@@ -156,16 +154,16 @@ def detection_threshold(length: float, looks: float, false_alarm: float) -> floa
         P(max > x) <= Q(x) + L sqrt(x / pi) p(x)
 
     Q and p are the distribution's upper tail and density. Newton's method finds where the logarithm of this bound is
-    that of the rate, between the level of a known direction and one that nothing exceeds.
+    that of the rate, between the level of a known direction and one that is never exceeded.
 
     Args:
         length: L, `path_length`; 0 for a known direction.
         looks: K.
-        false_alarm: wanted probability.
+        false_alarm: probability of exceeding the threshold.
     """
     low, high = float(gammainccinv(looks, false_alarm)), 10 * looks + 1000
     level = low
-    for _ in range(THRESHOLD_STEPS):
+    for _ in range(50):  # a few steps suffice
         density = math.exp((looks - 1) * math.log(level) - level - math.lgamma(looks))
         crossings = length * math.sqrt(level / math.pi) * density
         bound = float(gammaincc(looks, level)) + crossings
@@ -173,7 +171,7 @@ def detection_threshold(length: float, looks: float, false_alarm: float) -> floa
         low, high = (level, high) if bound > false_alarm else (low, level)
         moved = level - bound * math.log(bound / false_alarm) / slope if bound > 0 else low
         moved = moved if low < moved < high else (low + high) / 2
-        settled = abs(moved - level) < THRESHOLD_ERROR * level
+        settled = abs(moved - level) < 1e-9 * level
         level = moved
         if settled:
             break

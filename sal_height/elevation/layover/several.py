@@ -1,13 +1,13 @@
 """Several scatterers in one pixel: layover, at the same range and Doppler frequency but at different elevations.
 
-Look k holds sum_s A_sk u(t_s) plus noise of variance 1, u = a / |a| the unit response. With R = sum_k g_k g_k^H,
+Look k is sum_s A_sk u(t_s) plus noise of variance 1, u = a / |a| the unit response. With R = sum_k g_k g_k^H,
 profiling out the complex amplitudes leaves the conditional likelihood of S elevations (Ziskind and Wax, IEEE Trans.
 Acoustics, Speech and Signal Processing 36, 1988)
 
     f(t_1 ... t_S) = tr(P R),    P = U (U^H U)^-1 U^H,    U = [u(t_1) ... u(t_S)]
 
-What the best S explain beyond the best S - 1 is the likelihood ratio of S against S - 1. If the amplitudes are
-Gaussian and independent of each other, with the mean powers p_s, the likelihood is that of the covariance
+The power that the best S explain beyond the best S - 1 is the likelihood ratio of S against S - 1. If the amplitudes
+are Gaussian and independent of each other, with the mean powers p_s, the likelihood is that of the covariance
 U diag(p) U^H + I.
 """
 
@@ -32,17 +32,17 @@ CNR_RANGE = math.log(10 ** (40 / 10) / 10 ** (0 / 10))
 
 @dataclass(frozen=True, eq=False)
 class SeveralScatterers:
-    """The S scatterers that explain most of each of some pixels; arrays of shape (pixels, ...).
+    """The S scatterers that explain most power of each of some pixels; arrays of shape (pixels, ...).
 
     Attributes:
-        elevation: rad from nadir, (pixels, S).
+        elevation: angles from nadir, (pixels, S), rad.
         explained: power f, sum over looks, in noise powers, (pixels,).
         array_power: |a|^2 at the elevations, (pixels, S).
         gram: U^H U, (pixels, S, S).
         inverse: (U^H U)^-1, (pixels, S, S).
         seen: U^H R U, (pixels, S, S).
         fitted: (U^H U)^-1 U^H R U (U^H U)^-1, sums over looks of products of the fitted amplitudes, (pixels, S, S).
-        turning: D^H (I - P) D with D = dU/dt, 1/rad^2, (pixels, S, S).
+        turning: D^H (I - P) D with D = dU/dt, (pixels, S, S), 1/rad^2.
         looks: K, (pixels,).
     """
 
@@ -87,9 +87,9 @@ class SeveralScatterers:
         return deviations(self.information())
 
     def deviation_by_beams(self, uncertainty: float) -> F64:
-        """Standard deviation of each elevation because of uncertain beams, rad, (pixels, S).
+        """Standard deviation of each elevation from uncertain beams, rad, (pixels, S).
 
-        As `beam_error.beam_deviation`, with the errors of all scatterers together beside the power of each.
+        As `beam_error.beam_deviation`, with the sum of the errors of all scatterers against the power of each.
         """
         own = np.maximum(self.power, 1e-300)
         slopes = np.diagonal(self.turning, axis1=1, axis2=2).real * self.array_power
@@ -107,15 +107,15 @@ def search_several(
     """Find one scatterer more than `start` in some pixels.
 
     Args:
-        search: of the normalised objective, of these pixels.
+        search: search of these pixels with the normalised objective.
         covariance: R in noise powers, double precision, (pixels, M, M).
-        values: of the objective `on_grid`.
-        start: elevations of the best S - 1 scatterers, rad, (pixels, S - 1).
+        values: objective `on_grid`.
+        start: elevations of the best S - 1 scatterers, (pixels, S - 1), rad.
         least: power that one more must explain at a node of the grid, (pixels,). Where it does not, the result has that
-            node, and explains nothing.
+            node, and an explained power of 0.
 
     Returns:
-        Elevations, rad, (pixels, S); the power that they explain; and that of the best node beside `start`, (pixels,).
+        Elevations, rad, (pixels, S); the power that they explain; and that of the best additional node, (pixels,).
     """
     found, (explained, gain) = np.empty((len(start), start.shape[1] + 1)), np.empty((2, len(start)))
     tables, squints = search.tables, search.every(len(start))
@@ -125,7 +125,7 @@ def search_several(
 
 
 def deviations(information: F64) -> F64:
-    """Standard deviations (pixels, S) for `information` (pixels, S, S); infinite where that is not positive."""
+    """Standard deviations (pixels, S) from the information (pixels, S, S); infinite where it is not positive."""
     variance = np.empty(information.shape[:2])
     invert_diagonals(information.copy(), variance)
     return np.where(variance >= 0, np.sqrt(np.maximum(variance, 0)), np.inf)
@@ -136,9 +136,9 @@ class GaussianFit:
     """Likelihood of Gaussian amplitudes at its maximum over their powers; arrays of shape (pixels, ...).
 
     Attributes:
-        log_likelihood: ratio to that of noise alone, (pixels,).
+        log_likelihood: logarithm of the likelihood over that of noise alone, (pixels,).
         information: Fisher information of the logarithms of the powers, (pixels, S, S).
-        power: of each scatterer in the whole array, noise powers, (pixels, S).
+        power: power of each scatterer in the whole array, (pixels, S), noise powers.
     """
 
     log_likelihood: F64
@@ -157,7 +157,7 @@ def fit_powers(gram: Numbers, seen: Numbers, looks: F64, start: F64) -> Gaussian
         gram: U^H U, (pixels, S, S).
         seen: U^H R U, (pixels, S, S).
         looks: K, (pixels,).
-        start: powers to start from, (pixels, S).
+        start: initial powers, (pixels, S), noise powers.
     """
     power, likelihood, information = start.copy(), np.empty(len(start)), np.empty(gram.shape)
     maximise_powers(gram, seen, looks, power, (likelihood, information))
@@ -165,7 +165,7 @@ def fit_powers(gram: Numbers, seen: Numbers, looks: F64, start: F64) -> Gaussian
 
 
 def power_of(explained: F64, looks: F64) -> F64:
-    """Power of one look of a scatterer in the whole array from what it explains in K looks, noise powers; any shape."""
+    """Power of one look of a scatterer in the whole array from that explained in K looks, noise powers; any shape."""
     return np.maximum(explained / looks - 1, LEAST_POWER)
 
 

@@ -1,6 +1,6 @@
-"""What single scatterers say of every pixel: its noise, how much more would be suspicious, and how spread surfaces are.
+"""Tests of single scatterers: the noise of every pixel, thresholds for more scatterers, and the spread of surfaces.
 
-From this follows which pixels may hold more than a point, and how probable that is before anything else is fitted.
+They give the pixels that may have more than a point, and the probability of that before other models are fitted.
 """
 
 from __future__ import annotations
@@ -33,24 +33,22 @@ from sal_height.elevation.looks.looks import Looks
 from sal_height.numeric import F64, Bool
 from sal_height.settings import setting
 
-SUSPICIOUS = 10.0  # several scatterers are tried for so many times the share of single ones that may be taken for two
-
 
 class LayoverSettings(ArraySettings):
-    """Settings of the estimators that look for several scatterers in a pixel."""
+    """Settings of the estimators that search for several scatterers in a pixel."""
 
     layover: bool = setting(
         default=True, description="whether to search every pixel for several scatterers and extended surfaces"
     )
     layover_false_alarm: float = setting(
         1e-3,
-        "fraction of single scatterers that may be taken for two",
+        "fraction of single scatterers that may pass for two",
         minimum=1e-9,
         maximum=0.1,
     )
     spread_false_alarm: float = setting(
         1e-2,
-        "fraction of points that may be taken for extended surfaces; these keep a height",
+        "fraction of points that may pass for extended surfaces; these keep a height",
         minimum=1e-9,
         maximum=0.1,
     )
@@ -58,14 +56,14 @@ class LayoverSettings(ArraySettings):
 
 @dataclass(frozen=True, eq=False)
 class PixelNoise:
-    """What acts as noise in a pixel; arrays (rows, cols), in units of the receivers' noise power.
+    """Noise and disturbances in a pixel; arrays (rows, cols), in units of the receivers' noise power.
 
     Attributes:
         beam_error: power of the errors of the beams in a channel, sum over looks (`beam_error`).
         raised: mean power of one look of noise, sidelobes of other pixels and errors of the beams.
-        along_slope: mean power along the slope of one look of a scatterer on level ground, over `raised`: 1 and what
-            the different ranges in a pixel bring. They move the middle of its elevations with that of its ranges, which
-            heights belong to.
+        along_slope: mean power along the slope of one look of a scatterer on level ground, over `raised`: 1 plus the
+            power from the different ranges in a pixel. These move the middle of its elevations with that of its ranges,
+            the range of the height.
     """
 
     beam_error: F64
@@ -74,7 +72,7 @@ class PixelNoise:
 
     @classmethod
     def of(cls, peaks: SinglePeaks, looks: Looks, beams: Beams) -> Self:
-        """The noise beside the scatterers of `peaks`."""
+        """The noise in the pixels of `peaks`."""
         error = beams.uncertainty**2 * np.maximum(peaks.explained - looks.count, 0.0) / peaks.array_power
         raised = looks.floor + error / looks.count
         power = np.maximum(peaks.explained / raised / looks.count - 1, 0.0)
@@ -86,9 +84,9 @@ class Levels:
     """Powers over the raised noise power that noise, sidelobes and errors of the beams rarely exceed; (rows, cols).
 
     Attributes:
-        tried: from which on one more scatterer is looked for.
-        several: from which on one more is taken.
-        spread: power along the slope from which on the scatterer is spread.
+        tried: power from which one more scatterer is searched for.
+        several: power from which one more scatterer is accepted.
+        spread: power along the slope from which the scatterer is spread.
     """
 
     tried: F64
@@ -106,12 +104,12 @@ class Levels:
         sidelobes = sidelobe_limit(looks.leaked, settings.sidelobe_rate)
 
         def level(of_noise: F64, rate: float) -> F64:
-            # Errors of the beams are those of one look, too, but differ between directions.
+            # Errors of the beams are also those of one look, but differ between directions.
             errors = sidelobe_limit(noise.beam_error, rate)
             return (of_noise + sidelobes + errors) / noise.raised
 
         rarely = settings.layover_false_alarm
-        often = min(SUSPICIOUS * rarely, 0.5)
+        often = min(10 * rarely, 0.5)  # several scatterers are tried ten times as often as they may be accepted
         spread = noise_limit(free_looks(counts), settings.spread_false_alarm)[of_pixel]
         tried, several = (
             np.array([[detection_threshold(length, count, rate) for length in lengths] for count in counts.tolist()])
@@ -141,8 +139,9 @@ class Spread:
     It is that beyond the spread of level ground.
 
     Attributes:
-        own: as the power along the slope of the response shows it; it hardly tells a small spread from noise.
-        around: of NEIGHBOURS pixels together.
+        own: spread of the pixel, from the power along the slope of the response; a small one is hardly distinct from
+            noise.
+        around: mean spread of a square of NEIGHBOURS pixels.
     """
 
     own: F64
@@ -150,7 +149,7 @@ class Spread:
 
     @classmethod
     def of(cls, peaks: SinglePeaks, noise: PixelNoise, levels: Levels, looks: Looks) -> Self:
-        """The spreads behind the power along the slopes; beyond twice its level it is not that of a surface."""
+        """Spreads from the power along the slopes; power beyond twice its level is not that of a surface."""
         power = power_of(peaks.explained, looks.count)
         free = np.where(looks.finite, free_looks(looks.count), 0.0)
         along = np.where(looks.finite, np.minimum(peaks.along_slope, 2 * levels.spread), 0.0)
@@ -168,14 +167,14 @@ class Spread:
 
 @dataclass(frozen=True, eq=False)
 class SingleScatterers:
-    """The pixels of an image as if each held a single scatterer.
+    """The pixels of an image under the assumption of a single scatterer in each.
 
     Attributes:
-        estimate: of these.
-        peaks: with the gains of one more, over the raised noise power.
-        noise: beside them.
-        levels: of what is more than noise.
-        spread: of the surfaces they are on.
+        estimate: estimate of these scatterers.
+        peaks: peaks with the gains of one more scatterer, over the raised noise power.
+        noise: noise in the pixels.
+        levels: thresholds for more than noise.
+        spread: spread of their surfaces.
     """
 
     estimate: ElevationEstimate
@@ -188,14 +187,14 @@ class SingleScatterers:
     def of(
         cls, estimate: ElevationEstimate, peaks: SinglePeaks, looks: Looks, beams: Beams, settings: LayoverSettings
     ) -> Self:
-        """Those of `peaks` in noise powers of the receivers; the other arguments are those of `layover.resolve`."""
+        """Single scatterers of `peaks` in receivers' noise powers; other arguments as in `layover.resolve`."""
         noise = PixelNoise.of(peaks, looks, beams)
         peaks, levels = peaks.over(noise.raised), Levels.of(noise, looks, beams, settings)
         return cls(estimate, peaks, noise, levels, Spread.of(peaks, noise, levels, looks))
 
     @property
     def suspicious(self) -> Bool:
-        """Where one more scatterer, or a spread, would explain more than noise often does, (rows, cols)."""
+        """True where one more scatterer, or a spread, would explain more than noise often does, (rows, cols)."""
         return (self.peaks.beside > self.levels.tried) | (self.peaks.along_slope > self.levels.spread)
 
     def log_evidence(self, looks: Looks, beams: Beams) -> F64:
@@ -212,13 +211,13 @@ class SingleScatterers:
         return evidence
 
     def sigma(self, probability: F64, looks: Looks) -> F64:
-        """Standard deviation (rad) of the elevations, on surfaces or of two that are a spread away from their middle.
+        """Standard deviation (rad) of the elevations, on surfaces or of two scatterers a spread away from their middle.
 
         Args:
-            probability: of the models, (rows, cols, ORDERS).
-            looks: the pixels.
+            probability: probability of the models, (rows, cols, ORDERS).
+            looks: covariance of the pixels.
         """
         likely = probability[..., ONE] + probability[..., TWO] + probability[..., SPREAD]
-        share = probability[..., TWO] / np.maximum(likely, 1e-300)
+        of_two = probability[..., TWO] / np.maximum(likely, 1e-300)
         on_surface = self.spread.deviation(self.spread.around, looks)
-        return np.sqrt(self.estimate.sigma**2 + on_surface**2 + share * self.spread.own**2)
+        return np.sqrt(self.estimate.sigma**2 + on_surface**2 + of_two * self.spread.own**2)

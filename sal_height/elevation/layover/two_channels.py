@@ -1,17 +1,18 @@
-"""What two channels leave open: whether a pixel holds one scatterer, and whether that is in a sidelobe of the beams.
+"""Ambiguities of two channels: several scatterers in a pixel, and scatterers in a sidelobe of the beams.
 
-Beside the response of a scatterer two channels have one direction, that of its slope. Whatever else a pixel holds -
-another scatterer of layover at any elevation, a slope, the extent of the ground - has power there, and three real
-numbers of the covariance do not tell two elevations and two powers. Layover therefore cannot be resolved, only noticed.
+In addition to the response of a scatterer, two channels have one direction, that of its slope. All other contents of a
+pixel - another scatterer of layover at any elevation, a slope, the extent of the ground - have power there, and three
+real numbers of the covariance do not determine two elevations and two powers. Layover therefore cannot be resolved,
+only detected.
 
 Of the power along the slope one real dimension of K complex ones, that in phase with the scatterer, moves the
-elevation; K - 1/2 are left. If phases are those of speckle, the variance is that by noise times the power along the
-slope over that of noise (`capon.misfit_factor`). A few looks hardly show it: the pixels around tell what is usual here.
-Sigma counts both. What it does not count is that the mean of two surfaces is neither of them, which no look shows.
+elevation; K - 1/2 are left. If phases are those of speckle, the variance is that of noise times the power along the
+slope over that of noise (`capon.misfit_factor`). A few looks hardly show it, so neighbouring pixels give the usual
+power. Sigma includes both, but not that the mean of two surfaces is neither of them, which no look shows.
 
-The responses of more than two detectors in sidelobes are unlike those in the main lobe; of two, the ratio is the same.
-What looks like a scatterer between the boresights may be one in a sidelobe, brighter by as much as the sidelobe is
-weaker. It is taken to be none if hardly a pixel of the dwell is half as bright as that.
+The responses of more than two detectors in sidelobes differ from those in the main lobe; of two, the ratio is the same.
+An apparent scatterer between the boresights may be one in a sidelobe, brighter by as much as the sidelobe is weaker.
+That is excluded if hardly a pixel of the dwell is half as bright.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ import numpy as np
 from sal_height.beams import Beams
 from sal_height.elevation.array.bounds import unit_vectors
 from sal_height.elevation.array.estimate import ElevationEstimate, Validity
+from sal_height.elevation.array.height_settings import HeightSettings
 from sal_height.elevation.array.likelihood import SinglePeaks
-from sal_height.elevation.array.settings import HeightSettings
 from sal_height.elevation.layover.extended import free_looks
 from sal_height.elevation.layover.order import NEIGHBOURS
 from sal_height.elevation.layover.several import power_of
@@ -33,67 +34,48 @@ from sal_height.elevation.layover.single import PixelNoise
 from sal_height.elevation.looks.looks import Looks
 from sal_height.numeric import F64, U8
 
-CHANCE = 0.5
-"""Standard errors of what the pixels around have along the slope by noise alone, below which it counts as noise."""
-
-BRIGHT_SHARE = 0.002
-"""Share of the pixels of a dwell that are left out when the brightest of them is looked for: single reflectors."""
-
-BRIGHTER = 2.0
-"""How much brighter than that a scatterer in a sidelobe is taken to be, at most: sidelobes may see more pixels than the
-main lobe, and of these the brightest are found."""
-
-ALIKE = 0.99
-"""Share of the power of a scatterer in a sidelobe that one inside explains, from which on they look the same."""
-
-FARTHEST = 10.0
-"""How far beyond the boresights sidelobes are looked at: in distances between these, or beamwidths if they are more."""
-
-STEPS = 64
-"""Elevations per beamwidth at which sidelobes are looked at."""
-
 
 def in_two_channels(
     estimate: ElevationEstimate, peaks: SinglePeaks, looks: Looks, beams: Beams, settings: HeightSettings
 ) -> ElevationEstimate:
-    """The estimate with a sigma that counts layover, and AMBIGUOUS where a sidelobe would look the same.
+    """The estimate with a sigma that includes layover, and AMBIGUOUS where a sidelobe would give the same ratio.
 
     Args:
-        estimate: of single scatterers.
-        peaks: these scatterers; what has no elevation is NaN. `beside` and `along_slope` are not used.
+        estimate: estimate of single scatterers.
+        peaks: these scatterers; NaN without an elevation. `beside` and `along_slope` are not used.
         looks: covariance of two channels, those of `beams` or their sum and difference.
-        beams: of the two channels.
-        settings: share of a pixel's power that may be left.
+        beams: beams of the two channels.
+        settings: fraction of a pixel's power that may be left.
     """
     sigma = np.sqrt(estimate.sigma**2 + layover_variance(estimate.sigma, peaks, looks, beams, settings))
     return _without_sidelobes(estimate.with_sigma(sigma), peaks, looks, beams)
 
 
 def layover_variance(sigma: F64, peaks: SinglePeaks, looks: Looks, beams: Beams, settings: HeightSettings) -> F64:
-    """What power along the slope adds to the variance of elevation by noise, sigma^2; rad^2, shape (rows, cols)."""
+    """Variance of elevation from power along the slope, in addition to that of noise, sigma^2; rad^2, (rows, cols)."""
     known, count = looks.finite & np.isfinite(peaks.explained * peaks.turning), np.maximum(looks.count, 1.0)
     peaks = SinglePeaks(**{name: np.where(known, values, 1.0) for name, values in vars(peaks).items()})
-    # Sidelobes bring a small fraction of power; main lobes of neighbours, which the floor has next to
-    # shadow, are layover.
-    highest = 1 + settings.misfit_fraction * peaks.explained / count
+    # Sidelobes have a small fraction of the power; main lobes of neighbours, in the floor next to shadow, are layover.
+    highest = 1 + settings.misfit_share * peaks.explained / count
     noise = PixelNoise.of(peaks, replace(looks, floor=np.minimum(looks.floor, highest)), beams)
     usual, free = noise.raised * noise.along_slope, free_looks(count)
     along = left_by_one(looks) / usual
-    # What the pixels around have beyond noise, as a power of one look, over their own power: the spread of elevations.
+    # The power of the pixels around beyond noise, in one look, over their own power: the spread of elevations.
     turning = power_of(peaks.explained / noise.raised, count) * peaks.turning / noise.along_slope
     values = np.where(known, np.stack([along - free, free * turning, free]), 0.0)
     more, unit, variance = looks.columns.mean_of_neighbours(values, NEIGHBOURS)
     number = min(NEIGHBOURS, len(free)) * min(NEIGHBOURS, looks.columns.cols)
-    sure = np.maximum(more - CHANCE * np.sqrt(np.maximum(variance, 0.0) / number), 0.0)
+    # Less half a standard error, power is that of noise.
+    sure = np.maximum(more - 0.5 * np.sqrt(np.maximum(variance, 0.0) / number), 0.0)
     spread = np.divide(sure, unit, where=unit > 0, out=np.zeros_like(unit))
-    # Noise alone has much power now and then: the pixel's own is believed as far as those around have more, too.
+    # Noise alone sometimes has much power: the pixel's own counts as far as the pixels around have more, too.
     around = spread * turning
     own = np.maximum(along / free - 1, 0.0) * around / (1 + around)
     return own * np.where(np.isfinite(sigma), sigma, 0.0) ** 2 + spread / (2 * count)
 
 
 def left_by_one(looks: Looks) -> F64:
-    """Power in two channels that one scatterer leaves, wherever it is: the lesser eigenvalue, receivers' noise powers.
+    """Power in two channels that one scatterer leaves at any elevation: the lesser eigenvalue, in noise powers.
 
     Channels of unlike noise are scaled to that of the first.
     """
@@ -105,7 +87,7 @@ def left_by_one(looks: Looks) -> F64:
 def _without_sidelobes(
     estimate: ElevationEstimate, peaks: SinglePeaks, looks: Looks, beams: Beams
 ) -> ElevationEstimate:
-    """AMBIGUOUS where a scatterer in a sidelobe, no brighter than others in the dwell are, would look the same."""
+    """AMBIGUOUS where a scatterer in a sidelobe, no brighter than others in the dwell, would give the same ratio."""
     weaker = sidelobe_power(beams)
     if not weaker:
         return estimate
@@ -117,7 +99,9 @@ def _without_sidelobes(
         usable = validity == Validity.OK
         if not usable.any():
             return validity
-        brightest = BRIGHTER * np.quantile(inside[usable], 1 - BRIGHT_SHARE, method="higher")
+        # Twice as bright as all but 0.2 % of the pixels, which are single reflectors: sidelobes may receive from more
+        # pixels than the main lobe, and the brightest of these count.
+        brightest = 2.0 * np.quantile(inside[usable], 1 - 0.002, method="higher")
         return np.where(usable & (beside <= brightest), np.uint8(Validity.AMBIGUOUS), validity)
 
     return replace(estimate, validity=looks.columns.each(marked, estimate.validity, inside, beside))
@@ -125,20 +109,23 @@ def _without_sidelobes(
 
 @lru_cache(maxsize=8)
 def sidelobe_power(beams: Beams) -> float:
-    """Greatest |a|^2 of a scatterer outside two boresights that looks like one between them, over that in the middle.
+    """Greatest |a|^2 of a scatterer outside two boresights whose response is that of one between, over the middle's.
 
-    0 if there is none. Elevations beside the boresights, up to the first that does not look so, are those of the main
-    lobe. Beams are told apart by their identity.
+    0 without such an elevation. Elevations outside the boresights, up to the first with another response, belong to
+    the main lobe. Beams are distinguished by their identity.
     """
     (first, last), (lowest, highest) = beams.span, beams.known
-    reach, step = FARTHEST * max(last - first, beams.beamwidth), beams.beamwidth / STEPS
+    # Within ten distances of the boresights, or beamwidths if these are more.
+    reach, step = 10.0 * max(last - first, beams.beamwidth), beams.beamwidth / 64
     inside = np.linspace(first, last, max(2, round((last - first) / step) + 1))
     units = unit_vectors(beams.response(inside, 0.0))
     greatest = 0.0
     for end, limit in ((first, max(lowest, first - reach)), (last, min(highest, last + reach))):
         outside = np.linspace(end, limit, max(2, round(abs(limit - end) / step) + 1))
         response = beams.response(outside, 0.0)
-        alike = (np.abs(unit_vectors(response) @ units.conj().T) ** 2).max(axis=1) >= ALIKE
+        alike = (np.abs(unit_vectors(response) @ units.conj().T) ** 2).max(
+            axis=1
+        ) >= 0.99  # of its power is explained by one inside
         alike &= np.maximum.accumulate(~alike)
         greatest = max(greatest, float(np.max(np.sum(np.abs(response) ** 2, axis=1), where=alike, initial=0.0)))
     return greatest / float(beams.power(np.mean(beams.span), 0.0))

@@ -1,6 +1,6 @@
-"""What the channels have observed in each pixel.
+"""The covariance of the channels in each pixel.
 
-`looks` averages the channels over windows into sample covariances, `look_windows` decides how large these are,
-`cell_response` how much of them belongs to neighbouring pixels, and `noise_floor` estimates the noise in them.
+`looks` sums the channels over windows into sample covariances, `look_windows` defines the windows, `cell_response`
+gives the fraction of the energy that neighbouring pixels contribute, and `noise_floor` the noise power of each pixel.
 `dwell_columns` arranges several dwells side by side.
 """

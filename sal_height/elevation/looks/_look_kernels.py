@@ -1,7 +1,7 @@
 """Compiled loops over samples and the looks of pixels: their power, and the channels' covariance.
 
-Each has a twin in plain NumPy in the tests. Of each axis the loops know the first sample of pixel 0, the step from
-pixel to pixel and the weights of the looks.
+Each has a twin in plain NumPy in the tests. An axis is described by the first sample of pixel 0, the step from pixel to
+pixel and the weights of the looks.
 """
 
 from __future__ import annotations
@@ -11,15 +11,15 @@ import numpy as np
 from sal_height.numeric import C64, F32, F64, Bool, Index, compiled, inlined
 
 LOOKS_AT_ONCE = 4
-"""Looks whose outer products are added at a time: as many as stay in registers."""
+"""Number of looks whose outer products are added at a time: as many as stay in registers."""
 
 EXPONENT = np.uint32(0x7F800000)
-"""Bits of a float32's exponent, all set if it is infinite or not a number: compiled loops cannot ask for that."""
+"""Bits of the exponent of a float32, all set if it is infinite or NaN, which compiled loops cannot test otherwise."""
 
 
 @compiled
 def sum_powers(numbers: F32, weights: F32, first: int, power: F32) -> None:
-    """Weighted sum over channels of |g|^2 of samples from row `first` on; -1 where it is infinite or not a number."""
+    """Weighted sum over channels of |g|^2, for samples from row `first`; -1 where it is infinite or NaN."""
     bits = power.view(np.uint32)
     for r in range(len(power)):
         line = power[r]
@@ -43,7 +43,7 @@ def sum_covariances(
     scale: F32,
     parts: F32,
 ) -> None:
-    """See `SlcCovariance`; `parts` are the real part, and the imaginary one if wanted: (pixels, 1 or 2, M, M)."""
+    """See `SlcCovariance`; `parts` has the real part and, where wanted, the imaginary part: (pixels, 1 or 2, M, M)."""
     (top, row_step, row_weights), (left, col_step, col_weights) = down, across
     channels, rows, twice = numbers.shape
     most = row_weights.size * col_weights.size + LOOKS_AT_ONCE
@@ -65,7 +65,7 @@ def sum_covariances(
 
 @compiled
 def sum_samples(numbers: F32, parts: F32) -> None:
-    """See `covariance`; numbers of shape (pixels, looks, 2 M), parts as of `sum_covariances`."""
+    """See `covariance`; numbers of shape (pixels, looks, 2 M), `parts` as in `sum_covariances`."""
     looks, channels = numbers.shape[1], numbers.shape[2] // 2
     x = np.empty((looks + LOOKS_AT_ONCE, channels), np.float32)
     y = np.empty_like(x)
@@ -93,7 +93,7 @@ def _sum_outer_products(x: F32, y: F32, count: int, parts: F32) -> None:
 
 @inlined
 def _add_four(p: F32, q: F32, sign: np.float32, x: F32, y: F32, k: int, result: F32) -> None:
-    """Add p x^T + sign q y^T of four samples from number `k` on to `result` (M, M), which the first ones overwrite."""
+    """Add p x^T + sign q y^T of the four samples from `k` to `result` (M, M), which the first four overwrite."""
     x0, x1, x2, x3, y0, y1, y2, y3 = x[k], x[k + 1], x[k + 2], x[k + 3], y[k], y[k + 1], y[k + 2], y[k + 3]
     for m in range(len(result)):
         row = result[m]
@@ -137,7 +137,7 @@ def sum_across(first: Index, weights: F64, samples: F64, sums: F64) -> None:
 
 @compiled
 def find_edges(power: F64, contrast: F64, noise: F64, apart: tuple[int, int], edge: Bool) -> None:
-    """See `noise_floor.is_edge_of_shadow`; beyond an edge of the image it goes on."""
+    """See `noise_floor.is_edge_of_shadow`; beyond an edge the image is continued by its edge."""
     rows, cols = power.shape
     for r in range(rows):
         before, after = max(r - apart[0], 0), min(r + apart[0], rows - 1)
@@ -149,27 +149,27 @@ def find_edges(power: F64, contrast: F64, noise: F64, apart: tuple[int, int], ed
 
 
 @compiled
-def add_pulls(place: F64, power: F64, pulled: F64, shares: F64, table: F64) -> None:
-    """Add to `pulled` sum over distances n of shares[n] power p^2 of the pixels n + 1 rows before and after.
+def add_pulls(position: F64, power: F64, pulled: F64, fractions: F64, table: F64) -> None:
+    """Add to `pulled` the sum over n of fractions[n] power p^2 of the pixels n + 1 rows before and after.
 
     Args:
-        place: elevation in steps of the table, shape (rows, cols).
-        power: same shape.
-        pulled: same shape; changed.
-        shares: by distance in rows, from 1 on.
-        table: p^2 at distances of elevation, 0 in its middle.
+        position: elevation in steps of the table, shape (rows, cols).
+        power: power of each pixel, same shape.
+        pulled: sums to add to, same shape; changed.
+        fractions: fraction of the energy by distance in rows, from 1.
+        table: p^2 over the difference of elevation, which is 0 in its middle.
     """
-    rows, middle = len(place), len(table) // 2
-    for c in range(place.shape[1]):
+    rows, middle = len(position), len(table) // 2
+    for c in range(position.shape[1]):
         for r in range(rows):
             total = 0.0
-            for n in range(min(shares.size, rows - 1)):
+            for n in range(min(fractions.size, rows - 1)):
                 for side in (-1, 1):
                     other = r + side * (n + 1)
-                    # Beyond an edge: the pixel as far on this side of it, and its elevation as much to the other side.
+                    # Beyond an edge: the mirrored pixel, with its elevation mirrored about that of the edge.
                     edge = min(max(other, 0), rows - 1)
                     mirror = 2 * edge - other
-                    there = 2 * place[edge, c] - place[mirror, c]
-                    node = min(max(there - place[r, c] + middle, 0), table.size - 1)
-                    total += shares[n] * power[mirror, c] * table[int(node + 0.5)]
+                    there = 2 * position[edge, c] - position[mirror, c]
+                    node = min(max(there - position[r, c] + middle, 0), table.size - 1)
+                    total += fractions[n] * power[mirror, c] * table[int(node + 0.5)]
             pulled[r, c] += total

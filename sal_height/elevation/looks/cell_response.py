@@ -1,8 +1,8 @@
-"""What a pixel holds of the scatterers around it: the impulse response of an image along range and along azimuth.
+"""The impulse response of an image along range and azimuth: how scatterers contribute to the pixels around them.
 
-A window w over the band gives a scatterer x cells off the response h(x), the Fourier transform of w. Neighbouring
-pixels share noise and speckle by the Fourier transform of w^2; beyond its main lobe h has sidelobes, by which bright
-ground shows in shadow.
+A window w over the band gives a scatterer at a distance of x cells the response h(x), the Fourier transform of w. Noise
+and speckle of neighbouring pixels are correlated by the Fourier transform of w^2; the sidelobes of h let bright ground
+appear in shadow.
 """
 
 from __future__ import annotations
@@ -15,13 +15,10 @@ import numpy as np
 from sal_height.numeric import F64, window
 
 NODES = 1024
-"""Samples of the band that the windows are evaluated at; their number hardly matters to so near a response."""
+"""Samples of the band at which windows are evaluated; the response within REACH hardly depends on their number."""
 
 REACH = 64
-"""Pixels to each side up to which sidelobes are counted; those of the rectangular window hold 0.2 % beyond."""
-
-STEPS = 8
-"""Samples of the response per pixel, over which a scatterer's position in its pixel is averaged."""
+"""Pixels to each side up to which sidelobes are counted; 0.2 % of the energy is beyond with the rectangular window."""
 
 
 @dataclass(frozen=True)
@@ -29,37 +26,37 @@ class AxisResponse:
     """The response along one axis of an image.
 
     Attributes:
-        window: over the band, a name of `numeric.WINDOWS`.
-        spacing: of pixels, in cells of the unweighted resolution.
+        window: window over the band, a name in `numeric.WINDOWS`.
+        spacing: spacing of the pixels, cells of the unweighted resolution.
     """
 
     window: str
     spacing: float
 
     def likeness(self, count: int) -> F64:
-        """|rho|^2 of the noise, and of the speckle, of two pixels that are 0, 1, ... count - 1 pixels apart."""
+        """|rho|^2 of the noise, and of the speckle, of pixels at distances of 0, 1, ... count - 1 pixels."""
         squares = window(self.window, NODES) ** 2
         return _transform(squares / squares.sum(), self.spacing * np.arange(count, dtype=np.float64)) ** 2
 
-    def shares(self) -> tuple[F64, F64]:
-        """Share of a scatterer's energy in each pixel from -REACH to REACH, and the part of it in the main lobe.
+    def fractions(self) -> tuple[F64, F64]:
+        """Fraction of a scatterer's energy in each pixel from -REACH to REACH, and the part of it in the main lobe.
 
-        The scatterer is anywhere in pixel 0. The shares of all pixels together are 1.
+        The scatterer is anywhere in pixel 0. The fractions of all pixels have the sum 1.
         """
-        return _shares(self.window, self.spacing)
+        return _fractions(self.window, self.spacing)
 
-    def place_error(self, count: int) -> F64:
-        """Covariance, in pixels squared, of the place that is not seen in two pixels 0, 1, ... count - 1 pixels apart.
+    def position_error(self, count: int) -> F64:
+        """Covariance (pixels squared) of the unknown position of speckle, at distances of 0, 1, ... count - 1 pixels.
 
-        A pixel holds g = sum_j c_j h(x_j) of scatterers with random phases, and d = sum_j c_j h(x_j) x_j. Over the
-        looks k of a pixel the place of the speckle, beyond the power-weighted mean of the looks' places, is
+        A pixel is the sum g = sum_j c_j h(x_j) of scatterers with random phases; let d = sum_j c_j h(x_j) x_j. Over the
+        looks k of a pixel the position of the speckle about the power-weighted mean of the looks' positions is
 
             Re(sum_k d_k g_k*) / sum_k |g_k|^2
 
         The covariance of Re(d_k g_k*) in two looks is (D G - C^2) / 2 with the correlations D of d, G of g and C of d
         with g, which is odd. They follow from the main lobe of h; G is 1 in one look.
         """
-        return _place_error(self.window, self.spacing, count)
+        return _position_error(self.window, self.spacing, count)
 
 
 @dataclass(frozen=True)
@@ -67,9 +64,9 @@ class CellResponse:
     """The response of an image: the product of those along its two axes.
 
     Attributes:
-        down: along range.
-        across: along azimuth.
-        pedestal: share of a scatterer's energy in each pixel along azimuth by phases that err from pulse to pulse.
+        down: response along range.
+        across: response along azimuth.
+        pedestal: fraction of a scatterer's energy in each pixel along azimuth, caused by random phase errors of pulses.
     """
 
     down: AxisResponse
@@ -78,21 +75,21 @@ class CellResponse:
 
 
 @lru_cache(maxsize=64)
-def _shares(name: str, spacing: float) -> tuple[F64, F64]:
-    # The response at STEPS points per pixel, midway between its edges.
-    steps = np.arange(-REACH * STEPS, (REACH + 1) * STEPS) + 0.5
-    offset = np.abs(steps / STEPS - 0.5) * spacing
+def _fractions(name: str, spacing: float) -> tuple[F64, F64]:
+    per_pixel = 8  # samples of the response, over which a scatterer's position in its pixel is averaged
+    steps = np.arange(-REACH * per_pixel, (REACH + 1) * per_pixel) + 0.5
+    offset = np.abs(steps / per_pixel - 0.5) * spacing
     amplitude = _transform(window(name, NODES) / NODES, offset)
     energy = amplitude**2
     # The main lobe ends where the response is 0 for the first time.
     first_null = offset[(amplitude <= 0)].min(initial=offset.max())
     parts = np.stack([energy, np.where(offset < first_null, energy, 0.0)])
-    whole, main_lobe = parts.reshape(2, -1, STEPS).sum(axis=-1) / energy.sum()
+    whole, main_lobe = parts.reshape(2, -1, per_pixel).sum(axis=-1) / energy.sum()
     return whole, main_lobe
 
 
 @lru_cache(maxsize=64)
-def _place_error(name: str, spacing: float, count: int) -> F64:
+def _position_error(name: str, spacing: float, count: int) -> F64:
     cells = np.arange(-4.0, 4.0, 1 / 128)
     amplitude = _transform(window(name, NODES) / NODES, cells)
     response = np.where(np.abs(cells) < np.abs(cells[amplitude <= 0]).min(), amplitude, 0.0)

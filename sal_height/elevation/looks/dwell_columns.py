@@ -1,4 +1,4 @@
-"""Which columns of an image belong to which dwell, where several dwells are estimated side by side (`dwells`)."""
+"""The columns of each dwell in an image of several dwells, which are estimated side by side (`dwells`)."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ Values = npt.NDArray[Any]
 
 @dataclass(frozen=True)
 class DwellColumns:
-    """Dwells of equal width, side by side in one image: the pixels of one are no neighbours of those of another.
+    """Dwells of equal width, side by side in one image; pixels of different dwells are not neighbours.
 
     Attributes:
         dwells: number of dwells.
-        cols: number of columns of each.
+        cols: number of columns of a dwell.
     """
 
     dwells: int
@@ -36,7 +36,7 @@ class DwellColumns:
         """The values of each dwell, contiguous.
 
         Args:
-            values: of all columns, which are the last axis, or the second one of (rows, cols, ...).
+            values: array whose last axis is the columns, or the second one in (rows, cols, ...).
         """
         if self.dwells == 1:
             return [values]
@@ -45,24 +45,24 @@ class DwellColumns:
         return [np.ascontiguousarray(values[:, part]) for part in self.slices]
 
     def each(self, function: Callable[..., Values], *values: Values) -> Values:
-        """What a function makes of the values of each dwell alone, side by side.
+        """Apply a function to the values of each dwell alone, and put its results side by side.
 
-        For what depends on the other pixels of a dwell, and for matrix products over pixels, which BLAS rounds as
-        their number demands.
+        For results that depend on the other pixels of a dwell, and for matrix products over pixels, whose rounding in
+        BLAS depends on their number.
 
         Args:
-            function: of arrays of one dwell, returns an array whose last axis is that of its columns.
-            values: arrays as of `split`.
+            function: function of arrays of one dwell that returns an array whose last axis is the columns.
+            values: arrays as in `split`.
         """
         found = [function(*one) for one in zip(*map(self.split, values), strict=True)]
         return found[0] if self.dwells == 1 else np.concatenate(found, axis=-1)
 
     def mean_of_neighbours(self, values: F64, size: int) -> F64:
-        """Mean over `size` x `size` pixels about each one; those at the border of a dwell stand for what is beyond.
+        """Mean over `size` x `size` pixels around each pixel; a dwell is continued beyond its border by its edge.
 
         Args:
-            values: shape (n, rows, cols): n images.
-            size: in pixels, odd.
+            values: n images, shape (n, rows, cols).
+            size: side of the square, odd, pixels.
         """
         by_dwell = values.reshape(*values.shape[:2], self.dwells, self.cols)
         mean: F64 = uniform_filter(by_dwell, size, axes=(1, 3), mode="nearest")

@@ -1,8 +1,8 @@
-"""Which samples along an axis of an image are the looks of a pixel, and what they hold of the samples around them.
+"""The looks of a pixel along an axis of an image, and the energy that they receive from the samples around them.
 
 All sums over samples separate into one along range and one along azimuth, each with a few weights for every pixel
-(`Bands`). They depend on the window, on the number of samples and on the response of the image, and are held for the
-dwells to come (`axis_looks`).
+(`Bands`). They depend on the window, on the number of samples and on the response of the image, and are cached for the
+next dwells (`axis_looks`).
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ LOOK_WINDOWS: dict[str, Callable[[int], F64]] = {
 """Weights of the looks of a pixel, all greater than 0."""
 
 EVEN_VARIANCE = 1 / 12
-"""Variance of a place that is anywhere in its row with the same probability, rows squared."""
+"""Variance of a position that is uniform over a row, rows squared."""
 
 LEAST_PRODUCTS = 2**18
-"""Products of weights and samples that are worth a thread."""
+"""Least number of products of weights and samples for which another thread pays."""
 
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """Which samples along one axis of an image are the looks of a pixel, and their weights.
+    """The samples along one axis of an image that are the looks of a pixel, and their weights.
 
     Pixel i has the n samples from i step + (step - n) // 2 on, n the number of weights: consecutive blocks if the step
     is n, a window that slides by one sample if it is 1. Samples beyond the edge of the image are left out.
 
     Attributes:
-        weights: of the looks, greater than 0, shape (n,).
+        weights: weights of the looks, greater than 0, shape (n,).
         step: number of samples from one pixel to the next.
     """
 
@@ -67,18 +67,18 @@ class Window:
 
     @property
     def apart(self) -> int:
-        """Number of pixels from one to the next that shares no sample with it."""
+        """Distance of two pixels that have no sample in common, pixels."""
         return -(-len(self.weights) // self.step)
 
-    def places(self, samples: int) -> Index:
+    def looks(self, samples: int) -> Index:
         """The sample of each look of each pixel, shape (pixels, n), some of them beyond the edge."""
         pixel, look = np.indices((self.pixels(samples), len(self.weights)))
         return np.asarray(self.first + pixel * self.step + look)
 
     def inside(self, samples: int) -> F64:
         """Weight of each look of each pixel, 0 beyond the edge, shape (pixels, n)."""
-        places = self.places(samples)
-        return np.where((places >= 0) & (places < samples), self.weights, 0.0)
+        looks = self.looks(samples)
+        return np.where((looks >= 0) & (looks < samples), self.weights, 0.0)
 
 
 @lru_cache(maxsize=64)
@@ -92,23 +92,24 @@ class Bands:
 
     Attributes:
         first: sample of the first weight of each pixel, shape (pixels,).
-        weights: of that sample and those after it, shape (pixels, n).
+        weights: weights of that sample and the next ones, shape (pixels, n).
     """
 
     first: Index
     weights: F64
 
     @classmethod
-    def of(cls, places: Index, weights: F64, samples: int) -> Bands:
-        """Sums of weights at consecutive `places`, shape (pixels, n); what lies beyond an edge counts as the edge."""
-        first = np.clip(places[:, 0], 0, max(0, samples - places.shape[1]))
-        folded = np.zeros((len(places), min(places.shape[1], samples)))
-        np.add.at(folded, (np.arange(len(places))[:, None], np.clip(places, 0, samples - 1) - first[:, None]), weights)
+    def of(cls, positions: Index, weights: F64, samples: int) -> Bands:
+        """Sums with weights at consecutive samples `positions`, (pixels, n); those beyond an edge count as the edge."""
+        first = np.clip(positions[:, 0], 0, max(0, samples - positions.shape[1]))
+        folded = np.zeros((len(positions), min(positions.shape[1], samples)))
+        at = np.arange(len(positions))[:, None], np.clip(positions, 0, samples - 1) - first[:, None]
+        np.add.at(folded, at, weights)
         return cls(first, folded)
 
     @property
     def sums(self) -> F64:
-        """Of the weights of each pixel, shape (pixels,)."""
+        """Sum of the weights of each pixel, shape (pixels,)."""
         return np.asarray(self.weights.sum(axis=1))
 
     def down(self, samples: F64) -> F64:
@@ -134,12 +135,12 @@ class Bands:
 
 @dataclass(frozen=True, eq=False)
 class Leakage:
-    """What the looks of pixels hold of the samples around them, by the response of the image along an axis.
+    """Energy that the looks of pixels receive from the samples around them, by the impulse response along an axis.
 
     Attributes:
-        near: by main lobes; beyond an edge the image goes on as bright as the edge.
-        whole: by main lobes and sidelobes, likewise.
-        own: the part of `near` that comes from the samples of the pixel itself.
+        near: energy through main lobes; beyond an edge the image continues as bright as the edge.
+        whole: energy through main lobes and sidelobes, likewise.
+        own: part of `near` from the samples of the pixel itself.
     """
 
     near: Bands
@@ -152,21 +153,21 @@ class AxisLooks:
     """The looks of all pixels along one axis of an image.
 
     Attributes:
-        apart: number of pixels from one to the next that shares no sample with it.
-        looks: their weights.
-        places: their weights times their place in samples.
-        middle: of each pixel, in samples, shape (pixels,).
+        apart: distance of two pixels that have no sample in common, pixels.
+        looks: weights of the looks.
+        moments: weights of the looks times their positions in samples.
+        middle: middle of each pixel, shape (pixels,), samples.
         count: effective number of looks of each pixel along this axis, shape (pixels,).
-        displaced: variance of the place of a pixel's speckle about that of its looks, samples squared, if the number of
-            looks is great, shape (pixels,).
-        between: variance of the places of the looks of a pixel, samples squared.
-        within: variance of a scatterer's place about that of its look, samples squared.
-        leakage: of other samples into the looks; None: the samples are independent.
+        displaced: variance of the position of a pixel's speckle about that of its looks, for a great number of looks,
+            shape (pixels,), samples squared.
+        between: variance of the positions of the looks of a pixel, samples squared.
+        within: variance of a scatterer's position about that of its look, samples squared.
+        leakage: energy from other samples in the looks; None: the samples are independent.
     """
 
     apart: int
     looks: Bands
-    places: Bands
+    moments: Bands
     middle: F64
     count: F64
     displaced: F64
@@ -181,24 +182,24 @@ def axis_looks(window: Window, samples: int, response: AxisResponse | None) -> A
 
     Args:
         window: looks of a pixel.
-        samples: along the axis; at least as many as the window has weights.
-        response: of the image along the axis; None: samples are independent, and have no sidelobes.
+        samples: number of samples along the axis, not less than the window has weights.
+        response: impulse response along the axis; None: samples are independent, without sidelobes.
     """
-    places, inside, taps = window.places(samples), window.inside(samples), len(window.weights)
+    positions, inside, taps = window.looks(samples), window.inside(samples), len(window.weights)
     sums = inside.sum(axis=1)
     alike = response.likeness(taps) if response else np.ones(1)
-    displaced = response.place_error(taps) if response else np.full(1, EVEN_VARIANCE)
-    looks = Bands.of(places, inside, samples)
+    displaced = response.position_error(taps) if response else np.full(1, EVEN_VARIANCE)
+    looks = Bands.of(positions, inside, samples)
     moments = Bands(looks.first, looks.weights * (looks.first[:, None] + np.arange(looks.weights.shape[1])))
     return AxisLooks(
         apart=window.apart,
         looks=looks,
-        places=moments,
+        moments=moments,
         middle=moments.sums / sums,
         count=sums**2 / _pair_sums(inside, alike),
         displaced=_pair_sums(inside, displaced) / sums**2,
         between=float(np.cov(np.arange(taps), aweights=window.weights, ddof=0)),
-        within=2 * float(response.place_error(1)[0]) if response else EVEN_VARIANCE,
+        within=2 * float(response.position_error(1)[0]) if response else EVEN_VARIANCE,
         leakage=_leakage(window, samples, response) if response else None,
     )
 
@@ -207,8 +208,8 @@ def _pair_sums(weights: F64, alike: F64) -> F64:
     """Sum of w_i w_j c_ij over the looks i and j of each pixel, shape (pixels,).
 
     Args:
-        weights: of the looks, shape (pixels, looks).
-        alike: c of two looks 0, 1, ... samples apart, shape (n,); 0 for those farther apart.
+        weights: weights of the looks, shape (pixels, looks).
+        alike: c of two looks at distances of 0, 1, ... samples, shape (n,); 0 at greater distances.
     """
     total = alike[0] * np.sum(weights**2, axis=1)
     for apart in range(1, min(len(alike), weights.shape[1])):
@@ -217,24 +218,24 @@ def _pair_sums(weights: F64, alike: F64) -> F64:
 
 
 def _leakage(window: Window, samples: int, response: AxisResponse) -> Leakage:
-    """Convolve the looks of each pixel with the shares of a scatterer's energy in the samples around it."""
-    places, inside = window.places(samples), window.inside(samples)
+    """Convolve the looks of each pixel with the fractions of a scatterer's energy in the samples around it."""
+    positions, inside = window.looks(samples), window.inside(samples)
     taps = inside.shape[1]
-    around = places[:, :1] + np.arange(-REACH, taps + REACH)
-    whole, near = (_spread(inside, shares) for shares in response.shares())
+    around = positions[:, :1] + np.arange(-REACH, taps + REACH)
+    whole, near = (_spread(inside, fractions) for fractions in response.fractions())
     own = np.where(inside > 0, near[:, REACH : REACH + taps], 0.0)
     reached = np.flatnonzero(near.any(axis=0))
     lobe = slice(reached[0], reached[-1] + 1)
     return Leakage(
         near=Bands.of(around[:, lobe], near[:, lobe], samples),
         whole=Bands.of(around, whole, samples),
-        own=Bands.of(places, own, samples),
+        own=Bands.of(positions, own, samples),
     )
 
 
-def _spread(weights: F64, shares: F64) -> F64:
-    """Convolve each row of `weights`, shape (pixels, n), with 2 REACH + 1 shares: shape (pixels, n + 2 REACH)."""
-    spread = np.zeros((len(weights), weights.shape[1] + len(shares) - 1))
+def _spread(weights: F64, fractions: F64) -> F64:
+    """Convolve each row of `weights`, shape (pixels, n), with 2 REACH + 1 fractions: shape (pixels, n + 2 REACH)."""
+    spread = np.zeros((len(weights), weights.shape[1] + len(fractions) - 1))
     for look in range(weights.shape[1]):
-        spread[:, look : look + len(shares)] += weights[:, look : look + 1] * shares
+        spread[:, look : look + len(fractions)] += weights[:, look : look + 1] * fractions
     return spread

@@ -22,14 +22,8 @@ from sal_height.sensor import Channels
 Indices = slice | Index
 Covariance: TypeAlias = F32 | C64
 
-MEDIAN = 1 / 3
-"""By how much the median energy of K looks of speckle is less than its mean K: what depends on its inverse is more."""
-
-NUMBERS_HELD = 2**20
-"""Elements of the covariances of all pixels up to which they are held: 4 or 8 MB, 4096 pixels of 16 detectors."""
-
-LEAST_NUMBERS = 2**19
-"""Real and imaginary parts of samples whose power is worth a thread."""
+NUMBERS_KEPT = 2**20
+"""Greatest number of elements of all covariances that are kept: 4 or 8 MB, 4096 pixels of 16 detectors."""
 
 
 class Covariances(Protocol):
@@ -45,31 +39,31 @@ class Covariances(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Looks:
-    """What the channels have observed in each pixel of the height image: all that an estimator takes, but the beams.
+    """Covariance of the channels in each pixel of the height image: with the beams, the input of an estimator.
 
     Attributes:
         covariance: sum_k w_k g_k g_k^H, shape (rows, cols, channels, channels): complex64, or its real part as float32.
             Real beams need no more (a^T R a = a^T Re(R) a for any real a).
-        squint: of each column, rad, shape (cols,).
+        squint: squint of each column, shape (cols,), rad.
         noise_powers: E|n|^2 of the receivers' noise of one look in each channel, shape (channels,).
         floor: factor by which scatterers in other pixels raise the noise power of a pixel by their sidelobes, and at
             the edge of a shadow by their main lobes; 1 or more, shape (rows, cols). All their power counts, as it may
-            come from one elevation.
+            be at one elevation.
         count: effective number of looks K = (sum w)^2 / sum w_i w_j |rho_ij|^2, shape (rows, cols), rho the correlation
             of the noise, and of the speckle, of two looks; sum w^2 below if they are independent. The weights w are
             scaled to have the sum K: mean and variance of the noise are then those of K independent looks.
-        row_variance: of the place of the looks' speckle about `row`, in SLC rows squared, shape (rows, cols).
-        col_variance: about `col`, in SLC columns squared.
-        row: power-weighted mean row of the looks, in SLC pixels, shape (rows, cols); the middle if there is no power.
-        col: power-weighted mean column.
+        row_variance: variance of the position of the looks' speckle about `row`, shape (rows, cols), SLC rows squared.
+        col_variance: variance about `col`, SLC columns squared.
+        row: power-weighted mean row of the looks, shape (rows, cols), SLC pixels; the middle if there is no power.
+        col: power-weighted mean column, SLC pixels.
         power: trace of the covariance, shape (rows, cols).
         finite: False where a sample was NaN or infinite, shape (rows, cols); the covariance is 0 there.
         level_spread: standard deviation of the elevations within a pixel on level ground, whose ranges differ, rad; 0:
             all its scatterers are at one elevation.
-        unplaced: share of the variance of the ranges in a pixel that is within its samples: where in them their power
-            comes from is not known.
-        dwells: number of dwells side by side (`dwells.estimate_dwells`); of several, `level_spread` and `unplaced` are
-            those of each column, shape (cols,).
+        unplaced: fraction of the variance of the ranges in a pixel that is within its samples, where the position of
+            their power is unknown.
+        dwells: number of dwells side by side (`dwells.estimate_dwells`); with several, `level_spread` and `unplaced`
+            are those of each column, shape (cols,).
     """
 
     covariance: Covariances
@@ -91,7 +85,7 @@ class Looks:
     def of(
         cls, covariance: Covariance, count: float, squint: npt.ArrayLike = 0.0, noise_power: npt.ArrayLike = 1.0
     ) -> Self:
-        """Looks of a known covariance (rows, cols, channels, channels), each pixel where its row and column are.
+        """Looks of a known covariance (rows, cols, channels, channels), each pixel at its own row and column.
 
         `squint` (rad) broadcasts with the columns, `noise_power` with the channels.
         """
@@ -113,7 +107,7 @@ class Looks:
 
     @property
     def columns(self) -> DwellColumns:
-        """Which columns belong to which dwell."""
+        """The columns of each dwell."""
         return DwellColumns(self.dwells, len(self.squint) // self.dwells)
 
     @property
@@ -123,7 +117,7 @@ class Looks:
 
     @property
     def noise_power(self) -> F64:
-        """E|n|^2 of one look in every channel with what sidelobes bring of other pixels, shape (rows, cols)."""
+        """E|n|^2 of one look in every channel, with the sidelobes of other pixels, shape (rows, cols)."""
         return self.receiver_noise * self.floor
 
     @property
@@ -134,17 +128,17 @@ class Looks:
 
 @dataclass(frozen=True)
 class SlcCovariance:
-    """The covariance of every pixel, summed from the images when it is indexed, so that it is never held as a whole.
+    """The covariance of every pixel, summed from the images when it is indexed, so that it is never kept as a whole.
 
     The sums are in single precision: their error grows as 6e-8 times the number of looks. Indexing runs in the calling
     thread alone.
 
     Attributes:
-        numbers: real and imaginary parts of the images in turn, shape (channels, rows, 2 * cols), float32.
+        numbers: real and imaginary parts of the images, alternating, shape (channels, rows, 2 * cols), float32.
         down, across: looks in range and azimuth.
         gains: complex factor of each channel, shape (channels,).
         scale: factor of the weights in each pixel, shape (rows, cols); where it is 0 the covariance is 0.
-        hermitian: whether covariances are complex, or their real part only.
+        hermitian: True for complex covariances, False for their real part.
     """
 
     numbers: F32
@@ -169,7 +163,7 @@ class SlcCovariance:
         parts = np.empty((len(flat[0]), 1 + self.hermitian, channels, channels), np.float32)
         down, across = ((w.first, w.step, w.weights.astype(np.float32)) for w in (self.down, self.across))
         sum_covariances(self.numbers, self.gains, flat, down, across, self.scale, parts)
-        return _together(parts).reshape(*shape, channels, channels)
+        return _joined(parts).reshape(*shape, channels, channels)
 
 
 def covariance(samples: C64, hermitian: bool) -> Covariance:
@@ -177,7 +171,7 @@ def covariance(samples: C64, hermitian: bool) -> Covariance:
 
     Args:
         samples: g, shape (pixels, looks, channels), C-contiguous; finite.
-        hermitian: whether the result is complex, as complex beams need it (`Beams.is_complex`), or its real part.
+        hermitian: True for a complex result, which complex beams need (`Beams.is_complex`); False for its real part.
 
     Returns:
         Shape (pixels, channels, channels), complex64 if `hermitian`, otherwise float32.
@@ -185,10 +179,10 @@ def covariance(samples: C64, hermitian: bool) -> Covariance:
     pixels, _, channels = samples.shape
     parts = np.empty((pixels, 1 + hermitian, channels, channels), np.float32)
     sum_samples(samples.view(np.float32), parts)
-    return _together(parts)
+    return _joined(parts)
 
 
-def _together(parts: F32) -> Covariance:
+def _joined(parts: F32) -> Covariance:
     """Complex matrices from their real and imaginary parts (pixels, 2, M, M), or real ones from (pixels, 1, M, M)."""
     return parts[:, 0] + np.complex64(1j) * parts[:, 1] if parts.shape[1] == 2 else parts[:, 0]
 
@@ -226,20 +220,20 @@ def windowed_looks(
 ) -> Looks:
     """Sum up the looks of every pixel of the height image.
 
-    On sloping ground the looks of a pixel come from different ranges and elevations; the power-weighted centre is the
-    range to which the estimate of elevation, itself weighted by power, belongs. Pixels whose windows overlap share
-    looks, and their errors.
+    On sloping ground the looks of a pixel have different ranges and elevations; the power-weighted centre is the range
+    of the estimated elevation, which is itself weighted by power. Pixels whose windows overlap have looks in common,
+    and their errors.
 
     Args:
-        slc: images of all channels, shape (channels, rows, cols); covariances of more than NUMBERS_HELD elements
+        slc: images of all channels, shape (channels, rows, cols); covariances of more than NUMBERS_KEPT elements
             are computed from them on demand.
         windows: looks in range and in azimuth.
-        squint: of each column of the height image, rad, shape (cols,).
-        channels: that the estimator takes, from those of the images.
-        hermitian: whether the covariance is complex, as complex beams need it (`Beams.is_complex`).
-        response: of the images, by which samples are alike and sidelobes reach other pixels; None: samples are
-            independent, and there are no sidelobes.
-        level_turn: elevation that level ground gains from row to row of the images, rad.
+        squint: squint of each column of the height image, shape (cols,), rad.
+        channels: channels of the estimator, from those of the images.
+        hermitian: True for a complex covariance, which complex beams need (`Beams.is_complex`).
+        response: impulse response of the images, which correlates samples and has sidelobes in other pixels; None:
+            samples are independent, without sidelobes.
+        level_turn: difference in elevation of level ground from row to row of the images, rad.
 
     Raises:
         UserError: more looks than the image has pixels.
@@ -255,7 +249,8 @@ def windowed_looks(
     # The power of each sample over all channels; negative where one is not finite.
     sample_power = np.empty((rows, cols), np.float32)
     weights = np.abs(gains) ** 2
-    least = -(-LEAST_NUMBERS // (numbers.shape[0] * numbers.shape[2]))
+    # Another thread pays from 2^19 real and imaginary parts of samples.
+    least = -(-(2**19) // (numbers.shape[0] * numbers.shape[2]))
     in_parallel(lambda part: sum_powers(numbers, weights, part.start, sample_power[part]), rows, least)
     by_row = axis_looks(down, rows, response.down if response else None)
     by_col = axis_looks(across, cols, response.across if response else None)
@@ -276,19 +271,19 @@ def windowed_looks(
     # The power-weighted centre; the middle of the looks where there is no power.
     row, col = np.empty((2, *count.shape))
     row[:], col[:] = by_row.middle[:, None], by_col.middle
-    np.divide(by_row.places.down(along), power, out=row, where=power > 0)
-    np.divide(by_row.looks.down(by_col.places.across(seen)), power, out=col, where=power > 0)
+    np.divide(by_row.moments.down(along), power, out=row, where=power > 0)
+    np.divide(by_row.looks.down(by_col.moments.across(seen)), power, out=col, where=power > 0)
     floor = np.ones_like(count)
     if np.all(channels.noise_powers > 0):
         noise = float(channels.noise_powers.sum())
         deviation = noise / np.sqrt(len(slc) * count)
         floor += foreign_power(seen, summed / sums, noise, by_row, by_col, deviation) / channels.noise_powers.min()
-    # What depends on the inverse of the looks' energy.
-    median = count / (count - MEDIAN)
+    # Variances depend on the inverse of the looks' energy, whose median is less by 1/3 than its mean K.
+    median = count / (count - 1 / 3)
     variance = by_row.between + by_row.within
     covariances = SlcCovariance(numbers, down, across, gains, scale.astype(np.float32), hermitian)
     return Looks(
-        covariance=covariances[:, :] if math.prod(covariances.shape) <= NUMBERS_HELD else covariances,
+        covariance=covariances[:, :] if math.prod(covariances.shape) <= NUMBERS_KEPT else covariances,
         squint=squint,
         noise_powers=channels.noise_powers,
         floor=floor,

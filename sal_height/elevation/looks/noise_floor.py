@@ -1,8 +1,8 @@
-"""The noise floor of pixels that hold power of others: sidelobes everywhere, and the edge of a shadow.
+"""The noise floor of pixels that receive power from other pixels: through sidelobes, and at the edge of a shadow.
 
-What a pixel holds of scatterers elsewhere follows from the impulse response and the image itself. Sidelobes of all
-scatterers together are weak in windowed images, but in a shadow they are all there is. Main lobes reach into the next
-pixel only: on lit ground that is what an image's resolution means, but the first pixel of a shadow has no other power.
+The power from other pixels follows from the impulse response and the image itself. The sidelobes of all scatterers are
+weak in windowed images, but a shadow has no other signal. Main lobes reach into the next pixel only: on illuminated
+ground that is the resolution of the image, but the first pixel of a shadow has no other power.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from sal_height.elevation.looks.look_windows import AxisLooks, Bands
 from sal_height.numeric import F64, Bool
 
 SPECKLE_RATE = 0.003
-"""Share of pairs of pixels of level ground whose speckle differs as much as shadow and what is beside it.
+"""Fraction of pairs of pixels of level ground whose speckle differs as much as a shadow and its surroundings.
 
-A pixel has 12 ordered pairs of neighbours; of those that lie between such a pair only the weak ones lose by it.
+A pixel has 12 ordered pairs of neighbours; of the pixels between such a pair only the weak ones are affected.
 """
 
 
@@ -27,8 +27,8 @@ def foreign_power(power: F64, mean_power: F64, noise: float, down: AxisLooks, ac
     """Expected power of scatterers elsewhere in each pixel, mean of its looks, shape of `mean_power`.
 
     Args:
-        power: of each sample over all channels, shape (rows, cols) of samples.
-        mean_power: of each pixel, mean of its looks, shape (rows, cols) of pixels.
+        power: power of each sample over all channels, shape (rows, cols) of samples.
+        mean_power: power of each pixel, mean of its looks, shape (rows, cols) of pixels.
         noise: expected power of the noise in it.
         down: looks along range.
         across: looks along azimuth.
@@ -50,15 +50,15 @@ def foreign_power(power: F64, mean_power: F64, noise: float, down: AxisLooks, ac
 
 
 def is_edge_of_shadow(power: F64, down: AxisLooks, across: AxisLooks, deviation: F64) -> Bool:
-    """Pixels that have a dark and a bright neighbour, farther apart than speckle and noise; shape of `power`.
+    """Pixels with a dark and a bright neighbour whose powers differ more than by speckle and noise; shape of `power`.
 
-    Of noise one standard deviation counts on either side.
+    Noise counts with one standard deviation on either side.
 
     Args:
-        power: of pixels without that of noise, shape (rows, cols).
+        power: power of the pixels less that of noise, shape (rows, cols).
         down: looks along range.
         across: looks along azimuth.
-        deviation: of the noise's power, same shape as `power`.
+        deviation: standard deviation of the noise power, same shape as `power`.
     """
     edge = np.empty(power.shape, np.bool_)
     find_edges(power, _speckle_contrast(down, across), deviation, (down.apart, across.apart), edge)

@@ -1,24 +1,20 @@
-"""Compiled loops over pixels: the choice of their pair, and tables of inverse discriminants; tests have twins."""
+"""Compiled loops over pixels: choice of the pair, and tables of inverse discriminants; tests have twins."""
 
 from __future__ import annotations
 
 from sal_height.numeric import C64, F32, F64, I64, U8, Index, compiled_with_nan
 
-MOST_STEPS = 40  # of Newton's method; as many bisections leave 1e-12
-SETTLED = 1e-5  # last step, after which another would be 1e-9 or so
-LEAST = 1e-9  # slope over that of the chord, above 0
-
 INSIDE, BELOW, ABOVE, NOT_FINITE, NO_DOMAIN, UNKNOWN = range(6)
 
 
 @compiled_with_nan
-def place_between(wanted: float, rise: float, start: float, end: float) -> tuple[float, float]:
-    """Where, between 0 and 1, a rising cubic from 0 to `rise` with these slopes at its ends is `wanted`; slope there.
+def invert_cubic(wanted: float, rise: float, start: float, end: float) -> tuple[float, float]:
+    """Argument from 0 to 1 at which a cubic from 0 to `rise` with these end slopes is `wanted`, and the slope there.
 
-    By Newton's method within a shrinking bracket.
+    By Newton's method within a shrinking bracket. The slope is at least 1e-9 of that of the chord.
     """
     low, high, t = 0.0, 1.0, min(max(wanted / rise, 0.0), 1.0)
-    for _ in range(MOST_STEPS):
+    for _ in range(40):  # as many bisections leave 1e-12
         value = t * t * (3 - 2 * t) * rise + t * (1 - t) * ((1 - t) * start - t * end) - wanted
         slope = 6 * t * (1 - t) * rise + (1 - t) * (1 - 3 * t) * start + t * (3 * t - 2) * end
         if value > 0:
@@ -28,11 +24,11 @@ def place_between(wanted: float, rise: float, start: float, end: float) -> tuple
         moved = t - value / slope if slope > 0 else -1.0
         if not low <= moved <= high:
             moved = (low + high) / 2
-        settled = abs(moved - t) < SETTLED
+        settled = abs(moved - t) < 1e-5  # another step would be about 1e-9
         t = moved
         if settled:
             break
-    return t, max(6 * t * (1 - t) * rise + (1 - t) * (1 - 3 * t) * start + t * (3 * t - 2) * end, LEAST * rise)
+    return t, max(6 * t * (1 - t) * rise + (1 - t) * (1 - 3 * t) * start + t * (3 * t - 2) * end, 1e-9 * rise)
 
 
 @compiled_with_nan
@@ -43,12 +39,12 @@ def look_up(
 
     Args:
         mu: discriminants, shape (rows, cols).
-        pair: number of each one's pair, same shape.
-        cells: of the squint of each column: number, shape (cols,), and the weights of the squints around it, (cols, n).
+        pair: number of the pair of each, same shape.
+        cells: number of the cell of each column's squint, shape (cols,), and weights of the squints around, (cols, n).
         table: `mu`, `values` and `ends` of the table.
-        kind: of its cells, as there.
-        found: to fill with elevation, slope, |Sigma|^2 and Im(Delta / Sigma), shape (4, rows, cols); given as NaN.
-        reason: to fill, (rows, cols).
+        kind: kind of its cells, as there.
+        found: array of NaN to fill with elevation, slope, |Sigma|^2 and Im(Delta / Sigma), shape (4, rows, cols).
+        reason: reasons to fill in, (rows, cols).
     """
     nodes, values, ends = table
     number, weights = cells
@@ -70,31 +66,31 @@ def look_up(
                 reason[r, c] = BELOW if wanted < least else ABOVE
                 continue
             reason[r, c] = INSIDE
-            # The share of the domain's values is kept from squint to squint, as the ends of domains move.
-            share = (wanted - least) / (most - least)
-            elevation, turn, real, imaginary, beside = 0.0, 0.0, 0.0, 0.0, 0.0
+            # The fraction of the domain's values is constant from squint to squint, as the ends of domains move.
+            fraction = (wanted - least) / (most - least)
+            elevation, turn, real, imaginary, ratio = 0.0, 0.0, 0.0, 0.0, 0.0
             for k in range(weights.shape[1]):
                 line, value, weight = nodes[p, cell + k], values[p, cell + k], weights[c, k]
                 span = line[last] - line[0]
-                place = line[0] + share * span
+                target = line[0] + fraction * span
                 low, high = 0, last
                 while high - low > 1:
                     middle = (low + high) // 2
-                    if line[middle] <= place:
+                    if line[middle] <= target:
                         low = middle
                     else:
                         high = middle
                 a, b = value[low], value[high]
                 step = b[0] - a[0]
-                t, steepness = place_between(place - line[low], line[high] - line[low], a[1] * step, b[1] * step)
+                t, steepness = invert_cubic(target - line[low], line[high] - line[low], a[1] * step, b[1] * step)
                 rise, start, end = t * t * (3 - 2 * t), t * (1 - t) * (1 - t) * step, t * t * (t - 1) * step
                 elevation += weight * (a[0] + t * step)
                 real += weight * (a[2] + rise * (b[2] - a[2]) + start * a[3] + end * b[3])
                 imaginary += weight * (a[4] + rise * (b[4] - a[4]) + start * a[5] + end * b[5])
-                beside += weight * (a[6] + rise * (b[6] - a[6]) + start * a[7] + end * b[7])
+                ratio += weight * (a[6] + rise * (b[6] - a[6]) + start * a[7] + end * b[7])
                 turn += weight * span * step / steepness
             found[0, r, c], found[1, r, c] = elevation, (most - least) / turn
-            found[2, r, c], found[3, r, c] = real * real + imaginary * imaginary, beside
+            found[2, r, c], found[3, r, c] = real * real + imaginary * imaginary, ratio
 
 
 @compiled_with_nan
@@ -103,9 +99,8 @@ def find_strongest_pairs(covariance: F32 | C64, pair: Index, found: F64) -> None
 
     Args:
         covariance: shape (rows, cols, M, M).
-        pair: to fill with the number of the lower detector, shape (rows, cols).
-        found: to fill with the sums over looks of |l|^2 and |u|^2, and with the real and the imaginary part of that of
-            l u*, shape (4, rows, cols).
+        pair: numbers of the lower detector to fill in, shape (rows, cols).
+        found: sums over looks to fill in: |l|^2, |u|^2, and real and imaginary part of l u*, shape (4, rows, cols).
     """
     for r in range(covariance.shape[0]):
         for c in range(covariance.shape[1]):

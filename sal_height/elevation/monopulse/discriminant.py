@@ -1,4 +1,4 @@
-"""The monopulse discriminant of a pair of detectors, and where it can be inverted (SAL paper, sections 2 to 4).
+"""The monopulse discriminant of a pair of detectors, and its invertible domain (SAL paper, sections 2 to 4).
 
 Two beams have the amplitudes l (lower) and u (upper) for a target; Sigma = u + l is their sum and Delta = u - l their
 difference. The discriminant is mu = Re(Delta / Sigma). It depends on the elevation and, if the detector axis is turned
@@ -19,15 +19,12 @@ from sal_height.numeric import F64
 LEAST_SLOPE = 1e-5
 """Slope of the discriminant, per beamwidth, below which it is not inverted.
 
-Float64 holds mu to 4e-16, hence the elevation to 4e-11 beamwidths there. For Gaussian beams half a beamwidth apart
+Float64 resolves mu to 4e-16, hence the elevation to 4e-11 beamwidths there. For Gaussian beams half a beamwidth apart
 that is |mu| = 1 - 7.6e-6, 9.5 beamwidths from the middle.
 """
 
-LEAST_COHERENCE = 0.5  # of |Sigma| / (|u| + |l|) in the domain; real beams have 1 wherever |mu| <= 1
 LEAST_CLEARANCE = 1e-3  # beamwidths from the domain to a null of Sigma, estimated as |Sigma| over its slope
-LEAST_AMPLITUDE = 1e-250  # of |u| + |l| in the domain: below, the ratio of Gaussian beams loses digits to underflow
 FARTHEST = 30.0  # beamwidths from the crossing of the two beams up to which an end of the domain is searched
-SEARCH_STEP = 0.1  # step of that search, beamwidths; patterns have no details finer than about half a beamwidth
 ROUNDING = 1e-9  # beamwidths beyond an end of the domain at which a target still counts as at the end
 
 
@@ -54,7 +51,7 @@ def discriminant_domain(pair: Beams, squint: npt.ArrayLike) -> tuple[F64, F64]:
     """Find the elevations (rad) between which the discriminant can be inverted, in the shape of `squint`.
 
     The domain is the interval around the crossing of the two beams in which mu rises by LEAST_SLOPE per beamwidth or
-    more, |mu| <= 1, and Sigma stays clear of 0 (LEAST_COHERENCE, LEAST_CLEARANCE). For real beams |mu| = 1 where the
+    more, |mu| <= 1, and Sigma stays clear of 0 (`_margin`). For real beams |mu| = 1 where the
     target is in the first null of the farther detector; beyond it, sidelobes repeat the values of mu. The ends are NaN
     where the crossing itself does not meet these conditions, because all of it lies in a sidelobe.
 
@@ -62,8 +59,8 @@ def discriminant_domain(pair: Beams, squint: npt.ArrayLike) -> tuple[F64, F64]:
     middle: there the target is as far from one boresight as from the other.
 
     Args:
-        pair: two beams.
-        squint: of the targets, rad.
+        pair: beams of the two detectors.
+        squint: squint of the targets, rad.
 
     Raises:
         UserError: the patterns of the two detectors have no angle in common.
@@ -81,14 +78,14 @@ def moving_squint(squint: npt.ArrayLike, radial_velocity: npt.ArrayLike, speed: 
     The range of a target at squint phi grows at the rate v_r - v sin phi: its own radial velocity v_r, less what the
     platform gains on it. An image attributes all of it to the platform and shows the target at the squint phi' with
     -v sin phi' = v_r - v sin phi, so that phi = phi' + v_r / v for small angles (SAL paper, section 4): a receding
-    target appears behind its place, at smaller squint.
+    target appears behind its position, at smaller squint.
 
-    The beams are to be inverted where the target is. That holds in spotlight mode, and in stripmap, where the aspects
-    under which a target was seen while its image was synthesised lie around phi instead of phi'.
+    The beams are to be inverted at the squint of the target. That holds in spotlight mode, and in stripmap, where the
+    aspects under which a target was observed while its image was synthesised lie around phi instead of phi'.
 
     Args:
-        squint: of the pixel, rad.
-        radial_velocity: v_r of the target, m/s, positive if it recedes.
+        squint: squint of the pixel, rad.
+        radial_velocity: v_r of the target, positive if it recedes, m/s.
         speed: v of the platform, m/s.
     """
     return np.asarray(squint) + np.asarray(radial_velocity) / np.asarray(speed)
@@ -108,9 +105,9 @@ def _ratio_slope(amplitude: F64, derivative: F64) -> F64:
 
 
 def _margin(pair: Beams, elevation: F64, squint: F64, phase: F64) -> F64:
-    """Return by how much the domain's tightest condition is met, negative outside; -1 where mu is not finite.
+    """Return the margin of the domain's tightest condition, negative outside; -1 where mu is not finite.
 
-    `phase` is that of Sigma at a place nearby: beyond a null of Sigma the phase differs from it by pi.
+    `phase` is that of Sigma at a nearby elevation: beyond a null of Sigma the phase differs from it by pi.
     """
     amplitude = pair.response(elevation, squint)
     derivative = pair.slope(elevation, squint) * pair.beamwidth
@@ -122,17 +119,18 @@ def _margin(pair: Beams, elevation: F64, squint: F64, phase: F64) -> F64:
         [
             _ratio_slope(amplitude, derivative) - LEAST_SLOPE,
             1 - np.abs(_ratio(amplitude)),
-            coherence - LEAST_COHERENCE,
+            coherence - 0.5,  # real beams have 1 wherever |mu| <= 1
             clearance - LEAST_CLEARANCE,
         ]
     )
-    return np.where((strength >= LEAST_AMPLITUDE) & np.isfinite(margin), margin, -1.0)
+    # With less amplitude the ratio of Gaussian beams loses digits to underflow.
+    return np.where((strength >= 1e-250) & np.isfinite(margin), margin, -1.0)
 
 
-def _on_axis(pair: Beams, place: float, squint: F64) -> F64:
-    """Return the elevation (rad) of the direction at `squint` that lies at `place` (rad) along the detector axis."""
+def _on_axis(pair: Beams, angle: float, squint: F64) -> F64:
+    """Return the elevation (rad) of the direction at `squint` and at `angle` (rad) along the detector axis."""
     middle = pair.axis_middle
-    return middle + (place - middle - squint * math.sin(pair.rotation)) / math.cos(pair.rotation)
+    return middle + (angle - middle - squint * math.sin(pair.rotation)) / math.cos(pair.rotation)
 
 
 def _known(pair: Beams, squint: F64) -> tuple[F64, F64]:
@@ -150,8 +148,9 @@ def _ends(pair: Beams, squint: F64, crossing: F64, direction: F64) -> F64:
     inside, outside, phase = (np.full_like(squint, np.nan) for _ in range(3))
     going = np.flatnonzero((crossing >= lowest) & (crossing <= highest))
     phase[going] = _sum_phase(pair, crossing[going], squint[going])
-    # Step away from the crossing until the first place outside, which may be the crossing itself.
-    for step in np.arange(0.0, FARTHEST, SEARCH_STEP) * pair.beamwidth:
+    # Step away from the crossing until the first elevation outside, which may be the crossing itself. Patterns have no
+    # details finer than about half a beamwidth.
+    for step in np.arange(0.0, FARTHEST, 0.1) * pair.beamwidth:
         there = np.clip(crossing[going] + step * direction[going], lowest[going], highest[going])
         outside[going] = there
         going = going[_margin(pair, there, squint[going], phase[going]) >= 0]
@@ -160,7 +159,7 @@ def _ends(pair: Beams, squint: F64, crossing: F64, direction: F64) -> F64:
         going = going[inside[going] != limit[going]]
         if not going.size:
             break
-    # The end lies between the last place inside and the first outside.
+    # The end lies between the last elevation inside and the first outside.
     between = np.flatnonzero(np.abs(outside - inside) > 0)
     if between.size:
         inside[between] = elementwise.find_root(

@@ -27,9 +27,9 @@ class Products:
     """Sums over looks or pulses, from which DISCRIMINANTS estimate gamma; arrays of one shape.
 
     Attributes:
-        sum_power: of |Sigma|^2.
-        difference_power: of |Delta|^2.
-        cross_power: of Delta Sigma*; only its real part where gamma is real, because the other holds noise alone.
+        sum_power: sum of |Sigma|^2.
+        difference_power: sum of |Delta|^2.
+        cross_power: sum of Delta Sigma*; only its real part where gamma is real, because the other is noise alone.
         count: number of looks or pulses K, one for all or one for each pixel.
     """
 
@@ -128,9 +128,9 @@ def discriminate(sums: Products, estimator: Estimator, noise_powers: NoisePowers
     exact maximum likelihood for unequal noise, too; the other estimators do not change.
 
     Args:
-        sums: of Sigma and Delta.
+        sums: products of Sigma and Delta.
         estimator: one of DISCRIMINANTS.
-        noise_powers: of Sigma and Delta.
+        noise_powers: noise powers of Sigma and Delta.
 
     Raises:
         UserError: a noise power is not known (0), negative or not finite.
@@ -157,14 +157,14 @@ def accuracy(sums: Products, found: PairElevation, noise_powers: NoisePowers, un
 
     The deviation is that of gamma (`products_variance`) over the discriminant's slope. Errors of the beams, of variance
     u^2 in each, add noise of power 2 u^2 |A|^2 to Sigma and Delta that looks do not average: to the variance of gamma
-    (1 + gamma^2) u^2 / |upper + lower|^2 (`discriminator_variance`; see `elevation.beam_error`). The CNR is that of a
+    (1 + gamma^2) u^2 / |upper + lower|^2 (`discriminator_variance`; see `array.beam_error`). The CNR is that of a
     detector which looks straight at the scatterer and has the noise 1 / (1/N_Sigma + 1/N_Delta): that of each of two
     detectors whose sum and difference have equal noise.
 
     Args:
-        sums: of Sigma and Delta.
-        found: where the scatterer is, with the slope of gamma and the beams there.
-        noise_powers: of Sigma and Delta.
+        sums: products of Sigma and Delta.
+        found: elevation of the scatterer, with the slope of gamma and the beams there.
+        noise_powers: noise powers of Sigma and Delta.
         uncertainty: u (`Beams.uncertainty`).
     """
     energy = sums.sum_power - sums.count * noise_powers[0]
@@ -180,14 +180,14 @@ def discriminator_variance(gamma: npt.ArrayLike, energy: npt.ArrayLike, noise_po
     """Return the variance of gamma to first order in the noise: (N_Delta + gamma^2 N_Sigma) / (2 E); broadcasts.
 
     For equal noise and the signal-to-noise ratio x in Sigma that is (1 + gamma^2) / (2 x). It holds for `ratio` and for
-    the exact maximum likelihood. For one look at a steady target, the second order adds the share (1 + 2 gamma^2) /
+    the exact maximum likelihood. For one look at a steady target, the second order adds the fraction (1 + 2 gamma^2) /
     (x + x gamma^2) for `ratio`, and twice as much for the maximum likelihood; in the strict sense neither has a
     variance, because of its tails.
 
     Args:
         gamma: modulus of Delta / Sigma without noise.
-        energy: of the signal in Sigma, over all looks.
-        noise_powers: of Sigma and Delta.
+        energy: energy of the signal in Sigma, over all looks.
+        noise_powers: noise powers of Sigma and Delta.
     """
     gamma, energy = np.asarray(gamma), np.asarray(energy)
     return (noise_powers[1] + gamma**2 * noise_powers[0]) / (2 * energy)
@@ -206,8 +206,8 @@ def products_variance(
     Args:
         gamma: modulus of Delta / Sigma without noise.
         energy: E of the signal in Sigma, over all looks.
-        count: of looks or pulses, K.
-        noise_powers: of Sigma and Delta.
+        count: number of looks or pulses, K.
+        noise_powers: noise powers of Sigma and Delta.
     """
     over_noise = np.asarray(energy) * (1 / noise_powers[0] + np.asarray(gamma) ** 2 / noise_powers[1])
     return discriminator_variance(gamma, energy, noise_powers) * (1 + np.asarray(count) / over_noise)

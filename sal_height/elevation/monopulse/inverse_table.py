@@ -2,9 +2,9 @@
 
 The discriminants of all pairs of neighbouring detectors, and their domains, are tabulated at squints of a fixed
 lattice. Over elevation each table is a row of cubics with the exact slopes at its nodes (Hermite), which are inverted;
-over squint, elevations are those of the polynomial through the four nearest squints, at the same share of the values in
-the domain. Where the beams do not allow that, as at the end of a main lobe, `invert` is called. What is found for a
-pixel by the tables depends on its own discriminant and squint alone.
+over squint, elevations are those of the polynomial through the four nearest squints, at the same fraction of the values
+in the domain. In steps of squint in which these err by more than ALLOWED_ERROR, as at the end of a main lobe, `invert`
+gives the exact elevation. By the tables, the result of a pixel depends on its own discriminant and squint alone.
 """
 
 from __future__ import annotations
@@ -31,22 +31,16 @@ SQUINT_STEP = 1 / 24
 """Beamwidths between the squints of a table."""
 
 CELLS = 24
-"""Steps of squint that are tabulated together: those of an image of one beamwidth."""
+"""Number of steps of squint in a table: those of an image of one beamwidth."""
 
 NEAREST = np.arange(-1, 3)
 """Numbers of the four squints around a step, counted from the one at its lower end."""
 
-NODE_STEP = 0.05
-"""Beamwidths between the nodes in the middle of a domain; they are denser towards its ends."""
-
 ALLOWED_ERROR = 1e-5
 """Error of elevation times slope of the discriminant up to which tables are used; noise of one look at 60 dB has 7e-4.
 
-In the middle of a pair, where mu rises by about 1 per beamwidth, it is as many beamwidths.
+In the middle of a pair, where mu rises by about 1 per beamwidth, it is in beamwidths.
 """
-
-TABLES_HELD = 8
-"""Tables that are held: of a few arrays, each at the squints of its images."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,10 +49,10 @@ class InverseTable:
 
     Attributes:
         mu: increasing discriminants, shape (p, k, nodes).
-        values: of each node elevation (rad) and the slope of mu (1/rad); real part of Sigma and its slope; imaginary
+        values: elevation (rad) of each node and the slope of mu (1/rad); real part of Sigma and its slope; imaginary
             part and its slope; that of Delta / Sigma and its slope; shape (p, k, nodes, 8).
-        ends: least and greatest mu of the domain, with what rounding allows, shape (p, k, 2).
-        kind: of each step of squint: INSIDE, NO_DOMAIN anywhere in it, or UNKNOWN: to be inverted by the beams; uint8,
+        ends: least and greatest mu of the domain, with a margin for rounding, shape (p, k, 2).
+        kind: kind of each step of squint: INSIDE, NO_DOMAIN anywhere in it, or UNKNOWN, which `invert` inverts; uint8,
             shape (p, CELLS).
     """
 
@@ -72,9 +66,9 @@ class InverseTable:
 
         Args:
             mu: discriminants, shape (rows, cols).
-            pair: number of the lower detector of each one's pair, same shape.
-            cell: number of the step in which each column's squint lies, shape (cols,).
-            weights: of the squints around it, shape (cols, 4).
+            pair: number of the lower detector of the pair of each, same shape.
+            cell: number of the step of each column's squint, shape (cols,).
+            weights: weights of the squints around it, shape (cols, 4).
         """
         found, reason = np.full((4, *mu.shape), np.nan), np.empty(mu.shape, np.uint8)
         look_up(mu, pair, (cell, weights), (self.mu, self.values, self.ends), self.kind, found, reason)
@@ -85,19 +79,20 @@ def invert_pairs(beams: Beams, mu: F64, pair: Index, squint: F64, columns: Dwell
     """Invert the discriminant of each pixel for its pair of neighbouring detectors, within ALLOWED_ERROR.
 
     Args:
-        beams: of single detectors.
+        beams: beams of single detectors.
         mu: discriminants, shape (rows, cols); NaN is NOT_FINITE.
-        pair: number of the lower detector of each one's pair, same shape.
-        squint: of the columns, rad, shape (cols,).
-        columns: of the dwells. By the beams, each is inverted alone: all discriminants of a pair share a table then.
+        pair: number of the lower detector of the pair of each, same shape.
+        squint: squint of the columns, shape (cols,), rad.
+        columns: columns of the dwells. `invert` is called for each dwell alone, as it makes a table for all
+            discriminants of a call.
 
     Raises:
         UserError: the patterns of two neighbouring detectors have no angle in common.
     """
-    place = squint / squint_step(beams)
-    finite = np.isfinite(place)
-    below = np.floor(np.where(finite, place, 0.0))
-    weights = _lagrange(np.where(finite, place, 0.0) - below)
+    position = squint / squint_step(beams)
+    finite = np.isfinite(position)
+    below = np.floor(np.where(finite, position, 0.0))
+    weights = _lagrange(np.where(finite, position, 0.0) - below)
     page = np.floor_divide(below + CELLS // 2, CELLS).astype(np.int64)
     cell = (below - page * CELLS).astype(np.int64) + CELLS // 2
     found, reason = np.full((4, *mu.shape), np.nan), np.full(mu.shape, NOT_FINITE, np.uint8)
@@ -113,7 +108,7 @@ def invert_pairs(beams: Beams, mu: F64, pair: Index, squint: F64, columns: Dwell
 
 
 def _invert_unknown(inverse: PairElevation, beams: Beams, mu: F64, pair: Index, squint: F64, columns: slice) -> None:
-    """Invert by the beams what the tables do not know in the columns of a dwell: changes `inverse` in place."""
+    """Invert exactly where the tables err too much, in the columns of a dwell: changes `inverse` in place."""
     mu, pair, unknown = mu[:, columns], pair[:, columns], inverse.reason[:, columns] == UNKNOWN
     for lower in np.unique(pair[unknown]).tolist():
         here, two = unknown & (pair == lower), beams.pair(lower)
@@ -124,13 +119,13 @@ def _invert_unknown(inverse: PairElevation, beams: Beams, mu: F64, pair: Index, 
 
 
 def squint_step(beams: Beams) -> float:
-    """SQUINT_STEP in rad: of the beamwidth along the detector axis or beside it, whichever is passed sooner."""
+    """SQUINT_STEP in rad: of the beamwidth along the detector axis or across it, whichever is passed sooner."""
     passed = abs(np.sin(beams.rotation)) / beams.beamwidth, abs(np.cos(beams.rotation)) / beams.beamwidth_beside
     return float(SQUINT_STEP / max(passed))
 
 
 def _alike(page: I64, finite: np.ndarray) -> Iterator[tuple[int, slice | Index]]:
-    """Columns of each page that has any with a finite squint."""
+    """Pages, and the columns of each, that have a finite squint."""
     first = int(page[0]) if page.size else 0
     if page.size and finite.all() and (page == first).all():
         yield first, slice(None)
@@ -139,22 +134,22 @@ def _alike(page: I64, finite: np.ndarray) -> Iterator[tuple[int, slice | Index]]
         yield number, np.flatnonzero((page == number) & finite)
 
 
-def _lagrange(place: F64) -> F64:
-    """Weights by which polynomials through values at NEAREST give those at `place` (0 to 1), shape (places, 4)."""
-    before, after, last = place + 1, place - 1, place - 2
-    weights = np.empty((len(place), len(NEAREST)))
-    weights[:, 0] = -place * after * last / 6
+def _lagrange(position: F64) -> F64:
+    """Weights of the values at NEAREST in the polynomials through them, at `position` (0 to 1), (positions, 4)."""
+    before, after, last = position + 1, position - 1, position - 2
+    weights = np.empty((len(position), len(NEAREST)))
+    weights[:, 0] = -position * after * last / 6
     weights[:, 1] = before * after * last / 2
-    weights[:, 2] = -before * place * last / 2
-    weights[:, 3] = before * place * after / 6
+    weights[:, 2] = -before * position * last / 2
+    weights[:, 3] = before * position * after / 6
     return weights
 
 
-@lru_cache(TABLES_HELD)
+@lru_cache(8)  # a few arrays, each at the squints of its images
 def inverse_table(beams: Beams, page: int) -> InverseTable:
-    """The table of CELLS steps of squint, the middle one of which begins at `page` times CELLS steps.
+    """The table of CELLS steps of squint, the middle one of which starts at `page` times CELLS steps.
 
-    Beams are told apart by their identity.
+    Beams are distinguished by their identity.
     """
     step = squint_step(beams)
     first = page * CELLS - CELLS // 2
@@ -162,9 +157,10 @@ def inverse_table(beams: Beams, page: int) -> InverseTable:
     pairs = [beams.pair(lower) for lower in range(beams.count - 1)]
     domains = np.array([discriminant_domain(pair, squint) for pair in pairs])  # (p, 2, k)
     widest = np.nanmax(np.append(domains[:, 1] - domains[:, 0], 0.0)) / beams.beamwidth
-    count = 2 + int(np.ceil(np.pi / 2 * min(widest, 2 * FARTHEST) / NODE_STEP))
-    share = (1 - np.cos(np.linspace(0, np.pi, count))) / 2
-    nodes = domains[:, 0, :, None] * (1 - share) + domains[:, 1, :, None] * share
+    # Nodes are 0.05 beamwidths apart in the middle of a domain, and denser towards its ends.
+    count = 2 + int(np.ceil(np.pi / 2 * min(widest, 2 * FARTHEST) / 0.05))
+    fraction = (1 - np.cos(np.linspace(0, np.pi, count))) / 2
+    nodes = domains[:, 0, :, None] * (1 - fraction) + domains[:, 1, :, None] * fraction
     tables = [_tabulated(pair, elevation, squint[:, None]) for pair, elevation in zip(pairs, nodes, strict=True)]
     mu, values, ends = (np.stack(parts) for parts in zip(*tables, strict=True))
     table = InverseTable(mu, values, ends, np.full((len(pairs), CELLS), INSIDE, np.uint8))
@@ -195,8 +191,8 @@ def _kinds(table: InverseTable, number: int, pair: Beams, squint: F64) -> U8:
     least, most = (np.sum(weights * table.mu[number, around, end], axis=1) for end in (0, -1))
     # Half way between the nodes of the squint below.
     nodes = table.mu[number, cell - NEAREST[0]].T
-    share = ((nodes[1:] + nodes[:-1]) / 2 - nodes[0]) / (nodes[-1] - nodes[0])
-    wanted = np.nan_to_num(least + (most - least) * share)
+    fraction = ((nodes[1:] + nodes[:-1]) / 2 - nodes[0]) / (nodes[-1] - nodes[0])
+    wanted = np.nan_to_num(least + (most - least) * fraction)
     found, reason = table.look_up(wanted, np.full(wanted.shape, number), cell, weights)
     exact_low, exact_high = discriminant_domain(pair, squint)
     back = discriminant(pair, np.vstack([found[0], exact_low, exact_high]), squint)

@@ -21,23 +21,11 @@ from sal_height.elevation.monopulse.discriminant import (
 )
 from sal_height.numeric import F64, U8, Bool
 
-NODES = 2**14
-"""Nodes of the tables of mu for all squints of an image together, but at least LEAST_NODES for each.
-
-With 129, linear interpolation errs by up to 8e-3 beamwidths (Gaussian beams), and Newton's method takes two or three
-steps. A cubic table (PCHIP) that errs by 2e-10 beamwidths alone needs 2000 nodes (jinc) to 16000 (Gaussian beams) at
-each squint: for the 256 squints of a spotlight image that takes 0.6 to 4 times as long as the whole inversion does.
-"""
-
-LEAST_NODES = 129
 MOST_STEPS = 10  # maximum number of Newton steps
-
-SETTLED = 1e-8
-"""Newton step, in beamwidths, after which no other is needed: it leaves 1e-11, even where the slope is least."""
 
 
 class Reason(IntEnum):
-    """Why a discriminant has no elevation."""
+    """Reason for which a discriminant has no elevation."""
 
     INSIDE = 0
     BELOW = 1
@@ -48,7 +36,7 @@ class Reason(IntEnum):
 
 UNPAIRED = np.zeros(len(Reason), np.bool_)
 UNPAIRED[[Reason.BELOW, Reason.ABOVE, Reason.NO_DOMAIN]] = True
-"""Whether a discriminant is outside the domain of its pair, by its `Reason`."""
+"""True for each `Reason` of a discriminant outside the domain of its pair."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,10 +44,10 @@ class Inversion:
     """Elevations of discriminants; all arrays have their shape.
 
     Attributes:
-        elevation: rad from nadir in body axes; NaN where the reason is not INSIDE.
-        slope: of the discriminant there, 1/rad; NaN where the reason is not INSIDE.
-        reason: `Reason` of each: INSIDE the domain; BELOW or ABOVE the values that mu takes in it; NOT_FINITE; or
-            NO_DOMAIN where the pair has none at that squint. uint8.
+        elevation: angle from nadir in body axes, NaN where the reason is not INSIDE, rad.
+        slope: slope of the discriminant there, NaN where the reason is not INSIDE, 1/rad.
+        reason: `Reason` of each: INSIDE the domain; BELOW or ABOVE the values of mu in it; NOT_FINITE; or NO_DOMAIN
+            where the pair has none at that squint. uint8.
     """
 
     elevation: F64
@@ -72,7 +60,7 @@ class PairElevation(Inversion):
     """Elevations of discriminants, and the beams of their pairs there; all arrays have their shape.
 
     Attributes:
-        sum_gain: |Sigma|^2 of a scatterer of amplitude 1; NaN where the reason is not INSIDE, as the next.
+        sum_gain: |Sigma|^2 of a scatterer of amplitude 1; NaN where the reason is not INSIDE, as `modulus`.
         modulus: |Delta / Sigma|.
     """
 
@@ -81,7 +69,7 @@ class PairElevation(Inversion):
 
     @classmethod
     def of(cls, pair: Beams, found: Inversion, squint: npt.ArrayLike) -> Self:
-        """What was found for one pair of beams at squints (rad), which broadcast."""
+        """The inversion for one pair of beams at squints (rad), which broadcast."""
         lower, upper = np.moveaxis(pair.response(found.elevation, squint), -1, 0)
         with np.errstate(divide="ignore", invalid="ignore"):
             modulus = np.abs(upper - lower) / np.abs(upper + lower)
@@ -89,7 +77,7 @@ class PairElevation(Inversion):
 
     @classmethod
     def side_by_side(cls, several: Sequence[Self]) -> Self:
-        """What was found for parts of an image, which are some columns each."""
+        """The inversions of parts of an image, which are some columns each, as one."""
         return cls(*(np.concatenate([getattr(one, f.name) for one in several], axis=-1) for f in fields(cls)))
 
 
@@ -100,9 +88,9 @@ def invert(pair: Beams, mu: npt.ArrayLike, squint: npt.ArrayLike) -> Inversion:
     within 1e-9 beamwidths.
 
     Args:
-        pair: two beams.
+        pair: beams of the two detectors.
         mu: discriminants; NaN is NOT_FINITE.
-        squint: of the targets, rad.
+        squint: squint of the targets, rad.
 
     Raises:
         UserError: the patterns of the two detectors have no angle in common.
@@ -110,9 +98,14 @@ def invert(pair: Beams, mu: npt.ArrayLike, squint: npt.ArrayLike) -> Inversion:
     squints, which = np.unique(squint, return_inverse=True)
     mu, squint, which = np.broadcast_arrays(np.asarray(mu, dtype=np.float64), squint, which.reshape(np.shape(squint)))
     domain = discriminant_domain(pair, squints)
+    # 2^14 nodes for all squints, but at least 129 for each: linear interpolation then errs by up to 8e-3 beamwidths
+    # (Gaussian beams), and Newton's method takes two or three steps. A cubic table (PCHIP) that errs by 2e-10
+    # beamwidths by itself needs 2000 nodes (jinc) to 16000 (Gaussian beams) at each squint: for the 256 squints of a
+    # spotlight image that takes 0.6 to 4 times as long as the whole inversion.
+    count = max(129, 2**14 // squints.size)
     # Nodes are denser towards the ends of the domain, where the discriminant of Gaussian beams levels off.
-    share = (1 - np.cos(np.linspace(0, np.pi, max(LEAST_NODES, NODES // squints.size)))) / 2
-    nodes = domain[0][:, None] * (1 - share) + domain[1][:, None] * share
+    fraction = (1 - np.cos(np.linspace(0, np.pi, count))) / 2
+    nodes = domain[0][:, None] * (1 - fraction) + domain[1][:, None] * fraction
     values = discriminant(pair, nodes, squints[:, None])
     slack = ROUNDING * pair.beamwidth * discriminant_slope(pair, nodes[:, [0, -1]], squints[:, None])
     least, most = values[:, 0] - slack[:, 0], values[:, -1] + slack[:, 1]
@@ -121,14 +114,15 @@ def invert(pair: Beams, mu: npt.ArrayLike, squint: npt.ArrayLike) -> Inversion:
     inside = reason == Reason.INSIDE
     group, wanted, angle = which[inside], mu[inside], squint[inside]
     low, high = (end[group] for end in domain)
-    # The tables stand in one, 4 apart, because mu lies between -1 and 1.
+    # The tables are joined to one, shifted by 4, because mu lies between -1 and 1.
     shift = 4.0 * np.arange(squints.size)
     found = np.interp(wanted + shift[group], (np.nan_to_num(values) + shift[:, None]).ravel(), nodes.ravel())
     last_slope = np.empty_like(found)
     for _ in range(MOST_STEPS):
         value, last_slope = discriminant_with_slope(pair, found, angle)
         before, found = found, np.clip(found - (value - wanted) / last_slope, low, high)
-        if np.all(np.abs(found - before) < SETTLED * pair.beamwidth):
+        # The next step would leave 1e-11 beamwidths, even at the least slope.
+        if np.all(np.abs(found - before) < 1e-8 * pair.beamwidth):
             break
     elevation, slope = (np.full(mu.shape, np.nan) for _ in range(2))
     elevation[inside], slope[inside] = found, last_slope
@@ -142,9 +136,9 @@ def invert_linear(pair: Beams, gamma: npt.ArrayLike, squint: npt.ArrayLike) -> I
     order only; `invert` follows the beams as they are. |gamma| up to 1 is INSIDE, as there. Broadcasts.
 
     Args:
-        pair: the two beams.
+        pair: beams of the two detectors.
         gamma: estimates of Delta / Sigma; NaN is NOT_FINITE.
-        squint: of the targets, rad.
+        squint: squint of the targets, rad.
     """
     gamma, squint = np.broadcast_arrays(np.asarray(gamma, dtype=np.float64), np.asarray(squint, dtype=np.float64))
     middle = equisignal_elevation(pair, squint)
@@ -156,12 +150,12 @@ def invert_linear(pair: Beams, gamma: npt.ArrayLike, squint: npt.ArrayLike) -> I
 
 
 def equisignal_elevation(pair: Beams, squint: F64) -> F64:
-    """Return the elevation (rad) at `squint` that lies half way between two beams along the detector axis."""
+    """Return the elevation (rad) at `squint` half way between two beams along the detector axis."""
     return np.mean(pair.boresights) - (squint + pair.mean_aspect) * np.tan(pair.rotation)
 
 
 def inversion_between(elevation: F64, slope: F64, gamma: F64, ends: tuple[float, float], exists: Bool) -> Inversion:
-    """Return the inversion that holds for gamma between `ends`, and where a characteristic `exists`."""
+    """Return the inversion that is valid for gamma between `ends`, and where a characteristic `exists`."""
     reason = _reasons(gamma, *ends, exists)
     inside = reason == Reason.INSIDE
     return Inversion(np.where(inside, elevation, np.nan), np.where(inside, slope, np.nan), reason)

@@ -11,9 +11,9 @@ import numpy as np
 
 from sal_height.beams import Beams
 from sal_height.elevation.array.estimate import ElevationEstimate, Validity, array_fit, decide_validity
+from sal_height.elevation.array.height_settings import HeightSettings
 from sal_height.elevation.array.likelihood import OBJECTIVES, SinglePeaks, search_guard
 from sal_height.elevation.array.search import PIXELS_AT_ONCE, PeakSearch, PeakSearches, Pixels
-from sal_height.elevation.array.settings import HeightSettings
 from sal_height.elevation.layover.two_channels import in_two_channels
 from sal_height.elevation.looks.looks import Covariance, Looks
 from sal_height.elevation.monopulse._kernels import find_strongest_pairs
@@ -30,12 +30,9 @@ from sal_height.errors import Rejected
 from sal_height.numeric import F64, Index, in_parallel
 from sal_height.settings import setting
 
-OUTSIDE_MARGIN = 3.0
-"""Noise powers by which a direction outside the array must explain a pixel better than the pair's elevation does."""
-
 
 class MonopulseSettings(HeightSettings):
-    """Settings of the estimator that takes the strongest pair of detectors."""
+    """Settings of the estimator that uses the strongest pair of detectors."""
 
     discriminant: str = setting(
         "tls",
@@ -48,13 +45,13 @@ class MonopulseSettings(HeightSettings):
 def monopulse_elevation(looks: Looks, beams: Beams, settings: MonopulseSettings) -> ElevationEstimate:
     """Estimate the elevation of the dominant scatterer in every pixel from its strongest pair.
 
-    Sigma and CNR are those of `estimators.accuracy`: the bound for the pair by itself. Pixels are OUTSIDE_PAIR where
-    their discriminant lies outside the domain of their pair.
+    Sigma and CNR are those of `estimators.accuracy`: the bound for the pair alone. Pixels are OUTSIDE_PAIR where their
+    discriminant is outside the domain of their pair.
 
     Args:
         looks: covariance of M channels of equal noise in each pixel.
-        beams: of the M detectors, 2 or more.
-        settings: of the estimator.
+        beams: beams of the M detectors, 2 or more.
+        settings: settings of the estimator.
 
     Raises:
         Rejected: the channels are mixtures of detectors.
@@ -74,12 +71,12 @@ def monopulse_elevation(looks: Looks, beams: Beams, settings: MonopulseSettings)
     first, last = beams.span
 
     def compare(search: PeakSearch, pixels: Covariance, here: Pixels) -> F64:
-        """What the whole array says: the `PeakSearch.fit` of `found`, and whether a peak beyond it wins.
+        """The `PeakSearch.fit` of `found` in the whole array, and 1 where a peak beyond the array wins, else 0.
 
-        That is 1 where the highest peak is beyond the boresights and explains more by OUTSIDE_MARGIN.
+        It wins where it is the highest peak, beyond the boresights, and explains more by three noise powers.
         """
         explained, gain, turning = search.fit(pixels, found.elevation[here])
-        least, wins = explained + OUTSIDE_MARGIN * looks.receiver_noise, np.zeros(len(pixels))
+        least, wins = explained + 3.0 * looks.receiver_noise, np.zeros(len(pixels))
         some = search.may_peak_beyond(pixels, beams.span, least)
         best = search.of(some).peaks(pixels[some])
         wins[some] = ((best.elevation < first) | (best.elevation > last)) & (best.height > least[some])

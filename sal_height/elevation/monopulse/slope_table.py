@@ -27,8 +27,8 @@ class SlopeTable:
     """A measured discrimination characteristic (relief paper, figure 2): gamma over the angle off theta_0.
 
     Attributes:
-        angle: theta_h, rad, increasing.
-        gamma: Delta / Sigma there, rising or falling all along.
+        angle: theta_h, increasing, rad.
+        gamma: Delta / Sigma there, rising or falling throughout.
 
     Raises:
         UserError: there are fewer than two nodes or unequal numbers of angles and values, values are not finite, angles
@@ -58,7 +58,7 @@ class SlopeTable:
     def invert(self, pair: Beams, gamma: npt.ArrayLike, squint: npt.ArrayLike) -> Inversion:
         """Find elevations around the equisignal direction of `pair` by a monotonic cubic (PCHIP) through the nodes.
 
-        The slope is that of the chord between two nodes. Outside the table gamma is BELOW or ABOVE. Arguments as of
+        The slope is that of the chord between two nodes. Outside the table gamma is BELOW or ABOVE. Arguments as in
         `invert_linear`, which broadcast.
         """
         gamma, squint = np.broadcast_arrays(np.asarray(gamma, dtype=np.float64), np.asarray(squint, dtype=np.float64))

@@ -8,7 +8,7 @@ theta_0 + theta_h with the complex amplitude beta, the channels receive
 (relief paper, eq. 3 to 9), each with noise of its own. gamma is estimated from sums of products (`Products`) by one of
 `estimators.DISCRIMINANTS`. `ratio` is the real part of the relief paper's eq. 17, which is the maximum likelihood for a
 complex gamma; `total_least_squares` is that for a real one, tan(1/2 atan2(2 Re Sigma* Delta, |Sigma|^2 - |Delta|^2)).
-`inversion.invert`, `invert_linear` or a `SlopeTable` then give the elevation.
+`invert_pairs`, `invert_linear` or a `SlopeTable` then give the elevation.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from pydantic import field_validator, model_validator
 
 from sal_height.beams import Beams
 from sal_height.elevation.array.estimate import ElevationEstimate, Fit, Validity, decide_validity, detection_limit
+from sal_height.elevation.array.height_settings import HeightSettings
 from sal_height.elevation.array.likelihood import SinglePeaks
-from sal_height.elevation.array.settings import HeightSettings
 from sal_height.elevation.layover.two_channels import in_two_channels
 from sal_height.elevation.looks.dwell_columns import DwellColumns
 from sal_height.elevation.looks.looks import Looks
@@ -126,8 +126,8 @@ def sum_difference_elevation(looks: Looks, pair: Beams, settings: SumDifferenceS
 
     Args:
         looks: covariance of Sigma = upper + lower and Delta = upper - lower in each pixel (`sum_difference_channels`).
-        pair: the two beams, lower and upper.
-        settings: estimator of gamma, its inversion, and when a pixel is valid.
+        pair: beams of the lower and the upper detector.
+        settings: estimator of gamma, its inversion, and the limits for valid pixels.
 
     Raises:
         UserError: `discriminate` refuses the noise powers.

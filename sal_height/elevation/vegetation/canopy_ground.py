@@ -10,10 +10,10 @@ each t (`_fit`). Twice the gain in log-likelihood
 
     L(t) = -K (ln det C(t) + tr C(t)^-1 R)
 
-over the best model without ground tests p = 0, which is at the edge of what is allowed, so that without ground it
+over the best model without ground tests p = 0, which is at the edge of the allowed range, so that without ground it
 exceeds x with half the probability of chi-square of one degree (Self and Liang, J. American Statistical Association 82,
 1987). Elevation and sigma are mean and standard deviation over t with the weight exp L(t): the volume may take over
-part of the ground, which the curvature at the peak alone would not tell.
+part of the ground, which the curvature at the peak alone would not show.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from scipy.special import chdtri
 from sal_height.beams import Beams
 from sal_height.elevation.array.bounds import Numbers, beam_power
 from sal_height.elevation.array.estimate import ElevationEstimate, Validity, detection_limit
-from sal_height.elevation.array.settings import HeightSettings
+from sal_height.elevation.array.height_settings import HeightSettings
 from sal_height.elevation.looks.looks import Looks
 from sal_height.numeric import F64, in_parallel
 from sal_height.settings import setting
@@ -36,24 +36,11 @@ from sal_height.settings import setting
 LAYER_BEAMWIDTHS = 0.8
 """Distance between the layers of the volume, and its least mean height above the ground.
 
-With 0.5 the volume passes for ground; with 1.0 and more the lower edge of crowns that hang free does, of 20 dB in 60
-looks in 27 % of the pixels.
+With 0.5 the volume passes for ground; with 1.0 and more the lower edge of crowns without undergrowth does, of 20 dB in
+60 looks in 27 % of the pixels.
 """
-
-SHAPE_SIGMA = 0.025
-"""Standard deviation, beamwidths, by which the part of the volume that is finer than its layers displaces the ground.
-
-Where ground of a third of the canopy's power is just detected, its mean error is 0.02 to 0.04 beamwidths.
-"""
-
-LEAST_SHARE = 0.05
-"""Least share of the ground in a pixel's power. With many looks at high CNR what the layers cannot follow in a volume
-without ground passes for ground, with 0.5 to 3.5 % of the power (canopies of 30 dB, 60 looks)."""
 
 STEP_BEAMWIDTHS = 0.1  # between elevations that are tried for the ground; the likelihood between them is a spline
-REFINEMENT = 8  # elevations of the spline in a step
-FIT_STEPS = 30  # of the likelihood's ascent in powers
-BARE_STRIDE = 3  # every so many elevations are tried as the lower end of a volume without ground
 
 
 class CanopyGroundSettings(HeightSettings):
@@ -73,9 +60,9 @@ class _Scan:
     """Log-likelihoods L of some pixels, over that of noise alone.
 
     Attributes:
-        both: with ground and volume, shape (elevations, pixels).
-        volume: greatest without ground, (pixels,).
-        surface: greatest without volume, (pixels,).
+        both: L with ground and volume, shape (elevations, pixels).
+        volume: greatest L without ground, (pixels,).
+        surface: greatest L without volume, (pixels,).
         explained: greatest power that a single surface explains, sum over looks, over the noise power, (pixels,).
         ground: power p of the ground at the elevation of greatest likelihood, (pixels,).
         canopy: mean height of the volume above it, beamwidths, (pixels,).
@@ -90,17 +77,16 @@ class _Scan:
 
 
 def canopy_ground_elevation(looks: Looks, beams: Beams, settings: CanopyGroundSettings) -> ElevationEstimate:
-    """Elevation of the ground in pixels that hold ground and a canopy above it.
+    """Elevation of the ground in pixels with ground and a canopy above it.
 
-    NO_GROUND: ground and canopy cannot be told apart, as without an echo of the ground, or the pixel holds one surface
-    only, which may be either. NO_SIGNAL: nothing is detected. OUTSIDE_ARRAY: the ground
-    is not above the first boresight.
-    What is called ground is the lowest layer that is thin, whatever it consists of.
+    NO_GROUND: ground and canopy cannot be separated, as without an echo of the ground, or the pixel has only one
+    surface, which may be either. NO_SIGNAL: nothing is detected. OUTSIDE_ARRAY: the ground is not above the first
+    boresight. Ground means the lowest thin layer, whatever it consists of.
 
     Args:
         looks: covariance of M channels of equal noise in each pixel; complex if the beams are.
-        beams: of the M channels.
-        settings: rates of false alarms, and when a pixel is valid.
+        beams: beams of the M channels.
+        settings: rates of false alarms, and the limits for valid pixels.
     """
     first, last = beams.span
     tried = np.linspace(first, last, math.ceil((last - first) / beams.beamwidth / STEP_BEAMWIDTHS) + 1)
@@ -118,20 +104,24 @@ def canopy_ground_elevation(looks: Looks, beams: Beams, settings: CanopyGroundSe
             mean = mean.astype(np.complex128 if beams.is_complex else np.float64)
             scan = _scan(mean, count, beams, float(looks.squint[col]), tried)
             elevation[here], sigma[here] = _moments(tried, scan.both)
-            sigma[here] = np.hypot(sigma[here], SHAPE_SIGMA * beams.beamwidth)
+            # The part of the volume that is finer than its layers displaces the ground: where ground of a third of the
+            # canopy's power is just detected, its mean error is 0.02 to 0.04 beamwidths.
+            sigma[here] = np.hypot(sigma[here], 0.025 * beams.beamwidth)
             power[here], canopy[here], explained[here] = scan.ground, scan.canopy, scan.explained
             best[here] = scan.both.argmax(axis=0)
             evidence[:, *here] = 2 * (scan.both.max(axis=0) - np.stack([scan.volume, scan.surface]))
 
     in_parallel(work, shape[1])
     detected = explained * looks.floor >= detection_limit(looks, beams.count, settings)
-    told = (evidence > chdtri(1, 2 * settings.false_alarm_rate)).all(axis=0) & (canopy > LAYER_BEAMWIDTHS)
+    resolved = (evidence > chdtri(1, 2 * settings.false_alarm_rate)).all(axis=0) & (canopy > LAYER_BEAMWIDTHS)
     gain = looks.columns.each(beams.power, np.where(np.isfinite(elevation), elevation, first), looks.squint)
     received = looks.power / (looks.count * looks.noise_power) - beams.count
-    inside = (elevation > first) & (power >= settings.min_cnr) & (power * gain > LEAST_SHARE * received)
+    # With many looks at high CNR, the part of a volume without ground that the layers cannot follow passes for ground,
+    # with 0.5 to 3.5 % of the power (canopies of 30 dB, 60 looks).
+    inside = (elevation > first) & (power >= settings.min_cnr) & (power * gain > 0.05 * received)
     precise = sigma <= settings.max_sigma_beamwidths * beams.beamwidth
     validity = np.select(
-        [~looks.finite, ~detected, best <= 1, ~(told & inside), ~precise],
+        [~looks.finite, ~detected, best <= 1, ~(resolved & inside), ~precise],
         [Validity.MISSING_DATA, Validity.NO_SIGNAL, Validity.OUTSIDE_ARRAY, Validity.NO_GROUND, Validity.IMPRECISE],
         Validity.OK,
     ).astype(np.uint8)
@@ -144,8 +134,8 @@ def _scan(mean: Numbers, count: F64, beams: Beams, squint: float, tried: F64) ->
     Args:
         mean: R.
         count: K, (pixels,).
-        beams: of the channels.
-        squint: rad.
+        beams: beams of the channels.
+        squint: squint of the pixels, rad.
         tried: elevations of the ground, rad.
     """
     noise = np.trace(mean, axis1=1, axis2=2).real
@@ -157,7 +147,7 @@ def _scan(mean: Numbers, count: F64, beams: Beams, squint: float, tried: F64) ->
         powers, both[index] = _fit(mean, layers)
         volume, heights = powers[:, 1:], LAYER_BEAMWIDTHS * np.arange(len(layers) - 1)
         ground[index], canopy[index] = powers[:, 0], volume @ heights / np.maximum(volume.sum(axis=1), 1e-300)
-        if index % BARE_STRIDE == 0:
+        if index % 3 == 0:  # as the lower end of a volume without ground
             bare[index] = _fit(mean, layers[1:])[1]
     response = beams.response(tried, squint)
     alone = np.sum((response.conj() @ mean) * response, axis=-1).real / beam_power(response)  # a^H R a / |a|^2
@@ -179,18 +169,18 @@ def _layers(beams: Beams, squint: float, elevation: float) -> Numbers:
     steps = math.floor((end - elevation) / beams.beamwidth / STEP_BEAMWIDTHS)
     above = STEP_BEAMWIDTHS * np.arange(max(steps, 1) + 1)
     middles = np.arange(0.0, above[-1] + 1e-9, LAYER_BEAMWIDTHS)
-    shares = np.maximum(1 - np.abs(above - middles[:, None]) / LAYER_BEAMWIDTHS, 0.0)
-    shares /= shares.sum(axis=1, keepdims=True)
-    shares = np.concatenate([np.eye(1, len(above)), shares])
+    weights = np.maximum(1 - np.abs(above - middles[:, None]) / LAYER_BEAMWIDTHS, 0.0)
+    weights /= weights.sum(axis=1, keepdims=True)
+    weights = np.concatenate([np.eye(1, len(above)), weights])
     response = beams.response(np.minimum(elevation + above * beams.beamwidth, end), squint)
-    return np.swapaxes(shares[:, :, None] * response, 1, 2) @ response.conj()
+    return np.swapaxes(weights[:, :, None] * response, 1, 2) @ response.conj()
 
 
 def _fit(mean: Numbers, layers: Numbers) -> tuple[F64, F64]:
     """Powers of greatest likelihood of the layers, (pixels, layers), and -ln det C - tr C^-1 R there, (pixels,).
 
-    The steps are those of `profile.invert`. No layer may bring more power than the pixel has: where none lies at the
-    elevations of the scatterers, the faintest parts of the layers would be raised beyond measure to explain them.
+    The steps are those of `profile.invert`. No layer may have more power than the pixel: without a layer at the
+    elevations of the scatterers, the faintest parts of the layers would be raised without limit to explain them.
     """
     channels = mean.shape[-1]
     flat, dual = layers.reshape(len(layers), -1), layers.conj().reshape(len(layers), -1).T
@@ -201,7 +191,7 @@ def _fit(mean: Numbers, layers: Numbers) -> tuple[F64, F64]:
     above_noise = np.maximum(np.trace(mean, axis1=1, axis2=2).real - channels, 1.0)
     most = above_noise[:, None] / np.trace(layers, axis1=1, axis2=2).real
     powers = most / len(layers)
-    for _ in range(FIT_STEPS):
+    for _ in range(30):
         inverse = np.linalg.inv(model(powers))
         seen, expected = ((m.reshape(len(mean), -1) @ dual).real for m in (inverse @ mean @ inverse, inverse))
         powers = np.minimum(powers * np.sqrt(np.maximum(seen, 0.0) / expected), most)
@@ -217,7 +207,7 @@ def _moments(elevations: F64, likelihood: F64) -> tuple[F64, F64]:
         elevations: rad, increasing and equally spaced, shape (n,).
         likelihood: L, shape (n, pixels).
     """
-    fine = np.linspace(elevations[0], elevations[-1], REFINEMENT * (len(elevations) - 1) + 1)
+    fine = np.linspace(elevations[0], elevations[-1], 8 * (len(elevations) - 1) + 1)
     smooth = CubicSpline(elevations, likelihood, axis=0)(fine)
     weight = np.exp(smooth - smooth.max(axis=0))
     weight /= weight.sum(axis=0)

@@ -1,16 +1,17 @@
 """Tomography: reflectivity over elevation in every pixel, from the covariance of the channels in its looks.
 
-A pixel through a canopy holds scatterers at all elevations x. With their reflectivity f(x) >= 0 (carrier-to-noise power
-ratio of one look per beamwidth) and the beams' response a(x), the covariance of the channels over the noise power is
+A pixel through a canopy contains scatterers at all elevations x. With their reflectivity f(x) >= 0 (carrier-to-noise
+power ratio of one look per beamwidth) and the beams' response a(x), the covariance of the channels over the noise power
+is
 
     C = I + integral f(x) a(x) a(x)^H dx                                                                         (1)
 
-Of f the mean covariance R of K looks tells what the beams resolve. Three estimates (Gini, Lombardini and Montanari,
-IEEE Trans. Aerospace and Electronic Systems 38, 2002, compare several):
+The mean covariance R of K looks determines f up to the resolution of the beams. Three estimates (Gini, Lombardini and
+Montanari, IEEE Trans. Aerospace and Electronic Systems 38, 2002, compare several):
 
     inversion   f >= 0 of greatest likelihood -K (ln det C + tr C^-1 R), regularised by a sieve
     capon       power that a minimum-variance beamformer lets through, less that of noise
-    music       1 / distance of the response from the signal subspace: where scatterers are, not how bright
+    music       1 / distance of the response from the signal subspace: positions of scatterers, not their power
 """
 
 from __future__ import annotations
@@ -30,20 +31,12 @@ from sal_height.numeric import F64
 
 Numbers = npt.NDArray[Any]
 
-NODES_PER_BEAMWIDTH = 10
-"""Nodes of a profile; a beamwidth is about as fine as the response changes."""
-
 SIEVE_BEAMWIDTHS = 0.25
-"""Half width of the triangles of which the inverted reflectivity consists: what is finer is noise.
+"""Half width of the triangles whose sum is the inverted reflectivity: finer details are noise.
 
-Of one surface 0.7 beamwidths below a canopy, at 10 dB and 16 looks, profiles come as near to the truth with 0.05 to 0.3
-beamwidths (0.19 to 0.20 beamwidths of earth mover's distance) and less near with 0.5 (0.22).
+For a surface 0.7 beamwidths below a canopy, at 10 dB and 16 looks, profiles are equally near to the truth with 0.05 to
+0.3 beamwidths (0.19 to 0.20 beamwidths of earth mover's distance) and less near with 0.5 (0.22).
 """
-
-INVERSION_STEPS = 40
-"""Steps of the inversion: 20, 50 and 100 of them come equally near to the truth."""
-
-LEAST_START = 1e-3  # reflectivity that a profile starts from at least, so that no node is lost
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,9 +44,9 @@ class ElevationProfile:
     """A function of elevation in every pixel.
 
     Attributes:
-        elevation: of the nodes, rad from nadir in body axes, equally spaced over the array, shape (nodes,).
-        values: shape (rows, cols, nodes): reflectivity as carrier-to-noise power ratio of one look per beamwidth, 0 or
-            more, or MUSIC's pseudo-spectrum, 1 or more; NaN where samples were missing.
+        elevation: angles of the nodes from nadir in body axes, equally spaced over the array, shape (nodes,), rad.
+        values: reflectivity as carrier-to-noise power ratio of one look per beamwidth, 0 or more, or MUSIC's
+            pseudo-spectrum, 1 or more; NaN where samples were missing; shape (rows, cols, nodes).
     """
 
     elevation: F64
@@ -67,9 +60,9 @@ class _Pixels:
     Attributes:
         mean: R over the noise power, shape (rows, cols, M, M); real if the beams are.
         count: K, shape (rows, cols, 1).
-        elevation: of the nodes, rad, (nodes,).
+        elevation: elevations of the nodes, (nodes,), rad.
         response: a at the nodes, shape (cols, nodes, M).
-        spacing: of the nodes, beamwidths.
+        spacing: spacing of the nodes, beamwidths.
     """
 
     mean: Numbers
@@ -81,7 +74,8 @@ class _Pixels:
     @classmethod
     def of(cls, looks: Looks, beams: Beams) -> _Pixels:
         first, last = beams.span
-        nodes = np.linspace(first, last, math.ceil((last - first) / beams.beamwidth * NODES_PER_BEAMWIDTH) + 1)
+        # Ten nodes in a beamwidth, over which the response changes.
+        nodes = np.linspace(first, last, math.ceil((last - first) / beams.beamwidth * 10) + 1)
         every = slice(None), slice(None)
         covariance = looks.covariance[every] if beams.is_complex else looks.covariance[every].real
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -102,8 +96,8 @@ class _Pixels:
 def invert(looks: Looks, beams: Beams) -> ElevationProfile:
     """Non-negative reflectivity of greatest likelihood that is a sum of triangles of SIEVE_BEAMWIDTHS.
 
-    The sieve (Snyder and Miller, IEEE Trans. Nuclear Science 32, 1985) makes the profile smooth without a weight to
-    choose: f = B^T y with weights y >= 0 of the triangles B. Each step multiplies them by the root of the ratio that
+    The sieve (Snyder and Miller, IEEE Trans. Nuclear Science 32, 1985) makes the profile smooth without the choice of a
+    weight: f = B^T y with weights y >= 0 of the triangles B. Each step multiplies them by the root of the ratio that
     is 1 at the maximum; the likelihood never falls (minorisation-maximisation: Sun, Babu and Palomar, IEEE Trans.
     Signal Processing 64, 2016; LIKES of Stoica and Babu, Signal Processing 92, 2012, without a sieve):
 
@@ -111,15 +105,15 @@ def invert(looks: Looks, beams: Beams) -> ElevationProfile:
 
     Args:
         looks: covariance of M channels of equal noise in each pixel; complex if the beams are.
-        beams: of the M channels.
+        beams: beams of the M channels.
     """
     pixels = _Pixels.of(looks, beams)
     distance = np.abs(pixels.elevation[:, None] - pixels.elevation) / beams.beamwidth
     sieve = np.maximum(1 - distance / SIEVE_BEAMWIDTHS, 0.0)
     sieve /= sieve.sum(axis=1, keepdims=True)
     gain = beam_power(pixels.response)
-    weights = np.maximum((pixels.forms(pixels.mean) / gain - 1) / gain, LEAST_START)
-    for _ in range(INVERSION_STEPS):
+    weights = np.maximum((pixels.forms(pixels.mean) / gain - 1) / gain, 1e-3)  # of 0, a node would be lost
+    for _ in range(40):  # 20, 50 and 100 steps are equally near to the truth
         inverse = np.linalg.inv(_model(weights @ sieve * pixels.spacing, pixels.response))
         received = pixels.forms(inverse @ pixels.mean @ inverse) @ sieve.T
         weights = weights * np.sqrt(received / (pixels.forms(inverse) @ sieve.T))
@@ -127,12 +121,12 @@ def invert(looks: Looks, beams: Beams) -> ElevationProfile:
 
 
 def capon(looks: Looks, beams: Beams) -> ElevationProfile:
-    """Capon's spectrum: the power 1 / (a^H L^-1 a) that his beamformer lets through, less that of noise alone.
+    """Capon's spectrum: the output power 1 / (a^H L^-1 a) of his beamformer, less that of noise alone.
 
-    L is the mean covariance loaded with M / K noise powers, which is how far its smallest eigenvalues may lie below
-    those of the true one, so that few looks do not make it singular (Carlson, IEEE Trans. Aerospace and Electronic
+    L is the mean covariance loaded with M / K noise powers, the amount by which its smallest eigenvalues may be less
+    than the true ones, so that few looks do not make it singular (Carlson, IEEE Trans. Aerospace and Electronic
     Systems 24, 1988). The power is that of all scatterers about a beamwidth around a node, and is given per beamwidth.
-    Arguments as of `invert`.
+    Arguments as in `invert`.
     """
     pixels = _Pixels.of(looks, beams)
     channels = pixels.response.shape[-1]
@@ -147,7 +141,7 @@ def music(looks: Looks, beams: Beams) -> ElevationProfile:
 
     Eigenvectors of the mean covariance belong to the signal if their eigenvalues exceed those of noise, up to
     (1 + sqrt(M / N))^2 with N = K complex looks or 2 K real ones (Marchenko and Pastur, Mathematics of the
-    USSR-Sbornik 1, 1967); at least one belongs to the noise. Arguments as of `invert`.
+    USSR-Sbornik 1, 1967); at least one belongs to the noise. Arguments as in `invert`.
     """
     pixels = _Pixels.of(looks, beams)
     powers, vectors = np.linalg.eigh(pixels.mean)

@@ -14,7 +14,7 @@ from sal_height.elevation.array.estimate import (
     is_explained,
     noise_limit,
 )
-from sal_height.elevation.array.settings import FALSE_ALARM_RATE, HeightSettings
+from sal_height.elevation.array.height_settings import HeightSettings
 from sal_height.elevation.estimators.maximum_likelihood import MlSettings, ml_elevation
 from sal_height.elevation.looks.looks import Looks
 from sal_height.elevation.monopulse.sum_difference import SumDifferenceSettings, sum_difference_elevation
@@ -42,7 +42,7 @@ def test_single_scatterers_are_rejected_at_the_stated_rate(channels: int, looks:
     result = ml_elevation(seen, beams, MlSettings(layover=False))
     usable = result.cnr > 10
     assert np.mean(usable) > 0.8
-    assert_rate(result.validity[usable] == Validity.NOT_ONE_SCATTERER, FALSE_ALARM_RATE)
+    assert_rate(result.validity[usable] == Validity.NOT_ONE_SCATTERER, HeightSettings().false_alarm_rate)
 
 
 @pytest.mark.parametrize("looks", [2, 16])
@@ -55,7 +55,7 @@ def test_sum_and_difference_reject_at_the_stated_rate(looks: int) -> None:
     result = sum_difference_elevation(seen, beams, SumDifferenceSettings(min_cnr_db=4.0))
     usable = result.cnr > 3
     assert np.mean(usable) > 0.9
-    assert_rate(result.validity[usable] == Validity.NOT_ONE_SCATTERER, FALSE_ALARM_RATE)
+    assert_rate(result.validity[usable] == Validity.NOT_ONE_SCATTERER, HeightSettings().false_alarm_rate)
 
 
 @pytest.mark.parametrize("looks", [1, 4])
@@ -64,8 +64,8 @@ def test_pixels_of_noise_pass_for_a_scatterer_no_more_often_than_stated(looks: i
     trials, beams = 200_000, make_beams("sinc", 4)
     noise = looks_of_pixels(circular(np.random.default_rng([72, looks]), (4, trials, looks)))
     result = ml_elevation(noise, beams, MlSettings(min_cnr_db=-60.0, layover=False))
-    assert np.count_nonzero(result.validity == Validity.OK) < 2 * FALSE_ALARM_RATE * trials
-    assert np.count_nonzero(result.validity != Validity.NO_SIGNAL) < 8 * FALSE_ALARM_RATE * trials
+    assert np.count_nonzero(result.validity == Validity.OK) < 2 * HeightSettings().false_alarm_rate * trials
+    assert np.count_nonzero(result.validity != Validity.NO_SIGNAL) < 8 * HeightSettings().false_alarm_rate * trials
 
 
 @pytest.mark.parametrize("degrees", [0.5, 1.0, 7.5, 60.0, 1000.0])

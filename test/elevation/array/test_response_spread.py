@@ -42,7 +42,7 @@ def test_variance_is_the_sum_over_pixels_of_share_power_and_squared_pull() -> No
     looks = Looks.of(matrices.astype(np.float32), 1.0)
     elevation = elevation_at(np.where(np.arange(21)[:, None] < 8, 1.0, 0.0))
     variance = sidelobe_variance(elevation, looks, beams, ONE, RECTANGULAR)
-    whole, near = RECTANGULAR.down.shares()
+    whole, near = RECTANGULAR.down.fractions()
     pull = squared_pull(beams)[round((PULL_SPAN + 1) * PULL_STEPS)]
     share = (whole - near)[len(whole) // 2 + np.array([5, 15])].sum()
     assert variance[10, 0] == pytest.approx(share * 1e6 * pull / (2 * 1e2), rel=1e-3)

@@ -60,7 +60,7 @@ def test_dwells_at_once_are_estimated_as_each_alone() -> None:
 
 def test_covariances_that_are_not_kept_are_estimated_dwell_by_dwell(monkeypatch: pytest.MonkeyPatch) -> None:
     """They would have to be computed to be put side by side."""
-    monkeypatch.setattr("sal_height.elevation.looks.looks.NUMBERS_HELD", 0)
+    monkeypatch.setattr("sal_height.elevation.looks.looks.NUMBERS_KEPT", 0)
     observed = [(dwell(seed), BEAMS) for seed in (1, 2)]
     assert isinstance(observed[0][0].covariance, SlcCovariance)
     together = estimate_dwells(ml_elevation, observed, MlSettings())

@@ -57,7 +57,7 @@ def test_scatterers_are_chosen_as_in_numpy() -> None:
     rest = np.zeros((5, pixels))
     models = Models(elevation, sigma, cnr, spread, rest, rest, rest)
     taken, probability = rng.integers(0, 5, pixels), rng.dirichlet(np.ones(5), pixels)
-    found, inside, count = models.chosen(taken, probability, (0.1, 0.9), 0.1, 0.8)
+    found, inside, count = models.scatterers(taken, probability, (0.1, 0.9), 0.1, 0.8)
     expected = chosen_in_numpy(models, taken, probability, (0.1, 0.9, 0.1, 0.8))
     np.testing.assert_allclose(found, expected, rtol=1e-12)
     np.testing.assert_array_equal(count, np.isfinite(expected[0]).sum(axis=1))

@@ -46,7 +46,7 @@ def test_the_sidelobes_of_a_scatterer_have_the_power_that_is_expected(name: str)
     weights = window(name, cells) / cells
     power = np.mean(np.abs(np.exp(2j * np.pi * offset[..., None] * frequency) @ weights) ** 2, axis=1)
     energy = power[0] + 2 * power[1:].sum()
-    whole, near = response.shares()
+    whole, near = response.fractions()
     middle = len(whole) // 2
     np.testing.assert_allclose((whole - near)[middle + 5 : middle + 31].sum(), power[5:].sum() / energy, rtol=0.1)
     assert whole.sum() == pytest.approx(1)
@@ -54,7 +54,7 @@ def test_the_sidelobes_of_a_scatterer_have_the_power_that_is_expected(name: str)
 
 def test_level_ground_leaks_the_integrated_sidelobes() -> None:
     """Equally bright ground without end: what is outside the main lobe, at the edges of an image as in its middle."""
-    (_, near), leakage = TAYLOR.down.shares(), axis_looks(Window.named("boxcar", 1), 40, TAYLOR.down).leakage
+    (_, near), leakage = TAYLOR.down.fractions(), axis_looks(Window.named("boxcar", 1), 40, TAYLOR.down).leakage
     assert leakage
     ground = np.full((40, 3), 2.0)
     np.testing.assert_allclose(leakage.near.down(ground), 2 * near.sum(), rtol=1e-9)
@@ -68,7 +68,7 @@ def test_leakage_into_looks_is_a_convolution_that_goes_on_beyond_the_edges(windo
     """Sums over all samples one by one, along either axis."""
     rng, taps = np.random.default_rng(16), len(window.weights)
     power = rng.exponential(size=(samples, 3))
-    axis, (whole, near) = axis_looks(window, samples, TAYLOR.down), TAYLOR.down.shares()
+    axis, (whole, near) = axis_looks(window, samples, TAYLOR.down), TAYLOR.down.fractions()
     assert axis.leakage
     expected = np.zeros((4, window.pixels(samples), 3))
     for pixel, look in np.ndindex(window.pixels(samples), taps):
@@ -81,7 +81,7 @@ def test_leakage_into_looks_is_a_convolution_that_goes_on_beyond_the_edges(windo
             if 0 <= place + offset - (place - look) < taps and 0 <= place + offset < samples:
                 expected[2, pixel] += weight * near[REACH + offset] * there
         expected[3, pixel] += weight * place * power[place]
-    bands = axis.leakage.near, axis.leakage.whole, axis.leakage.own, axis.places
+    bands = axis.leakage.near, axis.leakage.whole, axis.leakage.own, axis.moments
     np.testing.assert_allclose([one.down(power) for one in bands], expected, rtol=1e-12)
     np.testing.assert_allclose([one.across(power.T).T for one in bands], expected, rtol=1e-12)
 
@@ -118,7 +118,7 @@ def test_the_place_of_speckle_is_as_uncertain_as_stated(name: str, spacing: floa
     samples, moments = response @ drawn, (response * offset / spacing) @ drawn
     place = np.sum(moments * samples.conj(), axis=0).real / np.mean(np.sum(np.abs(samples) ** 2, axis=0))
     pairs = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
-    assert place.var() == pytest.approx(axis.place_error(count)[pairs].mean(), rel=0.08)
+    assert place.var() == pytest.approx(axis.position_error(count)[pairs].mean(), rel=0.08)
 
 
 def test_looks_count_as_many_as_the_mean_of_their_powers_fluctuates() -> None:
@@ -165,8 +165,8 @@ def test_a_bright_pixel_raises_the_floor_around_it_and_not_its_own() -> None:
     slc = np.zeros((2, 60, 40), np.complex64)
     slc[:, 30, 20] = 1000.0
     looks = in_windows(slc, 1, 1)
-    (whole, near), middle = TAYLOR.down.shares(), 64
-    sidelobe = (whole - near)[middle + 5] * TAYLOR.across.shares()[0][middle]
+    (whole, near), middle = TAYLOR.down.fractions(), 64
+    sidelobe = (whole - near)[middle + 5] * TAYLOR.across.fractions()[0][middle]
     assert looks.floor[35, 20] == pytest.approx(1 + 2e6 / 4 * sidelobe, rel=1e-4)
     assert looks.floor[30, 20] < 2.0
     np.testing.assert_allclose(looks.noise_power, 4 * looks.floor)

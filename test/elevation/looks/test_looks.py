@@ -82,7 +82,7 @@ def test_noise_in_weighted_looks_has_mean_and_variance_of_so_many_looks() -> Non
 def test_pixels_are_indexed_as_those_of_an_array(slc: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
     """The covariance of a small image is held, that of a large one computed from its samples when it is indexed."""
     whole = multilook(slc, 2, 2, hermitian=True).covariance
-    monkeypatch.setattr(looks_module, "NUMBERS_HELD", math.prod(whole.shape) - 1)
+    monkeypatch.setattr(looks_module, "NUMBERS_KEPT", math.prod(whole.shape) - 1)
     on_demand = multilook(slc, 2, 2, hermitian=True).covariance
     assert isinstance(whole, np.ndarray)
     assert isinstance(on_demand, SlcCovariance)

@@ -45,7 +45,7 @@ from sal_height.elevation.monopulse.sum_difference import SumDifferenceSettings,
 from sal_height.errors import UserError
 from sal_height.sensor.channels import separated_gains, sum_difference_channels
 from sal_height.theory.discriminator_noise import steady_looks_mean, steady_mean
-from sal_height.theory.sum_difference import crossover_slope, synthesise
+from sal_height.theory.relief_radar import crossover_slope, synthesise
 
 Array = np.ndarray
 EQUAL: NoisePowers = (1.0, 1.0)

@@ -1,9 +1,9 @@
-"""What air does to range and direction: the delay of the echo, and the bending of its way.
+"""Refraction by air: the delay of the echo, and the bending of its path.
 
 The air is the International Standard Atmosphere (ISO 2533) with the water vapour of the reference atmosphere of ITU-R
-P.835, in plane layers; or one that is as much warmer at all heights, and has as much more pressure and vapour, as
-somebody has measured somewhere. Light has the refractivity of dry air by Ciddor (Applied Optics 35, 1996), radio waves
-that of ITU-R P.453. Weather moves the delay by a few percent, near the ground and for radio waves by more, for vapour.
+P.835, in plane layers; or one with the temperature, pressure and vapour measured at one height. Light has the
+refractivity of dry air by Ciddor (Applied Optics 35, 1996), radio waves that of ITU-R P.453. Weather changes the delay
+by a few percent; near the ground, and for radio waves, vapour changes it by more.
 """
 
 from __future__ import annotations
@@ -16,25 +16,14 @@ import numpy as np
 from sal_height.errors import UserError
 from sal_height.numeric import F64
 
-HIGHEST_M = 32_000.0
-"""Above sea level, up to where the atmosphere is described; the air above has 1 % of the refractivity left."""
-
-LOWEST_M = -1000.0
-
 TEMPERATURES_K, PRESSURES_PA = (180.0, 340.0), (500.0, 120_000.0)
-"""That air has at the heights at which the atmosphere is described."""
-
-PLAUSIBLE_PA = 70_000.0, 130_000.0
-"""Pressures at sea level that air can have; the weather leaves 87 to 109 kPa, and its layers are not known exactly."""
+"""Ranges of temperature and pressure of air at the heights of the described atmosphere."""
 
 LIGHT_M = 0.3e-6, 15e-6
-"""Wavelengths of light that the formula is used for; it was measured up to 1.7 µm, and changes little beyond."""
+"""Wavelengths of light for which the formula is used; it was measured up to 1.7 µm, and changes little beyond."""
 
 RADIO_M = 1e-3
-"""Least wavelength of radio waves; between light and them, air absorbs and its refractivity swings."""
-
-LAYERS = 2000
-"""Of the way, for sums: the delay is within a micrometre."""
+"""Least wavelength of radio waves; between light and them, air absorbs and its refractivity varies."""
 
 _LAPSES = ((0.0, 288.15, -6.5e-3), (11_000.0, 216.65, 0.0), (20_000.0, 216.65, 1e-3))
 """Base height (m), temperature (K) and change of it with height (K/m) of the layers of the standard atmosphere."""
@@ -45,11 +34,11 @@ _VAPOUR_KG_M3, _VAPOUR_SCALE_M, _VAPOUR_CONSTANT = 7.5e-3, 2000.0, 461.52
 
 @dataclass(frozen=True)
 class AirPath:
-    """The way from a sensor to the ground through air, against the straight way through vacuum.
+    """The path from a sensor to the ground through air, against the straight path through vacuum.
 
     Attributes:
-        delay: by which the slant range, measured as time, is too long, m.
-        bend: by which the echo comes from farther off nadir than the target is, rad.
+        delay: excess of the slant range that is measured as time, m.
+        bend: angle by which the echo arrives from farther off nadir than the target, rad.
     """
 
     delay: float
@@ -61,9 +50,9 @@ class Atmosphere:
     """Air in hydrostatic equilibrium; by default the standard atmosphere.
 
     Attributes:
-        warmer: by which it is warmer than the standard atmosphere at all heights, K.
-        sea_level_pressure: Pa.
-        vapour: density of water vapour at sea level, kg/m^3; it falls by 1/e in 2 km.
+        warmer: excess of temperature over the standard atmosphere at all heights, K.
+        sea_level_pressure: pressure at sea level, Pa.
+        vapour: density of water vapour at sea level, which falls by 1/e in 2 km, kg/m^3.
     """
 
     warmer: float = 0.0
@@ -72,13 +61,13 @@ class Atmosphere:
 
     @classmethod
     def measured(cls, height: float, temperature: float, pressure: float, humidity: float) -> Self:
-        """The air as it was measured at one height.
+        """The air from a measurement at one height.
 
         Args:
-            height: above sea level, m.
-            temperature: K.
-            pressure: Pa.
-            humidity: relative, from 0 to 1, over water.
+            height: height above sea level, m.
+            temperature: temperature there, K.
+            pressure: pressure there, Pa.
+            humidity: relative humidity over water, from 0 to 1.
         """
         there = np.array([height])
         warmer = temperature - float(STANDARD_ATMOSPHERE.at(there)[0][0])
@@ -111,15 +100,15 @@ STANDARD_ATMOSPHERE = Atmosphere()
 
 
 def describe_implausible_pressure(height: float, temperature: float, pressure: float) -> str:
-    """What is wrong with a pressure in another unit, or of another height, as part of a sentence; empty: nothing.
+    """Fault of a pressure in another unit, or of another height, as part of a message; empty: plausible.
 
     Args:
-        height: at which it was measured, above sea level, m.
-        temperature: there, K.
-        pressure: there, Pa.
+        height: height of the measurement above sea level, m.
+        temperature: temperature there, K.
+        pressure: pressure there, Pa.
     """
     at_sea_level = Atmosphere.measured(height, temperature, pressure, 0.0).sea_level_pressure
-    low, high = PLAUSIBLE_PA
+    low, high = 70_000.0, 130_000.0  # the weather leaves 87 to 109 kPa, and its layers are not known exactly
     if low <= at_sea_level <= high:
         return ""
     return (
@@ -146,9 +135,9 @@ def refractivities(height: F64, wavelength: float, air: Atmosphere = STANDARD_AT
     """Refractive index of the phase and of the group, each less 1, at heights above sea level (m).
 
     Args:
-        height: m.
-        wavelength: m.
-        air: that it is of.
+        height: heights above sea level, m.
+        wavelength: wavelength in vacuum, m.
+        air: state of the air.
 
     Raises:
         UserError: the wavelength is of neither light nor radio waves.
@@ -178,28 +167,30 @@ def path_through_air(
     off_nadir: float,
     air: Atmosphere = STANDARD_ATMOSPHERE,
 ) -> AirPath:
-    """Delay and bend of the way from a sensor to the ground.
+    """Delay and bend of the path from a sensor to the ground.
 
-    By Snell's law n sin(angle) is the same in all layers; the way to the target is found by Newton's method.
+    By Snell's law n sin(angle) is the same in all layers; the path to the target is found by Newton's method.
 
     Args:
-        wavelength: m.
-        sensor_height: above sea level, m.
-        ground_height: above sea level, m, below the sensor.
-        off_nadir: of the straight line from sensor to target, rad, from 0 to less than pi / 2.
-        air: between them.
+        wavelength: wavelength in vacuum, m.
+        sensor_height: height of the sensor above sea level, m.
+        ground_height: height of the ground above sea level, below the sensor, m.
+        off_nadir: angle of the straight line from sensor to target, from 0 to less than pi / 2, rad.
+        air: state of the air between them.
 
     Raises:
         UserError: a height is outside of the atmosphere, the sensor is not above the ground, or the wavelength is of
             neither light nor radio waves.
     """
-    if not LOWEST_M <= ground_height < sensor_height <= HIGHEST_M:
+    lowest, highest = -1000.0, 32_000.0  # the air above has 1 % of the refractivity left
+    if not lowest <= ground_height < sensor_height <= highest:
         raise UserError(
             f"The air between a sensor at {sensor_height:g} m and ground at {ground_height:g} m is not known; allowed "
-            f"are heights from {LOWEST_M:g} to {HIGHEST_M:g} m above sea level, with the sensor above the ground."
+            f"are heights from {lowest:g} to {highest:g} m above sea level, with the sensor above the ground."
         )
-    step = (sensor_height - ground_height) / LAYERS
-    heights = ground_height + step * (np.arange(LAYERS, dtype=np.float64) + 0.5)
+    layers = 2000  # the delay is then within a micrometre
+    step = (sensor_height - ground_height) / layers
+    heights = ground_height + step * (np.arange(layers, dtype=np.float64) + 0.5)
     phase, group = refractivities(np.asarray(heights, dtype=np.float64), wavelength, air)
     there, _ = refractivities(np.array([sensor_height]), wavelength, air)
     ratio = (1 + there[0]) / (1 + phase)

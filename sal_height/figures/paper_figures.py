@@ -17,18 +17,15 @@ from sal_height.figures.curve import Curve, Figure, check_of, holds, rows_of
 from sal_height.figures.draw import draw
 from sal_height.figures.noise import CNR_DB, fig5, fig6
 from sal_height.figures.patterns import fig3, fig4
-from sal_height.figures.psf import PSF_FIGURES
-from sal_height.figures.relief import RELIEF_FIGURES
+from sal_height.figures.psf_point_targets import PSF_FIGURES
 from sal_height.figures.relief_tracking import relief_tracking
+from sal_height.figures.sum_difference_radar import RELIEF_FIGURES
 from sal_height.io import new_folder, write_text, writing
 
 COLUMNS = ("figure", "curve", "x", "value", "standard_error", "closed_form")
 
 LEAST_TRIALS = 100
 """Least number of trials; with fewer, standard errors of quantiles mean nothing."""
-
-MOST_TRIALS = 1_000_000
-"""Greatest number of trials; all estimates of a curve are held in memory at a time."""
 
 _ELEVATION = "elevation (beamwidths)"
 _PAIR_AXES = {
@@ -115,10 +112,10 @@ def make_figures(names: Sequence[str], out: Path, trials: int, seed: int) -> lis
     is a list of the points that have a closed form, see `curve.check_of`: z is null for values from no random numbers.
 
     Args:
-        names: of FIGURES; each once, whatever their order.
-        out: folder; must be new or empty.
-        trials: Monte Carlo trials at each point.
-        seed: of all random numbers.
+        names: names in FIGURES; each once, in any order.
+        out: output folder; must be new or empty.
+        trials: number of Monte Carlo trials at each point.
+        seed: seed of all random numbers.
 
     Returns:
         The entries of checks.json.
@@ -129,8 +126,9 @@ def make_figures(names: Sequence[str], out: Path, trials: int, seed: int) -> lis
     for name in names:
         if name not in FIGURES:
             raise UserError(f"There is no figure {name!r}; allowed are {', '.join(FIGURES)} and all.")
-    if not LEAST_TRIALS <= trials <= MOST_TRIALS:
-        raise UserError(f"Figures take {trials} trials; allowed are {LEAST_TRIALS} to {MOST_TRIALS}.")
+    most = 1_000_000  # all estimates of a curve are kept in memory at a time
+    if not LEAST_TRIALS <= trials <= most:
+        raise UserError(f"Figures take {trials} trials; allowed are {LEAST_TRIALS} to {most}.")
     folder = new_folder(out)
     chosen = {name: figure for name, figure in FIGURES.items() if name in names}
     checks: list[dict[str, Any]] = []

@@ -1,4 +1,4 @@
-"""Settings that all estimators share: which looks make a pixel, and which pixels are valid."""
+"""Settings common to all estimators: the looks of a pixel, and the limits for valid pixels."""
 
 from __future__ import annotations
 
@@ -6,53 +6,38 @@ from sal_height.elevation.looks.look_windows import LOOK_WINDOWS, Window
 from sal_height.sensor import MAX_SHARE
 from sal_height.settings import Settings, setting
 
-MISFIT_FRACTION = 0.03
-"""Share of a pixel's explained power that may be left beyond the noise before it counts as more than one scatterer.
+MISFIT_SHARE = 0.03
+"""Fraction of a pixel's explained power that may be left beyond the noise before it counts as several scatterers.
 
-It is for the extent of the ground in a pixel: looks, and parts of a range cell, that differ in elevation leave a share
-of the power that does not depend on the CNR. Errors of the beams are counted apart (`beam_error`).
+It allows for the extent of the ground in a pixel: looks, and parts of a range cell, that differ in elevation leave a
+fraction of the power that does not depend on the CNR. Errors of the beams are counted separately (`beam_error`).
 """
-
-FALSE_ALARM_RATE = 1e-4
-"""Share of single scatterers that are rejected because of noise, and of noise that passes for a scatterer.
-
-The latter is that of the strongest of M independent directions. The search sees more directions, but most of them are
-outside the array: of pixels of noise alone 0.1 to 1.7 times this share are valid, without any least CNR.
-"""
-
-SIDELOBE_RATE = 0.01
-"""Share of pixels in which the sidelobes of others pass for a scatterer, at most.
-
-Behind bright ground their power is that of one look of speckle however many looks a pixel has, so that each factor of
-10 less costs 2.3 times their mean power: with the rectangular window 10 % of the ground's brightness.
-"""
-
-NO_LIMIT_DB = -60.0
-"""Least CNR that no pixel with a detected scatterer falls below."""
-
-
-MAX_SIGMA_BEAMWIDTHS = 0.25
-"""Standard deviation of elevation, in beamwidths, up to which beams are straight enough for errors to be Gaussian."""
 
 
 class HeightSettings(Settings):
-    """What a height image is made with, whichever estimator makes it."""
+    """Settings of a height image that apply to every estimator."""
 
+    # Noise passes for a scatterer in the strongest of M independent directions. The search has more directions, but
+    # most of them are outside the array: of pixels of noise alone, 0.1 to 1.7 times this rate are valid without a least
+    # CNR.
     false_alarm_rate: float = setting(
-        FALSE_ALARM_RATE,
+        1e-4,
         "fraction of single scatterers that are rejected because of noise, and of pixels of noise that pass for one",
         minimum=1e-12,
         maximum=0.1,
     )
+    # Behind bright ground the power of sidelobes is that of one look of speckle, however many looks a pixel has, so
+    # that each factor of 10 less costs 2.3 times their mean power: with the rectangular window, 10 % of the ground's
+    # brightness.
     sidelobe_rate: float = setting(
-        SIDELOBE_RATE,
-        "fraction of pixels of shadow in which sidelobes of scatterers elsewhere pass for one; 1: sidelobes do "
-        "not count",
+        0.01,
+        "fraction of pixels of shadow in which sidelobes of scatterers elsewhere pass for one; 1: sidelobes do not "
+        "count",
         minimum=1e-12,
         maximum=1.0,
     )
-    misfit_fraction: float = setting(
-        MISFIT_FRACTION,
+    misfit_share: float = setting(
+        MISFIT_SHARE,
         "fraction of a pixel's power that may be left beyond the noise before the pixel is marked NOT_ONE_SCATTERER",
         minimum=0.0,
         maximum=1.0,
@@ -76,21 +61,22 @@ class HeightSettings(Settings):
         "boxcar", "weights of the pixels that are averaged, in range and azimuth", choices=tuple(LOOK_WINDOWS)
     )
     min_cnr_db: float = setting(
-        NO_LIMIT_DB,
-        "lowest CNR of one look of a valid pixel, whatever the number of looks; -60: none but that of detection",
+        -60.0,
+        "lowest CNR of one look of a valid pixel, whatever the number of looks; -60: only that of detection",
         unit="dB",
-        minimum=NO_LIMIT_DB,
+        minimum=-60.0,
         maximum=100.0,
     )
+    # Up to this sigma beams are straight enough for errors to be Gaussian.
     max_sigma_beamwidths: float = setting(
-        MAX_SIGMA_BEAMWIDTHS,
+        0.25,
         "highest standard deviation of elevation of a valid pixel, in beamwidths",
         minimum=1e-6,
         maximum=100.0,
     )
     radial_velocity_mps: float = setting(
         0.0,
-        "radial velocity of the targets of interest, positive if they recede; heights and places are right for "
+        "radial velocity of the targets of interest, positive if they recede; heights and positions are right for "
         "targets of this velocity only",
         unit="m/s",
         minimum=-1000.0,

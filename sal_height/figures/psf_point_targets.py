@@ -1,7 +1,7 @@
 """The PSF paper on synthetic tapes of known responses: range and azimuth response, estimated from point targets.
 
-Four targets, as in the paper, are found in each tape; how far they are above the clutter, and the faults of the
-responses, are ours. Range, azimuth and cut are of the same tapes, as the paper has them from the same targets.
+Four targets, as in the paper, are found in each tape; their power over the clutter, and the faults of the responses,
+are ours. Range, azimuth and cut are from the same tapes, as those of the paper are from the same targets.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from sal_height.figures.curve import Curve, Figure
 from sal_height.figures.psf_estimators import masked_transfer_function
 from sal_height.figures.psf_speckle import SPECKLE_FIGURES
-from sal_height.figures.psf_tapes import COUNT, FREQUENCY, generators, held, in_band, shown
+from sal_height.figures.psf_tapes import COUNT, FREQUENCY, checked, generators, in_band, shown
 from sal_height.figures.psf_theory import (
     azimuth_psf,
     chip_response,
@@ -38,8 +38,8 @@ from sal_height.response import (
 TAPE = (2000, 256)
 """Rows and columns of a tape; with this number of rows neither teeth nor ends of the band fall on a frequency."""
 
-PLACES = tuple((row, 128) for row in (250, 750, 1250, 1750))
-"""Places of the targets, which are displaced from them by up to half a pixel."""
+POSITIONS = tuple((row, 128) for row in (250, 750, 1250, 1750))
+"""Positions of the targets, which are displaced from these by up to half a pixel."""
 
 OVER_CLUTTER_DB = 40.0
 """Power of the targets' peaks over the mean clutter, for an azimuth response without phase."""
@@ -48,7 +48,7 @@ RANGE, AZIMUTH = RangeFault(), AzimuthFault(quartic=1.5)
 """Taylor weights of -35 dB and a sawtooth of 0.1; a cosine beam whose phase is 1.5 rad at the ends of the band."""
 
 TARGET_TAPES, GROUP_TAPES = 40, 41
-"""Numbers that give the tapes of each figure random numbers of their own."""
+"""Numbers that give the tapes of each figure different random numbers."""
 
 PIXELS = np.arange(COUNT, dtype=np.float64) - COUNT / 2
 
@@ -59,17 +59,11 @@ CUT_DEPTH = 0.1
 
 RECOVERY_DB = np.array([20.0, 30.0, 40.0, 50.0, 60.0])
 
-FIRST_ORDER_DB = 40.0
-"""Least ratio at which errors are those of the first order within 1 %."""
-
-GROUPS = 4
-"""Groups of four targets that `psf_recovery` draws for every tape; they need no tape around them."""
-
 
 def psf_range(trials: int, seed: int) -> Iterator[Curve]:
     """|R| and arg R of four targets and of the average, the paper's way; figures 6 to 10.
 
-    The closed form is what a chip of 64 pixels retains of R, scaled to a mean of 1.
+    The closed form is the part of R that a chip of 64 pixels retains, scaled to a mean of 1.
     """
     found = [_targets(RANGE, rng) for rng in generators(trials, seed, TARGET_TAPES)]
     truth, beam = _truth(RANGE)
@@ -96,8 +90,8 @@ def psf_azimuth(trials: int, seed: int) -> Iterator[Curve]:
 def psf_cut(trials: int, seed: int) -> Iterator[Curve]:
     """The point-spread function along range, and its echoes over the depth of the sawtooth; figure 26.
 
-    An echo of the amplitude depth / pi is in quadrature with Taylor's sidelobe at its place. The band of 7 / 16 has a
-    null there, so that only the echo is left. All depths see the same clutter.
+    An echo of the amplitude depth / pi is in quadrature with Taylor's sidelobe there. The band of 7 / 16 has a
+    null there, so that only the echo is left. All depths have the same clutter.
     """
     middle, echo = COUNT * FINENESS // 2, int(RANGE.teeth) * FINENESS
     levels, errors = np.zeros((2, len(DEPTHS))), np.zeros(len(DEPTHS))
@@ -109,11 +103,11 @@ def psf_cut(trials: int, seed: int) -> Iterator[Curve]:
         levels[:, index] = cut[[middle - echo, middle + echo]]
         errors[index] = np.sqrt(0.5 / (_over_clutter(_truth(fault)[1]) * len(found)))
         if depth == CUT_DEPTH:
-            place = (np.arange(len(cut)) - middle) / FINENESS
-            theory = np.abs(range_psf(place, fault))
-            yield shown("point-spread function", "4 targets a tape", place, _db(cut))
-            yield shown("point-spread function", "theory", place, _db(theory), "--", 1)
-            yield shown("point-spread function", "no sawtooth", place, _db(taylor_psf(place, fault)), ":", 2)
+            distance = (np.arange(len(cut)) - middle) / FINENESS
+            theory = np.abs(range_psf(distance, fault))
+            yield shown("point-spread function", "4 targets a tape", distance, _db(cut))
+            yield shown("point-spread function", "theory", distance, _db(theory), "--", 1)
+            yield shown("point-spread function", "no sawtooth", distance, _db(taylor_psf(distance, fault)), ":", 2)
     for colour, (side, values) in enumerate(zip((-1, 1), levels, strict=True)):
         at = np.array(side * RANGE.teeth)
         expected = np.array([np.abs(range_psf(at, RangeFault(sawtooth=depth))) for depth in DEPTHS.tolist()])
@@ -128,18 +122,20 @@ def psf_recovery(trials: int, seed: int) -> Iterator[Curve]:
     Moduli are over their greatest; all are over the band. Theory is of the first order.
     """
     truth = [response / response.mean() for response in (RANGE.response(COUNT), AZIMUTH.response(COUNT))]
-    squares = np.array([_squares(rng, truth) for rng in generators(trials, seed, GROUP_TAPES, GROUPS)])
+    # Four groups of four targets for every tape, as they need no tape around them.
+    squares = np.array([_squares(rng, truth) for rng in generators(trials, seed, GROUP_TAPES, 4)])
     mean, scatter = squares.mean(axis=0), squares.std(axis=0, ddof=1) / np.sqrt(len(squares))
     rms, error = np.sqrt(mean), scatter / (2 * np.sqrt(mean))
     for axis, name in enumerate("RA"):
         response, other = truth[axis], truth[1 - axis]
         peak = np.abs(np.mean(AZIMUTH.response(COUNT))) ** 2 / np.mean(np.abs(AZIMUTH.response(COUNT))) ** 2
-        over_clutter = len(PLACES) * peak * 10 ** (RECOVERY_DB / 10)
+        over_clutter = len(POSITIONS) * peak * 10 ** (RECOVERY_DB / 10)
         variance = np.array([relative_variance(response, other, ratio, FLOOR) for ratio in over_clutter.tolist()])
         band, (of_modulus, of_phase) = in_band(response), tied(response)
         weight = np.abs(response) ** 2 / np.max(np.abs(response)) ** 2
-        for kind, share in enumerate((np.mean((of_modulus * weight)[band]), np.mean(of_phase[band]))):
-            theory = np.where(RECOVERY_DB >= FIRST_ORDER_DB, np.sqrt(variance * share), np.nan)
+        for kind, fraction in enumerate((np.mean((of_modulus * weight)[band]), np.mean(of_phase[band]))):
+            # From 40 dB errors are those of the first order within 1 %.
+            theory = np.where(RECOVERY_DB >= 40.0, np.sqrt(variance * fraction), np.nan)
             case = (f"|{name}|", f"arg {name}")[kind]
             yield Curve(
                 "error", case, RECOVERY_DB, rms[:, axis, kind], error[:, axis, kind], theory, colour=2 * axis + kind
@@ -148,20 +144,20 @@ def psf_recovery(trials: int, seed: int) -> Iterator[Curve]:
 
 def _targets(fault: RangeFault, rng: np.random.Generator) -> tuple[PointTarget, ...]:
     """The targets found in a new tape."""
-    places = np.array(PLACES) + rng.uniform(-0.5, 0.5, (len(PLACES), 2))
-    targets = tuple(TapeTarget(row, col, OVER_CLUTTER_DB) for row, col in places.tolist())
+    positions = np.array(POSITIONS) + rng.uniform(-0.5, 0.5, (len(POSITIONS), 2))
+    targets = tuple(Target(row, col, OVER_CLUTTER_DB) for row, col in positions.tolist())
     return find_targets(make_tape(TAPE, rng, targets, fault, AZIMUTH)).require()
 
 
 def _truth(fault: RangeFault) -> tuple[C128, C128]:
-    """What chips retain of the range and the azimuth response."""
+    """Range and azimuth response as chips retain them."""
     return chip_response(range_psf(PIXELS, fault)), chip_response(azimuth_psf(PIXELS, AZIMUTH))
 
 
 def _over_clutter(beam: C128) -> float:
     """Power of the peaks of a tape's targets over the mean clutter, which the azimuth response's phase lowers."""
     lost = np.abs(np.mean(beam)) / np.mean(np.abs(beam))
-    return float(len(PLACES) * 10 ** (OVER_CLUTTER_DB / 10) * lost**2)
+    return float(len(POSITIONS) * 10 ** (OVER_CLUTTER_DB / 10) * lost**2)
 
 
 def _responses(name: str, singles: list[C128], average: C128, error: F64, truth: C128) -> Iterator[Curve]:
@@ -171,9 +167,9 @@ def _responses(name: str, singles: list[C128], average: C128, error: F64, truth:
     for number, single in enumerate(singles, start=1):
         yield shown(modulus, f"target {number}", FREQUENCY, np.abs(single), ":", number + 1)
         yield shown(phase, f"target {number}", FREQUENCY[band], np.angle(single[band]), ":", number + 1)
-    yield held(modulus, "average", np.abs(average), error, np.where(band, np.abs(truth), np.nan), 0)
+    yield checked(modulus, "average", np.abs(average), error, np.where(band, np.abs(truth), np.nan), 0)
     angles = np.where(band, np.angle(average), 0.0)
-    yield held(phase, "average", angles, error / np.abs(average), np.where(band, np.angle(truth), np.nan), 0)
+    yield checked(phase, "average", angles, error / np.abs(average), np.where(band, np.angle(truth), np.nan), 0)
     yield shown(modulus, "truth", FREQUENCY, np.abs(truth), "--", 1)
     yield shown(phase, "truth", FREQUENCY[band], np.angle(truth[band]), "--", 1)
 
@@ -182,8 +178,8 @@ def _squares(rng: np.random.Generator, truth: list[C128]) -> F64:
     """Mean square errors of a group of targets at each of RECOVERY_DB: shape (.., R and A, modulus and phase)."""
     squares = []
     for level in RECOVERY_DB.tolist():
-        target = TapeTarget(20, 30, level)
-        tapes = (make_tape((COUNT, COUNT), rng, (target,), RANGE, AZIMUTH) for _ in PLACES)
+        target = Target(20, 30, level)
+        tapes = (make_tape((COUNT, COUNT), rng, (target,), RANGE, AZIMUTH) for _ in POSITIONS)
         made = estimate_transfer_function([chip_at(tape, 20, 30, clutter=1.0) for tape in tapes])
         estimates = (made.range.response, made.azimuth.response)
         squares.append([_square_errors(one, true) for one, true in zip(estimates, truth, strict=True)])

@@ -26,14 +26,11 @@ PUPIL_NODES = 64
 DETECTOR_NODES = 14
 """Quadrature nodes of integrals over a detector's width and over an aperture's aspects."""
 
-REACH = 0.95
-"""Distance from the middle of a pair within which its discriminant rises from -0.9 to 0.9 or more, beamwidths."""
-
 
 def nodes_between(low: float, high: float, count: int) -> tuple[F64, F64]:
-    """Places and weights (sum 1) whose weighted sum is the mean between `low` and `high`; shapes (count,)."""
-    places, weights = np.polynomial.legendre.leggauss(count)
-    return (low + high) / 2 + (high - low) / 2 * places, weights / 2
+    """Nodes and weights (sum 1) whose weighted sum is the mean between `low` and `high`; shapes (count,)."""
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return (low + high) / 2 + (high - low) / 2 * nodes, weights / 2
 
 
 def sinc_from_pupil(e: F64) -> F64:
@@ -67,9 +64,9 @@ class ReferencePair:
     """Two detectors around 0; all angles in beamwidths.
 
     Attributes:
-        amplitude: of a detector, as a function of the offsets along its axis and beside it.
-        pitch: of the detectors.
-        rotation: of their axis from elevation towards the direction of flight, rad.
+        amplitude: amplitude of a detector as a function of the offsets along and across its axis.
+        pitch: pitch of the detectors.
+        rotation: angle of their axis from elevation towards the direction of flight, rad.
     """
 
     amplitude: Amplitude
@@ -85,7 +82,7 @@ class ReferencePair:
 
 
 def seen_by(point: Amplitude, size: tuple[float, float]) -> Amplitude:
-    """The amplitude of a detector of `size` (along its axis, beside it): the mean of `point` over its area."""
+    """The amplitude of a detector of `size` (along and across its axis): the mean of `point` over its area."""
     along, along_weights = nodes_between(-size[0] / 2, size[0] / 2, DETECTOR_NODES)
     beside, beside_weights = nodes_between(-size[1] / 2, size[1] / 2, DETECTOR_NODES)
 
@@ -108,12 +105,13 @@ def passed_over(pair: ReferencePair, centre: float) -> Callable[[F64], tuple[F64
 
 
 def elevations_with(amplitudes: Callable[[F64], tuple[F64, F64]], mu: F64) -> F64:
-    """Elevations within REACH whose discriminant (upper - lower) / (upper + lower) is `mu`; inf where there is none."""
+    """Elevations near the middle whose discriminant (upper - lower) / (upper + lower) is `mu`; inf if not found."""
 
     def excess(elevation: F64, mu: F64) -> F64:
         lower, upper = amplitudes(elevation)
         return (upper - lower) / (upper + lower) - mu
 
-    ends = np.full_like(mu, -REACH), np.full_like(mu, REACH)
+    reach = 0.95  # beamwidths from the middle, where the discriminant is 0.9 or more
+    ends = np.full_like(mu, -reach), np.full_like(mu, reach)
     found = find_root(excess, ends, args=(mu,), tolerances={"xatol": 1e-13, "xrtol": 0.0})
     return np.where(found.success, found.x, np.inf)

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sal_height.figures import relief
+from sal_height.figures import sum_difference_radar as relief
 from sal_height.figures.curve import Curve, check_of, holds, rows_of
-from sal_height.figures.relief import RELIEF_FIGURES
+from sal_height.figures.sum_difference_radar import RELIEF_FIGURES
 from sal_height.theory.discriminator_noise import SteadyLaw
 
 TRIALS, SEED = 10_000, 3

@@ -81,11 +81,6 @@ ESTIMATORS: tuple[tuple[str, Estimator, type[SteadyLaw], str], ...] = (
 )
 """The relief paper's eq. 17 and the maximum likelihood for a real angle, with the law of each and its line."""
 
-HYBRID_SNR = 1000.0
-"""SNR of sums formed after the receivers; high enough that the spread of gamma gives the SNR within 0.3 %."""
-
-HYBRID_GAMMA = 0.5
-
 COUPLINGS = np.linspace(0.5, 1.0, 11)
 """Coupling c of the hybrid; a passive one has at most 1 / sqrt(2)."""
 
@@ -145,7 +140,7 @@ def relief_geometry() -> Iterator[Curve]:
 
 
 def _seen(theta: F64, slant_range: F64) -> F64:
-    """Points in the map that a level platform sees at these angles and ranges, to the right and abeam."""
+    """Points in the map at these angles and ranges from a level platform, to the right and abeam."""
     position, velocity = np.array([0.0, 0.0, PLATFORM_HEIGHT]), np.array([1.0, 0.0, 0.0])
     return locate_at_elevation(
         theta, slant_range, 0.0, ApertureState(position, velocity, np.eye(3), 1.0, np.zeros((6, 6))), 1
@@ -175,7 +170,7 @@ def _sphere_law(theta: F64, slant_range: F64) -> F64:
 def relief_snr(trials: int, seed: int) -> Iterator[Curve]:
     """Bias and spread of the paper's ratio and of the exact maximum likelihood over the SNR of one pulse train.
 
-    The maximum likelihood has no mean. All points see the same draws of noise.
+    The maximum likelihood has no mean. All points have the same draws of noise.
     """
     snr = 10 ** (SNR_DB / 10)
     for colour, gamma in enumerate(GAMMAS):
@@ -206,7 +201,7 @@ def _estimate(estimator: Estimator, total: C128, difference: C128) -> F64:
 def relief_hybrid(trials: int, seed: int) -> Iterator[Curve]:
     """Gain in SNR of a hybrid before the receivers, from the spread of gamma, over sums formed after them.
 
-    Lossless and unitary, it gains nothing. All points see the same draws of noise.
+    Lossless and unitary, it gains nothing. All points have the same draws of noise.
     """
     (after,), (after_error,) = measured(std, sampled(_after, (seed, 32), trials))
     unitary, none = np.sqrt(0.5), np.zeros_like(COUPLINGS)
@@ -225,9 +220,13 @@ def relief_hybrid(trials: int, seed: int) -> Iterator[Curve]:
 
 
 def _beams() -> F64:
-    """Amplitudes of lower and upper beam, shape (2, 1, 1), of which (upper + lower)^2 / 2 is HYBRID_SNR."""
-    lower_upper = np.array([1 - HYBRID_GAMMA, 1 + HYBRID_GAMMA])
-    return np.sqrt(HYBRID_SNR / 2) * lower_upper[:, None, None]
+    """Amplitudes of lower and upper beam, shape (2, 1, 1), of which (upper + lower)^2 / 2 is the SNR.
+
+    The SNR is high enough that the spread of gamma gives it within 0.3 %.
+    """
+    snr, gamma = 1000.0, 0.5
+    lower_upper = np.array([1 - gamma, 1 + gamma])
+    return np.sqrt(snr / 2) * lower_upper[:, None, None]
 
 
 def _after(rng: np.random.Generator, trials: int) -> F64:
@@ -279,7 +278,7 @@ def _in_orders(rng: np.random.Generator, trials: int) -> F64:
 
 
 def sampled(draw: Draw, seed: tuple[int, int], trials: int) -> F64:
-    """Estimates of shape (points, trials): blocks that `draw` makes from a generator of its own and a number."""
+    """Estimates of shape (points, trials), from blocks that `draw` makes with a generator each and a number."""
     counts = [min(BLOCK, trials - first) for first in range(0, trials, BLOCK)]
     seeds = np.random.SeedSequence(seed).spawn(len(counts))
     return np.concatenate(in_threads(draw, map(np.random.default_rng, seeds), counts), axis=1)

@@ -226,7 +226,7 @@ class Budget:
         yield BudgetEntry(group, "least_prf_hz", lowest_title, least, "Hz")
         yield BudgetEntry(group, "greatest_prf_hz", highest_title, greatest, "Hz")
         on_the_way = 2 * flight.slant_range_m * rate / speed_of_light
-        yield Entry(group, "pulses_on_the_way", "pulses in flight", on_the_way, "")
+        yield BudgetEntry(group, "pulses_on_the_way", "pulses in flight", on_the_way, "")
         fastest = sensor.wavelength * rate / 4
         yield BudgetEntry(group, "radial_velocity_mps", "radial velocity without ambiguity, up to", fastest, "m/s")
 
@@ -234,10 +234,10 @@ class Budget:
         sensor, preset = self.sensor, self.preset
         while_received = sensor.dwell_bytes * sensor.pulse_repetition_frequency / sensor.pulse_count
         per_second = preset.flight.speed_mps / preset.dwell_spacing_m
-        yield Entry("data", "dwell_mb", "of a dwell", sensor.dwell_bytes / 1e6, "MB")
-        yield Entry("data", "dwells_per_s", "dwells", per_second, "1/s")
-        yield Entry("data", "mean_mb_per_s", "average", sensor.dwell_bytes * per_second / 1e6, "MB/s")
-        yield Entry("data", "burst_mb_per_s", "during a dwell", while_received / 1e6, "MB/s")
+        yield BudgetEntry("data", "dwell_mb", "of a dwell", sensor.dwell_bytes / 1e6, "MB")
+        yield BudgetEntry("data", "dwells_per_s", "dwells", per_second, "1/s")
+        yield BudgetEntry("data", "mean_mb_per_s", "average", sensor.dwell_bytes * per_second / 1e6, "MB/s")
+        yield BudgetEntry("data", "burst_mb_per_s", "during a dwell", while_received / 1e6, "MB/s")
 
     def _accuracy(self) -> Iterator[BudgetEntry]:
         group = "power and accuracy"
@@ -260,16 +260,18 @@ class Budget:
         shift = flight.slant_range_m / flight.speed_mps
         acceleration = DEFOCUSING_RAD * wavelength / (2 * np.pi) / (time / 2) ** 2
         vibration = 2 * 10 ** (PAIRED_ECHO_DB / 20) * wavelength / (4 * np.pi)
-        yield Entry(group, "roll_m_per_urad", "height error per µrad of roll", 1e-6 * arm, "m")
-        yield Entry(
+        yield BudgetEntry(group, "roll_m_per_urad", "height error per µrad of roll", 1e-6 * arm, "m")
+        yield BudgetEntry(
             group, "range_m_per_m", "height error per metre of range", -np.cos(flight.look_angle_rad).item(), "m"
         )
-        yield Entry(
+        yield BudgetEntry(
             group, "velocity_m_per_mm_per_s", "azimuth shift per mm/s of line-of-sight velocity", 1e-3 * shift, "m"
         )
-        yield Entry(group, "clock_m_per_ms", "along-track shift per ms of odometry clock", 1e-3 * flight.speed_mps, "m")
-        yield Entry(
-            group, "acceleration_mps2", "acceleration along the sight that defocuses (pi/4)", acceleration, "m/s²"
+        yield BudgetEntry(
+            group, "clock_m_per_ms", "along-track shift per ms of odometry clock", 1e-3 * flight.speed_mps, "m"
+        )
+        yield BudgetEntry(
+            group, "acceleration_mps2", "line-of-sight acceleration that defocuses (pi/4)", acceleration, "m/s²"
         )
         yield BudgetEntry(group, "vibration_um", "vibration with echoes of -20 dB, amplitude", 1e6 * vibration, "µm")
 

@@ -75,6 +75,6 @@ def record(
         complain([f"{done.left_out} messages are not in the bag; the table says why."])
         return FAILED
     if not done.received:
-        complain(["No message came; check the names of the topics, and the ROS domain (--domain)."])
+        complain(["No message was received; check the names of the topics, and the ROS domain (--domain)."])
         return FAILED
     return DONE

@@ -28,7 +28,7 @@ from sal_height.elevation.array.estimate import (
     without_imprecise,
     without_saturated,
 )
-from sal_height.elevation.array.height_settings import MISFIT_SHARE, HeightSettings
+from sal_height.elevation.array.height_settings import MISFIT_FRACTION, HeightSettings
 from sal_height.elevation.array.likelihood import AMBIGUOUS_RATIO, OBJECTIVES, peak_elevation, search_guard
 from sal_height.elevation.array.response_spread import sidelobe_variance
 from sal_height.elevation.array.search import Objective, PeakSearch, PeakSearches, Pixels

@@ -132,7 +132,7 @@ class MoverDetection(ImageStage):
     def forget_work(self) -> Iterator[Result]:
         """Start again with the next dwell, without what has not been published, which is counted."""
         for _ in range(sum(one.unpublished for one in self._dwells.take_all())):
-            yield Notice("reset", "The node was reset before the movers of a dwell were told.")
+            yield Notice("reset", "The node was reset before the movers of a dwell were published.")
 
     def _follow_settings(self, wanted: Any) -> Iterator[Result]:
         """Start again if settings have changed."""

@@ -145,7 +145,7 @@ def psf_recovery(trials: int, seed: int) -> Iterator[Curve]:
 def _targets(fault: RangeFault, rng: np.random.Generator) -> tuple[PointTarget, ...]:
     """The targets found in a new tape."""
     positions = np.array(POSITIONS) + rng.uniform(-0.5, 0.5, (len(POSITIONS), 2))
-    targets = tuple(Target(row, col, OVER_CLUTTER_DB) for row, col in positions.tolist())
+    targets = tuple(TapeTarget(row, col, OVER_CLUTTER_DB) for row, col in positions.tolist())
     return find_targets(make_tape(TAPE, rng, targets, fault, AZIMUTH)).require()
 
 
@@ -178,7 +178,7 @@ def _squares(rng: np.random.Generator, truth: list[C128]) -> F64:
     """Mean square errors of a group of targets at each of RECOVERY_DB: shape (.., R and A, modulus and phase)."""
     squares = []
     for level in RECOVERY_DB.tolist():
-        target = Target(20, 30, level)
+        target = TapeTarget(20, 30, level)
         tapes = (make_tape((COUNT, COUNT), rng, (target,), RANGE, AZIMUTH) for _ in POSITIONS)
         made = estimate_transfer_function([chip_at(tape, 20, 30, clutter=1.0) for tape in tapes])
         estimates = (made.range.response, made.azimuth.response)

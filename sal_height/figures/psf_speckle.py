@@ -162,7 +162,7 @@ def psf_superposition(trials: int, seed: int) -> Iterator[Curve]:
 
 def _compared(
     rng: np.random.Generator, noise: float, level: float | None = None, noise_window: str | None = None
-) -> Comparison:
+) -> TapeResponses:
     """Targets and speckle of a new tape with targets on one side.
 
     Args:

@@ -47,7 +47,6 @@ def s68(sample: F64) -> Measured:
     The covariance of the quantiles of probabilities p < q is p (1 - q) / (n f_p f_q).
     """
     low, high = NORMAL_SHARES
-    values = np.quantile(sample, NORMAL_SHARES)
     at_low, at_high = (_inverse_density(sample, p) for p in NORMAL_SHARES)
     variance = low * high * (at_low**2 + at_high**2) - 2 * low * (1 - high) * at_low * at_high
     return Measured(half_width(sample, NORMAL_SHARES), float(np.sqrt(variance / sample.size) / 2))

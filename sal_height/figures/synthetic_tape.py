@@ -81,7 +81,7 @@ class Saturation:
 
 
 @dataclass(frozen=True)
-class Target:
+class TapeTarget:
     """A point target: position in pixels, with fractions, and power at its peak over the mean of the speckle."""
 
     row: float

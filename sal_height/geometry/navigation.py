@@ -178,7 +178,7 @@ class Navigation:
             except Awaited as awaited:
                 if self._attitudes.stamps[-1] - attitude.stamp_ns <= self._kept_ns:
                     break
-                message = f"No sample of the {awaited} came within {self._kept_ns * 1e-9:g} s after an attitude."
+                message = f"No sample of the {awaited} arrived within {self._kept_ns * 1e-9:g} s after an attitude."
                 declined.append(Rejected(f"no {awaited}", message))
             self._done += 1
         self._forget()
@@ -260,7 +260,7 @@ class Navigation:
 
     def _add(self, series: Series, sample: Sample) -> None:
         if series.is_before(sample.stamp_ns):
-            message = "Stamps have gone back by more than a second: a clock has started anew, or two sources publish."
+            message = "Stamps have gone back by more than a second: a clock has started again, or two sources publish."
             self._declined.append(Rejected("clock restarted", message))
             self._done = 0
             for each in (self._positions, self._velocities, self._attitudes):

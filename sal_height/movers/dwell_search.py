@@ -318,7 +318,7 @@ class DwellSearch:
         Args:
             steered: course of the target.
             ratio: twice the logarithm of its likelihood ratio.
-            walks: whether it was found by its walk.
+            migrates: whether it was found by its range migration.
         """
         course, unsure = steered.course, steered.sigma
         if self._belongs_elsewhere(course):

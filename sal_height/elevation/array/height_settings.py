@@ -6,7 +6,7 @@ from sal_height.elevation.looks.look_windows import LOOK_WINDOWS, Window
 from sal_height.sensor import MAX_SHARE
 from sal_height.settings import Settings, setting
 
-MISFIT_SHARE = 0.03
+MISFIT_FRACTION = 0.03
 """Fraction of a pixel's explained power that may be left beyond the noise before it counts as several scatterers.
 
 It allows for the extent of the ground in a pixel: looks, and parts of a range cell, that differ in elevation leave a
@@ -36,8 +36,8 @@ class HeightSettings(Settings):
         minimum=1e-12,
         maximum=1.0,
     )
-    misfit_share: float = setting(
-        MISFIT_SHARE,
+    misfit_fraction: float = setting(
+        MISFIT_FRACTION,
         "fraction of a pixel's power that may be left beyond the noise before the pixel is marked NOT_ONE_SCATTERER",
         minimum=0.0,
         maximum=1.0,

@@ -46,8 +46,8 @@ class CaponSettings(ArraySettings):
 def capon_elevation(looks: Looks, beams: Beams, settings: CaponSettings) -> ElevationEstimate:
     """Elevation of the peak of Capon's spectrum.
 
-    Sigma is that of maximum likelihood times `deviation_factor`, and `misfit_factor` where a pixel holds more than one
-    scatterer. Arguments and errors as in `ml_elevation`.
+    Sigma is that of maximum likelihood times `deviation_factor`, and `misfit_factor` where a pixel contains several
+    scatterers. Arguments and errors as in `ml_elevation`.
     """
 
     def spectrum(covariance: Covariance, count: F64) -> Covariance:

@@ -70,7 +70,7 @@ def _chosen(
     # A spread far below a beamwidth is no more than a point's uncertainty.
     is_wide = models.spread[SPREAD, :, 0] > LEAST_SPREAD * beams.beamwidth
     is_spread = (single.peaks.along_slope > single.levels.spread)[here] & is_wide
-    # Scatterers with less than misfit_share of the strongest one's power may be its sidelobes in range and azimuth.
+    # Scatterers with less than misfit_fraction of the strongest one's power may be its sidelobes in range and azimuth.
     equal = [
         models.cnr[n, :, :n].min(axis=1) > settings.misfit_fraction * models.cnr[n, :, :n].max(axis=1) for n in (2, 3)
     ]

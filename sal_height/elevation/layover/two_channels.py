@@ -56,7 +56,7 @@ def layover_variance(sigma: F64, peaks: SinglePeaks, looks: Looks, beams: Beams,
     known, count = looks.finite & np.isfinite(peaks.explained * peaks.turning), np.maximum(looks.count, 1.0)
     peaks = SinglePeaks(**{name: np.where(known, values, 1.0) for name, values in vars(peaks).items()})
     # Sidelobes have a small fraction of the power; main lobes of neighbours, in the floor next to shadow, are layover.
-    highest = 1 + settings.misfit_share * peaks.explained / count
+    highest = 1 + settings.misfit_fraction * peaks.explained / count
     noise = PixelNoise.of(peaks, replace(looks, floor=np.minimum(looks.floor, highest)), beams)
     usual, free = noise.raised * noise.along_slope, free_looks(count)
     along = left_by_one(looks) / usual

@@ -74,7 +74,7 @@ class Parameters(StageSettings):
     clock: str = setting(
         LOCKSTEP,
         "when messages are played: lockstep, the next dwell at each call of ~/step; paced, all at the times of their "
-        "stamps, beside /clock; burst, all as fast as they can be published",
+        "stamps, with /clock; burst, all as fast as they can be published",
         choices=CLOCKS,
         read_only=True,
     )

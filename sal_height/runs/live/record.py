@@ -31,7 +31,7 @@ class RecordingProgress:
     Attributes:
         folder: folder of the bag.
         elapsed_s: time since the start, s.
-        ledgers: accounts of the messages of each topic.
+        topic_counts: accounts of the messages of each topic.
     """
 
     folder: Path

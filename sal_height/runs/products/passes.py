@@ -35,7 +35,7 @@ from sal_height.passes import (
     Pass,
     PassHeights,
     PassSettings,
-    Points,
+    PointHeights,
     ReferencePoint,
     heights_from_passes,
 )
@@ -194,7 +194,7 @@ def _pass_of(source: Source, name: str) -> tuple[Pass, F64]:
     return Pass(name, sensor, history, antenna), aim
 
 
-def field_of(points: Points, result: PassHeights) -> HeightField:
+def field_of(points: PointHeights, result: PassHeights) -> HeightField:
     """Points as a height image of one row, a pixel for each scatterer."""
     listed = {name: getattr(points, name)[None] for name in ("height", "cnr_db", "positions")}
     surface = Surface(

@@ -79,7 +79,7 @@ def _array_images(path: Path, azimuth_axis: int) -> Iterator[Image]:
         )
     if len({array.shape for array in arrays.values()}) != 1:
         raise UserError(
-            f"File {path} has complex arrays of several shapes (it holds: {_named(arrays)}); channels must have one."
+            f"File {path} has complex arrays of several shapes (it contains: {_named(arrays)}); channels must have one."
         )
     first = next(iter(arrays.values()))
     array = first if len(arrays) == 1 else np.stack(list(arrays.values()))

@@ -12,12 +12,13 @@ from pathlib import Path
 
 from benchmarks.row import Row, sized
 from sal_height.bag.reader import BagReader
-from sal_height.bag.sensor_topics import FRAMES, ODOMETRY
+from sal_height.bag.sensor_topics import FRAMES
 from sal_height.bag.stamps import stamp_ns_of
 from sal_height.bag.writer import BagWriter
 from sal_height.nodes.playing.playlist import restamped
 from sal_height.runs.live.sensor_bag import record_sensor
 from sal_height.simulation import load_preset
+from sal_height.topics import ODOMETRY
 
 BYTES = sized(4_000_000_000, 1_200_000)
 

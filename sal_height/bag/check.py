@@ -19,8 +19,9 @@ from sal_height.bag.files import REPEATED_SEQUENCE, bag_files, check_start
 from sal_height.bag.findings import Finding, error, of_refusal, recovery, warning
 from sal_height.bag.index import FileIndex, read_index, read_log_times
 from sal_height.bag.reader import BagMessage, BagReader
-from sal_height.bag.sensor_topics import FRAMES, SENSOR_INFO, sensors_in
+from sal_height.bag.sensor_topics import FRAMES, sensors_in
 from sal_height.errors import UserError
+from sal_height.topics import SENSOR_INFO
 
 LATE_NS = 1_000_000_000
 """How long after it was received a message may say that it was published: clocks of two machines differ."""

@@ -6,12 +6,12 @@ import logging
 
 from sal_height import messages
 from sal_height.bag.reader import BagReader
-from sal_height.bag.sensor_topics import MAP_ORIGIN, SENSOR_INFO
 from sal_height.bag.topics import FIX_TYPE
 from sal_height.engine.dwells import CONTRADICTION
 from sal_height.errors import UserError
 from sal_height.geometry import Origin
 from sal_height.sensor import Sensor
+from sal_height.topics import MAP_ORIGIN, SENSOR_INFO
 
 _LOG = logging.getLogger(__name__)
 

@@ -6,12 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from sal_height.bag.topics import FRAME_TYPE, SENSOR_TYPE, Topic
+from sal_height.topics import ODOMETRY, PHASE_HISTORY, SENSOR_INFO, SLC
 
-FRAMES, SENSOR_INFO, ODOMETRY, IMAGES = "phase_history", "sensor_info", "platform/odometry", "slc"
-"""Topics of a sensor, without its namespace."""
-
-MAP_ORIGIN = "map_origin"
-"""Topic that says where on the earth the origin of the map frame is."""
+FRAMES, IMAGES = PHASE_HISTORY, SLC
+"""Topics with the samples of dwells, and with their images."""
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ from sal_height.adjustment import (
     placement_in_strip,
 )
 from sal_height.elevation import ESTIMATORS
-from sal_height.engine.compression import ODOMETRY, ODOMETRY_PORT
+from sal_height.engine.compression import ODOMETRY_PORT
 from sal_height.engine.dwells import SENSOR_PORT, SENSORS_KEPT, DwellStage, WholeDwell
 from sal_height.engine.frame_items import LONGEST_DWELL
 from sal_height.engine.gathering import Dwell
@@ -55,6 +55,7 @@ from sal_height.rehearsal import once, rehearse_adjustment
 from sal_height.relief import HeightField
 from sal_height.sensor import Sensor
 from sal_height.settings import setting, settings_of
+from sal_height.topics import ODOMETRY
 
 ADJUSTED_ODOMETRY, ADJUSTED_MOUNTING = f"{PREFIX}/odometry", f"{PREFIX}/mounting"
 """Ports of the odometry without the errors that were found, and of the mounting."""

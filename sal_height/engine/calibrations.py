@@ -12,8 +12,7 @@ from sal_height.engine.provenance import Provenance
 from sal_height.engine.stage import Port
 from sal_height.errors import Rejected
 from sal_height.sensor import Sensor
-
-CALIBRATION = "calibration"
+from sal_height.topics import CALIBRATION
 
 CALIBRATIONS_KEPT = 4
 """Calibrations that a stage keeps: images made with one may arrive after the next."""

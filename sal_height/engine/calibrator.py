@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from typing import Any, ClassVar
 
 from sal_height.calibration import CalibrationSettings, Calibrator
-from sal_height.engine.calibrations import CALIBRATION, CALIBRATION_PORT, StatedCalibration
-from sal_height.engine.compression import SLC, SLC_PORT
+from sal_height.engine.calibrations import CALIBRATION_PORT, StatedCalibration
+from sal_height.engine.compression import SLC_PORT
 from sal_height.engine.dwells import SENSOR_PORT, SENSORS_KEPT, DwellStage, WholeDwell
 from sal_height.engine.heights import images_of
 from sal_height.engine.image_items import Image, Images, check_image, check_images
@@ -20,6 +20,7 @@ from sal_height.geometry import sphere_point
 from sal_height.numeric import F64
 from sal_height.sensor import Sensor
 from sal_height.settings import setting
+from sal_height.topics import CALIBRATION, SLC
 
 MOST_DWELLS = 1024
 """Greatest number of dwells for one calibration: 130 MB of pixels from 16 channels."""

@@ -23,14 +23,8 @@ from sal_height.engine.air import (
     may_have_air,
     needed_air,
 )
-from sal_height.engine.calibrations import (
-    CALIBRATION,
-    CALIBRATION_PORT,
-    CALIBRATIONS_ARRIVED,
-    CALIBRATIONS_KEPT,
-    StatedCalibration,
-)
-from sal_height.engine.dwells import SENSOR_INFO, SENSOR_PORT, SENSORS_KEPT, DwellStage, WholeDwell
+from sal_height.engine.calibrations import CALIBRATION_PORT, CALIBRATIONS_ARRIVED, CALIBRATIONS_KEPT, StatedCalibration
+from sal_height.engine.dwells import SENSOR_PORT, SENSORS_KEPT, DwellStage, WholeDwell
 from sal_height.engine.frame_items import Frame, check_frame, history_of
 from sal_height.engine.gathering import Dwell
 from sal_height.engine.image_items import AIR_LEFT, AIR_REMOVED, Images, Source
@@ -47,8 +41,7 @@ from sal_height.pipeline import Compressor
 from sal_height.rehearsal import once, rehearsed_slc
 from sal_height.sensor import Sensor
 from sal_height.settings import setting
-
-PHASE_HISTORY, ODOMETRY, SLC, TF_STATIC = "phase_history", "platform/odometry", "slc", "/tf_static"
+from sal_height.topics import CALIBRATION, ODOMETRY, PHASE_HISTORY, SENSOR_INFO, SLC, TF_STATIC
 
 SENSOR = (SENSOR_INFO, ODOMETRY, PHASE_HISTORY)
 """Topics of a sensor."""

@@ -14,6 +14,7 @@ from sal_height.engine.settings import DwellSettings
 from sal_height.engine.stage import ENDED, FOREVER_NS, RESET, DwellKey, Job, Port, Rehearsal, Reset, Result, Stage
 from sal_height.errors import Rejected, UserError
 from sal_height.sensor import Sensor
+from sal_height.topics import SENSOR_INFO
 
 EARLY_KEPT = 256
 """Messages that wait for their sensor info: a dwell of the greatest number of channels, twice."""
@@ -39,7 +40,6 @@ MAY_BE_LOST = (
 REHEARSED_BYTES = 32_000_000
 """Largest dwell that is rehearsed: the work on a larger one takes longer than tables and loading of code."""
 
-SENSOR_INFO = "sensor_info"
 
 SENSOR_PORT = Port(SENSOR_INFO, Sensor, "description of the sensor, latched", latched=True)
 

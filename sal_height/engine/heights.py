@@ -11,8 +11,8 @@ from pydantic import create_model
 
 from sal_height.calibration import Calibration
 from sal_height.elevation import ESTIMATORS, ElevationEstimator, Validity
-from sal_height.engine.calibrations import CALIBRATION, CALIBRATION_PORT, CALIBRATIONS_ARRIVED, Calibrations
-from sal_height.engine.compression import SLC, SLC_PORT
+from sal_height.engine.calibrations import CALIBRATION_PORT, CALIBRATIONS_ARRIVED, Calibrations
+from sal_height.engine.compression import SLC_PORT
 from sal_height.engine.dwells import SENSOR_PORT, DwellStage, WholeDwell
 from sal_height.engine.gathering import Dwell
 from sal_height.engine.geometry_items import Aperture
@@ -27,6 +27,7 @@ from sal_height.pipeline import heights_of_dwells, live_channels
 from sal_height.rehearsal import once, rehearse_heights
 from sal_height.relief import HeightField
 from sal_height.sensor import Sensor
+from sal_height.topics import CALIBRATION, SLC
 
 _SETTINGS = "_parameters"
 """Ending of the names of the settings of estimators' stages."""

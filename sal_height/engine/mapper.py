@@ -45,6 +45,7 @@ from sal_height.relief import (
     ground_spacings,
 )
 from sal_height.settings import setting
+from sal_height.topics import MAP_ORIGIN
 
 ADJUSTED = "adjusted"
 """Prefix of adjusted heights."""
@@ -52,8 +53,6 @@ ADJUSTED = "adjusted"
 LOCAL = "local"
 """Name for the coordinates of a map that is not placed on the earth."""
 
-MAP_ORIGIN = "map_origin"
-"""Port that states where on the earth the origin of the map frame is."""
 
 ORIGIN_PORT = Port(
     MAP_ORIGIN,

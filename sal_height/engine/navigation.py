@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from sal_height.engine.compression import ODOMETRY
 from sal_height.engine.frames import PlacedOrigin
-from sal_height.engine.mapper import MAP_ORIGIN, ORIGIN_PORT
+from sal_height.engine.mapper import ORIGIN_PORT
 from sal_height.engine.settings import FrameSettings, OriginSettings
 from sal_height.engine.stage import Port, Product, Stage, StageSettings
 from sal_height.errors import UserError
 from sal_height.geometry import Navigation, PlatformState, Sample
 from sal_height.settings import setting
+from sal_height.topics import MAP_ORIGIN, ODOMETRY
 
 
 class Pose(NamedTuple):

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from sal_height.elevation import ESTIMATORS
 from sal_height.engine.adjuster import HeightAdjuster
 from sal_height.engine.calibrator import PsfCalibration
-from sal_height.engine.compression import SLC, Compression
+from sal_height.engine.compression import Compression
 from sal_height.engine.height_items import Heights
 from sal_height.engine.heights import height_stage
 from sal_height.engine.mapper import GroundMapper, ReliefMapper
@@ -15,6 +15,7 @@ from sal_height.engine.movers import MoverDetection
 from sal_height.engine.navigation import NavigationStage
 from sal_height.engine.stage import Stage
 from sal_height.engine.tracker import Tracker
+from sal_height.topics import SLC
 
 _ALL: tuple[type[Stage], ...] = (
     NavigationStage,

@@ -13,10 +13,10 @@ from sal_height.engine.movers import MOVERS
 from sal_height.engine.registry import STAGES, product_of, takes_heights, takes_images
 from sal_height.errors import UserError
 from sal_height.geometry import Origin
-from sal_height.messages.losses import LOSSES
 from sal_height.renamed import with_new_names
 from sal_height.sensor import Sensor
 from sal_height.settings import Settings, settings_of, unknown_name
+from sal_height.topics import CALIBRATION, LOSSES, PHASE_HISTORY, SLC
 
 HEIGHTS = {name: product for name, stage in STAGES.items() if (product := product_of(stage))}
 """Stages whose products are height images, and the prefix of their topics."""
@@ -165,10 +165,10 @@ def recorded_topics(stages: list[str], parameters: NodeParameters, played: Seque
     """
     heights = [f"{HEIGHTS[name]}/height" for name in stages if name in HEIGHTS]
     applied = parameters.get("sar_compression", {}).get("calibration", "") not in {"", HEARD}
-    calibration = ["calibration"] if applied else []
+    calibration = [CALIBRATION] if applied else []
     odometry = [ADJUSTED_ODOMETRY] if ADJUSTER in stages else []
     found = [MOVERS] if DETECTOR in stages else []
-    return [*played, "diagnostics", LOSSES, *calibration, *(heights or ["slc"]), *odometry, *found]
+    return [*played, "diagnostics", LOSSES, *calibration, *(heights or [SLC]), *odometry, *found]
 
 
 def height_sources(stages: list[str], parameters: NodeParameters, played: Sequence[str] = SENSOR) -> dict[str, str]:
@@ -207,5 +207,5 @@ def stage_inputs(stages: list[str], parameters: NodeParameters, played: Sequence
     Raises:
         UserError: a stage reads heights that no other stage makes.
     """
-    inputs = {name: "slc" if takes_images(STAGES[name]) else "phase_history" for name in stages}
+    inputs = {name: SLC if takes_images(STAGES[name]) else PHASE_HISTORY for name in stages}
     return inputs | height_sources(stages, parameters, played)

@@ -12,7 +12,6 @@ from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from sal_height.engine.air import AIR_PARAMETERS
-from sal_height.engine.compression import ODOMETRY
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import stage_inputs
 from sal_height.graph.node_classes import NODES
@@ -20,6 +19,7 @@ from sal_height.graph.plan import RECORDER, UNCOUNTED, Plan
 from sal_height.nodes.accounts.account import DIAGNOSTICS, OTHER, Account
 from sal_height.nodes.transport.message_types import class_of
 from sal_height.nodes.transport.quality import FRAMES_QOS
+from sal_height.topics import ODOMETRY
 
 
 class Conductor(Node):

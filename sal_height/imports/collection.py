@@ -12,22 +12,20 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sal_height import messages
-from sal_height.bag import qos, sensor_topics
+from sal_height import messages, topics
+from sal_height.bag import qos
 from sal_height.bag.bulk import frames_of, odometry_of
 from sal_height.bag.files import PARAMETERS
 from sal_height.bag.qos import Qos
-from sal_height.bag.sensor_topics import MAP_ORIGIN
 from sal_height.bag.topics import FIX_TYPE, FRAME_TYPE, ODOMETRY_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.geometry import Origin, PlatformState
 from sal_height.numeric import F64, I64
 from sal_height.sensor import PhaseHistory, Sensor
+from sal_height.topics import MAP_ORIGIN
 
-SENSOR_INFO, ODOMETRY, FRAMES = (
-    f"/{name}" for name in (sensor_topics.SENSOR_INFO, sensor_topics.ODOMETRY, sensor_topics.FRAMES)
-)
+SENSOR_INFO, ODOMETRY, FRAMES = (f"/{name}" for name in (topics.SENSOR_INFO, topics.ODOMETRY, topics.PHASE_HISTORY))
 
 
 @dataclass(frozen=True, eq=False)

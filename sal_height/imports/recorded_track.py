@@ -12,12 +12,12 @@ import numpy as np
 
 from sal_height import messages
 from sal_height.bag.reader import BagReader
-from sal_height.bag.sensor_topics import MAP_ORIGIN
 from sal_height.bag.topics import FIX_TYPE, ODOMETRY_TYPE
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Navigation, Origin, PlatformState, Sample
 from sal_height.imports.track import Track, on_earth
 from sal_height.numeric import F64
+from sal_height.topics import MAP_ORIGIN
 
 _LOG = logging.getLogger(__name__)
 

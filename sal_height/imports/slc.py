@@ -27,8 +27,7 @@ from sal_height.array_files import IMAGES as IMAGE_FILES
 from sal_height.array_files import NITF
 from sal_height.bag import qos
 from sal_height.bag.files import PARAMETERS
-from sal_height.bag.sensor_topics import IMAGES, MAP_ORIGIN
-from sal_height.bag.sensor_topics import SENSOR_INFO as INFO
+from sal_height.bag.sensor_topics import IMAGES
 from sal_height.bag.topics import FIX_TYPE, IMAGE_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.configuration import Float, Int, StrictKeys, read_yaml, validated
@@ -44,6 +43,8 @@ from sal_height.numeric import C64, F64
 from sal_height.response.image import AXES
 from sal_height.runs.responses.images import images_of
 from sal_height.sensor import Sensor
+from sal_height.topics import MAP_ORIGIN
+from sal_height.topics import SENSOR_INFO as INFO
 
 Vector = tuple[Float, Float, Float]
 WindowName = Literal["rectangular", "taylor", "hamming"]

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from sal_height import topics
 from sal_height.engine.adjuster import PlacedMounting
 from sal_height.engine.air import AirSample
 from sal_height.engine.calibrations import StatedCalibration
@@ -249,7 +250,7 @@ KINDS: Mapping[type, Kind] = {
     Frame: Kind("sal_height_msgs/msg/ChannelFrame", read_frame, write_frame),
     Images: Kind("sal_height_msgs/msg/ComplexImage", read_image, write_images),
     Heights: Kind("sal_height_msgs/msg/HeightImage", read_heights, write_heights),
-    StatedCalibration: Kind("sal_height_msgs/msg/Calibration", read_calibration, write_calibration, "calibration"),
+    StatedCalibration: Kind("sal_height_msgs/msg/Calibration", read_calibration, write_calibration, topics.CALIBRATION),
     PlatformState: Kind("nav_msgs/msg/Odometry", read_state, write_state, "odometry"),
     StaticTransform: Kind("tf2_msgs/msg/TFMessage", read_transforms, _nothing_writes, "transform"),
     PlacedOrigin: Kind("sensor_msgs/msg/NavSatFix", read_placed_origin, write_placed_origin),
@@ -269,11 +270,11 @@ AIR_KINDS: Mapping[str, Kind] = {
 """The same of measurements of the air, by their port."""
 
 OF_TOPICS: Mapping[str, Kind] = {
-    "sensor_info": KINDS[Sensor],
-    "phase_history": KINDS[Frame],
-    "slc": KINDS[Images],
-    "platform/odometry": KINDS[PlatformState],
-    "calibration": KINDS[StatedCalibration],
+    topics.SENSOR_INFO: KINDS[Sensor],
+    topics.PHASE_HISTORY: KINDS[Frame],
+    topics.SLC: KINDS[Images],
+    topics.ODOMETRY: KINDS[PlatformState],
+    topics.CALIBRATION: KINDS[StatedCalibration],
     "/tf_static": KINDS[StaticTransform],
     **AIR_KINDS,
 }

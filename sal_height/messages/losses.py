@@ -6,9 +6,6 @@ from sal_height.engine.stage import DwellKey, Loss
 from sal_height.messages.basics import to_stamp
 from sal_height.messages.types import DwellLoss, Header
 
-LOSSES = "losses"
-"""Topic of what nodes leave out."""
-
 
 def loss_to_message(node: str, loss: Loss, stamp_ns: int) -> DwellLoss:
     """The message of a loss.

@@ -91,8 +91,8 @@ def glinting(paths: DwellPaths, sight: Sight, path: tuple[F64, F64], still: Inde
     seen = np.abs(np.sum(amplitudes.conj() * along[:, None], axis=-1)) ** 2 / (squares + floor)
     best = seen.argmax(axis=-1)[..., None]
     matched, gains = (np.take_along_axis(one, best, -1)[..., 0] for one in (seen, squares + floor))
-    amplitudes, gains = np.sqrt(matched / sight.backgrounds), np.sqrt(gains / sight.backgrounds)
-    return float(ratio_in_dwells(amplitudes, shares * path[1][0] * gains).max())
+    strengths, gains = np.sqrt(matched / sight.backgrounds), np.sqrt(gains / sight.backgrounds)
+    return float(ratio_in_dwells(strengths, shares * path[1][0] * gains).max())
 
 
 def several(

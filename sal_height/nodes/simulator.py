@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from sal_height import messages
-from sal_height.bag.sensor_topics import MAP_ORIGIN
 from sal_height.engine.stage import FOREVER_NS, StageSettings
 from sal_height.messages.types import ChannelFrame, NavSatFix, Odometry, SensorInfo
 from sal_height.nodes.accounts.account import DWELLS
@@ -16,6 +15,7 @@ from sal_height.nodes.transport.quality import LATCHED_QOS, ODOMETRY_QOS
 from sal_height.nodes.worker import ORIGIN, RESET, SENSOR_TOPICS, WorkerNode
 from sal_height.settings import setting
 from sal_height.simulation import flight_of, load_preset
+from sal_height.topics import MAP_ORIGIN, ODOMETRY, PHASE_HISTORY, SENSOR_INFO
 
 
 class Parameters(StageSettings):
@@ -59,9 +59,9 @@ class Simulator(WorkerNode):
         self._next_dwell = 0
         self._published_ns = 0
         self._start_ns = self.get_clock().now().nanoseconds
-        self._info = self.offer(SensorInfo, "sensor_info", LATCHED_QOS)
-        self._odometry = self.offer(Odometry, "platform/odometry", ODOMETRY_QOS)
-        self._frames = self.offer(ChannelFrame, "phase_history")
+        self._info = self.offer(SensorInfo, SENSOR_INFO, LATCHED_QOS)
+        self._odometry = self.offer(Odometry, ODOMETRY, ODOMETRY_QOS)
+        self._frames = self.offer(ChannelFrame, PHASE_HISTORY)
         self._info.publish(messages.sensor_to_message(self.flight.sensor, self._stamp(0)))
         map_origin = self.offer(NavSatFix, MAP_ORIGIN, LATCHED_QOS)
         if origin := self.flight.scene.origin:

@@ -21,11 +21,11 @@ from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.qos import QoSProfile
 from std_srvs.srv import Trigger
 
-from sal_height.bag.sensor_topics import MAP_ORIGIN
+from sal_height import topics
 from sal_height.engine.stage import DwellKey, Loss, StageSettings
 from sal_height.errors import Rejected, UserError
 from sal_height.messages.codec import SHIPPED, BrokenMessage
-from sal_height.messages.losses import LOSSES, loss_to_message
+from sal_height.messages.losses import loss_to_message
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, DwellLoss
 from sal_height.nodes.accounts.account import Account
 from sal_height.nodes.accounts.process_numbers import process_numbers
@@ -39,18 +39,19 @@ from sal_height.nodes.role import Role, Topics
 from sal_height.nodes.transport.endpoints import QOS_OVERRIDES, RECENT_S, Inlet, Outlet
 from sal_height.nodes.transport.message_types import class_of
 from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_KEPT, LATCHED_QOS, ODOMETRY_QOS
+from sal_height.topics import LOSSES, MAP_ORIGIN
 
 SENSOR_TOPICS = {
-    "sensor_info": "description of the sensor, latched",
-    "platform/odometry": "state of the platform, nav_msgs/Odometry",
-    "phase_history": "samples of one channel and dwell in each message",
+    topics.SENSOR_INFO: "description of the sensor, latched",
+    topics.ODOMETRY: "state of the platform, nav_msgs/Odometry",
+    topics.PHASE_HISTORY: "samples of one channel and dwell in each message",
 }
 """What a sensor publishes."""
 
-IMAGES = {"slc": "complex image of one channel and dwell in each message"}
+IMAGES = {topics.SLC: "complex image of one channel and dwell in each message"}
 """What the compression publishes."""
 
-CALIBRATION = {"calibration": "calibration of receivers and beams, latched"}
+CALIBRATION = {topics.CALIBRATION: "calibration of receivers and beams, latched"}
 """What a calibration is published on."""
 
 ORIGIN = {MAP_ORIGIN: "position of the origin of the map frame on the earth, sensor_msgs/NavSatFix, latched"}

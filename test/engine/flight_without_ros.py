@@ -15,7 +15,7 @@ from sal_height.elevation import ESTIMATORS
 from sal_height.engine.adjuster import HeightAdjuster
 from sal_height.engine.calibrator import PsfCalibration
 from sal_height.engine.chain import Chain
-from sal_height.engine.compression import ODOMETRY, Compression
+from sal_height.engine.compression import Compression
 from sal_height.engine.heights import height_stage
 from sal_height.engine.mapper import GroundMapper, ReliefMapper
 from sal_height.engine.movers import MoverDetection
@@ -24,6 +24,7 @@ from sal_height.engine.stage import FileProduct, Loss, Product, Rehearsal, Stage
 from sal_height.engine.tracker import Tracker
 from sal_height.geometry import PlatformState, Sample
 from sal_height.simulation import flight_of, load_preset
+from sal_height.topics import ODOMETRY
 
 DWELLS = 3
 UNKNOWN = np.zeros((3, 3))

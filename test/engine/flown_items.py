@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from sal_height.engine.chain import Chain
-from sal_height.engine.compression import ODOMETRY, PHASE_HISTORY, SLC, Compression, CompressionSettings
-from sal_height.engine.dwells import SENSOR_INFO
+from sal_height.engine.compression import Compression, CompressionSettings
 from sal_height.engine.frame_items import Frame, frames_of
 from sal_height.engine.height_items import Heights
 from sal_height.engine.heights import height_stage
@@ -22,6 +21,7 @@ from sal_height.geometry import PlatformState
 from sal_height.sensor import PhaseHistory, Sensor
 from sal_height.simulation import SimulatedFlight, flight_of, load_preset
 from sal_height.simulation.receivers import receiver_noise
+from sal_height.topics import ODOMETRY, PHASE_HISTORY, SENSOR_INFO, SLC
 
 START_NS = 1_700_000_000_123_456_789
 

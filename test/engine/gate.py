@@ -9,11 +9,12 @@ from typing import Any
 from driven import Driven, accept, advance, nothing_before
 from helpers import make_sensor
 
-from sal_height.engine.dwells import SENSOR_INFO, SENSOR_PORT, DwellStage, WholeDwell
+from sal_height.engine.dwells import SENSOR_PORT, DwellStage, WholeDwell
 from sal_height.engine.settings import ChannelSettings
 from sal_height.engine.stage import DwellKey, Job, Port, Product, Result
 from sal_height.errors import Rejected
 from sal_height.sensor import Sensor
+from sal_height.topics import SENSOR_INFO
 
 SENSOR = make_sensor()
 FRAMES = "frames"

@@ -27,14 +27,13 @@ from sal_height.calibration import Calibration
 from sal_height.elevation import ESTIMATORS
 from sal_height.engine.adjuster import HeightAdjuster
 from sal_height.engine.air import AirSample
-from sal_height.engine.calibrations import CALIBRATION, StatedCalibration
+from sal_height.engine.calibrations import StatedCalibration
 from sal_height.engine.calibrator import PsfCalibration
-from sal_height.engine.compression import ODOMETRY, TF_STATIC, Compression
-from sal_height.engine.dwells import SENSOR_INFO
+from sal_height.engine.compression import Compression
 from sal_height.engine.frames import PlacedOrigin
 from sal_height.engine.heights import height_stage
 from sal_height.engine.image_items import Images
-from sal_height.engine.mapper import MAP_ORIGIN, GroundMapper, ReliefMapper
+from sal_height.engine.mapper import GroundMapper, ReliefMapper
 from sal_height.engine.movers import MoverDetection
 from sal_height.engine.navigation import NavigationStage, Pose, Twist
 from sal_height.engine.stage import Stage
@@ -43,6 +42,7 @@ from sal_height.engine.tracker import Tracker
 from sal_height.geometry import Origin, Sample
 from sal_height.sensor import Sensor
 from sal_height.simulation import flight_of, load_preset
+from sal_height.topics import CALIBRATION, MAP_ORIGIN, ODOMETRY, SENSOR_INFO, TF_STATIC
 
 DWELLS = 4
 

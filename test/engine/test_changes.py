@@ -25,15 +25,15 @@ from same_items import are_same
 from scipy.spatial.transform import Rotation
 from stage_cases import calibration_of, stated, transform
 
-from sal_height.engine.calibrations import CALIBRATION, CALIBRATIONS_ARRIVED, StatedCalibration
+from sal_height.engine.calibrations import CALIBRATIONS_ARRIVED, StatedCalibration
 from sal_height.engine.calibrator import PsfCalibration
 from sal_height.engine.chain import Chain
-from sal_height.engine.compression import ODOMETRY, SLC, TF_STATIC, USED_MOUNTING, Compression, UsedMounting
-from sal_height.engine.dwells import SENSOR_INFO
+from sal_height.engine.compression import USED_MOUNTING, Compression, UsedMounting
 from sal_height.engine.heights import height_stage
 from sal_height.engine.stage import Event, Product
 from sal_height.engine.tracker import Tracker
 from sal_height.geometry import Mounting
+from sal_height.topics import CALIBRATION, ODOMETRY, SENSOR_INFO, SLC, TF_STATIC
 
 
 @pytest.fixture

@@ -25,12 +25,12 @@ from helpers import assert_one_sentence
 from same_items import are_same, difference
 from stage_cases import air_items
 
-from sal_height.engine.compression import ODOMETRY, PHASE_HISTORY, Compression
-from sal_height.engine.dwells import SENSOR_INFO
+from sal_height.engine.compression import Compression
 from sal_height.engine.image_items import Images
 from sal_height.engine.stage import FOREVER_NS, Event, Stage
 from sal_height.engine.track import Arrival
 from sal_height.geometry import height_of
+from sal_height.topics import ODOMETRY, PHASE_HISTORY, SENSOR_INFO
 
 SECOND = 1_000_000_000
 DWELLS = 3

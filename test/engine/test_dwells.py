@@ -11,8 +11,9 @@ from driven import Step, accept
 from gate import FRAMES, SENSOR, Gated, Message, another
 from helpers import assert_one_sentence
 
-from sal_height.engine.dwells import EARLY_KEPT, GONE_AFTER, REHEARSED_BYTES, SENSOR_INFO, SENSORS_KEPT, DwellStage
+from sal_height.engine.dwells import EARLY_KEPT, GONE_AFTER, REHEARSED_BYTES, SENSORS_KEPT, DwellStage
 from sal_height.engine.stage import Rehearsal
+from sal_height.topics import SENSOR_INFO
 
 
 @pytest.fixture

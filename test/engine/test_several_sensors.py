@@ -26,13 +26,14 @@ from stage_cases import calibration_of, stated
 
 from sal_height.engine.adjuster import HeightAdjuster
 from sal_height.engine.calibrator import PsfCalibration
-from sal_height.engine.compression import ODOMETRY, Compression
-from sal_height.engine.dwells import SENSOR_INFO, SENSORS_KEPT
+from sal_height.engine.compression import Compression
+from sal_height.engine.dwells import SENSORS_KEPT
 from sal_height.engine.heights import height_stage
 from sal_height.engine.movers import MoverDetection
 from sal_height.engine.stage import Product, Stage
 from sal_height.engine.tracker import Tracker
 from sal_height.simulation import SimulatedFlight
+from sal_height.topics import ODOMETRY, SENSOR_INFO
 
 DWELLS = 4
 

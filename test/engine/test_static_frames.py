@@ -12,9 +12,10 @@ from scipy.spatial.transform import Rotation
 from stage_cases import transform
 
 from sal_height.engine import static_frames
-from sal_height.engine.compression import SLC, TF_STATIC, Compression
+from sal_height.engine.compression import Compression
 from sal_height.engine.static_frames import StaticFrames, StaticTransform
 from sal_height.errors import UserError
+from sal_height.topics import SLC, TF_STATIC
 
 
 def frames_of(*transforms: StaticTransform) -> StaticFrames:

@@ -17,7 +17,6 @@ from sal_height.engine.dwells import (
     EARLY_KEPT,
     GONE_AFTER,
     REHEARSED_BYTES,
-    SENSOR_INFO,
     SENSOR_PORT,
     SENSORS_KEPT,
     DwellStage,
@@ -30,6 +29,7 @@ from sal_height.errors import Rejected
 from sal_height.nodes.host import node_of
 from sal_height.nodes.transport.graph import Graph
 from sal_height.sensor import Sensor
+from sal_height.topics import SENSOR_INFO
 
 SAMPLES = np.ones(1_000_000, np.uint8)
 """Of a frame: 1 MB."""

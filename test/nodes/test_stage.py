@@ -14,7 +14,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_srvs.srv import Trigger
 
 from sal_height import messages
-from sal_height.engine.calibrations import CALIBRATION, CALIBRATIONS_KEPT, StatedCalibration
+from sal_height.engine.calibrations import CALIBRATIONS_KEPT, StatedCalibration
 from sal_height.errors import UserError
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, KeyValue, NodeAccount, Odometry, SensorInfo
 from sal_height.nodes import worker
@@ -24,6 +24,7 @@ from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
 from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.nodes.worker import WorkerNode
+from sal_height.topics import CALIBRATION
 
 TIMEOUT_S = 20.0
 

@@ -14,12 +14,12 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
-from sal_height.engine.compression import TF_STATIC
 from sal_height.graph.node_classes import NODES
 from sal_height.nodes.accounts.usage import ACCOUNTS, LEFT_OUT, LIFE_CYCLE
 from sal_height.nodes.transforms import TF_STATIC_QOS
 from sal_height.nodes.transport.domain import free_domain
 from sal_height.nodes.transport.graph import Graph
+from sal_height.topics import TF_STATIC
 from tools.reference.markdown import page, plain, table
 
 BAG = str(Path(__file__).parents[2] / "bags" / "version_3")

@@ -13,11 +13,11 @@ from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
 from sal_height.errors import UserError
-from sal_height.messages.losses import LOSSES
 from sal_height.nodes.accounts.account import DIAGNOSTICS, PROGRESS
 from sal_height.nodes.managed import Managed
 from sal_height.nodes.worker import WorkerNode
 from sal_height.settings import settings_of, unknown_name
+from sal_height.topics import LOSSES
 
 WIDTH = 100
 

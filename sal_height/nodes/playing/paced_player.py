@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 from sal_height import messages
 from sal_height.bag.reader import BagReader
-from sal_height.bag.sensor_topics import FRAMES, ODOMETRY, SENSOR_INFO
+from sal_height.bag.sensor_topics import FRAMES
 from sal_height.engine.air import AIR_PORTS
 from sal_height.engine.stage import StageSettings
 from sal_height.errors import UserError
@@ -22,6 +22,7 @@ from sal_height.nodes.role import Topics
 from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.nodes.worker import RESET, SENSOR_TOPICS, WorkerNode
 from sal_height.settings import setting
+from sal_height.topics import ODOMETRY, SENSOR_INFO
 
 LEAD_S = 0.05
 """From the call that starts the sensor to its first message."""

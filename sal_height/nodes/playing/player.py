@@ -29,9 +29,8 @@ from sal_height.bag.played import (
     read_contents,
 )
 from sal_height.bag.reader import BagMessage, BagReader, LogTimes
-from sal_height.bag.sensor_topics import FRAMES, ODOMETRY, SENSOR_INFO
+from sal_height.bag.sensor_topics import FRAMES
 from sal_height.bag.topics import HEIGHT_TYPE, SENSOR_TYPE, Topic
-from sal_height.engine.calibrations import CALIBRATION
 from sal_height.engine.compression import SENSOR
 from sal_height.engine.stage import FOREVER_NS, DwellKey, StageSettings
 from sal_height.errors import UserError
@@ -47,6 +46,7 @@ from sal_height.nodes.role import Topics
 from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.nodes.worker import RESET, SENSOR_TOPICS, WorkerNode
 from sal_height.settings import setting
+from sal_height.topics import CALIBRATION, ODOMETRY, SENSOR_INFO
 
 
 class Parameters(StageSettings):

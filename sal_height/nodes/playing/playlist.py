@@ -9,10 +9,11 @@ import numpy as np
 
 from sal_height import messages
 from sal_height.bag.reader import BagReader
-from sal_height.bag.sensor_topics import FRAMES, ODOMETRY, SENSOR_INFO
+from sal_height.bag.sensor_topics import FRAMES
 from sal_height.bag.stamps import STAMP, STAMP_AT, stamp_ns_of
 from sal_height.errors import UserError
 from sal_height.messages.types import ChannelFrame, Odometry, SensorInfo
+from sal_height.topics import ODOMETRY, SENSOR_INFO
 
 
 class Item(NamedTuple):

@@ -21,10 +21,9 @@ from sal_height.bag.played import ALL, DwellRange, chosen, read_contents
 from sal_height.bag.reader import BagMessage, LogTimes
 from sal_height.calibration import Calibration
 from sal_height.engine.air import AIR_PARAMETERS
-from sal_height.engine.calibrations import CALIBRATION, StatedCalibration
+from sal_height.engine.calibrations import StatedCalibration
 from sal_height.engine.chain import Chain, Made
-from sal_height.engine.compression import ODOMETRY, PHASE_HISTORY, TF_STATIC, Compression
-from sal_height.engine.dwells import SENSOR_INFO
+from sal_height.engine.compression import Compression
 from sal_height.engine.losses import Losses
 from sal_height.engine.registry import STAGES
 from sal_height.engine.stage import FOREVER_NS, DwellKey, FileProduct, Loss, Notice, Stage, reason_of
@@ -38,6 +37,7 @@ from sal_height.runs.chain.replay_parameters import processing_of
 from sal_height.runs.chain.side_by_side import SideBySide
 from sal_height.sensor import Sensor
 from sal_height.stage_files import read_inputs, write_product
+from sal_height.topics import CALIBRATION, ODOMETRY, PHASE_HISTORY, SENSOR_INFO, TF_STATIC
 
 COMPRESSION = "sar_compression"
 

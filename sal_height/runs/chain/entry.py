@@ -13,7 +13,7 @@ from sal_height import messages
 from sal_height.bag.namespace import NamespacedReader, open_bag
 from sal_height.bag.played import ALL, LATEST_NS, MOST, DwellRange
 from sal_height.bag.reader import BagReader
-from sal_height.bag.sensor_topics import FRAMES, IMAGES, SENSOR_INFO
+from sal_height.bag.sensor_topics import FRAMES, IMAGES
 from sal_height.elevation import ESTIMATORS
 from sal_height.engine.compression import SENSOR
 from sal_height.engine.movers import MOVERS
@@ -23,6 +23,7 @@ from sal_height.errors import UserError
 from sal_height.graph.air import air_in
 from sal_height.graph.catalogue import ADJUSTER, HEIGHTS, TRACKER, NodeParameters, suited
 from sal_height.sensor import Sensor
+from sal_height.topics import SENSOR_INFO
 
 _LOG = logging.getLogger(__name__)
 

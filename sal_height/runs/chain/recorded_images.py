@@ -12,7 +12,7 @@ import numpy as np
 from sal_height import messages
 from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import FRAME_TYPE, IMAGE_TYPE, SENSOR_TYPE
-from sal_height.engine.compression import SLC, SLC_PORT
+from sal_height.engine.compression import SLC_PORT
 from sal_height.engine.stage import Product
 from sal_height.errors import UserError
 from sal_height.geometry import Grid, without_range_phase
@@ -23,6 +23,7 @@ from sal_height.response import ShapedNoise
 from sal_height.response.image import AXES, Image
 from sal_height.runs.chain.chain_runs import COMPRESSION, BagRun, plan
 from sal_height.sensor import Sensor, processed_angle
+from sal_height.topics import SLC
 
 _LOG = logging.getLogger(__name__)
 

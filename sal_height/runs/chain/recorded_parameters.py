@@ -36,7 +36,6 @@ from sal_height.bag.described import origin_of
 from sal_height.bag.files import parameters_file
 from sal_height.bag.reader import BagReader
 from sal_height.bag.sensor_topics import FRAMES
-from sal_height.engine.mapper import MAP_ORIGIN
 from sal_height.engine.registry import STAGES, takes_heights
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import HEIGHTS, SETTABLE, TRACKER, NodeParameters, check_parameters, placed
@@ -45,6 +44,7 @@ from sal_height.renamed import with_new_names
 from sal_height.runs.chain.flight_record import products_of
 from sal_height.runs.chain.timeline import EVENT, PROVENANCE, Change, Parameter, Timeline, Value, timeline_of
 from sal_height.settings import settings_of
+from sal_height.topics import MAP_ORIGIN
 
 _LOG = logging.getLogger(__name__)
 

@@ -29,14 +29,13 @@ from typing import Any, NamedTuple, Self, TypeAlias
 import numpy as np
 
 from sal_height.calibration import Calibration
-from sal_height.engine.calibrations import CALIBRATION
 from sal_height.engine.chain import Chain, Made
-from sal_height.engine.dwells import SENSOR_INFO
 from sal_height.engine.image_items import Images
 from sal_height.engine.stage import DwellKey, Job, Product, Rehearsal, Result, Stage
 from sal_height.errors import UserError
 from sal_height.sensor import Sensor
 from sal_height.settings import Settings
+from sal_height.topics import CALIBRATION, SENSOR_INFO
 
 SHARED = (Sensor, Settings, Calibration)
 """Classes of objects that are never changed, and of which workers keep the ones that they were sent."""

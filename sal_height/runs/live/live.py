@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from rclpy.task import Future
 
-from sal_height.bag.sensor_topics import ODOMETRY, SENSOR_INFO
 from sal_height.bag.stamps import stamp_ns_of
 from sal_height.engine.movers import MOVERS
 from sal_height.errors import UserError
@@ -40,6 +39,7 @@ from sal_height.nodes.transport.middleware import provide_shared_memory
 from sal_height.numeric import available_processors
 from sal_height.runs.live.self_test import core_rate_hz, make_tables
 from sal_height.runs.live.sensor_bag import Feed
+from sal_height.topics import ODOMETRY, SENSOR_INFO
 
 _LOG = logging.getLogger(__name__)
 

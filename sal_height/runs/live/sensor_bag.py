@@ -17,7 +17,7 @@ from sal_height import messages
 from sal_height.bag import qos
 from sal_height.bag.qos import Qos
 from sal_height.bag.reader import BagReader
-from sal_height.bag.sensor_topics import FRAMES, MAP_ORIGIN, ODOMETRY, SENSOR_INFO
+from sal_height.bag.sensor_topics import FRAMES
 from sal_height.bag.topics import FIX_TYPE, FRAME_TYPE, ODOMETRY_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
@@ -30,6 +30,7 @@ from sal_height.runs.chain.recorded_parameters import recorded_parameters
 from sal_height.runs.truth.simulate import processing_of
 from sal_height.sensor import Sensor
 from sal_height.simulation import Preset, SimulatedFlight, flight_of
+from sal_height.topics import MAP_ORIGIN, ODOMETRY, SENSOR_INFO
 
 tqdm.monitor_interval = 0  # no thread that refreshes slow bars: it would prevent `graph.processes.Forked`
 

@@ -29,7 +29,6 @@ from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import CALIBRATION_TYPE, FIX_TYPE, FRAME_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.elevation import ESTIMATORS
-from sal_height.engine.compression import ODOMETRY, SLC
 from sal_height.engine.height_items import Heights
 from sal_height.engine.image_items import Images, Source
 from sal_height.engine.losses import Losses
@@ -45,6 +44,7 @@ from sal_height.runs.chain.entry import Part
 from sal_height.runs.products.adjustment_picture import draw_adjustment
 from sal_height.runs.products.adjustment_report import summary_of, summary_of_images
 from sal_height.sensor import Sensor
+from sal_height.topics import ODOMETRY, SLC
 
 Observed = TypeVar("Observed", bound=ObservedDwell)
 

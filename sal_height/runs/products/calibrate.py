@@ -11,17 +11,16 @@ import numpy as np
 from sal_height.beams import ZERNIKE
 from sal_height.calibration import Calibration, load_calibration
 from sal_height.engine.calibrator import MOST_DWELLS
-from sal_height.engine.dwells import SENSOR_INFO
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import CALIBRATOR, NodeParameters, check_parameters
 from sal_height.graph.plan import DEFAULT, Execution, Outcome, Plan
 from sal_height.graph.reporting import PARAMETERS, conclude, merged, reporting
 from sal_height.io import new_folder, or_null, writing
-from sal_height.messages.losses import LOSSES
 from sal_height.runs.chain.chain_runs import COMPRESSION, plan
 from sal_height.runs.chain.entry import Part, contents
 from sal_height.runs.products.calibration_picture import beam_width, draw_calibration
 from sal_height.runs.replay.by_calls import perform_by_calls
+from sal_height.topics import LOSSES, SENSOR_INFO
 
 STAGES = ["sar_compression", CALIBRATOR]
 

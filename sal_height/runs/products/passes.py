@@ -15,7 +15,6 @@ from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import FIX_TYPE, HEIGHT_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.elevation import ESTIMATORS, ElevationEstimator, HeightSettings, Validity
-from sal_height.engine.compression import SLC
 from sal_height.engine.frame_items import history_of
 from sal_height.engine.image_items import Images, Source
 from sal_height.engine.provenance import Provenance
@@ -45,6 +44,7 @@ from sal_height.runs.chain.chain_runs import COMPRESSION, BagRun, plan
 from sal_height.runs.products.passes_picture import draw_passes
 from sal_height.runs.products.passes_report import ReferenceComparison, compared, summary_of, warnings_of
 from sal_height.settings import Settings
+from sal_height.topics import SLC
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,9 +13,8 @@ from typing import Any
 from sal_height.bag.compare import CHANGED, TopicComparison, compare_bags
 from sal_height.bag.namespace import NamespacedReader, open_bag
 from sal_height.bag.played import LOCKSTEP
-from sal_height.bag.sensor_topics import FRAMES, SENSOR_INFO
+from sal_height.bag.sensor_topics import FRAMES
 from sal_height.bag.tolerance import ROUNDING, Tolerances
-from sal_height.engine.calibrations import CALIBRATION
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import HEIGHTS, TRACKER, NodeParameters, consumers, recorded_topics
 from sal_height.graph.plan import DEFAULT, Execution, Outcome, Plan
@@ -30,6 +29,7 @@ from sal_height.runs.replay.judge import as_json, draw_worst_dwell
 from sal_height.runs.replay.playing import IN_LOCKSTEP, Playing
 from sal_height.runs.replay.remapping import remapping_of
 from sal_height.runs.truth.accuracy import read_accuracy, recorded_flight
+from sal_height.topics import CALIBRATION, SENSOR_INFO
 
 _LOG = logging.getLogger(__name__)
 

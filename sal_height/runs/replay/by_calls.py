@@ -15,20 +15,18 @@ from sal_height.bag.qos import Qos
 from sal_height.bag.reader import BagMessage
 from sal_height.bag.writer import BagWriter
 from sal_height.engine.air import AIR_PARAMETERS
-from sal_height.engine.calibrations import CALIBRATION
 from sal_height.engine.chain import Made
-from sal_height.engine.compression import ODOMETRY
-from sal_height.engine.dwells import SENSOR_INFO
 from sal_height.engine.stage import DwellKey, Event, Loss, Notice, Port, Product
 from sal_height.errors import UserError
 from sal_height.graph.interruption import Interruption
 from sal_height.graph.plan import UNCOUNTED, Execution, Outcome, Plan
 from sal_height.messages.codec import SHIPPED
 from sal_height.messages.kinds import kind_of, kind_of_topic
-from sal_height.messages.losses import LOSSES, loss_to_message
+from sal_height.messages.losses import loss_to_message
 from sal_height.nodes.accounts.account import Account
 from sal_height.runs.chain.chain_runs import BagRun, Scheme
 from sal_height.runs.chain.side_by_side import count_messages
+from sal_height.topics import CALIBRATION, LOSSES, ODOMETRY, SENSOR_INFO
 
 _LOG = logging.getLogger(__name__)
 

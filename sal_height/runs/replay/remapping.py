@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from sal_height.bag.reader import BagReader
-from sal_height.bag.sensor_topics import FRAMES, IMAGES, ODOMETRY, SENSOR_INFO
+from sal_height.bag.sensor_topics import FRAMES, IMAGES
 from sal_height.bag.topics import FRAME_TYPE, HEIGHT_TYPE, IMAGE_TYPE, ODOMETRY_TYPE, SENSOR_TYPE
-from sal_height.engine.calibrations import CALIBRATION
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import HEIGHTS
 from sal_height.messages import AIR, AIR_TYPES
 from sal_height.runs.chain.entry import FROM_HEIGHTS
+from sal_height.topics import CALIBRATION, ODOMETRY, SENSOR_INFO
 
 KNOWN: Mapping[str, str] = {
     f"/{SENSOR_INFO}": SENSOR_TYPE,

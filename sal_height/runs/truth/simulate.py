@@ -11,7 +11,6 @@ from typing import Any
 
 import yaml
 
-from sal_height.bag.sensor_topics import MAP_ORIGIN
 from sal_height.engine.registry import STAGES, takes_images
 from sal_height.errors import UserError
 from sal_height.graph.air import check_air
@@ -33,6 +32,7 @@ from sal_height.io import new_folder, write_text, writing
 from sal_height.messages import AIR
 from sal_height.runs.truth.accuracy import Accuracy, read_accuracy, read_images
 from sal_height.simulation import Preset, SimulatedFlight, flight_of
+from sal_height.topics import MAP_ORIGIN
 
 """File of the relief map in the folder of a run."""
 

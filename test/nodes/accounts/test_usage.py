@@ -11,7 +11,6 @@ import pytest
 from helpers import assert_one_sentence
 from rclpy.parameter import Parameter
 
-from sal_height.engine.compression import TF_STATIC
 from sal_height.errors import UserError
 from sal_height.nodes.accounts.usage import check_arguments, check_overrides, usage
 from sal_height.nodes.playing.player import Player
@@ -24,6 +23,7 @@ from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.quality import FRAMES_QOS
 from sal_height.nodes.worker import WorkerNode
 from sal_height.settings import settings_of
+from sal_height.topics import TF_STATIC
 
 BAG = str(Path(__file__).parents[3] / "bags" / "version_3")
 

@@ -30,6 +30,7 @@ from sal_height.sensor import Sensor
 from sal_height.topics import CALIBRATION, SLC
 
 _SETTINGS = "_parameters"
+_STAGE = "HeightStage_"
 """Ending of the names of the settings of estimators' stages."""
 
 AT_ONCE, BYTES_AT_ONCE = 8, 16_000_000
@@ -210,11 +211,13 @@ def height_stage(name: str) -> type[HeightStage]:
         "about": about,
         "__doc__": about,
     }
-    return type(f"HeightStage_{name}", (HeightStage,), attributes)
+    return type(f"{_STAGE}{name}", (HeightStage,), attributes)
 
 
 def __getattr__(name: str) -> Any:
-    """The settings of the stage of an estimator, which are found by their name in other processes."""
+    """The stage of an estimator, and its settings, which other processes find by their names."""
+    if (estimator_name := name.removeprefix(_STAGE)) in ESTIMATORS and estimator_name != name:
+        return height_stage(estimator_name)
     estimator = ESTIMATORS.get(name.removesuffix(_SETTINGS))
     if not (estimator and name.endswith(_SETTINGS)):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

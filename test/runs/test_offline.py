@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import mmap
+import multiprocessing
 import signal
 from dataclasses import replace
 from pathlib import Path
@@ -52,6 +53,18 @@ def test_many_dwells_by_several_jobs_are_those_of_one_byte_for_byte(tmp_path: Pa
         made[jobs] = {topic: [one.cdr for one in reader.messages([topic])] for topic in reader.topics}
     assert [len(messages) for messages in made[1].values()] == [40] * 4
     assert made[1] == made[3]
+
+
+def test_workers_are_spawned_where_there_is_no_fork(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bag = record_sensor(replace(load_preset("small"), dwells=5), 3, tmp_path / "flight")
+    made = {}
+    for jobs, methods in ((1, ["fork"]), (2, ["spawn"])):
+        monkeypatch.setattr(multiprocessing, "get_all_start_methods", lambda methods=methods: methods)
+        made_offline.process_case(Case(bag, tmp_path / f"{jobs}", {}, {}, ("ml",)), jobs)
+        reader = BagReader(tmp_path / f"{jobs}" / "bag")
+        made[jobs] = [one.cdr for one in reader.messages(["/ml/height"])]
+    assert len(made[1]) == 5
+    assert made[1] == made[2]
 
 
 def test_jobs_and_results_that_are_larger_than_pipes_do_not_wait_for_each_other(

@@ -9,13 +9,8 @@ Large arrays go to a worker through shared memory; sensors, settings and calibra
 
 from __future__ import annotations
 
-import functools
 import io
-import mmap
 import multiprocessing
-import os
-import pickle
-import signal
 from collections import deque
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
@@ -24,24 +19,13 @@ from multiprocessing.connection import Connection
 from queue import Empty, SimpleQueue
 from threading import Thread
 from types import TracebackType
-from typing import Any, NamedTuple, Self, TypeAlias
+from typing import Any, Self
 
-import numpy as np
-
-from sal_height.calibration import Calibration
 from sal_height.engine.chain import Chain, Made
-from sal_height.engine.image_items import Images
-from sal_height.engine.stage import DwellKey, Job, Product, Rehearsal, Result, Stage
+from sal_height.engine.stage import DwellKey, Job, Product, Stage
 from sal_height.errors import UserError
-from sal_height.sensor import Sensor
-from sal_height.settings import Settings
+from sal_height.runs.chain.worker import Control, Pickler, Remote, Ring, Scheduled, Sent, Unpickler, Unsent, WorkerChain
 from sal_height.topics import CALIBRATION, SENSOR_INFO
-
-SHARED = (Sensor, Settings, Calibration)
-"""Classes of objects that are never changed, and of which workers keep the ones that they were sent."""
-
-LEAST_SHARED_BYTES = 16_384
-"""Least size of an array that goes through shared memory, bytes."""
 
 CONTROLS = (SENSOR_INFO, CALIBRATION)
 """Ports of what is no dwell, which all workers must know."""
@@ -62,152 +46,13 @@ BYTES_TOGETHER = 32_000_000
 """Largest size of a batch of more than one job: what is made of the jobs is of about the same size."""
 
 
-class Remote(NamedTuple):
-    """Jobs of one stage that a worker is sent together.
-
-    Attributes:
-        stage: number of the stage.
-        jobs: jobs to be processed.
-    """
-
-    stage: int
-    jobs: Sequence[Job]
-
-
-class Scheduled(NamedTuple):
-    """An item that a stage accepts right before the job of a dwell is made; port "": other settings."""
-
-    stage: int
-    before: DwellKey
-    port: str
-    item: Any
-
-
-@dataclass(frozen=True)
-class Unsent:
-    """Stands for an item of a product that nobody outside the worker needs.
-
-    Attributes:
-        messages: number of messages that it would be.
-    """
-
-    messages: int
-
-
-def count_messages(item: Any) -> int:
-    """Number of messages that an item is."""
-    if isinstance(item, Unsent):
-        return item.messages
-    return item.count if isinstance(item, Images) else 1
-
-
-class Control(NamedTuple):
-    """An item that the stages of a worker accept in addition to dwells.
-
-    Attributes:
-        port: port of the item.
-        item: item, such as the description of a sensor.
-    """
-
-    port: str
-    item: Any
-
-
-Sent: TypeAlias = tuple[int, DwellKey | None, Result]
-"""Number of a stage, the dwell that a job was about, and what it made or left out."""
-
-
-@dataclass
-class Ring:
-    """Memory shared by two processes; what is written is released in the order in which it was written."""
-
-    memory: mmap.mmap
-    size: int
-    at: int = 0
-    used: int = 0
-    taken: int = 0
-    """Bytes used by the current message."""
-
-    @classmethod
-    def of(cls, size: int) -> Ring:
-        """A ring of `size` bytes, shared by processes that are forked."""
-        return cls(mmap.mmap(-1, size), size)
-
-    def put(self, array: np.ndarray[Any, np.dtype[Any]]) -> int | None:
-        """Copy an array into the ring and return its offset; None: there is no room for it."""
-        room = -(-array.nbytes // 64) * 64
-        if not self.used:
-            self.at = 0
-        wraps = self.at + room > self.size
-        skipped = self.size - self.at if wraps else 0
-        if self.used + skipped + room > self.size:
-            return None
-        at = 0 if wraps else self.at
-        np.frombuffer(self.memory, array.dtype, array.size, at)[:] = array.reshape(-1)
-        self.at, self.used, self.taken = at + room, self.used + skipped + room, self.taken + skipped + room
-        return at
-
-    def release(self, taken: int) -> None:
-        """Release the bytes of the oldest message."""
-        self.used -= taken
-
-
-@functools.cache
-def _is_shared(kind: type) -> bool:
-    """True if objects of a class are sent once."""
-    return issubclass(kind, SHARED)
-
-
-class _Pickler(pickle.Pickler):
-    """Sends shared objects once, and large arrays through the ring."""
-
-    def __init__(self, file: io.BytesIO, known: dict[int, tuple[int, Any]], ring: Ring | None) -> None:
-        super().__init__(file, protocol=5)
-        self._known, self._ring = known, ring
-
-    def persistent_id(self, obj: Any) -> Any:
-        """Substitute for an object that is not sent as it is; called for every one, however small."""
-        kind = type(obj)
-        if kind is np.ndarray:
-            if self._ring and obj.nbytes >= LEAST_SHARED_BYTES and obj.flags.c_contiguous:
-                at = self._ring.put(obj)
-                if at is not None:
-                    return "array", at, obj.dtype.str, obj.shape
-            return None
-        if not _is_shared(kind):  # type: ignore[arg-type]
-            return None
-        if id(obj) in self._known:
-            return "known", self._known[id(obj)][0]
-        number = len(self._known)
-        self._known[id(obj)] = number, obj
-        return "new", number, pickle.dumps(obj, protocol=5)
-
-
-class _Unpickler(pickle.Unpickler):
-    """Reads what `_Pickler` has written."""
-
-    def __init__(self, file: io.BytesIO, known: dict[int, Any], ring: Ring | None) -> None:
-        super().__init__(file)
-        self._known, self._ring = known, ring
-
-    def persistent_load(self, pid: Any) -> Any:
-        """The object that was sent otherwise."""
-        kind, *rest = pid
-        if kind == "array" and self._ring:
-            at, dtype, shape = rest
-            return np.frombuffer(self._ring.memory, dtype, int(np.prod(shape)), at).reshape(shape)
-        if kind == "new":
-            self._known[rest[0]] = pickle.loads(rest[1])  # noqa: S301 (our own process wrote it)
-        return self._known[rest[0]]
-
-
 @dataclass
 class _Worker:
     """A worker process, as its parent knows it."""
 
     process: Any
     pipe: Connection
-    ring: Ring
+    ring: Ring | None
     known: dict[int, tuple[int, Any]] = field(default_factory=dict)
     received: dict[int, Any] = field(default_factory=dict)
     sent: deque[tuple[int, int, int]] = field(default_factory=deque)
@@ -221,10 +66,11 @@ class _Worker:
     def send(self, message: Any) -> int:
         """Send a message; returns the bytes that it uses of the ring."""
         file = io.BytesIO()
-        self.ring.taken = 0
-        _Pickler(file, self.known, self.ring).dump(message)
+        if self.ring:
+            self.ring.taken = 0
+        Pickler(file, self.known, self.ring).dump(message)
         self.pipe.send_bytes(file.getbuffer())
-        return self.ring.taken
+        return self.ring.taken if self.ring else 0
 
     def receive(self, arrived: SimpleQueue[tuple[_Worker, bytes]]) -> None:
         """Read what the process returns as soon as it does, so that it never waits while this one sends (a thread).
@@ -246,8 +92,9 @@ class _Worker:
         if not returned:
             raise UserError("A worker process has ended, for example for lack of memory; use fewer --jobs.")
         number, taken, _ = self.sent.popleft()
-        results = _Unpickler(io.BytesIO(returned), self.received, None).load()
-        self.ring.release(taken)
+        results = Unpickler(io.BytesIO(returned), self.received, None).load()
+        if self.ring:
+            self.ring.release(taken)
         return number, results
 
 
@@ -257,7 +104,7 @@ def _ring_bytes(job: Job) -> int:
     A larger one would be slower: its memory is used in turn, and what was used last is at hand.
     """
     trial = Ring.of(MOST_RING_BYTES)
-    _Pickler(io.BytesIO(), {}, trial).dump(job)
+    Pickler(io.BytesIO(), {}, trial).dump(job)
     return min(MOST_RING_BYTES, max(LEAST_RING_BYTES, (AHEAD + 1) * TOGETHER * trial.taken))
 
 
@@ -279,11 +126,9 @@ class SideBySide(Chain):
             wanted: ports whose products the caller needs; others are returned only if a stage here consumes them.
 
         Raises:
-            UserError: this system cannot fork processes.
+            UserError: a worker process has ended.
         """
         super().__init__(stages, settings)
-        if "fork" not in multiprocessing.get_all_start_methods():
-            raise UserError("Several jobs at a time need a system that can fork processes; use --jobs 1.")
         self._jobs = jobs
         self._workers: list[_Worker] = []
         self._sent = self._given_back = 0
@@ -301,16 +146,19 @@ class SideBySide(Chain):
         return self
 
     def _start(self, job: Job) -> None:
-        """Fork the workers, which start with all that this process has loaded and all tables that it has made.
+        """Start the workers; `job` is the first one that was processed here.
 
-        `job` is the first one that was processed here.
+        Forked ones start with all that this process has loaded and all tables that it has made. Where there is no fork,
+        they are spawned with a copy of the stages, and arrays are sent through pipes.
         """
-        context = multiprocessing.get_context("fork")
+        forks = "fork" in multiprocessing.get_all_start_methods()
+        context: Any = multiprocessing.get_context("fork" if forks else "spawn")
         pipes, size = [context.Pipe() for _ in range(self._jobs)], _ring_bytes(job)
+        chain = WorkerChain(self.stages, self._remote, self._consumers, self._kept)
         for ours, theirs in pipes:
-            ring = Ring.of(size)
-            others = [pipe for pair in pipes for pipe in pair if pipe is not theirs]
-            process = context.Process(target=self._serve, args=(theirs, others, ring), daemon=True)
+            ring = Ring.of(size) if forks else None
+            others = [pipe for pair in pipes for pipe in pair if forks and pipe is not theirs]
+            process = context.Process(target=chain.serve, args=(theirs, others, ring), daemon=True)
             process.start()
             self._workers.append(_Worker(process, ours, ring))
         for _, theirs in pipes:
@@ -450,52 +298,3 @@ class SideBySide(Chain):
                         if not self._is_remote(consumer):
                             self._take(consumer, consumer.accept(result.port, result.item))
         return self._given_back > before
-
-    def _serve(self, pipe: Connection, others: Sequence[Connection], ring: Ring) -> None:
-        """Process what the parent sends until it closes its end (in the worker)."""
-        for other in others:
-            other.close()
-        known: dict[int, Any] = {}
-        sent_back: dict[int, tuple[int, Any]] = {}
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all; the parent ends in order
-        while True:
-            try:
-                sent = pipe.recv_bytes()
-            except (EOFError, OSError):
-                sent = b""
-            if not sent:
-                os._exit(0)
-            message = _Unpickler(io.BytesIO(sent), known, ring).load()
-            if isinstance(message, Scheduled):
-                self.stages[message.stage].schedule(message.before, message.port, message.item)
-            elif isinstance(message, Control):
-                for stage in filter(self._is_remote, self._consumers.get(message.port, ())):
-                    stage.accept(message.port, message.item)
-            else:
-                file = io.BytesIO()
-                _Pickler(file, sent_back, None).dump(self._made_of(message))
-                pipe.send_bytes(file.getbuffer())
-
-    def _made_of(self, remote: Remote) -> list[Sent]:
-        """Results of the stages of a worker for jobs, in the order of the stages (in the worker)."""
-        made: list[Sent] = []
-        waiting: dict[int, list[Job]] = {remote.stage: list(remote.jobs)}
-        while waiting:
-            number = min(waiting)
-            jobs = waiting.pop(number)
-            for job, results in zip(jobs, self.stages[number].process(jobs), strict=True):
-                for result in results:
-                    if not isinstance(result, Product):
-                        made.append((number, job.dwell, result))
-                        continue
-                    is_kept = result.port in self._kept
-                    sent = result if is_kept else Product(result.port, Unsent(count_messages(result.item)))
-                    made.append((number, job.dwell, sent))
-                    for consumer in filter(self._is_remote, self._consumers.get(result.port, ())):
-                        other = self.stages.index(consumer)
-                        for one in consumer.accept(result.port, result.item):
-                            if not isinstance(one, Job):
-                                made.append((other, job.dwell, one))
-                            elif not isinstance(one.inputs, Rehearsal):
-                                waiting.setdefault(other, []).append(one)
-        return made

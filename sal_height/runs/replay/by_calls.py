@@ -25,7 +25,7 @@ from sal_height.messages.kinds import kind_of, kind_of_topic
 from sal_height.messages.losses import loss_to_message
 from sal_height.nodes.accounts.account import Account
 from sal_height.runs.chain.chain_runs import BagRun, Scheme
-from sal_height.runs.chain.side_by_side import count_messages
+from sal_height.runs.chain.worker import count_messages
 from sal_height.topics import CALIBRATION, LOSSES, ODOMETRY, SENSOR_INFO
 
 _LOG = logging.getLogger(__name__)

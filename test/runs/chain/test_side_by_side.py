@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from sal_height.engine.stage import Job
-from sal_height.runs.chain.side_by_side import BYTES_TOGETHER, TOGETHER, Ring, _together
+from sal_height.runs.chain.side_by_side import BYTES_TOGETHER, TOGETHER, _together
+from sal_height.runs.chain.worker import Ring
 
 
 def test_arrays_that_fill_the_ring_exactly_begin_anew_at_its_start() -> None:

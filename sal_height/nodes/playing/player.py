@@ -253,13 +253,11 @@ class Player(WorkerNode):
         Raises:
             UserError: the bag does not have one of them.
         """
-        missing = {name for names in self._applied.values() for name in names}
-        found = {}
-        topics = [name for name in self._reader.topics if missing and name.lstrip("/") == CALIBRATION]
-        for recorded in self._reader.messages(topics) if topics else ():
-            identity = self._reader.decode(recorded.type_name, recorded.cdr).id
-            found[identity] = recorded.cdr
-        if missing := sorted(missing - found.keys()):
+        named = {name for names in self._applied.values() for name in names}
+        topics = [name for name in self._reader.topics if name.lstrip("/") == CALIBRATION]
+        recorded = self._reader.messages(topics) if named and topics else ()
+        found = {self._reader.decode(one.type_name, one.cdr).id: one.cdr for one in recorded}
+        if missing := sorted(named - found.keys()):
             raise UserError(f"Bag {self._reader.path} has no calibration {missing[0]!r} on topic {CALIBRATION}.")
         return found
 

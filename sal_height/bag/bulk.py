@@ -15,9 +15,6 @@ from sal_height.sensor import PhaseHistory, Sensor
 STAMP_BYTES = slice(4, 12)
 """Place of the stamp of a header in the CDR bytes of a message that begins with it."""
 
-ODOMETRY_NUMBERS = 7 + 36 + 6 + 36
-"""Numbers at the end of an Odometry: pose, its covariance, twist, its covariance."""
-
 
 def odometry_of(states: Sequence[PlatformState]) -> Iterator[bytes]:
     """The odometry of states: the bytes of the first one, with the stamp and the numbers of each.
@@ -26,7 +23,8 @@ def odometry_of(states: Sequence[PlatformState]) -> Iterator[bytes]:
     pose, twist (of which the turning is not known) and covariance of the twist: 85 numbers of 8 bytes.
     """
     first = messages.serialize(messages.state_to_message(states[0], messages.to_stamp(states[0].stamp_ns)))
-    frames = first[STAMP_BYTES.stop : -8 * ODOMETRY_NUMBERS]
+    numbers = 7 + 36 + 6 + 36  # pose, its covariance, twist, its covariance
+    frames = first[STAMP_BYTES.stop : -8 * numbers]
     turning = np.zeros(3)
     for state in states:
         stamp = struct.pack("<iI", *divmod(state.stamp_ns, 1_000_000_000))

@@ -1,4 +1,4 @@
-"""Whether a bag keeps the contract of rosbag2, and has what the chain needs: `sal-height bag check`."""
+"""Check a bag against the contract of rosbag2 and the needs of the chain: `sal-height bag check`."""
 
 from __future__ import annotations
 
@@ -23,17 +23,14 @@ from sal_height.bag.sensor_topics import FRAMES, sensors_in
 from sal_height.errors import UserError
 from sal_height.topics import SENSOR_INFO
 
-LATE_NS = 1_000_000_000
-"""How long after it was received a message may say that it was published: clocks of two machines differ."""
-
 MAGIC_BYTES = 8
 
 
 def check_bag(path: Path, advance: Callable[[int, int], None]) -> list[Finding]:
-    """What is wrong with the bag at `path`; all its data are read.
+    """Find the faults of the bag at `path`; all its data are read.
 
     Args:
-        path: of the bag, a folder or a file.
+        path: path of the bag, a folder or a file.
         advance: is called while data are read, with the bytes just read and the bytes of all data.
 
     Raises:
@@ -85,7 +82,7 @@ def _is_mcap(file: Path) -> bool:
 
 
 def _check_message_indexes(path: Path, indexes: Sequence[FileIndex]) -> Iterator[Finding]:
-    """Whether each chunk is followed by the indexes of its messages, by which readers seek."""
+    """Check that each chunk is followed by the indexes of its messages, by which readers seek."""
     for index in indexes:
         try:
             read_log_times(index)
@@ -129,12 +126,12 @@ class _Clocks:
     def add(self, message: BagMessage) -> None:
         """Look at a message."""
         ahead_ns = message.publish_time_ns - message.log_time_ns
-        if ahead_ns > LATE_NS:
+        if ahead_ns > 1_000_000_000:  # the clocks of two machines may differ by as much
             self._ahead[message.topic] += 1
             self._furthest_ns = max(self._furthest_ns, ahead_ns)
 
     def findings(self) -> Iterator[Finding]:
-        """What is wrong, once all messages have been looked at."""
+        """The faults, once all messages have been read."""
         if self._ahead:
             counts = ", ".join(f"{count} on {topic}" for topic, count in sorted(self._ahead.items()))
             furthest = f"up to {self._furthest_ns * 1e-9:.3f} s after they were received"

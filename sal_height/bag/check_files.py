@@ -1,4 +1,4 @@
-"""The files of a bag against the contract of rosbag2: metadata.yaml, types, and what the recorder tells of losses."""
+"""Check files of a bag against the contract of rosbag2: metadata.yaml, types, and losses that the recorder reports."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ NO_METADATA = (
 
 
 def check_metadata(path: Path, indexes: list[FileIndex]) -> Iterator[Finding]:
-    """Whether metadata.yaml of a bag folder says what its files do; nothing for a file alone."""
+    """Check metadata.yaml of a bag folder against its files; nothing for a file alone."""
     if not path.is_dir():
         return
     fix = NO_METADATA.format(path=path)
@@ -55,7 +55,7 @@ def check_metadata(path: Path, indexes: list[FileIndex]) -> Iterator[Finding]:
 
 
 def check_types(reader: BagReader) -> Iterator[Finding]:
-    """Whether the types of all topics are those that are installed, as their schemas say and as their hashes do."""
+    """Check the types of all topics against the installed ones, by their schemas and by their hashes."""
     old = sorted(topic.name for topic in reader.topics.values() if topic.is_old)
     if old:
         yield warning(
@@ -113,7 +113,7 @@ def _check_type(topic: Topic) -> Iterator[Finding]:
 
 
 def _contradicts_hash(topic: Topic) -> bool:
-    """Whether the text of a type has another hash than the one beside it; False where that cannot be told."""
+    """True if the text of a type has another hash than the recorded one; False where that is unknown."""
     recorded = topic.definition
     if not recorded.type_hash or recorded.encoding != "ros2msg":
         return False
@@ -141,7 +141,7 @@ def _left_out(text: str) -> dict[str, int]:
 
 
 def _stated(information: Mapping[str, Any]) -> dict[str, Any]:
-    """What metadata.yaml says of counts and times, by name; what it does not say is left out."""
+    """Counts and times in metadata.yaml, by name; absent ones are left out."""
     stated = {
         "count of messages": information.get("message_count"),
         "duration in ns": (information.get("duration") or {}).get("nanoseconds"),
@@ -158,7 +158,7 @@ def _stated(information: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _found(indexes: list[FileIndex]) -> dict[str, Any]:
-    """What the files say of the same; messages that stand in several files count in each."""
+    """The same counts and times of the files; messages in several files count in each."""
     statistics = [index.statistics for index in indexes if index.statistics.message_count]
     begin_ns = min((one.message_start_time for one in statistics), default=0)
     found: dict[str, Any] = {
@@ -176,5 +176,5 @@ def _found(indexes: list[FileIndex]) -> dict[str, Any]:
 
 
 def _are_near(what: str, stated: Any, found: Any) -> bool:
-    """Whether two times are equal but for the last nanosecond, which writers count differently."""
+    """True if two times are equal but for the last nanosecond, which writers count differently."""
     return what.endswith(" in ns") and abs(int(stated) - int(found)) <= 1

@@ -1,4 +1,4 @@
-"""What the chain needs of the messages of one sensor: descriptions, whole dwells, and odometry around their pulses."""
+"""Check the messages of one sensor: descriptions, whole dwells, and odometry around their pulses."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from sal_height import messages
 from sal_height.bag.copies import kept_custom_data
-from sal_height.bag.dwells import Dwell, DwellFault, DwellList, faults_of
+from sal_height.bag.dwells import DwellFault, DwellFrames, DwellList, faults_of
 from sal_height.bag.files import PARAMETERS
 from sal_height.bag.findings import Finding, error, some, warning
 from sal_height.bag.reader import BagMessage, BagReader
@@ -41,7 +41,7 @@ class SensorCheck:
         self._first_info_ns: int | None = None
         self._sensors: dict[str, Sensor] = {}
         self._faults: dict[tuple[str, str], str] = {}
-        """What is wrong with messages: the first sentence by topic and reason."""
+        """Faults of messages: the first sentence by topic and reason."""
         self._faulty: Counter[tuple[str, str]] = Counter()
         self._read_descriptions()
 
@@ -58,7 +58,7 @@ class SensorCheck:
             self._note(message.topic, "cannot be decoded", f"{str(fault).rstrip('.')}.")
 
     def findings(self) -> Iterator[Finding]:
-        """What is wrong, once all messages have been looked at."""
+        """The faults, once all messages have been read."""
         absent = [name for name in self.topics.names if not self._count(name)]
         if self.topics.frames in absent and self._count(self.topics.images):
             absent = [name for name in absent if name == self.topics.sensor_info]
@@ -79,7 +79,7 @@ class SensorCheck:
             yield from self._check_odometry()
 
     def _check_air(self) -> Iterator[Finding]:
-        """Whether the air is there that the compression was to hear."""
+        """Check that the bag has the air that the compression was to receive."""
         if not _hears_air(self._reader):
             return
         needed = {topic for sensor in self._sensors.values() for topic in messages.needed_air(sensor.wavelength)}
@@ -150,7 +150,7 @@ class SensorCheck:
                 "Have the sensor stamp its frames by one steady clock.",
             )
 
-    def _check_channels(self, dwells: list[Dwell]) -> Iterator[Finding]:
+    def _check_channels(self, dwells: list[DwellFrames]) -> Iterator[Finding]:
         frames, fix = self.topics.frames, "A replay refuses them; 'sal-height bag cut --dwells' leaves them out."
         faults = faults_of(dwells, {name: sensor.detector_count for name, sensor in self._sensors.items()})
         unknown = [fault for fault in faults if not fault.described]
@@ -201,7 +201,7 @@ class SensorCheck:
 
 
 def _hears_air(reader: BagReader) -> bool:
-    """Whether the parameters that a bag was made with have the compression take the air from messages."""
+    """True if the compression used the air of messages, by the parameters that a bag was made with."""
     try:
         values = json.loads(kept_custom_data(reader).get(PARAMETERS, "{}"))
         return bool(with_new_names(values["sar_compression"])["air"] == messages.AIR_OF_TOPICS)
@@ -209,21 +209,21 @@ def _hears_air(reader: BagReader) -> bool:
         return False
 
 
-def _is_covered(dwell: Dwell, stamps: I64) -> bool:
-    """Whether a sample lies before the first pulse of a dwell or at it, and one after the last or at it."""
+def _is_covered(dwell: DwellFrames, stamps: I64) -> bool:
+    """True if a sample lies before the first pulse of a dwell or at it, and one after the last or at it."""
     first, last = _around(dwell, stamps)
     return 0 <= first < last < len(stamps)
 
 
-def _around(dwell: Dwell, stamps: I64) -> tuple[int, int]:
+def _around(dwell: DwellFrames, stamps: I64) -> tuple[int, int]:
     """Numbers of the last sample that is not after the first pulse of a dwell, and of the first not before its last."""
     first = int(np.searchsorted(stamps, dwell.stamp_ns, "right")) - 1
     return first, int(np.searchsorted(stamps, dwell.last_pulse_ns, "left"))
 
 
-def _name(dwell: Dwell) -> str:
+def _name(dwell: DwellFrames) -> str:
     return f"dwell {dwell.number} at {dwell.stamp_ns * 1e-9:.3f} s"
 
 
-def _share(faults: list[DwellFault], dwells: list[Dwell]) -> str:
+def _share(faults: list[DwellFault], dwells: list[DwellFrames]) -> str:
     return f"{len(faults)} of {len(dwells)} dwells"

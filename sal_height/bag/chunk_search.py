@@ -15,11 +15,8 @@ HEAD = struct.Struct("<BQ")
 
 OPCODES = frozenset(Opcode)
 
-OWN_OPCODES = 0x80
-"""Opcodes from here on are for private records, which may stand anywhere."""
-
 COMPRESSION = HEAD.size + 28
-"""Where the name of the compression stands in a chunk: after times, size and checksum."""
+"""Position of the name of the compression in a chunk: after times, size and checksum."""
 
 CHUNK_FIELDS = 40
 """Bytes before the data of a chunk that is not compressed, after opcode and length."""
@@ -27,16 +24,16 @@ CHUNK_FIELDS = 40
 LENGTH = struct.Struct("<Q")
 
 CHUNK = re.compile(rb"(?=%c.{%d}(?:\0{4}|\x03\0{3}lz4|\x04\0{3}zstd))" % (Opcode.CHUNK, COMPRESSION - 1), re.DOTALL)
-"""What a chunk begins with, at every place."""
+"""Start of a chunk, at every position."""
 
 
 def is_known(opcode: int) -> bool:
-    """Whether there are records with this opcode."""
-    return opcode in OPCODES or opcode >= OWN_OPCODES
+    """True if there are records with this opcode."""
+    return opcode in OPCODES or opcode >= 0x80  # of private records, which may stand anywhere
 
 
 def find_chunks(stream: BinaryIO) -> dict[int, int]:
-    """Where the chunks of a file begin, and their bytes.
+    """Offsets of the chunks of a file, and their bytes.
 
     Records follow from each other by their lengths. Where one does not lead to another, or is a chunk whose lengths
     contradict each other, the next chunk is looked for whose lengths agree.
@@ -60,7 +57,7 @@ def _find_chunks(data: mmap.mmap) -> dict[int, int]:
 
 
 def _following(data: mmap.mmap, place: int) -> int:
-    """Where a record ends that is said to begin at a place; 0: there is none that ends in the file."""
+    """End of a record that may start at a position; 0: no record that ends in the file."""
     if not 0 < place <= len(data) - HEAD.size:
         return 0
     opcode, length = HEAD.unpack_from(data, place)
@@ -69,7 +66,7 @@ def _following(data: mmap.mmap, place: int) -> int:
 
 
 def _is_sound_chunk(data: mmap.mmap, place: int) -> bool:
-    """Whether a whole chunk begins at a place: its length and those of its parts agree."""
+    """True if a whole chunk starts at a position: its length and those of its parts agree."""
     end = _following(data, place)
     if not end or end - place < COMPRESSION + 4 + LENGTH.size:
         return False
@@ -79,6 +76,6 @@ def _is_sound_chunk(data: mmap.mmap, place: int) -> bool:
 
 
 def _next_chunk(data: mmap.mmap, place: int) -> int:
-    """Where the next sound chunk begins; the end of the file, if there is none."""
+    """Start of the next sound chunk; the end of the file if there are no more."""
     found = (match.start() for match in CHUNK.finditer(data, place))
     return next((start for start in found if _is_sound_chunk(data, start)), len(data))

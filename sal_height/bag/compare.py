@@ -23,20 +23,17 @@ EQUAL, WITHIN, CHANGED = "equal", "within tolerance", "changed"
 """Verdicts, the best first."""
 
 NOT_COMPARED = frozenset({"provenance", "order"})
-"""Fields of messages that say how they were made, not what came out."""
-
-NAMED = 5
-"""Missing and extra messages that are named."""
+"""Fields of messages that describe their making, not their result."""
 
 
 class Key(NamedTuple):
-    """What makes a message of one bag the counterpart of one in the other.
+    """Key by which a message of one bag is the counterpart of one in the other.
 
     Attributes:
         topic: the topic.
-        dwell: its dwell; without one, how many messages came before on the topic.
+        dwell: its dwell; without one, number of earlier messages on the topic.
         channel: its channel; 0 without one.
-        repetition: how many messages with the same came before: a simulator may have been restarted.
+        repetition: number of earlier messages with the same key: a simulator may have been restarted.
     """
 
     topic: str
@@ -47,15 +44,15 @@ class Key(NamedTuple):
 
 @dataclass
 class TopicComparison:
-    """What one topic of a bag has in common with that of the golden one.
+    """Comparison of one topic of a bag with that of the golden one.
 
     Attributes:
         matched: number of messages that are on both sides.
         missing: number of golden messages without a counterpart.
         extra: number of messages without a golden counterpart.
         lone: dwells (or numbers) of the first of these.
-        fields: what differs in each field.
-        validity: how many pixels have a golden validity and one of the other bag, by both names.
+        fields: differences in each field.
+        validity: number of pixels by their golden validity and that of the other bag.
         outside: number of values beyond the tolerance by dwell (or number).
         digests: content hashes of the messages, golden and of the other bag.
     """
@@ -83,7 +80,7 @@ class TopicComparison:
 
     @property
     def hashes(self) -> tuple[str, str]:
-        """Hash of the content of all messages of the topic, golden and of the other bag, in whatever order they came.
+        """Hash of the content of all messages of the topic, golden and of the other bag, in any order.
 
         Padding does not count, nor does what is not compared. A topic that only one bag has is not read: "".
         """
@@ -93,7 +90,7 @@ class TopicComparison:
         return golden, other
 
     def as_json(self) -> dict[str, Any]:
-        """What a report says."""
+        """Entry of a report."""
         confusion: dict[str, dict[str, int]] = {}
         for (golden, made), count in sorted(self.validity.items()):
             confusion.setdefault(golden, {})[made] = count
@@ -126,10 +123,10 @@ def compare_bags(
     Args:
         golden: the bag that is right.
         other: the bag that is judged.
-        tolerances: how far values may be from the golden ones.
+        tolerances: greatest allowed differences from the golden values.
         topics: those to compare; None: all with height images.
-        counts: whether a golden message counts; None: all do.
-        counts_too: whether a message of the other bag counts; None: all do.
+        counts: predicate of golden messages that count; None: all do.
+        counts_too: predicate of messages of the other bag that count; None: all do.
 
     Returns:
         Comparisons by topic, of all that either bag has messages on.
@@ -144,7 +141,7 @@ def compare_bags(
     for topic in found.keys() - read:
         found[topic].missing, found[topic].extra = (side.get(topic, 0) for side in numbers)
     waiting: tuple[dict[Key, Any], dict[Key, Any]] = ({}, {})
-    # Both sides advance together, so that only messages without a counterpart yet are held in memory.
+    # Both sides advance together, so that only messages without a counterpart yet are kept in memory.
     sides = _messages(bags[0], read, counts), _messages(bags[1], read, counts_too)
     for pair in itertools.zip_longest(*sides):
         for side, entry in enumerate(pair):
@@ -158,7 +155,8 @@ def compare_bags(
             result = found[key.topic]
             result.missing += side == 0
             result.extra += side == 1
-            result.lone += [key.dwell] * (len(result.lone) < NAMED)
+            if len(result.lone) < 5:  # that many are named
+                result.lone.append(key.dwell)
             result.digests[side].append(content_hash(fields_of(message, NOT_COMPARED)))
     return found
 
@@ -208,7 +206,7 @@ NOTHING: NDArray[Any] = np.zeros(0)
 
 
 def _confusion(golden: NDArray[Any], made: NDArray[Any]) -> Counter[tuple[str, str]]:
-    """How many pixels have each pair of validities; none if the images have other numbers of pixels."""
+    """Number of pixels by pair of validities; empty if the images have different numbers of pixels."""
     if golden.size != made.size:
         return Counter()
     pairs, counts = np.unique(np.stack([golden, made]), axis=1, return_counts=True)

@@ -1,4 +1,4 @@
-"""What a copy of a bag takes over from it, besides messages."""
+"""Custom data of a copy of a bag."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sal_height.bag.writer import Packing
 
 
 def kept_custom_data(reader: BagReader) -> dict[str, str]:
-    """The custom data of a bag, with the parameters that lie beside an older one in a file of their own."""
+    """The custom data of a bag, with the parameters of an older one, which are in a file of their own next to it."""
     file = parameters_file(reader.path)
     if PARAMETERS in reader.custom_data or not file.is_file():
         return dict(reader.custom_data)

@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from sal_height.bag.copies import kept_custom_data, kept_packing
-from sal_height.bag.dwells import Dwell, read_dwells
+from sal_height.bag.dwells import DwellFrames, read_dwells
 from sal_height.bag.parameter_events import PARAMETER_EVENT_TYPE, after
+from sal_height.bag.played import MARGIN_NS
 from sal_height.bag.reader import BagMessage, BagReader, Topic
 from sal_height.bag.sensor_topics import SensorTopics, sensors_in
 from sal_height.bag.stamps import stamp_ns_of
@@ -24,21 +25,18 @@ from sal_height.messages import AIR_LATENCY_NS, AIR_TYPES, serialize
 from sal_height.messages.types import ParameterEvent
 
 STAMPS_FROM_S = 100_000_000
-"""Seconds from which on a number is a time since 1970, and not since the begin of the bag (three years)."""
-
-MARGIN_NS = 1_000_000_000
-"""Odometry and air are kept from so long before the first pulse to so long after the last."""
+"""Seconds from which on a number is a time since 1970, and not since the start of the bag (three years)."""
 
 OF_DWELLS = {FRAME_TYPE, IMAGE_TYPE, HEIGHT_TYPE}
 """Types of messages that belong to a dwell, and have its stamp."""
 
 LATCHED = {SENSOR_TYPE: 1, CALIBRATION_TYPE: 1, "tf2_msgs/msg/TFMessage": 100}
-"""Messages that are held of types that are latched, where the bag does not say so; of transforms on tf_static only."""
+"""Messages that are kept of latched types, where the bag does not state it; of transforms on tf_static only."""
 
 
 @dataclass(frozen=True)
 class Range:
-    """What is kept of a bag.
+    """Range of time or of dwells that is kept of a bag.
 
     Attributes:
         begin_ns: messages received from here on, ns; None: from the begin.
@@ -50,8 +48,8 @@ class Range:
     end_ns: int | None = None
     dwells: tuple[int, int] | None = None
 
-    def keeps(self, dwell: Dwell) -> bool:
-        """Whether all frames of a dwell are in the range."""
+    def keeps(self, dwell: DwellFrames) -> bool:
+        """True if all frames of a dwell are in the range."""
         return (
             (self.begin_ns is None or dwell.first_log_ns >= self.begin_ns)
             and (self.end_ns is None or dwell.last_log_ns <= self.end_ns)
@@ -60,25 +58,25 @@ class Range:
 
 
 @dataclass(frozen=True)
-class Cut:
-    """What is in the new bag: messages by topic, and dwells by topic of their frames."""
+class KeptMessages:
+    """Content of the new bag: messages by topic, and dwells by topic of their frames."""
 
     counts: Counter[str]
     dwells: Mapping[str, int]
 
 
-def cut(path: Path, out_directory: Path, kept: Range) -> Cut:
+def cut(path: Path, out_directory: Path, kept: Range) -> KeptMessages:
     """Write the part of a bag that is in a range to a new one.
 
     Messages are byte for byte those of the bag, with their times, in one file. Of a dwell all messages are kept, or
     none: it is kept if all its frames are in the range. Odometry is kept from a second before the kept dwells to a
     second after, and so is the air, with the last message that they used. What was latched before is kept as it was
-    last, at the begin of the new bag; so are the parameters of nodes, those of a node in one event.
+    last, at the start of the new bag; so are the parameters of nodes, those of a node in one event.
 
     Args:
-        path: of the bag.
-        out_directory: of the new bag.
-        kept: what is kept.
+        path: path of the bag.
+        out_directory: folder of the new bag.
+        kept: range that is kept.
 
     Raises:
         UserError: the bag is damaged or not complete, the folder is not empty, or no dwell is in the range.
@@ -98,11 +96,11 @@ def cut(path: Path, out_directory: Path, kept: Range) -> Cut:
                 counts[message.topic] += 1
     except OSError as error:
         raise UserError(f"Bag {out_directory} cannot be written: {error}.") from error
-    return Cut(counts, {plan.topics.frames: len(plan.dwells) for plan in plans})
+    return KeptMessages(counts, {plan.topics.frames: len(plan.dwells) for plan in plans})
 
 
 class _Span(NamedTuple):
-    """What is kept of a topic: from one stamp to another, and when the first of it was received, ns."""
+    """Messages that are kept of a topic: first and last stamp, and reception of the first message, ns."""
 
     begin_ns: int
     end_ns: int
@@ -111,11 +109,11 @@ class _Span(NamedTuple):
 
 @dataclass(frozen=True)
 class _SensorPlan:
-    """What is kept of a sensor: its dwells, and by topic the stamps of its odometry and of the air around them."""
+    """Messages that are kept of a sensor: its dwells, and the stamps of odometry and air around them by topic."""
 
     topics: SensorTopics
-    all_dwells: Sequence[Dwell]
-    dwells: Sequence[Dwell]
+    all_dwells: Sequence[DwellFrames]
+    dwells: Sequence[DwellFrames]
     spans: Mapping[str, _Span]
 
     @property
@@ -145,7 +143,7 @@ def _plan_sensor(reader: BagReader, topics: SensorTopics, kept: Range) -> _Senso
 
 
 def _span(reader: BagReader, topic: str, first_ns: int, last_ns: int) -> _Span | None:
-    """What is kept of the samples on a topic around two times, ns; None: there is none.
+    """Samples that are kept of a topic around two times, ns; None: no samples.
 
     It is from a margin before to a margin after, and at least from the last sample before to the first one after.
     """
@@ -188,7 +186,7 @@ class _Window:
         self._parameters: dict[str, tuple[ParameterEvent, BagMessage]] = {}
 
     def messages(self) -> Iterator[BagMessage]:
-        """What is kept, in the order of its reception; first what was latched before."""
+        """The messages that are kept, in the order of their reception; first those that were latched before."""
         waiting: list[BagMessage] = []
         is_begun = False
         for message in self._reader.recorded_messages():
@@ -217,7 +215,7 @@ class _Window:
         return self._begin_ns <= message.log_time_ns <= self._end_ns
 
     def _hold(self, message: BagMessage) -> None:
-        """Keep a message from before the range, if it is latched or tells parameters."""
+        """Keep a message from before the range, if it is latched or has parameters."""
         if message.topic in self._latched:
             self._latched[message.topic].append(message)
         elif message.type_name == PARAMETER_EVENT_TYPE:
@@ -228,7 +226,7 @@ class _Window:
             self._parameters[event.node] = merged, message._replace(cdr=cdr)
 
     def _held_messages(self) -> Iterator[BagMessage]:
-        """What was latched, and the parameters, as they were last before the range."""
+        """The latched messages and the parameters as they were last before the range."""
         latched = [message for queue in self._latched.values() for message in queue]
         for message in (*latched, *(message for _, message in self._parameters.values())):
             yield message._replace(log_time_ns=self._first_ns)
@@ -242,7 +240,7 @@ def _stamps_for(topic: str, plans: Sequence[_SensorPlan]) -> frozenset[int]:
 
 
 def _held(topic: Topic) -> int:
-    """Messages of a topic that reach those who come later; 0 if it is not latched."""
+    """Number of messages of a topic that late subscribers receive; 0 if it is not latched."""
     if topic.type_name in OF_DWELLS:
         return 0
     by_type = LATCHED.get(topic.type_name, 0)

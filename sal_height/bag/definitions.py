@@ -26,7 +26,7 @@ def known_definition(type_name: str) -> Definition:
 
 
 def _share_folders() -> tuple[Path, ...]:
-    """Where packages keep their message texts: ROS overlays first, then this Python environment."""
+    """Folders of the message texts of packages: ROS overlays first, then this Python environment."""
     prefixes = [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
     return tuple(Path(prefix, "share") for prefix in prefixes if prefix)
 

@@ -1,4 +1,4 @@
-"""What a bag says of the flight: its sensors, and where on the earth the origin of its map frame is."""
+"""Descriptions of the flight in a bag: its sensors, and the position of the map's origin on the earth."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _LOG = logging.getLogger(__name__)
 
 
 def origin_of(reader: BagReader) -> Origin | None:
-    """Where on the earth the origin of a bag's map frame is, as topic map_origin says; None: it does not."""
+    """Position of the map's origin on the earth, by topic map_origin; None: not stated."""
     topic = f"/{MAP_ORIGIN}"
     if topic not in reader.topics or reader.topics[topic].type_name != FIX_TYPE:
         return None

@@ -1,4 +1,4 @@
-"""The dwells of a bag, told from its frames: which are whole, which lack channels or have some twice."""
+"""The dwells of a bag by its frames: whole ones, and those that lack channels or have some twice."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from sal_height.errors import UserError
 
 
 @dataclass
-class Dwell:
+class DwellFrames:
     """A dwell in a bag: the frames of equal sensor, number and stamp.
 
     Attributes:
-        config_hash: of its sensor.
-        number: of the dwell.
+        config_hash: config_hash of its sensor.
+        number: number of the dwell.
         stamp_ns: time of its first pulse, ns.
         last_pulse_ns: time of its last pulse, ns.
-        channels: how often there is a frame of each channel.
-        first_log_ns: when the first of its frames was received, ns.
-        last_log_ns: when the last of them was.
+        channels: number of frames of each channel.
+        first_log_ns: reception of the first of its frames, ns.
+        last_log_ns: reception of the last of its frames, ns.
     """
 
     config_hash: str
@@ -47,12 +47,12 @@ class Dwell:
 
 @dataclass(frozen=True)
 class DwellFault:
-    """What is wrong with a dwell.
+    """Faults of a dwell.
 
     Attributes:
-        number: of the dwell.
+        number: number of the dwell.
         stamp_ns: time of its first pulse, ns.
-        described: whether a message describes its sensor.
+        described: True if a message describes its sensor.
         absent: channels without a frame; empty if the sensor is not described.
         doubled: channels with several frames.
     """
@@ -73,7 +73,7 @@ class DwellFault:
 
 @dataclass(frozen=True)
 class DwellReport:
-    """Topic of the frames of a sensor, number of its dwells, and what is wrong with those that are not whole."""
+    """Topic of the frames of a sensor, number of its dwells, and the faults of those that are not whole."""
 
     topic: str
     dwells: int
@@ -90,16 +90,16 @@ class DwellList:
     """The dwells of a sensor, in the order in which they began."""
 
     def __init__(self) -> None:
-        self._dwells: dict[tuple[str, int, int], Dwell] = {}
+        self._dwells: dict[tuple[str, int, int], DwellFrames] = {}
 
-    def __iter__(self) -> Iterator[Dwell]:
+    def __iter__(self) -> Iterator[DwellFrames]:
         return iter(self._dwells.values())
 
     def __len__(self) -> int:
         return len(self._dwells)
 
-    def add(self, cdr: bytes, log_time_ns: int) -> Dwell:
-        """Take a serialized frame in, and return its dwell.
+    def add(self, cdr: bytes, log_time_ns: int) -> DwellFrames:
+        """Add a serialized frame, and return its dwell.
 
         Raises:
             UserError: it cannot be decoded.
@@ -113,7 +113,7 @@ class DwellList:
         key = (frame.config_hash, frame.dwell, frame.stamp_ns)
         dwell = self._dwells.get(key)
         if dwell is None:
-            dwell = self._dwells[key] = Dwell(*key, last, first_log_ns=log_time_ns, last_log_ns=log_time_ns)
+            dwell = self._dwells[key] = DwellFrames(*key, last, first_log_ns=log_time_ns, last_log_ns=log_time_ns)
         dwell.channels[frame.channel] += 1
         dwell.last_pulse_ns = max(dwell.last_pulse_ns, last)
         dwell.first_log_ns, dwell.last_log_ns = (
@@ -149,7 +149,7 @@ def detectors_by_hash(reader: BagReader, sensor: SensorTopics) -> Mapping[str, i
 
 
 def dwell_report(reader: BagReader, sensor: SensorTopics) -> DwellReport:
-    """Which dwells of a sensor are not whole; reads all its frames.
+    """Report the dwells of a sensor that are not whole; reads all its frames.
 
     Raises:
         UserError: the bag is damaged, or a message cannot be decoded.
@@ -158,8 +158,8 @@ def dwell_report(reader: BagReader, sensor: SensorTopics) -> DwellReport:
     return DwellReport(sensor.frames, len(dwells), faults_of(dwells, detectors))
 
 
-def faults_of(dwells: Iterable[Dwell], detectors: Mapping[str, int]) -> list[DwellFault]:
-    """What is wrong with dwells, given the number of detectors by config_hash."""
+def faults_of(dwells: Iterable[DwellFrames], detectors: Mapping[str, int]) -> list[DwellFault]:
+    """The faults of dwells, given the number of detectors by config_hash."""
     faults = []
     for dwell in dwells:
         count = detectors.get(dwell.config_hash)

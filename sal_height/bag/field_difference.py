@@ -1,4 +1,4 @@
-"""How the values of one field differ from the golden ones, over all messages of a topic."""
+"""Differences of the values of one field from the golden ones, over all messages of a topic."""
 
 from __future__ import annotations
 
@@ -14,10 +14,8 @@ from sal_height.numeric import F64, I64
 EDGES: F64 = np.concatenate([[0.0], 10.0 ** (np.arange(-20 * 20, 20 * 20 + 1) / 20), [np.inf]])
 """Limits of the classes of differences that quantiles are taken from, twenty to a decade."""
 
-QUANTILES = (0.5, 0.95, 0.99)
 
-
-class Place(NamedTuple):
+class WorstValue(NamedTuple):
     """A value and the golden one: the dwell (or number) of their message, and their position in the field."""
 
     dwell: int
@@ -28,7 +26,7 @@ class Place(NamedTuple):
 
 @dataclass
 class FieldDifference:
-    """How the values of a field differ from the golden ones.
+    """Differences of the values of a field from the golden ones.
 
     Attributes:
         values: number of values compared.
@@ -46,7 +44,7 @@ class FieldDifference:
     nan_changes: int = 0
     unmatched: int = 0
     greatest: float = float("nan")
-    worst: Place | None = None
+    worst: WorstValue | None = None
     _farthest: float = -np.inf
     _squares: float = 0.0
     _classes: I64 = field(default_factory=lambda: np.zeros(len(EDGES), np.int64))
@@ -58,7 +56,7 @@ class FieldDifference:
         return float(np.sqrt(self._squares / count)) if count else float("nan")
 
     def quantile(self, share: float) -> float:
-        """The difference that such a share of the values keeps to, up to 12 % too great; NaN if there are none."""
+        """The difference that such a fraction of the values keeps to, up to 12 % too great; NaN if there are none."""
         counts = np.cumsum(self._classes)
         if not counts[-1]:
             return float("nan")
@@ -72,7 +70,7 @@ class FieldDifference:
             golden: those that are right, shape (n,).
             made: those that are judged, shape (m,).
             allowed: the greatest differences that are within the tolerance, shape (n,).
-            dwell: of the message, or its number.
+            dwell: dwell of the message, or its number.
 
         Returns:
             The number of values beyond the tolerance.
@@ -99,7 +97,7 @@ class FieldDifference:
         return outside
 
     def as_json(self) -> dict[str, Any]:
-        """What a report says."""
+        """Entry of a report."""
         return {
             "values": self.values,
             "different": self.different,
@@ -108,7 +106,7 @@ class FieldDifference:
             "unmatched": self.unmatched,
             "greatest": or_null(self.greatest),
             "rms": or_null(self.rms),
-            **{f"p{round(100 * share)}": or_null(self.quantile(share)) for share in QUANTILES},
+            **{f"p{round(100 * share)}": or_null(self.quantile(share)) for share in (0.5, 0.95, 0.99)},
             "worst": self.worst and self.worst._asdict(),
         }
 
@@ -138,4 +136,4 @@ class FieldDifference:
     def _note(self, excess: float, index: int, golden: NDArray[Any], made: NDArray[Any], dwell: int) -> None:
         if excess > self._farthest:
             self._farthest = excess
-            self.worst = Place(dwell, index, str(golden[index]), str(made[index]))
+            self.worst = WorstValue(dwell, index, str(golden[index]), str(made[index]))

@@ -19,7 +19,7 @@ NUMBERS_OF_SAMPLES = {"complex_float32": "<f4", "complex_int16": "<i2"}
 
 
 def fields_of(message: Any, without: frozenset[str] = frozenset()) -> dict[str, NDArray[Any]]:
-    """All that a message holds, as arrays of one dimension by name.
+    """All values of a message, as arrays of one dimension by name.
 
     Args:
         message: a message.

@@ -19,10 +19,10 @@ from sal_height.bag.qos import Qos
 CHUNK_SIZE = 1 << 20  # bytes; a larger message becomes a chunk of its own
 
 COMPRESSIONS = {"none": CompressionType.NONE, "lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD}
-"""How chunks may be compressed, by the names that users give. Noise and speckle hardly get smaller."""
+"""Compressions of chunks, by the names that users give. Noise and speckle hardly get smaller."""
 
 NO_TIME = 2**63 - 1
-"""What rosbag2 gives as the start of a bag without messages."""
+"""Start of a bag without messages, as rosbag2 states it."""
 
 
 @dataclass(frozen=True)
@@ -37,10 +37,10 @@ class WrittenTopic:
 
 @dataclass
 class Written:
-    """What has been written of a file: all that is left of it once it is finished.
+    """Summary of a written file: all that is left of it once it is finished.
 
     Attributes:
-        name: of the file.
+        name: name of the file.
         counts: messages by topic.
         first_ns: earliest log time; NO_TIME without messages.
         last_ns: latest log time; 0 without messages.
@@ -56,8 +56,8 @@ class FileWriter:
     """An MCAP file that is being written.
 
     Attributes:
-        path: of the file.
-        written: what is in it so far.
+        path: path of the file.
+        written: summary of its content so far.
     """
 
     def __init__(
@@ -66,8 +66,8 @@ class FileWriter:
         """Begin the file `path`, which must not exist.
 
         Args:
-            path: of the file.
-            compression: of its chunks, one of COMPRESSIONS.
+            path: path of the file.
+            compression: compression of its chunks, one of COMPRESSIONS.
             custom_data: texts by name; they are written first, so that they outlive a killed process.
             repeated: number of messages by topic that are going to be written first and stand in the file before, too.
 
@@ -92,7 +92,7 @@ class FileWriter:
 
     @property
     def is_closed(self) -> bool:
-        """Whether nothing more can be written."""
+        """True if nothing more can be written."""
         return self._stream.closed
 
     def add_topic(self, topic: WrittenTopic) -> None:
@@ -138,5 +138,5 @@ class FileWriter:
         self._stream.close()
 
     def cut(self) -> None:
-        """Close the file as it is: a broken stream still holds bytes that it tries, and fails, to write again."""
+        """Close the file as it is: a broken stream still keeps bytes that it tries, and fails, to write again."""
         self._stream.close()

@@ -25,7 +25,7 @@ from sal_height.errors import UserError
 _FOOTER_TAIL = struct.Struct("<QQI8s")
 
 CUSTOM_DATA = "sal_height"
-"""Name of the MCAP metadata record that holds the custom data from the start of a file of ours."""
+"""Name of the MCAP metadata record with the custom data from the start of a file of ours."""
 
 PARAMETERS = "parameters"
 """Name of the nodes' parameters (JSON) in the custom data of a bag."""
@@ -44,7 +44,7 @@ CHECKSUM = "crc32"
 
 
 def bag_files(path: Path) -> list[Path]:
-    """The .mcap files of the bag at `path` (folder or file), oldest first; UserError if there is none."""
+    """The .mcap files of the bag at `path` (folder or file), oldest first; UserError without any."""
     if path.is_file():
         return [path]
     if not path.is_dir():
@@ -60,7 +60,7 @@ def bag_files(path: Path) -> list[Path]:
 
 
 def parameters_file(path: Path) -> Path:
-    """The file with the parameters of nodes beside the bag at `path` (folder or file), as bags of version 0 have it."""
+    """The file with the parameters of nodes next to the bag at `path` (folder or file), for bags of version 0."""
     return (path if path.is_dir() else path.parent) / "parameters.yaml"
 
 
@@ -82,7 +82,7 @@ def check_summary_crc(stream: BinaryIO) -> None:
 
 
 def check_profile(file: Path, profile: str) -> None:
-    """UserError unless the `profile` in the header says that the file comes from ROS 2."""
+    """UserError unless the `profile` in the header states that the file is one of ROS 2."""
     if profile != "ros2":
         raise UserError(f"File {file} has the profile {profile!r}; only MCAP files of profile 'ros2' can be read.")
 
@@ -116,7 +116,7 @@ def checksum(texts: Mapping[str, str]) -> str:
 
 
 def custom_data_of(record: str, values: dict[str, str]) -> dict[str, str] | None:
-    """Custom data in the MCAP metadata record of that name; None if it holds none, or damaged ones."""
+    """Custom data in the MCAP metadata record of that name; None if they are absent or damaged."""
     if record == CUSTOM_DATA:
         texts = {name: text for name, text in values.items() if name != CHECKSUM}
         return texts if values.get(CHECKSUM) == checksum(texts) else None
@@ -130,7 +130,7 @@ def custom_data_of(record: str, values: dict[str, str]) -> dict[str, str] | None
 
 
 def repeated_in(records: Mapping[str, Mapping[str, str]]) -> dict[str, int]:
-    """How many messages of a file are in the one before, too, by topic, as its metadata records say."""
+    """Number of messages of a file that are in the one before, too, by topic, by its metadata records."""
     return {topic: int(count) for topic, count in records.get(REPEATED, {}).items() if count.isdecimal()}
 
 

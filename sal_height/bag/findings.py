@@ -1,4 +1,4 @@
-"""What `sal-height bag check` finds: a sentence, and what to do about it."""
+"""Findings of `sal-height bag check`: a message, and its remedy."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ class Finding:
 
     Attributes:
         severity: error: messages are lost to readers, or cannot be processed; warning: less than that.
-        sentence: what is wrong, and where.
-        fix: what to do.
+        sentence: fault, and its position.
+        fix: remedy.
     """
 
     severity: Literal["error", "warning"]

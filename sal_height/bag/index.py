@@ -1,4 +1,4 @@
-"""The index of an MCAP file: what it holds, and when its messages were received, without reading the messages."""
+"""The index of an MCAP file: its content and the reception of its messages, without reading the messages."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class FileIndex:
     """The index of a complete file.
 
     Attributes:
-        path: of the file.
-        size: of the file, bytes.
+        path: path of the file.
+        size: size of the file, bytes.
         summary: schemas, channels and chunks.
         statistics: counts and times of all messages.
         records: metadata records by name.
@@ -70,7 +70,7 @@ def read_log_times(index: FileIndex) -> dict[str, I64] | None:
     Only the message indexes are read, which follow each chunk.
 
     Returns:
-        Log times by topic; None if the file has no message indexes, or they do not hold all messages.
+        Log times by topic; None if the file has no message indexes, or they do not have all messages.
 
     Raises:
         UserError: the file is damaged or cannot be read.
@@ -95,7 +95,7 @@ def read_message_indexes(stream: BinaryIO, chunk: ChunkIndex) -> Iterator[tuple[
     """Channel of each message index of a chunk, and its entries: fields `log_time` (ns) and `offset` (bytes).
 
     Raises:
-        McapError, struct.error, ValueError: there are none where the index of the file has them.
+        McapError, struct.error, ValueError: they are absent where the index of the file has them.
     """
     stream.seek(chunk.chunk_start_offset + chunk.chunk_length)
     block = stream.read(chunk.message_index_length)
@@ -113,7 +113,7 @@ def read_message_indexes(stream: BinaryIO, chunk: ChunkIndex) -> Iterator[tuple[
 
 
 def damaged(file: Path, error: Exception) -> UserError:
-    """What to say of a file that is damaged."""
+    """The message on a file that is damaged."""
     return UserError(f"File {file} is damaged ({error or type(error).__name__}); {_remedy(file)} recovers the rest.")
 
 

@@ -1,4 +1,4 @@
-"""What a bag holds, told from its indexes: no message is read but the first description of each sensor."""
+"""Contents of a bag by its indexes: no message is read but the first description of each sensor."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ class TopicInfo:
     """A topic of a bag.
 
     Attributes:
-        name: of the topic.
-        type_name: of its messages as recorded.
-        count: of its messages.
+        name: name of the topic.
+        type_name: type of its messages as recorded.
+        count: number of its messages.
         rate_hz: mean rate at which they were received; None for less than two, or if their times are not known.
         longest_gap_s: longest time between two that follow each other; None as above.
     """
@@ -52,12 +52,12 @@ class FileInfo:
 
 @dataclass(frozen=True)
 class FramesInfo:
-    """How the frames of a topic fill dwells, by their number.
+    """Frames of a topic against the channels of its dwells, by their number.
 
     Attributes:
-        topic: of the frames.
+        topic: topic of the frames.
         frames: their number.
-        detectors: in the first description of the sensor; None if there is none that can be read.
+        detectors: number of detectors in the first description of the sensor; None if no description can be read.
     """
 
     topic: str
@@ -77,15 +77,15 @@ class FramesInfo:
 
 @dataclass(frozen=True)
 class BagInfo:
-    """What a bag holds.
+    """Contents of a bag.
 
     Attributes:
-        path: of the bag.
+        path: path of the bag.
         begin_ns: time at which the first message was received, ns; None without messages.
-        end_ns: that of the last one.
+        end_ns: reception of the last message, ns.
         files: oldest first.
         topics: by name.
-        frames: of each sensor.
+        frames: frames of each sensor.
     """
 
     path: Path
@@ -112,7 +112,7 @@ class BagInfo:
 
 
 def bag_info(path: Path) -> BagInfo:
-    """What the bag at `path` holds, from the indexes of its files and the first description of each sensor.
+    """Contents of the bag at `path`, from the indexes of its files and the first description of each sensor.
 
     Raises:
         UserError: it is not a complete bag.
@@ -136,7 +136,7 @@ def bag_info(path: Path) -> BagInfo:
 
 
 def info_text(info: BagInfo) -> str:
-    """What a bag holds, as lines of text: the bag, a table of its topics, and a sentence on each sensor's dwells."""
+    """Contents of a bag as lines of text: the bag, a table of its topics, and a sentence on each sensor's dwells."""
     compressions = sorted({file.compression for file in info.files})
     head = [
         ["bag", str(info.path)],
@@ -156,7 +156,7 @@ def info_text(info: BagInfo) -> str:
 
 
 def info_values(info: BagInfo) -> dict[str, Any]:
-    """What a bag holds, as values that JSON has."""
+    """Contents of a bag as values that JSON has."""
     frames = [{**asdict(one), "dwells": one.dwells, "lacking": one.lacking} for one in info.frames]
     totals = {"size": info.size, "count": info.count, "duration_s": info.duration_s}
     return {**asdict(info), "path": str(info.path), **totals, "frames": frames}
@@ -172,7 +172,7 @@ def _dwells_sentence(frames: FramesInfo) -> str:
 
 
 def _log_times(reader: BagReader) -> Mapping[str, I64]:
-    """When messages were received, ns, in order, by topic; nothing if a file does not tell.
+    """Reception of messages, ns, in order, by topic; nothing if a file does not state it.
 
     Those at the head of a file that are in the one before, too, are left out.
     """
@@ -201,7 +201,7 @@ def _file_info(index: FileIndex) -> FileInfo:
 
 
 def _detectors(reader: BagReader, topic: str) -> int | None:
-    """Number of detectors in the first description of a sensor; None if there is none that can be read."""
+    """Number of detectors in the first description of a sensor; None if no description can be read."""
     try:
         first = next(reader.messages([topic]), None)
         described = reader.decode(first.type_name, first.cdr) if first and topic in reader.topics else None

@@ -24,14 +24,14 @@ INDEX_ENTRY = 16
 
 
 @dataclass(frozen=True)
-class Span:
-    """A record of a file, or a part of it that is none.
+class RecordSpan:
+    """A record of a file, or a part of it that is no record.
 
     Attributes:
-        offset: of its first byte in the file.
+        offset: position of its first byte in the file.
         size: bytes of it that are in the file, opcode and length included.
-        opcode: of the record; None: there is no record that can be told.
-        whole: whether all of it is in the file.
+        opcode: opcode of the record; None: no record can be recognized.
+        whole: True if all of it is in the file.
     """
 
     offset: int
@@ -55,8 +55,8 @@ def sound_summary(stream: BinaryIO) -> Summary | None:
         return None
 
 
-def spans(stream: BinaryIO, summary: Summary | None) -> Iterator[Span]:
-    """What a file consists of, up to its index, its end or its cut.
+def spans(stream: BinaryIO, summary: Summary | None) -> Iterator[RecordSpan]:
+    """The records of a file, up to its index, its end or its cut.
 
     Records are found by the lengths of those before them. Where a length or an opcode is damaged, the next chunk is
     found by the index, or, if there is no sound one, by its own lengths. A file without chunks is lost from there on.
@@ -68,7 +68,7 @@ def spans(stream: BinaryIO, summary: Summary | None) -> Iterator[Span]:
     place = len(MCAP0_MAGIC)
     while place < end:
         if place in chunks and place + chunks[place] <= end:
-            yield Span(place, chunks[place], Opcode.CHUNK)
+            yield RecordSpan(place, chunks[place], Opcode.CHUNK)
             place += chunks[place]
             continue
         after = bisect.bisect_right(starts, place)
@@ -80,7 +80,7 @@ def spans(stream: BinaryIO, summary: Summary | None) -> Iterator[Span]:
         place += span.size
 
 
-def counts_of_index(span: Span, stream: BinaryIO) -> tuple[int, int] | None:
+def counts_of_index(span: RecordSpan, stream: BinaryIO) -> tuple[int, int] | None:
     """Channel and number of messages of a message index; None if its lengths contradict each other."""
     body = span.read(stream)
     if len(body) < INDEX_HEAD.size:
@@ -89,19 +89,19 @@ def counts_of_index(span: Span, stream: BinaryIO) -> tuple[int, int] | None:
     return (channel_id, size // INDEX_ENTRY) if size == len(body) - INDEX_HEAD.size else None
 
 
-def _span(stream: BinaryIO, place: int, limit: int, *, is_open: bool, has_chunks: bool) -> Span:
-    """The record at `place`, or all up to `limit`, if it is none.
+def _span(stream: BinaryIO, place: int, limit: int, *, is_open: bool, has_chunks: bool) -> RecordSpan:
+    """The record at `place`, or all up to `limit`, if it is no record.
 
     Args:
-        stream: of the file.
+        stream: stream of the file.
         place: byte in the file.
-        limit: where the next chunk begins, or the end of the file.
-        is_open: whether the limit is the end of the file, at which a record may be cut.
-        has_chunks: whether an index names all chunks, so that there is none here.
+        limit: start of the next chunk, or end of the file.
+        is_open: True if the limit is the end of the file, at which a record may be cut.
+        has_chunks: True if an index names all chunks, so that none is here.
     """
     stream.seek(place)
     head = stream.read(HEAD.size)
-    lost = Span(place, limit - place, None)
+    lost = RecordSpan(place, limit - place, None)
     if len(head) < HEAD.size:
         return lost
     opcode, length = HEAD.unpack(head)
@@ -109,5 +109,5 @@ def _span(stream: BinaryIO, place: int, limit: int, *, is_open: bool, has_chunks
         return lost
     following = place + HEAD.size + length
     if following <= limit:
-        return Span(place, HEAD.size + length, opcode)
-    return Span(place, limit - place, opcode, whole=False) if is_open and not has_chunks else lost
+        return RecordSpan(place, HEAD.size + length, opcode)
+    return RecordSpan(place, limit - place, opcode, whole=False) if is_open and not has_chunks else lost

@@ -18,7 +18,7 @@ class NamespacedReader(BagReader):
     been given its name.
 
     Attributes:
-        namespace: with a leading slash; empty: none.
+        namespace: namespace with a leading slash; empty: none.
         renamed: other names of topics by those that are recorded.
     """
 
@@ -26,8 +26,8 @@ class NamespacedReader(BagReader):
         """Read the index of the bag at `path`; UserError with the remedy if it is not a complete bag.
 
         Args:
-            path: of the bag.
-            namespace: of topics that are read without it; empty: none.
+            path: path of the bag.
+            namespace: namespace of topics that are read without it; empty: none.
             renamed: other names of topics by those that are recorded, both with leading slash and namespace.
         """
         super().__init__(path)
@@ -43,7 +43,7 @@ class NamespacedReader(BagReader):
         }
 
     def holds(self, name: str) -> bool:
-        """Whether a topic or node is in the namespace, by its whole name."""
+        """True if a topic or node is in the namespace, by its whole name."""
         return name.startswith(f"{self.namespace}/")
 
     def _recorded_name(self, topic: str) -> str:
@@ -69,7 +69,7 @@ def open_bag(
     """Read a bag in the namespace in which it has one of the topics that are needed.
 
     Args:
-        path: of the bag.
+        path: path of the bag.
         namespace: its name, with or without leading slash; None: none if there are such topics without one, or the only
             one that has them.
         needed: names of topics, of which one is enough, without leading slash.

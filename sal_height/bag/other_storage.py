@@ -17,7 +17,7 @@ from sal_height.errors import UserError
 
 
 def is_stored_otherwise(path: Path) -> bool:
-    """Whether a bag, a folder or a file, is stored in another way than as plain MCAP files.
+    """True if a bag, a folder or a file, is stored in another way than as plain MCAP files.
 
     Raises:
         UserError: its metadata.yaml cannot be read.
@@ -35,11 +35,11 @@ class OtherStorage:
     Attributes:
         topics: those of the bag; of one with several publishers each, if they are counted apart.
         custom_data: texts by name.
-        begin_ns: when the first message was received, ns; 0 without messages.
+        begin_ns: reception of the first message, ns; 0 without messages.
     """
 
     def __init__(self, path: Path) -> None:
-        """Read what the bag at `path` tells of its topics.
+        """Read the topics of the bag at `path`.
 
         Raises:
             UserError: it is damaged, or stored in a way that rosbags does not know.

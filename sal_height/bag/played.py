@@ -1,4 +1,4 @@
-"""What of a bag is played: its topics, and the dwells that are chosen of it."""
+"""Messages of a bag with their content, as far as it matters for playing them, and the choice of dwells."""
 
 from __future__ import annotations
 
@@ -17,38 +17,33 @@ from sal_height.messages.received import ReceivedFrame
 from sal_height.messages.types import Provenance
 
 MARGIN_NS = 1_000_000_000
-"""Odometry and the air are played from so long before the first pulse of a chosen dwell to so long after its last,
-besides the last sample before and the first one after."""
+"""Odometry and the air are played from that time before the first pulse of a chosen dwell to that after its last,
+in addition to the last sample before and the first one after, ns."""
 
 MOST, LATEST_NS = 2**32 - 1, 2**63 - 1
 """Greatest number of a dwell, and latest stamp, ns."""
 
 
 LOCKSTEP, PACED, BURST = CLOCKS = "lockstep", "paced", "burst"
-"""When what a bag holds is played: dwell by dwell as it is asked for, at the times of its stamps, or at once."""
+"""Times at which a bag is played: dwell by dwell on request, at the times of its stamps, or all at once."""
 
 
 class DwellPart(NamedTuple):
-    """What a message is part of.
+    """The dwell of a message.
 
     Attributes:
-        dwell: its dwell.
+        dwell: key of the dwell.
         end_ns: stamp of the dwell's last pulse, as far as the message says, ns.
-        provenance: how it was made, to be left as it is; None: it is what the sensor delivered.
+        provenance: record of its making, which is left as it is; None: the sensor delivered it.
     """
 
     dwell: DwellKey
     end_ns: int
     provenance: Provenance | None = None
 
-    def later(self, shift_ns: int) -> DwellPart:
-        """The same of a message with a stamp that is later, ns."""
-        dwell = self.dwell._replace(stamp_ns=self.dwell.stamp_ns + shift_ns)
-        return self._replace(dwell=dwell, end_ns=self.end_ns + shift_ns)
-
 
 def part_of(recorded: BagMessage) -> DwellPart | None:
-    """The dwell of a frame, image or height image; None: it is another message.
+    """The dwell of a frame, image or height image; None: the message is another one.
 
     Raises:
         RuntimeError: the message is broken.
@@ -74,13 +69,13 @@ def part_of_frame(frame: ReceivedFrame) -> DwellPart:
 
 
 class Content(NamedTuple):
-    """What matters of a message to whoever plays it.
+    """Content of a message, as far as a player needs it.
 
     Attributes:
-        part: of a dwell; None: it is part of none.
-        odometry_ns: stamp of odometry, ns; None: it is none.
-        air_ns: stamp of a message on the air, ns; None: it is none.
-        fault: why nothing is known of it, for it is broken; empty: it is not.
+        part: dwell of the message; None: it belongs to no dwell.
+        odometry_ns: stamp of odometry, ns; None: another message.
+        air_ns: stamp of a message on the air, ns; None: another message.
+        fault: reason why it cannot be decoded; empty: it can.
     """
 
     part: DwellPart | None = None
@@ -90,29 +85,24 @@ class Content(NamedTuple):
 
     @property
     def sample_ns(self) -> int | None:
-        """Stamp of what was sampled besides dwells, ns; None: it was not."""
+        """Stamp of odometry or air, ns; None: another message."""
         return self.odometry_ns if self.air_ns is None else self.air_ns
 
     @property
     def delivered_ns(self) -> int | None:
-        """When the sensor delivered it, by its stamp, ns; None: it does not say."""
+        """Time at which the sensor delivered it, by its stamp, ns; None: not stated."""
         return self.part.end_ns if self.part else self.odometry_ns
-
-    def later(self, shift_ns: int) -> Content:
-        """What matters of the same message with a stamp that is later, ns."""
-        odometry_ns, air_ns = (None if one is None else one + shift_ns for one in (self.odometry_ns, self.air_ns))
-        return Content(self.part and self.part.later(shift_ns), odometry_ns, air_ns, self.fault)
 
 
 class Played(NamedTuple):
-    """A message that is played, and what matters of it, which is read once."""
+    """A message that is played, and its content, which is read once."""
 
     recorded: BagMessage
     content: Content
 
 
 def read_contents(recorded: Iterator[BagMessage]) -> Iterator[Played]:
-    """Messages with what matters of them; broken ones are among them."""
+    """Messages with their content; broken ones are among them."""
     return (Played(one, _content_of(one)) for one in recorded)
 
 
@@ -145,7 +135,7 @@ class DwellRange:
     end_ns: int = LATEST_NS
 
     def __contains__(self, dwell: DwellKey) -> bool:
-        """Whether a dwell is chosen."""
+        """True if a dwell is chosen."""
         return self.first <= dwell.number <= self.last and self.start_ns <= dwell.stamp_ns <= self.end_ns
 
 
@@ -155,12 +145,12 @@ ALL = DwellRange()
 def chosen(items: Iterator[Played], dwells: DwellRange) -> Iterator[Played]:
     """The messages of chosen dwells, and odometry and air around them; descriptions of the sensor are never left out.
 
-    Broken messages are left to whoever plays them.
+    Broken messages are passed on.
     """
     if dwells == ALL:
         yield from items
         return
-    held: dict[str, deque[tuple[int, Played]]] = {}
+    kept: dict[str, deque[tuple[int, Played]]] = {}
     covered_ns: dict[str, int] = {}
     needed_ns, passed_ns = -math.inf, -math.inf
     for one in items:
@@ -170,14 +160,14 @@ def chosen(items: Iterator[Played], dwells: DwellRange) -> Iterator[Played]:
                 covered_ns[topic] = stamp_ns
                 yield one
             else:
-                samples = held.setdefault(topic, deque())
+                samples = kept.setdefault(topic, deque())
                 samples.append((stamp_ns, one))
                 _forget(samples, passed_ns)
         elif part is None:
             yield one
         elif part.dwell in dwells:
             needed_ns = max(needed_ns, part.end_ns)
-            for name, samples in held.items():
+            for name, samples in kept.items():
                 _forget(samples, part.dwell.stamp_ns)
                 while samples:
                     covered_ns[name], sample = samples.popleft()
@@ -188,6 +178,6 @@ def chosen(items: Iterator[Played], dwells: DwellRange) -> Iterator[Played]:
 
 
 def _forget(samples: deque[tuple[int, Played]], time_ns: float) -> None:
-    """Leave out what is longer than the margin before a time, but for the last sample before it."""
+    """Drop samples of more than the margin before a time, but for the last sample before it."""
     while len(samples) > 1 and samples[1][0] < time_ns - MARGIN_NS:
         samples.popleft()

@@ -21,15 +21,15 @@ class Qos:
     """Quality of service of a publisher or subscription; the policies are named as in metadata.yaml.
 
     Attributes:
-        history: which messages are kept for subscribers.
+        history: choice of the messages that are kept for subscribers.
         depth: number of messages that are kept.
-        reliability: whether messages that are lost are sent again.
-        durability: whether those who subscribe later receive the messages kept.
+        reliability: repetition of messages that are lost.
+        durability: delivery of the kept messages to late subscribers.
         deadline_ns: longest time between messages, ns; 0: not stated, as in the next two times.
         lifespan_ns: time after which a message is no longer delivered, ns.
-        liveliness: how a publisher shows that it is alive.
+        liveliness: sign by which a publisher shows that it is alive.
         liveliness_lease_ns: longest time until it does so again, ns.
-        avoid_ros_namespace_conventions: whether the topic's name is that of the middleware.
+        avoid_ros_namespace_conventions: True if the topic's name is that of the middleware.
     """
 
     history: str = "keep_last"
@@ -47,7 +47,7 @@ FRAMES = Qos(depth=256)
 """Of phase histories and images: deep enough for the burst of messages that a dwell is."""
 
 ODOMETRY = Qos(depth=5000)
-"""Of platform states: small messages, but thousands of them may come with a dwell. Fast DDS holds 5000 at most; at a
+"""Of platform states: small messages, but thousands of them may arrive with a dwell. Fast DDS keeps 5000 at most; at a
 greater depth it loses the newest ones instead of the oldest."""
 
 LATCHED = Qos(depth=1, durability=TRANSIENT_LOCAL)
@@ -74,7 +74,7 @@ def to_dicts(profiles: Iterable[Qos]) -> list[dict[str, Any]]:
 
 
 def to_yaml(profiles: Iterable[Qos]) -> str:
-    """Profiles as the text that a channel's metadata holds under ``offered_qos_profiles``."""
+    """Profiles as the text that a channel's metadata has under ``offered_qos_profiles``."""
     return yaml_text(to_dicts(profiles), sort_keys=False)
 
 

@@ -50,7 +50,7 @@ class BagReader:
 
     topics: by name. custom_data: texts by name that the recording program stored in the bag. begin_ns: when the first
     message was received, ns; 0 without messages. indexes: of its files, oldest first; none if it is not stored as MCAP.
-    repeated: how many messages of each file are in the one before, too, by topic.
+    repeated: number of messages of each file that are in the one before, too, by topic.
     """
 
     def __init__(self, path: Path) -> None:
@@ -79,7 +79,7 @@ class BagReader:
         return sum(topic.count for topic in self.topics.values())
 
     def messages(self, topics: Collection[str] | None = None, times: LogTimes = ALWAYS) -> Iterator[BagMessage]:
-        """Messages in order of log time, those of `topics` or all; holds a few chunks of the bag in memory.
+        """Messages in order of log time, those of `topics` or all; keeps a few chunks of the bag in memory.
 
         Messages of an older version of sal_height_msgs are made into those of today on the way. Chunks outside of
         `times` are not read.
@@ -151,7 +151,7 @@ class BagReader:
         return message._replace(type_name=topic.type_name, cdr=cdr)
 
     def _add(self, topic: Topic, repeated: int) -> None:
-        """Add a topic of a file, of which so many messages are in the file before, too."""
+        """Add a topic of a file, with the number of its messages that are in the file before, too."""
         known = self.topics.setdefault(topic.name, topic)
         if known is topic:
             return
@@ -169,7 +169,7 @@ class BagReader:
             self._readers[type_name] = self._reader_of(type_name)
 
     def _reader_of(self, type_name: str) -> Callable[[bytes], Any]:
-        """What decodes the messages of a type."""
+        """The decoder of the messages of a type."""
         definitions = [one.definition for one in self.topics.values() if one.type_name == type_name and not one.is_old]
         if known := shipped_definition(type_name):
             for other in (one for one in definitions if not one.same_layout(known)):
@@ -180,7 +180,7 @@ class BagReader:
             raise self._other_definition(type_name, other, first)
         try:
             return recorded_types(type_name, first).reader(type_name)
-        except Exception as error:  # a definition that is none fails wherever it is read
+        except Exception as error:  # an invalid definition fails wherever it is read
             raise UserError(
                 f"The definition of type {type_name} in bag {self.path} cannot be read: {str(error).rstrip('.')}."
             ) from error

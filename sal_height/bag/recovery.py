@@ -1,4 +1,4 @@
-"""What a recovery of a bag did: which messages are in the new bag, and which parts of the old one could not be read."""
+"""Report on a recovery of a bag: messages in the new bag, and parts of the old one that could not be read."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ class Gap:
     """A part of a file that could not be read.
 
     Attributes:
-        file: of the bag.
-        offset: of its first byte.
-        size: in bytes.
-        reason: why, in words.
+        file: file of the bag.
+        offset: position of its first byte.
+        size: size, bytes.
+        reason: reason in words.
         lost: messages by topic that were there, as far as the index of the chunk says; empty if it does not.
     """
 
@@ -39,7 +39,7 @@ class Gap:
 
 @dataclass(frozen=True)
 class Recovery:
-    """What became of a bag.
+    """Result of a recovery.
 
     Attributes:
         recovered: messages in the new bag, by topic, those without messages included.
@@ -58,7 +58,7 @@ class Recovery:
 
     @property
     def is_whole(self) -> bool:
-        """Whether nothing is lost, so far as can be told."""
+        """True if nothing is lost, as far as is known."""
         return not (self.gaps or self.lost)
 
 

@@ -1,7 +1,7 @@
 """Make a proper bag of what is left of one: cut off by a killed process or a full disk, damaged, or without index.
 
 Nothing is invented: of a chunk whose checksum is wrong no message is taken. Files of other programs may have no
-checksums; damage to the messages themselves cannot be told there.
+checksums; damage to the messages themselves cannot be recognized there.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from sal_height.bag.files import (
     recorded_qos,
     repeated_in,
 )
-from sal_height.bag.layout import Span, counts_of_index, sound_summary, spans
+from sal_height.bag.layout import RecordSpan, counts_of_index, sound_summary, spans
 from sal_height.bag.recovery import UNKNOWN, Gap, Recovery
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
@@ -81,7 +81,7 @@ def _check_header(file: Path) -> None:
     try:
         with file.open("rb") as stream:
             check_start(file, stream.read(len(MCAP0_MAGIC)))
-            first = next(spans(stream, None), Span(0, 0, Opcode.HEADER, whole=False))
+            first = next(spans(stream, None), RecordSpan(0, 0, Opcode.HEADER, whole=False))
             body = first.read(stream) if first.whole and first.opcode == Opcode.HEADER else b""
     except OSError as error:
         raise UserError(f"File {file} cannot be read: {error.strerror}.") from error
@@ -134,7 +134,7 @@ class _FileCopy:
         self._gaps: dict[Gap, Counter[int]] = {}
         """Messages lost by channel, by what could not be read."""
         self._unindexed: Counter[int] | None = None
-        """Those of the damaged chunk that message indexes come after."""
+        """Those of the damaged chunk that message indexes follow."""
         self._has_checksums = self._in_chunks = False
 
     def run(self) -> Recovery:
@@ -155,7 +155,7 @@ class _FileCopy:
                 self._recovered[channel.topic] += 0
         return self._account()
 
-    def _copy_alone(self, span: Span, opcode: int) -> None:
+    def _copy_alone(self, span: RecordSpan, opcode: int) -> None:
         """Copy a record that stands outside of chunks; messages do so only in files that have no chunks."""
         if opcode == Opcode.MESSAGE_INDEX:
             self._count_lost(span)
@@ -188,7 +188,7 @@ class _FileCopy:
         """Note that a part of the file could not be read; returns the messages lost with it, to be counted."""
         return self._gaps.setdefault(Gap(self._file, offset, size, reason), Counter())
 
-    def _copy_chunk(self, span: Span) -> None:
+    def _copy_chunk(self, span: RecordSpan) -> None:
         """Copy the records in a chunk; of one that is cut off those before the cut, unless it is compressed."""
         body = span.read(self._stream)
         try:
@@ -221,14 +221,14 @@ class _FileCopy:
         data, size = get_chunk_data_stream(chunk, validate_crc=True)
         return data.read(size)
 
-    def _count_lost(self, span: Span) -> None:
+    def _count_lost(self, span: RecordSpan) -> None:
         """Count the messages of a damaged chunk that a message index after it names."""
         found = counts_of_index(span, self._stream) if self._unindexed is not None else None
         if found and self._unindexed is not None:
             self._unindexed[found[0]] += found[1]
 
-    def _copy_record(self, opcode: int, body: bytes, span: Span) -> None:
-        """Take in the description of a type or topic, or copy a message; what is known already stays."""
+    def _copy_record(self, opcode: int, body: bytes, span: RecordSpan) -> None:
+        """Read the description of a type or topic, or copy a message; known descriptions stay."""
         try:
             if opcode == Opcode.SCHEMA:
                 schema = Schema.read(_fields(body))
@@ -246,7 +246,7 @@ class _FileCopy:
         if opcode == Opcode.MESSAGE:
             self._copy_message(message, span)
 
-    def _copy_message(self, message: Message, span: Span) -> None:
+    def _copy_message(self, message: Message, span: RecordSpan) -> None:
         channel = self._channels.get(message.channel_id)
         if channel is None or not self._add_topic(channel):
             reason = "messages of a topic that nothing describes any more"

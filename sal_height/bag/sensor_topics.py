@@ -17,7 +17,7 @@ class SensorTopics:
     """Names of the topics of one sensor, whether or not the bag has them.
 
     Attributes:
-        namespace: that they share, with a slash at both ends; ``/`` if there is none.
+        namespace: namespace that they share, with a slash at both ends; ``/`` without one.
     """
 
     namespace: str

@@ -1,4 +1,4 @@
-"""Stamps of serialized messages, read at their place."""
+"""Stamps of serialized messages, read at their position."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import struct
 
 STAMP = struct.Struct("<iI")
 STAMP_AT = 4
-"""Where a serialized message has its stamp, if a header is its first field: after the four bytes that name the
+"""Position of the stamp in a serialized message whose first field is a header: after the four bytes that name the
 encoding (CDR, OMG DDS-XTypes 1.3, section 7.4.3; little endian in all ROS middlewares in use)."""
 
 

@@ -1,4 +1,4 @@
-"""How far values may be from those of a golden bag, field by field."""
+"""Allowed differences of values from those of a golden bag, field by field."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ Amount = Annotated[Float, Ge(0)]
 
 @dataclass(frozen=True)
 class Tolerance(StrictKeys):
-    """How far a value may be from the golden one: the sum of the parts.
+    """Allowed difference of a value from the golden one: the sum of the parts.
 
     Attributes:
-        absolute: in the unit of the field.
+        absolute: part in the unit of the field.
         relative: times the golden value's absolute value.
         rms: times the root mean square of the golden field in its message.
         sigma: times the golden standard deviation beside the value (field sigma).
@@ -61,9 +61,9 @@ class Tolerances:
     """Tolerances by patterns of field names.
 
     Attributes:
-        rules: by pattern, such as "surfaces.*"; the first that matches a field's name, written without the numbers of
-            list elements, holds. Fields that none matches, and texts, must be equal. Of the tolerance of whole numbers,
-            such as times in nanoseconds and validities, only the absolute part counts.
+        rules: tolerances by pattern, such as "surfaces.*"; the first that matches a field's name, without the
+            numbers of list elements, applies. Fields that none matches, and texts, must be equal. Of the tolerance of
+            whole numbers, such as times in nanoseconds and validities, only the absolute part counts.
     """
 
     rules: Mapping[str, Tolerance]
@@ -77,7 +77,7 @@ class Tolerances:
         return rule if values.dtype.kind in "fc" else Tolerance(absolute=rule.absolute)
 
     def as_json(self) -> dict[str, dict[str, float]]:
-        """What a report says of them: the parts that are not 0."""
+        """Entry of a report: the parts that are not 0."""
         return {
             pattern: {part: amount for part, amount in vars(rule).items() if amount}
             for pattern, rule in self.rules.items()
@@ -107,7 +107,7 @@ ROUNDING = Tolerances(
         "surfaces.common_covariance": Tolerance(relative=0.01, rms=1e-5),
     }
 )
-"""What processors differ by in rounding: ten times the greatest differences that were found between kinds of them."""
+"""Differences of rounding between processors: ten times the greatest ones that were measured between kinds of them."""
 
 
 def read_tolerances(path: Path) -> Tolerances:

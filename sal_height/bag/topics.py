@@ -1,4 +1,4 @@
-"""What a bag tells of its topics and messages, however it is stored."""
+"""Topics and messages of a bag, in any storage."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Topic:
 
     count: number of messages. offered_qos: profile of every publisher at the time of recording, as far as known.
     definition: text and hash of the type as recorded, which may be older than the installed one.
-    is_old: whether the type is of an older version of sal_height_msgs, which `type_name` and messages() make current.
+    is_old: True if the type is of an older version of sal_height_msgs, which `type_name` and messages() make current.
     recorded_type: name of the type as recorded.
     """
 

@@ -1,4 +1,4 @@
-"""Write a bag of an older version of sal_height_msgs anew, with the messages of today."""
+"""Write a bag of an older version of sal_height_msgs again, with the messages of today."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ def upgrade(path: Path, out_directory: Path) -> Counter[str]:
     """Write a bag with the messages of today that say what those of the bag at `path` do, in one file.
 
     Messages of other packages, and those of sal_height_msgs that have not changed, stay byte for byte, with their
-    times; custom data stay, and parameters from a file beside an older bag are among them then.
+    times; custom data stay, and parameters from a file next to an older bag are added to them.
 
     Returns:
-        Messages by topic that were made again; without those that stayed as they were.
+        Number of upgraded messages by topic.
 
     Raises:
         UserError: the bag is damaged or not complete, or the folder is not empty.

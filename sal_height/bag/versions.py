@@ -39,7 +39,7 @@ def current_name(type_name: str) -> str:
 
 
 def needs_upgrade(type_name: str, definition: Definition) -> bool:
-    """Whether messages of a type, recorded with that definition, are of an older version that `upgraded` reads."""
+    """True if messages of a type, recorded with that definition, are of an older version that `upgraded` reads."""
     name = current_name(type_name)
     known = shipped_definition(name) if name in UPGRADED else None
     return known is not None and not (name == type_name and definition.same_layout(known))
@@ -49,8 +49,8 @@ def upgraded(type_name: str, definition: Definition, cdr: bytes) -> bytes:
     """The CDR bytes of today's message that says what an older one of version 0, 1 or 2 said.
 
     Args:
-        type_name: as recorded.
-        definition: as recorded.
+        type_name: type as recorded.
+        definition: definition as recorded.
         cdr: the recorded message.
 
     Raises:
@@ -66,7 +66,7 @@ def upgraded(type_name: str, definition: Definition, cdr: bytes) -> bytes:
 
 
 def _is_of_version_0(name: str, old: Any) -> bool:
-    """Whether a message, whose type has that name today, lacks what version 1 brought."""
+    """True if a message, whose type has that name today, lacks the fields of version 1."""
     if name == f"{PACKAGE}SensorInfo":
         return not hasattr(old, "contract_version")
     if name == f"{PACKAGE}ChannelFrame":
@@ -147,7 +147,7 @@ VERSION_0: Mapping[str, Callable[[Any], Any]] = {
     f"{PACKAGE}ReliefMap": _relief_map,
     f"{PACKAGE}Calibration": _calibration,
 }
-"""What makes a message of today of one of version 0, by the name of its type today."""
+"""Converters of messages of version 0 to those of today, by the name of the type today."""
 
 UPGRADED = {*VERSION_0, f"{PACKAGE}NodeAccount"}
 """Types whose older versions are read."""
@@ -206,7 +206,7 @@ CHANGED: Mapping[str, Callable[[Any], Any]] = {
     f"{PACKAGE}NodeAccount": _node_account,
     f"{PACKAGE}ReliefMap": _layers_of_map,
 }
-"""What makes a message of today of one of version 1 or 2 whose fields have other meanings, by the name of its type."""
+"""Converters of messages of version 1 or 2 whose fields have other meanings, by the name of the type."""
 
 
 def _parameters(text: str) -> list[Any]:

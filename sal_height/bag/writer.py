@@ -18,19 +18,15 @@ from sal_height.bag.metadata_text import yaml_text
 from sal_height.bag.qos import TRANSIENT_LOCAL, Qos
 from sal_height.errors import UserError
 
-METADATA_VERSION = 9
 ROS_DISTRO = "jazzy"
-
-MOST_REPEATED = 100
-"""Latched messages of a topic that are repeated at the head of a file, if its publishers hold that many."""
 
 
 @dataclass(frozen=True)
 class Packing:
-    """How a bag is cut into files, and its messages are packed.
+    """Division of a bag into files, and compression of its messages.
 
     Attributes:
-        compression: of chunks: none, lz4 or zstd.
+        compression: compression of chunks: none, lz4 or zstd.
         split_bytes: size of a file at which the next one is begun.
         split_ns: time from the first message of a file at which the next one is begun.
     """
@@ -41,7 +37,7 @@ class Packing:
 
     @property
     def cuts(self) -> bool:
-        """Whether there may be more than one file."""
+        """True if there may be more than one file."""
         return min(self.split_bytes, self.split_ns) < math.inf
 
 
@@ -63,7 +59,7 @@ class _Topic:
 
     @property
     def head(self) -> list[_Kept]:
-        """What is to stand at the head of the next file."""
+        """Messages and metadata at the head of the next file."""
         return [*self.latched, *self.kept.values()]
 
 
@@ -85,11 +81,11 @@ class BagWriter:
         Args:
             directory: new or empty folder.
             custom_data: texts by name that travel with the bag, as those of ``ros2 bag record --custom-data``. They are
-                at the begin of every file, so that they outlive a killed process.
-            packing: how the bag is cut into files, and its messages are packed.
+                at the start of every file, so that they outlive a killed process.
+            packing: division of the bag into files, and compression of its messages.
 
         Raises:
-            UserError: the folder cannot be made or already holds something.
+            UserError: the folder cannot be made or is not empty.
         """
         self.directory = directory
         self._custom_data, self._packing = dict(custom_data), packing
@@ -110,7 +106,7 @@ class BagWriter:
         return self._file.path
 
     def has_any(self, topic: str) -> bool:
-        """Whether the bag holds a message of a topic."""
+        """True if the bag has a message of a topic."""
         return any(file.counts[topic] for file in (*self._finished, self._file.written))
 
     def add_topic(
@@ -119,8 +115,8 @@ class BagWriter:
         """Prepare `name` for `write`; to add it again with the same type does nothing.
 
         Args:
-            name: of the topic.
-            type_name: of its messages.
+            name: name of the topic.
+            type_name: type of its messages.
             qos: profile of every publisher, for players that want to offer the same.
             definition: text and hash of the type; None takes that which the package or the environment has.
 
@@ -203,7 +199,7 @@ class BagWriter:
             raise
 
     def _is_full(self, log_time_ns: int) -> bool:
-        """Whether a message belongs to the next file; a file has at least one."""
+        """True if a message belongs to the next file; a file has at least one."""
         written = self._file.written
         return bool(written.counts) and (
             log_time_ns - written.first_ns >= self._packing.split_ns or self._file.size >= self._packing.split_bytes
@@ -239,7 +235,7 @@ class BagWriter:
         """Contents of metadata.yaml, and of the record of the same meaning inside each file."""
         counts = sum((file.counts for file in files), Counter[str]())
         return {
-            "version": METADATA_VERSION,
+            "version": 9,  # of rosbag2 in Jazzy
             "storage_identifier": "mcap",
             **_span(files),
             "topics_with_message_count": [
@@ -275,7 +271,7 @@ def _span(files: Sequence[Written]) -> dict[str, Any]:
 
 
 def held_by_publishers(profiles: Sequence[Qos]) -> int:
-    """Messages that publishers keep for subscribers that come later; 0 if any of them keeps none."""
+    """Messages that publishers keep for late subscribers, 100 at most; 0 if any of them keeps none."""
     if any(profile.durability != TRANSIENT_LOCAL for profile in profiles):
         return 0
-    return min(MOST_REPEATED, sum(max(1, profile.depth) for profile in profiles))
+    return min(100, sum(max(1, profile.depth) for profile in profiles))

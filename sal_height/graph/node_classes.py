@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from sal_height.nodes.playing.paced_player import PacedPlayer
-from sal_height.nodes.playing.player import Player
+from sal_height.nodes.playing.player import PacedPlayer, Player
 from sal_height.nodes.processing import PROCESSING
 from sal_height.nodes.recording.recorder import Recorder
 from sal_height.nodes.simulator import Simulator

@@ -18,7 +18,7 @@ from sal_height.simulation import flight_of, load_preset
 from sal_height.topics import MAP_ORIGIN, ODOMETRY, PHASE_HISTORY, SENSOR_INFO
 
 
-class Parameters(StageSettings):
+class SimulatorSettings(StageSettings):
     """Parameters of the node."""
 
     preset: str = setting("sal_spotlight", "name of a preset, or path of its YAML file", read_only=True)
@@ -39,7 +39,7 @@ class Simulator(WorkerNode):
     Stamps begin at the time of start; everything else follows from preset and seed alone.
     """
 
-    parameters = Parameters
+    parameters = SimulatorSettings
     outputs: ClassVar[Topics] = {
         **SENSOR_TOPICS,
         **ORIGIN,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from air_messages import pressure_at, temperature_at
+from played_bag import odometry
 from written_bag import frame, key
 
 from sal_height import messages
@@ -20,12 +21,6 @@ NAMES = {
     FluidPressure: ("/air/pressure", "sensor_msgs/msg/FluidPressure"),
     Temperature: ("/air/temperature", "sensor_msgs/msg/Temperature"),
 }
-
-
-def odometry(seconds: float) -> Odometry:
-    message = Odometry()
-    message.header.stamp = messages.to_stamp(round(seconds * 1e9))
-    return message
 
 
 def lasting(dwell: int, seconds: float) -> ChannelFrame:

@@ -1,12 +1,10 @@
-"""Node player: publishes what a bag holds of a sensor, or the images or heights made of it.
-
-It does so dwell by dwell, at the pace of the sensor with /clock, or as fast as it can.
-"""
+"""Nodes player and paced_player: publish the messages of a bag, dwell by dwell or at the times of their delivery."""
 
 from __future__ import annotations
 
 import bisect
-import threading
+import sys
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import accumulate
 from pathlib import Path
@@ -31,28 +29,39 @@ from sal_height.bag.played import (
 from sal_height.bag.reader import BagMessage, BagReader, LogTimes
 from sal_height.bag.sensor_topics import FRAMES
 from sal_height.bag.topics import HEIGHT_TYPE, SENSOR_TYPE, Topic
+from sal_height.engine.air import AIR_PORTS
 from sal_height.engine.compression import SENSOR
 from sal_height.engine.stage import FOREVER_NS, DwellKey, StageSettings
 from sal_height.errors import UserError
 from sal_height.messages.codec import SHIPPED
 from sal_height.messages.definition import shipped_definition
 from sal_height.messages.types import Calibration as CalibrationMessage
+from sal_height.messages.types import ChannelFrame, Odometry, SensorInfo
 from sal_height.nodes.accounts.account import CALIBRATIONS, DWELLS
 from sal_height.nodes.managed import INACTIVE
-from sal_height.nodes.playing.delivery import delivered
-from sal_height.nodes.playing.simulated_clock import CLOCK, SimulatedClock
+from sal_height.nodes.playing.clocks import CLOCK, PacedClock, SimulatedClock
+from sal_height.nodes.playing.playlist import Playlist, delivered
 from sal_height.nodes.program import run_node
 from sal_height.nodes.role import Topics
+from sal_height.nodes.transport.endpoints import Outlet
 from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.nodes.worker import RESET, SENSOR_TOPICS, WorkerNode
 from sal_height.settings import setting
 from sal_height.topics import CALIBRATION, ODOMETRY, SENSOR_INFO
 
 
-class Parameters(StageSettings):
-    """Parameters of the node."""
+class PacedPlayerSettings(StageSettings):
+    """Parameters of the node paced_player."""
 
     bag: str = setting("", "path of the bag: its folder or its .mcap file", read_only=True)
+    rate: float = setting(
+        1.0, "seconds of the sensor that are played in a second if paced", minimum=1e-6, maximum=1e6, read_only=True
+    )
+
+
+class PlayerSettings(PacedPlayerSettings):
+    """Parameters of the node player."""
+
     topics: tuple[str, ...] = setting(
         SENSOR,
         "topics that are played: those of the sensor, with those of the air if any; or sensor_info and slc, or heights "
@@ -78,9 +87,6 @@ class Parameters(StageSettings):
         choices=CLOCKS,
         read_only=True,
     )
-    rate: float = setting(
-        1.0, "seconds of the sensor that are played in a second if paced", minimum=1e-6, maximum=1e6, read_only=True
-    )
     loops: int = setting(
         1,
         "how often the bag is played if paced or burst; stamps go on, dwells keep their numbers",
@@ -88,10 +94,6 @@ class Parameters(StageSettings):
         maximum=1_000_000_000,
         read_only=True,
     )
-
-
-MOST_FRAMES, MOST_SAMPLES = 128, 2000
-"""Frames, and other messages, that are published in one step at most: half of what a subscription keeps."""
 
 
 def qos_of(topic: str) -> QoSProfile:
@@ -107,7 +109,8 @@ class Player(WorkerNode):
     calibration that was applied from a dwell on is published at a step of its own before that dwell.
     """
 
-    parameters = Parameters
+    usual_name: ClassVar[str] = "player"
+    parameters = PlayerSettings
     outputs: ClassVar[Topics] = {
         **SENSOR_TOPICS,
         CALIBRATION: "calibrations that were applied in the flight, in a replay",
@@ -119,39 +122,40 @@ class Player(WorkerNode):
         """Make the node; `node_arguments` go to rclpy's Node.
 
         Raises:
-            UserError: the bag cannot be used or lacks a topic.
+            UserError: the bag cannot be used, or lacks what is to be played.
         """
-        super().__init__("player", **node_arguments)
-        self._time: SimulatedClock | None = None
-        self._ending = threading.Event()
+        super().__init__(self.usual_name, **node_arguments)
+        self._time = PacedClock()
+        self._by_dwell = False
+        self._items: Iterator[Played] = iter(())
+        self._next: Played | None = None
+        self._outlets: dict[str, Outlet] = {}
         self._applied: dict[DwellKey, list[str]] = {}
         self._calibrations: dict[str, bytes] = {}
         self._ends_ns: list[int] = []
         self._none_before: list[int] = []
         self._begun: set[DwellKey] = set()
         try:
-            self._open()
+            self._open(self._bag())
         except UserError:
             self.destroy_node()
             raise
-        self.serve("~/step", self.step)
+        self.serve(f"~/{self.begin_service}", self.step)
 
     def destroy_node(self) -> None:
         """Stop playing, and end the node."""
-        self._ending.set()
-        if self._time:
-            self._time.end()
+        self._time.end()
         super().destroy_node()
 
     def schedule(self, calibrations: Mapping[DwellKey, Sequence[str]], frames: Mapping[DwellKey, LogTimes]) -> None:
-        """Say what a replay knows of the bag, before the first step.
+        """State what a replay knows of the bag, before the first step.
 
         Args:
             calibrations: identities of those that are published before dwells.
-            frames: when the frames of each dwell were recorded.
+            frames: times at which the frames of each dwell were recorded.
 
         Raises:
-            UserError: the bag does not hold a calibration.
+            UserError: the bag does not have a calibration.
         """
         self._applied = {dwell: list(names) for dwell, names in calibrations.items() if names}
         self._calibrations = self._named_calibrations()
@@ -168,27 +172,34 @@ class Player(WorkerNode):
         return {FRAMES: self._none_before[done]} if done < len(self._none_before) else {}
 
     def step(self) -> tuple[bool, str]:
-        """Publish what is next, on the worker thread; whether there is anything, and words for it."""
+        """Publish the next messages, on the worker thread; returns whether there are any, and words for it."""
         if not self.is_active:
             return False, INACTIVE
         if self._next is None:
             return False, "the bag has ended"
         self.tally.receive()
-        in_lockstep = self.current_parameters().clock == LOCKSTEP
-        self.submit(1, self._publish_step if in_lockstep else self._deliver)
-        return True, "next dwell" if in_lockstep else "all dwells up to the next calibration"
+        self.submit(1, self._publish_step)
+        return True, "next dwell" if self._by_dwell else "all dwells up to the next calibration"
 
-    def _open(self) -> None:
-        """Open the bag, offer what is in it, and publish the first sensor info.
+    def _bag(self) -> Path:
+        """Path of the bag.
+
+        Raises:
+            UserError: the parameter is empty.
+        """
+        if not (path := self.current_parameters().bag):
+            raise UserError("Parameter bag is empty; it must be the path of a bag.")
+        return Path(path)
+
+    def _open(self, bag: Path) -> None:
+        """Open the bag, offer its topics, and publish the first sensor info.
 
         Raises:
             UserError: the bag cannot be used or lacks a topic.
         """
         parameters = self.current_parameters()
-        if not parameters.bag:
-            raise UserError("Parameter bag is empty; it must be the path of a bag.")
         renamed = dict(_names_of(rule) for rule in parameters.renamed)
-        self._reader = NamespacedReader(Path(parameters.bag), parameters.namespace, renamed)
+        self._reader = NamespacedReader(bag, parameters.namespace, renamed)
         recorded = {name.lstrip("/"): topic for name, topic in self._reader.topics.items()}
         if missing := [name for name in parameters.topics if name not in recorded]:
             raise UserError(
@@ -206,6 +217,7 @@ class Player(WorkerNode):
             self._first_of([recorded[name].name for name in names if name in parameters.topics])
             for names in ([SENSOR_INFO], messages.AIR)
         )
+        self._by_dwell = parameters.clock == LOCKSTEP
         self._items = _brought_forward(air, _without(info, self._played(parameters)))
         self._next = next(self._items, None)
         if parameters.clock == PACED and self._next:
@@ -223,28 +235,28 @@ class Player(WorkerNode):
         found = [next(self._reader.messages([name]), None) for name in names]
         return [message for message in found if message]
 
-    def _played(self, parameters: Parameters) -> Iterator[Played]:
-        """The messages of the bag that are played, in their order; unless in lockstep with the times of their delivery.
+    def _played(self, parameters: PlayerSettings) -> Iterator[Played]:
+        """The messages to play: in lockstep in the order of the bag, else in that of their delivery.
 
         Raises:
             UserError: the bag is damaged.
         """
         topics = list(self._outlets)
         dwells = DwellRange(parameters.first_dwell, parameters.last_dwell, parameters.start_ns, parameters.end_ns)
-        if parameters.clock != LOCKSTEP:
-            return delivered(self._reader, topics, dwells, parameters.loops)
-        return chosen(read_contents(self._reader.messages(topics)), dwells)
+        if self._by_dwell:
+            return chosen(read_contents(self._reader.messages(topics)), dwells)
+        return delivered(self._reader, topics, dwells, parameters.loops)
 
     def _named_calibrations(self) -> dict[str, bytes]:
         """The serialized calibrations that are published, by identity.
 
         Raises:
-            UserError: the bag does not hold one of them.
+            UserError: the bag does not have one of them.
         """
         named = {name for names in self._applied.values() for name in names}
-        if not named:
-            return {}
-        found = {name: cdr for name, cdr in calibrations_of(self._reader) if name in named}
+        topics = [name for name in self._reader.topics if name.lstrip("/") == CALIBRATION]
+        recorded = self._reader.messages(topics) if named and topics else ()
+        found = {self._reader.decode(one.type_name, one.cdr).id: one.cdr for one in recorded}
         if missing := sorted(named - found.keys()):
             raise UserError(f"Bag {self._reader.path} has no calibration {missing[0]!r} on topic {CALIBRATION}.")
         return found
@@ -262,64 +274,48 @@ class Player(WorkerNode):
             raise
 
     def _publish_step(self) -> int:
-        """Publish a dwell, up to the first message of another one; the number of frames.
+        """Publish messages when they are due, up to the end of the step; returns the number of frames.
 
-        What cannot be decoded is counted and left out.
+        In lockstep a step ends before the first message of another dwell. A message that cannot be decoded is counted
+        and left out.
         """
+        most_frames, most_others = 128, 2000  # of a step: half or less of what a subscription keeps
         frames, others, dwells = 0, 0, set[DwellKey]()
-        while (item := self._next) is not None:
+        while (item := self._next) is not None and self._is_due(item.recorded):
             if self._is_usable(item):
                 part = item.content.part
                 if part is None:
                     others += 1
                 else:
                     if part.dwell in self._applied:
-                        return frames if frames or others else self._publish_calibration(part.dwell)
-                    if frames >= max(1, self._detectors) and part.dwell not in dwells:
+                        if not frames and not others:
+                            self._publish_calibration(part.dwell)
+                        break
+                    if self._by_dwell and frames >= max(1, self._detectors) and part.dwell not in dwells:
                         break
                     frames += 1
                     dwells.add(part.dwell)
                 self._play(item)
             self._advance()
-            if frames >= MOST_FRAMES or others >= MOST_SAMPLES:
+            if self._by_dwell and (frames >= most_frames or others >= most_others):
                 break
-        return frames
-
-    def _deliver(self) -> int:
-        """Publish what is due when it is, up to a dwell before which a calibration is published; the number of frames.
-
-        What cannot be decoded is counted and left out.
-        """
-        frames = 0
-        while (item := self._next) is not None and self._is_due(item.recorded) and self.is_active:
-            if self._is_usable(item):
-                part = item.content.part
-                if part and part.dwell in self._applied:
-                    if not frames:
-                        self._publish_calibration(part.dwell)
-                    break
-                frames += part is not None
-                self._play(item)
-            self._advance()
-        if self._time:
-            self._time.stand_still()
+        self._time.stand_still()
         return frames
 
     def _is_due(self, recorded: BagMessage) -> bool:
-        """Wait until a message is due, if there is a clock; False if the node ends before."""
-        return self._time.wait_until(recorded.log_time_ns) if self._time else not self._ending.is_set()
+        """Wait until a message is due; False if the node ends or becomes inactive before."""
+        return self._time.wait_until(recorded.log_time_ns) and self.is_active
 
-    def _publish_calibration(self, dwell: DwellKey) -> int:
-        """Publish the next calibration that is applied from a dwell on; returns the number of frames, 0."""
+    def _publish_calibration(self, dwell: DwellKey) -> None:
+        """Publish the next calibration that is applied from a dwell on."""
         names = self._applied[dwell]
         self._calibration.publish(self._calibrations[names.pop(0)])
         if not names:
             del self._applied[dwell]
         self.tell(CALIBRATIONS)
-        return 0
 
     def _is_usable(self, item: Played) -> bool:
-        """Whether a message can be decoded, or else it is counted; takes note of the detectors of a sensor info."""
+        """True if a message can be decoded, or else it is counted; notes the detectors of a sensor info."""
         recorded, fault = item.recorded, item.content.fault
         if recorded.type_name == SENSOR_TYPE:
             try:
@@ -332,7 +328,7 @@ class Player(WorkerNode):
         return not fault
 
     def _play(self, item: Played) -> None:
-        """Publish a message, and count the dwell that it may begin."""
+        """Publish a message, and count the dwell if it is the first of one."""
         recorded, content = item
         if content.part and content.part.dwell not in self._begun:
             self._begun.add(content.part.dwell)
@@ -341,6 +337,55 @@ class Player(WorkerNode):
 
     def _publish(self, recorded: BagMessage) -> None:
         self._outlets[recorded.topic].publish(recorded.cdr)
+
+
+class PacedPlayer(Player):
+    """Publishes odometry, air and frames when the sensor would, from the call of ~/start until it ends.
+
+    The bag is played from memory and starts again after its end. Stamps go on: they start with the time of the call,
+    which is answered by the first of them (ns), and all else in the messages is as recorded. Further calls are answered
+    alike, for an answer may be lost. While the node is inactive, time goes on and nothing is published. After a delay
+    the node catches up.
+    """
+
+    usual_name = "paced_player"
+    parameters = PacedPlayerSettings
+    outputs: ClassVar[Topics] = {**SENSOR_TOPICS, **{port.name: port.about for port in AIR_PORTS}}
+    answers: ClassVar[Topics] = {**RESET, "~/start": "begin to deliver"}
+    begin_service = "start"
+
+    def step(self) -> tuple[bool, str]:
+        """Start to play, unless that has been done; returns whether the node plays, and the first stamp, ns."""
+        if not self.is_active:
+            return False, INACTIVE
+        if self._next is None:
+            lead_s = 0.05  # for the answer, which the caller may need before the first message
+            self._first_ns = self.get_clock().now().nanoseconds + round(lead_s * 1e9)
+            self._time = PacedClock(self._first_ns, self.current_parameters().rate, time.monotonic() + lead_s)
+            self._items = self.playlist.passes(self._first_ns)
+            self._advance()
+            self.submit(0, self._publish_step)
+        return True, f"{self._first_ns}"
+
+    def _open(self, bag: Path) -> None:
+        """Read the bag, offer the topics of a sensor, and publish its description.
+
+        Raises:
+            UserError: the bag cannot be used, has no whole dwell, or takes more memory than max_memory_mb.
+        """
+        self.playlist = Playlist.of_bag(BagReader(bag), self.current_parameters().max_memory_bytes)
+        kinds = {SENSOR_INFO: SensorInfo, ODOMETRY: Odometry, FRAMES: ChannelFrame}
+        kinds |= {topic: one.message_type for topic, one in messages.AIR.items()}
+        self._outlets = {topic: self.offer(kind, topic, qos_of(topic)) for topic, kind in kinds.items()}
+        self._outlets[SENSOR_INFO].publish(self.playlist.sensor_info)
+
+    def _is_due(self, recorded: BagMessage) -> bool:
+        """Wait until a message is due; False if the node ends before."""
+        return self._time.wait_until(recorded.log_time_ns)
+
+    def _publish(self, recorded: BagMessage) -> None:
+        if self.is_active:
+            super()._publish(recorded)
 
 
 def _names_of(rule: str) -> tuple[str, str]:
@@ -356,7 +401,7 @@ def _names_of(rule: str) -> tuple[str, str]:
 
 
 def _without(published: Sequence[BagMessage], items: Iterator[Played]) -> Iterator[Played]:
-    """What is played, without messages that have been published already."""
+    """The messages to play, without those that have been published already."""
     due = {message.topic: message.cdr for message in published}
     for item in items:
         if due.get(item.recorded.topic) == item.recorded.cdr:
@@ -366,7 +411,7 @@ def _without(published: Sequence[BagMessage], items: Iterator[Played]) -> Iterat
 
 
 def _brought_forward(early: Sequence[BagMessage], items: Iterator[Played]) -> Iterator[Played]:
-    """What is played, with these messages of it at the begin."""
+    """The messages to play, with these of them at the start."""
     others = _without(early, items)
     first = next(others, None)
     if first is None:
@@ -375,16 +420,6 @@ def _brought_forward(early: Sequence[BagMessage], items: Iterator[Played]) -> It
     yield from read_contents(message._replace(log_time_ns=begin_ns) for message in early)
     yield first
     yield from others
-
-
-def calibrations_of(reader: BagReader) -> Iterator[tuple[str, bytes]]:
-    """The calibrations in a bag: identity and serialized message.
-
-    Raises:
-        UserError: the bag is damaged.
-    """
-    for recorded in reader.messages([name for name in reader.topics if name.lstrip("/") == CALIBRATION]):
-        yield reader.decode(recorded.type_name, recorded.cdr).id, recorded.cdr
 
 
 def _class_of(topic: Topic) -> type[Any]:
@@ -399,8 +434,8 @@ def _class_of(topic: Topic) -> type[Any]:
 
 
 def main() -> int:
-    """Console script."""
-    return run_node(Player)
+    """Console script of both nodes; the name of the script says which node it is."""
+    return run_node(PacedPlayer if Path(sys.argv[0]).stem == PacedPlayer.usual_name else Player)
 
 
 if __name__ == "__main__":

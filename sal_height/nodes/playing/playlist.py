@@ -1,121 +1,29 @@
-"""What a recorded sensor delivers, in memory, in the order and at the times at which it did."""
+"""Lists of messages to play, with the times at which the sensor delivered them: of a whole bag, or of whole dwells.
+
+Odometry is delivered at its stamp, a frame after its last pulse. In a bag that is played as it is, a message without
+such a time, as the description of a sensor or one on the air, follows its predecessor in the bag.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import bisect
+import heapq
+import itertools
+from collections import defaultdict
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple, Self
 
-import numpy as np
-
 from sal_height import messages
-from sal_height.bag.reader import BagReader
+from sal_height.bag.played import Content, DwellRange, Played, chosen, read_contents
+from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.bag.sensor_topics import FRAMES
 from sal_height.bag.stamps import STAMP, STAMP_AT, stamp_ns_of
+from sal_height.bag.topics import ODOMETRY_TYPE, SENSOR_TYPE
+from sal_height.engine.stage import DwellKey
 from sal_height.errors import UserError
-from sal_height.messages.types import ChannelFrame, Odometry, SensorInfo
+from sal_height.messages.types import ChannelFrame, Odometry
 from sal_height.topics import ODOMETRY, SENSOR_INFO
-
-
-class Item(NamedTuple):
-    """A serialized message, and when the sensor delivered it, ns of its stamps."""
-
-    due_ns: int
-    topic: str
-    cdr: bytes
-
-
-class Playlist(NamedTuple):
-    """Odometry, air and frames of whole dwells, in the order of their delivery, and the description of their sensor.
-
-    Odometry and air are delivered at their stamps, a frame after its last pulse; what was known of the air before comes
-    at the begin, with a stamp from which on it is used for the first dwell. The list can be played again and again: its
-    stamps then go on by `period_ns`.
-
-    Attributes:
-        sensor_info: the last description, serialized.
-        items: what is played.
-        period_ns: time from the begin of the list to the begin of its repetition.
-        dwells: number of dwells.
-        odometry: the messages of the odometry.
-    """
-
-    sensor_info: bytes
-    items: list[Item]
-    period_ns: int
-    dwells: int
-    odometry: list[Odometry]
-
-    @classmethod
-    def of_bag(cls, reader: BagReader, most_bytes: float) -> Self:
-        """Read a bag.
-
-        Args:
-            reader: of the bag.
-            most_bytes: that its messages may take.
-
-        Raises:
-            UserError: it has no complete dwell, or its messages take more.
-        """
-        info, described, size = b"", SensorInfo(), 0
-        odometry: dict[int, tuple[bytes, Odometry]] = {}
-        air: dict[str, list[tuple[int, bytes]]] = {topic: [] for topic in messages.AIR}
-        dwells: dict[int, list[tuple[bytes, ChannelFrame]]] = {}
-        topics = [name for name in reader.topics if name.lstrip("/") in {SENSOR_INFO, ODOMETRY, FRAMES, *air}]
-        for recorded in reader.messages(topics):
-            message = reader.decode(recorded.type_name, recorded.cdr)
-            size += len(recorded.cdr)
-            if size > most_bytes:
-                raise UserError(
-                    f"Bag {reader.path} contains more than {most_bytes / 1e6:.0f} MB of dwells (max_memory_mb), "
-                    f"which are "
-                    "played from memory; allow more, or record a shorter bag."
-                )
-            if isinstance(message, SensorInfo):
-                info, described = recorded.cdr, message
-            elif isinstance(message, Odometry):
-                odometry[messages.to_ns(message.header.stamp)] = recorded.cdr, message
-            elif (topic := recorded.topic.lstrip("/")) in air:
-                air[topic].append((messages.to_ns(message.header.stamp), recorded.cdr))
-            else:
-                dwells.setdefault(messages.to_ns(message.header.stamp), []).append((recorded.cdr, message))
-        channels = messages.sensor_from_message(described).detector_count if info else 0
-        whole = {stamp: frames for stamp, frames in sorted(dwells.items()) if len(frames) == channels}
-        around = _odometry_around(sorted(odometry), whole.keys(), {s: _last_pulse(f[0][1]) for s, f in whole.items()})
-        if not whole or not around:
-            raise UserError(
-                f"Bag {reader.path} has no dwell with frames of all channels and odometry around its pulses."
-            )
-        items = [Item(stamp, ODOMETRY, odometry[stamp][0]) for stamp in around]
-        items += [Item(_last_pulse(m), FRAMES, cdr) for frames in whole.values() for cdr, m in frames]
-        for topic, samples in air.items():
-            items += _air_during(topic, samples, min(whole), around[0], around[-1])
-        return cls(
-            info,
-            sorted(items, key=lambda item: item.due_ns),
-            _period(list(whole), around),
-            len(whole),
-            [odometry[stamp][1] for stamp in around],
-        )
-
-    @property
-    def size(self) -> int:
-        """Bytes of all messages."""
-        return sum(len(item.cdr) for item in self.items)
-
-    def frames(self) -> Iterator[list[ChannelFrame]]:
-        """The frames of each dwell, in the order of channels."""
-        dwells: dict[int, list[bytes]] = {}
-        for item in self.items:
-            if item.topic == FRAMES:
-                dwells.setdefault(stamp_ns_of(item.cdr), []).append(item.cdr)
-        for serialized in dwells.values():
-            decoded = [messages.deserialize(cdr, ChannelFrame) for cdr in serialized]
-            yield sorted(decoded, key=lambda frame: frame.channel)
-
-    @property
-    def dwell_rate_hz(self) -> float:
-        """Dwells that the sensor delivers in a second."""
-        return self.dwells * 1e9 / self.period_ns
 
 
 def restamped(cdr: bytes, shift_ns: int) -> bytes:
@@ -125,42 +33,244 @@ def restamped(cdr: bytes, shift_ns: int) -> bytes:
     return b"".join((whole[:STAMP_AT], stamp, whole[STAMP_AT + STAMP.size :]))
 
 
-def _last_pulse(frame: ChannelFrame) -> int:
-    return messages.to_ns(frame.header.stamp) + round(frame.pulse_time[-1] * 1e9)
+def delivered(reader: BagReader, topics: Collection[str], dwells: DwellRange, passes: int) -> Iterator[Played]:
+    """The messages of chosen dwells, and the odometry around them, in the order of their delivery.
+
+    The `log_time_ns` of each is the time of its delivery. In every further pass stamps are later by the period of what
+    is played.
+
+    Args:
+        reader: reader of the bag.
+        topics: topics that are played.
+        dwells: dwells that are played.
+        passes: number of passes.
+
+    Raises:
+        UserError: the bag is damaged.
+    """
+    first = _Pass()
+    for one in _once(reader, topics, dwells):
+        first.add(one)
+        yield one
+    for number in range(1, passes):
+        shift_ns = number * first.period_ns
+        yield from read_contents(_later(one, shift_ns) for one in _once(reader, topics, dwells))
 
 
-def _odometry_around(stamps: list[int], dwells: Iterable[int], ends: dict[int, int]) -> list[int]:
-    """The stamps from the last before the first pulse to the first after the last, where there are such."""
-    known, starts = np.array(stamps, dtype=np.int64), list(dwells)
+@dataclass
+class _Pass:
+    """Times of the messages of one pass.
+
+    Attributes:
+        spans_ns: first and last stamp of odometry, of dwells and of deliveries, by these names, ns.
+        dwells: number of dwells.
+    """
+
+    spans_ns: dict[str, tuple[int, int]] = field(default_factory=dict)
+    dwells: int = 0
+    _last: DwellKey | None = None
+
+    def add(self, one: Played) -> None:
+        """Add a message."""
+        dwell = one.content.part and one.content.part.dwell
+        if dwell and dwell != self._last:
+            self._last, self.dwells = dwell, self.dwells + 1
+        stamps_ns = {
+            "deliveries": one.recorded.log_time_ns,
+            "odometry": one.content.odometry_ns,
+            "dwells": dwell and dwell.stamp_ns,
+        }
+        for name, stamp_ns in stamps_ns.items():
+            if stamp_ns is not None:
+                first, last = self.spans_ns.get(name, (stamp_ns, stamp_ns))
+                self.spans_ns[name] = min(first, stamp_ns), max(last, stamp_ns)
+
+    @property
+    def period_ns(self) -> int:
+        """Time after which the bag may start again, ns: a dwell after the last one, and after all else."""
+        spans = {name: last - first for name, (first, last) in self.spans_ns.items()}
+        interval = spans.get("dwells", 0) // max(1, self.dwells - 1)
+        return max(spans.get("dwells", 0) + interval, 1 + max(spans.values(), default=0))
+
+
+def _later(one: Played, shift_ns: int) -> BagMessage:
+    """A message in a later pass: only with a stamp that its content is known to have does that change."""
+    recorded = one.recorded._replace(log_time_ns=one.recorded.log_time_ns + shift_ns)
+    if one.content.delivered_ns is None and one.content.air_ns is None:
+        return recorded
+    return recorded._replace(cdr=restamped(recorded.cdr, shift_ns))
+
+
+def _once(reader: BagReader, topics: Collection[str], dwells: DwellRange) -> Iterator[Played]:
+    """One pass. Odometry is merged with all else by time; a message without a time has that of one that is played."""
+    odometry = [name for name in topics if reader.topics[name].type_name == ODOMETRY_TYPE]
+    others = [name for name in topics if name not in odometry]
+    streams = [_with_times(read_contents(reader.messages(names))) for names in (odometry, others) if names]
+    merged = heapq.merge(*streams, key=lambda one: one.recorded.log_time_ns)
+    return _with_times(chosen(merged, dwells))
+
+
+def _with_times(items: Iterator[Played]) -> Iterator[Played]:
+    """Messages with the times of their delivery, which never run back."""
+    due_ns: int | None = None
+    early: list[Played] = []  # for which there is no time yet
+    for item in items:
+        delivered_ns = item.content.delivered_ns
+        if delivered_ns is not None:
+            due_ns = delivered_ns if due_ns is None else max(due_ns, delivered_ns)
+        early.append(item)
+        if due_ns is not None:
+            yield from (Played(one.recorded._replace(log_time_ns=due_ns), one.content) for one in early)
+            early.clear()
+
+
+class Playlist(NamedTuple):
+    """Odometry, air and frames of whole dwells in memory, in the order of their delivery, and their sensor.
+
+    The air is delivered at its stamp; its last state before the first dwell is delivered at the start, with the latest
+    stamp that the dwell uses.
+
+    Attributes:
+        sensor_info: last description of the sensor, serialized.
+        items: messages on topics without leading slash; the `log_time_ns` is the time of delivery.
+        period_ns: time from the start of the list to the start of its repetition, ns.
+        dwells: number of dwells.
+    """
+
+    sensor_info: bytes
+    items: list[BagMessage]
+    period_ns: int
+    dwells: int
+
+    @classmethod
+    def of_bag(cls, reader: BagReader, most_bytes: float) -> Self:
+        """Read a bag.
+
+        Args:
+            reader: reader of the bag.
+            most_bytes: greatest size of its messages, bytes.
+
+        Raises:
+            UserError: it has no complete dwell, its messages take more, or one cannot be decoded.
+        """
+        info = b""
+        odometry: dict[int, BagMessage] = {}
+        air: dict[str, list[BagMessage]] = defaultdict(list)
+        dwells: dict[int, list[BagMessage]] = defaultdict(list)
+        for recorded, content in read_contents(_sensor_messages(reader, most_bytes)):
+            if content.fault:
+                raise UserError(
+                    f"A message on topic {recorded.topic} of bag {reader.path} cannot be decoded: "
+                    f"{content.fault.rstrip('.')}."
+                )
+            if recorded.type_name == SENSOR_TYPE:
+                info = recorded.cdr
+            elif content.odometry_ns is not None:
+                odometry[content.odometry_ns] = recorded._replace(log_time_ns=content.odometry_ns)
+            elif content.air_ns is not None:
+                air[recorded.topic].append(recorded._replace(log_time_ns=content.air_ns))
+            elif content.part:
+                dwells[content.part.dwell.stamp_ns].append(recorded._replace(log_time_ns=content.part.end_ns))
+        described = reader.decode(SENSOR_TYPE, info) if info else None
+        channels = messages.sensor_from_message(described).detector_count if described else 0
+        whole = {stamp: frames for stamp, frames in sorted(dwells.items()) if len(frames) == channels}
+        around = _odometry_around(sorted(odometry), list(whole), [frames[0].log_time_ns for frames in whole.values()])
+        if not around:
+            raise UserError(
+                f"Bag {reader.path} has no dwell with frames of all channels and odometry around its pulses."
+            )
+        items = [odometry[stamp] for stamp in around] + [frame for frames in whole.values() for frame in frames]
+        for samples in air.values():
+            items += _air_during(samples, min(whole), around[0], around[-1])
+        items.sort(key=lambda item: item.log_time_ns)
+        return cls(info, items, _period(list(whole), around), len(whole))
+
+    @property
+    def size(self) -> int:
+        """Bytes of all messages."""
+        return sum(len(item.cdr) for item in self.items)
+
+    @property
+    def odometry(self) -> list[Odometry]:
+        """The messages of the odometry."""
+        return [messages.deserialize(item.cdr, Odometry) for item in self.items if item.topic == ODOMETRY]
+
+    def frames(self) -> Iterator[list[ChannelFrame]]:
+        """The frames of each dwell, in the order of channels."""
+        dwells: dict[int, list[bytes]] = defaultdict(list)
+        for item in self.items:
+            if item.topic == FRAMES:
+                dwells[stamp_ns_of(item.cdr)].append(item.cdr)
+        for serialized in dwells.values():
+            decoded = [messages.deserialize(cdr, ChannelFrame) for cdr in serialized]
+            yield sorted(decoded, key=lambda frame: frame.channel)
+
+    @property
+    def dwell_rate_hz(self) -> float:
+        """Dwells that the sensor delivers in a second."""
+        return self.dwells * 1e9 / self.period_ns
+
+    def passes(self, first_ns: int) -> Iterator[Played]:
+        """The messages of all passes, without end, the first delivered at a time (ns); their content is left out."""
+        for shift_ns in itertools.count(first_ns - self.items[0].log_time_ns, self.period_ns):
+            for item in self.items:
+                cdr, due_ns = restamped(item.cdr, shift_ns), item.log_time_ns + shift_ns
+                yield Played(item._replace(cdr=cdr, log_time_ns=due_ns), Content())
+
+
+def _sensor_messages(reader: BagReader, most_bytes: float) -> Iterator[BagMessage]:
+    """Messages of a sensor, on topics without leading slash.
+
+    Raises:
+        UserError: they take more memory, or have another definition.
+    """
+    names = {name: name.lstrip("/") for name in reader.topics}
+    topics = [name for name, plain in names.items() if plain in {SENSOR_INFO, ODOMETRY, FRAMES, *messages.AIR}]
+    for name in topics:
+        reader.check_type(reader.topics[name].type_name)
+    size = 0
+    for recorded in reader.messages(topics):
+        size += len(recorded.cdr)
+        if size > most_bytes:
+            raise UserError(
+                f"Bag {reader.path} holds more than {most_bytes / 1e6:.0f} MB of dwells (max_memory_mb), which are "
+                "played from memory; allow more, or record a shorter bag."
+            )
+        yield recorded._replace(topic=names[recorded.topic])
+
+
+def _odometry_around(stamps: list[int], starts: Sequence[int], ends: Sequence[int]) -> list[int]:
+    """The stamps from the last before the first pulse to the first after the last pulse; empty if one is absent."""
     if not starts:
         return []
-    first = int(np.searchsorted(known, min(starts), "right")) - 1
-    last = int(np.searchsorted(known, max(ends.values()), "left"))
+    first, last = bisect.bisect_right(stamps, min(starts)) - 1, bisect.bisect_left(stamps, max(ends))
     return stamps[first : last + 1] if 0 <= first < last < len(stamps) else []
 
 
-def _air_during(topic: str, samples: list[tuple[int, bytes]], dwell_ns: int, begin_ns: int, end_ns: int) -> list[Item]:
-    """What comes on a topic of the air from the begin to the end, first what the first dwell needs.
+def _air_during(samples: list[BagMessage], dwell_ns: int, begin_ns: int, end_ns: int) -> list[BagMessage]:
+    """Messages on a topic of the air from the start to the end, first the one that the first dwell needs.
 
     Args:
-        topic: its name.
-        samples: stamp and bytes of its messages.
-        dwell_ns: stamp of the first dwell.
-        begin_ns: when the first odometry comes.
-        end_ns: when the last odometry comes.
+        samples: messages of the topic, delivered at their stamps.
+        dwell_ns: stamp of the first dwell, ns.
+        begin_ns: stamp of the first odometry, ns.
+        end_ns: stamp of the last odometry, ns.
     """
-    if not samples:
-        return []
+
+    def stamp_of(sample: BagMessage) -> int:
+        return sample.log_time_ns
+
     in_use_ns = dwell_ns - messages.AIR_LATENCY_NS
-    stamp_ns, cdr = max((one for one in samples if one[0] <= in_use_ns), default=min(samples))
-    later = [Item(max(begin_ns, stamp), topic, cdr) for stamp, cdr in samples if in_use_ns < stamp <= end_ns]
-    return [Item(begin_ns, topic, restamped(cdr, in_use_ns - stamp_ns)), *later]
+    used = max((one for one in samples if stamp_of(one) <= in_use_ns), key=stamp_of, default=min(samples, key=stamp_of))
+    first = used._replace(log_time_ns=begin_ns, cdr=restamped(used.cdr, in_use_ns - stamp_of(used)))
+    later = [one for one in samples if in_use_ns < stamp_of(one) <= end_ns]
+    return [first, *(one._replace(log_time_ns=max(begin_ns, stamp_of(one))) for one in later)]
 
 
 def _period(dwells: list[int], odometry: list[int]) -> int:
-    """Time after which the list may begin anew: a dwell after the last one, and after all odometry.
+    """Time after which the list may start again, ns: a dwell after the last one, and after all odometry.
 
     That is the longest time between dwells of the bag, as the platform turns between its passes.
     """
-    interval = max(np.diff(dwells).tolist(), default=0)
+    interval = max((after - before for before, after in itertools.pairwise(dwells)), default=0)
     return max(dwells[-1] - dwells[0] + interval, odometry[-1] - odometry[0] + 1)

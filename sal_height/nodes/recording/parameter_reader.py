@@ -25,10 +25,10 @@ ANSWER_S = 2.0
 """Time after which a node that has not answered is asked again: an answer is lost to a client not known there yet."""
 
 MOST_NODES = 1000
-"""Nodes whose parameters are asked for and held at most."""
+"""Greatest number of nodes whose parameters are asked for and kept."""
 
 MOST_BYTES = 1_000_000
-"""Serialized parameters of a node that are held at most."""
+"""Greatest size of the serialized parameters of a node that are kept."""
 
 
 class ParameterReader:
@@ -38,7 +38,7 @@ class ParameterReader:
         """Ask on behalf of `node`.
 
         Args:
-            node: that asks.
+            node: node that asks.
             tell: takes what the others answer, as a serialized event of new parameters.
             fail: takes an error in an answer.
         """
@@ -48,7 +48,7 @@ class ParameterReader:
         self._known: dict[str, ParameterEvent] = {}
 
     def look(self) -> None:
-        """Ask the nodes that have come since the last time and those that could not answer then."""
+        """Ask the nodes that have appeared since the last time and those that could not answer then."""
         own = self._node.get_fully_qualified_name()
         nodes = {
             bytes(info.endpoint_gid): f"{info.node_namespace.rstrip('/')}/{info.node_name}"
@@ -64,7 +64,7 @@ class ParameterReader:
             question.ask()
 
     def take(self, cdr: bytes) -> tuple[str, bytes] | None:
-        """Take in a serialized event; returns its node, and a serialized event of all that is known of it now."""
+        """Read a serialized event; returns its node, and a serialized event of all that is known of it now."""
         try:
             event = deserialize(cdr, ParameterEvent)
         except BrokenMessage:

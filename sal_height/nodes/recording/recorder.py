@@ -44,10 +44,7 @@ from sal_height.nodes.transport.qos import from_profile
 ACCOUNTS = {DIAGNOSTICS, PROGRESS}  # accounts of these would be recorded in turn, without end
 FAILED = "internal error"  # kind of the errors that no message should cause
 QUEUE_DEPTH = 1000  # messages per topic that may wait in the middleware until the node takes them
-ITEM_BYTES = 1000  # memory of a message that waits, besides its own bytes
-DISCOVERY_PERIOD_S = 0.1
 DIAGNOSTICS_PERIOD_S = 0.5
-GATHER_S = 0.003  # from the first message that waits to its writing: the thread wakes once for all that come meanwhile
 
 OF_DWELLS = {FRAME_TYPE, IMAGE_TYPE, HEIGHT_TYPE, ODOMETRY_TYPE}
 """Types of which every message matters, however it is published."""
@@ -68,8 +65,8 @@ class _Item(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Memory that it takes, bytes."""
-        return len(self.cdr) + ITEM_BYTES
+        """Memory that it needs, bytes."""
+        return len(self.cdr) + 1000  # bytes of the objects around it
 
 
 class Recorder(Role, Node):
@@ -122,7 +119,7 @@ class Recorder(Role, Node):
         self._worker = threading.Thread(target=self._work, name="recorder", daemon=True)
         self._worker.start()
         self.context.on_shutdown(self.close_bag)
-        self._every(DISCOVERY_PERIOD_S, self._discover)
+        self._every(0.1, self._discover)
         if self._reader:
             self._every(ASK_PERIOD_S, partial(self._look_for_parameters, self._reader))
         self._every(DIAGNOSTICS_PERIOD_S, self._publish_account)
@@ -143,7 +140,7 @@ class Recorder(Role, Node):
 
     @property
     def topic_counts(self) -> dict[str, TopicCounts]:
-        """What became of the messages of each topic."""
+        """Counts of the messages of each topic."""
         return dict(self._topic_counts)
 
     @property
@@ -214,7 +211,7 @@ class Recorder(Role, Node):
         self.create_timer(period_s, guarded(callback, self._fail), clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _discover(self) -> None:
-        """Subscribe to the wanted topics that have a publisher by now, until all those that may come have."""
+        """Subscribe to the wanted topics that have a publisher by now, until all those that may appear have."""
         known = self._refused.union(self._subscribed)
         if not self._selection.is_open and known >= self._selection.names:
             return
@@ -284,7 +281,7 @@ class Recorder(Role, Node):
             self._arrival.set()
 
     def _receive(self, topic: str, info: dict[str, Any]) -> None:
-        """Count a message that has come."""
+        """Count a message that has arrived."""
         publishers = self._subscribed[topic].get_publisher_count
         self._topic_counts[topic].receive(info.get("publication_sequence_number"), publishers)
 
@@ -298,12 +295,12 @@ class Recorder(Role, Node):
         self.get_logger().warning(self._last_loss, throttle_duration_sec=1.0)
 
     def _work(self) -> None:
-        """Write what comes until the bag is closed, and hand it to the operating system at regular times."""
+        """Write messages until the bag is closed, and pass them to the operating system at regular times."""
         flush, report = guarded(self._flush, self._fail), guarded(self._report_progress, self._fail)
         flush_due: float | None = None
         while not self._ending.is_set():
             self._arrival.wait(None if flush_due is None else max(0.0, flush_due - time.monotonic()))
-            self._ending.wait(GATHER_S)
+            self._ending.wait(0.003)  # the thread wakes once for all messages that arrive meanwhile
             self._arrival.clear()
             topics, now = self._write_waiting(), time.monotonic()
             if topics - ACCOUNTS:
@@ -317,7 +314,7 @@ class Recorder(Role, Node):
     def _write_waiting(self) -> set[str]:
         """Write the messages that wait, and return their topics.
 
-        What comes before a clock that is not that of the machine has begun waits for it: a bag must have times.
+        Messages that arrive before a clock other than the machine's has started wait for it: a bag must have times.
         """
         write, topics = guarded(self._write, self._fail), set[str]()
         if not (self._now_ns or self._ending.is_set()):
@@ -335,7 +332,7 @@ class Recorder(Role, Node):
         return max(0, self.get_clock().now().nanoseconds)
 
     def _times(self, info: dict[str, Any]) -> tuple[int, int]:
-        """When a message was received and when it was published, ns; a bag cannot hold times before 1970."""
+        """Reception and publication of a message, ns; a bag cannot have times before 1970."""
         clock = self.get_clock()
         other = isinstance(clock, ROSClock) and clock.ros_time_is_active  # than that of the middleware's times
         received_ns = 0 if other else info["received_timestamp"]
@@ -367,7 +364,7 @@ class Recorder(Role, Node):
         self._account_publisher.publish_counts(self._counts)
 
     def _counts(self) -> Account:
-        """How many messages of each topic are in the bag and how many were lost."""
+        """Number of messages of each topic in the bag, and of those that were lost."""
         left_out = self._left_out
         ignored = {ON_THE_WAY: left_out[ON_THE_WAY], FAILED: self._failures}
         return Account(
@@ -422,7 +419,7 @@ class Recorder(Role, Node):
 
 
 def _taken(subscription: Subscription) -> Iterator[tuple[bytes, dict[str, Any]]]:
-    """The messages that have come and that the executor has not handed out, with the times of their transport."""
+    """The messages that have arrived and that the executor has not handed out, with the times of their transport."""
     for _ in range(QUEUE_DEPTH):
         with subscription.handle:
             taken = subscription.handle.take_message(subscription.msg_type, True)
@@ -463,7 +460,7 @@ def _matching(offered: list[QoSProfile]) -> QoSProfile:
 
 
 def _replaces(offered: list[QoSProfile]) -> bool:
-    """Whether a message of the publishers may replace the one before; where the middleware tells no depth, it is 0."""
+    """True if a message of the publishers may replace the one before; where the middleware states no depth, it is 0."""
     return all(one.durability == DurabilityPolicy.TRANSIENT_LOCAL and one.depth <= 1 for one in offered)
 
 

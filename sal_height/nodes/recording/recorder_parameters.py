@@ -12,7 +12,7 @@ from sal_height.settings import Settings, setting
 
 
 class RecorderParameters(Settings):
-    """What is recorded, where, and how."""
+    """Parameters of the recorder: topics, folder and packing."""
 
     directory: str = setting(
         "",
@@ -69,5 +69,5 @@ class RecorderParameters(Settings):
 
     @property
     def packing(self) -> Packing:
-        """How the bag is cut into files and packed."""
+        """Division of the bag into files, and compression."""
         return Packing(self.compression, self.split_mb * 1e6 or math.inf, self.split_s * 1e9 or math.inf)

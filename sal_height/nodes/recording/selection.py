@@ -16,8 +16,8 @@ class Selection:
     """The topics that are asked for by name, by a pattern of names, or by type; nothing asked for: all there are.
 
     Attributes:
-        names: of topics asked for by name.
-        is_open: whether there may always be one more, so that the search for topics does not end.
+        names: names of topics that are asked for.
+        is_open: True if there may always be one more, so that the search for topics does not end.
     """
 
     def __init__(
@@ -30,13 +30,13 @@ class Selection:
         """Select topics.
 
         Args:
-            names: of topics, with their namespace.
+            names: names of topics, with their namespace.
             patterns: regular expressions that the whole name of a topic matches.
-            types: of messages, such as nav_msgs/msg/Odometry.
+            types: types of messages, such as nav_msgs/msg/Odometry.
             excluded: regular expressions of names; they count only for topics that are not asked for by name.
 
         Raises:
-            UserError: what should be a regular expression is none.
+            UserError: a regular expression is invalid.
         """
         self.names = frozenset(names)
         self._patterns, self._excluded = _compiled("patterns", patterns), _compiled("excluded", excluded)
@@ -45,7 +45,7 @@ class Selection:
         self.is_open = bool(self._is_all or self._patterns or self._types)
 
     def wants(self, name: str, types: Collection[str]) -> bool:
-        """Whether a topic is to be recorded, whose publishers have these types."""
+        """True if a topic is to be recorded, whose publishers have these types."""
         if name in self.names:
             return True
         if any(pattern.fullmatch(name) for pattern in self._excluded):

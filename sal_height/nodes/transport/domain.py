@@ -77,7 +77,7 @@ def ros_domain(choice: DomainChoice) -> Iterator[None]:
 
 
 def _bind(stack: ExitStack, kind: socket.SocketKind, address: str, port: int) -> None:
-    """Hold a port until the stack is closed.
+    """Keep a port until the stack is closed.
 
     Raises:
         OSError: somebody has it.

@@ -1,4 +1,4 @@
-"""What a node receives from and publishes on: subscriptions that take any quality of service, publishers that count."""
+"""Ends of topics in a node: subscriptions that accept any quality of service, publishers that count."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sal_height.nodes.transport.executors import with_times
 from sal_height.nodes.transport.message_types import class_of, publish
 
 RECENT_S = 10.0
-"""The level of the diagnostics tells what was lost in this time; the counts tell what was lost at all."""
+"""Time after a loss during which the level of the diagnostics states it, s; the counts state all losses."""
 
 QOS_OVERRIDES = QoSOverridingOptions(
     [QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY]
@@ -32,11 +32,11 @@ LESS = {
     "RELIABILITY": ("reliability", ReliabilityPolicy.BEST_EFFORT, "best-effort"),
     "DURABILITY": ("durability", DurabilityPolicy.VOLATILE, "volatile"),
 }
-"""What to ask for instead if no publisher offers as much: field of a profile, its value, and its name, by policy."""
+"""Requests to make instead if no publisher offers as much: field of a profile, its value, and its name, by policy."""
 
 
 NAMELESS = "_"
-"""What the names begin with that ROS gives to publishers of which it knows no node."""
+"""Start of the names that ROS gives to publishers of which it knows no node."""
 
 
 class Outlet:
@@ -54,7 +54,7 @@ class Outlet:
 
     @property
     def keeps_all(self) -> bool:
-        """Whether it is meant to deliver every message; of a latched topic only the last one matters."""
+        """True if it is meant to deliver every message; of a latched topic only the last one matters."""
         return bool(self.publisher.qos_profile.durability != DurabilityPolicy.TRANSIENT_LOCAL)
 
     def publish(self, message: Any) -> None:
@@ -71,19 +71,19 @@ class Outlet:
 class Inlet:
     """A subscription of a node.
 
-    It asks for the quality of service that suits the topic. If the only publishers offer less, it is made again and
-    asks for less, for it would receive nothing otherwise.
+    It asks for the quality of service that suits the topic. If the only publishers offer less, a new one asks
+    for less, for it would receive nothing otherwise.
 
     Attributes:
-        subscription: of the topic, as it is now.
-        latched: whether one message is enough for all time.
-        has_one_source: whether several publishers would contradict each other.
-        heard_at: when the last message came, s of the monotonic clock.
+        subscription: present subscription of the topic.
+        latched: True if one message is enough for all time.
+        has_one_source: True if several publishers would contradict each other.
+        heard_at: arrival of the last message, s of the monotonic clock.
         received: messages that have arrived.
-        missed: messages that the publisher has numbered up to the last one and that have not come; since its start.
-        unsuited: how often a publisher was found whose quality of service does not suit the subscription.
+        missed: messages that the publisher has numbered up to the last one and that have not arrived; since its start.
+        unsuited: number of times that a publisher was found whose quality of service does not suit the subscription.
         strangers: publishers that define the type of the messages otherwise, as of the last `look_for_strangers`.
-        has_only_strangers: whether no other publisher is known.
+        has_only_strangers: True if no other publisher is known.
     """
 
     def __init__(
@@ -101,14 +101,14 @@ class Inlet:
         """Subscribe; users can set the quality of service by the qos_overrides parameters.
 
         Args:
-            node: that subscribes.
+            node: node that subscribes.
             message_type: class of plain messages of the type.
             topic: its name.
             receive: takes a serialized message.
             qos: quality of service.
-            matched: called when a publisher comes or goes.
+            matched: callback for a publisher that appears or disappears.
             fail: takes an error in a callback.
-            has_one_source: whether several publishers would contradict each other.
+            has_one_source: True if several publishers would contradict each other.
         """
         self.has_one_source = has_one_source
         self.latched = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
@@ -150,12 +150,12 @@ class Inlet:
 
     @property
     def publishers(self) -> int:
-        """Number of publishers from which messages come."""
+        """Number of publishers from which messages arrive."""
         return int(self.subscription.get_publisher_count())
 
     @property
     def is_connected(self) -> bool:
-        """Whether the topic has a publisher, from which messages come without delay."""
+        """True if the topic has a publisher, from which messages arrive without delay."""
         return self.publishers > 0
 
     def published_elsewhere(self) -> list[str]:
@@ -192,11 +192,11 @@ class Inlet:
         )
 
     def is_silent(self, now: float) -> bool:
-        """Whether messages that should come do not."""
+        """True if expected messages do not arrive."""
         return now - self.heard_at > (math.inf if self.latched and self.heard_at > 0 else RECENT_S)
 
     def _ask_for_less(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
-        """Subscribe anew if no publisher offers what is asked for, but one does less."""
+        """Subscribe again if no publisher offers what is asked for, but one does less."""
         policy = qos_policy_name_from_kind(event.last_policy_kind)
         self.unsuited += 1
         if self.is_connected or policy not in LESS:

@@ -1,6 +1,6 @@
-"""Which executor spins a node.
+"""Choice of the executor that spins a node.
 
-rclpy's EventsExecutor is told of messages by the middleware: it takes a tenth of the time of an executor that makes a
+The middleware notifies rclpy's EventsExecutor of messages: it takes a tenth of the time of an executor that makes a
 wait set of all its nodes' topics, timers and services for every message.
 """
 

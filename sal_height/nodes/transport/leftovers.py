@@ -1,6 +1,6 @@
-"""What processes that were killed leave of the middleware in shared memory.
+"""Files of the middleware that killed processes leave in shared memory.
 
-Fast DDS makes files there, and with each a second one that its process holds locked as long as it lives: segments, from
+Fast DDS makes files there, and with each a second one that its process keeps locked as long as it lives: segments, from
 which others read what it sends, and ports, through which it receives.
 """
 
@@ -18,7 +18,7 @@ from pathlib import Path
 SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 (where Linux has it)
 
 SEGMENT, LOCK = "fastrtps_", "_el"
-"""Begin of the names of files in shared memory, and end of that of the file that goes with each."""
+"""Start of the names of files in shared memory, and end of that of the file that goes with each."""
 
 YOUNG_S = 10.0
 """A segment younger than this is never taken for one that was left."""
@@ -29,7 +29,7 @@ FORGOTTEN_S = 15.0
 _PORT = re.compile(rf"{SEGMENT}port\d+")
 
 _AVOIDED: list[int] = []
-"""Descriptors of the locks of dead ports that this process holds."""
+"""Descriptors of the locks of dead ports that this process keeps."""
 
 
 def remove_orphans() -> None:
@@ -45,7 +45,7 @@ def avoid_dead_ports() -> None:
     """Have this process receive through other ports than those of processes that were killed not long ago.
 
     For seconds, others do not know that they are dead, and send through them to nobody; who takes such a port makes its
-    files anew and hears nothing as long. Fast DDS leaves out ports that are locked: each dead one is locked as long as
+    files again and receives nothing meanwhile. Fast DDS leaves out locked ports: each dead one is locked as long as
     this process lives. One that was found dead long enough ago is removed: its lock's file is not empty since then.
     """
     while _AVOIDED:
@@ -63,7 +63,7 @@ def avoid_dead_ports() -> None:
 
 
 def is_avoided(descriptor: Path) -> bool:
-    """Whether the lock at `descriptor`, in /proc, is that of a port that a process avoids, not of one of its own.
+    """True if the lock at `descriptor`, in /proc, is that of a port that a process avoids, not of one of its own.
 
     Fast DDS has those of its own open for reading only.
     """
@@ -75,7 +75,7 @@ def _locked(file: Path) -> Iterator[int]:
     """A descriptor of a file that is locked until it is closed, which is the caller's to copy.
 
     Raises:
-        OSError: another process holds it, or it is gone.
+        OSError: another process has locked it, or it is gone.
     """
     descriptor = os.open(file, os.O_RDWR)
     try:

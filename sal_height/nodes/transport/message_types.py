@@ -67,7 +67,7 @@ def publish(publisher: Publisher, message: Any) -> None:
 def subscribe(
     node: Node, kind: type[Any], topic: str, callback: Callable[[Any], None], qos: QoSProfile | int
 ) -> Subscription:
-    """Have the plain messages of a topic taken by `callback`; bytes that are none are passed over."""
+    """Have `callback` accept the plain messages of a topic; bytes that cannot be decoded are passed over."""
     read = SHIPPED.reader(kind.__msgtype__)
 
     def take(cdr: bytes) -> None:
@@ -81,7 +81,7 @@ def subscribe(
 
 
 def _has_known_fields(type_name: str, installed: type[Any]) -> bool:
-    """Whether a class of rclpy has the fields of the shipped type, and so have the messages in it."""
+    """True if a class of rclpy has the fields of the shipped type, and so have the messages in it."""
     fields = [field for field in SHIPPED.layout(type_name).fields if field is not NO_FIELD]
     ours = [(field.name, _rclpy_type(field)) for field in fields]
     if ours != list(installed.get_fields_and_field_types().items()):

@@ -1,6 +1,6 @@
 """Shared memory of the middleware, large enough for phase histories.
 
-Fast DDS hands messages to other processes by shared memory of half a megabyte, unless it is told otherwise. A dwell is
+Fast DDS hands messages to other processes by shared memory of half a megabyte, unless configured otherwise. A dwell is
 larger: its frames then wait for room or go over the network, and keep platform states waiting for seconds.
 """
 
@@ -27,10 +27,10 @@ LEAST = 4_000_000
 """Shared memory of a process, bytes, below which the default settings of Fast DDS do as well."""
 
 DWELLS = 2
-"""Dwells that the shared memory holds: one is written while another is read."""
+"""Dwells for which the shared memory has room: one is written while another is read."""
 
 PIECES, LEAST_PIECE = 2000, 8000
-"""A message travels in pieces: of so many to the shared memory of a process, but of so many bytes at least.
+"""A message travels in pieces: that many fill the shared memory of a process; least size of one, bytes.
 
 A piece needs one free block. Where enough is free but scattered, Fast DDS gives up the piece and frees nothing: once
 messages for a process that was killed have filled the memory, no piece larger than the largest gap is ever sent again.
@@ -91,7 +91,7 @@ TEMPLATE = """<?xml version="1.0" encoding="UTF-8"?>
 """Participants send by shared memory on this machine, and by UDP to others.
 
 They announce themselves four times a second, every 3 s by default: one that starts later, or again, is found that soon.
-One that was killed is taken for running until nothing has been heard of it for 5 s, 20 s by default.
+One that was killed is taken for running until nothing has been received of it for 5 s, 20 s by default.
 And they ask five times a second, every 3 s by default, what of their messages has not arrived, to send it again.
 
 The ports of one that stands still are taken for dead after 5 s, 1 s by default, when nobody sends to it any more.
@@ -101,7 +101,7 @@ Those of a process that was killed are not known to be dead as long: none that s
 
 
 LOOPBACK = "\n        <interfaceWhiteList><address>127.0.0.1</address></interfaceWhiteList>"
-"""Has a participant listen to this machine only. By ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST alone it sends its
+"""Restricts a participant to this machine. By ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST alone it sends its
 announcements nowhere else, but answers whoever addresses it."""
 
 
@@ -114,8 +114,8 @@ def segment_bytes(dwell_bytes: int, free_bytes: int) -> int | None:
     """Shared memory that a process takes.
 
     Args:
-        dwell_bytes: of the samples of a dwell; 0: not known.
-        free_bytes: in the machine's shared memory.
+        dwell_bytes: size of the samples of a dwell; 0: not known.
+        free_bytes: free bytes of the machine's shared memory.
 
     Returns:
         A number of bytes, or None if too few are free for it to be of use.
@@ -133,8 +133,8 @@ def settings_for(dwell_bytes: int, *, local: bool = False, packet_bytes: int = 0
     """Settings of Fast DDS, as XML, with which a process publishes dwells of that size.
 
     Args:
-        dwell_bytes: of the samples of a dwell; 0: not known.
-        local: whether other machines can reach nothing of the process.
+        dwell_bytes: size of the samples of a dwell; 0: not known.
+        local: True if other machines can reach nothing of the process.
         packet_bytes: size of the packets in which messages travel; 0: that of the pieces by shared memory.
 
     Raises:
@@ -152,7 +152,7 @@ def settings_for(dwell_bytes: int, *, local: bool = False, packet_bytes: int = 0
 
 
 def provide_shared_memory(dwell_bytes: int = 0) -> None:
-    """Have the nodes of this process, and of those that it starts, use shared memory that holds dwells of that size.
+    """Have the nodes of this process, and of those that it starts, use shared memory with room for dwells of that size.
 
     What processes that were killed have left of it is given back first. Where the variables of ROS keep nodes to this
     machine, no other can reach them. This has an effect before the first node of a process only. Whoever uses another
@@ -178,6 +178,6 @@ def provide_shared_memory(dwell_bytes: int = 0) -> None:
 
 
 def _keeps_to_machine() -> bool:
-    """Whether the environment variables of ROS say that nodes find none of other machines."""
+    """True if the environment variables of ROS let nodes find none of other machines."""
     peers = os.environ.get("ROS_STATIC_PEERS", "")
     return os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") in {"LOCALHOST", "OFF"} and not peers

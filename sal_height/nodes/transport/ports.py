@@ -1,8 +1,8 @@
-"""Whether the middleware of this process can still be reached by shared memory.
+"""Checks that the middleware of this process can still be reached by shared memory.
 
 Fast DDS receives through files of shared memory, called ports. If a process stands still for seconds (a debugger, a
-machine that pauses), others take its ports for dead and make them anew; when it goes on, it does the same, and now and
-then the two end up with different files of one name. Nothing ever arrives then, and no error tells. With the settings
+machine that pauses), others take its ports for dead and make them again; when it goes on, it does the same, and now and
+then the two end up with different files of one name. Nothing arrives then, and no error is reported. With the settings
 of `middleware` it has not been seen; programs with other settings may be about.
 """
 
@@ -48,7 +48,7 @@ class Ports:
 
 
 def ports_read(process: Path = OURS) -> set[str]:
-    """Names of the ports that a process reads: it holds a lock on the file that goes with each."""
+    """Names of the ports that a process reads: it has a lock on the file that goes with each."""
     names: set[str] = set()
     if not (process.is_dir() and SHARED_MEMORY.is_dir()):
         return names
@@ -60,7 +60,7 @@ def ports_read(process: Path = OURS) -> set[str]:
 
 
 def _inode(name: str) -> int:
-    """Number of the file of a port, as other processes find it; 0: there is none."""
+    """Number of the file of a port, as other processes find it; 0: no file."""
     with suppress(OSError):
         return (SHARED_MEMORY / name).stat().st_ino
     return 0

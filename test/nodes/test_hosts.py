@@ -20,7 +20,7 @@ from hosts import Hosts, UnavailableError
 from sal_height.messages.types import HeightImage
 from sal_height.nodes.transport.middleware import PROFILES, settings_for
 
-TIMEOUT_S = 90.0
+TIMEOUT_S = 120.0
 FRAMES = 16
 OURS = {
     **{name: text for name, text in os.environ.items() if not name.startswith(("ROS_", "FASTRTPS_"))},

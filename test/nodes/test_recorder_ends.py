@@ -27,7 +27,7 @@ from sal_height.messages.types import DiagnosticArray, DiagnosticStatus
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
 
-TIMEOUT_S = 60.0
+TIMEOUT_S = 120.0
 KILLS = int(os.environ.get("SAL_HEIGHT_KILLS", "3"))
 AT_ONCE = 6
 FLUSH_S = 0.3

@@ -25,7 +25,7 @@ from sal_height.nodes.transport.message_types import subscribe
 from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.nodes.worker import WorkerNode
 
-TIMEOUT_S = 20.0
+TIMEOUT_S = 120.0
 
 
 class Listening(WorkerNode):

@@ -5,9 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import math
-import os
 import signal
-import subprocess
 import sys
 import threading
 from collections.abc import Callable
@@ -19,6 +17,8 @@ import pytest
 import rasterio
 import rclpy
 from helpers import assert_one_sentence, file_size_limit, make_aperture, publisher_of
+from programs import PROCESSING as PROGRAMS
+from programs import Program
 from pyproj import CRS
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -446,17 +446,14 @@ def test_without_rasterio_a_file_is_refused_at_the_start(
     start(graph)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_the_program_with_a_whole_file(
-    graph: Graph, tmp_path: Path, domain_id: int, number: signal.Signals
-) -> None:
+def test_a_signal_ends_the_program_with_a_whole_file(graph: Graph, tmp_path: Path, domain_id: int) -> None:
     path = tmp_path / "map.tif"
     values = f"file:={path}", "cell_size_m:=1.0", "period_s:=0.1", "origin_latitude_deg:=47.5"
     process = run_main(domain_id, *(word for value in values for word in ("-p", value)))
     mapped = Mapped(graph, None)
     mapped.feed(*(height_image(dwell) for dwell in range(5)))
-    process.send_signal(number)
-    process.send_signal(number)
+    process.send_signal(signal.SIGTERM)
+    process.send_signal(signal.SIGTERM)
     _, errors = process.communicate(timeout=TIMEOUT_S)
     assert process.returncode == 0
     assert_one_sentence(errors.partition("]: ")[2].strip(), "Waiting for messages on /ml/height")
@@ -481,10 +478,8 @@ def test_the_program_ends_with_status_1_and_a_sentence_if_the_folder_is_gone(
     assert mapped.map_of(1).rows == ROWS
 
 
-def run_main(domain_id: int, *arguments: str) -> subprocess.Popen[str]:
-    environment = os.environ | {"ROS_DOMAIN_ID": str(domain_id)}
-    command = [sys.executable, "-m", "sal_height.nodes.processing", "relief_mapper", "--ros-args", *arguments]
-    return subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)  # noqa: S603
+def run_main(domain_id: int, *arguments: str) -> Program:
+    return Program(PROGRAMS, "relief_mapper", "--ros-args", *arguments, domain_id=domain_id)
 
 
 def placed(origin: NavSatFix, **parameters: Any) -> MapStage:

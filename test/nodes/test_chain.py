@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +13,7 @@ import pytest
 from chain_fixture import DETECTORS, START_NS, Chain, StageChain, next_dwell_is_exact
 from helpers import RAW_WAVEFORMS, assert_one_sentence, publisher_of, with_waveform
 from instrument_messages import in_aviation_axes
+from programs import Program
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -235,23 +238,21 @@ def test_a_wrong_parameter_at_run_time_changes_nothing(nodes: Chain) -> None:
     assert stage.current_parameters() == PROCESSING["ml_height"].parameters(timeout_s=0.5)
 
 
-def test_every_node_is_a_program(tmp_path: Path) -> None:
-    import subprocess
-    import sys
-
-    programs = [["simulator"], ["playing.player"], *(["processing", name] for name in ("sar_compression", "ml_height"))]
+def test_every_node_is_a_program(tmp_path: Path, domain_id: int) -> None:
+    """Processing nodes by `python -m`, the others by what their console scripts call."""
     wrong = ["--ros-args", "-p", "no_such_thing:=1", "-p", "preset:=no_such_preset", "-p", "timeout_s:=-1.0"]
     wrong += ["-p", f"bag:={tmp_path}"]
-    started = [
-        subprocess.Popen(  # noqa: S603
-            [sys.executable, "-m", f"sal_height.nodes.{module}", *name, *wrong],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        for module, *name in programs
+    module = subprocess.Popen(  # noqa: S603 (our own module)
+        [sys.executable, "-m", "sal_height.nodes.processing", "ml_height", *wrong],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    forked = [
+        Program(f"sal_height.nodes.{name}", "program", *wrong, domain_id=domain_id)
+        for name in ("simulator", "playing.player")
     ]
-    for program in started:  # which start side by side
+    for program in (module, *forked):  # which start side by side
         _, errors = program.communicate(timeout=600)
         assert program.returncode == 2, errors
         assert "Traceback" not in errors

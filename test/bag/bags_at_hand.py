@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -14,16 +15,26 @@ REFERENCE = Path(__file__).parents[2] / "bags" / "version_3"
 """Two dwells of eight detectors."""
 
 
+@cache
+def _source() -> BagReader:
+    return BagReader(REFERENCE)
+
+
+@cache
+def _messages() -> tuple[BagMessage, ...]:
+    return tuple(_source().messages())
+
+
 def reference() -> list[BagMessage]:
     """The messages of the reference bag."""
-    return list(BagReader(REFERENCE).messages())
+    return list(_messages())
 
 
 def write_like_reference(
     folder: Path, messages: Iterable[BagMessage], custom_data: dict[str, str] | None = None, packing: Packing = ONE_FILE
 ) -> Path:
     """A bag with topics as the reference bag has them, and these messages, each in a chunk of its own."""
-    source = BagReader(REFERENCE)
+    source = _source()
     messages = list(messages)
     profiles = {name: topic.offered_qos for name, topic in source.topics.items()}
     with BagWriter(folder, source.custom_data if custom_data is None else custom_data, packing) as bag:
@@ -37,6 +48,6 @@ def write_like_reference(
 
 def changed(message: BagMessage, change: Callable[[Any], None]) -> BagMessage:
     """A message after a change to what it says."""
-    decoded = BagReader(REFERENCE).decode(message.type_name, message.cdr)
+    decoded = _source().decode(message.type_name, message.cdr)
     change(decoded)
     return message._replace(cdr=serialize(decoded))

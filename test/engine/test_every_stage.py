@@ -24,6 +24,17 @@ TIGHT = {"timeout_s": 0.3, "max_unfinished_dwells": 2, "max_memory_mb": 1}
 every_stage = pytest.mark.parametrize("case", CASES, ids=str)
 
 
+def seeds(first: int, few: int, all_of_them: int) -> pytest.MarkDecorator:
+    """Some seeds; the rest is thorough."""
+    return pytest.mark.parametrize(
+        "seed",
+        [
+            pytest.param(first + number, marks=[pytest.mark.thorough] if number >= few else [])
+            for number in range(all_of_them)
+        ],
+    )
+
+
 class Idle:
     """A worker that makes nothing of any job."""
 
@@ -136,7 +147,7 @@ def check_bounds(stage: Stage) -> None:
 
 
 @every_stage
-@pytest.mark.parametrize("seed", range(12))
+@seeds(0, 4, 12)
 def test_accounts_balance_and_memory_is_bounded_whatever_happens(case: Case, seed: int) -> None:
     """Jobs are made and counted, but not processed."""
     script, driven = Script(case, seed, has_time=True), Driven(case.make(**tight(case)), Idle())
@@ -147,7 +158,7 @@ def test_accounts_balance_and_memory_is_bounded_whatever_happens(case: Case, see
 
 
 @every_stage
-@pytest.mark.parametrize("seed", [100, 101])
+@seeds(100, 1, 2)
 def test_the_cheap_side_touches_nothing_that_the_heavy_side_keeps(case: Case, seed: int) -> None:
     """A copy of the stage that processes all jobs, and decides nothing, makes the same of them."""
     script = Script(case, seed, has_time=True)

@@ -26,7 +26,7 @@ from sal_height.nodes.transport.message_types import subscribe
 from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 
 BAG = Path(__file__).parents[2] / "bags" / "version_3"
-TIMEOUT_S = 60.0
+TIMEOUT_S = 120.0
 KINDS = {
     "/sensor_info": (SensorInfo, LATCHED_QOS),
     "/platform/odometry": (Odometry, ODOMETRY_QOS),

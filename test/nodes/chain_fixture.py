@@ -1,19 +1,22 @@
-"""The processing nodes among each other, fed by hand."""
+"""The processing stages among each other, fed by hand: as nodes, or joined by messages without ROS."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
+from flown_items import history_in
 from helpers import publisher_of
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from stage_graph import StageGraph
 
 from sal_height import messages
+from sal_height.engine.heights import height_stage
 from sal_height.messages.plain import is_same
-from sal_height.messages.types import ChannelFrame, HeightImage, Odometry, SensorInfo
+from sal_height.messages.types import Calibration, ChannelFrame, HeightImage, Odometry, SensorInfo, TFMessage
 from sal_height.nodes.host import StageNode
 from sal_height.nodes.processing import PROCESSING
 from sal_height.nodes.transport.graph import Graph
@@ -27,10 +30,119 @@ TIMEOUT_S = 120.0
 DETECTORS = 8
 
 
+TOPICS = {
+    SensorInfo: "sensor_info",
+    Odometry: "platform/odometry",
+    ChannelFrame: "phase_history",
+    Calibration: "calibration",
+    TFMessage: "/tf_static",
+    **{one.message_type: topic for topic, one in messages.AIR.items()},
+}
+"""Topics of what is published by the type of the messages."""
+
 ESTIMATORS = {"monopulse": PROCESSING["monopulse"], "ml": PROCESSING["ml_height"]}
 
 
-class Chain:
+class Flown:
+    """The messages of a flight, and heights that are made of them.
+
+    Attributes:
+        flight: that is flown.
+        estimators: names of those that make heights.
+        heights: by estimator and dwell.
+    """
+
+    flight: SimulatedFlight
+    estimators: tuple[str, ...]
+    heights: dict[tuple[str, int], HeightImage]
+
+    def sensor_info(self) -> SensorInfo:
+        return messages.sensor_to_message(self.flight.sensor, messages.to_stamp(START_NS))
+
+    def odometry(self, dwell: int) -> list[Odometry]:
+        return [
+            messages.state_to_message(state, messages.to_stamp(START_NS + state.stamp_ns))
+            for state in self.flight.platform_states(dwell)
+        ]
+
+    def frames(self, dwell: int) -> list[ChannelFrame]:
+        history = history_in(self.flight, dwell)
+        stamp = messages.to_stamp(START_NS + history.stamp_ns)
+        frames = messages.history_to_messages(history, self.flight.sensor, dwell, stamp)
+        return [copy.deepcopy(frame) for frame in frames]  # of which each can be spoiled alone
+
+    def publish(self, *messages: Any) -> None:
+        """Publish messages on the topics of their types."""
+        raise NotImplementedError
+
+    def wait(self, condition: Any, what: str) -> None:
+        """Wait until something has happened."""
+        raise NotImplementedError
+
+    def accounts(self) -> dict[str, Any]:
+        """The account of each stage."""
+        raise NotImplementedError
+
+    def fly(self, dwell: int = 0) -> None:
+        """Publish the description of the sensor and a dwell, and wait for its heights."""
+        self.publish(self.sensor_info(), *self.odometry(dwell), *self.frames(dwell))
+        self.await_heights(dwell)
+
+    def await_heights(self, dwell: int) -> None:
+        expected = {(name, dwell) for name in self.estimators}
+        self.wait(lambda: expected <= set(self.heights), f"the heights of dwell {dwell}")
+
+    def await_drops(self, stage: str, reason: str, count: int) -> None:
+        self.wait(lambda: self.dropped(stage).get(reason) == count, f"{count} x {reason!r} in {stage}")
+
+    def dropped(self, stage: str) -> dict[str, int]:
+        summary = self.accounts()[stage]
+        return {k.removeprefix("dropped."): int(v) for k, v in summary.items() if k.startswith("dropped.")}
+
+    def _keep(self, image: HeightImage) -> None:
+        self.heights[image.estimator, image.dwell] = image
+
+
+class StageChain(Flown):
+    """Compression and estimators joined by messages, without ROS; time passes while a test waits.
+
+    Attributes:
+        graph: of the stages.
+        stages: by name.
+    """
+
+    def __init__(
+        self,
+        flight: SimulatedFlight,
+        missing_after_s: float = 0.5,
+        image: Mapping[str, Any] = MappingProxyType({"rows": 46, "cols": 12}),
+        heights: Mapping[str, Any] = MappingProxyType({}),
+        estimators: Sequence[str] = ("monopulse", "ml"),
+        own: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
+    ) -> None:
+        """Parameters: `image` of sar_compression, `heights` of all estimators, `own` of one by name."""
+        self.flight, self.estimators, self.heights = flight, tuple(estimators), {}
+        self.graph = StageGraph()
+        self.stages = self.graph.hosts
+        self.graph.add("sar_compression", timeout_s=missing_after_s, **image)
+        for name in estimators:
+            self.graph.add(height_stage(name).usual_name, timeout_s=missing_after_s, **heights, **own.get(name, {}))
+
+    def publish(self, *messages: Any) -> None:
+        for message in messages:
+            self.graph.publish(TOPICS[type(message)], message)
+        for name in self.estimators:
+            for image in self.graph.heard.pop(f"{name}/height", []):
+                self._keep(image)
+
+    def wait(self, condition: Any, what: str) -> None:
+        self.graph.wait(lambda: self.publish() or condition(), what)
+
+    def accounts(self) -> dict[str, Any]:
+        return {name: stage.summary() for name, stage in self.stages.items()}
+
+
+class Chain(Flown):
     """sar_compression and height nodes in one graph; frames go in by hand, heights are collected."""
 
     def __init__(
@@ -89,40 +201,11 @@ class Chain:
         for message in messages:
             self._publishers[type(message)].publish(message)
 
-    def sensor_info(self) -> SensorInfo:
-        return messages.sensor_to_message(self.flight.sensor, messages.to_stamp(START_NS))
-
-    def odometry(self, dwell: int) -> list[Odometry]:
-        return [
-            messages.state_to_message(state, messages.to_stamp(START_NS + state.stamp_ns))
-            for state in self.flight.platform_states(dwell)
-        ]
-
-    def frames(self, dwell: int) -> list[ChannelFrame]:
-        history = self.flight.phase_history(dwell)
-        stamp = messages.to_stamp(START_NS + history.stamp_ns)
-        frames = messages.history_to_messages(history, self.flight.sensor, dwell, stamp)
-        return [copy.deepcopy(frame) for frame in frames]  # of which each can be spoiled alone
-
-    def await_heights(self, dwell: int) -> None:
-        expected = {(name, dwell) for name in self.estimators}
-        self.wait(lambda: expected <= set(self.heights), f"the heights of dwell {dwell}")
-
-    def await_drops(self, stage: str, reason: str, count: int) -> None:
-        self.wait(lambda: self.dropped(stage).get(reason) == count, f"{count} x {reason!r} in {stage}")
-
-    def dropped(self, stage: str) -> dict[str, int]:
-        summary = self.stages[stage].tally.summary()
-        return {k.removeprefix("dropped."): int(v) for k, v in summary.items() if k.startswith("dropped.")}
-
     def accounts(self) -> dict[str, Any]:
         return {name: stage.tally.summary() for name, stage in self.stages.items()}
 
-    def _keep(self, image: HeightImage) -> None:
-        self.heights[image.estimator, image.dwell] = image
 
-
-def next_dwell_is_exact(chain: Chain, reference: dict[tuple[str, int], HeightImage]) -> None:
+def next_dwell_is_exact(chain: Flown, reference: dict[tuple[str, int], HeightImage]) -> None:
     chain.publish(*chain.odometry(1), *chain.frames(1))
     chain.await_heights(1)
     for name in ("ml", "monopulse"):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from bag_feeder import BAG, Feeder
-from chain_fixture import Chain
+from chain_fixture import Chain, StageChain
 
 from sal_height.messages.types import HeightImage
 from sal_height.nodes.processing import PROCESSING
@@ -30,14 +30,12 @@ def chain(graph: Graph, flight: SimulatedFlight) -> Chain:
 
 @pytest.fixture(scope="session")
 def reference(flight: SimulatedFlight) -> dict[tuple[str, int], HeightImage]:
-    """Heights of dwells 0 and 1 when all is well."""
-    with free_domain() as domain, Graph(domain) as graph:
-        chain = Chain(graph, flight, missing_after_s=30.0)
-        chain.publish(chain.sensor_info())
-        for dwell in (0, 1):
-            chain.publish(*chain.odometry(dwell), *chain.frames(dwell))
-            chain.await_heights(dwell)
-        return dict(chain.heights)
+    """Heights of dwells 0 and 1 when all is well; stages that are joined without ROS make them."""
+    chain = StageChain(flight)
+    chain.publish(chain.sensor_info())
+    for dwell in (0, 1):
+        chain.publish(*chain.odometry(dwell), *chain.frames(dwell))
+    return dict(chain.heights)
 
 
 @pytest.fixture(scope="session")

@@ -27,7 +27,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.base import Nodetype
 
 MSG_DEFS = Path(__file__).parents[2] / "msg_defs" / "msg"
-TIMEOUT_S = 25.0
+TIMEOUT_S = 120.0
 """Longest wait for one thing, less than that of the test for the whole program, so that it is said for what."""
 
 ACCOUNTS = 4

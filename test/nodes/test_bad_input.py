@@ -9,10 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from chain_fixture import DETECTORS, START_NS, Chain, next_dwell_is_exact, same_heights
-from helpers import publisher_of
-from rclpy.node import Node
-from rclpy.parameter import Parameter
+from chain_fixture import DETECTORS, START_NS, StageChain, next_dwell_is_exact, same_heights
 
 from sal_height import messages
 from sal_height.errors import Rejected
@@ -20,10 +17,6 @@ from sal_height.geometry import Motion, Trajectory
 from sal_height.imaging import ImageSettings
 from sal_height.messages import deserialize, serialize
 from sal_height.messages.types import ChannelFrame, ComplexImage, HeightImage, Provenance
-from sal_height.nodes.processing import PROCESSING
-from sal_height.nodes.transport.graph import Graph
-from sal_height.nodes.transport.message_types import subscribe
-from sal_height.nodes.transport.quality import FRAMES_QOS
 from sal_height.pipeline import Compressor
 from sal_height.simulation import SimulatedFlight
 
@@ -76,6 +69,12 @@ def beyond(frame: ChannelFrame) -> None:
     frame.reference_range[4] = 1e300
 
 
+@pytest.fixture
+def chain(flight: SimulatedFlight) -> StageChain:
+    """A chain that drops what misses something after 0.5 s."""
+    return StageChain(flight)
+
+
 @pytest.fixture(scope="module")
 def good_frame(flight: SimulatedFlight) -> bytes:
     """A serialised frame of detector 3."""
@@ -112,7 +111,7 @@ def test_a_bad_frame_is_rejected_with_its_reason(
 
 
 @pytest.mark.parametrize(("spoil", "reason"), [(truncated, "wrong size"), (unknown_channel, "unknown channel")])
-def test_a_bad_frame_costs_its_dwell_only(chain: Chain, reference: Any, spoil: Any, reason: str) -> None:
+def test_a_bad_frame_costs_its_dwell_only(chain: StageChain, reference: Any, spoil: Any, reason: str) -> None:
     frames = chain.frames(0)
     spoil(frames[3])
     chain.publish(chain.sensor_info(), *chain.odometry(0), *frames)
@@ -120,66 +119,6 @@ def test_a_bad_frame_costs_its_dwell_only(chain: Chain, reference: Any, spoil: A
     assert chain.dropped("sar_compression") == {reason: 1, "incomplete dwell": DETECTORS - 1}
     next_dwell_is_exact(chain, reference)
     assert ("ml", 0) not in chain.heights
-
-
-def test_frames_may_come_in_any_order(chain: Chain, reference: Any) -> None:
-    frames = [frame for pair in zip(chain.frames(1)[::-1], chain.frames(0), strict=True) for frame in pair]
-    chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.odometry(1), *frames)
-    for dwell in (0, 1):
-        chain.await_heights(dwell)
-        assert same_heights(chain.heights["ml", dwell], reference["ml", dwell])
-
-
-def test_a_duplicate_is_counted_and_the_dwell_is_exact(chain: Chain, reference: Any) -> None:
-    frames = chain.frames(0)
-    chain.publish(chain.sensor_info(), *chain.odometry(0), frames[0], *frames[:-1], frames[-1])
-    chain.await_heights(0)
-    assert same_heights(chain.heights["ml", 0], reference["ml", 0])
-    assert chain.dropped("sar_compression") == {"duplicate": 1}
-    chain.publish(frames[0])
-    chain.await_drops("sar_compression", "late", 1)
-    next_dwell_is_exact(chain, reference)
-
-
-def test_missing_detectors_are_given_up_after_the_timeout(chain: Chain, reference: Any) -> None:
-    chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0)[2:])
-    chain.await_drops("sar_compression", "incomplete dwell", DETECTORS - 2)
-    next_dwell_is_exact(chain, reference)
-
-
-def test_dwells_that_never_become_complete_do_not_pile_up(chain: Chain, reference: Any) -> None:
-    chain.publish(chain.sensor_info(), *chain.odometry(0))
-    frame = chain.frames(0)[0]
-    for number in range(100, 130):
-        frame.dwell = number
-        chain.publish(frame)
-    chain.wait(lambda: sum(chain.dropped("sar_compression").values()) == 30, "30 frames to be dropped")
-    next_dwell_is_exact(chain, reference)
-
-
-def test_frames_before_their_sensor_info_wait_for_it(chain: Chain, reference: Any) -> None:
-    chain.publish(*chain.odometry(0), *chain.frames(0))
-    chain.wait(lambda: chain.accounts()["sar_compression"]["in"] == DETECTORS, "the frames")
-    chain.publish(chain.sensor_info())
-    chain.await_heights(0)
-    assert same_heights(chain.heights["ml", 0], reference["ml", 0])
-
-
-def test_without_sensor_info_frames_are_dropped(chain: Chain, reference: Any) -> None:
-    chain.publish(*chain.odometry(0), *chain.frames(0))
-    chain.await_drops("sar_compression", "no sensor info", DETECTORS)
-    chain.publish(chain.sensor_info())
-    next_dwell_is_exact(chain, reference)
-
-
-def test_sensor_info_that_is_not_of_these_frames(chain: Chain, reference: Any) -> None:
-    other = chain.sensor_info()
-    other.waveform.wavelength *= 2
-    other.config_hash = "another"
-    chain.publish(other, *chain.odometry(0), *chain.frames(0))
-    chain.await_drops("sar_compression", "contradicts sensor info", DETECTORS)
-    chain.publish(chain.sensor_info())
-    next_dwell_is_exact(chain, reference)
 
 
 @pytest.mark.parametrize(
@@ -201,7 +140,7 @@ def test_sensor_info_with_an_impossible_value_is_refused(field: str, value: floa
         messages.sensor_from_message(message)
 
 
-def test_useless_sensor_info_leaves_the_good_one_in_force(chain: Chain, reference: Any) -> None:
+def test_useless_sensor_info_leaves_the_good_one_in_force(chain: StageChain, reference: Any) -> None:
     useless = chain.sensor_info()
     useless.waveform.wavelength = math.nan
     chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
@@ -212,17 +151,7 @@ def test_useless_sensor_info_leaves_the_good_one_in_force(chain: Chain, referenc
     next_dwell_is_exact(chain, reference)
 
 
-def test_odometry_that_ends_before_the_aperture(chain: Chain, reference: Any) -> None:
-    start = messages.to_ns(chain.frames(0)[0].header.stamp)
-    early = [message for message in chain.odometry(0) if messages.to_ns(message.header.stamp) <= start]
-    assert early
-    chain.publish(chain.sensor_info(), *early, *chain.frames(0))
-    chain.await_drops("sar_compression", "odometry gap", DETECTORS)
-    chain.publish(*chain.odometry(0))
-    next_dwell_is_exact(chain, reference)
-
-
-def test_odometry_with_nan_is_ignored(chain: Chain, reference: Any) -> None:
+def test_odometry_with_nan_is_ignored(chain: StageChain, reference: Any) -> None:
     odometry = chain.odometry(0)
     spoiled = deserialize(serialize(odometry[2]), type(odometry[2]))
     spoiled.pose.pose.position.x = math.nan
@@ -234,16 +163,7 @@ def test_odometry_with_nan_is_ignored(chain: Chain, reference: Any) -> None:
     assert same_heights(chain.heights["ml", 0], reference["ml", 0])
 
 
-def test_odometry_with_an_unset_stamp_costs_no_other_sample(chain: Chain, reference: Any) -> None:
-    unset = chain.odometry(0)[2]
-    unset.header.stamp = messages.to_stamp(0)
-    chain.publish(chain.sensor_info(), *chain.odometry(0)[:3], unset, *chain.odometry(0)[3:], *chain.frames(0))
-    chain.await_heights(0)
-    assert chain.accounts()["sar_compression"]["ignored.odometry out of time"] == 1
-    assert same_heights(chain.heights["ml", 0], reference["ml", 0])
-
-
-def test_detectors_that_disagree_on_pulse_times(chain: Chain, reference: Any) -> None:
+def test_detectors_that_disagree_on_pulse_times(chain: StageChain, reference: Any) -> None:
     frames = chain.frames(0)
     frames[5].pulse_time[-1] += 1e-6
     chain.publish(chain.sensor_info(), *chain.odometry(0), *frames)
@@ -251,7 +171,7 @@ def test_detectors_that_disagree_on_pulse_times(chain: Chain, reference: Any) ->
     next_dwell_is_exact(chain, reference)
 
 
-def test_a_sensor_that_starts_anew_is_processed_anew(chain: Chain, reference: Any) -> None:
+def test_a_sensor_that_starts_anew_is_processed_anew(chain: StageChain, reference: Any) -> None:
     for _ in range(2):
         chain.heights.clear()
         chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
@@ -259,29 +179,31 @@ def test_a_sensor_that_starts_anew_is_processed_anew(chain: Chain, reference: An
         assert same_heights(chain.heights["ml", 0], reference["ml", 0])
 
 
-def test_bad_pixels_are_marked_as_missing(chain: Chain, graph: Graph) -> None:
-    """An image from somebody else's compression, with a hole of one pixel in one detector."""
-    images: list[ComplexImage] = []
-    tap = graph.add(Node("tap", context=graph.context))
-    subscribe(tap, ComplexImage, "slc", lambda image: images.append(copy.deepcopy(image)), 100)
-    chain.wait(lambda: tap.count_publishers("slc") == 1, "discovery")
-    chain.wait(lambda: chain.stages["sar_compression"]._outlets["slc"][0].subscribers == 3, "the tap")
-    chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
-    chain.await_heights(0)
-    chain.wait(lambda: len(images) == DETECTORS, "the images")
+def images_of_dwell(chain: StageChain) -> list[ComplexImage]:
+    """The images of dwell 0, to be spoilt and published as those of somebody else's compression."""
+    chain.fly()
+    return chain.graph.heard["slc"][:DETECTORS]
+
+
+def test_bad_pixels_are_marked_as_missing(chain: StageChain) -> None:
+    """A hole of one pixel in one detector."""
+    images = images_of_dwell(chain)
     before = np.array(chain.heights["ml", 0].validity)
-    source = publisher_of(tap, ComplexImage, "slc", 100)
-    chain.wait(lambda: source.get_subscription_count() == 3, "the estimators")
-    chain.heights.clear()
+    images[2].samples = np.array(images[2].samples)
     images[2].samples[2 * (5 * images[2].grid.cols + 7)] = math.nan
-    for image in images[:DETECTORS]:
-        image.dwell = 55
-        source.publish(image)
+    publish_as(chain, images, 55)
     chain.await_heights(55)
     after = np.array(chain.heights["ml", 55].validity)
     changed = np.flatnonzero(before != after)
     assert changed.tolist() == [2 * chain.heights["ml", 55].grid.cols + 3]
     assert after[changed] == HeightImage.MISSING_DATA
+
+
+def publish_as(chain: StageChain, images: list[ComplexImage], dwell: int) -> None:
+    """Publish images as those of another dwell."""
+    for image in images:
+        image.dwell = dwell
+        chain.graph.publish("slc", image)
 
 
 def shortened(image: ComplexImage) -> None:
@@ -321,39 +243,24 @@ def test_a_bad_image_is_rejected_with_its_reason(
     assert error.value.reason == reason
 
 
-def test_bad_images_are_counted_by_the_estimators(chain: Chain, reference: Any, graph: Graph) -> None:
-    """One image of a wrong size, and a dwell whose images do not share a grid."""
-    heard: list[ComplexImage] = []
-    tap = graph.add(Node("tap", context=graph.context))
-    subscribe(tap, ComplexImage, "slc", lambda image: heard.append(copy.deepcopy(image)), 100)
-    chain.wait(lambda: chain.stages["sar_compression"]._outlets["slc"][0].subscribers == 3, "the tap")
-    chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
-    chain.await_heights(0)
-    chain.wait(lambda: len(heard) == DETECTORS, "the images")
-    source = publisher_of(tap, ComplexImage, "slc", 100)
-    chain.wait(lambda: source.get_subscription_count() == 3, "the estimators")
-    images = heard[:DETECTORS]
+def test_bad_images_are_counted_by_the_estimators(chain: StageChain, reference: Any) -> None:
+    """A dwell whose images do not share a grid, and one image of a wrong size."""
+    images = images_of_dwell(chain)
     images[0].grid.row_spacing *= 2
-    for image in images:
-        image.dwell = 55
-        source.publish(image)
+    publish_as(chain, images, 55)
     expected = {"channels disagree": DETECTORS}
-    for stage in ("monopulse", "ml_height"):
-        chain.wait(lambda s=stage: chain.dropped(s) == expected, f"{expected} in {stage}")
+    assert [chain.dropped(stage) for stage in ("monopulse", "ml_height")] == 2 * [expected]
     images[0].grid.row_spacing /= 2
     shortened(images[0])
-    for image in images:
-        image.dwell = 56
-        source.publish(image)
+    publish_as(chain, images, 56)
     expected |= {"wrong size": 1, "incomplete dwell": DETECTORS - 1}
     for stage in ("monopulse", "ml_height"):
         chain.wait(lambda s=stage: chain.dropped(s) == expected, f"{expected} in {stage}")
     chain.publish(*chain.odometry(1), *chain.frames(1))
-    chain.await_heights(1)
     assert same_heights(chain.heights["ml", 1], reference["ml", 1])
 
 
-def test_frames_are_processed_with_their_own_sensor_info(chain: Chain, reference: Any) -> None:
+def test_frames_are_processed_with_their_own_sensor_info(chain: StageChain, reference: Any) -> None:
     """Another description comes while a dwell still waits for its odometry, and while its images are on their way."""
     other = chain.sensor_info()
     other.beams.elevation_boresights = [angle + 2e-4 for angle in other.beams.elevation_boresights]
@@ -367,20 +274,8 @@ def test_frames_are_processed_with_their_own_sensor_info(chain: Chain, reference
     next_dwell_is_exact(chain, reference)
 
 
-def test_odometry_is_not_interpolated_over_a_gap(chain: Chain, reference: Any) -> None:
-    far_before, far_after = chain.odometry(0)[0], chain.odometry(0)[-1]
-    start = messages.to_ns(chain.frames(0)[0].header.stamp)
-    for message, seconds in ((far_before, -5), (far_after, 5)):
-        message.header.stamp = messages.to_stamp(start + seconds * 1_000_000_000)
-        message.pose.pose.position.x = 50.0 * seconds
-    chain.publish(chain.sensor_info(), far_before, far_after, *chain.frames(0))
-    chain.await_drops("sar_compression", "odometry gap", DETECTORS)
-    chain.publish(*chain.odometry(0))
-    next_dwell_is_exact(chain, reference)
-
-
 @pytest.mark.parametrize("turned", [(0.0, 0.0, 0.0), (0.0, 50.0, 0.0)], ids=["zero", "sideways"])
-def test_odometry_whose_twist_is_not_its_motion_is_not_used(chain: Chain, turned: tuple[float, ...]) -> None:
+def test_odometry_whose_twist_is_not_its_motion_is_not_used(chain: StageChain, turned: tuple[float, ...]) -> None:
     odometry = chain.odometry(0)
     for message in odometry:
         linear = message.twist.twist.linear
@@ -391,7 +286,7 @@ def test_odometry_whose_twist_is_not_its_motion_is_not_used(chain: Chain, turned
 
 
 @pytest.mark.parametrize(("field", "name"), [("header", "odom"), ("child", "gps_antenna")])
-def test_odometry_of_other_frames_is_ignored(chain: Chain, reference: Any, field: str, name: str) -> None:
+def test_odometry_of_other_frames_is_ignored(chain: StageChain, reference: Any, field: str, name: str) -> None:
     odometry = chain.odometry(0)
     for message in odometry:
         if field == "header":
@@ -404,70 +299,25 @@ def test_odometry_of_other_frames_is_ignored(chain: Chain, reference: Any, field
     next_dwell_is_exact(chain, reference)
 
 
-def test_two_sources_of_one_channel_are_named(chain: Chain, graph: Graph, reference: Any) -> None:
-    other = graph.add(Node("other_driver", context=graph.context))
-    publisher = publisher_of(other, ChannelFrame, "phase_history", FRAMES_QOS)
-    chain.wait(lambda: publisher.get_subscription_count() == 1, "the other driver")
-    frames = chain.frames(0)
-    chain.publish(chain.sensor_info(), *chain.odometry(0), *frames[:4])
-    chain.wait(lambda: chain.accounts()["sar_compression"]["in"] == 4, "the frames")
-    publisher.publish(frames[2])
-    chain.await_drops("sar_compression", "duplicate", 1)
-    said = chain.stages["sar_compression"].last_drop
-    assert "Dwell 0, channel 2: the same message was received twice." in said
-    assert "2 nodes publish phase_history: each must have channels of its own." in said
-    chain.publish(*frames[4:])
-    next_dwell_is_exact(chain, reference)
-
-
-@pytest.mark.parametrize("stamp_ns", [0, START_NS + 10 * 365 * 86_400 * 10**9], ids=["zero", "ten years ahead"])
-def test_frames_of_another_clock_than_the_odometry_are_told(chain: Chain, reference: Any, stamp_ns: int) -> None:
-    frames = chain.frames(0)
-    for frame in frames:
-        frame.header.stamp = messages.to_stamp(stamp_ns)
-    chain.publish(chain.sensor_info(), *chain.odometry(0), *frames)
-    chain.await_drops("sar_compression", "odometry gap", DETECTORS)
-    assert "frames and odometry have different clocks" in chain.stages["sar_compression"].last_drop
-    next_dwell_is_exact(chain, reference)
-
-
-def test_a_clock_that_stands_still_or_is_not_there_changes_nothing(
-    graph: Graph, flight: SimulatedFlight, reference: Any
-) -> None:
-    """Nodes take simulated time and nobody publishes /clock: dwells and timeouts go by stamps and a steady clock."""
-    simulated = {"use_sim_time": True}
-    chain = Chain(graph, flight, 0.5, image={"rows": 46, "cols": 12, **simulated}, heights=simulated)
-    chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0)[:3])
-    chain.await_drops("sar_compression", "incomplete dwell", 3)
-    next_dwell_is_exact(chain, reference)
-    assert chain.stages["sar_compression"].get_clock().now().nanoseconds == 0
-
-
-def test_frames_have_the_names_that_parameters_say(graph: Any, flight: Any, reference: Any) -> None:
+def test_frames_have_the_names_that_parameters_say(flight: Any, reference: Any) -> None:
     """From odometry to the map: products are placed in the frame of the odometry."""
     names = {"map_frame": "world", "body_frame": "aircraft"}
-    chain = Chain(graph, flight, missing_after_s=30.0, image={"rows": 46, "cols": 12, **names})
-    others = [Parameter("map_frame", value="world"), Parameter("estimator", value="ml")]
-    followers = [
-        graph.add(node(context=graph.context, parameter_overrides=others))
-        for node in (PROCESSING["relief_tracker"], PROCESSING["relief_mapper"])
-    ]
+    chain = StageChain(flight, image={"rows": 46, "cols": 12, **names})
+    followers = [chain.graph.add(name, map_frame="world") for name in ("relief_tracker", "relief_mapper")]
     odometry = chain.odometry(0)
     for message in odometry:
         message.header.frame_id, message.child_frame_id = "world", "aircraft"
-    chain.wait(lambda: chain.stages["ml_height"].count_subscribers("ml/height") == 3, "the followers")
     chain.publish(chain.sensor_info(), *odometry, *chain.frames(0))
-    chain.await_heights(0)
     made = chain.heights["ml", 0]
     assert made.header.frame_id == "world"
     assert same_heights(made, reference["ml", 0])
-    chain.wait(lambda: all(node.tally.summary()["processed"] == 1 for node in followers), "tracker and mapper")
+    assert [node.summary()["processed"] for node in followers] == [1, 1]
 
 
 @pytest.mark.parametrize(
     ("field", "value"), [("pose.pose.position", 2e7), ("twist.twist.linear", 2e5), ("twist.twist.linear", 1e300)]
 )
-def test_odometry_of_no_platform_is_ignored(chain: Chain, reference: Any, field: str, value: float) -> None:
+def test_odometry_of_no_platform_is_ignored(chain: StageChain, reference: Any, field: str, value: float) -> None:
     message = chain.odometry(0)[0]
     functools.reduce(getattr, field.split("."), message).y = value
     chain.publish(chain.sensor_info(), message)
@@ -481,10 +331,10 @@ GAP_SETTINGS = {"rows": 46, "cols": 12, "odometry_interval_s": 1e-3, "autofocus"
 
 
 def test_heights_of_a_dwell_in_a_gap_of_the_odometry_state_what_the_gap_leaves_open(
-    graph: Any, flight: Any, reference: Any
+    flight: Any, reference: Any
 ) -> None:
     """The platform flies straight on, so that heights stay; sigma grows by roll and height, which the pose tells."""
-    chain = Chain(graph, flight, missing_after_s=30.0, image=GAP_SETTINGS)
+    chain = StageChain(flight, image=GAP_SETTINGS)
     odometry = chain.odometry(0)
     ends = [odometry[0], odometry[-1]]
     chain.publish(chain.sensor_info(), *ends, *chain.frames(0))
@@ -506,7 +356,7 @@ def test_heights_of_a_dwell_in_a_gap_of_the_odometry_state_what_the_gap_leaves_o
 
 
 @pytest.mark.parametrize("noise", [[0.0] + [1.0] * 7, [0.0] * 8])
-def test_noise_that_is_unknown_gives_no_heights(chain: Chain, noise: list[float]) -> None:
+def test_noise_that_is_unknown_gives_no_heights(chain: StageChain, noise: list[float]) -> None:
     info = chain.sensor_info()
     info.channels.noise_power = noise
     chain.publish(info, *chain.odometry(0), *chain.frames(0))
@@ -518,7 +368,7 @@ def silent(frame: ChannelFrame) -> None:
     frame.samples = messages.to_bytes(np.zeros(len(frame.samples), np.uint8))
 
 
-def test_a_loud_and_a_dead_detector_leave_heights_of_the_others(chain: Chain) -> None:
+def test_a_loud_and_a_dead_detector_leave_heights_of_the_others(chain: StageChain) -> None:
     info, frames = chain.sensor_info(), chain.frames(0)
     info.channels.noise_power = [1.0, 900.0] + [1.0] * 6
     silent(frames[4])
@@ -531,9 +381,9 @@ def test_a_loud_and_a_dead_detector_leave_heights_of_the_others(chain: Chain) ->
         assert list(stage["channels_left_out"]) == [4]
 
 
-def test_a_detector_that_sends_nothing_leaves_heights_of_the_others(graph: Graph, flight: Any) -> None:
+def test_a_detector_that_sends_nothing_leaves_heights_of_the_others(flight: Any) -> None:
     """As if it had sent zeros, which tells that no other channel takes its place."""
-    chain = Chain(graph, flight, 0.5, {"rows": 46, "cols": 12, "missing_channels": "proceed"})
+    chain = StageChain(flight, image={"rows": 46, "cols": 12, "missing_channels": "proceed"})
     frames = chain.frames(0)
     chain.publish(chain.sensor_info(), *chain.odometry(0), *frames[:4], *frames[5:])
     chain.await_heights(0)
@@ -551,7 +401,7 @@ def test_a_detector_that_sends_nothing_leaves_heights_of_the_others(graph: Graph
     assert chain.accounts()["sar_compression"]["ignored.missing channels"] == 1
 
 
-def test_one_live_detector_is_not_enough(chain: Chain, reference: Any) -> None:
+def test_one_live_detector_is_not_enough(chain: StageChain, reference: Any) -> None:
     frames = chain.frames(0)
     for frame in frames[1:]:
         silent(frame)

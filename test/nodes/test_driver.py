@@ -19,7 +19,7 @@ from sal_height.nodes.transport.message_types import subscribe
 from sal_height.nodes.transport.quality import FRAMES_QOS
 
 FOLDER = Path(__file__).parents[2] / "examples" / "driver"
-TIMEOUT_S = 60.0
+TIMEOUT_S = 120.0
 DWELLS = 3
 
 

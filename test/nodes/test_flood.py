@@ -35,7 +35,7 @@ from sal_height.pipeline import Compressor, heights_of_dwells
 from sal_height.relief import HeightField
 from sal_height.simulation.flight import SimulatedFlight
 
-TIMEOUT_S = 20.0
+TIMEOUT_S = 120.0
 START_NS = 1_000_000_000_000
 INTERVAL_NS = 10_000_000
 

@@ -26,7 +26,7 @@ from sal_height.nodes.transport.message_types import subscribe
 from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS
 from sal_height.relief.heights import HeightField, Surface
 
-TIMEOUT_S = 20.0
+TIMEOUT_S = 120.0
 WEST, SOUTH, SPACING, ROWS, COLS = -4.0, -3503.0, 0.09, 30, 20
 
 

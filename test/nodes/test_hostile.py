@@ -36,9 +36,9 @@ pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 TIMES = int(os.environ.get("SAL_HEIGHT_HOSTILE", "1"))
 """So many times as many messages as usual: SAL_HEIGHT_HOSTILE=50 .venv/bin/pytest test/nodes/test_hostile.py"""
 
-TIMEOUT_S = 20.0
+TIMEOUT_S = 120.0
 AT_ONCE = 10
-SEEDS = [1, 2]
+SEEDS = [1, pytest.param(2, marks=pytest.mark.thorough)]
 
 
 @pytest.fixture(scope="session")
@@ -164,7 +164,7 @@ def test_hostile_instruments_do_not_make_navigation_fail(source: str, graph: Gra
         topics |= {"/platform/fix": fix_at(0.0, 48.1), "/platform/imu": imu_at(0.0)}
     rng = np.random.default_rng(4)
     for topic, message in topics.items():
-        for cdr in hostile(message, 1000 * TIMES, rng):
+        for cdr in hostile(message, 400 * TIMES, rng):
             feed(node, topic, cdr)
     assert_nothing_unexpected(node)
     assert set(node.tally.summary()) > {"in", "processed", "out"}
@@ -177,7 +177,7 @@ def test_hostile_origins_do_not_make_mappers_fail(graph: Graph) -> None:
         graph.add(node(context=graph.context)) for node in (PROCESSING["relief_mapper"], PROCESSING["ground_mapper"])
     ]
     rng = np.random.default_rng(6)
-    for cdr in hostile(origin, 100 * TIMES, rng):
+    for cdr in hostile(origin, 40 * TIMES, rng):
         for mapper in mappers:
             feed(mapper, "/map_origin", cdr)
     for mapper in mappers:

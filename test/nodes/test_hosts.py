@@ -20,7 +20,7 @@ from hosts import Hosts, UnavailableError
 from sal_height.messages.types import HeightImage
 from sal_height.nodes.transport.middleware import PROFILES, settings_for
 
-TIMEOUT_S = 90.0
+TIMEOUT_S = 300.0
 FRAMES = 16
 OURS = {
     **{name: text for name, text in os.environ.items() if not name.startswith(("ROS_", "FASTRTPS_"))},
@@ -28,6 +28,10 @@ OURS = {
     "ROS_LOG_DIR": os.environ.get("ROS_LOG_DIR", ""),
 }
 """Variables of programs on the hosts: discovery as ROS has it by default."""
+
+TESTS = Path(bag_feeder.__file__).parents[1]
+MODULES = os.pathsep.join(map(str, (TESTS, TESTS / "nodes", TESTS / "engine", TESTS.parent)))
+"""Where programs find the helpers of tests."""
 
 Start = Callable[..., subprocess.Popen[str]]
 
@@ -57,14 +61,31 @@ def start(hosts: Hosts) -> Iterator[Start]:
         yield start
 
 
+BOTH = """
+from bag_feeder import NODES
+from sal_height.nodes.processing import PROCESSING
+from sal_height.nodes.transport.graph import Graph
+
+with Graph() as graph:
+    for name in NODES:
+        graph.add(PROCESSING[name](context=graph.context))
+    graph.spin_until(lambda: False)
+"""
+"""Program of both nodes."""
+
+
+def start_both(start: Start, **variables: str) -> None:
+    """Start both nodes on the second host."""
+    start(1, "-c", BOTH, PYTHONPATH=MODULES, **variables)
+
+
 def start_node(start: Start, host: int, name: str, **variables: str) -> subprocess.Popen[str]:
     return start(host, Path(sys.prefix, "bin", name), **variables)
 
 
 def feed(start: Start, out: Path, *options: str, **variables: str) -> dict[str, dict[str, float]]:
     """The accounts of all nodes after a bag was published from the first host."""
-    tests = str(Path(bag_feeder.__file__).parents[1])  # of whose modules the feeder takes helpers
-    process = start(0, bag_feeder.__file__, BAG, out, *options, PYTHONPATH=tests, **variables)
+    process = start(0, bag_feeder.__file__, BAG, out, *options, PYTHONPATH=MODULES, **variables)
     assert process.wait(TIMEOUT_S) == 0
     return {file.stem: json.loads(file.read_text(encoding="utf-8")) for file in out.glob("*.json")}
 
@@ -98,8 +119,7 @@ def test_small_packets_bring_all_over_a_network_that_loses_every_tenth(
     profile = tmp_path / "fastdds.xml"
     profile.write_text(settings_for(0, packet_bytes=1400), encoding="utf-8")
     variables = {PROFILES: str(profile)}
-    for name in ("sar_compression", "ml_height"):
-        start_node(start, 1, name, **variables)
+    start_both(start, **variables)
     accounts = feed(start, tmp_path, **variables)
     assert hosts.lost > 0.05 * hosts.delivered
     assert_same(read_heights(tmp_path), bag_heights)
@@ -117,16 +137,14 @@ def test_hosts_find_each_other_without_multicast(
     else:
         server = Path(sys.prefix, "bin", "fast-discovery-server")
         start(0, "-c", f"import os; os.execv({str(server)!r}, ['server', '-i', '0', '-l', '10.77.0.1', '-p', '11811'])")
-    for name in ("sar_compression", "ml_height"):
-        start_node(start, 1, name, **variables)
+    start_both(start, **variables)
     assert_nothing_is_lost(feed(start, tmp_path, **variables))
     assert_same(read_heights(tmp_path), bag_heights)
 
 
 def test_frames_that_are_lost_for_good_are_accounted_for(hosts: Hosts, start: Start, tmp_path: Path) -> None:
     hosts.loss, hosts.delay_s = 0.04, 0.02
-    start_node(start, 1, "sar_compression")
-    start_node(start, 1, "ml_height")
+    start_both(start)
     accounts = feed(start, tmp_path, "best_effort")
     compression, heights = accounts["sar_compression"], accounts["ml_height"]
     assert 0 < compression["in"] < FRAMES

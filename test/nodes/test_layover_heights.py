@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from chain_fixture import Chain
-from rclpy.parameter import Parameter
+from chain_fixture import StageChain
 
 from sal_height import messages
 from sal_height.messages.types import HeightImage
-from sal_height.nodes.transport.graph import Graph
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
 from sal_height.simulation.scene import Scene
@@ -33,9 +31,9 @@ def roofed() -> SimulatedFlight:
 
 
 @pytest.mark.parametrize("layover", [True, False])
-def test_ground_and_roof_have_their_heights(graph: Graph, roofed: SimulatedFlight, layover: bool) -> None:
+def test_ground_and_roof_have_their_heights(roofed: SimulatedFlight, layover: bool) -> None:
     """34 pixels of four looks: their means have the standard errors that the spread shows, 5 and 7 mm."""
-    chain = Chain(graph, roofed, missing_after_s=5.0, ml_height={"layover": layover})
+    chain = StageChain(roofed, own={"ml": {"layover": layover}})
     chain.publish(chain.sensor_info())
     heights, sigmas = [], []
     for dwell in range(roofed.dwells):
@@ -63,13 +61,13 @@ def test_ground_and_roof_have_their_heights(graph: Graph, roofed: SimulatedFligh
         assert np.all(np.std(error / np.concatenate(sigmas), axis=0) < 2)  # four looks: tails beyond the bound's
 
 
-def test_neighbours_have_a_say_where_they_are_asked(graph: Graph, roofed: SimulatedFlight) -> None:
+def test_neighbours_have_a_say_where_they_are_asked(roofed: SimulatedFlight) -> None:
     """From dwell to dwell, on the record; at 20 dB the heights stay those of ground and roof."""
-    chain = Chain(graph, roofed, missing_after_s=5.0, ml_height={"layover": False})
+    chain = StageChain(roofed, own={"ml": {"layover": False}})
     chain.publish(chain.sensor_info())
     images = []
     for dwell, strength in enumerate((0.0, 0.75)):
-        chain.stages["ml_height"].set_parameters([Parameter("prior_strength", value=strength)])
+        chain.stages["ml_height"].set(prior_strength=strength)
         chain.publish(*chain.odometry(dwell), *chain.frames(dwell))
         chain.await_heights(dwell)
         images.append(chain.heights["ml", dwell])

@@ -27,7 +27,7 @@ from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS
 from sal_height.nodes.worker import WorkerNode
 from sal_height.simulation import SimulatedFlight
 
-TIMEOUT_S = 60.0
+TIMEOUT_S = 120.0
 
 
 class Manager:

@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 import yaml
 from beam_tables import write_beam_tables
-from chain_fixture import Chain
+from chain_fixture import StageChain
 
 from sal_height.beams.pattern import pattern_named
 from sal_height.beams.table import BeamTable
 from sal_height.messages.types import HeightImage
-from sal_height.nodes.transport.graph import Graph
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
 from sal_height.simulation.scenes import load_scene
@@ -36,13 +35,13 @@ def measured(folder: Path, tilt: float) -> str:
     return str(path)
 
 
-def seen_with(graph: Graph, preset_path: str) -> dict[tuple[str, int], HeightImage]:
+def seen_with(preset_path: str) -> dict[tuple[str, int], HeightImage]:
     """Heights of the first dwell of a preset over the street."""
     preset = load_preset(preset_path)
     sensor = preset.make_sensor()
     assert (sensor.pattern, len(sensor.beam_tables)) == ("table", 1)
     flight = SimulatedFlight(preset, sensor, load_scene(preset.scene), preset.dwells, seed=7)
-    chain = Chain(graph, flight, missing_after_s=30.0)
+    chain = StageChain(flight)
     chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
     chain.await_heights(0)
     return chain.heights
@@ -52,9 +51,9 @@ ESTIMATORS = ("ml", "monopulse")
 
 
 def test_heights_with_a_table_of_the_beam_are_those_with_its_formula(
-    graph: Graph, tmp_path: Path, reference: dict[tuple[str, int], HeightImage]
+    tmp_path: Path, reference: dict[tuple[str, int], HeightImage]
 ) -> None:
-    seen = seen_with(graph, measured(tmp_path, 0.0))
+    seen = seen_with(measured(tmp_path, 0.0))
     for estimator in ESTIMATORS:
         heights, expected = (np.array(images[estimator, 0].surfaces[0].height) for images in (seen, reference))
         assert np.mean(np.isfinite(heights) == np.isfinite(expected)) > 0.95
@@ -64,10 +63,10 @@ def test_heights_with_a_table_of_the_beam_are_those_with_its_formula(
 
 
 def test_heights_with_complex_beams_differ_by_the_noise_alone(
-    graph: Graph, tmp_path: Path, reference: dict[tuple[str, int], HeightImage]
+    tmp_path: Path, reference: dict[tuple[str, int], HeightImage]
 ) -> None:
     """The phases turn the noise against the echoes: two independent errors, whose median difference is .95 sigma."""
-    seen = seen_with(graph, measured(tmp_path, 0.7))
+    seen = seen_with(measured(tmp_path, 0.7))
     for estimator in ESTIMATORS:
         heights, expected = (np.array(images[estimator, 0].surfaces[0].height) for images in (seen, reference))
         both = np.isfinite(heights) & np.isfinite(expected)

@@ -25,7 +25,7 @@ from sal_height.sensor import Sensor
 from sal_height.simulation.flight import flight_of
 from sal_height.simulation.preset import TargetSettings, load_preset
 
-TIMEOUT_S = 60.0
+TIMEOUT_S = 120.0
 START_NS = 1_700_000_000_123_456_789
 RADIAL, EAST, NORTH, HEIGHT = 8.003, 0.1, 0.5, 0.8
 

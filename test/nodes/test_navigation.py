@@ -24,7 +24,7 @@ from sal_height.nodes.transport.message_types import subscribe
 from sal_height.nodes.transport.quality import LATCHED_QOS, ODOMETRY_QOS
 from sal_height.simulation.flight import SimulatedFlight
 
-TIMEOUT_S = 20.0
+TIMEOUT_S = 120.0
 ORIGIN_DEG = {"origin_latitude_deg": 48.1, "origin_longitude_deg": 11.3, "origin_height_m": 550.0}
 ORIGIN = Origin(math.radians(48.1), math.radians(11.3), 550.0)
 

@@ -9,13 +9,13 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from programs import RECORDER, Program
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message
@@ -27,26 +27,22 @@ from sal_height.messages.types import DiagnosticArray, DiagnosticStatus
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
 
-TIMEOUT_S = 60.0
+TIMEOUT_S = 120.0
 KILLS = int(os.environ.get("SAL_HEIGHT_KILLS", "3"))
 AT_ONCE = 6
 FLUSH_S = 0.3
-LATE_S = 0.3
-"""Longest time from publication to reception, and from the time of a flush to its end."""
+LATE_S = 2.0
+"""Longest time from publication to reception, and from the time of a flush to its end, on a busy machine."""
 
 PERIOD_S = 0.005
 SMALL_DISK_MB = 4
 
-RECORDER = "from sal_height.nodes.recording.recorder import main; raise SystemExit(main())"
 
-
-def recorder(folder: Path, domain_id: int, **parameters: object) -> subprocess.Popen[str]:
+def recorder(folder: Path, domain_id: int, **parameters: object) -> Program:
     """A recorder of /note in a process of its own."""
     values = {"directory": str(folder), "topics": "[/note]", "node_parameters": "false", **parameters}
     options = [word for name, value in values.items() for word in ("-p", f"{name}:={value}")]
-    command = [sys.executable, "-c", RECORDER, "--ros-args", *options]
-    environment = os.environ | {"ROS_DOMAIN_ID": str(domain_id)}
-    return subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)  # noqa: S603 (our own program)
+    return Program(RECORDER, "recorder", "--ros-args", *options, domain_id=domain_id)
 
 
 @pytest.fixture
@@ -81,7 +77,8 @@ def test_a_killed_recorder_loses_no_more_than_came_since_the_last_flush(
         running = [recorder(folder, domain_id, flush_period_s=FLUSH_S) for folder in folders]
         await_subscribers(graph, publisher, len(running))
         begin, first_number = time.monotonic(), len(published)
-        for moment, process, folder in zip(np.sort(rng.uniform(0.5, 2.0, len(running))), running, folders, strict=True):
+        moments = np.sort(rng.uniform(LATE_S + 0.5, LATE_S + 1.0, len(running)))
+        for moment, process, folder in zip(moments, running, folders, strict=True):
             publish_until(graph, publisher, published, begin + moment)
             process.kill()
             killed_at = time.monotonic()

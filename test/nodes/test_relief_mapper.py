@@ -1,13 +1,11 @@
-"""The relief mapper among real publishers: the map is right, survives what is refused, is written however it ends."""
+"""The relief mapper, as a stage and as a node: the map is right, survives bad input, is written however it ends."""
 
 from __future__ import annotations
 
 import functools
 import json
 import math
-import os
 import signal
-import subprocess
 import sys
 import threading
 from collections.abc import Callable
@@ -19,10 +17,12 @@ import pytest
 import rasterio
 import rclpy
 from helpers import assert_one_sentence, file_size_limit, make_aperture, publisher_of
+from programs import PROCESSING as PROGRAMS
+from programs import Program
 from pyproj import CRS
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.publisher import Publisher
+from stage_graph import StageGraph
 
 from sal_height import messages
 from sal_height.elevation.array.estimate import Validity
@@ -32,10 +32,8 @@ from sal_height.geometry.earth import sphere_coordinates, sphere_point
 from sal_height.geometry.geodesy import Origin
 from sal_height.geometry.grid import Grid
 from sal_height.geometry.projection import Projection
-from sal_height.messages.basics import vector_of
 from sal_height.messages.types import (
     ComplexImage,
-    DiagnosticStatus,
     Header,
     HeightImage,
     Image,
@@ -54,7 +52,7 @@ from sal_height.nodes.transport.message_types import subscribe
 from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS
 from sal_height.relief.heights import HeightField, Surface
 
-TIMEOUT_S = 20.0
+TIMEOUT_S = 120.0
 ROWS, COLS = 6, 9
 WEST, SOUTH = -4.0, -3503.0
 
@@ -129,9 +127,35 @@ def start(graph: Graph, **parameters: Any) -> StageNode:
 
 
 @pytest.fixture
-def mapped(graph: Graph, tmp_path: Path) -> Mapped:
-    """A mapper of cells of 1 m that writes map.tif."""
+def mapped_node(graph: Graph, tmp_path: Path) -> Mapped:
+    """The node of a mapper of cells of 1 m that writes map.tif."""
     return Mapped(graph, start(graph, cell_size_m=1.0, file=str(tmp_path / "map.tif")))
+
+
+class MapStage:
+    """A relief mapper that is fed with messages, and the maps that it publishes."""
+
+    def __init__(self, **parameters: Any) -> None:
+        self.graph = StageGraph()
+        self.mapper = self.graph.add("relief_mapper", **{"period_s": 0.1, **parameters})
+        self.maps = self.graph.heard["map/relief"]
+
+    def feed(self, *images: HeightImage) -> None:
+        self.graph.publish("ml/height", *images)
+
+    def set_origin(self, origin: NavSatFix) -> None:
+        self.graph.publish("map_origin", origin)
+
+    def map_of(self, images: int) -> ReliefMap:
+        """The map of N height images."""
+        self.graph.wait(lambda: bool(self.maps) and self.maps[-1].images == images, f"a map of {images}")
+        return self.maps[-1]
+
+
+@pytest.fixture
+def mapped(tmp_path: Path) -> MapStage:
+    """A mapper of cells of 1 m that writes map.tif."""
+    return MapStage(cell_size_m=1.0, file=str(tmp_path / "map.tif"))
 
 
 def layer(message: ReliefMap, name: str) -> np.ndarray:
@@ -144,7 +168,7 @@ def expected_height(first: int, last: int) -> np.ndarray:
     return np.tile(row, (ROWS, 1))
 
 
-def test_dwells_become_one_map(mapped: Mapped) -> None:
+def test_dwells_become_one_map(mapped: MapStage) -> None:
     mapped.feed(*(height_image(dwell, shift=dwell) for dwell in range(3)))
     message = mapped.map_of(3)
     assert (message.rows, message.cols, message.cell_size) == (ROWS, COLS + 2, 1.0)
@@ -162,7 +186,7 @@ def test_dwells_become_one_map(mapped: Mapped) -> None:
     assert np.array_equal(np.isfinite(layer(message, "disagreement")), count > 1)
 
 
-def test_provenance_names_this_stage_after_those_before(mapped: Mapped) -> None:
+def test_provenance_names_this_stage_after_those_before(mapped: MapStage) -> None:
     mapped.feed(height_image(0))
     provenance = mapped.map_of(1).provenance
     assert (provenance.config_hash, provenance.calibration_id) == ("of the sensor", "of the lens")
@@ -171,20 +195,22 @@ def test_provenance_names_this_stage_after_those_before(mapped: Mapped) -> None:
     assert parameters["relief_mapper"]["cell_size_m"] == 1.0
 
 
-def test_any_viewer_sees_the_map(mapped: Mapped) -> None:
+def test_any_viewer_sees_the_map(mapped_node: Mapped) -> None:
     """The image has north up; points lie where the cells do, on the sphere."""
-    mapped.wait(lambda: mapped.account.subscribers.get("map/points") == 1, "the points to be listened to")
-    mapped.feed(height_image(0))
-    height = layer(mapped.map_of(1), "height")
-    mapped.wait(lambda: bool(mapped.images and mapped.points and mapped.frames), "image, points and their frame")
-    picture, cloud = mapped.images[-1], mapped.points[-1]
+    mapped_node.wait(lambda: mapped_node.account.subscribers.get("map/points") == 1, "the points to be listened to")
+    mapped_node.feed(height_image(0))
+    height = layer(mapped_node.map_of(1), "height")
+    mapped_node.wait(
+        lambda: bool(mapped_node.images and mapped_node.points and mapped_node.frames), "image, points and their frame"
+    )
+    picture, cloud = mapped_node.images[-1], mapped_node.points[-1]
     pixels = np.frombuffer(picture.data, np.float32).reshape(picture.height, picture.width)
     assert picture.encoding == "32FC1"
     np.testing.assert_array_equal(pixels, height[::-1])
     points = np.frombuffer(cloud.data, np.float32).reshape(cloud.width, len(cloud.fields))
     assert [field.name for field in cloud.fields] == ["x", "y", "z", "height", "sigma"]
     assert len(points) == np.isfinite(height).sum()
-    frame, shift = mapped.frames[-1], mapped.frames[-1].transform.translation
+    frame, shift = mapped_node.frames[-1], mapped_node.frames[-1].transform.translation
     assert (frame.header.frame_id, frame.child_frame_id) == ("map", cloud.header.frame_id)
     east, north, above = sphere_coordinates(points[:, :3].astype(float) + np.array([shift.x, shift.y, shift.z]))
     np.testing.assert_allclose(above, points[:, 3], atol=1e-5)
@@ -193,17 +219,17 @@ def test_any_viewer_sees_the_map(mapped: Mapped) -> None:
     assert len(cells) == len(points)
 
 
-def test_who_comes_late_gets_the_last_map(graph: Graph, mapped: Mapped) -> None:
-    mapped.feed(height_image(0), height_image(1))
-    mapped.map_of(2)
+def test_who_comes_late_gets_the_last_map(graph: Graph, mapped_node: Mapped) -> None:
+    mapped_node.feed(height_image(0), height_image(1))
+    mapped_node.map_of(2)
     late: list[ReliefMap] = []
     subscribe(graph.add(Node("late", context=graph.context)), ReliefMap, "map/relief", late.append, LATCHED_QOS)
-    mapped.wait(lambda: bool(late), "the latched map")
+    mapped_node.wait(lambda: bool(late), "the latched map")
     assert late[0].images == 2
 
 
-def test_maps_are_not_published_more_often_than_asked(graph: Graph) -> None:
-    mapped = Mapped(graph, start(graph, period_s=3600.0))
+def test_maps_are_not_published_more_often_than_asked() -> None:
+    mapped = MapStage(period_s=3600.0)
     mapped.feed(*(height_image(dwell) for dwell in range(4)))
     assert mapped.maps == []
     mapped.mapper.conclude()
@@ -212,9 +238,9 @@ def test_maps_are_not_published_more_often_than_asked(graph: Graph) -> None:
 
 
 @pytest.mark.parametrize(("given", "size"), [(0.0, 2.0), (5.0, 5.0)])
-def test_the_cell_size_follows_from_the_first_image_unless_given(graph: Graph, given: float, size: float) -> None:
+def test_the_cell_size_follows_from_the_first_image_unless_given(given: float, size: float) -> None:
     """At 45 degrees and in the ground plane a pixel of 1 m stays one; the aim point is a little lower."""
-    mapped = Mapped(graph, start(graph, cell_size_m=given))
+    mapped = MapStage(cell_size_m=given)
     image = height_image(0)
     image.grid.col_spacing = 1.01
     mapped.feed(image)
@@ -246,39 +272,38 @@ def broken(field: str, value: Any) -> HeightImage:
     return image
 
 
-def test_what_cannot_be_used_is_counted_and_leaves_the_map_as_it_is(mapped: Mapped) -> None:
+def test_what_cannot_be_used_is_counted_and_leaves_the_map_as_it_is(mapped: MapStage) -> None:
     mapped.feed(height_image(0))
     before = mapped.map_of(1)
     for name, (field, value, reason, words) in REFUSED.items():
-        dropped = mapped.account.dropped.get(reason, 0)
+        dropped = mapped.mapper.counted("dropped.").get(reason, 0)
         mapped.feed(broken(field, value))
-        assert mapped.account.dropped[reason] == dropped + 1, name
+        assert mapped.mapper.counted("dropped.")[reason] == dropped + 1, name
         assert_one_sentence(mapped.mapper.last_rejection.removeprefix(f"{reason}: "), words)
-    assert mapped.mapper.diagnostics().status[0].level == DiagnosticStatus.WARN
     mapped.feed(height_image(1))
     after = mapped.map_of(2)
     np.testing.assert_array_equal(after.layers[0].height, before.layers[0].height)
-    assert (mapped.account.received, mapped.account.processed) == (len(REFUSED) + 2, 2)
+    assert (mapped.mapper.summary()["in"], mapped.mapper.summary()["processed"]) == (len(REFUSED) + 2, 2)
 
 
-def test_single_bad_pixels_do_not_enter_and_are_counted(mapped: Mapped) -> None:
+def test_single_bad_pixels_do_not_enter_and_are_counted(mapped: MapStage) -> None:
     image = height_image(0)
     image.surfaces[0].sigma[0], image.surfaces[0].east[1] = float("inf"), float("nan")
     mapped.feed(image)
     np.testing.assert_array_equal(mapped.map_of(1).layers[0].count[:4], [0, 0, 1, 1])
-    assert mapped.account.ignored["bad pixels"] == 1
+    assert mapped.mapper.counted("ignored.")["bad pixels"] == 1
 
 
-def test_a_first_image_that_is_refused_does_not_choose_the_cells(graph: Graph) -> None:
-    mapped = Mapped(graph, start(graph, max_cells=ROWS * (COLS + 1)))
+def test_a_first_image_that_is_refused_does_not_choose_the_cells() -> None:
+    mapped = MapStage(max_cells=ROWS * (COLS + 1))
     large = height_image(0)
     large.grid.row_spacing, large.surfaces[0].east[0] = 0.01, 1e5
     mapped.feed(large, height_image(1))
     assert mapped.map_of(1).cell_size == 1.0
-    assert mapped.account.dropped["map full"] == 1
+    assert mapped.mapper.counted("dropped.")["map full"] == 1
 
 
-def test_pixels_that_validity_rules_out_do_not_enter(mapped: Mapped) -> None:
+def test_pixels_that_validity_rules_out_do_not_enter(mapped: MapStage) -> None:
     image = height_image(0)
     image.validity[0] = Validity.NOT_ONE_SCATTERER
     image.validity[1] = Validity.TWO_SCATTERERS
@@ -288,11 +313,11 @@ def test_pixels_that_validity_rules_out_do_not_enter(mapped: Mapped) -> None:
     np.testing.assert_array_equal(mapped.map_of(1).layers[0].count[:4], [0, 1, 0, 1])
 
 
-def test_the_file_is_what_was_published(graph: Graph, mapped: Mapped, tmp_path: Path) -> None:
+def test_the_file_is_what_was_published(mapped: MapStage, tmp_path: Path) -> None:
     mapped.feed(*(height_image(dwell, shift=dwell) for dwell in range(3)))
     message = mapped.map_of(3)
     assert list(tmp_path.iterdir()) == []
-    graph.close()
+    mapped.mapper.conclude()
     assert [path.name for path in tmp_path.iterdir()] == ["map.tif"]
     with rasterio.open(tmp_path / "map.tif") as file:
         assert file.descriptions == ("height", "sigma", "disagreement", "count")
@@ -315,12 +340,12 @@ def test_the_file_is_what_was_published(graph: Graph, mapped: Mapped, tmp_path: 
     ids=["both", "equator", "none"],
 )
 def test_the_file_is_placed_on_the_earth_where_the_origin_is_known(
-    graph: Graph, tmp_path: Path, origin: dict[str, float], is_placed: bool
+    tmp_path: Path, origin: dict[str, float], is_placed: bool
 ) -> None:
     path = tmp_path / "map.tif"
-    mapped = Mapped(graph, start(graph, cell_size_m=1.0, file=str(path), **origin))
+    mapped = MapStage(cell_size_m=1.0, file=str(path), **origin)
     mapped.feed(height_image(0))
-    graph.close()
+    mapped.mapper.conclude()
     with rasterio.open(path) as file:
         assert file.crs.is_projected == is_placed
         if is_placed:
@@ -334,33 +359,33 @@ def test_the_file_is_placed_on_the_earth_where_the_origin_is_known(
             assert found == pytest.approx(height, abs=0.1), "a metre of cell on ground that rises by 0.1"
 
 
-def test_shutting_the_context_down_writes_the_file(graph: Graph, mapped: Mapped, tmp_path: Path) -> None:
-    mapped.feed(height_image(0))
+def test_shutting_the_context_down_writes_the_file(graph: Graph, mapped_node: Mapped, tmp_path: Path) -> None:
+    mapped_node.feed(height_image(0))
     rclpy.shutdown(context=graph.context)
     with rasterio.open(tmp_path / "map.tif") as file:
         assert file.read(4).sum() == ROWS * COLS - 1
     graph.close()
 
 
-def test_a_file_that_was_there_is_replaced_as_a_whole(graph: Graph, mapped: Mapped, tmp_path: Path) -> None:
+def test_a_file_that_was_there_is_replaced_as_a_whole(mapped: MapStage, tmp_path: Path) -> None:
     (tmp_path / "map.tif").write_text("an older one")
     mapped.feed(height_image(0))
     assert (tmp_path / "map.tif").read_text() == "an older one"
-    graph.close()
+    mapped.mapper.conclude()
     with rasterio.open(tmp_path / "map.tif") as file:
         assert file.shape == (ROWS, COLS)
 
 
-def test_without_a_height_there_is_no_file(graph: Graph, mapped: Mapped, tmp_path: Path) -> None:
+def test_without_a_height_there_is_no_file(mapped: MapStage, tmp_path: Path) -> None:
     image = height_image(0)
     image.validity = bytes([Validity.LOW_CNR]) * len(image.validity)
     mapped.feed(image)
-    graph.close()
+    mapped.mapper.conclude()
     assert list(tmp_path.iterdir()) == []
     assert mapped.mapper.failure == ""
 
 
-def test_a_disk_that_is_full_leaves_the_older_file_and_nothing_half_written(mapped: Mapped, tmp_path: Path) -> None:
+def test_a_disk_that_is_full_leaves_the_older_file_and_nothing_half_written(mapped: MapStage, tmp_path: Path) -> None:
     (tmp_path / "map.tif").write_text("an older one")
     mapped.feed(height_image(0))
     mapped.map_of(1)
@@ -383,11 +408,11 @@ def test_heights_that_wait_for_the_worker_are_in_the_map(graph: Graph, tmp_path:
         assert file.read(4).max() == StageSettings().max_queued_dwells
 
 
-def test_heights_after_the_end_are_counted(mapped: Mapped) -> None:
-    mapped.feed(height_image(0))
-    mapped.mapper.conclude()
-    mapped.feed(height_image(1))
-    assert mapped.account.dropped["ended"] == 1
+def test_heights_after_the_end_are_counted(mapped_node: Mapped) -> None:
+    mapped_node.feed(height_image(0))
+    mapped_node.mapper.conclude()
+    mapped_node.feed(height_image(1))
+    assert mapped_node.account.dropped["ended"] == 1
 
 
 @pytest.mark.parametrize(
@@ -405,9 +430,9 @@ def test_heights_after_the_end_are_counted(mapped: Mapped) -> None:
         ({"file": "/nowhere/at/all/map.tif"}, "folder /nowhere/at/all does not exist"),
     ],
 )
-def test_parameters_that_cannot_be_used_are_refused(graph: Graph, parameters: dict[str, Any], words: str) -> None:
+def test_parameters_that_cannot_be_used_are_refused(parameters: dict[str, Any], words: str) -> None:
     with pytest.raises(UserError) as refused:
-        start(graph, **parameters)
+        MapStage(**parameters)
     assert_one_sentence(str(refused.value), words)
 
 
@@ -421,17 +446,14 @@ def test_without_rasterio_a_file_is_refused_at_the_start(
     start(graph)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_the_program_with_a_whole_file(
-    graph: Graph, tmp_path: Path, domain_id: int, number: signal.Signals
-) -> None:
+def test_a_signal_ends_the_program_with_a_whole_file(graph: Graph, tmp_path: Path, domain_id: int) -> None:
     path = tmp_path / "map.tif"
     values = f"file:={path}", "cell_size_m:=1.0", "period_s:=0.1", "origin_latitude_deg:=47.5"
     process = run_main(domain_id, *(word for value in values for word in ("-p", value)))
     mapped = Mapped(graph, None)
     mapped.feed(*(height_image(dwell) for dwell in range(5)))
-    process.send_signal(number)
-    process.send_signal(number)
+    process.send_signal(signal.SIGTERM)
+    process.send_signal(signal.SIGTERM)
     _, errors = process.communicate(timeout=TIMEOUT_S)
     assert process.returncode == 0
     assert_one_sentence(errors.partition("]: ")[2].strip(), "Waiting for messages on /ml/height")
@@ -456,28 +478,23 @@ def test_the_program_ends_with_status_1_and_a_sentence_if_the_folder_is_gone(
     assert mapped.map_of(1).rows == ROWS
 
 
-def run_main(domain_id: int, *arguments: str) -> subprocess.Popen[str]:
-    environment = os.environ | {"ROS_DOMAIN_ID": str(domain_id)}
-    command = [sys.executable, "-m", "sal_height.nodes.processing", "relief_mapper", "--ros-args", *arguments]
-    return subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)  # noqa: S603
+def run_main(domain_id: int, *arguments: str) -> Program:
+    return Program(PROGRAMS, "relief_mapper", "--ros-args", *arguments, domain_id=domain_id)
 
 
-def placed(graph: Graph, origin: NavSatFix, **parameters: Any) -> tuple[Mapped, Publisher]:
-    """A mapper that has heard of an origin, and who published it."""
-    mapped = Mapped(graph, start(graph, cell_size_m=1.0, **parameters))
-    node = graph.add(Node("origin", context=graph.context))
-    publisher = publisher_of(node, NavSatFix, "map_origin", LATCHED_QOS)
-    publisher.publish(origin)
-    return mapped, publisher
+def placed(origin: NavSatFix, **parameters: Any) -> MapStage:
+    """A mapper that an origin was published to."""
+    mapped = MapStage(cell_size_m=1.0, **parameters)
+    mapped.set_origin(origin)
+    return mapped
 
 
 MUNICH = NavSatFix(header=Header(frame_id="map"), latitude=48.1, longitude=11.3, altitude=560.0)
 
 
-def test_a_map_with_a_published_origin_is_in_utm(graph: Graph) -> None:
+def test_a_map_with_a_published_origin_is_in_utm() -> None:
     """Coordinates are eastings and northings, and the points are in the map frame where the pixels were."""
-    mapped, _ = placed(graph, MUNICH)
-    mapped.wait(lambda: mapped.mapper.stage._axes is not None, "the origin")
+    mapped = placed(MUNICH)
     mapped.feed(*(height_image(dwell) for dwell in range(2)))
     message = mapped.map_of(2)
     assert (message.crs, message.header.frame_id) == ("EPSG:32632", "map")
@@ -487,28 +504,19 @@ def test_a_map_with_a_published_origin_is_in_utm(graph: Graph) -> None:
     assert abs(east - WEST - COLS / 2) < COLS / 2
     assert abs(north - SOUTH - ROWS / 2) < ROWS / 2
     assert height == pytest.approx(2.0 + 0.1 * east, abs=0.06)
-    mapped.wait(lambda: bool(mapped.points), "points")
-    frame, cloud = mapped.frames[-1], mapped.points[-1]
-    points = np.frombuffer(cloud.data, np.float32).reshape(-1, 5)
-    corner = vector_of(frame.transform.translation)
-    places = np.stack(sphere_coordinates(points[:, :3] + corner), axis=-1)
-    np.testing.assert_allclose(places[:, 2], 2.0 + 0.1 * places[:, 0], rtol=0, atol=0.06)
-    assert frame.header.frame_id == "map"
 
 
-def test_an_origin_that_comes_after_the_map_has_begun_places_the_next_one(graph: Graph) -> None:
-    mapped = Mapped(graph, start(graph, cell_size_m=1.0))
+def test_an_origin_that_comes_after_the_map_has_begun_places_the_next_one() -> None:
+    mapped = MapStage(cell_size_m=1.0)
     mapped.feed(height_image(0))
-    node = graph.add(Node("origin", context=graph.context))
-    publisher_of(node, NavSatFix, "map_origin", LATCHED_QOS).publish(MUNICH)
-    mapped.wait(lambda: "ignored.origin after the begin" in mapped.mapper.tally.summary(), "a word")
+    mapped.set_origin(MUNICH)
+    assert mapped.mapper.counted("ignored.") == {"origin after the begin": 1}
     assert "until service ~/reset begins a new one" in mapped.mapper.last_rejection
     mapped.feed(height_image(1))
     assert mapped.map_of(2).crs == ""
     mapped.mapper.forget()
     mapped.feed(height_image(2))
-    mapped.wait(lambda: mapped.maps[-1].crs == "EPSG:32632", "a map in UTM")
-    assert mapped.maps[-1].images == 1
+    assert mapped.map_of(1).crs == "EPSG:32632"
 
 
 @pytest.mark.parametrize(
@@ -526,19 +534,19 @@ def test_an_origin_that_comes_after_the_map_has_begun_places_the_next_one(graph:
     ],
 )
 def test_an_origin_that_is_no_place_is_told_and_the_next_one_is_used(
-    graph: Graph, changed: dict[str, Any], reason: str, words: str
+    changed: dict[str, Any], reason: str, words: str
 ) -> None:
     values = {name: getattr(MUNICH, name) for name in ("header", "latitude", "longitude", "altitude")}
-    mapped, publisher = placed(graph, NavSatFix(**values | changed))
-    mapped.wait(lambda: f"ignored.{reason}" in mapped.mapper.tally.summary(), "a refusal")
+    mapped = placed(NavSatFix(**values | changed))
+    assert mapped.mapper.counted("ignored.") == {reason: 1}
     assert words in mapped.mapper.last_rejection
-    publisher.publish(MUNICH)
-    mapped.wait(lambda: mapped.mapper.stage._axes is not None, "the origin")
+    mapped.set_origin(MUNICH)
+    assert mapped.mapper.stage._axes is not None
 
 
-def test_a_system_that_does_not_suit_the_published_origin_is_told(graph: Graph) -> None:
-    mapped, _ = placed(graph, MUNICH, crs="EPSG:32756")
-    mapped.wait(lambda: "ignored.origin" in mapped.mapper.tally.summary(), "a refusal")
+def test_a_system_that_does_not_suit_the_published_origin_is_told() -> None:
+    mapped = placed(MUNICH, crs="EPSG:32756")
+    assert mapped.mapper.counted("ignored.") == {"origin": 1}
     assert "EPSG:32756 does not suit a map at latitude 48.1000" in mapped.mapper.last_rejection
     mapped.feed(height_image(0))
     assert mapped.map_of(1).crs == ""

@@ -1,17 +1,15 @@
-"""Node relief_tracker: what it makes of height images, good and bad."""
+"""Stage relief_tracker: what it makes of height images, good and bad."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import assert_one_sentence, publisher_of
-from rclpy.node import Node
-from rclpy.parameter import Parameter
+from helpers import assert_one_sentence
+from stage_graph import StageGraph
 
 from sal_height import messages
 from sal_height.engine.provenance import LEFT_OUT
@@ -21,17 +19,12 @@ from sal_height.geometry.earth import height_of
 from sal_height.geometry.frames import ApertureState
 from sal_height.geometry.grid import Grid
 from sal_height.geometry.locate import locate_at_height
-from sal_height.messages.types import HeightImage, Image, PointCloud2, Provenance
-from sal_height.nodes.processing import PROCESSING
-from sal_height.nodes.transport.graph import Graph
-from sal_height.nodes.transport.message_types import subscribe
-from sal_height.nodes.transport.quality import FRAMES_QOS
+from sal_height.messages.types import HeightImage, Provenance
 from sal_height.relief.heights import HeightField, Surface
 
 Array = npt.NDArray[np.float64]
 
 SHAPE, SPACING, LENGTH, SIGMA, NOISE = (120, 10), 0.5, 12.0, 1.0, 0.8
-TIMEOUT_S = 30.0
 
 APERTURE = ApertureState(
     np.array([0.0, 0.0, 3500.0]), np.array([50.0, 0.0, 0.0]), np.eye(3), 5.0, np.zeros((6, 6)), sliding=False
@@ -72,41 +65,29 @@ def height_image(dwell: int = 0) -> HeightImage:
 
 
 class Tracking:
-    """A tracker fed by hand, and what it publishes."""
+    """A tracker fed with messages, and those that it publishes."""
 
-    def __init__(self, graph: Graph, topic: str = "ml/height", **parameters: Any) -> None:
-        """Start it with these parameters, and wait until it is connected."""
-        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
-        self.node = graph.add(PROCESSING["relief_tracker"](context=graph.context, parameter_overrides=overrides))
-        self.graph = graph
-        self.received: dict[type, list[Any]] = {HeightImage: [], Image: [], PointCloud2: []}
-        feeder = graph.add(Node("feeder", context=graph.context))
-        self.publisher = publisher_of(feeder, HeightImage, topic, FRAMES_QOS)
-        names = {HeightImage: "height", Image: "image", PointCloud2: "points"}
-        for kind, heard in self.received.items():
-            subscribe(feeder, kind, f"tracked/{names[kind]}", heard.append, FRAMES_QOS)
-        self.wait(lambda: self.publisher.get_subscription_count() == 1)
-        self.wait(lambda: all(feeder.count_publishers(f"tracked/{name}") == 1 for name in names.values()))
-
-    def wait(self, condition: Callable[[], bool]) -> None:
-        assert self.graph.spin_until(condition, TIMEOUT_S), self.node.tally.summary()
+    def __init__(self, topic: str = "ml/height", **parameters: Any) -> None:
+        """Start it with these parameters."""
+        self.graph, self.topic = StageGraph(), topic
+        self.stage = self.graph.add("relief_tracker", **parameters)
 
     def track(self, image: HeightImage) -> HeightImage:
         """The tracked image of one."""
-        count = len(self.received[HeightImage])
-        self.publisher.publish(image)
-        self.wait(lambda: all(len(messages) > count for messages in self.received.values()))
-        self.wait(lambda: not self.node.jobs)
-        return self.received[HeightImage][-1]
+        tracked = self.graph.heard["tracked/height"]
+        count = len(tracked)
+        self.graph.publish(self.topic, image)
+        assert len(tracked) == count + 1, self.stage.last_rejection
+        return tracked[-1]
 
 
 def of(image: HeightImage, name: str) -> Array:
     return np.array(getattr(image if name == "validity" else image.surfaces[0], name)).reshape(SHAPE)
 
 
-def test_heights_are_tracked_and_in_their_places(graph: Graph) -> None:
+def test_heights_are_tracked_and_in_their_places() -> None:
     """The error of 1200 cells, which hold 100 independent ones or more, is half of what it was."""
-    tracking = Tracking(graph)
+    tracking = Tracking()
     before = height_image()
     after = tracking.track(before)
     assert (after.header, after.dwell, after.grid, after.aperture) == (
@@ -131,14 +112,9 @@ def test_heights_are_tracked_and_in_their_places(graph: Graph) -> None:
     np.testing.assert_allclose(height_of(field.first.positions)[there], height[there], atol=1e-3)
 
 
-def test_picture_points_and_provenance_come_along(graph: Graph) -> None:
-    tracking = Tracking(graph)
+def test_the_provenance_states_the_settings_and_the_prior() -> None:
+    tracking = Tracking()
     after = tracking.track(height_image())
-    (picture,), (points,) = tracking.received[Image], tracking.received[PointCloud2]
-    np.testing.assert_array_equal(
-        np.frombuffer(bytes(picture.data), np.float32), np.array(after.surfaces[0].height, np.float32)
-    )
-    assert points.width == SHAPE[0] * SHAPE[1]  # one pixel keeps its two surfaces, an outlier has none
     assert (after.provenance.config_hash, after.provenance.calibration_id) == ("abc", "c")
     stages = messages.stages_of(after.provenance.parameters)
     assert stages["ml_height"] == {"layover": True}
@@ -148,19 +124,19 @@ def test_picture_points_and_provenance_come_along(graph: Graph) -> None:
         f"prior.{key}" for key in ("length", "sigma", "mean", "mean_sigma")
     }
     assert 0.1 < recorded["prior.sigma"] < 3
-    assert tracking.node.tally.summary()["processed"] == 1
+    assert tracking.stage.summary()["processed"] == 1
 
 
-def test_parameters_are_followed(graph: Graph) -> None:
+def test_parameters_are_followed() -> None:
     """From image to image; a prior that is given is not estimated, and neighbours that have a say change heights."""
-    tracking = Tracking(graph, "monopulse/height", estimator="monopulse")
+    tracking = Tracking("monopulse/height", estimator="monopulse")
     after = []
     for values in (
         {"correlation_length_m": 5.0, "relief_sigma_m": 2.0, "along_track": False},
         {"along_track": True},
         {"gate": 1000.0},
     ):
-        tracking.node.set_parameters([Parameter(name, value=value) for name, value in values.items()])
+        tracking.stage.set(**values)
         after.append(tracking.track(height_image()))
         recorded = messages.stages_of(after[-1].provenance.parameters)["relief_tracker"]
         assert (recorded["prior.length"], recorded["prior.sigma"]) == pytest.approx((5.0, 2.0))
@@ -182,12 +158,12 @@ def of_sensor(config_hash: str, dwell: int) -> HeightImage:
     return image
 
 
-def test_a_prior_is_of_the_dwells_of_one_sensor_and_of_one_way_to_make_heights(graph: Graph) -> None:
+def test_a_prior_is_of_the_dwells_of_one_sensor_and_of_one_way_to_make_heights() -> None:
     """A dwell is tracked as if none of another sensor or of other parameters had come.
 
     Silent channels, and what was found in the data, do not count.
     """
-    tracking = Tracking(graph)
+    tracking = Tracking()
     alone = [prior_of(tracking.track(of_sensor("a", dwell))) for dwell in range(3)]
     first, second, blanked = (of_sensor("b", dwell) for dwell in range(3))
     other, changed = of_sensor("c", 1), of_sensor("b", 1)
@@ -200,9 +176,9 @@ def test_a_prior_is_of_the_dwells_of_one_sensor_and_of_one_way_to_make_heights(g
     assert found[1] == found[2] != alone[1]
 
 
-def test_priors_of_many_sensors_are_not_held(graph: Graph) -> None:
+def test_priors_of_many_sensors_are_not_held() -> None:
     """That of the one that came longest ago is forgotten: it begins anew, and the others go on."""
-    tracking = Tracking(graph)
+    tracking = Tracking()
     begun = [prior_of(tracking.track(of_sensor(str(number), 0))) for number in range(SERIES_KEPT)]
     gone_on = prior_of(tracking.track(of_sensor("0", 1)))
     assert gone_on != prior_of(tracking.track(of_sensor("another", 1)))
@@ -214,9 +190,9 @@ def test_priors_of_many_sensors_are_not_held(graph: Graph) -> None:
     ("name", "value"),
     [("estimator", "best"), ("gate", 0.0), ("correlation_length_m", -1.0), ("relief_sigma_m", math.nan)],
 )
-def test_a_parameter_that_is_not_allowed_is_refused(graph: Graph, name: str, value: Any) -> None:
+def test_a_parameter_that_is_not_allowed_is_refused(name: str, value: Any) -> None:
     with pytest.raises(UserError, match=f"Parameter {name}"):
-        PROCESSING["relief_tracker"](context=graph.context, parameter_overrides=[Parameter(name, value=value)])
+        Tracking(**{name: value})
 
 
 def empty(image: HeightImage) -> None:
@@ -267,23 +243,23 @@ def nowhere(image: HeightImage) -> None:
         (nowhere, "not finite", "grid"),
     ],
 )
-def test_a_bad_image_is_counted_and_the_next_one_tracked(graph: Graph, spoil: Any, reason: str, words: str) -> None:
-    tracking = Tracking(graph)
+def test_a_bad_image_is_counted_and_the_next_one_tracked(spoil: Any, reason: str, words: str) -> None:
+    tracking = Tracking()
     bad = height_image()
     spoil(bad)
-    tracking.publisher.publish(bad)
-    tracking.wait(lambda: tracking.node.tally.summary().get(f"dropped.{reason}") == 1)
-    said, _, sentence = tracking.node.last_rejection.partition(": ")
+    tracking.graph.publish(tracking.topic, bad)
+    assert tracking.stage.counted("dropped.") == {reason: 1}
+    said, _, sentence = tracking.stage.last_rejection.partition(": ")
     assert said == reason
     assert_one_sentence(sentence, words)
     assert tracking.track(height_image(1)).dwell == 1
-    summary = tracking.node.tally.summary()
+    summary = tracking.stage.summary()
     assert (summary["in"], summary["processed"], summary["waiting"]) == (2, 1, 0)
 
 
-def test_single_bad_pixels_are_left_out_and_counted(graph: Graph) -> None:
+def test_single_bad_pixels_are_left_out_and_counted() -> None:
     """Four pixels that no estimator should publish: the rest of the image is tracked as if they had no height."""
-    tracking = Tracking(graph)
+    tracking = Tracking()
     bad, masked = of_sensor("a", 0), of_sensor("b", 0)
     first = bad.surfaces[0]
     first.sigma[17], first.sigma[18], first.east[19], first.height[20] = math.inf, 0.0, math.inf, math.nan
@@ -292,6 +268,6 @@ def test_single_bad_pixels_are_left_out_and_counted(graph: Graph) -> None:
     ours, theirs = tracking.track(bad), tracking.track(masked)
     np.testing.assert_array_equal(of(ours, "height"), of(theirs, "height"))
     np.testing.assert_array_equal(of(ours, "validity"), of(theirs, "validity"))
-    summary = tracking.node.tally.summary()
+    summary = tracking.stage.summary()
     assert (summary["processed"], summary["ignored.bad pixels"]) == (2, 1)
-    assert_one_sentence(tracking.node.last_rejection.partition(": ")[2], "dwell 0", "4 of 1200 pixels")
+    assert_one_sentence(tracking.stage.last_rejection.partition(": ")[2], "dwell 0", "4 of 1200 pixels")

@@ -7,15 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from chain_fixture import DETECTORS, START_NS, Chain, same_heights
+from chain_fixture import START_NS, StageChain, same_heights
 from helpers import assert_one_sentence
-from rclpy.node import Node
 
 from sal_height import messages
-from sal_height.messages.types import ComplexImage, HeightImage
-from sal_height.nodes.transport.graph import Graph
-from sal_height.nodes.transport.message_types import subscribe
-from sal_height.nodes.transport.quality import FRAMES_QOS
+from sal_height.messages.types import HeightImage
 from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.sensor.receivers import clipped
 from sal_height.simulation.flight import SimulatedFlight, flight_of
@@ -31,21 +27,21 @@ def clipping_at(flight: SimulatedFlight, full_scale: float) -> SimulatedFlight:
     return SimulatedFlight(flight.preset, sensor, flight.scene, flight.dwells, flight.seed)
 
 
-def seen(chain: Chain) -> dict[tuple[str, int], HeightImage]:
+def seen(chain: StageChain) -> dict[tuple[str, int], HeightImage]:
     chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
     chain.await_heights(0)
     return chain.heights
 
 
-def test_receivers_of_a_high_full_scale_change_nothing(graph: Graph, flight: SimulatedFlight, reference: Any) -> None:
-    chain = Chain(graph, clipping_at(flight, 1e4), missing_after_s=30.0)
+def test_receivers_of_a_high_full_scale_change_nothing(flight: SimulatedFlight, reference: Any) -> None:
+    chain = StageChain(clipping_at(flight, 1e4))
     heights = seen(chain)
     assert all(same_heights(heights[name, 0], reference[name, 0]) for name in ("ml", "monopulse"))
     assert "ignored.saturated" not in chain.accounts()["ml_height"]
 
 
-def test_a_strong_scene_at_a_low_full_scale_is_marked(graph: Graph, flight: SimulatedFlight) -> None:
-    chain = Chain(graph, clipping_at(flight, 4.0), missing_after_s=30.0)
+def test_a_strong_scene_at_a_low_full_scale_is_marked(flight: SimulatedFlight) -> None:
+    chain = StageChain(clipping_at(flight, 4.0))
     heights = seen(chain)
     for name, stage in (("ml", "ml_height"), ("monopulse", "monopulse")):
         image = heights[name, 0]
@@ -58,27 +54,19 @@ def test_a_strong_scene_at_a_low_full_scale_is_marked(graph: Graph, flight: Simu
 
 
 @pytest.mark.parametrize(("limit", "marked"), [(1.0, False), (0.0, True)])
-def test_users_choose_how_much_may_be_clipped(
-    graph: Graph, flight: SimulatedFlight, limit: float, marked: bool
-) -> None:
-    chain = Chain(graph, clipping_at(flight, 4.0), missing_after_s=30.0, heights={"max_saturated_fraction": limit})
+def test_users_choose_how_much_may_be_clipped(flight: SimulatedFlight, limit: float, marked: bool) -> None:
+    chain = StageChain(clipping_at(flight, 4.0), heights={"max_saturated_share": limit})
     assert marked == (HeightImage.SATURATED in np.array(seen(chain)["ml", 0].validity))
 
 
-def test_a_clipped_block_is_told_by_the_images_of_a_strip_that_its_pulses_are_in(graph: Graph) -> None:
+def test_a_clipped_block_is_told_by_the_images_of_a_strip_that_its_pulses_are_in() -> None:
     """Block 3: an image takes its own 256 pulses and 310 of an aperture, from the block it comes with and two before.
 
     Pulses are held a little longer than needed, so that one image more may be said to have some.
     """
     flight = clipping_at(flight_of(replace(load_preset("sal_stripmap"), dwells=8), seed=3), 100.0)
     sensor, bad = flight.sensor, 3
-    chain = Chain(graph, flight, missing_after_s=30.0, image={"rows": 46, "cols": 128})
-    images: dict[tuple[int, int], ComplexImage] = {}
-    listener = graph.add(Node("listener", context=graph.context))
-    subscribe(
-        listener, ComplexImage, "slc", lambda image: images.update({(image.dwell, image.channel): image}), FRAMES_QOS
-    )
-    chain.wait(lambda: listener.count_publishers("slc") == 1, "the images to connect")
+    chain = StageChain(flight, image={"rows": 46, "cols": 128})
     chain.publish(chain.sensor_info())
     for block in range(flight.dwells):
         samples = receiver_noise(sensor, sensor.pulse_count, np.random.default_rng(block))
@@ -89,8 +77,7 @@ def test_a_clipped_block_is_told_by_the_images_of_a_strip_that_its_pulses_are_in
         history = PhaseHistory(start, flight.pulse_times, reference, samples)
         frames = messages.history_to_messages(history, sensor, block, messages.to_stamp(START_NS + start))
         chain.publish(*chain.odometry(block), *frames)
-    chain.wait(lambda: (flight.dwells - 1, DETECTORS - 1) in images, "the last image")
-    shares = {key: image.saturated_share for key, image in images.items()}
+    shares = {(image.dwell, image.channel): image.saturated_share for image in chain.graph.heard["slc"]}
     assert {dwell for dwell, _ in shares} == set(range(2, flight.dwells))
     told = {key for key, share in shares.items() if share}
     assert {(dwell, 5) for dwell in (3, 4, 5)} <= told <= {(dwell, 5) for dwell in (3, 4, 5, 6)}

@@ -26,7 +26,7 @@ from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS, ODOMETRY
 from sal_height.nodes.worker import WorkerNode
 from sal_height.topics import CALIBRATION
 
-TIMEOUT_S = 20.0
+TIMEOUT_S = 120.0
 
 
 class Listening(WorkerNode):

@@ -1,4 +1,4 @@
-"""Sum and difference channels through the real nodes, from frames to heights."""
+"""Sum and difference channels through the stages, from frames to heights."""
 
 from __future__ import annotations
 
@@ -8,21 +8,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from chain_fixture import ESTIMATORS, Chain
+from chain_fixture import StageChain
 from helpers import assert_one_sentence
-from rclpy.parameter import Parameter
+from stage_graph import StageGraph
 
 from sal_height import messages
 from sal_height.elevation.array.estimate import Validity
 from sal_height.errors import UserError
 from sal_height.messages.types import HeightImage
-from sal_height.nodes.processing import PROCESSING
-from sal_height.nodes.transport.graph import Graph
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import HybridSettings, load_preset
 from sal_height.simulation.scenes import load_scene
 
-WITH_SUM_DIFFERENCE = {**ESTIMATORS, "sum_difference": PROCESSING["sum_difference_height"]}
+WITH_SUM_DIFFERENCE = ("monopulse", "ml", "sum_difference")
 
 
 def flown(pattern: str = "jinc", **hybrid: Any) -> SimulatedFlight:
@@ -33,9 +31,9 @@ def flown(pattern: str = "jinc", **hybrid: Any) -> SimulatedFlight:
     return SimulatedFlight(preset, preset.make_sensor(), load_scene(preset.scene), preset.dwells, seed=7)
 
 
-def connected(graph: Graph, **hybrid: Any) -> Chain:
+def connected(**hybrid: Any) -> StageChain:
     """A chain that knows the sensor, and has seen dwell 0."""
-    chain = Chain(graph, flown(**hybrid), missing_after_s=30.0, estimators=WITH_SUM_DIFFERENCE)
+    chain = StageChain(flown(**hybrid), estimators=WITH_SUM_DIFFERENCE)
     chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
     return chain
 
@@ -52,9 +50,9 @@ def in_both(field: str, one: HeightImage, other: HeightImage) -> tuple[np.ndarra
 
 
 @pytest.mark.parametrize("place", ["antenna", "receiver"])
-def test_heights_are_those_of_the_pair_that_the_hybrid_was_made_of(graph: Graph, place: str) -> None:
+def test_heights_are_those_of_the_pair_that_the_hybrid_was_made_of(place: str) -> None:
     """The exact maximum likelihood is that of two detectors by total least squares, and the array's for a pair."""
-    chain = connected(graph, place=place)
+    chain = connected(place=place)
     chain.await_heights(0)
     ours, pair, array = (chain.heights[name, 0] for name in ("sum_difference", "monopulse", "ml"))
     for theirs in (pair, array):
@@ -63,11 +61,10 @@ def test_heights_are_those_of_the_pair_that_the_hybrid_was_made_of(graph: Graph,
     np.testing.assert_allclose(*in_both("cnr_db", ours, pair), atol=0.01)
 
 
-def test_the_published_ratio_and_its_linear_inverse_can_be_had_at_run_time(graph: Graph) -> None:
-    chain = connected(graph, place="antenna")
+def test_the_published_ratio_and_its_linear_inverse_can_be_had_at_run_time() -> None:
+    chain = connected(place="antenna")
     chain.await_heights(0)
-    changes = [Parameter("discriminant", value="ratio"), Parameter("inverse", value="linear")]
-    assert all(answer.successful for answer in chain.stages["sum_difference_height"].set_parameters(changes))
+    chain.stages["sum_difference_height"].set(discriminant="ratio", inverse="linear")
     chain.publish(*chain.odometry(1), *chain.frames(1))
     chain.await_heights(1)
     ours = chain.heights["sum_difference", 1]
@@ -82,8 +79,8 @@ def test_the_published_ratio_and_its_linear_inverse_can_be_had_at_run_time(graph
 @pytest.mark.parametrize(
     "hybrid", [{"delta_gain_db": 3.0, "delta_phase_rad": 0.5}, {"coupling": 1.0}, {"loss_db": 2.0}], ids=str
 )
-def test_heights_agree_with_those_of_the_array_whatever_the_hybrid(graph: Graph, hybrid: dict[str, float]) -> None:
-    chain = connected(graph, place="antenna", **hybrid)
+def test_heights_agree_with_those_of_the_array_whatever_the_hybrid(hybrid: dict[str, float]) -> None:
+    chain = connected(place="antenna", **hybrid)
     chain.await_heights(0)
     np.testing.assert_allclose(
         *in_both("height", chain.heights["sum_difference", 0], chain.heights["ml", 0]), atol=2e-3
@@ -91,9 +88,9 @@ def test_heights_agree_with_those_of_the_array_whatever_the_hybrid(graph: Graph,
 
 
 def test_channels_that_are_no_sum_and_difference_are_refused_by_this_node_alone(
-    graph: Graph, flight: SimulatedFlight, reference: Any
+    flight: SimulatedFlight, reference: Any
 ) -> None:
-    chain = Chain(graph, flight, missing_after_s=30.0, estimators=WITH_SUM_DIFFERENCE)
+    chain = StageChain(flight, estimators=WITH_SUM_DIFFERENCE)
     chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
     chain.await_drops("sum_difference_height", "no sum and difference", 8)
     chain.wait(lambda: ("ml", 0) in chain.heights, "ML heights")
@@ -101,8 +98,8 @@ def test_channels_that_are_no_sum_and_difference_are_refused_by_this_node_alone(
     assert "forms no sum and difference" in chain.stages["sum_difference_height"].last_rejection
 
 
-def test_a_dead_sum_channel_gives_no_height_and_ends_nothing(graph: Graph) -> None:
-    chain = Chain(graph, flown(place="antenna"), missing_after_s=30.0, estimators=WITH_SUM_DIFFERENCE)
+def test_a_dead_sum_channel_gives_no_height_and_ends_nothing() -> None:
+    chain = StageChain(flown(place="antenna"), estimators=WITH_SUM_DIFFERENCE)
     frames = chain.frames(0)
     frames[0].samples = messages.to_bytes(np.zeros(len(frames[0].samples), np.uint8))
     chain.publish(chain.sensor_info(), *chain.odometry(0), *frames)
@@ -112,7 +109,7 @@ def test_a_dead_sum_channel_gives_no_height_and_ends_nothing(graph: Graph) -> No
     assert valid(chain.heights["sum_difference", 1]).any()
 
 
-def test_a_measured_characteristic_gives_the_heights_of_the_beams(graph: Graph, tmp_path: Path) -> None:
+def test_a_measured_characteristic_gives_the_heights_of_the_beams(tmp_path: Path) -> None:
     """Of beams whose ratio is the same at all squints: a table has only one."""
     flight = flown("sinc", place="antenna")
     beams = flight.sensor.beams
@@ -122,7 +119,7 @@ def test_a_measured_characteristic_gives_the_heights_of_the_beams(graph: Graph, 
     rows = zip(angle.tolist(), ((upper - lower) / (upper + lower)).tolist(), strict=True)
     table.write_text("angle_rad,gamma\n" + "".join(f"{a},{g}\n" for a, g in rows))
     own = {"sum_difference": {"slope_table": str(table)}}
-    chain = Chain(graph, flight, missing_after_s=30.0, estimators=WITH_SUM_DIFFERENCE, own=own)
+    chain = StageChain(flight, estimators=WITH_SUM_DIFFERENCE, own=own)
     chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
     chain.await_heights(0)
     np.testing.assert_allclose(
@@ -142,13 +139,11 @@ def test_a_measured_characteristic_gives_the_heights_of_the_beams(graph: Graph, 
     ],
 )
 def test_a_slope_table_that_cannot_be_used_is_refused_at_the_start(
-    graph: Graph, tmp_path: Path, text: str | None, parts: list[str]
+    tmp_path: Path, text: str | None, parts: list[str]
 ) -> None:
     table = tmp_path / "slope.csv"
     if text is not None:
         table.write_text(text)
     with pytest.raises(UserError) as refused:
-        PROCESSING["sum_difference_height"](
-            context=graph.context, parameter_overrides=[Parameter("slope_table", value=str(table))]
-        )
+        StageGraph().add("sum_difference_height", slope_table=str(table))
     assert_one_sentence(str(refused.value), *parts)

@@ -16,7 +16,7 @@ from sal_height.nodes.transport.graph import Graph
 from sal_height.view.drawings import Heard
 from sal_height.view.listener import ITEM_BYTES, LOST, TOO_SLOW, Listener
 
-TIMEOUT_S = 20.0
+TIMEOUT_S = 120.0
 
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)

@@ -43,7 +43,7 @@ from sal_height.view.viewer import open_window  # noqa: E402
 ROOT = Path(__file__).parents[2]
 BAG = ROOT / "bags" / "version_3"
 TOOL = ROOT / "tools" / "view_picture.py"
-TIMEOUT_S = 60.0
+TIMEOUT_S = 120.0
 
 
 @pytest.fixture(autouse=True)

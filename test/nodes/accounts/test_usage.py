@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 from helpers import assert_one_sentence
+from programs import PROCESSING as PROGRAMS
+from programs import Program
 from rclpy.parameter import Parameter
 
 from sal_height.errors import UserError
@@ -63,25 +64,19 @@ def test_help_shows_default_unit_and_range() -> None:
 
 
 @pytest.mark.parametrize("node", NODES, ids=lambda node: node.__name__)
-def test_the_topics_that_help_names_are_those_of_the_node(graph: Graph, node: type[WorkerNode]) -> None:
+def test_the_topics_and_services_that_help_names_are_those_of_the_node(graph: Graph, node: type[WorkerNode]) -> None:
     overrides = [Parameter(name, value=value) for name, value in NODES[node].items()]
     made = graph.add(node(context=graph.context, parameter_overrides=overrides))
     ours = {name.lstrip("/") for name, _ in made.get_topic_names_and_types()} - {"rosout", "parameter_events", "tf"}
     named = {*node.inputs, *node.outputs, "losses", "diagnostics", "progress", f"{made.get_name()}/transition_event"}
     named = {name.lstrip("/") for name in named if has_transforms() or name != TF_STATIC}  # tf2_msgs is not on PyPI
     assert ours == {name.replace("<estimator>", "ml") for name in named}
-
-
-@pytest.mark.parametrize("node", NODES, ids=lambda node: node.__name__)
-def test_the_services_that_help_names_are_those_of_the_node(graph: Graph, node: type[WorkerNode]) -> None:
-    overrides = [Parameter(name, value=value) for name, value in NODES[node].items()]
-    made = graph.add(node(context=graph.context, parameter_overrides=overrides))
-    own = {
+    services = {
         name
         for name, (kind,) in made.get_service_names_and_types()
         if not kind.startswith(("rcl_interfaces/", "lifecycle_msgs/", "type_description_interfaces/"))
     }
-    assert own == {name.replace("~", f"/{made.get_name()}") for name in node.answers}
+    assert services == {name.replace("~", f"/{made.get_name()}") for name in node.answers}
 
 
 @pytest.mark.parametrize(
@@ -114,18 +109,10 @@ def test_an_argument_that_is_none_of_ros_is_refused() -> None:
         check_arguments(["ml_height", "range_looks:=2"])
 
 
-def test_a_parameter_of_ros_of_another_type_is_refused_in_a_sentence() -> None:
-    """Those of ours are told by the node itself."""
-    words = [
-        sys.executable,
-        "-m",
-        "sal_height.nodes.processing",
-        "relief_mapper",
-        "--ros-args",
-        "-p",
-        "use_sim_time:=1",
-    ]
-    run = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)  # noqa: S603 (our own module)
-    assert run.returncode == 2
-    assert run.stderr.count("\n") == 1
-    assert "'use_sim_time' to '1' of type 'INTEGER', expecting type 'BOOL'" in run.stderr
+def test_a_parameter_of_ros_of_another_type_is_refused_in_a_sentence(domain_id: int) -> None:
+    """Those of ours are reported by the node itself."""
+    program = Program(PROGRAMS, "relief_mapper", "--ros-args", "-p", "use_sim_time:=1", domain_id=domain_id)
+    _, said = program.communicate()
+    assert program.returncode == 2
+    assert said.count("\n") == 1
+    assert "'use_sim_time' to '1' of type 'INTEGER', expecting type 'BOOL'" in said

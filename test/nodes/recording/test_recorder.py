@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -18,6 +17,7 @@ import pytest
 import rclpy
 from helpers import assert_one_sentence, file_size_limit, publisher_of
 from mcap.reader import make_reader
+from programs import RECORDER, Program
 from rcl_interfaces.msg import Log, ParameterDescriptor
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.duration import Duration
@@ -53,11 +53,9 @@ from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
 from sal_height.nodes.transport.quality import LATCHED_QOS
 
-TIMEOUT_S = 20.0
+TIMEOUT_S = 120.0
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
-
-RUN_MAIN = "from sal_height.nodes.recording.recorder import main; raise SystemExit(main())"
 
 
 @pytest.fixture
@@ -728,10 +726,8 @@ def test_the_program_ends_with_status_2_and_one_sentence_without_a_directory(dom
     assert errors == "Parameter directory is empty; it must name a new folder for the bag.\n"
 
 
-def run_main(*arguments: str, domain_id: int) -> subprocess.Popen[str]:
-    environment = os.environ | {"ROS_DOMAIN_ID": str(domain_id)}
-    command = [sys.executable, "-c", RUN_MAIN, *arguments]
-    return subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)  # noqa: S603
+def run_main(*arguments: str, domain_id: int) -> Program:
+    return Program(RECORDER, "recorder", *arguments, domain_id=domain_id)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS
 from sal_height.nodes.worker import WorkerNode
 
-TIMEOUT_S = 20.0
+TIMEOUT_S = 120.0
 BEST_EFFORT, RELIABLE = ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE
 VOLATILE, LATCHED = DurabilityPolicy.VOLATILE, DurabilityPolicy.TRANSIENT_LOCAL
 

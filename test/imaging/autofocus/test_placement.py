@@ -294,7 +294,14 @@ def test_a_boresight_that_is_known_to_err_is_looked_for(flight: SimulatedFlight,
     assert not slc.doubt
 
 
-@pytest.mark.parametrize(("name", "dwells"), [("sal_spotlight", 16), ("xband_relief", 16), ("woods", 6)])
+@pytest.mark.parametrize(
+    ("name", "dwells"),
+    [
+        ("sal_spotlight", 16),
+        pytest.param("xband_relief", 16, marks=pytest.mark.thorough),
+        pytest.param("woods", 6, marks=pytest.mark.thorough),
+    ],
+)
 def test_scenes_of_presets_move_the_centroid_as_far_as_is_stated(name: str, dwells: int) -> None:
     """By their uneven ground: rms over what is stated, of so many dwells; and none of them is doubted."""
     flown = flight_of(load_preset(name), seed=2)

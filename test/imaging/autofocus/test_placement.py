@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import assert_one_sentence, make_aperture
+from helpers import assert_one_sentence, make_aperture, thorough
 from scipy.spatial.transform import Rotation
 
 from sal_height.elevation import ESTIMATORS, MlSettings, Validity
@@ -298,8 +298,7 @@ def test_a_boresight_that_is_known_to_err_is_looked_for(flight: SimulatedFlight,
     ("name", "dwells"),
     [
         ("sal_spotlight", 16),
-        pytest.param("xband_relief", 16, marks=pytest.mark.thorough),
-        pytest.param("woods", 6, marks=pytest.mark.thorough),
+        *thorough(("xband_relief", 16), ("woods", 6)),
     ],
 )
 def test_scenes_of_presets_move_the_centroid_as_far_as_is_stated(name: str, dwells: int) -> None:

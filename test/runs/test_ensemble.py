@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 import rasterio
+from helpers import thorough
 from mcap.reader import make_reader
 
 from sal_height.bag.reader import BagReader
@@ -104,7 +105,7 @@ def assert_is_whole(bag: Path) -> None:
     assert summary is not None
 
 
-@pytest.mark.parametrize(("kind", "status"), [("interrupted", 0), ("killed", -signal.SIGKILL)])
+@pytest.mark.parametrize(("kind", "status"), [*thorough(("interrupted", 0)), ("killed", -signal.SIGKILL)])
 def test_no_process_survives_the_program_and_its_files_are_whole(
     kind: str, status: int, request: pytest.FixtureRequest
 ) -> None:
@@ -118,6 +119,7 @@ def test_no_process_survives_the_program_and_its_files_are_whole(
         assert relief.read(4).sum() > 0
 
 
+@pytest.mark.thorough
 def test_nodes_in_processes_give_the_same_heights_as_nodes_in_one(
     interrupted: Ended, tmp_path: Path, replay: Any
 ) -> None:

@@ -19,13 +19,14 @@ unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH PYTHONHOME PYTHO
 # Bytecode is kept: without it every program, and tests start many, reads all sources anew for half a second.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo demo-lidar demo-strip demo-radar notebooks test tests two-minutes lint bench soak docs wheels colcon clean
+.PHONY: help setup demo demo-lidar demo-strip demo-radar notebooks test thorough lint bench soak docs wheels colcon clean
 
 help:
 	@echo 'make setup   make the virtual environment .venv: ROS 2, Python packages, our messages (minutes the first time)'
 	@echo 'make demo    set up, then simulate and process three presets into out/; one: demo-lidar, demo-strip, demo-radar'
 	@echo 'make notebooks  set up, install Jupyter, then run examples/notebooks into out/notebooks/*.ipynb and .html'
 	@echo 'make test    set up, then check style and types and run the tests'
+	@echo 'make thorough  set up, then run the tests that make test leaves out, too, and a graph for 10 minutes with faults'
 	@echo 'make lint    set up, then check style and types'
 	@echo 'make soak    set up, then run a graph for MINUTES=30 with a fault every 20 seconds, and judge what it promises'
 	@echo 'make docs    set up, then write the reference anew and build the documentation site into out/site'
@@ -96,19 +97,18 @@ notebooks: setup $(jupyter)
 
 # Two files at a time: while one waits for its nodes, the other computes. Threads of matrix products would only wait for
 # each other.
+# Three workers for two processors: tests of nodes and programs wait half of their time.
+run-tests = OPENBLAS_NUM_THREADS=1 .venv/bin/pytest --numprocesses 3
+
 test:
 	@$(MAKE) --no-print-directory -j2 lint $(loops) $(viewer)
-	@$(MAKE) --no-print-directory -j2 tests two-minutes
+	$(run-tests)
 
-# Three workers for two processors: tests of nodes and programs wait half of their time.
-tests:
-	OPENBLAS_NUM_THREADS=1 .venv/bin/pytest --numprocesses 3
-
-# Beside the tests, which keep the processors busy: slowly, and with much time for each dwell. The file has what the nodes
-# say of the faults.
-two-minutes:
-	@.venv/bin/python -m benchmarks.soak --minutes 2 --every 20 --recovery 17 --preset small --rate 0.02 --budget 10 2>.soak.log || \
-		{ tail -n 100 .soak.log; exit 1; }
+# Tests marked as thorough, too: Monte Carlo at full strength and every replay from end to end.
+thorough:
+	@$(MAKE) --no-print-directory -j2 lint $(loops) $(viewer)
+	$(run-tests) -m ''
+	@$(MAKE) --no-print-directory soak MINUTES=10
 
 lint: setup
 	.venv/bin/ruff format --check

@@ -1,6 +1,7 @@
 """What can go wrong around a running graph, done to it on purpose.
 
-`python -m benchmarks.faults KIND SEED` does one of FAULTS to the graph of the ROS domain of the environment.
+`python -m benchmarks.faults KINDS SEED` does some of FAULTS, separated by commas, to the graph of the ROS domain of the
+environment.
 """
 
 from __future__ import annotations
@@ -147,9 +148,10 @@ def _burn() -> None:
         pass
 
 
-def _main(kind: str, seed: str) -> None:
+def _main(kinds: str, seed: str) -> None:
     with Graph() as graph:
-        FAULTS[kind](graph, np.random.default_rng(int(seed)))
+        for kind in kinds.split(","):
+            FAULTS[kind](graph, np.random.default_rng(int(seed)))
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -61,6 +61,10 @@ EDGE_DWELLS = 3
 """Dwells that may be on their way when a stretch without a fault begins or ends."""
 
 
+AFTER_ALL_S = 6.0
+"""Time without a fault at the end of a run with chosen kinds, which is judged."""
+
+
 @dataclass
 class Moment:
     """What was seen of the graph at a time."""
@@ -95,6 +99,7 @@ class Soak:
         seed: where in the list of faults to begin.
         lasts_s: duration; no fault is done that cannot be over before.
         recovery_s: from a fault to the end of what it may cost, at least.
+        kinds: faults to do, one after the other, and then none; empty: all kinds in turn.
         faults: what was done so far.
         moments: what was seen, about once a second.
     """
@@ -103,12 +108,17 @@ class Soak:
     seed: int
     lasts_s: float = math.inf
     recovery_s: float = RECOVERY_S
+    kinds: tuple[str, ...] = ()
     faults: list[Fault] = field(default_factory=list)
     moments: list[Moment] = field(default_factory=list)
     _stopped: list[tuple[float, int]] = field(default_factory=list)
 
     def show(self, watched: Watched) -> None:
-        """Take note of what is seen, and do the next fault if its time has come."""
+        """Record the state of the graph, and do the next fault if its time has come.
+
+        Raises:
+            KeyboardInterrupt: all `kinds` are done, and enough was seen of the time after them.
+        """
         now = watched.elapsed_s
         self.moments.append(_moment_of(watched))
         for until_s, pid in list(self._stopped):
@@ -119,7 +129,10 @@ class Soak:
         for fault in self.faults:
             if fault.program and math.isinf(fault.ended_s) and fault.program.poll() is not None:
                 fault.ended_s = now
-        if now >= self.every_s * (len(self.faults) + 1) and now + self.recovery_s < self.lasts_s:
+        if self.kinds and len(self.faults) == len(self.kinds):
+            if now > AFTER_ALL_S + max(fault.over_s(self.recovery_s) for fault in self.faults):
+                raise KeyboardInterrupt
+        elif now >= self.every_s * (len(self.faults) + 1) and now + self.recovery_s < self.lasts_s:
             self.faults.append(self._next(watched))
             sys.stderr.write(f"{now:.0f} s: {self.faults[-1].what}\n")
 
@@ -127,7 +140,8 @@ class Soak:
         """Do a fault: kinds take turns, and so do the nodes that signals are sent to."""
         number = len(self.faults) + self.seed
         kinds = (*FAULT_KINDS, *TO_NODES, *TO_NODES, *TO_NODES)
-        kind = kinds[number * 7 % len(kinds)]  # 7 has no factor in common with their number, 16
+        # 7 has no factor in common with the number of all kinds, 16.
+        kind = self.kinds[len(self.faults)] if self.kinds else kinds[number * 7 % len(kinds)]
         if kind not in TO_NODES:
             words = [sys.executable, "-m", "benchmarks.faults", kind, str(number)]
             return Fault(watched.elapsed_s, kind, subprocess.Popen(words))  # noqa: S603 (our own module)
@@ -147,7 +161,7 @@ class Soak:
 
     def quiet(self) -> Iterator[list[Moment]]:
         """The moments of every stretch that no fault can have an effect on."""
-        begins = [0.0, *(fault.over_s(self.recovery_s) for fault in self.faults)]
+        begins = accumulate([0.0, *(fault.over_s(self.recovery_s) for fault in self.faults)], max)
         ends = [*(fault.at_s for fault in self.faults), math.inf]
         for begin, end in zip(begins, ends, strict=True):
             inside = [moment for moment in self.moments if begin <= moment.at_s < end]
@@ -292,6 +306,21 @@ def soak(
     if recovery >= every:
         sys.stderr.write(f"--recovery is {recovery:g} and --every {every:g}; it must be less, or nothing is judged.\n")
         return 2
+    run = Soak(every, seed, 60 * minutes, recovery)
+    promises = perform(run, preset, rate, budget)
+    sys.stdout.writelines(f"{'kept' if kept else 'BROKEN'}: {sentence}\n" for kept, sentence in promises)
+    return int(not all(kept for kept, _ in promises))
+
+
+def perform(run: Soak, preset: str, rate: float | None, budget: float | None) -> list[tuple[bool, str]]:
+    """Play a sensor against a graph with faults, print what happened, and give the verdict on each promise.
+
+    Args:
+        run: faults to do; it records what happens.
+        preset: name of sensor, flight and scene.
+        rate: seconds of the sensor in a second; None: SHARE of the highest that is sustained.
+        budget: latency budget, s; None: that of live.
+    """
     os.environ.update(ONE_THREAD | os.environ)
 
     from sal_height.graph.plan import Execution  # noqa: PLC0415
@@ -307,8 +336,7 @@ def soak(
             from benchmarks.live_runs import highest_rate, watch  # noqa: PLC0415
 
             rate = SHARE * highest_rate(lambda tried: watch(bag, tried, 20.0), 0.3)[0]
-        run = Soak(every, seed, 60 * minutes, recovery)
-        how = Live(rate, 60 * minutes, budget or 0.0, supervised=True)
+        how = Live(rate, run.lasts_s, budget or 0.0, supervised=True)
         patience = {
             name: {"timeout_s": max(LEAST_WAIT_S, WAIT_S * rate)}
             for name in ("sar_compression", "ml_height", "monopulse")
@@ -320,12 +348,11 @@ def soak(
         report = json.loads((folder / "live" / "report.json").read_text(encoding="utf-8"))
     starts = {name: node["processes"] for name, node in report["nodes"].items()}
     sys.stdout.write(
-        f"{preset} at {rate:.3g} of its pace for {minutes:g} minutes: {watched.offered_hz:.1f} dwells/s, "
-        f"{watched.heights} heights, {len(run.faults)} faults; processes of each node: {starts}\n"
+        f"{preset} at {rate:.3g} of its pace for {watched.elapsed_s / 60:.3g} minutes: "
+        f"{watched.offered_hz:.1f} dwells/s, {watched.heights} heights, {len(run.faults)} faults; "
+        f"processes of each node: {starts}\n"
     )
-    promises = verdict(run, watched.offered_hz, different)
-    sys.stdout.writelines(f"{'kept' if kept else 'BROKEN'}: {sentence}\n" for kept, sentence in promises)
-    return int(not all(kept for kept, _ in promises))
+    return verdict(run, watched.offered_hz, different)
 
 
 if __name__ == "__main__":

@@ -31,6 +31,21 @@ from sal_height.nodes.transport.graph import Graph
 logging.getLogger("sal_height.numeric.jit").setLevel(logging.ERROR)
 
 
+LONGEST_FIRST = (
+    *("test_soak.py", "test_golden.py", "test_tutorials.py", "runs/replay/test_replay.py", "runs/live/test_live.py"),
+    *("runs/test_supervisor.py", "runs/campaign/test_batch.py", "runs/test_ensemble.py", "figures/test_figures.py"),
+    *("test_notebooks.py", "runs/test_adjusted_run.py", "runs/products/test_calibrate.py", "runs/test_lockstep.py"),
+    *("commands/test_program.py", "runs/products/test_movers.py", "runs/test_run.py", "runs/test_strip_run.py"),
+)
+"""Files that take 10 s of processor time or more, or wait for programs, the longest first."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Long files come first: workers take whole files in this order, and none is left alone with one at the end."""
+    ranks = {Path(__file__).parent / name: rank for rank, name in enumerate(LONGEST_FIRST)}
+    items.sort(key=lambda item: ranks.get(item.path, len(ranks)))
+
+
 def pytest_collection_finish() -> None:
     """What all modules have made stays to the end: the collector looks at it no more, nor do forked processes."""
     gc.collect()

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import pytest
 from scipy.constants import speed_of_light
 from scipy.spatial.transform import Rotation
 
@@ -290,3 +291,9 @@ def publisher_of(node: Any, kind: type[Any], topic: str, qos: Any) -> PlainPubli
     from sal_height.nodes.transport.message_types import class_of
 
     return PlainPublisher(node.create_publisher(class_of(kind), topic, qos))
+
+
+def thorough(*cases: Any) -> list[Any]:
+    """Cases of a parametrised test that only `make thorough` runs; tuples hold one value for each parameter."""
+    values = [case if isinstance(case, tuple) else (case,) for case in cases]
+    return [pytest.param(*one, marks=pytest.mark.thorough) for one in values]

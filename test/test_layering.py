@@ -274,7 +274,7 @@ def import_without(
     """Import modules where others cannot be imported, and then run a program with arguments."""
     code = BLOCKED_IMPORT.format(forbidden=tuple(forbidden), modules=list(modules), then=then)
     command = [sys.executable, "-c", code, *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)  # noqa: S603 (our own code)
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=600)  # noqa: S603 (our own code)
 
 
 @pytest.mark.parametrize(("modules", "forbidden"), [(CORE, FORBIDDEN), (WITHOUT_ROS, ROS)], ids=["core", "bags"])

@@ -329,6 +329,7 @@ def test_level_ground_tilts_when_the_rotation_of_the_detectors_is_not_known(esti
     assert slope_error < 0.01
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("mode", ["spotlight", "stripmap"])
 def test_the_nodes_make_the_same_heights(graph: Graph, mode: str) -> None:
     """So that the claims above hold for them, too."""

@@ -24,7 +24,7 @@ from sal_height.runs.replay.bag_replay import replay
 from sal_height.simulation import load_preset
 
 TUTORIALS = DOCS / "tutorials"
-TIMEOUT_S = 120.0
+TIMEOUT_S = 600.0
 
 
 @pytest.fixture(autouse=True)

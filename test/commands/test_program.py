@@ -74,7 +74,7 @@ def run_fresh(many_words: Sequence[Sequence[str]], blocked: Sequence[str] = ()) 
     Returns status, output and error output of each, and the top-level modules that were imported.
     """
     command = [sys.executable, "-c", IN_TURN, json.dumps(blocked), json.dumps(many_words)]
-    result = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)  # noqa: S603 (our code)
+    result = subprocess.run(command, capture_output=True, text=True, check=False, timeout=600)  # noqa: S603 (our code)
     assert result.returncode == 0, result.stderr
     results, modules = json.loads(result.stdout)
     return results, set(modules)
@@ -105,7 +105,7 @@ def test_help_imports_nothing_that_is_slow() -> None:
 
 def test_the_module_is_the_program() -> None:
     command = [sys.executable, "-m", "sal_height", "--version"]
-    result = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)  # noqa: S603 (our own code)
+    result = subprocess.run(command, capture_output=True, text=True, check=True, timeout=600)  # noqa: S603 (our own code)
     assert result.stdout == f"sal_height {__version__}\n"
 
 
@@ -120,7 +120,7 @@ def test_a_reader_that_closes_the_output_ends_a_command_quietly(words: list[str]
     with os.fdopen(writer, "wb") as closed:
         command = [sys.executable, "-m", "sal_height", *words]
         errors = closed if also_errors else subprocess.PIPE
-        result = subprocess.run(command, stdout=closed, stderr=errors, check=False, timeout=60)  # noqa: S603 (our code)
+        result = subprocess.run(command, stdout=closed, stderr=errors, check=False, timeout=600)  # noqa: S603 (our code)
     if words == ["replay"] and not also_errors:
         assert result.returncode == 2
     else:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,6 @@ from sal_height.errors import UserError
 from sal_height.graph.plan import Execution
 from sal_height.runs.chain.chain_runs import plan
 from sal_height.runs.chain.entry import FROM_HEIGHTS, IMAGES, Part
-from sal_height.runs.replay.bag_replay import replay
 from sal_height.runs.truth.accuracy import read_images
 from sal_height.runs.truth.simulate import Flown, fly
 from sal_height.simulation import load_preset
@@ -56,8 +56,8 @@ def test_the_heights_of_a_run_come_together(flown: Flown, folder: Path) -> None:
     assert account.received == DWELLS
 
 
-def test_a_replay_repeats_them_to_the_bit(flown: Flown, folder: Path) -> None:
-    found = replay(folder / "run" / "bag", folder / "replay", {})
+def test_a_replay_repeats_them_to_the_bit(flown: Flown, folder: Path, replay: Any, tmp_path: Path) -> None:
+    found = replay(folder / "run" / "bag", tmp_path / "replay", {})
     assert {topic: one.verdict for topic, one in found.compared.items()} == dict.fromkeys(
         ("/ml/height", "/adjusted/height", "/tracked/height"), EQUAL
     )
@@ -66,19 +66,19 @@ def test_a_replay_repeats_them_to_the_bit(flown: Flown, folder: Path) -> None:
 
 
 @pytest.mark.usefixtures("flown")
-def test_a_replay_from_heights_makes_the_map_of_them(folder: Path) -> None:
-    found = replay(folder / "run" / "bag", folder / "mapped", {}, part=Part(FROM_HEIGHTS))
+def test_a_replay_from_heights_makes_the_map_of_them(folder: Path, replay: Any, tmp_path: Path) -> None:
+    found = replay(folder / "run" / "bag", tmp_path / "mapped", {}, part=Part(FROM_HEIGHTS))
     assert found.outcome.stages["relief_mapper"].received == DWELLS
     assert found.outcome.losses == []
 
 
 @pytest.mark.usefixtures("flown")
-def test_where_odometry_is_not_played_they_are_left_out_or_refused(folder: Path) -> None:
+def test_where_odometry_is_not_played_they_are_left_out_or_refused(folder: Path, replay: Any, tmp_path: Path) -> None:
     images = Part(IMAGES)
     with pytest.raises(UserError) as refused:
-        replay(folder / "run" / "bag", folder / "none", {}, estimators=("ml", "adjusted"), part=images)
+        replay(folder / "run" / "bag", tmp_path / "none", {}, estimators=("ml", "adjusted"), part=images)
     assert_one_sentence(str(refused.value), "with the odometry", "phase_history")
-    found = replay(folder / "run" / "bag", folder / "images", {}, part=images)
+    found = replay(folder / "run" / "bag", tmp_path / "images", {}, part=images)
     assert "height_adjuster" not in found.outcome.stages
     assert found.compared["/ml/height"].verdict == EQUAL
 
@@ -101,19 +101,20 @@ def test_sigma_holds_the_errors_of_adjusted_heights(folder: Path, flown: Flown) 
     assert abs(flown.accuracy.statistics["adjusted"]["bias_m"]) < 3 * sigmas["adjusted"]
 
 
-def test_strips_of_a_run_come_together_and_a_replay_repeats_them_to_the_bit(folder: Path) -> None:
+@pytest.mark.thorough
+def test_strips_of_a_run_come_together_and_a_replay_repeats_them_to_the_bit(replay: Any, tmp_path: Path) -> None:
     """Of three strips of three images, the last one is recognised while it grows: sigma falls from 53 to 31 cm."""
     preset = load_preset("sal_strips")
     flight = replace(preset.flight, passes=Passes(3, 60.0))
     preset = replace(preset, dwells=15, flight=flight, estimators=("ml", "adjusted"))
-    flown = fly(preset, 4, folder / "strips", {}, Execution())
+    flown = fly(preset, 4, tmp_path / "strips", {}, Execution())
     assert flown.outcome.losses == []
-    images = read_images(folder / "strips" / "bag")
+    images = read_images(tmp_path / "strips" / "bag")
     before, after = ([np.nanmedian(one.surfaces[0].sigma) for one in images[name]] for name in ("ml", "adjusted"))
     assert len(after) == 9
     np.testing.assert_allclose(after[:7], before[:7], rtol=0.02)
     assert after[-1] < 0.7 * before[-1]
-    found = replay(folder / "strips" / "bag", folder / "strips_again", {})
+    found = replay(tmp_path / "strips" / "bag", tmp_path / "strips_again", {})
     assert {topic: one.verdict for topic, one in found.compared.items()} == dict.fromkeys(
         ("/ml/height", "/adjusted/height", "/tracked/height"), EQUAL
     )

@@ -16,12 +16,12 @@ from typing import Any
 
 import pytest
 import rasterio
+from helpers import thorough
 from mcap.reader import make_reader
 
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
 from sal_height.graph.ensemble import Ensemble, Member
-from sal_height.runs.replay.bag_replay import replay
 
 NODES_OF_LIVE = [
     "ml_height",
@@ -35,7 +35,7 @@ NODES_OF_LIVE = [
 """Each process is called like its node: it was forked from the program, and did not start anew."""
 
 
-def wait_for(condition: Callable[[], bool], seconds: float = 60) -> None:
+def wait_for(condition: Callable[[], bool], seconds: float = 600) -> None:
     """Poll, and leave the processors to others between."""
     deadline, never = time.monotonic() + seconds, threading.Event()
     while not condition():
@@ -77,7 +77,7 @@ def ended(words: list[str], out: Path, bag: Path, number: signal.Signals) -> End
         wait_for(lambda: bag.is_file() and bag.stat().st_size > 600_000)
         nodes = {node: Path(f"/proc/{node}/comm").read_text().strip() for node in children(program.pid) if runs(node)}
         program.send_signal(number)
-        _, log = program.communicate(timeout=60)
+        _, log = program.communicate(timeout=600)
     return Ended(out, program.returncode, log, nodes)
 
 
@@ -105,7 +105,7 @@ def assert_is_whole(bag: Path) -> None:
     assert summary is not None
 
 
-@pytest.mark.parametrize(("kind", "status"), [("interrupted", 0), ("killed", -signal.SIGKILL)])
+@pytest.mark.parametrize(("kind", "status"), [*thorough(("interrupted", 0)), ("killed", -signal.SIGKILL)])
 def test_no_process_survives_the_program_and_its_files_are_whole(
     kind: str, status: int, request: pytest.FixtureRequest
 ) -> None:
@@ -119,7 +119,10 @@ def test_no_process_survives_the_program_and_its_files_are_whole(
         assert relief.read(4).sum() > 0
 
 
-def test_nodes_in_processes_give_the_same_heights_as_nodes_in_one(interrupted: Ended, tmp_path: Path) -> None:
+@pytest.mark.thorough
+def test_nodes_in_processes_give_the_same_heights_as_nodes_in_one(
+    interrupted: Ended, tmp_path: Path, replay: Any
+) -> None:
     """Of the dwells that were cut off, a node may have fewer heights than the replay."""
     bag = interrupted.out / "run" / "bag"
     compared = replay(bag, tmp_path / "replay", {}).compared
@@ -146,9 +149,9 @@ def test_an_interrupted_run_says_so_in_its_report_and_its_files_are_whole(tmp_pa
 
 def test_a_node_whose_parent_has_ended_does_not_begin() -> None:
     nobody = subprocess.Popen([sys.executable, "-c", ""])
-    nobody.wait(60)
+    nobody.wait(600)
     words = [sys.executable, "-m", "sal_height.graph.ensemble", "monopulse", "monopulse", str(nobody.pid)]
-    assert subprocess.run(words, timeout=60, check=False).returncode == 1  # noqa: S603
+    assert subprocess.run(words, timeout=600, check=False).returncode == 1  # noqa: S603
 
 
 def test_when_a_node_cannot_be_started_the_others_end(monkeypatch: pytest.MonkeyPatch) -> None:

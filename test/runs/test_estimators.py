@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from helpers import assert_one_sentence
@@ -16,7 +17,6 @@ from sal_height.graph.catalogue import HEIGHTS, SETTABLE, consumers, suited
 from sal_height.graph.node_classes import NODES
 from sal_height.nodes.processing import PROCESSING
 from sal_height.runs.chain.recorded_parameters import recorded_parameters
-from sal_height.runs.replay.bag_replay import replay
 from sal_height.runs.truth.simulate import fly, run
 from sal_height.settings import settings_of
 from sal_height.simulation import load_preset, parse_preset
@@ -78,7 +78,7 @@ def test_adjusted_heights_are_asked_for_as_if_they_were_of_an_estimator() -> Non
     }
 
 
-def test_a_preset_names_estimators_and_parameters_and_a_replay_repeats_them(tmp_path: Path) -> None:
+def test_a_preset_names_estimators_and_parameters_and_a_replay_repeats_them(tmp_path: Path, replay: Any) -> None:
     """Parameters that are given with the run override those of the preset."""
     processing = {"sar_compression": {"range_window": "hamming"}, "capon_height": {"loading": 2.0, "min_cnr_db": 8.0}}
     preset = replace(load_preset("small"), dwells=1, estimators=("music", "capon"), processing=processing)

@@ -6,6 +6,7 @@ import dataclasses
 import logging
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +26,6 @@ from sal_height.graph.reporting import RELIEF_MAP
 from sal_height.messages import serialize
 from sal_height.runs.chain.entry import FROM_HEIGHTS, Part
 from sal_height.runs.chain.recorded_parameters import recorded_parameters
-from sal_height.runs.replay.bag_replay import replay
 from sal_height.runs.truth.simulate import fly
 from sal_height.simulation import Preset, flight_of
 from sal_height.simulation.preset import parse_preset
@@ -75,7 +75,7 @@ def test_the_bag_says_where_the_map_is_to_others(flown: Path) -> None:
     assert fix.header.frame_id == "map"
 
 
-def test_a_replay_from_heights_makes_the_same_map(flown: Path, tmp_path: Path) -> None:
+def test_a_replay_from_heights_makes_the_same_map(flown: Path, tmp_path: Path, replay: Any) -> None:
     replay(flown / "bag", tmp_path / "again", {}, part=Part(entry=FROM_HEIGHTS))
     assert_in_utm(tmp_path / "again" / RELIEF_MAP)
     with rasterio.open(flown / RELIEF_MAP) as one, rasterio.open(tmp_path / "again" / RELIEF_MAP) as other:

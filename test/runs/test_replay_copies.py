@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -12,7 +13,6 @@ from sal_height.bag.compare import EQUAL, TopicComparison, compare_bags
 from sal_height.bag.cut import Range, cut
 from sal_height.bag.reader import BagReader
 from sal_height.bag.upgrade import upgrade
-from sal_height.runs.replay.bag_replay import replay
 
 
 def compare(golden: Path, made: Path) -> dict[str, TopicComparison]:
@@ -22,8 +22,8 @@ def compare(golden: Path, made: Path) -> dict[str, TopicComparison]:
 BAGS = Path(__file__).parents[2] / "bags"
 
 
-@pytest.mark.parametrize("number", [0, 1])
-def test_a_cut_bag_gives_the_heights_of_its_dwells(number: int, recorded: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [pytest.param(0, marks=pytest.mark.thorough), 1])
+def test_a_cut_bag_gives_the_heights_of_its_dwells(number: int, recorded: Path, tmp_path: Path, replay: Any) -> None:
     """Value for value; those of the tracker depend on the dwells before."""
     cut(recorded / "bag", tmp_path / "cut", Range(dwells=(number, number)))
     result = replay(tmp_path / "cut", tmp_path / "replay", {})
@@ -40,7 +40,7 @@ def test_a_cut_bag_gives_the_heights_of_its_dwells(number: int, recorded: Path, 
         assert compare(tmp_path / "cut", tmp_path / "replay" / "bag")["/tracked/height"].verdict == EQUAL
 
 
-def test_a_cut_by_time_gives_the_heights_of_its_dwells(recorded: Path, tmp_path: Path) -> None:
+def test_a_cut_by_time_gives_the_heights_of_its_dwells(recorded: Path, tmp_path: Path, replay: Any) -> None:
     """From the first frame of the second dwell on."""
     frames = list(BagReader(recorded / "bag").messages(["/phase_history"]))
     cut(recorded / "bag", tmp_path / "cut", Range(begin_ns=frames[8].log_time_ns))
@@ -50,8 +50,8 @@ def test_a_cut_by_time_gives_the_heights_of_its_dwells(recorded: Path, tmp_path:
         assert compared[topic].matched == 1
 
 
-@pytest.mark.parametrize("version", [0, 1])
-def test_an_upgraded_bag_gives_the_heights_of_the_old_one(version: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize("version", [0, pytest.param(1, marks=pytest.mark.thorough)])
+def test_an_upgraded_bag_gives_the_heights_of_the_old_one(version: int, tmp_path: Path, replay: Any) -> None:
     """With the parameters of the old one, which lie in a file beside that of version 0."""
     old, new = BAGS / f"version_{version}", tmp_path / "new"
     upgrade(old, new)
@@ -63,11 +63,11 @@ def test_an_upgraded_bag_gives_the_heights_of_the_old_one(version: int, tmp_path
     assert all(result.verdict == EQUAL for result in compare(old, new).values())
 
 
-def test_a_bag_of_sqlite3_gives_the_heights_recorded_in_it(recorded: Path, tmp_path: Path) -> None:
+def test_a_bag_of_sqlite3_gives_the_heights_recorded_in_it(recorded: Path, tmp_path: Path, replay: Any) -> None:
     """As rosbags writes it; the parameters are those in the provenance of its heights."""
     convert = [str(Path(sys.executable).with_name("rosbags-convert")), "--src", str(recorded / "bag")]
     converted = tmp_path / "converted"
-    subprocess.run([*convert, "--dst", str(converted), "--dst-storage", "sqlite3"], check=True, timeout=60)  # noqa: S603
+    subprocess.run([*convert, "--dst", str(converted), "--dst-storage", "sqlite3"], check=True, timeout=600)  # noqa: S603
     compared = replay(converted, tmp_path / "replay", {}).compared
     assert set(compared) == {"/ml/height", "/monopulse/height", "/tracked/height"}
     assert all(result.verdict == EQUAL and result.matched == 2 for result in compared.values())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 from helpers import assert_one_sentence
@@ -16,7 +17,6 @@ from sal_height.commands import main
 from sal_height.errors import UserError
 from sal_height.runs.chain.entry import Part
 from sal_height.runs.chain.timeline import timeline_of
-from sal_height.runs.replay.bag_replay import replay
 
 HEIGHTS = {"/ml/height", "/monopulse/height", "/tracked/height"}
 
@@ -36,7 +36,9 @@ def moved(bag: Path, copy: Path, namespaces: Sequence[str], outside: Sequence[st
 
 
 @pytest.mark.parametrize("outside", [["/diagnostics"], ["/diagnostics", "/platform/odometry"]])
-def test_a_bag_of_a_namespace_is_replayed_without_it(outside: list[str], recorded: Path, tmp_path: Path) -> None:
+def test_a_bag_of_a_namespace_is_replayed_without_it(
+    outside: list[str], recorded: Path, tmp_path: Path, replay: Any
+) -> None:
     bag = moved(recorded / "bag", tmp_path / "bag", ["/north/lidar"], outside)
     result = replay(bag, tmp_path / "out", {})
     assert {topic: (one.matched, one.verdict) for topic, one in result.compared.items()} == dict.fromkeys(
@@ -48,14 +50,14 @@ def test_a_bag_of_a_namespace_is_replayed_without_it(outside: list[str], recorde
 
 
 def test_one_of_several_namespaces_is_chosen(
-    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], replay: Any, replay_words: list[str]
 ) -> None:
     bag = moved(recorded / "bag", tmp_path / "bag", ["/lidar", "/radar"])
     for namespace, parts in ((None, ["/lidar, /radar", "--namespace"]), ("sonar", ["'sonar'", "/lidar, /radar"])):
         with pytest.raises(UserError) as error:
             replay(bag, tmp_path / "out", {}, part=Part(namespace=namespace))
         assert_one_sentence(str(error.value), str(bag), "phase_history", *parts)
-    assert main(["replay", str(bag), "--out", str(tmp_path / "out"), "--namespace", "radar"]) == 0
+    assert main([*replay_words, str(bag), "--out", str(tmp_path / "out"), "--namespace", "radar"]) == 0
     assert "/ml/height" in capsys.readouterr().out
 
 

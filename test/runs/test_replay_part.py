@@ -18,7 +18,7 @@ from sal_height.commands import main
 from sal_height.errors import UserError
 from sal_height.graph.plan import Execution
 from sal_height.runs.chain.entry import Part
-from sal_height.runs.replay.bag_replay import Replay, replay
+from sal_height.runs.replay.bag_replay import Replay
 from sal_height.runs.truth.simulate import fly
 from sal_height.simulation.preset import Preset
 
@@ -43,7 +43,7 @@ def counts(bag: Path) -> dict[str, int]:
     return {name: topic.count for name, topic in BagReader(bag).topics.items() if name != "/diagnostics"}
 
 
-def test_heights_of_images_are_those_of_the_phase_history(flown: Path, tmp_path: Path) -> None:
+def test_heights_of_images_are_those_of_the_phase_history(flown: Path, tmp_path: Path, replay: Any) -> None:
     result = replay(flown / "bag", tmp_path / "out", {}, part=Part("slc"))
     assert summary(result) == dict.fromkeys({*ESTIMATED, TRACKED}, (DWELLS, 0, 0, True))
     assert "sar_compression" not in result.outcome.stages
@@ -53,7 +53,7 @@ def test_heights_of_images_are_those_of_the_phase_history(flown: Path, tmp_path:
     assert {topic: summary(again)[topic] for topic in ESTIMATED} == dict.fromkeys(ESTIMATED, (1, 0, 0, True))
 
 
-def test_from_heights_tracker_and_mapper_work_alone(flown: Path, tmp_path: Path) -> None:
+def test_from_heights_tracker_and_mapper_work_alone(flown: Path, tmp_path: Path, replay: Any) -> None:
     result = replay(flown / "bag", tmp_path / "out", {}, part=Part("heights"))
     assert summary(result) == {TRACKED: (DWELLS, 0, 0, True)}
     assert set(result.outcome.stages) == {"player", "relief_tracker", "relief_mapper"}
@@ -80,7 +80,7 @@ def test_from_heights_tracker_and_mapper_work_alone(flown: Path, tmp_path: Path)
     ids=str,
 )
 def test_only_dwells_of_the_range_are_played_and_compared(
-    part: Part, dwells: list[int], flown: Path, tmp_path: Path
+    part: Part, dwells: list[int], flown: Path, tmp_path: Path, replay: Any
 ) -> None:
     """Times are in dwell intervals here; odometry comes from around these dwells only."""
     reader = BagReader(flown / "bag")
@@ -98,7 +98,7 @@ def test_only_dwells_of_the_range_are_played_and_compared(
     assert counts(tmp_path / "out" / "bag")["/phase_history"] == 8 * len(dwells)
 
 
-def test_a_range_without_dwells_is_refused(flown: Path, tmp_path: Path) -> None:
+def test_a_range_without_dwells_is_refused(flown: Path, tmp_path: Path, replay: Any) -> None:
     for part in (Part(first=5), Part(start_s=1e4), Part(first=3, end_s=0.0)):
         with pytest.raises(UserError) as error:
             replay(flown / "bag", tmp_path / "out", {}, part=part)
@@ -116,7 +116,7 @@ def test_a_range_without_dwells_is_refused(flown: Path, tmp_path: Path) -> None:
     ],
 )
 def test_what_a_part_lacks_is_told(
-    entry: str, given: Any, estimators: list[str], parts: list[str], recorded: Path, tmp_path: Path
+    entry: str, given: Any, estimators: list[str], parts: list[str], recorded: Path, tmp_path: Path, replay: Any
 ) -> None:
     with pytest.raises(UserError) as error:
         replay(recorded / "bag", tmp_path / "out", given, estimators=estimators, part=Part(entry))
@@ -124,7 +124,7 @@ def test_what_a_part_lacks_is_told(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_bag_without_heights_is_not_replayed_from_them(flown: Path, tmp_path: Path) -> None:
+def test_a_bag_without_heights_is_not_replayed_from_them(flown: Path, tmp_path: Path, replay: Any) -> None:
     only = replay(flown / "bag", tmp_path / "out", {}, estimators=["monopulse"], part=Part(last=0))
     assert only.outcome.dwells == 1
     with pytest.raises(UserError) as error:
@@ -134,9 +134,11 @@ def test_a_bag_without_heights_is_not_replayed_from_them(flown: Path, tmp_path: 
     assert_one_sentence(str(error.value), "ml/height", "/monopulse/height")
 
 
-def test_the_command_takes_a_part(flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_takes_a_part(
+    flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], replay_words: list[str]
+) -> None:
     options = ["--out", str(tmp_path / "out"), "--dwells", "2:3", "--from", "slc", "--start", "0", "--end", "1e3"]
-    main(["replay", str(flown / "bag"), *options])
+    main([*replay_words, str(flown / "bag"), *options])
     assert json.loads((tmp_path / "out" / "report.json").read_text())["dwells"] == 2
     for wrong in ("3:2", "3", "a:b", f"0:{2**32}", "-1:2"):
         assert main(["replay", str(flown / "bag"), f"--dwells={wrong}"]) == 2

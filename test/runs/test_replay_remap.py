@@ -25,6 +25,9 @@ from sal_height.runs.replay.remapping import Remapping, remapping_of
 HEIGHTS = {"/ml/height", "/monopulse/height", "/tracked/height"}
 FOREIGN = {"/sensor_info": "/radar/info", "/platform/odometry": "/odom", "/phase_history": "/radar/raw"}
 """Names that another program might give to what the sensor delivers."""
+THOROUGH_LOCKSTEP, THOROUGH_BURST = (
+    pytest.param(playing, marks=pytest.mark.thorough) for playing in (IN_LOCKSTEP, Playing("burst"))
+)
 
 
 def with_names(bag: Path, copy: Path, names: Mapping[str, str]) -> Path:
@@ -43,7 +46,7 @@ def verdicts(result: Replay) -> dict[str, tuple[int, str]]:
     return {topic: (one.matched, one.verdict) for topic, one in result.compared.items()}
 
 
-@pytest.mark.parametrize("playing", [IN_LOCKSTEP, Playing("paced")], ids=["lockstep", "paced"])
+@pytest.mark.parametrize("playing", [THOROUGH_LOCKSTEP, Playing("paced")], ids=["lockstep", "paced"])
 def test_a_bag_with_foreign_names_is_played(playing: Playing, recorded: Path, tmp_path: Path) -> None:
     bag = with_names(recorded / "bag", tmp_path / "bag", FOREIGN)
     with pytest.raises(UserError, match="has no messages on /sensor_info"):
@@ -57,7 +60,7 @@ def test_a_bag_with_foreign_names_is_played(playing: Playing, recorded: Path, tm
     assert report["remapped"] == {new: old for old, new in FOREIGN.items()}
 
 
-@pytest.mark.parametrize("playing", [IN_LOCKSTEP, Playing("burst")], ids=["lockstep", "burst"])
+@pytest.mark.parametrize("playing", [IN_LOCKSTEP, THOROUGH_BURST], ids=["lockstep", "burst"])
 def test_topics_of_the_nodes_get_other_names(playing: Playing, recorded: Path, tmp_path: Path) -> None:
     """They are published, counted, recorded and compared so; one that is asked for by either name is recorded, too."""
     renamed = {"phase_history": "radar/phase_history", "ml/height": "north/ml", "tracked/height": "ml/height"}
@@ -84,6 +87,7 @@ def test_topics_of_the_nodes_get_other_names(playing: Playing, recorded: Path, t
     assert set(report["estimators"]) == {"monopulse", "ml", "tracked"}
 
 
+@pytest.mark.thorough
 def test_calibrations_images_and_heights_are_followed_by_their_names(recorded: Path, tmp_path: Path) -> None:
     rules = ["slc:=images", "sensor_info:=info", "platform/odometry:=odom"]
     assert (

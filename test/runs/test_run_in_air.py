@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from helpers import assert_one_sentence
@@ -14,7 +15,6 @@ from sal_height.bag.check import check_bag
 from sal_height.bag.compare import EQUAL
 from sal_height.bag.reader import BagReader
 from sal_height.runs.live.sensor_bag import record_sensor
-from sal_height.runs.replay.bag_replay import replay
 from sal_height.runs.truth.accuracy import read_images
 from sal_height.runs.truth.simulate import Flown, fly
 from sal_height.simulation import load_preset
@@ -54,17 +54,18 @@ def test_the_compression_hears_the_air_of_a_run(flown: Flown, folder: Path) -> N
 
 
 @pytest.mark.usefixtures("flown")
-def test_a_replay_hears_it_again(folder: Path) -> None:
-    found = replay(folder / "run" / "bag", folder / "replay", {})
+def test_a_replay_hears_it_again(folder: Path, replay: Any, tmp_path: Path) -> None:
+    found = replay(folder / "run" / "bag", tmp_path / "replay", {})
     assert found.outcome.losses == []
     assert {one.verdict for one in found.compared.values()} == {EQUAL}
 
 
-def test_a_strip_and_its_replay_hear_it(folder: Path) -> None:
-    flown = fly(STRIP_IN_AIR, 2, folder / "strip", {})
+@pytest.mark.thorough
+def test_a_strip_and_its_replay_hear_it(replay: Any, tmp_path: Path) -> None:
+    flown = fly(STRIP_IN_AIR, 2, tmp_path / "strip", {})
     assert flown.outcome.losses == []
     assert abs(flown.accuracy.statistics["ml"]["bias_m"]) < 0.02
-    found = replay(folder / "strip" / "bag", folder / "strip replay", {})
+    found = replay(tmp_path / "strip" / "bag", tmp_path / "strip replay", {})
     assert found.outcome.losses == []
     assert {one.verdict for one in found.compared.values()} == {EQUAL}
 

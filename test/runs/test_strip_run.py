@@ -6,19 +6,19 @@ import dataclasses
 import json
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from sal_height import messages
 from sal_height.bag.reader import BagReader
-from sal_height.runs.replay.bag_replay import replay
 from sal_height.runs.truth.simulate import fly
 from sal_height.simulation.preset import load_preset
 
 DWELLS = 4
 
 
-def test_strip_images_join_and_their_heights_are_right(tmp_path: Path) -> None:
+def test_strip_images_join_and_their_heights_are_right(tmp_path: Path, replay: Any) -> None:
     preset = load_preset("sal_stripmap")
     preset = dataclasses.replace(
         preset,

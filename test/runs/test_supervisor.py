@@ -31,7 +31,7 @@ from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
 from sal_height.nodes.transport.quality import FRAMES_QOS
 
-DEADLINE_S = 60.0
+DEADLINE_S = 600.0
 
 
 @dataclass

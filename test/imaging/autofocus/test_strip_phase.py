@@ -79,7 +79,7 @@ ERRORS = {
 }
 
 
-@pytest.mark.parametrize("gust", [0.0, 2.0], ids=["calm", "gusts"])
+@pytest.mark.parametrize("gust", [pytest.param(0.0, marks=pytest.mark.thorough), 2.0], ids=["calm", "gusts"])
 @pytest.mark.parametrize("name", ERRORS)
 def test_what_is_left_of_a_phase_error_is_small_whatever_it_was(name: str, gust: float) -> None:
     """Steps from pulse to pulse are left to what is stated, or up to a third of it; and no trend beyond its error.

@@ -7,20 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sal_height.graph.plan import Execution
 from sal_height.runs.chain.recorded_images import recorded_slc
 from sal_height.runs.products.tomogram import tomogram
-from sal_height.runs.replay.bag_replay import replay
 from sal_height.runs.responses.irf import irf
 
 LOOKS = 12, 12
-
-
-@pytest.fixture(scope="module")
-def with_images(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("images") / "out"
-    replay(recorded / "bag", out, {}, Execution(record=["slc"]))
-    return out / "bag"
 
 
 def test_images_that_are_not_recorded_are_made_as_in_flight(recorded: Path, with_images: Path) -> None:
@@ -42,6 +33,7 @@ def test_several_jobs_make_the_same_images_in_the_same_order(recorded: Path) -> 
         assert (topic, repr(message), pixels.tobytes()) == (other_topic, repr(other), others.tobytes())
 
 
+@pytest.mark.thorough
 def test_they_can_be_measured_and_cut(recorded: Path, with_images: Path, tmp_path: Path) -> None:
     bags = {"made": recorded / "bag", "recorded": with_images}
     entries = {name: irf([bag], tmp_path / name, jobs=2) for name, bag in bags.items()}

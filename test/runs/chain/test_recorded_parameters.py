@@ -30,7 +30,6 @@ from sal_height.runs.chain.recorded_parameters import recorded_parameters
 from sal_height.runs.chain.replay_parameters import ReplayPlan, processing_of
 from sal_height.runs.chain.timeline import OF_MACHINE
 from sal_height.runs.live.sensor_bag import Feed
-from sal_height.runs.replay.bag_replay import replay
 from sal_height.settings import settings_of
 
 BAGS = Path(__file__).parents[3] / "bags"
@@ -103,7 +102,7 @@ def test_the_values_of_a_bag_do_not_depend_on_the_defaults_of_today(name: str) -
 
 
 @pytest.mark.usefixtures("other_defaults")
-def test_heights_of_a_golden_bag_do_not_depend_on_the_defaults_of_today(tmp_path: Path) -> None:
+def test_heights_of_a_golden_bag_do_not_depend_on_the_defaults_of_today(tmp_path: Path, replay: Any) -> None:
     compared = replay(BAGS / "version_2", tmp_path / "replay", {}).compared
     assert compared.keys() == {"/ml/height", "/monopulse/height", "/tracked/height"}
     assert CHANGED not in {one.verdict for one in compared.values()}

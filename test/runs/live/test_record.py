@@ -17,7 +17,7 @@ from sal_height.bag.reader import BagReader
 from sal_height.commands import main
 from sal_height.nodes.transport.graph import Graph
 
-TIMEOUT_S = 60.0
+TIMEOUT_S = 600.0
 
 
 def start(domain_id: int, out: Path, *options: str) -> subprocess.Popen[str]:

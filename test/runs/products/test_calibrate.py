@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +21,6 @@ from sal_height.runs.chain.entry import Part
 from sal_height.runs.live.sensor_bag import record_sensor
 from sal_height.runs.products.calibrate import CALIBRATION, calibrate
 from sal_height.runs.products.calibration_picture import beam_width
-from sal_height.runs.replay.bag_replay import replay
 from sal_height.runs.truth.accuracy import read_accuracy
 from sal_height.runs.truth.simulate import fly
 from sal_height.simulation.flight import flight_of
@@ -70,7 +70,9 @@ def test_beams_and_gains_are_found(calibrated: Path) -> None:
     assert (calibrated / "calibration.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_heights_are_better_with_it(impaired: Preset, flown: Path, calibrated: Path, tmp_path: Path) -> None:
+def test_heights_are_better_with_it(
+    impaired: Preset, flown: Path, calibrated: Path, tmp_path: Path, replay: Any
+) -> None:
     """Monopulse heights stretch with the width of the beams, and gains shift them; noise and layover remain.
 
     They leave 0.60 of the error of monopulse in this flight.

@@ -18,7 +18,6 @@ from sal_height.messages import deserialize, serialize
 from sal_height.messages.types import Odometry
 from sal_height.runs.live.sensor_bag import record_sensor
 from sal_height.runs.products.movers import find_in_bag
-from sal_height.runs.replay.bag_replay import replay
 from sal_height.runs.truth.simulate import fly
 from sal_height.simulation.preset import TargetSettings, load_preset
 
@@ -131,7 +130,7 @@ def test_how_many_dwells_were_left_out_is_said(tmp_path: Path) -> None:
     assert report_of(tmp_path / "none")["dropped"]["sar_compression: odometry gap"] == 4
 
 
-def test_a_run_records_the_movers_of_its_last_dwells_and_a_replay_repeats_them(tmp_path: Path) -> None:
+def test_a_run_records_the_movers_of_its_last_dwells_and_a_replay_repeats_them(tmp_path: Path, replay: Any) -> None:
     """Which the node tells when no more have come for timeout_s."""
     target = TargetSettings(0.1, 0.5, 0.8, 30.0, radial_velocity_mps=8.003)
     preset = replace(load_preset("small"), targets=(target,), dwells=5, estimators=("movers",))

@@ -11,19 +11,9 @@ from helpers import assert_one_sentence
 from rewritten_bag import rewritten
 
 from sal_height.errors import UserError
-from sal_height.graph.plan import Execution
 from sal_height.runs.products.tomogram import tomogram
-from sal_height.runs.replay.bag_replay import replay
 
 LOOKS = (12, 12)
-
-
-@pytest.fixture(scope="module")
-def with_images(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Bag of a replay that records the images of all channels: two dwells of 8 channels."""
-    out = tmp_path_factory.mktemp("tomogram") / "replayed"
-    replay(recorded / "bag", out, {}, Execution(record=("slc",)))
-    return out / "bag"
 
 
 def test_cut_is_drawn_over_street_without_canopy(with_images: Path, tmp_path: Path) -> None:

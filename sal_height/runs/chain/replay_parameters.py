@@ -122,11 +122,11 @@ def processing_of(
     """
     check_given(given, chain)
     timeline = timeline_of(reader, chain.dwell_topics)
-    recorded = timeline.dwells
-    if not recorded:
-        recorded = FlightRecord(reader, chain.dwell_topics).dwells
-    dwells = part.dwells_of(list(recorded))
-    played = {dwell: frames for dwell, frames in recorded.items() if dwell in dwells}
+    in_bag = timeline.dwells
+    if not in_bag:
+        in_bag = FlightRecord(reader, chain.dwell_topics).dwells
+    dwells = part.dwells_of(list(in_bag))
+    played = {dwell: frames for dwell, frames in in_bag.items() if dwell in dwells}
     recorded = recorded_at_start(reader, timeline, chain.stages, chain.makers)
     own, sources = _at_start(recorded, timeline, chosen, given)
     if timeline.mountings and own.get(APPLIED.node, {}).get("mounting_from_tf"):
@@ -163,7 +163,7 @@ def processing_of(
         warnings,
         dwells,
         len(played) or chain.dwells,
-        not recorded or next(iter(recorded)) in dwells,
+        not in_bag or next(iter(in_bag)) in dwells,
         played,
         timeline.mountings if chain.entry == FRAMES else {},
     )

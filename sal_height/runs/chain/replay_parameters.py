@@ -122,7 +122,9 @@ def processing_of(
     """
     check_given(given, chain)
     timeline = timeline_of(reader, chain.dwell_topics)
-    in_bag = timeline.dwells or FlightRecord(reader, chain.dwell_topics).dwells
+    in_bag = timeline.dwells
+    if not in_bag:
+        in_bag = FlightRecord(reader, chain.dwell_topics).dwells
     dwells = part.dwells_of(list(in_bag))
     played = {dwell: frames for dwell, frames in in_bag.items() if dwell in dwells}
     recorded = recorded_at_start(reader, timeline, chain.stages, chain.makers)

@@ -101,9 +101,6 @@ def summary_of(
     """The numbers of the report."""
     array, tie, ambiguity, points = result.array, result.tie, result.ambiguity, result.found.points
     passes, deviation = len(array.passes), np.sqrt(np.diag(tie.covariance))
-    found = [(one.error[2], one.sigma) for one in comparisons if one.error is not None]
-    heights = error_statistics(*np.array(found).reshape(-1, 2).T)
-    errors = heights.in_metres(("bias_m", "rms_m", "deviation_m"))
     return {
         "passes": [
             {
@@ -139,12 +136,7 @@ def summary_of(
         "bright_pixels": result.found.peaks,
         "bright_pixels_by_reason": {Validity(n).name: count for n, count in result.found.reasons.items()},
         "references": [one.summary() for one in comparisons],
-        "reference_height_errors": {
-            "count": heights.count,
-            "mean_m": errors["bias_m"],
-            "rms_m": errors["rms_m"],
-            "rms_about_mean_m": errors["deviation_m"],
-        },
+        "reference_height_errors": _height_errors(comparisons),
         "points": [
             {
                 "east_m": float(points.positions[n, 0]),
@@ -157,6 +149,14 @@ def summary_of(
             for n in np.argsort(-points.power)
         ],
     }
+
+
+def _height_errors(comparisons: Sequence[ReferenceComparison]) -> dict[str, Any]:
+    """Entries of the report on the errors of height at the reference points with a point."""
+    found = [(one.error[2], one.sigma) for one in comparisons if one.error is not None]
+    heights = error_statistics(*np.array(found).reshape(-1, 2).T)
+    mean, rms, about_mean = heights.in_metres(("bias_m", "rms_m", "deviation_m")).values()
+    return {"count": heights.count, "mean_m": mean, "rms_m": rms, "rms_about_mean_m": about_mean}
 
 
 def passes_table(summary: dict[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""What moves in the images of a strip, or of dwells that follow each other.
+"""Movers in the images of a strip, or of successive dwells.
 
 Read `likelihood` first, which both searches share. For strips read `detection`, then `search`, `spectrum` and `walk`;
 for dwells read `dwell_detection`, then `dwell_search`, `dwell_paths` and `dwell_images`.

@@ -1,4 +1,4 @@
-"""Settings of the search for what moves."""
+"""Settings of the search for movers."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from sal_height.settings import Settings, setting
 
 
 class MoverSettings(Settings):
-    """What is looked at, and how sure a mover must be."""
+    """Candidates of the search, and the likelihood that a mover must have."""
 
     prominence_db: float = setting(
         10.0,

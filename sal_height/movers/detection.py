@@ -72,7 +72,7 @@ def find_movers(images: C64 | C128, beams: Beams, slc: Slc, sensor: Sensor, sett
     if images.shape[-1] < least:
         raise Rejected(
             "few columns",
-            f"An image of a strip has {images.shape[-1]} columns; {least} are needed to tell movers (parameter "
+            f"An image of a strip has {images.shape[-1]} columns; {least} are needed to find movers (parameter "
             "cols of sar_compression).",
         )
     images = about_ranges(np.where(np.isfinite(images), images, 0), slc, sensor)

@@ -33,7 +33,7 @@ OVERLAP = 1.6
 MOST_BYTES = 1_000_000_000
 """Limit of the size of cached images, as those of a platform that hovers all overlap, bytes."""
 
-ALONE = "Dwell {} overlaps with none before or after it, and so tells no movers."
+ALONE = "Dwell {} overlaps with none before or after it, so that no movers are found in it."
 """Warning about a dwell in which no movers could be searched."""
 
 

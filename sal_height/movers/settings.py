@@ -24,7 +24,7 @@ class MoverSettings(Settings):
     )
     fastest_mps: float = setting(
         20.0,
-        "greatest radial velocity whose walk through rows is looked for, in spotlight along the flight, too; in "
+        "greatest radial velocity whose range migration is looked for, in spotlight along the flight, too; in "
         "stripmap no more than 6 rows while the beam passes; 0: none",
         unit="m/s",
         minimum=0.0,

@@ -63,8 +63,8 @@ class DwellImage:
         if float(grid.row_direction @ sight) < 0.99 * slant_range:
             raise Rejected(
                 "image plane",
-                "Movers are estimated in the plane of range and Doppler; set parameter image_plane of sar_compression to "
-                "slant.",
+                "Movers are estimated in the plane of range and Doppler; set parameter image_plane of sar_compression "
+                "to slant.",
             )
         if abs(grid.cols * grid.col_spacing / period - 1) > 0.02:
             raise Rejected(

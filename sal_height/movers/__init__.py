@@ -1,7 +1,7 @@
-"""What moves in the images of a strip, or of dwells that follow each other.
+"""Movers in the images of a strip, or of successive dwells.
 
-Read `likelihood` first, which both searches share. For strips read `detection`, then `search`, `spectrum` and `walk`;
-for dwells read `dwell_detection`, then `dwell_search`, `dwell_paths` and `dwell_images`.
+Read `likelihood` first, which both searches share. For strips read `detection`, then `search`, `spectrum` and
+`migration`; for dwells read `dwell_detection`, then `dwell_search`, `dwell_paths` and `dwell_images`.
 """
 
 from sal_height.movers.detection import check_sensor, find_movers

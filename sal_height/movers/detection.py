@@ -1,13 +1,13 @@
-"""Movers in the images of a strip: their place, height and radial velocity, without being told the velocity.
+"""Movers in the images of a strip: position, height and radial velocity, without knowing the velocity before.
 
-Nothing but the direction in which it was seen tells a mover from what stands still. For each bright pixel elevation and
-lag (`likelihood`) are estimated together. Twice the logarithm of the likelihood of the best lag over that of the ground
-is what tells that it moves. With what stands still, each other lag has a ratio beyond t in less than exp(-t / 2) of all
-cases (Markov's inequality, if power and width were known), and the best of the lags that can be told apart in about as
-many times more: HYPOTHESES, measured with pairs of points in one cell, the worst of what was tried.
+Only the direction in which it was seen separates a mover from targets at rest. For each bright pixel elevation and lag
+(`likelihood`) are estimated together. The test statistic is twice the logarithm of the likelihood of the best lag over
+that of the ground. For a target at rest, each other lag has a ratio beyond t in less than exp(-t / 2) of all cases
+(Markov's inequality, if power and width were known), and the best of HYPOTHESES separate lags in that many times more.
 
-What moves by rows while the beam passes it is brightest with that walk undone (`walk`). Its likelihood ratio is that
-against what does not walk, whatever its lag, and there are as many times more hypotheses as walks that are undone.
+A target that migrates by rows while the beam passes it is brightest once that migration is undone (`migration`). Its
+likelihood ratio is that against targets without migration, whatever their lag, and the number of hypotheses is greater
+by the number of velocities whose migration is undone.
 """
 
 from __future__ import annotations
@@ -25,45 +25,25 @@ from sal_height.movers.drive import Drive, Drives, is_in_focus
 from sal_height.movers.ground import ground_lag, spectra_of_image
 from sal_height.movers.likelihood import HYPOTHESES
 from sal_height.movers.migration import Migration, Migrations, about_ranges
-from sal_height.movers.mover import Looked, Mover, MoverMeasurement, mover_of, peak_of, without_ambiguities
+from sal_height.movers.mover import MIGRATING, Looked, Mover, MoverMeasurement, mover_of, peak_of, without_ambiguities
 from sal_height.movers.search import Search, Seen
 from sal_height.movers.settings import MoverSettings
 from sal_height.movers.spectrum import Bins
 from sal_height.numeric import C64, C128, F64, Bool, Index
 from sal_height.sensor import Sensor
 
-LEAST_COLUMNS = 16
-"""Of an image, along the flight."""
-
 SIDELOBES = 10**-2.5
-"""Power, over that of the brightest in the same rows or columns, up to which a pixel may be its sidelobe."""
+"""Largest power of a sidelobe over that of the brightest pixel in the same rows or columns."""
 
 COARSE_STEP = 0.08
-"""Between the lags of a first search, in beamwidths."""
-
-BETWEEN_LAGS = 8.0
-"""Likelihood ratio that a lag between two of these may have over theirs.
-
-A target whose lag has the standard deviation of 0.015 beamwidths, the least that MODEL_ERROR leaves, loses 7."""
-
-MIGRATING = 5.0
-"""Standard deviations of the walk's velocity from which what moves is taken to walk."""
-
-WALK_ROWS = 2.0
-"""Beside the walk, within which the image of a target that walks lies."""
+"""Step between the lags of the first search, beamwidths."""
 
 MARGIN = 4
-"""Pixels from the edge of an image within which nothing is looked at: its response is cut off."""
-
-LAG_OF_BLOCKS = 0.1
-"""Standard deviation of the lag by what autofocus leaves within the blocks that it places, beamwidths.
-
-Of 56 movers in strips with the errors of `sal_strips` the lag was off by 0.15 beamwidths (rms) and in the median by
-0.04."""
+"""Margin at the edge of an image without candidates, pixels: the response is cut off there."""
 
 
 def check_sensor(sensor: Sensor) -> None:
-    """Movers can be told with a sensor.
+    """Check that movers can be estimated with a sensor.
 
     Raises:
         UserError: channels are blanked.
@@ -79,20 +59,20 @@ def find_movers(images: C64 | C128, beams: Beams, slc: Slc, sensor: Sensor, sett
     """Find what moves in an image of a strip.
 
     Args:
-        images: of channels of independent noise of one power, shape (channels, rows, cols).
-        beams: of these channels, in one direction.
-        slc: that the images are of.
-        sensor: that took them.
-        settings: of the search.
+        images: images of channels of independent noise of one power, shape (channels, rows, cols).
+        beams: beams of these channels, in one direction.
+        slc: image from which these channels were combined.
+        sensor: sensor of the image.
+        settings: settings of the search.
 
     Raises:
         Rejected: the image has too few columns.
     """
-    if images.shape[-1] < LEAST_COLUMNS:
+    least = 16  # columns of the shortest spectrum, the minimum of chip_pixels
+    if images.shape[-1] < least:
         raise Rejected(
             "few columns",
-            f"An image of a strip has {images.shape[-1]} columns; {LEAST_COLUMNS} are needed to detect movers "
-            f"(parameter "
+            f"An image of a strip has {images.shape[-1]} columns; {least} are needed to find movers (parameter "
             "cols of sar_compression).",
         )
     images = about_ranges(np.where(np.isfinite(images), images, 0), slc, sensor)
@@ -112,20 +92,20 @@ def find_movers(images: C64 | C128, beams: Beams, slc: Slc, sensor: Sensor, sett
 
 
 def _bright(power: F64, prominence_db: float) -> Bool:
-    """Pixels that are brighter than all around, than most of their row, and than sidelobes of what is brighter."""
+    """Pixels brighter than all around them, than most of their row, and than sidelobes of brighter ones."""
     around = maximum_filter(power, size=(3, 2 * MARGIN + 1))
     bright = (power == around) & (power > 10 ** (prominence_db / 10) * np.median(power, axis=1, keepdims=True))
-    beside = np.maximum(
+    brightest = np.maximum(
         maximum_filter(power.max(axis=0), size=2 * MARGIN + 1), maximum_filter(power.max(axis=1), size=3)[:, None]
     )
-    bright &= power > SIDELOBES * beside
+    bright &= power > SIDELOBES * brightest
     bright[:, :MARGIN] = bright[:, power.shape[1] - MARGIN :] = False
     return np.asarray(bright)
 
 
 @dataclass(frozen=True, eq=False)
 class _Looking:
-    """The search in an image; `of_rows` has walks through it as spectra of whole rows, from which `drives` tells."""
+    """The search in an image; `of_rows` has spectra of whole rows, from which `drives` estimates smears."""
 
     search: Search
     migrations: Migrations
@@ -136,12 +116,12 @@ class _Looking:
     sensor: Sensor
 
     def for_lags(self, settings: MoverSettings) -> tuple[list[Mover], int]:
-        """What is seen in another part of the beam than the ground, and the number of pixels that were looked at."""
+        """Movers that the beam sees under another aspect than the ground, and the number of candidate pixels."""
         candidates = np.argwhere(_bright(np.sum(np.abs(self.search.images) ** 2, axis=0), settings.prominence_db))
         threshold = 2 * np.log(HYPOTHESES / settings.false_alarm_rate)
         found = []
         for seen in self.search.at(self._screened(candidates, threshold)):
-            ratio = self._ratio(seen)
+            ratio = _ratio(seen, self.search.lags, self.ground[0])
             if ratio < threshold or not self._is_inside(seen.likelihoods):
                 continue
             row, col = round(seen.row), round(seen.col)
@@ -151,29 +131,26 @@ class _Looking:
             if abs(migration.speed) < MIGRATING * migration.sigma:
                 found += self._mover(seen, ratio, migration)
                 continue
-            # One row has it in a part of the bins, and so another lag.
+            # A single row contains it in a part of the bins only, and so with another lag.
             for along in self.search.of(migration.spectra[None], np.array([row]), np.array([col])):
-                if (ratio := self._ratio(along)) > threshold and self._is_inside(along.likelihoods):
+                ratio = _ratio(along, self.search.lags, self.ground[0])
+                if ratio > threshold and self._is_inside(along.likelihoods):
                     found += self._mover(along, ratio, migration, migrates=True)
         return found, len(candidates)
 
     def _screened(self, pixels: Index, threshold: float) -> Index:
         """The pixels whose ratio may exceed the threshold, by a few lags."""
         coarse = self.migrations.search
+        # A lag half way between two has up to 7 more, if its standard deviation is the least that MODEL_ERROR leaves,
+        # 0.015 beamwidths.
+        lost = 8.0
         maybe = [
-            seen.pixel
-            for seen in coarse.at(pixels)
-            if 2 * (seen.likelihoods.max() - _at(self.ground[0], coarse.lags, seen.likelihoods))
-            > threshold - BETWEEN_LAGS
+            seen.pixel for seen in coarse.at(pixels) if _ratio(seen, coarse.lags, self.ground[0]) > threshold - lost
         ]
         return np.array(maybe, np.intp).reshape(-1, 2)
 
-    def _ratio(self, seen: Seen) -> float:
-        """Twice the logarithm of the likelihood ratio of the best lag against that of the ground."""
-        return float(2 * (seen.likelihoods.max() - _at(self.ground[0], self.search.lags, seen.likelihoods)))
-
     def for_migration(self, settings: MoverSettings) -> tuple[list[Mover], int]:
-        """What walks through rows while the beam passes it, and the number of pixels that were looked at."""
+        """Movers that migrate through rows while the beam passes them, and the number of candidate pixels."""
         if settings.fastest_mps == 0:
             return [], 0
         powers = np.array(list(self.migrations.powers()))
@@ -190,7 +167,7 @@ class _Looking:
         return found, len(candidates)
 
     def _mover(self, seen: Seen, ratio: float, migration: Migration, migrates: bool = False) -> list[Mover]:
-        """What was seen, as a mover; none: it is at an end of the array, or out of focus."""
+        """The mover of a pixel; empty: it is at an end of the array, or out of focus."""
         elevation = self.search.elevation(seen.spectra, float(self.search.lags[seen.likelihoods.argmax()]))
         if elevation is None:
             return []
@@ -198,7 +175,7 @@ class _Looking:
         search, along = self.search, None
         drive = self.drives.look(self.of_rows.spectra(row, migration.speed if migrates else 0.0), elevation[0])
         if drive:
-            # A Doppler frequency is that of a greater aspect, and of a time that is later, than of what stands still.
+            # A Doppler frequency is that of a greater aspect, and of a later time, than for a target at rest.
             search = replace(search, bins=search.bins.slowed(drive.share))
             focused = self._in_focus(search, seen, drive)
             if focused is None:
@@ -214,11 +191,15 @@ class _Looking:
 
     @property
     def _left_in_blocks(self) -> float:
-        """Standard deviation of a lag by what autofocus leaves, rad; 0: it has not placed the image."""
-        return LAG_OF_BLOCKS * self.search.beams.track_beamwidth if self.slc.placement.beams_error else 0.0
+        """Standard deviation of a lag by what autofocus leaves, rad; 0: it has not located the image.
+
+        Of 56 movers in strips with the errors of `sal_strips` the lag was wrong by 0.15 beamwidths (rms) and in the
+        median by 0.04.
+        """
+        return 0.1 * self.search.beams.track_beamwidth if self.slc.placement.beams_error else 0.0
 
     def _in_focus(self, search: Search, seen: Seen, drive: Drive) -> tuple[Seen, tuple[float, float]] | None:
-        """The same and its elevation by its image in focus; None: it is at an end of the array or of the lags."""
+        """The pixel and its elevation by its image in focus; None: it is at an end of the array or of the lags."""
         cols = np.array([drive.col])
         chip = drive.row[:, search.first(cols)[0] + np.arange(search.bins.pixels)]
         for one in search.of(search.bins.spectra(chip).T[None], np.array([seen.pixel[0]]), cols):
@@ -228,12 +209,17 @@ class _Looking:
         return None
 
     def _is_inside(self, likelihoods: F64) -> bool:
-        """Whether the best lag is none of the outermost."""
+        """True if the best lag is not an outermost one."""
         return bool(0 < likelihoods.argmax() < len(likelihoods) - 1)
 
 
+def _ratio(seen: Seen, lags: F64, ground: float) -> float:
+    """Twice the logarithm of the likelihood ratio of the best lag against that of the ground (rad)."""
+    return float(2 * (seen.likelihoods.max() - _at(ground, lags, seen.likelihoods)))
+
+
 def _at(lag: float, lags: F64, likelihoods: F64) -> float:
-    """Logarithm of the likelihood of a lag between those that were looked for, by the parabola through three."""
+    """Logarithm of the likelihood of a lag between those of the search, by the parabola through three."""
     best = int(np.clip(np.rint((lag - lags[0]) / (lags[1] - lags[0])), 1, len(lags) - 2))
     before, there, after = likelihoods[best - 1 : best + 2].tolist()
     off = float(np.clip((lag - lags[best]) / (lags[1] - lags[0]), -1, 1))
@@ -241,6 +227,6 @@ def _at(lag: float, lags: F64, likelihoods: F64) -> float:
 
 
 def _in_image_of(one: Mover, other: Mover, migrations: Migrations) -> bool:
-    """Whether what was seen without its walk may be part of the image of what walks."""
-    rows = abs(other.walk_velocity) / migrations.speed_of_row / 2 + WALK_ROWS
+    """True if a mover without migration may be part of the image of one that migrates, two rows around its path."""
+    rows = abs(other.walk_velocity) / migrations.speed_of_row / 2 + 2.0
     return abs(one.row - other.row) <= rows and abs(one.col - other.col) <= 2 * MARGIN

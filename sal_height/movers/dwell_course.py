@@ -1,4 +1,4 @@
-"""Pixels along the path of a target through dwells that follow each other, and how likely they are."""
+"""Pixels along the path of a target through successive dwells, and their likelihood."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ class Course:
     """Pixels along the path of a target.
 
     Attributes:
-        paths: of what drives along the flight as it does.
-        sight: pixels around it.
-        moving: amplitudes that match targets under the near squints (`DwellPaths.matched`).
-        gains: see there.
-        row: in the middle dwell, over that of what stands still.
-        speed: of the walk, m/s.
-        likelihood: logarithm of that of speckle, the best of the squints.
+        paths: paths of targets with the same velocity along the flight.
+        sight: pixels around the target.
+        moving: amplitudes matched to targets under the near squints (`DwellPaths.matched`).
+        gains: gains of the beam (see there).
+        row: row in the middle dwell over that of a target at rest.
+        speed: velocity of the migration, m/s.
+        likelihood: logarithm of the likelihood ratio of speckle, the best of the squints.
     """
 
     paths: DwellPaths
@@ -36,18 +36,16 @@ class Course:
 
     @classmethod
     def of(cls, paths: DwellPaths, sight: Sight, row: float, speeds: F64) -> Self:
-        """The one with the likeliest of some walks from a row."""
+        """The course with the likeliest of several migrations (m/s) from a row."""
         return cls.matched_by(paths, sight, paths.matched(sight, paths.lobes.near), row, speeds)
 
     @classmethod
     def matched_by(cls, paths: DwellPaths, sight: Sight, matched: tuple[C128, F64], row: float, speeds: F64) -> Self:
-        """The same with the amplitudes and gains of the near squints; if walks are many, few of these tell which."""
+        """The same by the amplitudes and gains of the near squints; every second one decides between migrations."""
         near, (moving, gains), speed = paths.lobes.near, matched, float(speeds[0])
         if len(speeds) > 1:
-            paths_of_speeds = paths.path(sight, row, speeds)
-            each = paths.ratios(
-                moving[1::2], gains[1::2], paths_of_speeds, near[1::2], POWERS_IN_DWELLS[::2], points=False
-            )
+            each_path = paths.path(sight, row, speeds)
+            each = paths.ratios(moving[1::2], gains[1::2], each_path, near[1::2], POWERS_IN_DWELLS[::2], points=False)
             speed = float(speeds[each.max(axis=-1).argmax()])
         path = paths.path(sight, row, np.array([speed]))
         likelihood = float(paths.ratios(moving, gains, path, near, points=False).max())

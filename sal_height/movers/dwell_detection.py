@@ -1,8 +1,8 @@
-"""Movers over spotlight dwells: their place, height and radial velocity, without being told the velocity.
+"""Movers over spotlight dwells: position, height and radial velocity, without knowing the velocity before.
 
-The beam is held on the scene, so that one dwell does not tell in which direction it saw a target. Those before and
-after do: their beams are a part of a beamwidth farther along the flight, and what moves lies in another row of their
-images.
+The beam is steered to the scene, so that the direction of a target cannot be estimated from one dwell. It can be with
+those before and after: their beams are a part of a beamwidth farther along the flight, and a mover is in another row of
+their images.
 """
 
 from __future__ import annotations
@@ -21,46 +21,31 @@ from sal_height.movers.detection import MARGIN, SIDELOBES
 from sal_height.movers.dwell_images import COLUMN_STEPS, DwellImage
 from sal_height.movers.dwell_lobes import FARTHEST
 from sal_height.movers.dwell_paths import DwellPaths
-from sal_height.movers.dwell_search import DwellDetection, DwellSearch
+from sal_height.movers.dwell_search import COLUMN_ERROR, DwellDetection, DwellSearch
 from sal_height.movers.mover import Looked, Mover, MoverMeasurement, mover_of, without_ambiguities
 from sal_height.movers.settings import MoverSettings
 from sal_height.numeric import F64, Index, vertex
 from sal_height.sensor import Sensor
 
 OVERLAP = 1.6
-"""Greatest distance of dwells along the flight that are looked at together, in beamwidths."""
-
-LEAST_DWELLS, MOST_DWELLS = 2, 9
-"""That are looked at together; of more, every second or third one."""
-
-STRAY = 0.1
-"""Greatest part of the way from a dwell to the next by which that is not where the first one flew to."""
+"""Largest distance along the flight of dwells that are searched together, beamwidths."""
 
 MOST_BYTES = 1_000_000_000
-"""Of images that are held: a platform that hovers would fill the memory."""
+"""Limit of the size of cached images, as those of a platform that hovers all overlap, bytes."""
 
-SAME_ROWS = 3.0
-"""Within which two pixels are those of one target: its response in range is as wide."""
-
-AROUND = (17, 5)
-"""Rows and columns from which the brightness around a pixel is taken."""
-
-COLUMN_ERROR = 0.1
-"""Standard deviation of a target's place in the image along the flight, in columns."""
-
-ALONE = "Dwell {} overlaps with none before or after it, so that no movers are detected."
-"""What to say of a dwell in which no movers could be looked for."""
+ALONE = "Dwell {} overlaps with none before or after it, so that no movers are found in it."
+"""Warning about a dwell in which no movers could be searched."""
 
 
 @dataclass(frozen=True, eq=False)
 class ShownDwell:
-    """A dwell in which movers are looked for.
+    """A dwell in which movers are searched.
 
     Attributes:
-        image: of it.
-        slc: that this was made from.
-        beams: of the channels, in one direction.
-        sensor: that took it.
+        image: image of the dwell.
+        slc: image from which this was made.
+        beams: beams of the channels, in one direction.
+        sensor: sensor of the dwell.
     """
 
     image: DwellImage
@@ -69,16 +54,16 @@ class ShownDwell:
     sensor: Sensor
 
     def follows(self, earlier: ShownDwell) -> bool:
-        """Whether this dwell is of the same flight as an earlier one: as far ahead as it is later."""
+        """True if this dwell is of the same flight as an earlier one: as far ahead as it is later, to a tenth."""
         one, other = self.image, earlier.image
         speed = float(np.linalg.norm(other.aperture.velocity))
         seconds = one.seconds - other.seconds
         way = one.aperture.position - other.aperture.position - seconds * other.aperture.velocity
         same = one.pixels.shape == other.pixels.shape and self.sensor.config_hash == earlier.sensor.config_hash
-        return same and seconds > 0 and float(np.linalg.norm(way)) < STRAY * speed * seconds
+        return same and seconds > 0 and float(np.linalg.norm(way)) < 0.1 * speed * seconds
 
     def apart(self, other: ShownDwell) -> float:
-        """How far the beams of two dwells are apart along the flight, in beamwidths."""
+        """Distance of the beams of two dwells along the flight, beamwidths."""
         grid = self.image.grid
         reach = float(np.linalg.norm(grid.middle - self.image.aperture.position))
         way = float(np.linalg.norm(self.image.aperture.position - other.image.aperture.position))
@@ -87,14 +72,14 @@ class ShownDwell:
 
 @dataclass(frozen=True, eq=False)
 class MoverTrack:
-    """A mover, and where other dwells show it.
+    """A mover, and its pixels in other dwells.
 
     Attributes:
-        mover: that was found.
-        place: of what stands still in its pixel, in map, m, shape (3,).
-        rows: by which it walks, 1/s.
-        drift: by which its image advances along the flight, m/s.
-        seconds: time of its dwell.
+        mover: mover.
+        place: position of a target at rest in its pixel, in map, shape (3,), m.
+        rows: rate of its range migration, rows per s.
+        drift: velocity of its image along the flight, m/s.
+        seconds: time of its dwell, s.
     """
 
     mover: Mover
@@ -104,7 +89,7 @@ class MoverTrack:
     seconds: float
 
     def covers(self, other: MoverTrack, dwells: Sequence[DwellImage]) -> bool:
-        """Whether another is less sure, and is this one or in its pixel in one of the dwells."""
+        """True if another is less likely, and is this one or in its pixel in one of the dwells."""
         if other.mover.likelihood_ratio >= self.mover.likelihood_ratio:
             return False
         if len(without_ambiguities([self.mover, other.mover])) == 1:
@@ -112,13 +97,13 @@ class MoverTrack:
         return any(self._shares_pixel(other, dwell) for dwell in dwells)
 
     def _shares_pixel(self, other: MoverTrack, dwell: DwellImage) -> bool:
-        """Whether the pixels of two tracks in a dwell are those of one target."""
+        """True if the pixels of two tracks in a dwell are those of one target, whose response is 3 rows wide."""
         (row, col), (other_row, other_col) = self._pixel(dwell), other._pixel(dwell)
         cols, adjacent = dwell.steps // COLUMN_STEPS, abs(col - other_col)
-        return abs(row - other_row) <= SAME_ROWS and min(adjacent, cols - adjacent) <= MARGIN
+        return abs(row - other_row) <= 3 and min(adjacent, cols - adjacent) <= MARGIN
 
     def _pixel(self, dwell: DwellImage) -> tuple[float, float]:
-        """Row and column at which a dwell shows it."""
+        """Row and column of the mover in a dwell."""
         later = dwell.seconds - self.seconds
         row, step = dwell.shows(self.place + self.drift * later * dwell.aperture.direction)
         return row + self.rows * later, step / COLUMN_STEPS
@@ -126,7 +111,7 @@ class MoverTrack:
 
 @dataclass(frozen=True, eq=False)
 class _Searched:
-    """What was found in a dwell, and where others show it; None: no other overlaps with it."""
+    """Result of the search in a dwell, and tracks of its movers; None: no other dwell overlaps with it."""
 
     looked: Looked | None
     tracks: Sequence[MoverTrack]
@@ -136,14 +121,14 @@ Of = TypeVar("Of")
 
 
 class DwellMovers(Generic[Of]):
-    """Movers in dwells that follow each other, as they come; each is told with what it was handed over with.
+    """Movers in successive dwells, in the order of arrival.
 
-    A dwell is searched when all have come whose beams overlap with its own, and told when all that it may have seen
-    through sidelobes has been searched in the dwells that see it better.
+    A dwell is searched once all dwells with overlapping beams have arrived, and published once all targets that it may
+    show through sidelobes have been searched in the dwells that see them better.
     """
 
     def __init__(self, settings: MoverSettings) -> None:
-        """Look for movers with these settings."""
+        """Search for movers with these settings."""
         self._settings = settings
         self._begin()
 
@@ -155,14 +140,20 @@ class DwellMovers(Generic[Of]):
 
     @property
     def unpublished(self) -> int:
-        """Number of dwells that have not been told yet."""
+        """Number of dwells that have not been published yet."""
         return len(self._of)
 
     def add(self, dwell: ShownDwell, of: Of) -> list[tuple[Of, Looked | None]]:
-        """Take in a dwell, and whatever it is of; what was found in those that are done, in their order.
+        """Accept a dwell.
 
-        None: it overlaps with no dwell before or after it, and so tells no movers. Where those that are held have more
-        than MOST_BYTES, the next begins anew, as does one of another flight.
+        Once cached images have more than MOST_BYTES, the next dwell starts a new search, as does one of another flight.
+
+        Args:
+            dwell: dwell, later than those before.
+            of: object that is returned with its result.
+
+        Returns:
+            Results of the dwells that are done, in their order; None: no dwell before or after overlaps with it.
         """
         cached = sum(one.image.pixels.nbytes for one in self._dwells)
         goes_on = not self._dwells or (cached <= MOST_BYTES and dwell.follows(self._dwells[-1]))
@@ -179,28 +170,31 @@ class DwellMovers(Generic[Of]):
         return done
 
     def end(self) -> list[tuple[Of, Looked | None]]:
-        """No more dwells follow these: what was found in those that are left, in their order."""
+        """Results of the remaining dwells in their order, after which no more follow."""
         self._found += [self._search(number) for number in range(len(self._found), len(self._dwells))]
         done = [self._publish() for _ in range(self._published, len(self._dwells))]
         self._begin()
         return done
 
     def _distance(self, one: int, other: int) -> float:
-        """How far two of the dwells that are held are apart, in beamwidths."""
+        """Distance of two of the cached dwells, beamwidths."""
         return self._dwells[one].apart(self._dwells[other])
 
     def _search(self, number: int) -> _Searched:
-        """Look for movers that one of the dwells sees best."""
+        """Search for movers that one of the dwells sees best.
+
+        At most nine dwells are searched together: of more, every second or third one.
+        """
         group = [other for other in range(len(self._dwells)) if self._distance(number, other) <= OVERLAP]
-        thin = -(-len(group) // MOST_DWELLS)
+        thin = -(-len(group) // 9)
         group = [other for other in group if (other - number) % thin == 0]
-        if len(group) < LEAST_DWELLS:
+        if len(group) < 2:
             return _Searched(None, [])
         shown, images = self._dwells[number], [self._dwells[other].image for other in group]
         return find_over_dwells(images, group.index(number), shown, self._settings)
 
     def _is_covered(self, track: MoverTrack, number: int) -> bool:
-        """Whether what was found in another dwell covers a track of this one."""
+        """True if a track of another dwell covers a track of this one."""
         for other, each in enumerate(self._found):
             between = [cached.image for cached in self._dwells[min(other, number) : max(other, number) + 1]]
             if other != number and any(rival.covers(track, between) for rival in each.tracks):
@@ -208,7 +202,7 @@ class DwellMovers(Generic[Of]):
         return False
 
     def _publish(self) -> tuple[Of, Looked | None]:
-        """What was found in the next dwell, without what others show better, or have told."""
+        """Result of the next dwell, without movers that others show better, or that have been published."""
         number, found = self._published, self._found[self._published]
         kept = [one for one in found.tracks if not self._is_covered(one, number)]
         self._found[number] = replace(found, tracks=kept)
@@ -220,13 +214,13 @@ class DwellMovers(Generic[Of]):
 def find_over_dwells(
     dwells: Sequence[DwellImage], middle: int, shown: ShownDwell, settings: MoverSettings
 ) -> _Searched:
-    """Find what moves and is seen best in one of some dwells.
+    """Find the movers that one of several dwells sees best.
 
     Args:
-        dwells: that follow each other, whose beams overlap.
-        middle: number of the one that movers are seen best in.
-        shown: the same.
-        settings: of the search.
+        dwells: successive dwells, whose beams overlap.
+        middle: number of the dwell that sees the movers best.
+        shown: that dwell.
+        settings: settings of the search.
     """
     slc, sensor, dwell = shown.slc, shown.sensor, dwells[middle]
     paths = DwellPaths.of(dwells, middle, shown.beams, slc, sensor, settings.fastest_mps)
@@ -250,7 +244,7 @@ def find_over_dwells(
 
 
 def _brightest(dwell: DwellImage, row: int, col: int) -> tuple[int, float]:
-    """The step of a row at which a target about a column is brightest, and what it is off that, in steps."""
+    """The step of a row at which a target about a column is brightest, and its distance from that, steps."""
     steps = COLUMN_STEPS * col + np.arange(-COLUMN_STEPS // 2 - 1, COLUMN_STEPS // 2 + 2)
     power = np.sum(np.abs(dwell.pixels[:, row, steps % dwell.steps]) ** 2, axis=0)
     best = int(np.clip(power.argmax(), 1, len(steps) - 2))
@@ -258,19 +252,19 @@ def _brightest(dwell: DwellImage, row: int, col: int) -> tuple[int, float]:
 
 
 def _sighting(seen: DwellDetection, col: float, off: float, paths: DwellPaths) -> MoverMeasurement:
-    """What was seen of a mover in the middle dwell.
+    """Measurements of a mover in the middle dwell.
 
     Args:
-        seen: of it.
-        col: of its pixel, in fractions.
-        off: by which that is off the step that was looked at, in steps.
-        paths: of the dwells.
+        seen: detection.
+        col: column of its pixel, in fractions.
+        off: distance of that from the step of the search, steps.
+        paths: paths through the dwells.
     """
     grid, aperture = paths.dwells[paths.middle].grid, paths.dwells[paths.middle].aperture
     column = grid.col_spacing / float(np.linalg.norm(grid.points(seen.row, col) - aperture.position))
     lag = seen.squint[0] - seen.still_squint - off / COLUMN_STEPS * column
     sigma = float(np.linalg.norm([seen.squint[1], COLUMN_ERROR * column, paths.ground[1]]))
-    # Rows are those of what stands still at the place in the image: its range rate comes on top of the walk.
+    # Rows are those of a target at rest at the position in the image, whose range rate adds to the migration.
     speed = float(np.linalg.norm(aperture.velocity))
     migration = seen.migration[0] + lag * speed, float(np.hypot(seen.migration[1], sigma * speed))
     found = seen.row, col, seen.cnr, seen.elevation, (lag, sigma), migration, seen.migrates, seen.ratio, seen.along
@@ -278,13 +272,14 @@ def _sighting(seen: DwellDetection, col: float, off: float, paths: DwellPaths) -
 
 
 def _bright(dwell: DwellImage, prominence_db: float) -> Index:
-    """Pixels that are brighter than all around, than most beside them, and than sidelobes of what is brighter.
+    """Pixels brighter than all around them, than the median of 17 by 5 pixels, and than sidelobes of brighter ones.
 
-    Their rows and columns, shape (pixels, 2).
+    Returns:
+        Rows and columns, shape (pixels, 2).
     """
     power = dwell.power
     bright = power == maximum_filter(power, size=(3, 2 * MARGIN + 1), mode="wrap")
-    bright &= power > 10 ** (prominence_db / 10) * median_filter(power, AROUND, mode="wrap")
+    bright &= power > 10 ** (prominence_db / 10) * median_filter(power, (17, 5), mode="wrap")
     columns = maximum_filter(power.max(axis=0), size=2 * MARGIN + 1, mode="wrap")
     rows = maximum_filter(power.max(axis=1), size=3)
     bright &= power > SIDELOBES * np.maximum(columns, rows[:, None])

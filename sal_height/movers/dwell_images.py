@@ -1,4 +1,4 @@
-"""Images of spotlight dwells that follow each other: where each shows one and the same place.
+"""Images of successive spotlight dwells, and the pixel of a position in each.
 
 An image of a dwell has a column for each Doppler frequency. As wide as the pulse repetition frequency, it goes on at
 its other edge, and everything that the beam lights is somewhere in it, whatever its radial velocity is.
@@ -19,13 +19,7 @@ from sal_height.numeric import C64, C128, F64, Bool, Index
 from sal_height.sensor import Sensor
 
 COLUMN_STEPS = 4
-"""Steps to which columns are interpolated, in a column: half of one costs 0.1 dB."""
-
-WHOLE = 0.02
-"""Greatest difference of the width of an image from that of all Doppler frequencies, over that."""
-
-SLANT = 0.99
-"""Least cosine of the angle between the rows of an image and the line of sight."""
+"""Number of steps to which a column is interpolated: half of one costs 0.1 dB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,14 +27,14 @@ class DwellImage:
     """The image of a dwell.
 
     Attributes:
-        pixels: of channels of independent noise of one power, without the phase of their range, COLUMN_STEPS to a
-            column, shape (channels, rows, steps).
-        grid: of the image.
+        pixels: pixels of channels of independent noise of one power, without the phase of their range, COLUMN_STEPS to
+            a column, shape (channels, rows, steps).
+        grid: grid of the image.
         aperture: state of the platform in the middle of the dwell.
-        seconds: time of that, after any.
-        period: way along the flight after which Doppler frequencies come again, m: the width of the image.
-        look_side: +1 right, -1 left.
-        error: standard deviation of its place along the flight that other dwells do not share, m.
+        seconds: time of that after an arbitrary one, s.
+        period: distance along the flight after which Doppler frequencies repeat, the width of the image, m.
+        look_side: side of the flight, +1 right, -1 left.
+        error: standard deviation of its offset along the flight that other dwells do not share, m.
     """
 
     pixels: C64
@@ -55,6 +49,9 @@ class DwellImage:
     def of(cls, images: C64 | C128, slc: Slc, seconds: float, sensor: Sensor) -> Self:
         """The image of an `Slc`, whose channels are combined to `images`, shape (channels, rows, cols).
 
+        The width of an image may differ by 2 % from that of all Doppler frequencies, and the cosine of the angle
+        between its rows and the line of sight by 1 % from 1.
+
         Raises:
             Rejected: it does not have all Doppler frequencies, or is in another plane than range and Doppler.
         """
@@ -63,17 +60,16 @@ class DwellImage:
         slant_range = float(np.linalg.norm(sight))
         speed = float(np.linalg.norm(aperture.velocity))
         period = slant_range * (sensor.wavelength * sensor.pulse_repetition_frequency / 2 / speed)
-        if float(grid.row_direction @ sight) < SLANT * slant_range:
+        if float(grid.row_direction @ sight) < 0.99 * slant_range:
             raise Rejected(
                 "image plane",
-                "Movers are detected in the plane of range and Doppler; set parameter image_plane of "
-                "sar_compression to "
-                "slant.",
+                "Movers are estimated in the plane of range and Doppler; set parameter image_plane of sar_compression "
+                "to slant.",
             )
-        if abs(grid.cols * grid.col_spacing / period - 1) > WHOLE:
+        if abs(grid.cols * grid.col_spacing / period - 1) > 0.02:
             raise Rejected(
                 "Doppler of images",
-                f"An image of a dwell has {grid.cols} columns; to detect movers it needs all Doppler frequencies, "
+                f"An image of a dwell has {grid.cols} columns; to find movers it needs all Doppler frequencies, "
                 f"{period / grid.col_spacing:.0f} columns (parameter cols of sar_compression).",
             )
         phases = np.exp(-4j * np.pi / sensor.wavelength * ranges_of_phase(grid, aperture))
@@ -92,7 +88,7 @@ class DwellImage:
         return np.asarray(np.sum(np.abs(self.pixels[..., ::COLUMN_STEPS]) ** 2, axis=0), np.float64)
 
     def shows(self, place: F64) -> tuple[float, int]:
-        """Row, in fractions, and step at which the image has what stands still at a place (m, map)."""
+        """Row, in fractions, and step of a target at rest at a position (m, map)."""
         sight = place - self.aperture.position
         along, reach = float(sight @ self.aperture.direction), float(np.linalg.norm(sight))
         grid = self.grid
@@ -104,18 +100,18 @@ class DwellImage:
         return float(row), round(float(col) * COLUMN_STEPS) % self.steps
 
     def angles(self, place: F64) -> tuple[float, float]:
-        """Elevation and squint under which a place (m, map) is seen, rad."""
+        """Elevation and squint of a position (m, map), rad."""
         _, elevation, squint = angles_of(place, self.aperture, self.look_side)
         return float(elevation), float(squint)
 
     def column(self, rows: Index, step: int) -> tuple[C64, Bool]:
-        """Pixels of numbered rows at a step, shape (rows, channels), 0 beyond the image, and whether they are in it."""
+        """Pixels of numbered rows at a step, shape (rows, channels), 0 beyond the image, and True where within it."""
         inside = (rows >= 0) & (rows < self.grid.rows)
         found = self.pixels[:, np.where(inside, rows, 0), step].T
         return np.where(inside[:, None], found, 0), inside
 
     def around(self, row: int, step: int, size: tuple[int, int]) -> C64:
-        """Pixels so many rows and columns to each side, shape (channels, pixels)."""
+        """Pixels within rows and columns to each side given by `size`, shape (channels, pixels)."""
         rows = np.arange(max(0, row - size[0]), min(self.grid.rows, row + size[0] + 1))
         steps = step + COLUMN_STEPS * np.arange(-size[1], size[1] + 1)
         return self.pixels[:, rows[:, None], steps % self.steps].reshape(len(self.pixels), -1)

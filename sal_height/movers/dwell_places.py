@@ -1,10 +1,10 @@
-"""Where each dwell shows a target, if its image does not lie exactly where navigation and autofocus put it.
+"""Position of a target in each dwell, if images have offsets that navigation and autofocus leave.
 
-The image of dwell n, and the beam in it, lie farther along the flight by an error e_n of the standard deviation s_n,
+The image of dwell n, and the beam in it, are offset along the flight by an error e_n of the standard deviation s_n,
 which other dwells do not share. The image of a target is then w t_n + e_n - e_0 farther than in the middle dwell, w
-being the drift. Where it is brightest in each dwell tells that sum, and w follows by least squares. The covariance of
-the differences of errors has s_n^2 on its diagonal, and s_0^2 everywhere (Kay, Fundamentals of Statistical Signal
-Processing I, 1993, section 4.5). What remains is what the images are off.
+being the drift. That sum is measured where it is brightest in each dwell, and w follows by least squares. The
+covariance of the differences of errors has s_n^2 on its diagonal, and s_0^2 everywhere (Kay, Fundamentals of
+Statistical Signal Processing I, 1993, section 4.5). The remainder is the offset of the images.
 """
 
 from __future__ import annotations
@@ -18,31 +18,19 @@ from sal_height.movers.dwell_images import COLUMN_STEPS
 from sal_height.movers.dwell_paths import DwellPaths
 from sal_height.numeric import F64, Bool, Index
 
-WITHIN = 4.0
-"""Standard deviations of the difference of two errors within which it is looked for."""
-
-COLUMN_ERROR = 0.12
-"""Standard deviation of the place in a dwell by its brightest step, in columns: that of the response and of steps."""
-
 LEAST_POWER = 0.1
-"""Of a target in a dwell over that in the middle one, from which its place there counts: ground is less bright."""
-
-MOST_POWER = 5.0
-"""The same: the middle dwell sees it about as well as any, and what is still brighter is something else."""
-
-KNOWN = 5.0
-"""Greatest standard deviation of a velocity along the flight that is told, m/s."""
+"""Least power of a target in a dwell over that in the middle one for its position to count: ground is less bright."""
 
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """A course of which each dwell shows its part where it is brightest.
+    """A course through the brightest positions in each dwell.
 
     Attributes:
-        course: along the places in the dwells.
+        course: course along the positions in the dwells.
         sigma: standard deviation of its velocity along the flight, m/s.
-        known: whether that velocity is known well enough to be told.
-        tried: logarithm of the number of places that were tried in all dwells, a column apart: so many more hypotheses.
+        known: True if that velocity is known well enough to be published.
+        tried: logarithm of the number of positions that were tried in all dwells, a column apart, as hypotheses.
     """
 
     course: Course
@@ -52,24 +40,27 @@ class Placed:
 
 
 def in_place(paths: DwellPaths, course: Course) -> Placed:
-    """The course about one, with its parts where the dwells show them.
+    """The course through the brightest positions about another one.
+
+    They are searched within 4 sigma of the difference of two errors, and a column. A position that is 5 times as bright
+    as the middle dwell has it, which sees it about as well as any, is that of another target.
 
     Args:
-        paths: of what does not drive along the flight.
-        course: of the target.
+        paths: paths of targets that do not move along the flight.
+        course: course of the target.
     """
     column, seconds = paths.dwells[paths.middle].grid.col_spacing, paths.seconds
     others = seconds != 0
     apart = np.where(others, np.hypot(paths.errors, paths.errors[paths.middle]), 0.0)
-    reach = WITHIN * apart + column * np.abs(seconds) / np.abs(seconds[others]).min()
+    reach = 4 * apart + column * np.abs(seconds) / np.abs(seconds[others]).min()
     tried = float(np.sum(np.log1p(2 * reach / column)))
     most = int(np.ceil(COLUMN_STEPS * reach.max() / column))
     steps = np.arange(-most, most + 1)
     shifts = column / COLUMN_STEPS * steps.astype(np.float64)
     powers, backgrounds = _powers(course, steps), course.sight.backgrounds
-    # The likeliest place: brightness, and how far it is from where the course has it.
+    # The likeliest position: brightness, and distance from the course.
     prior = (shifts[:, None] / np.hypot(apart, column)) ** 2 / 2
-    there = (np.abs(shifts[:, None]) <= reach) & ((powers <= MOST_POWER * powers[most, paths.middle]) | ~others)
+    there = (np.abs(shifts[:, None]) <= reach) & ((powers <= 5 * powers[most, paths.middle]) | ~others)
     score = np.where(there, powers / backgrounds - prior, -np.inf)
     best = score.argmax(axis=0)
     bright = powers[best, np.arange(len(seconds))] * np.isfinite(backgrounds)
@@ -81,9 +72,9 @@ def in_place(paths: DwellPaths, course: Course) -> Placed:
     drift = min(drift, (1 - LEAST_POWER) * paths.flight_speed)
     along = paths.along_of(drift)
     sigma /= 2 * (1 - along / paths.flight_speed)
-    known = sigma <= KNOWN
+    known = sigma <= 5.0  # m/s
     if not known:
-        # Nothing faster than what is looked for: a uniform distribution by its variance.
+        # Nothing faster than is searched: a uniform distribution by its variance.
         trust = paths.fastest**2 / (paths.fastest**2 + 3 * sigma**2)
         along, sigma = trust * along, float(np.sqrt(trust)) * sigma
     offsets = np.where(used, drifts - paths.driving(along).drifts, 0.0)
@@ -93,7 +84,7 @@ def in_place(paths: DwellPaths, course: Course) -> Placed:
 
 
 def _powers(course: Course, steps: Index) -> F64:
-    """Power on a course under the squint that is best there, so many steps farther along the flight.
+    """Power on a course under the squint that is best there, at a number of steps farther along the flight.
 
     Returns:
         Shape (steps, dwells).
@@ -115,11 +106,12 @@ def _powers(course: Course, steps: Index) -> F64:
 def _slope(paths: DwellPaths, drifts: F64, used: Bool) -> tuple[float, float]:
     """Velocity of the drift by some dwells, and its standard deviation, m/s.
 
-    It is not less than the dwells differ by.
+    The latter is not less than the differences of the dwells. A brightest step has an error of 0.12 columns, by the
+    response and by steps.
     """
     column = paths.dwells[paths.middle].grid.col_spacing
     seconds, errors = paths.seconds[used], paths.errors[used]
-    covariance = np.diag(errors**2 + (COLUMN_ERROR * column) ** 2) + paths.errors[paths.middle] ** 2
+    covariance = np.diag(errors**2 + (0.12 * column) ** 2) + paths.errors[paths.middle] ** 2
     weights = np.linalg.solve(covariance, seconds)
     information = float(weights @ seconds)
     drift = float(weights @ drifts[used]) / information

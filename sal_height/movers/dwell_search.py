@@ -1,7 +1,7 @@
-"""What a bright pixel of a dwell is, by what the dwells before and after show: where it was, and how it went on.
+"""Position and motion of the target in a bright pixel of a dwell, by the dwells before and after.
 
-What stands still has one place, one row and the squint of its place in all images. A mover has any squint within the
-beam; it walks through rows, and its image along the flight (`dwell_paths`).
+A target at rest has one position, one row and the squint of its position in all images. A mover has any squint within
+the beam; it migrates through rows, and its image along the flight (`dwell_paths`).
 """
 
 from __future__ import annotations
@@ -20,52 +20,23 @@ from sal_height.movers.dwell_places import Placed, in_place
 from sal_height.movers.dwell_still import deep, glinting, several, standing_instead
 from sal_height.movers.likelihood import HYPOTHESES, MODEL_ERROR, ratio_in_dwells
 from sal_height.movers.migration import FINE_STEP
+from sal_height.movers.mover import MIGRATING
 from sal_height.numeric import C128, F64, Index, vertex
 
-FINE_SQUINTS = 5
-"""Steps of the squint of what is found, in one of these."""
+MIGRATION_STEP = 0.25
+"""Step of the migration from dwell to dwell in the search, rows."""
 
-WALK_STEP = 0.25
-"""Of the walk from dwell to dwell in the search, in rows."""
-
-BESIDE_WALK = 4
-"""Steps of the walk to each side of that by which another dwell shows a bright pixel."""
-
-WALK_ERROR = 0.01
-"""Standard deviation of the walk from dwell to dwell that the response leaves, in rows."""
-
-DRIFT_STEP, DRIFT_STEPS = 0.25, 6
-"""Of the drift from dwell to dwell, in columns, and how many of them to each side it is looked for."""
-
-DRIFT_ERROR = 0.1
-"""Standard deviation of the drift from dwell to dwell that the response leaves, in columns."""
-
-SAME_COLUMNS = 1.0
-"""Up to which pixels of dwells that follow each other are taken for those of what does not drive along the flight."""
-
-LEAST_GAIN = 0.1
-"""Of the beam over the greatest, as a power, with which a dwell counts in the elevation."""
-
-MIGRATING = 5.0
-"""Standard deviations of the velocity of the walk, or along the flight, from which what moves is taken to walk."""
-
-KNOWN_PART = 0.9
-"""Of the likelihood of bright targets, to which their responses are known."""
-
-LEAST_SHARE = 0.1
-"""Of the likelihood of what drives along the flight that the dwell must have whose bright pixel is looked at."""
-
-ROUNDING = 1e-6
-"""By how much two logarithms of one likelihood may differ."""
+COLUMN_ERROR = 0.1
+"""Standard deviation of a position along the flight that the response leaves, columns."""
 
 
 @dataclass(frozen=True)
 class Pair:
-    """How a target would move of which two dwells show a bright pixel in different columns.
+    """Motion of a target that two dwells show as bright pixels in different columns.
 
     Attributes:
         along: velocity along the flight, m/s.
-        walk: velocity of the walk through rows, m/s.
+        migration: velocity of the migration through rows, m/s.
     """
 
     along: float
@@ -74,20 +45,20 @@ class Pair:
 
 @dataclass(frozen=True, eq=False)
 class DwellDetection:
-    """The best walk of a target, and how much likelier it is than what stands still.
+    """The best migration of a target, and its likelihood ratio against a target at rest.
 
     Attributes:
-        row: in the middle dwell, in fractions.
-        squint: under which that saw it, and its standard deviation, rad.
-        walk: velocity of its walk, and its standard deviation, m/s.
+        row: row in the middle dwell, in fractions.
+        squint: squint in the middle dwell, and its standard deviation, rad.
+        migration: velocity of its migration, and its standard deviation, m/s.
         along: velocity along the flight, and its standard deviation, m/s.
-        tells_along: whether that is known well enough to be told.
-        walks: whether it was found by these, and else by its squint.
-        ratio: twice the logarithm of the likelihood ratio against what does not walk, or against what stands still.
-        elevation: and its standard deviation, rad.
+        along_known: True if that is known well enough to be published.
+        migrates: True if it was found by these, and else by its squint.
+        ratio: twice the logarithm of the likelihood ratio against no migration, or against a target at rest.
+        elevation: elevation, and its standard deviation, rad.
         cnr: power over the background in the middle dwell.
-        still_squint: of what stands still in the same pixel, rad.
-        place: of that, in map, m, shape (3,).
+        still_squint: squint of a target at rest in the same pixel, rad.
+        place: position of that in map, shape (3,), m.
     """
 
     row: float
@@ -104,7 +75,7 @@ class DwellDetection:
 
     @property
     def goes(self) -> bool:
-        """Whether its walk or its velocity along the flight is beyond what they may be off."""
+        """True if its migration or its velocity along the flight is significant."""
         return max(abs(value) / sigma for value, sigma in (self.migration, self.along)) > MIGRATING
 
 
@@ -113,38 +84,38 @@ class DwellSearch:
     """The search about a dwell.
 
     Attributes:
-        paths: of targets that do not drive along the flight.
+        paths: paths of targets that do not move along the flight.
     """
 
     paths: DwellPaths
 
     @cached_property
     def speeds(self) -> F64:
-        """Velocities of the walks that are looked for, m/s: 0 is in their middle."""
-        step = WALK_STEP * self.paths.speed_of_row
+        """Velocities of the migrations of the search: 0 is in their middle, m/s."""
+        step = MIGRATION_STEP * self.paths.speed_of_row
         count = int(np.ceil(self.paths.fastest / step))
         return step * np.arange(-count, count + 1, dtype=np.float64)
 
     @cached_property
     def along_of_column(self) -> float:
-        """Velocity along the flight of what has its image a column farther in the next dwell, m/s."""
+        """Velocity along the flight of a target whose image is a column farther in the next dwell, m/s."""
         paths = self.paths
         column = paths.dwells[paths.middle].grid.col_spacing
         return column / 2 / float(np.min(np.abs(paths.seconds[paths.seconds != 0])))
 
     @property
     def drifts(self) -> int:
-        """Number of velocities along the flight that can be told apart."""
+        """Number of velocities along the flight that can be separated."""
         return 1 + 2 * int(np.ceil(self.paths.fastest / self.along_of_column))
 
     def look(self, row: int, step: int, bright: Mapping[int, Index], rate: float) -> DwellDetection | None:
-        """What is bright in a row and at a step of the middle dwell.
+        """The mover that is bright in a row and at a step of the middle dwell.
 
         Args:
-            row: of the pixel.
-            step: along the row.
-            bright: rows and columns of what is bright in other dwells, by their number.
-            rate: of false alarms.
+            row: row of the pixel.
+            step: step along the row.
+            bright: rows and columns of bright pixels in other dwells, by the number of the dwell.
+            rate: rate of false alarms.
 
         Returns:
             None: it does not move, or is at an end of the array or of the rows.
@@ -158,14 +129,14 @@ class DwellSearch:
         still = paths.ambiguous(sight)
         standing, ground_gains = paths.matched_each(sight, still)
         fine = self._brightest(sight, matched[0])
-        # Without a walk: under any squint, and under that of what stands still.
+        # Without migration: under any squint, and under that of a target at rest.
         at_rest = paths.path(sight, fine, np.zeros(1))
         lagging = float(paths.ratios(*matched, at_rest, near).max())
         ground = max(
             float(paths.ratios(standing, ground_gains, at_rest, still).max()), glinting(paths, sight, at_rest, still)
         )
         migrating = Course.matched_by(paths, sight, matched, fine, self.speeds)
-        # What drives along the flight, against one that stands still at each place where it would be.
+        # A target that moves along the flight, against one at rest at each position where it would be.
         driving = self._driving(place, fine, bright)
         if driving and driving.likelihood > migrating.likelihood:
             steered = self._steered(driving)
@@ -174,7 +145,7 @@ class DwellSearch:
                 return self._moving(steered, ratio, rate)
             if 2 * (steered.course.likelihood - lagging) > needed:
                 return None  # it may be one or the other
-        # The best of the walks, against all that does not walk.
+        # The best of the migrations, against all without migration.
         needed = 2 * np.log(HYPOTHESES * len(self.speeds) / rate)
         ratio = 2 * (migrating.likelihood - max(lagging, ground))
         if ratio > needed:
@@ -183,7 +154,7 @@ class DwellSearch:
             ratio = 2 * (migrating.likelihood - max(lagging, ground, rows, cloud))
         if ratio >= needed:
             return self._moving(self._steered(migrating), ratio, rate)
-        # What only lags.
+        # A lag only.
         lags = Course.matched_by(paths, sight, matched, fine, np.zeros(1))
         if paths.unsure:
             return self._lagging(self._steered(lags), rate)
@@ -195,7 +166,7 @@ class DwellSearch:
         )
 
     def _moving(self, steered: Placed, ratio: float, rate: float) -> DwellDetection | None:
-        """What was found by its walk; if images are so unsure that it may have none, what lags."""
+        """A target found by its migration; where images are so uncertain that it may have none, one that lags."""
         found = self._described(steered, ratio, migrates=True)
         if found is None or found.goes:
             return found
@@ -204,41 +175,42 @@ class DwellSearch:
         return self._lagging(self._steered(replace(steered.course, speed=0.0)), rate)
 
     def _lagging(self, steered: Placed, rate: float) -> DwellDetection | None:
-        """What only lags, against what stands still in images that lie where they show it."""
+        """A target that only lags, against one at rest in images that are where they show it."""
         course, paths, sight = steered.course, steered.course.paths, steered.course.sight
         still = paths.ambiguous(sight)
         standing, gains = paths.matched_each(sight, still)
         ground = float(paths.ratios(standing, gains, course.path, still).max())
         ratio = 2 * (course.likelihood - max(ground, glinting(paths, sight, course.path, still)))
-        # Places count twice, as what fades by chance has bright ground beside it.
+        # Positions count twice, as a target that fades by chance has bright ground next to it.
         if ratio < 2 * (np.log(HYPOTHESES / rate) + 2 * steered.tried):
             return None
         return self._described(steered, ratio, migrates=False)
 
     def _ratio_of_driving(self, driving: Course, place: tuple[F64, int], lagging: float) -> float:
-        """Twice the logarithm of the likelihood ratio of what drives along the flight against what stands still.
+        """Twice the logarithm of the likelihood ratio of motion along the flight against targets at rest.
 
         Args:
-            driving: the course.
-            place: of what stands still, m, and number of its elevation.
-            lagging: logarithm of the likelihood of what only lags.
+            driving: course along the flight.
+            place: position of a target at rest, m, and number of its elevation.
+            lagging: logarithm of the likelihood of a target that only lags.
 
         Returns:
-            0: others may be bright where it would be, or most of it is in other dwells, which see it better.
+            0: others may be bright where it would be (responses of bright targets are known to 0.9 of their
+            likelihood), or more than 0.9 of it is in other dwells, which see it better.
         """
         here, *elsewhere = standing_instead(self.paths, driving.paths, place, driving.row, driving.speed)
         own = driving.likelihood - driving.likelihood_of_others
-        if driving.likelihood - lagging <= KNOWN_PART * sum(elsewhere) or own <= LEAST_SHARE * driving.likelihood:
+        if driving.likelihood - lagging <= 0.9 * sum(elsewhere) or own <= 0.1 * driving.likelihood:
             return 0.0
         return 2 * (driving.likelihood - here - sum(elsewhere))
 
     def _driving(self, place: tuple[F64, int], row: float, bright: Mapping[int, Index]) -> Course | None:
-        """The likeliest course along the flight from a place and a row; None: there is none.
+        """The likeliest course along the flight from a position and a row; None: no pair of pixels suggests one.
 
         Args:
-            place: m, and number of the elevation (`DwellPaths.place_of`).
-            row: over that of what stands still there.
-            bright: rows and columns of what is bright in other dwells, by their number.
+            place: position, m, and number of the elevation (`DwellPaths.place_of`).
+            row: row over that of a target at rest there.
+            bright: rows and columns of bright pixels in other dwells, by the number of the dwell.
         """
         courses = []
         for pair in self._pairs(place[0], bright):
@@ -248,11 +220,11 @@ class DwellSearch:
 
     @cached_property
     def _velocities_nearby(self) -> F64:
-        """Walks beside the one of a pair that are looked for, over that, m/s."""
-        return WALK_STEP * self.paths.speed_of_row * np.arange(-BESIDE_WALK, BESIDE_WALK + 1, dtype=np.float64)
+        """Velocities around the migration of a pair, a row to each side, m/s."""
+        return MIGRATION_STEP * self.paths.speed_of_row * np.arange(-4, 5, dtype=np.float64)
 
     def _pairs(self, place: F64, bright: Mapping[int, Index]) -> list[Pair]:
-        """How what would stand still at a place (m) would move if it is what other dwells show in another column."""
+        """Motions of a target at a position (m) if it is a bright pixel of another dwell, over a column away."""
         paths, pairs = self.paths, []
         for number, pixels in bright.items():
             dwell, seconds = paths.dwells[number], float(paths.seconds[number])
@@ -262,15 +234,15 @@ class DwellSearch:
             migrates = (pixels[:, 0] - still) * paths.depth / seconds
             for column, migration in zip(columns.tolist(), migrates.tolist(), strict=True):
                 along = paths.along_of(column * dwell.grid.col_spacing / seconds)
-                if abs(column) > SAME_COLUMNS and abs(migration) <= paths.fastest and abs(along) <= paths.fastest:
+                if abs(column) > 1 and abs(migration) <= paths.fastest and abs(along) <= paths.fastest:
                     pairs.append(Pair(along, migration))
         return pairs
 
     def _belongs_elsewhere(self, course: Course) -> bool:
-        """Whether what another dwell shows of a walk is likelier with another row of the middle one, or another squint.
+        """True if another dwell's part of a migration is likelier with another row of the middle one, or squint.
 
-        A bright pixel that stands still would otherwise be tied to a mover that the next dwell shows beside it, and a
-        mover be told in each dwell that sees it through a sidelobe.
+        A bright pixel at rest would otherwise be tied to a mover that the next dwell shows next to it, and a mover be
+        published for each dwell that sees it through a sidelobe.
         """
         paths, sight, near = course.paths, course.sight, course.paths.lobes.near
         everywhere = np.arange(len(paths.lobes.squints))
@@ -283,17 +255,17 @@ class DwellSearch:
         speeds = np.append(self.speeds, course.speed)
         rows: F64 = course.row + (course.speed - speeds) * tied / paths.depth
         rivals = paths.ratios(matched, gains, paths.path(sight, rows, speeds), everywhere)
-        return bool(rivals.max() > own.max() + ROUNDING)
+        return bool(rivals.max() > own.max() + 1e-6)  # rounding of two logarithms of one likelihood
 
     def _steered(self, course: Course) -> Placed:
-        """The course about one whose velocity along the flight is the likeliest."""
+        """The course with the likeliest velocity along the flight about that of another one."""
         if self.paths.unsure:
             return in_place(self.paths, course)
-        step = DRIFT_STEP * self.along_of_column
-        alongs = course.paths.along + step * np.arange(-DRIFT_STEPS, DRIFT_STEPS + 1)
+        step = 0.25 * self.along_of_column
+        alongs = course.paths.along + step * np.arange(-6, 7)
         driving = [self.paths.driving(along) for along in alongs.tolist()]
         sights = [paths.sight(course.sight.place, course.sight.elevation) for paths in driving]
-        # Beside a target, too, the background is what it has where the target is.
+        # Next to a target, too, the background is that at the target.
         backgrounds, speeds = np.max([one.backgrounds for one in sights], axis=0), np.array([course.speed])
         courses = [
             Course.of(paths, replace(sight, backgrounds=backgrounds), course.row, speeds)
@@ -302,12 +274,12 @@ class DwellSearch:
         profile, powers = np.array([one.likelihood for one in courses]), np.array([one.powers for one in courses])
         best = int(np.clip(profile.argmax(), 1, len(alongs) - 2))
         offset, bend = vertex(*profile[best - 1 : best + 2])
-        # Not less than dwells differ, by bright pixels beside the target.
+        # Not less than dwells differ, by bright pixels next to the target.
         others = (self.paths.seconds != 0) & np.isfinite(backgrounds)
         each = alongs[powers[:, others].argmax(axis=0)] - alongs[best] - step * offset
         weights = powers[best, others] / powers[best, others].sum()
         spread = float(np.sqrt(weights @ each**2))
-        sigma = float(np.hypot(np.hypot(step / np.sqrt(bend), DRIFT_ERROR * self.along_of_column), spread))
+        sigma = float(np.hypot(np.hypot(step / np.sqrt(bend), COLUMN_ERROR * self.along_of_column), spread))
         likeliest = self.paths.driving(float(alongs[best] + step * offset))
         sight = likeliest.sight(course.sight.place, course.sight.elevation)
         return Placed(Course.of(likeliest, sight, course.row, speeds), sigma, known=True)
@@ -318,7 +290,7 @@ class DwellSearch:
         Args:
             steered: course of the target.
             ratio: twice the logarithm of its likelihood ratio.
-            migrates: whether it was found by its range migration.
+            migrates: True if it was found by its migration.
         """
         course, unsure = steered.course, steered.sigma
         if self._belongs_elsewhere(course):
@@ -328,7 +300,7 @@ class DwellSearch:
         squint = self._squint(course, best)
         if squint is None:
             return None
-        # The squint goes with the velocity along the flight.
+        # The squint depends on the velocity along the flight.
         paths, sight = course.paths, course.sight
         faster = self.paths.driving(paths.along + unsure)
         if self.paths.unsure:
@@ -343,7 +315,7 @@ class DwellSearch:
         power = float(np.abs(paths.on_path(course.moving, course.path[0])[0, best, paths.middle]) ** 2)
         still = sight.squint + paths.ground[0]
         there = sight.still[paths.middle] + row
-        # The rows of what stands still at the places of the image are not all its own.
+        # Rows of targets at rest at the positions of its image are not all its own.
         aperture = paths.dwells[paths.middle].aperture
         ahead = float((sight.place - aperture.position) @ aperture.direction) / paths.reach
         migration = migration[0] + ahead * paths.drift, migration[1]
@@ -365,14 +337,14 @@ class DwellSearch:
         """Mean and standard deviation of the likely squints in the middle dwell; None: those of another dwell.
 
         Args:
-            course: of the target.
-            best: number of about the likeliest.
+            course: course of the target.
+            best: number of about the likeliest squint.
         """
         paths, near = course.paths, course.paths.lobes.squints[course.paths.lobes.near]
         elevation = self._elevation(course, float(near[best]))
         if elevation is None:
             return None
-        fine = np.linspace(near[0], near[-1], FINE_SQUINTS * (len(near) - 1) + 1)
+        fine = np.linspace(near[0], near[-1], 5 * (len(near) - 1) + 1)
         under = fine[:, None] + paths.lobes.ahead
         matched, gains = paths.matching(course.sight, paths.beams.response(elevation[0] + paths.lobes.higher, under))
         weights, parts = course.path
@@ -384,7 +356,7 @@ class DwellSearch:
         return squint, float(np.sqrt(weight @ (fine - squint) ** 2 + (fine[1] - fine[0]) ** 2 / 12))
 
     def _brightest(self, sight: Sight, moving: C128) -> float:
-        """Row of the target in the middle dwell, over that of what stands still there, in fractions."""
+        """Row of the target in the middle dwell over that of a target at rest there, in fractions."""
         paths = self.paths
         places: F64 = np.arange(-1.0, 1.0 + FINE_STEP / 2, FINE_STEP)
         numbers, still = sight.numbers[paths.middle], sight.still[paths.middle]
@@ -393,7 +365,7 @@ class DwellSearch:
         return float(places[energy.max(axis=-1).argmax()])
 
     def _refined(self, course: Course) -> tuple[float, tuple[float, float], int]:
-        """The row, the walk with its standard deviation, and the number of the squint about some that are likeliest."""
+        """The likeliest row, migration with its standard deviation (m/s), and number of the squint about a course."""
         paths, sight = course.paths, course.sight
         step = FINE_STEP * paths.speed_of_row
         speeds = course.speed + step * np.arange(-6, 7, dtype=np.float64)
@@ -408,7 +380,8 @@ class DwellSearch:
         best = int(np.clip(profile.argmax(), 1, len(speeds) - 2))
         offset, bend = vertex(*profile[best - 1 : best + 2])
         place = int(each[:, best].max(axis=-1).argmax())
-        sigma = float(np.hypot(step / np.sqrt(bend), WALK_ERROR * paths.speed_of_row))
+        # The response leaves an error of a hundredth of a row.
+        sigma = float(np.hypot(step / np.sqrt(bend), 0.01 * paths.speed_of_row))
         migration = float(speeds[best] + step * offset), sigma
         return float(rows[place]), migration, int(each[place, best].argmax())
 
@@ -416,8 +389,8 @@ class DwellSearch:
         """The most likely elevation of a target under a squint in the middle dwell, and its standard deviation.
 
         Args:
-            course: of the target.
-            squint: rad.
+            course: course of the target.
+            squint: squint, rad.
 
         Returns:
             None: it is that of an outer beam.
@@ -426,9 +399,9 @@ class DwellSearch:
         along = np.einsum("nr,nrc->nc", course.path[0][0], course.sight.spectra)
         amplitudes = course.paths.beams.response(grid[:, None] + lobes.higher, squint + lobes.ahead)
         gains = np.sum(np.abs(amplitudes) ** 2, axis=-1)
-        used = (gains > LEAST_GAIN * gains.max()) & np.isfinite(course.sight.backgrounds)
+        used = (gains > 0.1 * gains.max()) & np.isfinite(course.sight.backgrounds)
         seen = np.abs(np.sum(amplitudes.conj() * along, axis=-1)) ** 2 / np.maximum(gains, 1e-12)
-        # Dwells by themselves, as the target fades; one whose gain is low tells little and may be wrong.
+        # Dwells by themselves, as the target fades; one of low gain contributes little and may be wrong.
         weight = used[int(np.where(used, seen, 0.0).sum(axis=-1).argmax())]
         explained = seen @ weight
         best = int(explained.argmax())

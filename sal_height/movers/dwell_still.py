@@ -1,4 +1,4 @@
-"""How likely pixels along the path of a target are, if what they show stands still after all."""
+"""Likelihood of pixels along the path of a target, if they show targets at rest."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from sal_height.movers.migration import DEPTHS, FINE_STEP, LEAST_PART, NEIGHBOUR
 from sal_height.numeric import C128, F64, Index
 
 APART = 0.75
-"""Columns by which the places of images differ that may show different targets."""
+"""Least distance of the positions of images that may show different targets, columns."""
 
 
 def standing_instead(
     paths: DwellPaths, driving: DwellPaths, bright: tuple[F64, int], row: float, speed: float
 ) -> list[float]:
-    """Logarithms of the likelihoods of targets that stand still where one would be that drives along the flight.
+    """Logarithms of the likelihoods of targets at rest at the positions of one that moves along the flight.
 
-    There is one at each place, that of the middle dwell first, as the dwell shows it that has the driving one there. In
-    the other dwells these columns are without what they have of the response of what is bright there.
+    There is one at each position, that of the middle dwell first, as shown by the dwell that has the moving one there.
+    In the other dwells the response of bright targets there is removed from these columns.
 
     Args:
-        paths: of what does not drive along the flight.
-        driving: of what does.
-        bright: place (m) in the middle dwell, and number of its elevation.
-        row: in the middle dwell, over that of what stands still.
-        speed: of the walk, m/s.
+        paths: paths of targets that do not move along the flight.
+        driving: paths of those that do.
+        bright: position (m) in the middle dwell, and number of its elevation.
+        row: row in the middle dwell over that of a target at rest.
+        speed: velocity of the migration, m/s.
     """
     column = paths.dwells[paths.middle].grid.col_spacing
     places, taken, likelihoods = driving.places(bright[0]), list[int](), list[float]()
@@ -44,10 +44,10 @@ def standing_instead(
 
 
 def _cleared(paths: DwellPaths, sight: Sight, places: F64, apart: F64) -> tuple[Sight, F64]:
-    """Pixels without the response of what is so many columns beside them, at a place (m) in each dwell.
+    """Pixels without the response of targets at distances of columns, at positions (m) in each dwell.
 
     Returns:
-        The pixels, with noise of the same power; the part of the amplitude of what is there that they have.
+        The pixels, with noise of the same power; the fraction of the amplitude of a target there that they have.
     """
     near = np.isfinite(apart)
     shared = np.where(near, paths.response_along(np.where(near, apart, 0.0)), 0.0)
@@ -63,14 +63,14 @@ def _cleared(paths: DwellPaths, sight: Sight, places: F64, apart: F64) -> tuple[
 
 
 def _standing(paths: DwellPaths, sight: Sight, dwell: int, row: float, shares: F64) -> float:
-    """Logarithm of the likelihood of what stands still at a place, as a dwell shows it in a row.
+    """Logarithm of the likelihood of a target at rest at a position, as a dwell shows it in a row.
 
     Args:
-        paths: of what does not drive along the flight.
-        sight: pixels around the place.
-        dwell: number of the one that shows it.
-        row: over that of what stands still at the place.
-        shares: of the amplitude of what is there that the pixels have, shape (dwells,).
+        paths: paths of targets that do not move along the flight.
+        sight: pixels around the position.
+        dwell: number of the dwell that shows it.
+        row: row over that of a target at rest at the position.
+        shares: fractions of the amplitude of a target there that the pixels have, shape (dwells,).
     """
     squints = paths.ambiguous(sight)
     matched, gains = paths.matched_each(sight, squints, dwell, row)
@@ -80,9 +80,9 @@ def _standing(paths: DwellPaths, sight: Sight, dwell: int, row: float, shares: F
 
 
 def glinting(paths: DwellPaths, sight: Sight, path: tuple[F64, F64], still: Index, shares: F64 | float = 1.0) -> float:
-    """Logarithm of the likelihood of what stands still and has its centre at another elevation in each dwell.
+    """Logarithm of the likelihood of a target at rest with its centre at another elevation in each dwell.
 
-    That is what several scatterers in one cell do, as speckle.
+    Several scatterers in one cell are such a target, as speckle.
     """
     along = np.einsum("nr,nrc->nc", path[0][0], sight.spectra)
     amplitudes = paths.lobes.amplitudes[still]
@@ -98,14 +98,14 @@ def glinting(paths: DwellPaths, sight: Sight, path: tuple[F64, F64], still: Inde
 def several(
     paths: DwellPaths, sight: Sight, standing: C128, gains: F64, still: Index, row: float, speed: float
 ) -> float:
-    """Logarithm of the likelihood of targets that stand still in different rows of the walk."""
+    """Logarithm of the likelihood of targets at rest in different rows of the migration."""
     adjacent = abs(speed) * float(np.abs(paths.seconds).max()) / abs(paths.depth) + 1.0
     places: F64 = row + np.arange(-adjacent, adjacent + FINE_STEP / 2, 2 * FINE_STEP, dtype=np.float64)
     return max(_greedy(paths, sight, standing[[one]], gains[[one]], still[[one]], places) for one in range(len(still)))
 
 
 def _greedy(paths: DwellPaths, sight: Sight, standing: C128, gains: F64, still: Index, places: F64) -> float:
-    """The same for one squint: the brightest first, each without what those before it have."""
+    """The same for one squint: the brightest first, each without the response of those before it."""
     weights, parts = paths.path(sight, places, np.zeros(1))
     found = np.zeros((len(paths.dwells), 0, weights.shape[-1]))
     total = best = 0.0
@@ -125,7 +125,7 @@ def _greedy(paths: DwellPaths, sight: Sight, standing: C128, gains: F64, still: 
 
 
 def deep(sight: Sight, standing: C128, gains: F64, row: float) -> float:
-    """Logarithm of the likelihood of a cloud that stands still and is spread over range."""
+    """Logarithm of the likelihood of a cloud at rest that is spread over range."""
     there = sight.numbers - (sight.still + row)[:, None]
     shares = np.exp(-(there**2) / (2 * np.square(DEPTHS)[:, None, None])) * sight.inside
     shares = shares / np.maximum(shares.sum(axis=-1, keepdims=True), 1e-12)

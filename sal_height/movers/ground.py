@@ -1,4 +1,4 @@
-"""Where in the beam the ground is seen: zero for movers, if odometry does not know exactly where the beam looks."""
+"""Lag of the ground, against which movers are measured where the direction of the beam is uncertain."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from sal_height.sensor import Sensor
 
 
 def ground_lag(slc: Slc, sensor: Sensor, lags: F64, spectra: Callable[[], tuple[F64, F64]]) -> tuple[float, float]:
-    """Lag of what stands still, rad, and its standard deviation.
+    """Lag of the ground, and its standard deviation, rad.
 
-    Where autofocus has found the middle of the beams, the image lies there, as well as autofocus states; the same echo
-    tells no more. Otherwise spectra and odometry tell, unless odometry is exact.
+    Where autofocus has estimated the middle of the beams, the image is there, with the error that autofocus states.
+    Otherwise it is estimated from spectra and odometry, unless odometry is exact.
 
     Args:
-        slc: the image.
-        sensor: that took it.
-        lags: that are looked for, rad, shape (lags,).
-        spectra: makes the power of rows in Doppler bins, shape (rows, bins), and the gains of the beam in these, shape
-            (lags, bins).
+        slc: image.
+        sensor: sensor of the image.
+        lags: lags of the search, shape (lags,), rad.
+        spectra: function for the power of rows in Doppler bins, shape (rows, bins), and the gains of the beam there,
+            shape (lags, bins).
     """
     if slc.placement.beams_error:
         return 0.0, slc.placement.beams_error / float(np.linalg.norm(slc.aperture.velocity))
@@ -36,14 +36,14 @@ def ground_lag(slc: Slc, sensor: Sensor, lags: F64, spectra: Callable[[], tuple[
 
 
 def spectra_of_image(images: C64 | C128, beams: Beams, bins: Bins, lags: F64) -> tuple[F64, F64]:
-    """The power of rows of a strip's image, and the gains of the beam, for `ground_lag`."""
+    """Power of the rows of a strip's image, and gains of the beam, for `ground_lag`."""
     power = np.sum(np.abs(bins.spectra(images * np.hanning(images.shape[-1]))) ** 2, axis=0)
     gains = np.sum(np.abs(bins.amplitudes(beams, float(np.mean(beams.span)), lags)) ** 2, axis=-1)
     return power, gains
 
 
 def lag_of_spectra(power: F64, gains: F64, lags: F64, prior: float) -> tuple[float, float]:
-    """Mean and standard deviation of the lag, rad, over what spectra and odometry leave likely.
+    """Mean and standard deviation of the lag by spectra and odometry, rad.
 
     The spectra are the median over rows, each over its own mean, so that no target counts for much; they have the
     beam's power over that of noise, which is unknown. Arguments as for `ground_lag`, and the standard deviation of the
@@ -68,7 +68,7 @@ def lag_of_spectra(power: F64, gains: F64, lags: F64, prior: float) -> tuple[flo
 
 
 def lag_by_odometry(slc: Slc, sensor: Sensor) -> float:
-    """Standard deviation of the lag of what stands still, rad, by the covariance of the pose; 0: it is exact.
+    """Standard deviation of the lag of the ground by the covariance of the pose, rad; 0: it is exact.
 
     An error of the velocity is in that of the position along the flight (`Placement.seen_from`).
     """

@@ -1,18 +1,17 @@
-"""Targets that move by range cells while the beam passes them: found by undoing the walk of their range.
+"""Targets that move by range cells while the beam passes them: found by undoing their range migration.
 
 A target that recedes with v_r is seen under the aspect alpha (squint) at the time -alpha rho / v after it is abeam, rho
 being its range and v the speed of the platform. Its image has in the Doppler bin of that aspect the range
 
     r = r_0 - v_r alpha rho / v
 
-with r_0 that of the image at the aspect 0. What the pulses cannot tell of v_r, multiples of wavelength * PRF / 2, the
-walk does: it has no period, but is some thousand times less precise.
+with r_0 that of the image at the aspect 0. The phase of pulses is ambiguous in v_r, by multiples of wavelength * PRF /
+2; the migration has no period, but is some thousand times less precise.
 
-For a walk, the samples of each bin are weighted by the response in range about the place where the walk has it. That is
-all that there is of a target that is thin in range, so that its likelihood is that of `likelihood` for this spectrum,
-and what is left is noise. What stands still, or hardly moves, may be a cloud that is spread over range as well: for the
-same samples, bins of some rows, the covariance is that of `likelihood` times that of the rows. The likelihood ratio of
-these two tells that something walks.
+For a migration, the samples of each bin are weighted by the response in range about the range there. That is all of a
+target that is thin in range, so that its likelihood is that of `likelihood` for this spectrum, and the rest is noise. A
+target at rest, or nearly so, may be a cloud that is spread over range as well: for the same samples, bins of several
+rows, the covariance is that of `likelihood` times that of the rows. The ratio of these two is the test for migration.
 """
 
 from __future__ import annotations
@@ -34,47 +33,33 @@ from sal_height.movers.spectrum import column_aspects
 from sal_height.numeric import C64, C128, F64, Index, fast_length, vertex
 from sal_height.sensor import Sensor
 
-MOST_ROWS = 6.0
-"""Greatest walk over the bins that is looked for, in rows."""
-
-WALK_STEP = 1.5
-"""Greatest step between the walks that are undone in the whole image, in rows: half of it costs 0.5 dB."""
-
 REACH = 3
-"""Rows beyond the walk in which the response of a target is looked at."""
-
-SPEED_STEP = 0.125
-"""Of the search around a bright pixel, in rows over the bins."""
-
-ROW_STEP = 0.25
-"""Of the same in range, in rows."""
+"""Margin around a migration for the response of a target, rows."""
 
 FINE_STEP = 0.05
-"""Of its last step, and of what stands still, in rows."""
+"""Last step of the search in range, and step for targets at rest, rows."""
 
 NEIGHBOURS = 3
-"""Targets that stand still in the rows that are looked at, which may look like one that walks."""
+"""Number of targets at rest in the same rows that may together look like one that migrates."""
 
 LEAST_PART = 0.5
-"""Of the amplitude of a target's response that those before it, or rows beyond the image, do not have."""
-
-BESIDE = 1.0
-"""Rows beside a walk in which they may lie."""
+"""Least fraction of the amplitude of a target's response within the image, and without that of the targets before."""
 
 DEPTHS = (0.35, 0.7, 1.4, 2.8)
-"""Rms widths in range of the clouds that stand still, in rows; beside those that are thin."""
+"""Rms widths in range of clouds at rest, in addition to thin ones, rows."""
 
 
 @dataclass(frozen=True, eq=False)
 class Migration:
-    """The walk of a target.
+    """Range migration of a target.
 
     Attributes:
-        speed: radial velocity, m/s, positive if it recedes.
-        sigma: its standard deviation, m/s.
-        row: of the target at the aspect 0, in fractions.
-        likelihood_ratio: twice its logarithm, against what does not walk; infinite where it was not asked for.
-        spectra: of the channels along the walk, shape (bins, channels).
+        speed: radial velocity, positive if it recedes, m/s.
+        sigma: standard deviation of that, m/s.
+        row: row of the target at the aspect 0, in fractions.
+        likelihood_ratio: twice the logarithm of the ratio against targets without migration; infinite where it was not
+            computed.
+        spectra: spectra of the channels along the migration, shape (bins, channels).
     """
 
     speed: float
@@ -86,16 +71,16 @@ class Migration:
 
 @dataclass(frozen=True, eq=False)
 class Migrations:
-    """What walks in an image.
+    """Search for targets that migrate in an image.
 
     Attributes:
-        search: of lags in the same image.
-        slope: rows by which 1 m/s shifts a target for each radian of the aspect.
-        spacing: of rows in range resolutions.
-        window: over the band, a name of `windows.WINDOWS`.
-        aspects: of all bins of whole rows, in the order of `numpy.fft.fft`, rad, shape (cols,).
-        fastest: greatest speed that is looked for, m/s.
-        ground_lag: lag of what stands still, rad.
+        search: search for lags in the same image.
+        slope: shift of a target per m/s and per radian of the aspect, rows.
+        spacing: spacing of rows, range resolutions.
+        window: window over the band, a name of `windows.WINDOWS`.
+        aspects: aspects of all bins of whole rows, in the order of `numpy.fft.fft`, shape (cols,), rad.
+        fastest: largest speed of the search, m/s.
+        ground_lag: lag of the ground, rad.
     """
 
     search: Search
@@ -108,7 +93,7 @@ class Migrations:
 
     @classmethod
     def of(cls, search: Search, slc: Slc, sensor: Sensor, fastest: float, ground_lag: float) -> Self:
-        """Those of an image, whose pixels `search` has about the phase of their range (`about_ranges`)."""
+        """The search in an image, whose pixels `search` has about the phase of their range (`about_ranges`)."""
         grid = slc.grid
         middle = grid.middle
         aperture = aperture_at(middle, slc.aperture)
@@ -121,19 +106,20 @@ class Migrations:
 
     @property
     def speed_of_row(self) -> float:
-        """Speed of a target that walks by one row from the first bin to the last, m/s."""
+        """Speed of a target that migrates by one row from the first bin to the last, m/s."""
         aspects = self.search.bins.aspects
         return float(1 / abs(self.slope * (aspects[-1] - aspects[0])))
 
     @cached_property
     def speeds(self) -> F64:
-        """Speeds whose walks are undone in the whole image, m/s: 0 is in their middle."""
-        fastest = min(self.fastest, MOST_ROWS * self.speed_of_row)
-        count = int(np.ceil(fastest / (WALK_STEP * self.speed_of_row)))
+        """Speeds whose migration is undone in the whole image, up to 6 rows: 0 is in their middle, m/s."""
+        fastest = min(self.fastest, 6 * self.speed_of_row)
+        step = 1.5 * self.speed_of_row  # half of it costs 0.5 dB
+        count = int(np.ceil(fastest / step))
         return fastest / max(1, count) * np.arange(-count, count + 1, dtype=np.float64)
 
     def powers(self) -> Iterator[F64]:
-        """Power of the image, the sum over channels, with the walk of each of the speeds undone, shape (rows, cols)."""
+        """Power of the image, summed over channels, with the migration of each speed undone, shape (rows, cols)."""
         images = self.search.images
         rows, cols = images.shape[1:]
         length = fast_length(rows + 2 * int(np.ceil(abs(self.speeds[0]) / self.speed_of_row)) + 2)
@@ -148,13 +134,15 @@ class Migrations:
             spectrum *= undoing
 
     def response(self, rows: F64) -> F64:
-        """Amplitude of a point so many rows away, 1 in the middle."""
+        """Amplitude of a point at distances from it (rows), 1 in the middle."""
         return point_response(self.window, self.spacing, rows)
 
     def spectra(self, row: float, speed: float) -> C128:
-        """Of the middle pixels along the walk of a target with a speed (m/s), shape (bins, channels).
+        """Spectra of the middle pixels along the migration of a target, shape (bins, channels).
 
-        Its row is that at the aspect 0.
+        Args:
+            row: row of the target at the aspect 0, in fractions.
+            speed: radial velocity, m/s.
         """
         rows, cols = self.search.images.shape[1:]
         spread = REACH + int(np.ceil(0.5 * abs(speed) / self.speed_of_row))
@@ -163,13 +151,13 @@ class Migrations:
         return self._along(spectra, numbers, np.array([row]), np.array([speed]))[0]
 
     def look(self, row: int, col: int, number: int, threshold: float | None = None) -> Migration | None:
-        """The walk of what is bright at a pixel with the walk of a speed undone.
+        """Migration of the target that is bright at a pixel with the migration of a speed undone.
 
         Args:
-            row: of the pixel.
-            col: of the pixel.
-            number: of the speed in `speeds`.
-            threshold: that the likelihood ratio must exceed; None: it is known to move, and has no ratio.
+            row: row of the pixel.
+            col: column of the pixel.
+            number: number of the speed in `speeds`.
+            threshold: likelihood ratio that must be exceeded; None: it is known to move, and the ratio is not computed.
 
         Returns:
             None: it is at an end of the array, or the ratio is less.
@@ -190,10 +178,10 @@ class Migrations:
         return self._judged(target, row, speed, threshold)
 
     def _judged(self, target: _Rows, row: int, about: float, threshold: float | None) -> Migration | None:
-        """The walk of a target about a row and a speed; None: it does not walk."""
-        step = SPEED_STEP * self.speed_of_row
+        """Migration of a target about a row and a speed; None: its likelihood ratio is less than the threshold."""
+        step = self.speed_of_row / 8
         speeds: F64 = about + step * np.arange(-11, 12, dtype=np.float64)
-        rows: F64 = row + ROW_STEP * np.arange(-4, 5, dtype=np.float64)
+        rows: F64 = row + 0.25 * np.arange(-4, 5, dtype=np.float64)
         energy = self._energy(target, rows, speeds)
         fast, place = np.unravel_index(energy.argmax(), energy.shape)
         still = self._still(target, float(rows[place]), float(speeds[fast]))
@@ -217,9 +205,9 @@ class Migrations:
         return Migration(speed, sigma, float(fine[places[1]]), ratio, spectra[1])
 
     def _at_rest(self, target: _Rows, still: F64) -> float:
-        """Logarithm of the greatest likelihood of what does not walk.
+        """Logarithm of the greatest likelihood without migration.
 
-        It is one target of any lag, some that stand still in different rows, or one that is spread over range.
+        That is one target of any lag, several at rest in different rows, or one that is spread over range.
         """
         likelihoods = self._likelihoods(target, np.einsum("tr,rbc->tbc", still, target.spectra))
         explained = np.sum(np.abs(still @ target.matched) ** 2, axis=-1)
@@ -229,7 +217,7 @@ class Migrations:
 
     @cached_property
     def _ground(self) -> int:
-        """Number of the lag of what stands still."""
+        """Number of the lag of the ground."""
         return int(np.abs(self.search.lags - self.ground_lag).argmin())
 
     def _likelihoods(self, target: _Rows, spectra: C128) -> F64:
@@ -239,15 +227,15 @@ class Migrations:
         return self.search.likelihoods(spectra, elevations, backgrounds)[0]
 
     def _still(self, target: _Rows, row: float, speed: float) -> F64:
-        """Weights of rows in the spectra of the brightest targets that stand still, one after the other.
+        """Weights of rows in the spectra of the brightest targets at rest, one after the other.
 
-        They lie in the rows through which a target about a row walks with a speed.
+        They are in the rows through which a target about a row migrates with a speed, and one row around these.
 
         Returns:
-            Shape (targets, rows), each orthogonal to the others: what of a target those before do not have.
+            Shape (targets, rows), each orthogonal to the others: the part of a target that those before do not have.
         """
         numbers = target.numbers
-        margin = abs(speed) / self.speed_of_row / 2 + BESIDE
+        margin = abs(speed) / self.speed_of_row / 2 + 1.0
         places: F64 = row + np.arange(-margin, margin + FINE_STEP / 2, FINE_STEP, dtype=np.float64)
         responses = self.response(numbers - places[:, None])
         found = np.zeros((0, len(numbers)))
@@ -277,23 +265,23 @@ class Migrations:
         return max(likelihood.of_rows((target.matched * turn).T, one, covariances) for turn in turned for one in lags)
 
     def _covariances(self, rows: F64) -> F64:
-        """Of the amplitudes of rows, so many from the middle of clouds of the power 1, for each of DEPTHS."""
+        """Covariances of the amplitudes of rows about the middle of clouds of power 1, for each of DEPTHS."""
         places = np.linspace(-3, 3, 49)
         weights = np.exp(-(places**2) / 2)
         responses = self.response(rows - np.multiply.outer(DEPTHS, places)[..., None])
         return np.einsum("p,dpr,dps->drs", weights / weights.sum(), responses, responses)
 
     def _energy(self, target: _Rows, rows: F64, speeds: F64) -> F64:
-        """Power along walks, the sum over bins, shape (speeds, rows)."""
+        """Power along migrations, the sum over bins, shape (speeds, rows)."""
         weights = self._weights(target.numbers, rows, speeds[:, None])
         return np.asarray(np.sum(np.abs(np.einsum("vtrb,rb->vtb", weights, target.matched)) ** 2, axis=-1))
 
     def _along(self, spectra: C128, numbers: Index, rows: F64, speeds: F64) -> C128:
-        """Spectra of walks, from those of numbered rows, (rows, bins, channels): shape (walks, bins, channels)."""
+        """Spectra of migrations, shape (speeds, bins, channels), from those of rows, shape (rows, bins, channels)."""
         return np.asarray(np.einsum("trb,rbc->tbc", self._weights(numbers, rows, speeds), spectra))
 
     def _weights(self, numbers: Index, rows: F64, speeds: F64) -> F64:
-        """Of numbered rows in the spectra of walks, sum of squares 1, shape (..., rows, bins).
+        """Weights of numbered rows in the spectra of migrations, sum of squares 1, shape (..., rows, bins).
 
         The rows of the targets at the aspect 0 and the speeds broadcast.
         """
@@ -308,10 +296,10 @@ class _Rows:
     """Spectra of rows around a target.
 
     Attributes:
-        numbers: of the rows.
-        spectra: shape (rows, bins, channels).
-        matched: those of the beam at the elevation, with the background 1, shape (rows, bins).
-        elevation: of the target, rad.
+        numbers: numbers of the rows.
+        spectra: spectra of the channels, shape (rows, bins, channels).
+        matched: spectra of the beam at the elevation, background 1, shape (rows, bins).
+        elevation: elevation of the target, rad.
         background: power of noise and ground.
     """
 

@@ -1,4 +1,4 @@
-"""What a mover is, and what follows from its elevation, lag and walk."""
+"""Movers, and what follows from their elevation, lag and range migration."""
 
 from __future__ import annotations
 
@@ -13,34 +13,32 @@ from sal_height.numeric import F64, vertex
 from sal_height.relief import Surface, measured_covariance
 from sal_height.sensor import Sensor
 
-ROW_ERROR = 0.15
-"""Standard deviation of a target's place in range, in rows: neighbours shift the peak of its power."""
-
-RESOLVED = 10.0
-"""Standard deviations of the walk's velocity in an ambiguity of the lag's, from which others are beyond 5 of them."""
+MIGRATING = 5.0
+"""Least velocity of a range migration, or along the flight, that is significant, standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
 class Mover:
-    """Something that moves.
+    """A moving target.
 
     Attributes:
-        position: in map when it was abeam, m, shape (3,).
-        covariance: of that, with what the pose adds, m^2, shape (3, 3).
-        height: above the sphere, m.
-        sigma: of the height, m.
-        radial_velocity: m/s, positive if it recedes; known but for multiples of `ambiguity`, unless it is `resolved`.
-        velocity_sigma: its standard deviation, m/s.
-        ambiguity: radial velocity that pulses cannot tell from none, m/s.
-        walk_velocity: radial velocity by the walk through rows, m/s: it has no ambiguity.
-        walk_sigma: its standard deviation, m/s.
-        along_velocity: along the flight, m/s; NaN: it is not known, or taken as none.
-        along_sigma: its standard deviation, m/s; NaN likewise.
-        walks: whether it was found by its walk, through rows or along the flight, and else by its lag.
-        likelihood_ratio: twice its logarithm, against that of what does not walk, or against the ground's.
-        cnr_db: power of its brightest pixel over noise and ground around it.
-        row: of that pixel.
-        col: of that pixel.
+        position: position in map when it was abeam, m, shape (3,).
+        covariance: covariance of that, with the error of the pose, m^2, shape (3, 3).
+        height: height above the sphere, m.
+        sigma: standard deviation of the height, m.
+        radial_velocity: radial velocity, positive if it recedes, known but for multiples of `ambiguity` unless it is
+            `resolved`, m/s.
+        velocity_sigma: standard deviation of that, m/s.
+        ambiguity: radial velocity whose phase from pulse to pulse is a whole turn, m/s.
+        walk_velocity: radial velocity by the range migration, without ambiguity, m/s.
+        walk_sigma: standard deviation of that, m/s.
+        along_velocity: velocity along the flight; NaN: it is not known, or assumed to be 0, m/s.
+        along_sigma: standard deviation of that; NaN likewise, m/s.
+        walks: True if it was found by its migration, through rows or along the flight; else by its lag.
+        likelihood_ratio: twice the logarithm of the ratio against targets without migration, or against the ground.
+        cnr_db: power of its brightest pixel over noise and ground around it, dB.
+        row: row of that pixel.
+        col: column of that pixel.
     """
 
     position: F64
@@ -62,24 +60,24 @@ class Mover:
 
     @property
     def resolved(self) -> bool:
-        """Whether the walk tells which of the velocities that look the same it is: others are beyond 5 sigma."""
-        return RESOLVED * self.walk_sigma < self.ambiguity
+        """True if the range migration resolves the ambiguity: other velocities are beyond 5 of its sigmas."""
+        return 10 * self.walk_sigma < self.ambiguity
 
     def without_ambiguity(self) -> Mover:
-        """The mover with that of the radial velocities that look the same which is nearest to the walk's."""
+        """The mover with the one of its ambiguous radial velocities that is nearest to that by the migration."""
         periods = round((self.walk_velocity - self.radial_velocity) / self.ambiguity)
         return replace(self, radial_velocity=self.radial_velocity + periods * self.ambiguity)
 
 
 @dataclass(frozen=True, eq=False)
 class Looked:
-    """What was found in an image.
+    """Result of the search in an image.
 
     Attributes:
-        movers: that were found, the surest first.
-        candidates: number of pixels that were looked at, for a lag or for a walk.
-        ground_lag: of what stands still, rad, and its standard deviation.
-        fastest: radial velocity up to which walks were looked for, m/s.
+        movers: movers, the most likely first.
+        candidates: number of candidate pixels, for a lag or for a migration.
+        ground_lag: lag of the ground, and its standard deviation, rad.
+        fastest: largest radial velocity whose migration was searched, m/s.
     """
 
     movers: tuple[Mover, ...]
@@ -90,19 +88,19 @@ class Looked:
 
 @dataclass(frozen=True)
 class MoverMeasurement:
-    """What was seen of a mover, and in which pixel of an image.
+    """Measurements of a mover in an image.
 
     Attributes:
-        row, col: of its brightest pixel, in fractions.
+        row, col: row and column of its brightest pixel, in fractions.
         cnr: power over the background.
-        elevation: and its standard deviation, rad.
-        lag: angle along the flight by which it lies ahead of its image, over that of the ground, and its standard
-            deviation, rad.
-        walk: radial velocity by its walk through rows, and its standard deviation, m/s.
-        walks: whether it was found by that.
+        elevation: elevation, and its standard deviation, rad.
+        lag: angle along the flight from its image to the mover, over that of the ground, and its standard deviation,
+            rad.
+        migration: radial velocity by its range migration, and its standard deviation, m/s.
+        migrates: True if it was found by that.
         ratio: twice the logarithm of the likelihood ratio.
-        along: velocity along the flight, and its standard deviation, m/s; None: nothing tells it.
-        tells_along: whether that is known well enough to be told.
+        along: velocity along the flight, and its standard deviation; None: it is not estimated, m/s.
+        along_known: True if that is known well enough to be published.
     """
 
     row: float
@@ -118,7 +116,7 @@ class MoverMeasurement:
 
 
 def mover_of(seen: MoverMeasurement, slc: Slc, sensor: Sensor) -> Mover:
-    """A mover from what was seen of it in an image, and the sensor that took that."""
+    """The mover of measurements in an image by a sensor."""
     point = slc.grid.points(seen.row, seen.col)
     aperture = aperture_at(point, slc.aperture)
     sight = point - aperture.position
@@ -134,10 +132,11 @@ def mover_of(seen: MoverMeasurement, slc: Slc, sensor: Sensor) -> Mover:
     reach = float(np.sqrt((slant_range + farther * later) ** 2 - along**2 + moved**2))
     published = (driving, driving_sigma) if seen.along and seen.along_known else (np.nan, np.nan)
     position = locate_at_elevation(seen.elevation[0], reach, moved, aperture, sensor.look_side)
-    depth = np.hypot(ROW_ERROR * slc.grid.row_spacing, unsure * later)
+    # Neighbours shift the peak of its power in range: 0.15 rows.
+    depth = np.hypot(0.15 * slc.grid.row_spacing, unsure * later)
     along_sigma = float(np.hypot(slant_range * seen.lag[1], driving_sigma * later))
     own, _ = measured_covariance(position, aperture, np.array(seen.elevation[1]), float(depth), along_sigma)
-    # From where it is abeam, what it drives along the flight is not radial.
+    # At the position where it is abeam, its velocity along the flight is not radial.
     ahead = along / slant_range
     placed = float(aperture.direction @ aperture.covariance[:3, :3] @ aperture.direction)
     unsure_ahead = np.sqrt(max(0.0, placed)) / slant_range
@@ -165,7 +164,7 @@ def mover_of(seen: MoverMeasurement, slc: Slc, sensor: Sensor) -> Mover:
 
 
 def without_ambiguities(found: Iterable[Mover]) -> tuple[Mover, ...]:
-    """The surest first, without those that are at the place of a surer one: its azimuth ambiguities and sidelobes."""
+    """The movers by likelihood, without those at the position of a likelier one: its ambiguities and sidelobes."""
     kept: list[Mover] = []
     for one in sorted(found, key=lambda mover: -mover.likelihood_ratio):
         apart = [np.linalg.norm(one.position - other.position) for other in kept]

@@ -1,4 +1,4 @@
-"""What bright pixels of an image are: elevations, and how likely each lag is (`likelihood`), for all pixels at once."""
+"""Elevations of bright pixels in a strip, and likelihoods of their lags (`likelihood`), for all pixels at once."""
 
 from __future__ import annotations
 
@@ -14,24 +14,10 @@ from sal_height.movers.spectrum import Bins
 from sal_height.numeric import C64, C128, F64, Bool, Index, vertex
 
 ELEVATION_STEP = 0.05
-"""Of the search, in beamwidths."""
+"""Step of the elevations of the search, beamwidths."""
 
-GAIN_STEP = 0.25
-"""Between elevations whose gains along the flight are told apart, in beamwidths."""
-
-GAIN_ERROR = 0.005
-"""Of a gain over the greatest, which does not matter."""
-
-MARGIN = 4
-"""Cells about the peak of a target that count in its centre."""
-
-PARTS = 5
-"""Of the bins, whose elevations are compared."""
-
-FARTHEST, STEP = 1.1, 0.02
-"""Greatest lag that is looked for and the step from one to the next, in beamwidths along the flight.
-
-What has a greater one, or the greatest itself, is seen through sidelobes only, and not told."""
+STEP = 0.02
+"""Step of the lags of the search, beamwidths along the flight."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,12 +25,12 @@ class Seen:
     """A bright pixel.
 
     Attributes:
-        pixel: row and column that were looked at.
-        row, col: of the target, in fractions.
-        elevation: of what stands still, rad.
-        told: logarithm of the likelihood of each lag.
+        pixel: row and column of the candidate.
+        row, col: row and column of the target, in fractions.
+        elevation: elevation of a target at rest, rad.
+        likelihoods: logarithm of the likelihood of each lag, shape (lags,).
         cnr: power over the background.
-        spectra: of the channels, shape (bins, channels).
+        spectra: spectra of the channels, shape (bins, channels).
     """
 
     pixel: tuple[int, int]
@@ -58,13 +44,13 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """Pixels of an image, by the lags that are looked for.
+    """Search for the lags of pixels of an image.
 
     Attributes:
-        images: of channels of independent noise of one power, shape (channels, rows, cols).
-        beams: of these channels, in one direction.
-        bins: of the spectra.
-        step: from one lag to the next, in beamwidths along the flight.
+        images: images of channels of independent noise of one power, shape (channels, rows, cols).
+        beams: beams of these channels, in one direction.
+        bins: bins of the spectra.
+        step: step from one lag to the next, beamwidths along the flight.
     """
 
     images: C64 | C128
@@ -74,17 +60,17 @@ class Search:
 
     @cached_property
     def lags(self) -> F64:
-        """That are looked for, rad, so that the beam sees the bins under the same angles whatever their aspects are."""
+        """Lags of the search, chosen so that aspect plus lag are the same angles for all images, rad."""
         return self._lags - self.bins.aspects[self.bins.middle]
 
     def at(self, pixels: Index) -> Iterator[Seen]:
-        """The targets at pixels, shape (targets, 2), row and column; without those at an end of the array."""
+        """The targets at pixels (row and column), shape (targets, 2), without those at an end of the array."""
         rows, cols = pixels.T
         yield from self.of(self.spectra(rows, cols), rows, cols)
 
     def of(self, spectra: C128, rows: Index, cols: Index) -> Iterator[Seen]:
         """The targets at pixels that have spectra of the shape (targets, bins, channels)."""
-        # The elevation of what stands still; where beams do not separate, a lag changes it a little.
+        # The elevation of a target at rest; where beams do not separate, a lag changes it a little.
         elevations = self.elevations(spectra)
         inside = np.flatnonzero(np.isfinite(elevations))
         spectra, elevations = spectra[inside], elevations[inside]
@@ -105,7 +91,7 @@ class Search:
             )
 
     def spectra(self, rows: Index, cols: Index) -> C128:
-        """Of the pixels along the flight around some, shape (targets, bins, channels)."""
+        """Spectra of the pixels along the flight around some, shape (targets, bins, channels)."""
         chips = self.images[:, rows[:, None], self.first(cols)[:, None] + np.arange(self.bins.pixels)]
         return np.moveaxis(self.bins.spectra(chips), 0, -1)
 
@@ -114,9 +100,9 @@ class Search:
         return np.clip(cols - self.bins.pixels // 2, 0, self.images.shape[-1] - self.bins.pixels)
 
     def likelihoods(self, spectra: C128, elevations: F64, backgrounds: F64) -> tuple[F64, F64]:
-        """Likelihoods of the lags of targets, shape (targets, lags), and how many cells they lie off the middle.
+        """Likelihoods of the lags of targets, shape (targets, lags), and their distances from the middle, cells.
 
-        What a target is a cloud about may be its brightest place or the centre of its power; the likelier one counts.
+        The centre of a cloud may be its brightest position or the centre of its power; the likelier one counts.
         """
         likelihoods, centres = np.empty((len(spectra), len(self.lags))), np.empty(len(spectra))
         frequencies = self.bins.frequencies
@@ -135,20 +121,20 @@ class Search:
     def _alike(self, elevations: F64, gains: F64) -> Iterator[tuple[LagLikelihood, Index]]:
         """Likelihoods, and the numbers of the targets that have them.
 
-        Where beams separate, gains along the flight are those in the middle of the array. Elsewhere they are those of
-        the nearest of some elevations.
+        Where beams separate, to 0.005 of the greatest gain, gains along the flight are those in the middle of the
+        array. Elsewhere they are those of the nearest of elevations a quarter of a beamwidth apart.
         """
-        step = GAIN_STEP * self.beams.beamwidth
+        step = 0.25 * self.beams.beamwidth
         middle = float(np.mean(self.beams.span))
         common = self._shape(middle)
-        apart = np.max(np.abs(gains / gains.max(axis=(1, 2), keepdims=True) - common), axis=(1, 2)) > GAIN_ERROR
+        apart = np.max(np.abs(gains / gains.max(axis=(1, 2), keepdims=True) - common), axis=(1, 2)) > 0.005
         steps = np.where(apart, np.rint((elevations - middle) / step), 0)
         for number in np.unique(steps):
             shape = self._shape(middle + number * step) if number else common
             yield LagLikelihood.cached(self._nominal.frequencies, shape, self._known), np.flatnonzero(steps == number)
 
     def likelihood_at(self, elevation: float) -> LagLikelihood:
-        """That of targets at an elevation."""
+        """The likelihood of targets at an elevation."""
         elevations = np.array([elevation])
         gains = np.linalg.norm(self.bins.amplitudes(self.beams, elevations[:, None, None], self.lags), axis=-1)
         return next(self._alike(elevations, gains))[0]
@@ -161,23 +147,26 @@ class Search:
 
     @cached_property
     def _nominal(self) -> Bins:
-        """The bins, as for most images of a flight: what is computed for these serves for all."""
+        """The bins, as for most images of a flight: likelihoods are computed for these once."""
         return self.bins.nominal()
 
     @cached_property
     def _lags(self) -> F64:
-        """Lags of the nominal bins, rad."""
-        steps = round(FARTHEST / self.step)
+        """Lags of the nominal bins, rad.
+
+        A target with the greatest lag or more is seen through sidelobes only, and not published.
+        """
+        steps = round(1.1 / self.step)  # beamwidths along the flight
         return self.beams.track_beamwidth * self.step * np.arange(-steps, steps + 1, dtype=np.float64)
 
     @cached_property
     def _known(self) -> Bool:
-        """Whether the antenna saw a target with each of the lags in its main lobe in each bin."""
+        """True where a target with each of the lags is in the main lobe in each bin, shape (lags, bins)."""
         lobe = max(pattern.main_lobe for pattern in self.beams.patterns) * self.beams.track_beamwidth
         return np.asarray(np.abs(self._nominal.aspects + self._lags[:, None]) < lobe)
 
     def _row(self, row: int, col: int) -> float:
-        """Where in range the power has its peak, by the rows beside the brightest, in fractions of a row."""
+        """Position in range of the peak of the power, by the rows adjacent to the brightest, in fractions of a row."""
         if not 0 < row < self.images.shape[1] - 1:
             return float(row)
         power = np.sum(np.abs(self.images[:, row - 1 : row + 2, col]) ** 2, axis=0)
@@ -223,13 +212,14 @@ class Search:
         offset, bend = vertex(*explained[best - 1 : best + 2])
         left = (np.sum(np.abs(spectra) ** 2) - explained[best]) / (len(spectra) * (spectra.shape[1] - 1))
         variance = max(left, MODEL_ERROR * explained[best] / len(spectra)) * step**2 / bend
-        parts = np.add.reduceat(in_bins, np.arange(PARTS) * len(spectra) // PARTS, axis=-1)
+        # Five parts of the bins, each with its own elevation.
+        parts = np.add.reduceat(in_bins, np.arange(5) * len(spectra) // 5, axis=-1)
         shares = parts[best] / parts[best].sum()
         spread = np.sum((shares * (grid[parts.argmax(axis=0)] - grid[best])) ** 2)
         return float(grid[best] + step * offset), float(np.sqrt(max(variance, spread)))
 
     def backgrounds(self, rows: Index, elevations: F64) -> F64:
-        """Power of noise and ground that targets at elevations have in their rows and those beside them."""
+        """Power of noise and ground at the elevations of targets, in their rows and the adjacent ones."""
         beams = self.beams.response(elevations, float(np.mean(self.bins.aspects)))
         found = np.empty(len(rows))
         for target, (row, beam) in enumerate(zip(rows.tolist(), beams, strict=True)):
@@ -240,7 +230,7 @@ class Search:
 
 
 def centres_of(spectra: C128, frequencies: F64) -> tuple[F64, F64]:
-    """Where targets lie off the middle, in cells: their brightest places, and the centres of the power around these."""
+    """Distances of targets from the middle, cells: brightest positions, and centres of the power 4 cells around."""
     step = 0.125
     places = np.arange(-len(frequencies) / 2, len(frequencies) / 2, step)
     image = (spectra * np.hanning(len(frequencies))) @ np.exp(2j * np.pi * frequencies[:, None] * places)
@@ -249,6 +239,6 @@ def centres_of(spectra: C128, frequencies: F64) -> tuple[F64, F64]:
     for target, values in enumerate(power):
         best = int(np.clip(values.argmax(), 1, len(places) - 2))
         peaks[target] = places[best] + step * vertex(*values[best - 1 : best + 2])[0]
-        near = np.abs(places - peaks[target]) < MARGIN
+        near = np.abs(places - peaks[target]) < 4
         middles[target] = np.sum(places[near] * values[near]) / np.sum(values[near])
     return peaks, middles

@@ -1,4 +1,4 @@
-"""Settings of the search for what moves."""
+"""Settings of the search for movers."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from sal_height.settings import Settings, setting
 
 
 class MoverSettings(Settings):
-    """What is looked at, and how sure a mover must be."""
+    """Candidates of the search, and the likelihood that a mover must have."""
 
     prominence_db: float = setting(
         10.0,
@@ -24,7 +24,7 @@ class MoverSettings(Settings):
     )
     fastest_mps: float = setting(
         20.0,
-        "greatest radial velocity whose walk through rows is looked for, in spotlight along the flight, too; in "
+        "greatest radial velocity whose range migration is looked for, in spotlight along the flight, too; in "
         "stripmap no more than 6 rows while the beam passes; 0: none",
         unit="m/s",
         minimum=0.0,

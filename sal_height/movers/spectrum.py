@@ -14,12 +14,6 @@ from sal_height.imaging import Processing, Slc
 from sal_height.numeric import C64, C128, F64, Index
 from sal_height.sensor import Sensor, processed_angle
 
-LEAST_WEIGHT = 0.35
-"""Weight of the azimuth window, over its greatest, from which a bin is used."""
-
-SPACING_STEP = 0.005
-"""Between the spacings of nominal bins, over the spacing."""
-
 
 @dataclass(frozen=True, eq=False)
 class Bins:
@@ -27,10 +21,10 @@ class Bins:
 
     Attributes:
         pixels: number of pixels.
-        numbers: of the bins in the order of `numpy.fft.fft`, increasing with the aspect, shape (bins,).
-        aspects: under which the antenna saw what stands still and is in these bins, as a squint, rad, same shape.
-        weights: of the azimuth window, rms 1, same shape.
-        angle: that is processed, rad.
+        numbers: numbers of the bins in the order of `numpy.fft.fft`, increasing with the aspect, shape (bins,).
+        aspects: squints under which the antenna saw targets at rest that are in these bins, same shape, rad.
+        weights: weights of the azimuth window, rms 1, same shape.
+        angle: processed angle, rad.
     """
 
     pixels: int
@@ -41,19 +35,19 @@ class Bins:
 
     @classmethod
     def of(cls, slc: Slc, sensor: Sensor, pixels: int) -> Self:
-        """The bins of so many pixels of a row of an image."""
+        """The bins of a number of pixels of a row of an image: those with 0.35 of the largest weight, at least."""
         angle = processed_angle(sensor)
         off = column_aspects(slc, sensor, pixels)
         taper = Processing(azimuth_window=slc.azimuth_window, angle=angle)
         weights = taper.angle_weights(off, np.full(pixels, sensor.wavelength / (2 * slc.grid.col_spacing * pixels)))
-        used = np.flatnonzero((weights > LEAST_WEIGHT * weights.max()) & (np.abs(off) <= angle / 2))
+        used = np.flatnonzero((weights > 0.35 * weights.max()) & (np.abs(off) <= angle / 2))
         used = used[np.argsort(off[used])]
         weights = weights[used] / np.sqrt(np.mean(weights[used] ** 2))
         return cls(pixels, used, off[used], weights, angle)
 
     @property
     def frequencies(self) -> F64:
-        """In cycles per resolution cell, from -1/2 to 1/2, shape (bins,)."""
+        """Frequencies from -1/2 to 1/2, shape (bins,), cycles per resolution cell."""
         return self.aspects / self.angle
 
     @property
@@ -68,20 +62,21 @@ class Bins:
         return int(np.abs(self.aspects).argmin())
 
     def nominal(self) -> Self:
-        """Bins as many, of the nearest of some spacings, with the aspect 0 in the middle one."""
+        """As many bins, of the nearest of spacings 0.5 % apart, with the aspect 0 in the middle one."""
         spacing = (self.aspects[-1] - self.aspects[0]) / (len(self.aspects) - 1)
-        rounded = self.angle * np.exp(SPACING_STEP * np.rint(np.log(spacing / self.angle) / SPACING_STEP))
+        step = 0.005
+        rounded = self.angle * np.exp(step * np.rint(np.log(spacing / self.angle) / step))
         return replace(self, aspects=rounded * (np.arange(len(self.aspects)) - self.middle))
 
     def slowed(self, share: float) -> Self:
-        """The same for what passes the antenna at a share of the speed of the platform: its aspects are greater."""
+        """The bins of targets that pass the antenna at a fraction of its speed: their aspects are greater."""
         return replace(self, aspects=self.aspects / share, angle=self.angle / share)
 
     def spectra(self, pixels: C64 | C128) -> C128:
         """Spectra of pixels about the middle one without the window; noise has in each bin the power that pixels have.
 
         Args:
-            pixels: of images, shape (..., pixels).
+            pixels: pixels of images, shape (..., pixels).
 
         Returns:
             Complex128 of shape (..., bins).
@@ -96,7 +91,7 @@ class Bins:
         return np.asarray(np.fft.fftshift(np.fft.ifft(whole, axis=-1), axes=-1))
 
     def amplitudes(self, beams: Beams, elevation: npt.ArrayLike, lags: F64) -> C128:
-        """Of all channels for a target with each of the lags (rad), shape (..., lags, bins, channels).
+        """Amplitudes of all channels for a target with each of the lags (rad), shape (..., lags, bins, channels).
 
         The elevation (rad) is a number, or an array that broadcasts with (..., lags, bins).
         """
@@ -104,7 +99,7 @@ class Bins:
 
 
 def column_aspects(slc: Slc, sensor: Sensor, pixels: int) -> F64:
-    """Aspects of all bins of so many pixels of a row in the order of `numpy.fft.fft`, as squints, rad."""
+    """Aspects of all bins of a number of pixels of a row in the order of `numpy.fft.fft`, as squints, rad."""
     grid = slc.grid
     middle = grid.middle
     sight = middle - aperture_at(middle, slc.aperture).position

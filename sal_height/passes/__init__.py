@@ -2,8 +2,8 @@
 
 Read `flown` first (the phase history of a pass, and which passes go together), then `array` (ranges become phases: the
 response of the passes to a point at any elevation, as `Beams` that all estimators take), `boxes` (the volume in pieces
-that one response holds for), `registration` and `tie` (errors of position and phase between passes, from bright
-points), `chance` (whether these are more than chance), `points` (heights of what is bright) and `ambiguity` (heights
+that one response is valid for), `registration` and `tie` (errors of position and phase between passes, from bright
+points), `chance` (test of these against random phases), `points` (heights of bright points) and `ambiguity` (heights
 that the passes confuse).
 """
 

@@ -1,6 +1,6 @@
 """Heights that the passes confuse: sidelobes of a sparse array.
 
-With phases phi_p of a point at an offset x from the true one, the share of its power that a point there would explain
+With phases phi_p of a point at an offset x from the true one, the fraction of its power that a point there explains
 is |sum_p exp(j (phi_p(x) - phi_p(0)))|^2 / M^2. Passes at even distances have grating lobes of 1; uneven ones have
 sidelobes, which noise can raise above the peak.
 """
@@ -14,23 +14,23 @@ import numpy as np
 from sal_height.numeric import F64
 from sal_height.passes.array import Steering
 
-STEP = 0.02  # beamwidths
-FALSE_PEAK = 0.5  # share of the power from which on a sidelobe counts as another height that may be taken
+FALSE_PEAK = 0.5
+"""Least fraction of the power of a sidelobe that may be taken for the height of a point."""
 
 
 @dataclass(frozen=True, eq=False)
 class Ambiguity:
-    """What the array response of the passes looks like.
+    """Properties of the array response of the passes.
 
     Attributes:
         resolution: height over which the phases of the outermost passes turn once against each other, m.
-        width: of the main lobe at half its power, m of height.
-        sidelobe: greatest share of the power of a point at another height within `reach`.
+        width: width of the main lobe at half its power, m of height.
+        sidelobe: largest fraction of the power of a point at another height within `reach`.
         at: height of that sidelobe over the point, m.
-        first_false: nearest height with a sidelobe of FALSE_PEAK or more; infinite: there is none within `reach`.
-        reach: heights to each side that were looked at, m.
-        offsets: heights that the response was computed at, m, shape (n,).
-        response: share of the power there, shape (n,).
+        first_false: nearest height with a sidelobe of FALSE_PEAK or more, infinite without one within `reach`, m.
+        reach: largest height to each side, m.
+        offsets: heights of the response, shape (n,), m.
+        response: fraction of the power there, shape (n,).
     """
 
     resolution: float
@@ -47,12 +47,13 @@ def ambiguity_of(steering: Steering, climb: float, reach: float) -> Ambiguity:
     """The array response over heights.
 
     Args:
-        steering: of the passes.
+        steering: phases of the passes.
         climb: height for a rad of elevation, m.
-        reach: heights to each side, m.
+        reach: largest height to each side, m.
     """
     beamwidth = steering.beamwidth * climb
-    offsets = np.arange(0.0, reach / beamwidth + STEP, STEP)
+    step = 0.02  # beamwidths
+    offsets = np.arange(0.0, reach / beamwidth + step, step)
     slopes = steering.slope(0.0)
     response = np.abs(np.exp(1j * np.multiply.outer(offsets, slopes)).mean(axis=-1)) ** 2
     half = float(np.interp(-0.5, -response[: _first_rise(response)], offsets[: _first_rise(response)]))

@@ -1,13 +1,13 @@
 """The passes as an array in elevation: their response to a point of the same range and Doppler at any elevation.
 
 Range, Doppler and elevation are those from a reference aperture in the middle of the passes. Images are formed on one
-grid, so that a pixel x of pass p holds a scatterer at q with the phase
+grid, so that a pixel x of pass p has a scatterer at q with the phase
 
     phi_p = -k (mean over the pulses of |a_t - q| - |a_t - x|),    k = 4 pi / wavelength
 
 and what passes with the elevation e of q on its circle of range and Doppler is the response exp(j phi_p(e)) of a
 channel. The ranges are exact; over the few metres of a box their differences are polynomials of e to better than
-1e-6 rad. A phase that all passes share tells nothing, so that of the middle is taken off.
+1e-6 rad. A phase that all passes share is arbitrary, so that of the middle is subtracted.
 """
 
 from __future__ import annotations
@@ -27,20 +27,8 @@ from sal_height.numeric import F64, window
 from sal_height.passes.flown import Pass
 from sal_height.passes.settings import PassSettings
 
-PULSES = 17
-"""Pulses of a pass over which ranges are averaged: between them they change as a parabola of time."""
-
 DEGREE = 4
-"""Of the polynomials of elevation."""
-
-NODES = 12
-"""Elevations at which ranges are computed for a polynomial."""
-
-GUARD = 5.0
-"""Beamwidths beyond a box for which its polynomials hold: those that estimators search, and some."""
-
-LEAST_APART = 1e-4
-"""Least difference of elevation between passes, rad: of a resolution of 150 m at X band and 10 km."""
+"""Degree of the polynomials of elevation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,13 +36,12 @@ class Steering:
     """The phases of the passes about one point.
 
     Attributes:
-        elevation: of the point, rad.
-        searched: elevations from the lowest to the greatest at which scatterers are looked for, less that of the
-            point, rad.
+        elevation: elevation of the point, rad.
+        searched: lowest and greatest elevation of the search, less that of the point, rad.
         beamwidth: elevation over which the phases of two passes farthest apart turn once against each other, rad.
-        coefficients: of rising powers of (elevation - that of the point) in beamwidths, shape (passes, DEGREE + 1), of
-            the phase in rad.
-        metres: distance across range and flight for a rad of elevation: the slant range.
+        coefficients: coefficients of the phase in rising powers of (elevation - that of the point) in beamwidths, shape
+            (passes, DEGREE + 1), rad.
+        metres: distance across range and flight for a rad of elevation, the slant range, m.
     """
 
     elevation: float
@@ -98,14 +85,14 @@ def _pattern(coefficients: F64, start: float) -> Pattern:
 
 @dataclass(frozen=True, eq=False)
 class PassArray:
-    """Passes, and the aperture in their middle from which range, Doppler and elevation count.
+    """Passes, and the aperture in their middle to which range, Doppler and elevation refer.
 
     Attributes:
-        passes: cut to the same azimuths.
-        centre: of the scene in map, m, shape (3,).
-        reference: the aperture in the middle; its body axes are level, with y across the line of sight.
-        look_side: +1 right of its flight, -1 left.
-        azimuth_window: of the images.
+        passes: passes, cut to the same azimuths.
+        centre: centre of the scene in map, shape (3,), m.
+        reference: aperture in the middle; its body axes are level, with y across the line of sight.
+        look_side: side of its flight, +1 right, -1 left.
+        azimuth_window: window of the images, a name of `windows.WINDOWS`.
     """
 
     passes: tuple[Pass, ...]
@@ -121,29 +108,30 @@ class PassArray:
         Raises:
             UserError: they all see the scene from one elevation.
         """
-        ways = np.array([one.flight for one in passes])
-        ways *= np.sign(ways @ ways[0])[:, None]  # a pass flown the other way sees the same
+        flights = np.array([one.flight for one in passes])
+        flights *= np.sign(flights @ flights[0])[:, None]  # a pass in the opposite direction sees the same
         middles = np.array([one.antenna[len(one.antenna) // 2] for one in passes])
-        position, way = middles.mean(axis=0), ways.mean(axis=0)
+        position, flight = middles.mean(axis=0), flights.mean(axis=0)
         level = (centre - position) * np.array([1.0, 1.0, 0.0])
         forward = np.cross([0.0, 0.0, 1.0], level / np.linalg.norm(level))
-        forward *= np.sign(forward @ way) or 1.0
+        forward *= np.sign(forward @ flight) or 1.0
         rotation = np.column_stack([forward, np.cross([0.0, 0.0, 1.0], forward), [0.0, 0.0, 1.0]])
         side = -1 if rotation[:, 1] @ level > 0 else 1
-        length = float(np.linalg.norm(way))
-        reference = ApertureState(position, way, rotation, length, np.zeros((6, 6)))
+        length = float(np.linalg.norm(flight))
+        reference = ApertureState(position, flight, rotation, length, np.zeros((6, 6)))
         array = cls(passes, centre, reference, side, settings.azimuth_window)
         apart = float(np.ptp(array.elevations))
-        if not apart > LEAST_APART:
+        least = 1e-4  # rad: a resolution of 150 m at X band and 10 km
+        if not apart > least:
             raise UserError(
                 f"The passes see the scene from elevations that differ by {np.degrees(apart):.3g} degrees; heights "
-                f"need {np.degrees(LEAST_APART):.2g} or more."
+                f"need {np.degrees(least):.2g} or more."
             )
         return array
 
     @cached_property
     def middles(self) -> F64:
-        """Position of each antenna in the middle of its pass, m in map, shape (passes, 3)."""
+        """Position of each antenna in the middle of its pass, in map, shape (passes, 3), m."""
         return np.array([one.antenna[len(one.antenna) // 2] for one in self.passes])
 
     @property
@@ -163,7 +151,7 @@ class PassArray:
         return self.axes_at(self.centre)
 
     def axes_at(self, point: F64) -> F64:
-        """`axes` at another point (m, shape (3,)): rows, columns of an image there, and what elevation moves along."""
+        """`axes` at another point (m, shape (3,)): rows and columns of an image, and the direction of elevation."""
         sight = (point - self.reference.position) / np.linalg.norm(point - self.reference.position)
         along = self.reference.direction - (self.reference.direction @ sight) * sight
         along /= np.linalg.norm(along)
@@ -171,7 +159,7 @@ class PassArray:
         return np.stack([sight, along, across * np.sign(across[2])])
 
     def moved(self, offsets: F64) -> Self:
-        """The array with the antennas of its passes elsewhere (m, shape (passes, 3)), its reference where it was."""
+        """The array with the antennas of its passes moved by offsets (m, shape (passes, 3)), but not its reference."""
         passes = (one.moved(offset) for one, offset in zip(self.passes, offsets, strict=True))
         return replace(self, passes=tuple(passes))
 
@@ -181,34 +169,39 @@ class PassArray:
         return slant_range, (points - self.reference.position) @ self.reference.direction, elevation
 
     def steering(self, point: F64, low_m: float, high_m: float) -> Steering:
-        """The phases of the passes about a point (m, shape (3,)), for scatterers so far across from it (m)."""
+        """The phases of the passes about a point (m, shape (3,)), for scatterers between two distances across (m).
+
+        The polynomials are valid for 5 beamwidths more, which estimators search.
+        """
         slant_range, along, elevation = (float(value) for value in self.seen(point))
         searched = low_m / slant_range, high_m / slant_range
         reach = 1.5 * max(np.abs(searched))
         for _ in range(2):  # the reach needs the beamwidth
             coefficients, beamwidth = self._fitted(point, (slant_range, along, elevation), reach)
-            reach = 1.5 * max(np.abs(searched)) + GUARD * beamwidth
+            reach = 1.5 * max(np.abs(searched)) + 5 * beamwidth
         return Steering(elevation, searched, beamwidth, coefficients, slant_range)
 
     def _fitted(self, point: F64, seen: tuple[float, float, float], reach: float) -> tuple[F64, float]:
-        """Coefficients of `Steering`, good over `reach` (rad), and its beamwidth; `seen` is what `seen` says."""
+        """Coefficients of `Steering`, valid over `reach` (rad), and its beamwidth (rad); `seen` as by `seen`."""
         slant_range, along, elevation = seen
-        offsets = reach * np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES)
+        nodes = 12
+        offsets = reach * np.cos(np.pi * (np.arange(nodes) + 0.5) / nodes)
         places = locate_at_elevation(elevation + offsets, slant_range, along, self.reference, self.look_side)
         phases = np.array([self._phases(one, point, places) for one in self.passes])
         fitted = np.polynomial.polynomial.polyfit(offsets / reach, phases.T, DEGREE)
         slopes = fitted[1] / reach
         fastest, slowest = np.argmax(slopes), np.argmin(slopes)
-        # What all passes share tells nothing: the phase half way between the outermost is taken off.
+        # A phase that all passes share is arbitrary: that half way between the outermost is subtracted.
         fitted -= (fitted[:, [fastest]] + fitted[:, [slowest]]) / 2
         beamwidth = float(2 * np.pi / (slopes[fastest] - slopes[slowest]))
         scale = (beamwidth / reach) ** np.arange(DEGREE + 1)
         return (fitted * scale[:, None]).T, beamwidth
 
     def _phases(self, one: Pass, point: F64, places: F64) -> F64:
-        """Phases (rad) in a pass of scatterers at places (m, (n, 3)) in the pixel at a point, shape (n,)."""
+        """Phases (rad) in a pass of scatterers at positions (m, (n, 3)) in the pixel at a point, shape (n,)."""
         count = len(one.antenna)
-        chosen = np.unique(np.linspace(0, count - 1, min(count, PULSES)).astype(np.intp))
+        # Between 17 pulses ranges change as a parabola of time.
+        chosen = np.unique(np.linspace(0, count - 1, min(count, 17)).astype(np.intp))
         weights = window(self.azimuth_window, count)[chosen]
         antenna = one.antenna[chosen]
         sight = point - antenna
@@ -221,5 +214,5 @@ class PassArray:
 
 
 def resolution(steering: Steering) -> float:
-    """Distance across range and flight that the passes resolve: a beamwidth, m."""
+    """Resolution of the passes across range and flight, a beamwidth, m."""
     return steering.beamwidth * steering.metres

@@ -1,11 +1,10 @@
-"""The volume that is searched, in boxes along range, flight and across both, and the images of the passes in them.
+"""The volume of the search, in boxes along range, flight and across both, and the images of the passes in them.
 
-A scatterer off the plane of an image is seen by passes of different elevation at different places: across the plane by
-s, in ranges that differ by s times the difference of the elevations. So images are formed in one plane per box, and a
-box reaches only so far across it that this stays below SHIFT of a range cell; whatever its height, a scatterer is in
-register in the box that it lies in. A box knows the others by what it sees of them: scatterers are looked for at all
-heights, and those within the box are kept. In range and along the flight a box is so large that the phases of its
-middle hold (`PHASE_ERROR`).
+A scatterer at the distance s from the plane of an image is seen by passes of different elevation at ranges that differ
+by s times the difference of the elevations. So images are formed in one plane per box, and the size of a box across it
+keeps this below SHIFT of a range cell; a scatterer of any height is in register in its own box. In each box,
+scatterers are searched at all heights, and those within the box are kept. In range and along the flight the size of a
+box keeps errors of the phases of its middle below `PHASE_ERROR`.
 """
 
 from __future__ import annotations
@@ -24,19 +23,16 @@ from sal_height.passes.array import PassArray, Steering, resolution
 from sal_height.passes.settings import PassSettings
 
 SHIFT = 0.15
-"""Greatest shift between the outermost passes at the edge of a box, range cells: they lose a tenth of their power."""
+"""Largest shift between the outermost passes at the edge of a box, at a loss of a tenth of their power, range cells."""
 
 PHASE_ERROR = 0.02
-"""Greatest error at the edges of a box of phases that are computed for its middle, rad."""
+"""Largest error at the edges of a box of phases that are computed for its middle, rad."""
 
 SAMPLING = 0.5
-"""Spacing of pixels, cells of the unweighted resolution: brightest pixels are half of that from a point at most."""
+"""Spacing of pixels: brightest pixels are half of that from a point at most, cells of the unweighted resolution."""
 
 MARGIN = 3
-"""Pixels around a box in which the response of a point within is still seen."""
-
-MOST_PIXELS = 2**26
-"""In all boxes. Images are formed around bright points only."""
+"""Margin around a box for the response of a point within, pixels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +40,9 @@ class Box:
     """A part of the volume.
 
     Attributes:
-        centre: m in map, shape (3,).
-        grid: of the images, in the plane of range and flight through the centre, with MARGIN pixels around the box.
-        steering: of the passes about the centre.
+        centre: centre in map, shape (3,), m.
+        grid: grid of the images, in the plane of range and flight through the centre, MARGIN pixels around the box.
+        steering: phases of the passes about the centre.
     """
 
     centre: F64
@@ -64,12 +60,12 @@ class Lattice:
     """Boxes of one size around the middle of the scene.
 
     Attributes:
-        array: the passes.
-        side: of the square of ground that is searched, m.
-        heights: lowest and greatest that are searched, m.
-        size: of a box in range, along the flight and across both, m.
-        spacing: of pixels in range and along the flight, m.
-        response: of the images.
+        array: passes.
+        side: side of the square of ground that is searched, m.
+        heights: lowest and greatest height of the search, m.
+        size: size of a box in range, along the flight and across both, m.
+        spacing: spacing of pixels in range and along the flight, m.
+        response: response of the images.
         processing: windows of the images.
     """
 
@@ -90,7 +86,7 @@ class Lattice:
         lengths = [float(np.linalg.norm(one.flight)) for one in array.passes]
         azimuth_cell = sensor.wavelength * distance / (2 * min(lengths))
         across = 2 * SHIFT * cell / float(np.ptp(array.elevations))
-        # Over a way w the differences of the phases change by about w / distance of themselves.
+        # Over a length w the differences of the phases change by about w / distance of themselves.
         steering = array.steering(array.centre, -across / 2, across / 2)
         turned = float(np.abs(steering.slope(0.0)).max()) * across / 2 / resolution(steering)
         way = 2 * distance * PHASE_ERROR / turned
@@ -137,9 +133,9 @@ class Lattice:
         return [(int(a), int(b), int(c)) for a, b, c in every[off.all(axis=1) & level]]
 
     def on_ground(self, settings: PassSettings) -> list[Box]:
-        """One box, across the line of sight, at each place: that which the ground goes through.
+        """The box that intersects the ground, at each range and position along the flight.
 
-        They reach farther by `tie_reach_m`: points above the ground are seen beside it.
+        They reach farther by `tie_reach_m`: points above the ground are displaced in range.
         """
         half = self.side / 2 + settings.tie_reach_m
         found: dict[tuple[int, int], tuple[float, tuple[int, int, int]]] = {}
@@ -154,35 +150,36 @@ class Lattice:
         """Refuse a volume that has too many pixels.
 
         Raises:
-            UserError: it has.
+            UserError: it has more than 2^26, though images are formed around bright points only.
         """
         (low, high), grid = self.heights, self.box((0, 0, 0)).grid
         if not low < high:
             raise UserError(f"Settings lowest_m and highest_m are {low:g} and {high:g} m; the first must be less.")
         pixels = self.side**2 * (high - low) / float(np.prod(self.size)) * grid.rows * grid.cols
-        if pixels > MOST_PIXELS:
+        most = 2**26
+        if pixels > most:
             raise UserError(
                 f"The volume of {self.side:g} m x {self.side:g} m from {low:g} to {high:g} m has {pixels:.3g} pixels; "
-                f"at most {MOST_PIXELS} are allowed: choose a smaller side_m, or nearer lowest_m and highest_m."
+                f"at most {most} are allowed: choose a smaller side_m, or nearer lowest_m and highest_m."
             )
 
     def columns(self) -> list[list[tuple[int, int, int]]]:
-        """Numbers of all boxes that meet the volume: those of the same range and place along the flight together."""
+        """Numbers of all boxes that meet the volume, grouped by range and position along the flight."""
         found: dict[tuple[int, int], list[tuple[int, int, int]]] = {}
         for number in sorted(self.numbers(self.side / 2, *self.heights)):
             found.setdefault(number[:2], []).append(number)
         return list(found.values())
 
     def covers(self, points: F64, margin: float = 0.0) -> Bool:
-        """Whether points (m in map, (n, 3)) lie over the ground that is searched, or `margin` (m) beside it, (n,)."""
+        """True where points (m in map, (n, 3)) are over the searched ground, or within `margin` (m) of it, (n,)."""
         return np.asarray(np.all(np.abs(points[:, :2] - self.array.centre[:2]) <= self.side / 2 + margin, axis=1))
 
     def images(self, boxes: Sequence[Box], where: Sequence[Bool] | None = None) -> list[C64]:
         """Images of all passes in boxes, each of shape (passes, rows, cols).
 
         Args:
-            boxes: their grids.
-            where: pixels that are wanted of each, (rows, cols); the others are NaN. None: all.
+            boxes: boxes of the images.
+            where: True for the wanted pixels of each, (rows, cols); the others are NaN. None: all.
         """
         masks = [np.ones(box.grid.shape, np.bool_) for box in boxes] if where is None else where
         points = np.concatenate([box.grid.pixels()[mask] for box, mask in zip(boxes, masks, strict=True)])

@@ -1,9 +1,9 @@
-"""Whether a tie of passes is more than chance: some points agree on phases of passes whatever the phases are.
+"""Test of a tie of passes against chance: some points agree on phases of passes whatever the phases are.
 
-With as many unknowns as a phase for each pass and an elevation for each point, a quarter of points with random phases
-agree on the best choice. How many do, and how well, is found by the points themselves: in each pass their phases are
-given to each other at random, so that few belong together (a permutation test: Good, Permutation, Parametric and
-Bootstrap Tests of Hypotheses, 2005). Points that have changed between passes do no better than that.
+With a phase for each pass and an elevation for each point as unknowns, a quarter of points with random phases agree on
+the best choice. Their number and error are measured by the points themselves: in each pass their phases are permuted at
+random, so that few belong together (a permutation test: Good, Permutation, Parametric and Bootstrap Tests of
+Hypotheses, 2005). Points that have changed between passes do no better than that.
 """
 
 from __future__ import annotations
@@ -17,35 +17,28 @@ from sal_height.passes.array import PassArray
 from sal_height.passes.settings import PassSettings
 from sal_height.passes.tie import Candidates, Tie, tie_passes
 
-PERMUTATIONS = 4
-"""Ways in which phases are given to other points."""
-
-BETTER, MORE = 0.7, 2.0
-"""A tie is no chance if the error of amplitudes is below the first times that by chance, or the number of points above
-the second times that by chance. Of 40 points in 8 passes 10 +- 3 agree by chance, with an error of 0.55 +- 0.05."""
-
-FEW = 0.5
-"""Share of points that agree below which it is said."""
-
 
 def check_tie(
     tie: Tie, points: Candidates, array: PassArray, settings: PassSettings, rng: np.random.Generator
 ) -> list[str]:
-    """A sentence where few points agree on the phases of the passes.
+    """A warning where less than half of the points agree on the phases of the passes.
+
+    A tie is accepted if the error of amplitudes is below 0.7 times that by chance, or the number of points above twice
+    that by chance. Of 40 points in 8 passes 10 +- 3 agree by chance, with an error of 0.55 +- 0.05.
 
     Args:
-        tie: of the passes.
-        points: by which it was looked for.
-        array: the passes.
-        settings: with which.
-        rng: chooses whose phases points are given.
+        tie: tie of the passes.
+        points: candidates by which it was found.
+        array: passes.
+        settings: settings of the tie.
+        rng: generator of the permutations, of which there are four.
 
     Raises:
         UserError: points of random phases agree as well.
     """
     count = len(points.samples)
     errors, numbers = [], [0]
-    for _ in range(PERMUTATIONS):
+    for _ in range(4):
         phases = rng.permuted(points.samples / np.abs(points.samples), axis=0)
         nowhere = np.full(count, np.nan)
         mixed = replace(points, samples=np.abs(points.samples) * phases, known=nowhere, known_sigma=nowhere)
@@ -55,14 +48,14 @@ def check_tie(
             continue
         errors.append(by_chance.uncertainty)
         numbers.append(by_chance.points)
-    if errors and tie.uncertainty > BETTER * np.mean(errors) and tie.points < MORE * max(numbers):
+    if errors and tie.uncertainty > 0.7 * np.mean(errors) and tie.points < 2 * max(numbers):
         raise UserError(
             f"The passes cannot be tied by their phases: {tie.points} of {count} bright points agree on them, to "
             f"{tie.uncertainty:.2f} of their amplitude, as points of random phases do ({max(numbers)}, to "
             f"{np.mean(errors):.2f}); the points have changed between the passes, or most of them are several in one "
             "pixel."
         )
-    if tie.points >= FEW * count:
+    if tie.points >= 0.5 * count:
         return []
     few = (
         f"Only {tie.points} of {count} bright points agree on the phases of the passes; the others have changed "

@@ -1,4 +1,4 @@
-"""The phase history of one pass, and which passes can be taken together."""
+"""The phase history of one pass, and the choice of passes that can be processed together."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from sal_height.numeric import F64
 from sal_height.sensor import PhaseHistory, Sensor
 
 LEAST_PASSES = 3
-"""Of a point, two passes tell amplitude, phase and height: nothing is left that could show a wrong phase."""
+"""Least number of passes: two determine amplitude, phase and height of a point, and cannot show a wrong phase."""
 
 BAND_SHARE = 0.1
-"""Greatest difference of middle frequency and of bandwidth between passes, over the bandwidth."""
+"""Largest difference of middle frequency and of bandwidth between passes, over the bandwidth."""
 
 LEAST_OVERLAP = 0.5
-"""Share of the azimuths of a pass that all passes must have."""
+"""Least fraction of the azimuths of a pass that all passes must have."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pass:
-    """What one receiver collected on one pass.
+    """Data of one receiver on one pass.
 
     Attributes:
-        name: shown to users.
-        sensor: with waveform "spectrum" and one channel.
-        history: of the pulses, shape (1, pulses, frequencies).
-        antenna: position at each pulse in map, m, shape (pulses, 3).
+        name: name for users.
+        sensor: sensor with waveform "spectrum" and one channel.
+        history: phase history of the pulses, shape (1, pulses, frequencies).
+        antenna: position at each pulse in map, shape (pulses, 3), m.
     """
 
     name: str
@@ -59,7 +59,7 @@ class Pass:
         return np.asarray(np.arctan2(antenna[..., 1] - centre[1], antenna[..., 0] - centre[0]))
 
     def moved(self, offset: F64) -> Self:
-        """The pass with its antenna elsewhere by `offset` (m, shape (3,))."""
+        """The pass with its antenna moved by `offset` (m, shape (3,))."""
         return replace(self, antenna=self.antenna + offset)
 
     def of_pulses(self, which: slice) -> Self:
@@ -70,14 +70,14 @@ class Pass:
 def together(passes: Sequence[Pass], centre: F64) -> tuple[tuple[Pass, ...], tuple[str, ...]]:
     """Choose the passes that see the same ground in the same band and from the same azimuths, and cut them alike.
 
-    What most passes have is right: bands are compared with their median, azimuths with the medians of both ends.
+    Bands are compared with their median, azimuths with the medians of both ends.
 
     Args:
-        passes: in any order.
-        centre: of the scene, m in map, shape (3,).
+        passes: passes in any order.
+        centre: centre of the scene in map, shape (3,), m.
 
     Returns:
-        The passes, cut to the azimuths that all have; and a sentence on each pass that was left out.
+        The passes, cut to the azimuths that all have; and a warning about each pass that was left out.
 
     Raises:
         UserError: fewer than LEAST_PASSES are left.
@@ -157,7 +157,7 @@ def _check_azimuths(passes: Sequence[Pass], centre: F64) -> list[str]:
     first, last = np.median(ends, axis=0)
     common = np.minimum(ends[:, 1], last) - np.maximum(ends[:, 0], first)
     apart = common < LEAST_OVERLAP * np.maximum(ends[:, 1] - ends[:, 0], last - first)
-    # Half of them all must have in common: those that end farthest from where most do are left out until they have.
+    # All must have half of them in common: those whose ends differ most from the median are left out until they have.
     short = np.maximum(ends[:, 0] - first, last - ends[:, 1])
     while not apart.all() and ends[~apart, 1].min() - ends[~apart, 0].max() < LEAST_OVERLAP * (last - first):
         apart[np.argmax(np.where(apart, -np.inf, short))] = True

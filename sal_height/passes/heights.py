@@ -1,4 +1,4 @@
-"""The whole way from passes to the heights of what is bright, each step one line."""
+"""Procedure from passes to the heights of bright points, each step one line."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from sal_height.passes.settings import PassSettings
 from sal_height.passes.tie import Candidates, Tie, loosest, tie_passes
 
 ESTIMATORS_OF_PASSES = ("ml", "capon")
-"""Estimators of elevation that take complex beams and tell of a single look whether a scatterer explains it."""
+"""Estimators of elevation that accept complex beams, and test of a single look if one scatterer explains it."""
 
-OF_POINTS: Mapping[str, Any] = {"range_looks": 1, "azimuth_looks": 1, "misfit_fraction": 0.0}
-"""Settings of the estimators that suit points: one look, which leaves nothing but noise and what the passes err by.
+OF_POINTS: Mapping[str, Any] = {"range_looks": 1, "azimuth_looks": 1, "misfit_share": 0.0}
+"""Settings of the estimators for points: one look, whose residuals are noise and errors of the passes only.
 
-Of the power of ground some may be left, as parts of a pixel differ in elevation; points that have changed between the
-passes would get heights by it.
+The misfit that is allowed for ground, as parts of a pixel differ in elevation, would give heights to points that have
+changed between the passes.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class ReferencePoint:
-    """A point whose place is known.
+    """A point of known position.
 
     Attributes:
-        position: m in map, shape (3,).
-        ties: whether the passes may be tied by it; False: it is only compared with.
+        position: position in map, shape (3,), m.
+        ties: True if the passes may be tied by it; False: it is only compared with.
     """
 
     position: F64
@@ -47,15 +47,15 @@ class ReferencePoint:
 
 @dataclass(frozen=True, eq=False)
 class PassHeights:
-    """What became of the passes.
+    """Heights from passes, and the result of each step.
 
     Attributes:
-        array: the passes that were used, in place.
-        shifts: that registration took out, in range and along the flight, m, (passes, 2).
-        tie: of them.
-        ambiguity: of heights at the middle of the scene.
-        found: the points.
-        warnings: a sentence on each pass or reference point that was left out.
+        array: passes that were used, at their estimated positions.
+        shifts: shifts that registration removed, in range and along the flight, (passes, 2), m.
+        tie: tie of the passes.
+        ambiguity: ambiguity of heights at the middle of the scene.
+        found: points.
+        warnings: warning about each pass or reference point that was left out.
     """
 
     array: PassArray
@@ -77,12 +77,12 @@ def heights_from_passes(
     """Heights of bright points from several passes.
 
     Args:
-        passes: of one receiver each, over the same ground.
-        centre: of the scene, m in map, shape (3,).
-        estimator: of elevation; it must take complex beams.
-        height_settings: of the estimator.
-        settings: of the volume, and of what ties the passes.
-        references: points of known place.
+        passes: passes of one receiver each, over the same ground.
+        centre: centre of the scene in map, shape (3,), m.
+        estimator: estimator of elevation, which must accept complex beams.
+        height_settings: settings of the estimator.
+        settings: settings of the volume, and of the tie of the passes.
+        references: points of known position.
 
     Raises:
         UserError: too few passes go together, too few points tie them, or these agree no better than by chance.
@@ -114,7 +114,7 @@ def heights_from_passes(
         warnings.append(
             f"Of {given} reference points that were found {tie.references} agree with the other points, and tie them."
         )
-    # Heights of what is bright, in the whole volume.
+    # Heights of bright points, in the whole volume.
     array, tie = tie.placed(seen.lattice.array)
     lattice, least = Lattice.of(array, settings), 10 ** (settings.least_power_db / 10)
     found = find_points(lattice, tie, seen.background, estimator, height_settings, least)
@@ -126,7 +126,7 @@ def heights_from_passes(
 
 
 def _fit_together(candidates: Candidates, array: PassArray, settings: PassSettings) -> tuple[Bool, list[str]]:
-    """Which passes can be tied by their phases, and a sentence on each other one.
+    """The passes that can be tied by their phases, and a warning about each other one.
 
     Raises:
         UserError: too few can.
@@ -151,7 +151,7 @@ def _fit_together(candidates: Candidates, array: PassArray, settings: PassSettin
 def _with_references(
     candidates: Candidates, seen: Registered, references: Sequence[ReferencePoint], settings: PassSettings
 ) -> tuple[Candidates, list[str]]:
-    """The candidates of which those at reference points that tie have a known height; a sentence on each lacking."""
+    """The candidates, with known heights at reference points that tie, and a warning about each that is missing."""
     array, sentences = seen.lattice.array, []
     known, sigma = candidates.known.copy(), candidates.known_sigma.copy()
     for one in references:

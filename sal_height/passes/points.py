@@ -1,4 +1,4 @@
-"""Heights of what is bright: an estimator of elevation on the peaks of the images in all boxes."""
+"""Heights of bright points: an estimator of elevation on the peaks of the images in all boxes."""
 
 from __future__ import annotations
 
@@ -31,31 +31,11 @@ from sal_height.sensor import Channels
 
 ONE_LOOK = Window.named("boxcar", 1, 0)
 
-PLACE_FACTOR = float(np.sqrt(12) / (2 * np.pi * np.sqrt(2)))
-"""Standard deviation of the place of a point over the cell, times the root of its energy: the Cramer-Rao bound.
+POSITION_FACTOR = float(np.sqrt(12) / (2 * np.pi * np.sqrt(2)))
+"""Standard deviation of the position of a point over the cell, times the root of its energy: the Cramer-Rao bound.
 
 Of a flat spectrum of bandwidth B it is 1 / (2 pi B / sqrt(12) sqrt(2 E)) of the delay.
 """
-
-WINDOW_LOSS = 1.3
-"""What the Taylor window adds to it, and a parabola through three pixels; by Monte Carlo."""
-
-LEAST_PLACE = 0.01
-"""Standard deviation of a place that a parabola leaves of a point without noise, cells."""
-
-SAME_PLACE = 0.5
-"""Cells and beamwidths within which two points are the same one, found in two boxes."""
-
-INSIDE = 0.55
-"""Distance across from the middle of a box up to which it keeps points, over its size: boxes overlap a little."""
-
-COLUMNS_AT_ONCE = 32
-
-APART = 6
-"""Every so many boxes of a column, bright points are looked for: in those between they are up to half a cell off."""
-
-FAINT = 0.4
-"""Power of a point there, at least, over what it has in register."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,12 +43,13 @@ class PointHeights:
     """Points with a height; arrays of shape (points, ...).
 
     Attributes:
-        positions: m in map, (points, 3).
-        height: m.
-        own_covariance: of the position, m^2, (points, 3, 3).
-        common_covariance: what errors of the passes add in phase and in range, which points near each other share, m^2.
-        cnr_db: of one pass.
-        power: mean over the passes, over the background.
+        positions: positions in map, (points, 3), m.
+        height: heights, m.
+        own_covariance: covariance of the position, (points, 3, 3), m^2.
+        common_covariance: covariance by errors of phase and range of the passes, which points near each other share,
+            m^2.
+        cnr_db: ratio of clutter to noise of one pass, dB.
+        power: mean power over the passes, over the background.
     """
 
     positions: F64
@@ -111,12 +92,12 @@ class PointHeights:
 
 @dataclass(frozen=True, eq=False)
 class PointDetections:
-    """What a search of the volume found.
+    """Result of the search of the volume.
 
     Attributes:
-        points: with a height.
-        peaks: number of bright pixels that were looked at.
-        reasons: number of them by `Validity`.
+        points: points with a height.
+        peaks: number of bright pixels.
+        reasons: number of these by `Validity`.
     """
 
     points: PointHeights
@@ -135,17 +116,18 @@ def find_points(
     """Heights of the peaks of power in the volume.
 
     Args:
-        lattice: of the boxes, with the antennas where the tie has put them.
-        tie: of the passes.
-        background: power of it in each pass, (passes,).
-        estimator: of elevation.
-        settings: of the estimator.
-        least_power: of a peak, mean over the passes, over the background.
+        lattice: lattice of the boxes, with the antennas at the positions of the tie.
+        tie: tie of the passes.
+        background: power of the background in each pass, (passes,).
+        estimator: estimator of elevation.
+        settings: settings of the estimator.
+        least_power: least power of a peak, mean over the passes, over the background.
     """
+    columns_at_once = 32  # which bounds the memory
     several, reasons, peaks = [PointHeights.none()], np.zeros(256, np.int64), 0
     columns, turn = lattice.columns(), (np.exp(-1j * tie.phase) / np.sqrt(background)).astype(np.complex64)
-    for first in range(0, len(columns), COLUMNS_AT_ONCE):
-        boxes, where = _lit(lattice, columns[first : first + COLUMNS_AT_ONCE], np.abs(turn), FAINT * least_power)
+    for first in range(0, len(columns), columns_at_once):
+        boxes, where = _lit(lattice, columns[first : first + columns_at_once], np.abs(turn), least_power)
         for box, image in zip(boxes, lattice.images(boxes, where) if boxes else [], strict=True):
             seen = PowerPeaks.of(box, image * turn[:, None, None], lattice.response, least_power)
             if seen is None:
@@ -164,17 +146,18 @@ def find_points(
 def _lit(
     lattice: Lattice, columns: Sequence[Sequence[tuple[int, int, int]]], gains: F32, least_power: float
 ) -> tuple[list[Box], list[Bool]]:
-    """The boxes of columns that hold something bright, and the pixels around it.
+    """The boxes of columns with bright points, and the pixels around these.
 
-    What is in one box of a column is seen in the others in the same rows and columns, though not in register.
+    A point in one box of a column is seen in the others in the same rows and columns, though not in register. So every
+    sixth box is searched: in those between, points are up to half a cell off and have 0.4 of their power.
 
     Args:
-        lattice: of the boxes.
+        lattice: lattice of the boxes.
         columns: numbers of their boxes.
         gains: factors of the passes that make the background's power 1, (passes,).
-        least_power: of what is bright.
+        least_power: least power of a bright point in register.
     """
-    looked_at = [column[len(column) % APART // 2 :: APART] for column in columns]
+    looked_at = [column[len(column) % 6 // 2 :: 6] for column in columns]
     planes = [lattice.box(number) for numbers in looked_at for number in numbers]
     images = iter(zip(planes, lattice.images(planes), strict=True))
     boxes, where = list[Box](), list[Bool]()
@@ -183,7 +166,7 @@ def _lit(
         for _ in numbers:
             box, image = next(images)
             power = np.mean(np.abs(image * gains[:, None, None]) ** 2, axis=0)
-            row, col = (np.rint(place).astype(np.intp) for place in brightest(power, box, least_power))
+            row, col = (np.rint(place).astype(np.intp) for place in brightest(power, box, 0.4 * least_power))
             bright[row, col] = True
         if bright.any():
             around = np.ones((2 * MARGIN + 3, 2 * MARGIN + 3), np.bool_)
@@ -197,9 +180,9 @@ class PowerPeaks:
     """The peaks of power in a box.
 
     Attributes:
-        box: that they are in.
-        looks: one each, side by side, shape (1, peaks).
-        power: mean over the passes, (peaks,).
+        box: box with the peaks.
+        looks: looks, one per peak, shape (1, peaks).
+        power: mean power over the passes, (peaks,).
     """
 
     box: Box
@@ -208,7 +191,7 @@ class PowerPeaks:
 
     @classmethod
     def of(cls, box: Box, image: C64, response: CellResponse, least_power: float) -> Self | None:
-        """The peaks of an image with the background's power 1 in all passes; None: there are none."""
+        """The peaks of an image with the background's power 1 in all passes; None: it has no peak."""
         passes = len(image)
         power = np.mean(np.abs(image) ** 2, axis=0)
         row, col = brightest(power, box, least_power)
@@ -219,7 +202,8 @@ class PowerPeaks:
         looks = windowed_looks(image, (ONE_LOOK, ONE_LOOK), nowhere, alone, hermitian=True, response=response)
         here = np.rint(row).astype(np.intp), np.rint(col).astype(np.intp)
         energy = np.maximum(passes * (power[here] - 1), 1.0)
-        place = np.hypot(WINDOW_LOSS * PLACE_FACTOR / np.sqrt(energy), LEAST_PLACE)
+        # By Monte Carlo, the Taylor window and a parabola through three pixels add 1.3, and 0.01 cells without noise.
+        place = np.hypot(1.3 * POSITION_FACTOR / np.sqrt(energy), 0.01)
 
         def listed(values: F64) -> F64:
             return np.asarray(values[here])[None]
@@ -245,21 +229,21 @@ class PowerPeaks:
     def estimate(
         self, uncertainty: float, estimator: ElevationEstimator, settings: HeightSettings
     ) -> ElevationEstimate:
-        """Elevations of the scatterers in each peak, and the reasons for none; sidelobes of others count as noise."""
+        """Elevations of the scatterers in each peak, or the reason without one; sidelobes of others count as noise."""
         beams = self.box.steering.beams(uncertainty)
         found = estimator.estimate(self.looks, beams, settings)
         found = with_foreign_power(found, found.sigma**2 * (self.looks.floor - 1))
         return without_imprecise(found, settings.max_sigma_beamwidths * beams.beamwidth)
 
     def placed(self, estimate: ElevationEstimate, tie: Tie, lattice: Lattice) -> PointHeights:
-        """The peaks that hold one scatterer, within the box.
+        """The peaks with one scatterer, within the box or 5 % of its size across.
 
-        Of several in a cell, one look of a sparse array finds wrong heights too often: they get none.
+        Of several in a cell, one look of a sparse array yields wrong heights too often: they get no height.
         """
         array, grid, steering = lattice.array, self.box.grid, self.box.steering
         field = height_field(estimate, self.looks, grid, grid, array.reference, array.look_side)
         off = np.abs(estimate.scatterers[0].elevation[0] - steering.elevation)
-        inside = off <= INSIDE * lattice.size[2] / steering.metres
+        inside = off <= 0.55 * lattice.size[2] / steering.metres
         some = np.flatnonzero((field.validity[0] == Validity.OK) & inside)
         surface = field.first
         positions, common = surface.positions[0, some], np.zeros((len(some), 3, 3))
@@ -267,8 +251,8 @@ class PowerPeaks:
             offset = (array.seen(position)[2] - steering.elevation) / steering.beamwidth
             variance = tie.variance(position, steering.slope(offset), array)
             sight, _, across = array.axes_at(position)
-            way = across * steering.beamwidth * steering.metres
-            common[number] = variance * np.outer(way, way) + tie.range_sigma**2 * np.outer(sight, sight)
+            upwards = across * steering.beamwidth * steering.metres
+            common[number] = variance * np.outer(upwards, upwards) + tie.range_sigma**2 * np.outer(sight, sight)
         return PointHeights(
             positions,
             surface.height[0, some],
@@ -280,13 +264,13 @@ class PowerPeaks:
 
 
 def _once(points: PointHeights, lattice: Lattice) -> PointHeights:
-    """The points without those that another box holds more strongly."""
+    """The points without those that another box has with more power, within half a cell and beamwidth."""
     if not len(points.height):
         return points
     cells = np.array([*(2 * np.array(lattice.spacing)), resolution(lattice.steering(lattice.array.centre))])
     tree = cKDTree(points.positions @ lattice.array.axes.T / cells)
     dropped = np.zeros(len(points.height), np.bool_)
-    for first, second in tree.query_pairs(SAME_PLACE):
+    for first, second in tree.query_pairs(0.5):
         weaker = first if points.power[first] < points.power[second] else second
         dropped[weaker] = True
     return points.of(np.flatnonzero(~dropped))

@@ -1,7 +1,7 @@
 """Shifts between the images of the passes: errors of position along range and along the flight.
 
-An antenna that was elsewhere by d along the flight or towards the scene sees it moved by as much. Images of bright
-points are compared with the median of those of all passes; what is common to all cannot be seen, and does not matter.
+An antenna with an error of position d along the flight or towards the scene sees it shifted by d. Images of bright
+points are compared with the median of those of all passes; a common shift is not observable, and does not matter.
 """
 
 from __future__ import annotations
@@ -16,23 +16,17 @@ from sal_height.passes.array import PassArray
 from sal_height.passes.boxes import Box, Lattice, background
 from sal_height.passes.settings import PassSettings
 
-WORTH_MOVING = 0.25
-"""Least shift, in pixels, that is taken out; what is less, phases tell better."""
-
-ROUNDS = 2
-"""Of measuring the shifts: the second one against passes that are in place."""
-
 
 @dataclass(frozen=True, eq=False)
 class Registered:
-    """Passes whose images lie on each other.
+    """Passes with aligned images.
 
     Attributes:
-        lattice: with the antennas of the passes moved.
-        boxes: on the ground.
-        images: of all passes in these, with the background's power 1.
-        background: power of it in each pass, shape (passes,).
-        shifts: that were taken out, in range and along the flight, m, shape (passes, 2).
+        lattice: lattice with the antennas of the passes moved.
+        boxes: boxes on the ground.
+        images: images of all passes in these, with the background's power 1.
+        background: power of the background in each pass, shape (passes,).
+        shifts: shifts that were removed, in range and along the flight, shape (passes, 2), m.
     """
 
     lattice: Lattice
@@ -43,7 +37,9 @@ class Registered:
 
 
 def registered(array: PassArray, settings: PassSettings) -> Registered:
-    """Find and take out the shifts between the images of the passes.
+    """Estimate and remove the shifts between the images of the passes, twice, and those above a quarter of a pixel.
+
+    Smaller ones are estimated better from phases.
 
     Raises:
         UserError: a pass has no signal, or the volume is too large.
@@ -52,18 +48,18 @@ def registered(array: PassArray, settings: PassSettings) -> Registered:
     lattice = Lattice.of(array, settings)
     lattice.check_size()
     boxes = lattice.on_ground(settings)
-    for last in (False,) * ROUNDS + (True,):
+    for last in (False, False, True):
         images = lattice.images(boxes)
         level = background(images)
         images = [(image / np.sqrt(level)[:, None, None]).astype(np.complex64) for image in images]
         if last:
             break
         found = measured_shifts(images, lattice, settings.largest_shift_m)
-        found = np.where(np.abs(found) > WORTH_MOVING * np.array(lattice.spacing), found, 0.0)
+        found = np.where(np.abs(found) > 0.25 * np.array(lattice.spacing), found, 0.0)
         if not found.any():
             break
         shifts += found
-        # What appears too far was seen from farther back, and what appears ahead from farther behind.
+        # A scene that appears too far was seen from farther back, and one that appears ahead from farther behind.
         lattice = Lattice.of(array.moved(-shifts @ array.axes[:2]), settings)
         boxes = lattice.on_ground(settings)
     return Registered(lattice, boxes, images, level, shifts)
@@ -90,7 +86,7 @@ def measured_shifts(images: Sequence[C64], lattice: Lattice, largest: float) -> 
 
 
 def _peak(values: F64) -> F64:
-    """Place of the greatest value, by parabolas; shape (2,)."""
+    """Position of the greatest value, by parabolas; shape (2,)."""
     at = np.unravel_index(np.argmax(values), values.shape)
     place = np.array(at, np.float64)
     for axis in (0, 1):

@@ -7,7 +7,7 @@ from sal_height.settings import Settings, setting
 
 
 class PassSettings(Settings):
-    """What volume is searched, what ties the passes, and which points are reported."""
+    """Volume of the search, tie of the passes, and choice of points."""
 
     side_m: float = setting(
         80.0, "side of the square of ground that is searched", unit="m", minimum=1.0, maximum=2000.0

@@ -1,4 +1,4 @@
-"""Passes over point reflectors, as a radar on a circle around them would take them."""
+"""Passes over point reflectors by a radar on a circle around them."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ class Circle:
     """Passes on arcs of circles around the middle of the scene, which is the origin of map.
 
     Attributes:
-        elevations: over the horizon under which each pass is seen from there, rad.
-        distance: from there, m.
+        elevations: elevations over the horizon under which each pass is seen from there, rad.
+        distance: distance from there, m.
         arc: azimuths of a pass, rad.
-        pulses: of a pass.
-        frequencies: of a pulse.
+        pulses: number of pulses of a pass.
+        frequencies: number of frequencies of a pulse.
         frequency: middle of the band, Hz.
-        bandwidth: Hz.
-        speed: of flight, m/s.
+        bandwidth: bandwidth, Hz.
+        speed: speed of flight, m/s.
     """
 
     elevations: Sequence[float] = GOTCHA_ELEVATIONS
@@ -85,13 +85,13 @@ def simulated_passes(
     """Passes over point reflectors in noise.
 
     Args:
-        circle: that is flown.
-        points: m in map, shape (points, 3).
-        amplitudes: of the points in a sample, shape (points,), or (passes, points).
-        noise_power: E|n|^2 of a sample.
-        rng: of the noise.
-        phases: of the passes, rad, (passes,); None: 0.
-        offsets: of the antennas from where they are stated to be, m, shape (passes, 3); None: 0.
+        circle: arcs of the passes.
+        points: positions of the reflectors in map, shape (points, 3), m.
+        amplitudes: amplitudes of the points in a sample, shape (points,), or (passes, points).
+        noise_power: power of the noise of a sample, E|n|^2.
+        rng: generator of the noise.
+        phases: phases of the passes, (passes,), None: 0, rad.
+        offsets: offsets of the antennas from their stated positions, shape (passes, 3), None: 0, m.
     """
     count = len(circle.elevations)
     each = np.broadcast_to(amplitudes, (count, len(points)))

@@ -7,10 +7,10 @@ Pass p of point i has the phase
 phi_p the response (`array`), c_i the phase of the point, b_p a phase of the pass, l_p the line of sight, d_p an error
 of position of its antenna across that of the middle x_0. Unknown are b, d and, for each point, e and c. Adding the
 phases of one height to all b_p raises all points alike: that offset is the gauge. Points of known height fix it;
-without them the median height of the points is put on the ground. A tilt of all points is told from errors of position
-by nothing but their a-priori standard deviation.
+without them the median height of the points is that of the ground. A common tilt of all points can be separated from
+position errors only through their prior.
 
-The solution is one of least squares. Where it begins is found by trying bright points as anchors: at the phases of one
+The solution is one of least squares. It starts from the best of several bright points as anchors: at the phases of one
 of them, each other point has the elevation at which most of its power is in phase.
 """
 
@@ -29,28 +29,20 @@ from sal_height.passes.boxes import Box, brightest
 from sal_height.passes.registration import Registered
 from sal_height.passes.settings import PassSettings
 
-ANCHORS = 20
-"""Bright points that are tried as the one whose phases the others refer to."""
-
 LEAST_TIES = 5
-"""Points that must agree."""
+"""Least number of points that agree."""
 
-LEAST_POWER = 0.05
-"""Power of a point in its weakest pass over the mean: of others that have faded, the phase tells nothing."""
+ROUNDS = 25
+"""Number of times that phases and elevations are adjusted in turn."""
 
-LIFT_STEP = 0.05  # of the offsets of all points that are tried, beamwidths
-SEARCH_STEP = 0.1  # of the elevations that are tried, beamwidths
-ROUNDS = 25  # of adjusting phases and elevations by turns
-LEAST_AGREEMENT = 0.7  # share of the power of a point in phase, from which on it ties
-LEAST_PHASE_ERROR = 0.02  # rad, that points have beside noise at least: none is a point exactly
-FIXED = 1e9  # weight by which what nothing determines is held
-FIRST_PHASE_ERROR = 0.3  # rad, of the first solution
-LEAST_SHARE = 0.4  # the same, of points that tell whether a pass is in phase with the others
-CONFUSED = np.log(
-    AMBIGUOUS_RATIO
-)  # log-likelihood by which points of known height are to be in phase there, not elsewhere
-SAME_HEIGHT = 0.5  # beamwidths up to which a height is not another one
-OUTLIER = 3.0  # mean square of residuals over their variance, from which on a point is left out
+LEAST_AGREEMENT = 0.7
+"""Least fraction of the power of a point in phase for it to tie."""
+
+FIXED = 1e9
+"""Weight that fixes undetermined parameters."""
+
+CONFUSED = np.log(AMBIGUOUS_RATIO)
+"""Least log-likelihood ratio of points of known height being in phase there, against another height."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,13 +50,13 @@ class Candidates:
     """Bright points that may tie the passes.
 
     Attributes:
-        samples: of the passes, in units of the background's amplitude, shape (points, passes).
-        positions: of their pixels in map, m, shape (points, 3).
-        coefficients: of the phases about each, as in `Steering`, shape (points, passes, n).
-        elevations: of the points that the coefficients are about, rad, (points,).
-        beamwidths: rad, (points,).
-        known: offset of a point of known height in beamwidths, NaN where it is not, (points,).
-        known_sigma: of that, beamwidths.
+        samples: samples of the passes, shape (points, passes), amplitudes of the background.
+        positions: positions of their pixels in map, shape (points, 3), m.
+        coefficients: coefficients of the phases about each, as in `Steering`, shape (points, passes, n).
+        elevations: elevations at which the coefficients are 0, (points,), rad.
+        beamwidths: beamwidths, (points,), rad.
+        known: offset of a point of known height, NaN for others, (points,), beamwidths.
+        known_sigma: standard deviation of that, beamwidths.
     """
 
     samples: C128
@@ -77,10 +69,10 @@ class Candidates:
 
     @classmethod
     def of(cls, seen: Registered, settings: PassSettings) -> Self:
-        """The brightest points of the images on the ground that no pass misses.
+        """The brightest points of the images on the ground that all passes see.
 
         Raises:
-            UserError: there are too few.
+            UserError: too few points are bright.
         """
         found: list[tuple[float, C128, F64, Steering]] = []
         for box, image in zip(seen.boxes, seen.images, strict=True):
@@ -129,11 +121,11 @@ class Candidates:
         return np.einsum("ipn,in->ip", self.coefficients[..., 1:], number * offset[:, None] ** (number - 1))
 
     def in_phase(self, turned: C128, offsets: F64) -> F64:
-        """Power of each point, sum over the passes, that is in phase at offsets (beamwidths), (points, offsets).
+        """Power of each point, sum over the passes, that is in phase at offsets, (points, offsets).
 
         Args:
             turned: samples without the phases of the passes, (points, passes).
-            offsets: of each point, (points, offsets).
+            offsets: offsets of each point, (points, offsets), beamwidths.
         """
         powers = offsets[..., None] ** np.arange(self.coefficients.shape[2])
         phases = np.einsum("ipn,ijn->ijp", self.coefficients, powers)
@@ -141,13 +133,13 @@ class Candidates:
         return np.asarray(found / turned.shape[1])
 
     def best_offsets(self, turned: C128, reach: F64) -> tuple[F64, F64]:
-        """Offsets (beamwidths) at which most of each point's power is in phase, and its share; both (points,).
+        """Offsets (beamwidths) at which most of each point's power is in phase, and its fraction; both (points,).
 
         Args:
             turned: samples without the phases of the passes, (points, passes).
-            reach: offsets to each side that are tried, (points,).
+            reach: largest offset to each side, (points,), beamwidths.
         """
-        steps = np.linspace(-1.0, 1.0, 2 * int(np.ceil(reach.max() / SEARCH_STEP)) + 1)
+        steps = np.linspace(-1.0, 1.0, 2 * int(np.ceil(reach.max() / 0.1)) + 1)  # a tenth of a beamwidth
         offsets = reach[:, None] * steps
         share = self.in_phase(turned, offsets) / np.sum(np.abs(turned) ** 2, axis=1)[:, None]
         at = np.clip(np.argmax(share, axis=1), 1, len(steps) - 2)
@@ -163,28 +155,29 @@ def _bright_in(box: Box, image: C64, settings: PassSettings) -> list[tuple[float
     for row, col in zip(rows, cols, strict=True):
         samples = image[:, round(row), round(col)]
         each = np.abs(samples) ** 2
-        if np.all(np.isfinite(samples)) and each.min() >= LEAST_POWER * each.mean():
+        # A point that has faded in a pass has a random phase there.
+        if np.all(np.isfinite(samples)) and each.min() >= 0.05 * each.mean():
             found.append((float(each.mean()), samples.astype(np.complex128), box.grid.points(row, col), box.steering))
     return found
 
 
 @dataclass(frozen=True, eq=False)
 class Tie:
-    """What ties the passes.
+    """Phases and positions of the passes.
 
     Attributes:
-        phase: of each pass, rad, shape (passes,).
-        offset: error of position of each across the line of sight: along the flight and upwards, m, (passes, 2).
-        covariance: of phases, then of offsets, shape (3 passes, 3 passes); what the gauge leaves open is not in it.
-        uncertainty: root mean square of the error of a point's amplitude in a pass, over the amplitude, beside noise.
-        coherence: share of the power of the points that each pass has in the phase of the others, (passes,).
+        phase: phase of each pass, shape (passes,), rad.
+        offset: error of position of each across the line of sight, along the flight and upwards, (passes, 2), m.
+        covariance: covariance of phases, then of offsets, shape (3 passes, 3 passes), without the gauge.
+        uncertainty: root mean square of the relative error of a point's amplitude in a pass, in addition to noise.
+        coherence: fraction of the power of the points that each pass has in the phase of the others, (passes,).
         points: number of points that tie.
         references: number of points of known height among them.
-        positions: of the points, m in map, (points, 3).
-        range_sigma: standard deviation of the range that all points share, m: the images are brought to the median of
-            the passes' errors along the line of sight, which no phase tells.
-        elsewhere: by how much higher all points may be as well, for all that the points of known height tell, which
-            are not used then, m; NaN: these tell the height.
+        positions: positions of the points in map, (points, 3), m.
+        range_sigma: standard deviation of the range that all points share, as the images are aligned to the median of
+            the passes' errors along the line of sight, which phases cannot correct, m.
+        elsewhere: other height of all points that fits those of known height as well, which are not used then; NaN:
+            these determine the height, m.
     """
 
     phase: F64
@@ -199,7 +192,7 @@ class Tie:
     elsewhere: float = np.nan
 
     def placed(self, array: PassArray) -> tuple[PassArray, Tie]:
-        """The passes with their antennas where they were found to be, and the tie with the phases that are left."""
+        """The passes with their antennas at the estimated positions, and the tie with the remaining phases."""
         moved = self.offset @ array.axes[1:]
         sight = array.centre - array.middles
         sight /= np.linalg.norm(sight, axis=-1, keepdims=True)
@@ -211,9 +204,9 @@ class Tie:
         """Variance that the tie adds to the offset of a point, beamwidths squared; points near each other share it.
 
         Args:
-            point: m in map, shape (3,).
-            slope: of the phases there, rad per beamwidth, (passes,).
-            array: the passes.
+            point: point in map, shape (3,), m.
+            slope: slope of the phases there, (passes,), rad per beamwidth.
+            array: passes.
         """
         turning = slope - slope.mean()
         pull = turning / np.sum(turning**2)
@@ -225,8 +218,8 @@ def sensitivity(array: PassArray, points: F64) -> F64:
     """Phase (rad) that an error of position of a pass adds, per m along the flight and upwards, (points, passes, 2)."""
 
     def sight(point: F64) -> F64:
-        way = point[..., None, :] - array.middles
-        return np.asarray(way / np.linalg.norm(way, axis=-1, keepdims=True))
+        line = point[..., None, :] - array.middles
+        return np.asarray(line / np.linalg.norm(line, axis=-1, keepdims=True))
 
     turned = sight(points) - sight(array.centre)
     return array.wavenumbers[:, None] * (turned @ array.axes[1:].T)
@@ -241,26 +234,26 @@ class _Adjusted:
     elevation: F64
 
     def turned(self, points: Candidates, sensitive: F64) -> C128:
-        """Samples without what the passes add."""
+        """Samples without the phases of the passes."""
         return points.samples * np.exp(-1j * (self.phase + np.einsum("ipn,pn->ip", sensitive, self.offset)))
 
 
 def loosest(points: Candidates, array: PassArray, settings: PassSettings) -> tuple[int, float, int]:
-    """The pass that shares the phases of the others least, how much over what passes usually do, by how many points.
+    """The least coherent pass, its coherence over the median of all, and the number of points.
 
-    One pass of random phases makes points disagree that else tie; so it is looked for before these are chosen, on all
-    points of which most passes agree.
+    One pass of random phases makes points disagree that otherwise tie; so it is searched before these are chosen, on
+    all points that are in phase in most passes, with 0.4 of their power.
     """
     sensitive, reach = sensitivity(array, points.positions), _reach(points, array, settings)
     state, share = _by_turns(_anchored(points, reach), points, sensitive, reach, settings)
-    some = share >= LEAST_SHARE
+    some = share >= 0.4
     turned = state.turned(points, sensitive) * np.exp(-1j * points.phases(state.elevation))
     coherence = _coherences(turned[some])
     return int(np.argmin(coherence)), float(coherence.min() / np.median(coherence)), int(some.sum())
 
 
 def _reach(points: Candidates, array: PassArray, settings: PassSettings) -> F64:
-    """Offsets up to which the elevation of each point is looked for, beamwidths, (points,)."""
+    """Largest offsets of the elevation of each point, (points,), beamwidths."""
     return settings.tie_reach_m / _climb(points, array)
 
 
@@ -270,7 +263,7 @@ def _climb(points: Candidates, array: PassArray) -> F64:
 
 
 def tie_passes(points: Candidates, array: PassArray, settings: PassSettings) -> Tie:
-    """Tie the passes by bright points; those of known height are not used if they do not tell it (`Tie.elsewhere`).
+    """Tie the passes by bright points; those of known height are not used if ambiguous (`Tie.elsewhere`).
 
     Raises:
         UserError: too few points agree.
@@ -308,13 +301,13 @@ def _agreed(
 ) -> tuple[_Adjusted, F64, Bool]:
     """The solution of least squares by the points that agree, its covariance, and which points these are.
 
-    Two scatterers in a pixel can be nearly in phase as one; what points usually err beside noise tells them by their
-    residuals, as long as most are single.
+    Two scatterers in a pixel can be nearly in phase as one; their residuals are larger than the usual errors of points
+    in addition to noise, as long as most are single.
 
     Raises:
         UserError: too few agree.
     """
-    agree, error = agree.copy(), FIRST_PHASE_ERROR
+    agree, error = agree.copy(), 0.3  # rad, at first
     for _ in range(ROUNDS):
         if agree.sum() < LEAST_TIES:
             raise UserError(
@@ -328,13 +321,13 @@ def _agreed(
         elevation = state.elevation.copy()
         elevation[agree] = part.elevation
         state = replace(part, elevation=elevation)
-        # What points err beside their noise, in the median.
+        # Error of points in addition to noise, in the median; 0.02 rad at least, as no target is exactly a point.
         passes = residual.shape[1]
         free = passes - 2 - 3 * (passes - 1) / len(residual)
         noise = 0.5 / np.maximum(np.abs(kept.samples) ** 2, 1e-6)
         excess = np.sum(residual**2, axis=1) / max(free, 0.5) - noise.mean(axis=1)
-        settled = np.sqrt(max(LEAST_PHASE_ERROR**2, float(np.median(excess))))
-        off = np.mean(residual**2 / (noise + settled**2), axis=1) > OUTLIER
+        settled = np.sqrt(max(0.02**2, float(np.median(excess))))
+        off = np.mean(residual**2 / (noise + settled**2), axis=1) > 3
         if not off.any() and abs(settled - error) < 0.1 * error:
             break
         error = settled
@@ -343,9 +336,9 @@ def _agreed(
 
 
 def _anchored(points: Candidates, reach: F64) -> _Adjusted:
-    """The phases of the bright point at which most of the others' power is in phase."""
+    """The phases of that of the 20 brightest points at which most of the others' power is in phase."""
     best = -1.0, 0
-    for number in range(min(ANCHORS, len(points.samples))):
+    for number in range(min(20, len(points.samples))):
         anchor = points.samples[number] / np.abs(points.samples[number])
         _, share = points.best_offsets(points.samples * anchor.conj(), reach)
         best = max(best, (float(np.sum(share)), number))
@@ -357,7 +350,7 @@ def _anchored(points: Candidates, reach: F64) -> _Adjusted:
 def _by_turns(
     state: _Adjusted, points: Candidates, sensitive: F64, reach: F64, settings: PassSettings
 ) -> tuple[_Adjusted, F64]:
-    """Adjust phases to elevations, and elevations to phases, as long as something moves."""
+    """Adjust phases to elevations, and elevations to phases, in turn until they converge."""
     share = np.zeros(len(points.samples))
     for _ in range(ROUNDS):
         offset, share = points.best_offsets(state.turned(points, sensitive), reach)
@@ -379,11 +372,11 @@ def _solved(
     """One step of Gauss and Newton.
 
     Args:
-        state: to begin from.
-        points: that tie.
-        sensitive: `sensitivity` at them.
-        error: standard deviation of phases beside noise, rad.
-        settings: a-priori standard deviation of positions.
+        state: state before the step.
+        points: points that tie.
+        sensitive: sensitivity at these (`sensitivity`), rad/m.
+        error: standard deviation of phases in addition to noise, rad.
+        settings: settings with the prior of positions.
 
     Returns:
         The state after it, the covariance of phases and offsets, residuals (rad) and their weights (points, passes).
@@ -417,12 +410,12 @@ def _solved(
     normal[passes:, passes:] += np.eye(2 * passes) / variance
     right[passes:] -= state.offset.ravel() / variance
     # The gauge: a phase that all passes share and, without known points, a height that all points share.
-    held = [np.ones(passes)] + ([] if known.any() else [np.mean(slope - slope.mean(axis=1, keepdims=True), axis=0)])
-    for vector in held:
+    fixed = [np.ones(passes)] + ([] if known.any() else [np.mean(slope - slope.mean(axis=1, keepdims=True), axis=0)])
+    for vector in fixed:
         unit = vector / np.linalg.norm(vector)
         normal[:passes, :passes] += FIXED * np.outer(unit, unit)
     covariance = np.linalg.inv(normal)
-    for vector in held:
+    for vector in fixed:
         unit = vector / np.linalg.norm(vector)
         covariance[:passes, :passes] -= np.outer(unit, unit) / FIXED
     step = covariance @ right
@@ -447,14 +440,14 @@ def _levelled(state: _Adjusted, points: Candidates, sensitive: F64, reach: F64) 
 
 
 def _rival(state: _Adjusted, known: Candidates, array: PassArray, settings: PassSettings, uncertainty: float) -> float:
-    """By how much higher all points may be as well, for all that those of known height tell, m; NaN: they tell it.
+    """Other height of all points, relative to this one, that fits those of known height as well, m; NaN: none does.
 
-    Amplitudes that err by `uncertainty` count as noise.
+    Errors of amplitudes, by `uncertainty`, count as noise.
     """
     lifts = _lifts(_reach(known, array, settings))
     power = known.in_phase(state.turned(known, sensitivity(array, known.positions)), known.known[:, None] - lifts)
     likelihood = np.sum(power / (1 + uncertainty**2 * known.power)[:, None], axis=0)
-    here = np.abs(lifts) <= SAME_HEIGHT
+    here = np.abs(lifts) <= 0.5  # beamwidths: the same height
     elsewhere = np.where(here, -np.inf, likelihood)
     if likelihood[here].max() - elsewhere.max() >= CONFUSED:
         return np.nan
@@ -464,7 +457,7 @@ def _rival(state: _Adjusted, known: Candidates, array: PassArray, settings: Pass
 def _lifts(reach: F64) -> F64:
     """Lifts of all points that are tried, beamwidths: from one end of their reach to the other."""
     most = float(reach.max())
-    return np.arange(-2 * most, 2 * most, LIFT_STEP)
+    return np.arange(-2 * most, 2 * most, 0.05)
 
 
 def _lifted(state: _Adjusted, points: Candidates, lift: float) -> _Adjusted:
@@ -485,10 +478,10 @@ def _on_ground(
 
 
 def _uncertainty(turned: C128) -> float:
-    """Root mean square of the relative error of amplitudes beside noise, in the median over points.
+    """Root mean square of the relative error of amplitudes in addition to noise, in the median over points.
 
     Args:
-        turned: samples of which the phases of passes and heights are taken off, in units of noise, (points, passes).
+        turned: samples without the phases of passes and heights, (points, passes), amplitudes of the noise.
     """
     passes = turned.shape[1]
     explained = np.abs(turned.sum(axis=1)) ** 2 / passes
@@ -498,7 +491,7 @@ def _uncertainty(turned: C128) -> float:
 
 
 def _coherences(turned: C128) -> F64:
-    """Share of each pass's power in the phase of the others, over points of like weight, (passes,)."""
+    """Fraction of each pass's power in the phase of the others, over points of equal weight, (passes,)."""
     unit = turned / np.sqrt(np.mean(np.abs(turned) ** 2, axis=1, keepdims=True))
     others = unit.sum(axis=1, keepdims=True) - unit
     phasor = unit * others.conj() / np.abs(others)

@@ -1,4 +1,4 @@
-"""Which colour stands for which value."""
+"""Colours of values."""
 
 from __future__ import annotations
 
@@ -11,9 +11,6 @@ import numpy.typing as npt
 from sal_height.elevation import Validity
 from sal_height.numeric import U8
 from sal_height.relief import HeightField
-
-MOST_NUMBERS = 20_000
-"""Numbers of an image whose percentiles are looked at; more would not change them by more than a colour."""
 
 EMPTY = (18, 20, 24)
 """Red, green and blue of pixels without a value, and behind the points."""
@@ -43,7 +40,7 @@ class Span:
     """The values that colours stand for: those of the last images but for the outermost, so that none decides alone.
 
     Attributes:
-        ends: the lowest and the highest value; they differ.
+        ends: lowest and highest value, which differ.
     """
 
     def __init__(self, low: float, high: float, images: int) -> None:
@@ -57,7 +54,8 @@ class Span:
         finite = values[np.isfinite(values)]
         if not finite.size:
             return
-        first, last = np.percentile(finite[:: 1 + finite.size // MOST_NUMBERS], self._percentiles)
+        most = 20_000  # numbers; more would not change percentiles by more than a colour
+        first, last = np.percentile(finite[:: 1 + finite.size // most], self._percentiles)
         self._ends.append((float(first), float(last)))
         low, high = min(one for one, _ in self._ends), max(other for _, other in self._ends)
         wider = 0.0 if high > low else max(0.5, abs(low))
@@ -65,12 +63,12 @@ class Span:
 
 
 class Spans:
-    """What the colours of heights and of their sigmas stand for.
+    """Spans of the colours of heights and of their sigmas.
 
     Attributes:
-        heights: their span.
-        sigmas: of these.
-        are_settled: whether images that are drawn do not change them any more.
+        heights: span of the heights, m.
+        sigmas: span of the sigmas, m.
+        are_settled: True if images that are drawn do not change them any more.
     """
 
     def __init__(self, images: int = 64) -> None:
@@ -97,9 +95,9 @@ def coloured(values: npt.NDArray[np.floating], span: tuple[float, float], name: 
     """Red, green and blue of values, EMPTY where they are not finite: their shape with one more axis of 3.
 
     Args:
-        values: of any shape.
-        span: values that the first and the last colour stand for.
-        name: of a colour map of Matplotlib, such as "viridis".
+        values: values, any shape.
+        span: values of the first and the last colour.
+        name: name of a colour map of Matplotlib, such as "viridis".
     """
     low, high = span
     there = np.isfinite(values)

@@ -1,4 +1,4 @@
-"""What can be drawn, and when: plain arrays, which know neither messages nor the viewer."""
+"""Drawings and their times: plain arrays, which know neither messages nor the viewer."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from typing import Any, NamedTuple, TypeAlias
 from sal_height.numeric import F32, U8
 
 
-class Heard(NamedTuple):
-    """A message that has come, not decoded yet.
+class ReceivedMessage(NamedTuple):
+    """A message that has arrived, not decoded yet.
 
     Attributes:
-        topic: its topic, with the namespace.
-        type_name: its type, such as "sal_height_msgs/msg/HeightImage".
-        heard_ns: when it was received, or recorded, ns since the epoch.
-        read: decodes it; raises an error of any class if it cannot be decoded.
+        topic: topic, with the namespace.
+        type_name: type, such as "sal_height_msgs/msg/HeightImage".
+        received_ns: time at which it was received, or recorded, ns since the epoch.
+        read: function that decodes it, and raises an error of any class if it cannot be decoded.
     """
 
     topic: str
     type_name: str
-    heard_ns: int
+    received_ns: int
     read: Callable[[], Any]
 
 
@@ -30,7 +30,7 @@ class Picture:
     """An image in colours.
 
     Attributes:
-        path: its name in the viewer.
+        path: name in the viewer.
         pixels: red, green and blue, shape (rows, columns, 3).
     """
 
@@ -43,7 +43,7 @@ class Classes:
     """An image of the values of `Validity`.
 
     Attributes:
-        path: its name in the viewer.
+        path: name in the viewer.
         values: shape (rows, columns).
     """
 
@@ -56,12 +56,12 @@ class Cloud:
     """Points of a surface.
 
     Attributes:
-        path: their name in the viewer.
+        path: name in the viewer.
         places: shape (points, 3), m from the origin of the drawing.
         colours: red, green and blue, shape (points, 3).
         height: above the sphere, m, shape (points,).
         sigma: standard deviation of height, m, shape (points,).
-        radius: of the points, m.
+        radius: radius of the points, m.
     """
 
     path: str
@@ -77,7 +77,7 @@ class Line:
     """A line through places.
 
     Attributes:
-        path: its name in the viewer.
+        path: name in the viewer.
         places: shape (places, 3), m from the origin of the drawing.
     """
 
@@ -95,7 +95,7 @@ class Number:
 
 @dataclass(frozen=True)
 class Note:
-    """A sentence for the user, in the log of that `path`."""
+    """A message for the user, in the log of that `path`."""
 
     path: str
     text: str
@@ -108,11 +108,11 @@ class Sheet(NamedTuple):
     """Drawings of one time.
 
     Attributes:
-        stamp_ns: the sensor's time, ns since the epoch; None: not known.
-        heard_ns: when the message came that they are made of, ns since the epoch.
-        drawings: what is drawn.
+        stamp_ns: time of the sensor, None: not known, ns since the epoch.
+        received_ns: time at which their message arrived, ns since the epoch.
+        drawings: drawings.
     """
 
     stamp_ns: int | None
-    heard_ns: int
+    received_ns: int
     drawings: tuple[Drawing, ...]

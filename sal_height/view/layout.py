@@ -1,4 +1,4 @@
-"""How the views are arranged: points on the left, images beside them, and what the nodes tell below."""
+"""Arrangement of the views: points on the left, images next to them, and the numbers of the nodes below."""
 
 from __future__ import annotations
 
@@ -14,17 +14,14 @@ BEST_FIRST = ("tracked", "adjusted", "ml", "capon", "music", "canopy_ground", "s
 """Estimators in the order in which their tabs stand; the first one that is there is shown."""
 
 EYE = np.radians(30.0), np.radians(35.0)
-"""Direction from which the points are seen: beside that of the sensor, and above the horizon."""
-
-DISTANCE = 2.1
-"""From which they are seen, in half the diagonals of their box."""
+"""Direction from which the points are seen: angle from that of the sensor, and above the horizon, rad."""
 
 
 def blueprint(subject: Subject, history_s: float) -> Any:
     """The arrangement of the views for what has been drawn.
 
     Args:
-        subject: what has been drawn.
+        subject: description of all drawings.
         history_s: seconds before the time shown whose points are seen; infinity: all.
     """
     import rerun.blueprint as rrb  # noqa: PLC0415 (slow, and optional)
@@ -57,20 +54,20 @@ def _rank(path: str) -> tuple[int, str]:
 
 
 def _of_estimator(rrb: Any, path: str, subject: Subject, history_s: float) -> Any:
-    """The points of an estimator beside its images, and the images of power."""
+    """The points of an estimator next to its images, and the images of power."""
     images = [f"{path}/{name}" for name in ("height", "sigma", "validity")]
     images += [f"{power}/power" for power in subject.powers if _namespace(power) == _namespace(path)]
     views = [rrb.Spatial2DView(name=i.rpartition("/")[2], origin=f"/{i}", background=EMPTY) for i in images]
-    beside = rrb.Vertical(*views) if subject.are_wide else rrb.Horizontal(*views)
+    images_view = rrb.Vertical(*views) if subject.are_wide else rrb.Horizontal(*views)
     title = "height and sigma"
     if subject.spans:
-        heights, sigmas = map(_told, subject.spans)
+        heights, sigmas = map(_range_text, subject.spans)
         title = f"height in colours from {heights}; sigma from {sigmas}"
     points = _points(rrb, f"{WORLD}/{path}", title, subject, history_s)
-    return rrb.Horizontal(points, beside, column_shares=[3, 2], name=path)
+    return rrb.Horizontal(points, images_view, column_shares=[3, 2], name=path)
 
 
-def _told(span: tuple[float, float]) -> str:
+def _range_text(span: tuple[float, float]) -> str:
     """A span as the title of a view says it."""
     low, high = span
     digits = max(0, 2 - math.floor(math.log10(high - low)))
@@ -103,16 +100,16 @@ def _points(rrb: Any, path: str, name: str, subject: Subject, history_s: float) 
 
 
 def _eye(rrb: Any, subject: Subject) -> Any:
-    """From where all points are seen."""
+    """The position from which all points are seen, at 2.1 times half the diagonal of their box."""
     middle, (east, north), (aside, above) = np.array(subject.middle), subject.sensor, EYE
     level = [np.cos(aside) * east - np.sin(aside) * north, np.sin(aside) * east + np.cos(aside) * north]
     towards = np.array([*np.multiply(np.cos(above), level), np.sin(above)])
-    position = middle + DISTANCE * subject.size * towards
+    position = middle + 2.1 * subject.size * towards
     return rrb.EyeControls3D(position=position, look_target=middle, eye_up=(0.0, 0.0, 1.0))
 
 
 def _namespace(path: str) -> str:
-    """What precedes the last name of a path."""
+    """The part of a path before its last name."""
     return path.rpartition("/")[0]
 
 

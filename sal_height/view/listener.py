@@ -20,7 +20,7 @@ from sal_height.messages.types import DiagnosticArray
 from sal_height.nodes.guard import guarded
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import message_class
-from sal_height.view.drawings import Heard
+from sal_height.view.drawings import ReceivedMessage
 from sal_height.view.painter import COMPLEX_IMAGE, DIAGNOSTICS, HEIGHT_IMAGE, ODOMETRY, is_shown
 
 QOS = QoSProfile(depth=256, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -33,10 +33,11 @@ READERS: dict[str, Callable[[bytes], Any]] = {
     DIAGNOSTICS: partial(deserialize, kind=DiagnosticArray),
 }
 
-DISCOVERY_PERIOD_S = 0.25
-MOST_TOPICS = 100
-ITEM_BYTES = 1000  # memory of a message that waits, besides its own bytes
-WAIT_S = 0.2  # without a message, so that whoever listens can look at other things
+ITEM_BYTES = 1000
+"""Memory of a message that waits, in addition to its own bytes."""
+
+WAIT_S = 0.2
+"""Time without a message after which a reader can look at other things, s."""
 
 TOO_SLOW, LOST = "arrived while too many waited to be drawn", "got lost on their way"
 
@@ -46,7 +47,7 @@ class _Item(NamedTuple):
 
     topic: str
     type_name: str
-    heard_ns: int
+    received_ns: int
     cdr: bytes
 
     @property
@@ -56,20 +57,20 @@ class _Item(NamedTuple):
 
 
 class Listener:
-    """Takes messages as they come, in a thread of its own; the oldest make room if too many wait.
+    """Receives messages in a thread of its own; the oldest are left out if too many wait.
 
     Use as a context manager.
 
     Attributes:
-        graph: of the node that listens.
+        graph: graph of the node that subscribes.
     """
 
     def __init__(self, namespace: str, most_bytes: int, domain_id: int | None = None) -> None:
         """Listen to sensors in a namespace.
 
         Args:
-            namespace: of the topics; empty: any.
-            most_bytes: that messages may take that wait.
+            namespace: namespace of the topics; empty: any.
+            most_bytes: largest memory of messages that wait, bytes.
             domain_id: ROS domain; None: that of the environment.
         """
         self._namespace, self._most_bytes = namespace, most_bytes
@@ -81,7 +82,7 @@ class Listener:
         self._subscribed: dict[str, Subscription] = {}
         self.graph = Graph(domain_id)
         self._node = self.graph.add(Node("sal_height_view", context=self.graph.context))
-        self._node.create_timer(DISCOVERY_PERIOD_S, guarded(self._discover, self._fail))
+        self._node.create_timer(0.25, guarded(self._discover, self._fail))
         self._thread = threading.Thread(target=lambda: self.graph.spin_until(self._over.is_set), name="listener")
 
     @property
@@ -91,12 +92,12 @@ class Listener:
 
     @property
     def left_out(self) -> dict[tuple[str, str], int]:
-        """How many messages have not been handed out, by topic and reason."""
+        """Number of messages that have been left out, by topic and reason."""
         with self._changed:
             return dict(self._left_out)
 
-    def heard(self) -> Heard | None:
-        """The message that has waited longest; None if none comes for a short while."""
+    def received(self) -> ReceivedMessage | None:
+        """The message that has waited longest; None: no message arrives for WAIT_S."""
         with self._changed:
             if not self._waiting:
                 self._changed.wait(WAIT_S)
@@ -104,7 +105,7 @@ class Listener:
                 return None
             item = self._waiting.popleft()
             self._size -= item.size
-        return Heard(item.topic, item.type_name, item.heard_ns, partial(READERS[item.type_name], item.cdr))
+        return ReceivedMessage(item.topic, item.type_name, item.received_ns, partial(READERS[item.type_name], item.cdr))
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -118,10 +119,10 @@ class Listener:
         self.graph.close()
 
     def _discover(self) -> None:
-        """Subscribe to the topics to be shown that have come up."""
+        """Subscribe to new topics that are shown."""
         for topic, types in self._node.get_topic_names_and_types():
             fits = len(types) == 1 and is_shown(topic, types[0], self._namespace)
-            if fits and topic not in self._subscribed and len(self._subscribed) < MOST_TOPICS:
+            if fits and topic not in self._subscribed and len(self._subscribed) < 100:
                 self._subscribed[topic] = self._subscribe(topic, types[0])
 
     def _subscribe(self, topic: str, type_name: str) -> Subscription:
@@ -138,7 +139,7 @@ class Listener:
         )
 
     def _take(self, item: _Item) -> None:
-        """Let a message wait, and leave out the oldest for which there is no room beside it."""
+        """Let a message wait, and leave out the oldest ones beyond the limit of memory."""
         with self._changed:
             while self._waiting and self._size + item.size > self._most_bytes:
                 oldest = self._waiting.popleft()

@@ -1,4 +1,4 @@
-"""Messages to drawings: where surfaces lie, in which colours, and what the nodes tell of their work."""
+"""Drawings of messages: surfaces, their colours, and the numbers of the nodes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from sal_height.nodes.accounts.account import STAGE, Account
 from sal_height.numeric import F32, F64
 from sal_height.relief import Surface
 from sal_height.view.colours import Span, Spans, coloured
-from sal_height.view.drawings import Classes, Cloud, Drawing, Heard, Line, Note, Number, Picture, Sheet
+from sal_height.view.drawings import Classes, Cloud, Drawing, Line, Note, Number, Picture, ReceivedMessage, Sheet
 from sal_height.view.track import PIECE_NS, Track
 
 HEIGHT_IMAGE, COMPLEX_IMAGE = "sal_height_msgs/msg/HeightImage", "sal_height_msgs/msg/ComplexImage"
@@ -56,7 +56,7 @@ UNSETTLED_NS = 5_000_000_000
 """A track is not drawn before the first height image, near which the origin is then, unless it is that long, ns."""
 
 MOST_PATHS = 1000
-"""Names that time series may have: a viewer holds every one for good, and messages could bring ever new ones."""
+"""Names that time series may have: a viewer keeps each of them, and messages could bring ever new ones."""
 
 REMEMBERED = 64
 """Images that decide which power is white."""
@@ -70,12 +70,12 @@ LEAST_POWER = 1e-30
 
 
 def is_shown(topic: str, type_name: str, namespace: str = "") -> bool:
-    """Whether messages of a topic are drawn.
+    """True if messages of a topic are drawn.
 
     Args:
-        topic: its name, with the namespace.
-        type_name: of its messages.
-        namespace: that sensors must be in; empty: any. /diagnostics belongs to all.
+        topic: name, with the namespace.
+        type_name: type of its messages.
+        namespace: namespace of the sensors; empty: any. /diagnostics belongs to all.
     """
     if type_name == DIAGNOSTICS:
         return topic == "/diagnostics"
@@ -91,16 +91,16 @@ def estimator_of(topic: str) -> str:
 
 @dataclass(frozen=True)
 class Subject:
-    """What has been drawn so far, for the arrangement of the views.
+    """Description of all drawings so far, for the arrangement of the views.
 
     Attributes:
         estimators: paths of the height images, in the order of their names.
         powers: paths of the images of power.
-        middle: of all points, m from the origin of the drawing.
-        size: half the diagonal of the box around them, m; 0: none has been drawn.
+        middle: middle of all points, m from the origin of the drawing.
+        size: half the diagonal of the box around them, 0: no point has been drawn, m.
         sensor: east and north of a horizontal unit vector that leads to the sensor.
-        are_wide: whether the height images have more columns than rows.
-        spans: of heights and of sigmas that the colours stand for, m; None: they still change.
+        are_wide: True if the height images have more columns than rows.
+        spans: spans of the colours of heights and of sigmas; None: they still change, m.
     """
 
     estimators: tuple[str, ...] = ()
@@ -114,10 +114,10 @@ class Subject:
 
 @dataclass(eq=False)
 class _Powers:
-    """The power of the channels of a dwell that have come; `drawn` is the number of those that have been drawn."""
+    """The power of the channels of a dwell that have arrived; `drawn` is the number of those that have been drawn."""
 
     stamp_ns: int
-    heard_ns: int
+    received_ns: int
     total: F64
     channels: set[int] = field(default_factory=set)
     drawn: int = 0
@@ -127,7 +127,7 @@ class Painter:
     """Makes drawings of messages.
 
     Positions are relative to an origin near the first image, because viewers calculate in single precision. What is
-    drawn of /diagnostics gets the stamp of the data that came last.
+    drawn of /diagnostics gets the stamp of the latest data.
     """
 
     def __init__(self, map_frame: str = MAP_FRAME, spans: Spans | None = None) -> None:
@@ -135,7 +135,7 @@ class Painter:
 
         Args:
             map_frame: name of the frame that all positions are in.
-            spans: that the colours stand for; None: those of the last images.
+            spans: spans of the colours; None: those of the last images.
         """
         self._map_frame = map_frame
         self._spans, self._power = spans or Spans(), Span(1.0, 99.9, REMEMBERED)
@@ -144,7 +144,7 @@ class Painter:
         self._tracks: dict[str, Track] = {}
         self._powers: dict[str, _Powers] = {}
         self._channels: dict[str, int] = {}
-        self._told: dict[str, str] = {}
+        self._reported: dict[str, str] = {}
         self._paths: set[str] = set()
         self._stamp_ns: int | None = None
         self._sensor, self._are_wide = (0.0, -1.0), False
@@ -152,7 +152,7 @@ class Painter:
 
     @property
     def subject(self) -> Subject:
-        """What has been drawn so far."""
+        """Description of all drawings so far."""
         spans = (self._spans.heights.ends, self._spans.sigmas.ends) if self._spans.are_settled else None
         names = Subject(tuple(sorted(self._surfaces)), tuple(sorted(self._channels)), spans=spans)
         if not np.isfinite(self._low).all():
@@ -166,8 +166,8 @@ class Painter:
             are_wide=self._are_wide,
         )
 
-    def paint(self, heard: Heard, message: Any) -> list[Sheet]:
-        """What a decoded message shows; there may be nothing yet.
+    def paint(self, received: ReceivedMessage, message: Any) -> list[Sheet]:
+        """Drawings of a decoded message, which may be empty at first.
 
         Raises:
             Rejected: it cannot be used.
@@ -177,18 +177,18 @@ class Painter:
             COMPLEX_IMAGE: self._paint_power,
             ODOMETRY: self._paint_track,
             DIAGNOSTICS: self._paint_accounts,
-        }[heard.type_name]
-        return list(paint(heard.topic.strip("/"), message, heard.heard_ns))
+        }[received.type_name]
+        return list(paint(received.topic.strip("/"), message, received.received_ns))
 
     def finish(self) -> list[Sheet]:
-        """What is left to be drawn when nothing more comes, or comes for a while."""
+        """The remaining drawings if no more messages arrive, or for a while."""
         sheets = [sheet for path in list(self._powers) for sheet in self._finish_power(path)]
         return [*sheets, *self._finish_tracks()]
 
-    def _paint_heights(self, topic: str, image: messages.HeightImage, heard_ns: int) -> Iterator[Sheet]:
+    def _paint_heights(self, topic: str, image: messages.HeightImage, received_ns: int) -> Iterator[Sheet]:
         field, path = field_from_message(image, self._map_frame), estimator_of(topic)
         there = field.first.is_determined
-        told = self._settle(field.first.positions[there].mean(axis=0) if there.any() else field.grid.origin)
+        notes = self._settle(field.first.positions[there].mean(axis=0) if there.any() else field.grid.origin)
         self._stamp_ns = to_ns(image.header.stamp)
         if not self._spans.are_settled:
             self._spans.add(field)
@@ -206,10 +206,10 @@ class Painter:
             Picture(f"{path}/sigma", coloured(field.first.sigma, self._spans.sigmas.ends, "viridis")),
             Classes(f"{path}/validity", field.validity),
             *clouds,
-            *told,
+            *notes,
         ]
         yield from self._finish_tracks()
-        yield Sheet(self._stamp_ns, heard_ns, tuple(drawings))
+        yield Sheet(self._stamp_ns, received_ns, tuple(drawings))
 
     def _cloud(self, path: str, surface: Surface, radius: float) -> Cloud:
         """The points of a surface, in the colours of their heights."""
@@ -222,7 +222,9 @@ class Painter:
         colours = coloured(height, self._spans.heights.ends, "viridis")
         return Cloud(path, places, colours, height.astype(np.float32), sigma.astype(np.float32), radius)
 
-    def _paint_power(self, topic: str, image: messages.ComplexImage | ReceivedImage, heard_ns: int) -> Iterator[Sheet]:
+    def _paint_power(
+        self, topic: str, image: messages.ComplexImage | ReceivedImage, received_ns: int
+    ) -> Iterator[Sheet]:
         where = f"ComplexImage of dwell {image.dwell}, channel {image.channel}"
         if image.header.frame_id != self._map_frame:
             raise Rejected(
@@ -238,39 +240,41 @@ class Painter:
             )
         samples = complex_view(image.samples, shape).astype(np.complex128)
         power, stamp_ns = samples.real**2 + samples.imag**2, to_ns(image.header.stamp)
-        held = self._powers.get(topic)
-        if held and (held.stamp_ns != stamp_ns or held.total.shape != shape or image.channel in held.channels):
+        collected = self._powers.get(topic)
+        if collected and (
+            collected.stamp_ns != stamp_ns or collected.total.shape != shape or image.channel in collected.channels
+        ):
             yield from self._finish_power(topic)
-            held = None
-        if held is None:
-            held = self._powers[topic] = _Powers(stamp_ns, heard_ns, np.zeros(shape))
-        held.total += power
-        held.channels.add(image.channel)
-        if len(held.channels) >= self._channels.get(topic, math.inf):
-            yield self._power_sheet(topic, held)
+            collected = None
+        if collected is None:
+            collected = self._powers[topic] = _Powers(stamp_ns, received_ns, np.zeros(shape))
+        collected.total += power
+        collected.channels.add(image.channel)
+        if len(collected.channels) >= self._channels.get(topic, math.inf):
+            yield self._power_sheet(topic, collected)
 
     def _finish_power(self, topic: str) -> Iterator[Sheet]:
-        """The mean power of the channels that have come, unless it has been drawn: no more are expected."""
-        held = self._powers.pop(topic)
-        if held.drawn < len(held.channels):
-            yield self._power_sheet(topic, held)
+        """The mean power of the channels that have arrived, unless it has been drawn: no more are expected."""
+        collected = self._powers.pop(topic)
+        if collected.drawn < len(collected.channels):
+            yield self._power_sheet(topic, collected)
 
-    def _power_sheet(self, topic: str, held: _Powers) -> Sheet:
-        """The mean power of the channels that have come, in dB; the next dwell is drawn when it has as many."""
-        held.drawn = len(held.channels)
-        self._channels[topic] = max(held.drawn, self._channels.get(topic, 0))
-        mean = held.total / held.drawn
+    def _power_sheet(self, topic: str, collected: _Powers) -> Sheet:
+        """The mean power of the channels that have arrived, in dB; the next dwell is drawn when it has as many."""
+        collected.drawn = len(collected.channels)
+        self._channels[topic] = max(collected.drawn, self._channels.get(topic, 0))
+        mean = collected.total / collected.drawn
         decibels = DECIBELS * np.log10(np.maximum(mean, LEAST_POWER))
         self._power.add(decibels[mean > 0])
-        self._stamp_ns = held.stamp_ns
+        self._stamp_ns = collected.stamp_ns
         picture = Picture(f"{topic}/power", coloured(decibels, self._power.ends, "gray"))
-        return Sheet(held.stamp_ns, held.heard_ns, (picture,))
+        return Sheet(collected.stamp_ns, collected.received_ns, (picture,))
 
-    def _paint_track(self, topic: str, message: Odometry | Pose, heard_ns: int) -> Iterator[Sheet]:
+    def _paint_track(self, topic: str, message: Odometry | Pose, received_ns: int) -> Iterator[Sheet]:
         pose = message if isinstance(message, Pose) else Pose.of(message)
         state = state_of_pose(pose, Frames(self._map_frame, pose.child_frame_id))
         track = self._tracks.setdefault(topic.removesuffix("/odometry"), Track())
-        waits_ns = track.add(state, heard_ns)
+        waits_ns = track.add(state, received_ns)
         if waits_ns >= (PIECE_NS if self._origin is not None else UNSETTLED_NS):
             yield from self._finish_tracks()
 
@@ -278,14 +282,14 @@ class Painter:
         """The pieces of the tracks that have not been drawn yet."""
         for path, track in self._tracks.items():
             for piece in track.pieces():
-                told = self._settle(piece.places[0] * [1.0, 1.0, 0.0])
+                notes = self._settle(piece.places[0] * [1.0, 1.0, 0.0])
                 line = Line(f"{WORLD}/{path}/track", self._placed(piece.places))
-                yield Sheet(piece.stamp_ns, piece.heard_ns, (line, *told))
+                yield Sheet(piece.stamp_ns, piece.received_ns, (line, *notes))
 
-    def _paint_accounts(self, _: str, message: DiagnosticArray, heard_ns: int) -> Iterator[Sheet]:
+    def _paint_accounts(self, _: str, message: DiagnosticArray, received_ns: int) -> Iterator[Sheet]:
         """The numbers of the nodes that process dwells, and why they left out messages."""
         drawings: list[Drawing] = []
-        told: dict[str, str] = {}
+        notes: dict[str, str] = {}
         for status in message.status:
             account = Account.of_status(status)
             if account.kind != STAGE:
@@ -294,16 +298,16 @@ class Painter:
             known = {name: number for name, number in numbers.items() if math.isfinite(number)}
             drawings += [Number(SERIES[name].format(node), number) for name, number in known.items()]
             drawings.append(Number(LOST.format(node), float(sum(account.dropped.values()))))
-            if account.last_drop and account.last_drop != self._told.get(node):
-                told[node] = account.last_drop
+            if account.last_drop and account.last_drop != self._reported.get(node):
+                notes[node] = account.last_drop
                 drawings.append(Note(TOLD.format(node), account.last_drop))
         if drawings:
             self._check_names(drawings)
-            self._told |= told
-            yield Sheet(self._stamp_ns, heard_ns, tuple(drawings))
+            self._reported |= notes
+            yield Sheet(self._stamp_ns, received_ns, tuple(drawings))
 
     def _settle(self, near: F64) -> list[Drawing]:
-        """Choose the origin, if there is none, near a position in map, and say where it is."""
+        """Choose the origin near a position in map, unless it has been chosen, and add a note of it."""
         if self._origin is not None:
             return []
         self._origin = np.round(near)

@@ -7,19 +7,16 @@ from functools import partial
 
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
-from sal_height.view.drawings import Heard
+from sal_height.view.drawings import ReceivedMessage
 from sal_height.view.painter import COMPLEX_IMAGE, DIAGNOSTICS, HEIGHT_IMAGE, Subject, estimator_of, is_shown
-
-LOOKED_AT = 64
-"""Height images that are looked at beforehand, evenly spread over the bag."""
 
 
 class Recorded:
-    """What a bag holds that can be shown.
+    """Messages of a bag that can be shown.
 
     Attributes:
-        topics: their names.
-        damage: a sentence for each part of the bag that could not be read.
+        topics: names of their topics.
+        damage: warning about each part of the bag that could not be read.
     """
 
     def __init__(self, reader: BagReader, namespace: str) -> None:
@@ -40,32 +37,32 @@ class Recorded:
 
     @property
     def subject(self) -> Subject:
-        """What the topics will show, without places."""
+        """Description of the drawings of the topics, without positions."""
         types = {name: self._reader.topics[name].type_name for name in sorted(self.topics)}
         return Subject(
             tuple(estimator_of(name) for name, type_name in types.items() if type_name == HEIGHT_IMAGE),
             tuple(name.strip("/") for name, type_name in types.items() if type_name == COMPLEX_IMAGE),
         )
 
-    def some_heights(self) -> Iterator[Heard]:
-        """Some height images of every topic, spread over the bag."""
+    def some_heights(self) -> Iterator[ReceivedMessage]:
+        """Up to 64 height images of every topic, evenly spread over the bag."""
         heights = {name: self._reader.topics[name].count for name in self.topics if self._is_height(name)}
         seen = dict.fromkeys(heights, 0)
-        for heard in self._heard(list(heights)):
-            number, count = seen[heard.topic], heights[heard.topic]
-            seen[heard.topic] += 1
-            if number * LOOKED_AT // count != (number - 1) * LOOKED_AT // count:
-                yield heard
+        for received in self._messages(list(heights)):
+            number, count = seen[received.topic], heights[received.topic]
+            seen[received.topic] += 1
+            if number * 64 // count != (number - 1) * 64 // count:
+                yield received
         self.damage.clear()  # it will be met again
 
-    def __iter__(self) -> Iterator[Heard]:
+    def __iter__(self) -> Iterator[ReceivedMessage]:
         """All messages, in the order in which they were recorded."""
-        return self._heard(self.topics)
+        return self._messages(self.topics)
 
     def _is_height(self, name: str) -> bool:
         return self._reader.topics[name].type_name == HEIGHT_IMAGE
 
-    def _heard(self, topics: list[str]) -> Iterator[Heard]:
+    def _messages(self, topics: list[str]) -> Iterator[ReceivedMessage]:
         recorded = self._reader.messages(topics) if topics else iter(())
         while True:
             try:
@@ -76,4 +73,4 @@ class Recorded:
                 self.damage.append(str(error))
                 continue
             read = partial(self._reader.decode, message.type_name, message.cdr)
-            yield Heard(message.topic, message.type_name, message.log_time_ns, read)
+            yield ReceivedMessage(message.topic, message.type_name, message.log_time_ns, read)

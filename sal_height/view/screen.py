@@ -24,7 +24,7 @@ VERSION = "0.41"
 """Of Rerun, whose interface changes from one to the next."""
 
 STAMP, CLOCK = "stamp", "clock"
-"""Timelines: the time of the sensor, and that at which messages came."""
+"""Timelines: the time of the sensor, and that at which messages arrived."""
 
 STUCK_S, LOOK_S = 30.0, 0.5
 """A viewer that takes nothing for so long is ended."""
@@ -60,8 +60,8 @@ class Screen:
     """A recording in the viewer, to which drawings are added.
 
     Attributes:
-        recording: of the package of the viewer.
-        is_open: tells whether somebody may still look at it.
+        recording: recording of the package of the viewer.
+        is_open: function that is True while somebody may still look at it.
         page: address for browsers; empty: it is no page.
     """
 
@@ -69,7 +69,7 @@ class Screen:
         """Begin an empty recording.
 
         Args:
-            name: by which the viewer lists it.
+            name: name in the list of the viewer.
             history_s: seconds before the time shown whose points are seen; infinity: all.
 
         Raises:
@@ -93,7 +93,7 @@ class Screen:
         }
 
     def begin(self) -> None:
-        """Say what holds for all time."""
+        """Log properties that do not change."""
         rr = self._rr
         classes = [(int(v), v.name.lower().replace("_", " "), VALIDITY_COLOURS[v]) for v in Validity]
         self.recording.log("/", rr.AnnotationContext(classes), rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
@@ -125,7 +125,7 @@ class Screen:
         self.recording.reset_time()
         if sheet.stamp_ns is not None:
             self.recording.set_time(STAMP, timestamp=np.datetime64(sheet.stamp_ns, "ns"))
-        self.recording.set_time(CLOCK, timestamp=np.datetime64(sheet.heard_ns, "ns"))
+        self.recording.set_time(CLOCK, timestamp=np.datetime64(sheet.received_ns, "ns"))
         for drawing in sheet.drawings:
             self.recording.log(path_of(drawing), *self._makers[type(drawing)](drawing))
 
@@ -134,7 +134,7 @@ class Screen:
         self.recording.send_blueprint(blueprint(subject, self._history_s))
 
     def hand_over(self) -> None:
-        """Wait until all has come to the viewer, but not for one that has been closed."""
+        """Wait until the viewer has received all, but not for one that has been closed."""
         with suppress(RuntimeError):
             self.recording.flush(timeout_sec=HAND_OVER_S)
 
@@ -212,10 +212,10 @@ def page_screen(port: int | None, memory_mb: int, name: str, history_s: float) -
     """A recording in a page for browsers of this machine.
 
     Args:
-        port: of the page; None: any.
-        memory_mb: of what is kept for browsers that come later.
-        name: as of `Screen`.
-        history_s: as of `Screen`.
+        port: port of the page; None: any.
+        memory_mb: size of the data that are kept for browsers that connect later, MB.
+        name: name, as of `Screen`.
+        history_s: seconds of points that are shown, as of `Screen`, s.
 
     Raises:
         UserError: Rerun is not installed, or the port is in use.
@@ -228,7 +228,7 @@ def page_screen(port: int | None, memory_mb: int, name: str, history_s: float) -
 
 @contextmanager
 def _connected(screen: Screen, viewer: Viewer) -> Iterator[None]:
-    """The recording goes to a viewer, and all of it has come there in the end.
+    """Send the recording to a viewer, which has received all of it in the end.
 
     Raises:
         UserError: the viewer has ended by an error, or had to be ended because it took nothing.

@@ -12,7 +12,7 @@ from sal_height.errors import Rejected, UserError
 from sal_height.graph.interruption import Interruption
 from sal_height.messages import MAP_FRAME, field_from_message
 from sal_height.view.colours import Spans
-from sal_height.view.drawings import Heard, Note, Sheet
+from sal_height.view.drawings import Note, ReceivedMessage, Sheet
 from sal_height.view.listener import Listener
 from sal_height.view.painter import Painter, Subject
 from sal_height.view.recorded import Recorded
@@ -31,12 +31,12 @@ TELL_PERIOD_S, LOOK_PERIOD_S = 1.0, 0.1
 
 @dataclass
 class Shown:
-    """What has become of messages.
+    """Account of the messages.
 
     Attributes:
         drawn: number of messages that were drawn, by topic.
         skipped: number of messages that were not, by topic and reason.
-        sentences: the first sentence of each topic and reason.
+        sentences: first warning of each topic and reason.
     """
 
     drawn: Counter[str] = field(default_factory=Counter)
@@ -56,34 +56,34 @@ class Artist:
     """Draws messages on a screen; none of them ends it."""
 
     def __init__(self, painter: Painter, screen: Screen, expected: Subject) -> None:
-        """Arrange the views for what is expected; they are arranged anew for what comes besides."""
+        """Arrange the views for the expected drawings, and again for others once they arrive."""
         self.shown = Shown()
         self._painter, self._screen = painter, screen
         self._expected = {*expected.estimators, *expected.powers}
         screen.arrange(expected)
 
-    def draw(self, heard: Heard) -> None:
+    def draw(self, received: ReceivedMessage) -> None:
         """Draw a message, or count it."""
         try:
-            message = heard.read()
+            message = received.read()
         except UserError as error:
-            self._skip(heard, UNREADABLE, str(error))
+            self._skip(received, UNREADABLE, str(error))
             return
         except Exception as error:  # noqa: BLE001 (decoders fail in many ways)
-            self._skip(heard, UNREADABLE, f"A message of type {heard.type_name} cannot be read: {_said(error)}.")
+            self._skip(received, UNREADABLE, f"A message of type {received.type_name} cannot be read: {_said(error)}.")
             return
         try:
-            sheets = self._painter.paint(heard, message)
+            sheets = self._painter.paint(received, message)
         except Rejected as error:
-            self._skip(heard, error.reason, str(error))
+            self._skip(received, error.reason, str(error))
         except Exception as error:  # noqa: BLE001 (no message may end the view)
-            self._skip(heard, UNEXPECTED, f"Unexpected failure, please report it: {_said(error)}.")
+            self._skip(received, UNEXPECTED, f"Unexpected failure, please report it: {_said(error)}.")
         else:
-            self.shown.drawn[heard.topic] += 1
+            self.shown.drawn[received.topic] += 1
             self._show(sheets)
 
     def draw_rest(self) -> None:
-        """Draw what waits for more that has not come."""
+        """Draw what waits for messages that have not arrived."""
         self._show(self._painter.finish())
 
     def arrange(self) -> None:
@@ -99,33 +99,33 @@ class Artist:
             self._expected |= drawn
             self._screen.arrange(subject)
 
-    def _skip(self, heard: Heard, reason: str, sentence: str) -> None:
+    def _skip(self, received: ReceivedMessage, reason: str, sentence: str) -> None:
         """Count a message that cannot be drawn, and say so the first time."""
-        self.shown.skipped[heard.topic, reason] += 1
-        if (heard.topic, reason) not in self.shown.sentences:
-            self.shown.sentences[heard.topic, reason] = sentence
-            self.tell(heard.heard_ns, f"{heard.topic}: {sentence}")
+        self.shown.skipped[received.topic, reason] += 1
+        if (received.topic, reason) not in self.shown.sentences:
+            self.shown.sentences[received.topic, reason] = sentence
+            self.report(received.received_ns, f"{received.topic}: {sentence}")
 
-    def tell(self, heard_ns: int, sentence: str) -> None:
+    def report(self, received_ns: int, sentence: str) -> None:
         """Say something in the viewer."""
-        self._screen.show(Sheet(None, heard_ns, (Note(SKIPPED, sentence),)))
+        self._screen.show(Sheet(None, received_ns, (Note(SKIPPED, sentence),)))
 
 
 def _said(error: Exception) -> str:
-    """What an error says, on one line without the full stop."""
+    """The text of an error, on one line without the full stop."""
     return f"{type(error).__name__}: {' '.join(str(error).split())}".rstrip(".: ")
 
 
 def show_bag(recorded: Recorded, screen: Screen, map_frame: str = MAP_FRAME) -> Shown:
     """Show all messages of a bag; `map_frame` is the name of the frame that all positions are in."""
     spans = Spans(MOST_SURFACES)
-    for heard in recorded.some_heights():
+    for received in recorded.some_heights():
         with suppress(Exception):  # it is met again when it is to be drawn
-            spans.add(field_from_message(heard.read(), map_frame))
+            spans.add(field_from_message(received.read(), map_frame))
     spans.are_settled = True
     artist = Artist(Painter(map_frame, spans), screen, recorded.subject)
-    for heard in recorded:
-        artist.draw(heard)
+    for received in recorded:
+        artist.draw(received)
     artist.draw_rest()
     artist.arrange()
     for sentence in recorded.damage:
@@ -144,17 +144,17 @@ def show_live(listener: Listener, screen: Screen, is_over: Callable[[], bool], m
         map_frame: name of the frame that all positions are in.
     """
     artist = Artist(Painter(map_frame), screen, Subject())
-    told: dict[tuple[str, str], int] = {}
+    reported: dict[tuple[str, str], int] = {}
     due = time.monotonic() + TELL_PERIOD_S
     with Interruption() as interruption, suppress(KeyboardInterrupt):
         while not is_over():
             interruption.check()
-            heard = listener.heard()
-            if heard:
-                artist.draw(heard)
+            received = listener.received()
+            if received:
+                artist.draw(received)
             if time.monotonic() >= due:
                 due += TELL_PERIOD_S
-                _tell_losses(artist, told, listener.left_out)
+                _report_losses(artist, reported, listener.left_out)
     artist.draw_rest()
     artist.shown.skipped.update(listener.left_out)
     return artist.shown
@@ -168,10 +168,10 @@ def wait_for_interrupt(screen: Screen) -> None:
             time.sleep(LOOK_PERIOD_S)
 
 
-def _tell_losses(artist: Artist, told: dict[tuple[str, str], int], left_out: dict[tuple[str, str], int]) -> None:
+def _report_losses(artist: Artist, reported: dict[tuple[str, str], int], left_out: dict[tuple[str, str], int]) -> None:
     """Say in the viewer how many messages more have not been handed out."""
     for (topic, reason), count in left_out.items():
-        more = count - told.get((topic, reason), 0)
+        more = count - reported.get((topic, reason), 0)
         if more:
-            artist.tell(time.time_ns(), f"{topic}: {more} more messages {reason}; they are not shown.")
-    told.update(left_out)
+            artist.report(time.time_ns(), f"{topic}: {more} more messages {reason}; they are not shown.")
+    reported.update(left_out)

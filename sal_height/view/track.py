@@ -28,13 +28,13 @@ class Piece(NamedTuple):
     """A part of a track without gaps.
 
     Attributes:
-        stamp_ns: of its last place, ns since the epoch.
-        heard_ns: when that came, ns since the epoch.
-        places: in map, m, shape (places, 3).
+        stamp_ns: time of its last position, ns since the epoch.
+        received_ns: time at which that arrived, ns since the epoch.
+        places: positions in map, shape (positions, 3), m.
     """
 
     stamp_ns: int
-    heard_ns: int
+    received_ns: int
     places: F64
 
 
@@ -43,17 +43,17 @@ class Track:
 
     def __init__(self) -> None:
         self._states: list[PlatformState] = []
-        self._heard_ns = 0
+        self._received_ns = 0
 
-    def add(self, state: PlatformState, heard_ns: int) -> int:
+    def add(self, state: PlatformState, received_ns: int) -> int:
         """Take a state in; the time from the first that waits to it, ns."""
         self._states.append(state)
         del self._states[:-MOST_PLACES]
-        self._heard_ns = heard_ns
+        self._received_ns = received_ns
         return abs(state.stamp_ns - self._states[0].stamp_ns)
 
     def pieces(self) -> list[Piece]:
-        """What waits, cut where the platform, or its clock, cannot have gone from one place to the next.
+        """Positions that wait, cut where the platform, or its clock, cannot have gone from one to the next.
 
         The last place is kept as the first of the next piece.
         """
@@ -61,16 +61,16 @@ class Track:
         cuts = [i + 1 for i, (one, other) in enumerate(pairwise(states)) if not _joined(one, other)]
         parts = [states[begin:end] for begin, end in zip([0, *cuts], [*cuts, len(states)], strict=True)]
         self._states = states[-1:]
-        return [_piece(part, self._heard_ns) for part in parts if len(part) > 1]
+        return [_piece(part, self._received_ns) for part in parts if len(part) > 1]
 
 
-def _piece(states: list[PlatformState], heard_ns: int) -> Piece:
+def _piece(states: list[PlatformState], received_ns: int) -> Piece:
     kept = np.unique(np.linspace(0, len(states) - 1, min(len(states), DRAWN_PLACES)).round().astype(int))
-    return Piece(states[-1].stamp_ns, heard_ns, np.array([states[i].position for i in kept]))
+    return Piece(states[-1].stamp_ns, received_ns, np.array([states[i].position for i in kept]))
 
 
 def _joined(one: PlatformState, other: PlatformState) -> bool:
-    """Whether a platform can have gone from one state to the other."""
+    """True if a platform can have gone from one state to the other."""
     step_ns = other.stamp_ns - one.stamp_ns
     way = one.velocity * step_ns * 1e-9
     off = float(np.linalg.norm(other.position - one.position - way))

@@ -34,16 +34,16 @@ class Viewer:
     """A viewer that runs; as a context manager, it ends with the context.
 
     Attributes:
-        address: at which it takes recordings.
+        address: address at which it receives recordings.
     """
 
     def __init__(self, options: list[str], port: int, memory_mb: int) -> None:
         """Start it, and wait until it listens.
 
         Args:
-            options: of the program rerun.
-            port: at which it takes recordings.
-            memory_mb: that it takes at most; it then forgets what is oldest.
+            options: options of the program rerun.
+            port: port at which it receives recordings.
+            memory_mb: largest memory, beyond which it forgets the oldest data, MB.
 
         Raises:
             UserError: it does not start.
@@ -78,7 +78,7 @@ class Viewer:
             time.sleep(LOOK_S)
 
     def is_open(self) -> bool:
-        """Whether it has not ended."""
+        """True if it has not ended."""
         return self._process.poll() is None
 
     def check(self) -> None:
@@ -140,8 +140,8 @@ def serve_page(port: int | None, memory_mb: int) -> tuple[Viewer, str]:
     """Serve the viewer as a page for browsers of this machine.
 
     Args:
-        port: of the page; data are at the next one. None: any that are free.
-        memory_mb: of what has been drawn that is kept for browsers that come later.
+        port: port of the page; data are at the next one. None: any that are free.
+        memory_mb: size of the drawings that are kept for browsers that connect later, MB.
 
     Returns:
         The process, and the address of the page.
@@ -158,16 +158,16 @@ def serve_page(port: int | None, memory_mb: int) -> tuple[Viewer, str]:
 
 
 def free_ports(count: int) -> list[int]:
-    """So many ports of this machine on which nobody listens."""
+    """A number of free ports of this machine."""
     with ExitStack() as stack:
-        held = [stack.enter_context(socket.socket()) for _ in range(count)]
-        for one in held:
+        sockets = [stack.enter_context(socket.socket()) for _ in range(count)]
+        for one in sockets:
             one.bind((LOCAL, 0))
-        return [int(one.getsockname()[1]) for one in held]
+        return [int(one.getsockname()[1]) for one in sockets]
 
 
 def _listens(port: int) -> bool:
-    """Whether a program of this machine listens on a port."""
+    """True if a program of this machine listens on a port."""
     with suppress(OSError), socket.create_connection((LOCAL, port), timeout=1.0):
         return True
     return False

@@ -13,7 +13,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from sal_height.messages.types import ComplexImage, DiagnosticArray, HeightImage, Odometry
 from sal_height.nodes.transport.graph import Graph
-from sal_height.view.drawings import Heard
+from sal_height.view.drawings import ReceivedMessage
 from sal_height.view.listener import ITEM_BYTES, LOST, TOO_SLOW, Listener
 
 TIMEOUT_S = 120.0
@@ -30,34 +30,34 @@ SENSOR = {
 }
 
 
-def heard_within(listener: Listener, enough: Callable[[], bool], take: Callable[[Heard], None]) -> None:
-    """Take what is heard until it is enough."""
+def received_within(listener: Listener, enough: Callable[[], bool], take: Callable[[ReceivedMessage], None]) -> None:
+    """Take what is received until it is enough."""
     deadline = time.monotonic() + TIMEOUT_S
     while not enough():
         assert time.monotonic() < deadline, listener.topics
-        if heard := listener.heard():
-            take(heard)
+        if received := listener.received():
+            take(received)
 
 
-def test_sensors_of_a_namespace_are_heard_whatever_their_quality_of_service(graph: Graph, domain_id: int) -> None:
+def test_sensors_of_a_namespace_are_received_whatever_their_quality_of_service(graph: Graph, domain_id: int) -> None:
     source = graph.add(Node("source", context=graph.context))
     others = {"/uav2/ml/height": (HeightImage, RELIABLE), "/uav1/phase": (Odometry, RELIABLE)}
     publishers = {t: publisher_of(source, kind, t, qos) for t, (kind, qos) in (SENSOR | others).items()}
     got: Counter[str] = Counter()
 
-    def take(heard: Heard) -> None:
-        assert isinstance(heard.read(), object)
-        assert abs(heard.heard_ns - time.time_ns()) < TIMEOUT_S * 1e9
-        got[heard.topic] += 1
+    def take(received: ReceivedMessage) -> None:
+        assert isinstance(received.read(), object)
+        assert abs(received.received_ns - time.time_ns()) < TIMEOUT_S * 1e9
+        got[received.topic] += 1
 
-    def publish_until_all_are_heard() -> bool:
+    def publish_until_all_are_received() -> bool:
         for topic, publisher in publishers.items():
             publisher.publish((SENSOR | others)[topic][0]())
         graph.spin_until(lambda: True)
         return set(got) >= set(SENSOR)
 
     with Listener("uav1", 1_000_000, domain_id) as listener:
-        heard_within(listener, publish_until_all_are_heard, take)
+        received_within(listener, publish_until_all_are_received, take)
         assert listener.topics == sorted(SENSOR)
     assert set(got) == set(SENSOR)
 
@@ -84,10 +84,10 @@ def test_a_viewer_that_takes_nothing_costs_the_oldest_messages_and_the_publisher
             listener.left_out
         )
         dwells: list[int] = []
-        heard_within(
+        received_within(
             listener,
             lambda: bool(dwells) and dwells[-1] == count - 1,
-            lambda heard: dwells.append(heard.read().dwell),
+            lambda received: dwells.append(received.read().dwell),
         )
     assert took_s < TIMEOUT_S / 4
     assert dwells == sorted(dwells)
@@ -100,7 +100,7 @@ def test_a_listener_ends_whether_it_was_used_or_not(entered: bool, domain_id: in
     listener = Listener("", 1000, domain_id)
     if entered:
         with listener:
-            assert listener.heard() is None
+            assert listener.received() is None
     else:
         listener.graph.close()
     assert not listener.graph.context.ok()

@@ -20,7 +20,7 @@ from sal_height.messages import deserialize, field_from_message, to_floats, to_s
 from sal_height.messages.types import ComplexImage, HeightImage, Odometry
 from sal_height.nodes.accounts.account import Account
 from sal_height.view.colours import EMPTY, VALIDITY_COLOURS, Span, Spans, coloured
-from sal_height.view.drawings import Classes, Cloud, Drawing, Heard, Line, Note, Number, Picture, Sheet
+from sal_height.view.drawings import Classes, Cloud, Drawing, Line, Note, Number, Picture, ReceivedMessage, Sheet
 from sal_height.view.painter import (
     COMPLEX_IMAGE,
     DIAGNOSTICS,
@@ -44,8 +44,8 @@ def recorded() -> dict[str, list[Any]]:
     return found
 
 
-def heard(topic: str, type_name: str, heard_ns: int = 1) -> Heard:
-    return Heard(topic, type_name, heard_ns, lambda: None)
+def received(topic: str, type_name: str, received_ns: int = 1) -> ReceivedMessage:
+    return ReceivedMessage(topic, type_name, received_ns, lambda: None)
 
 
 def drawings_of(sheets: list[Sheet]) -> dict[str, Drawing]:
@@ -53,7 +53,7 @@ def drawings_of(sheets: list[Sheet]) -> dict[str, Drawing]:
 
 
 def paint_heights(painter: Painter, image: HeightImage, topic: str = "/ml/height") -> dict[str, Drawing]:
-    return drawings_of(painter.paint(heard(topic, HEIGHT_IMAGE), image))
+    return drawings_of(painter.paint(received(topic, HEIGHT_IMAGE), image))
 
 
 def moved(image: HeightImage, east: float) -> HeightImage:
@@ -182,11 +182,11 @@ def test_power_is_the_mean_over_the_channels_that_came(
 
     def paint(channel: int, amplitude: float, dwell: int) -> list[Sheet]:
         image = channel_image(like, channel, amplitude, STAMP_NS + dwell)
-        return painter.paint(heard("/slc", COMPLEX_IMAGE, dwell), image)
+        return painter.paint(received("/slc", COMPLEX_IMAGE, dwell), image)
 
     assert [paint(0, 1.0, 0), paint(1, 3.0, 0)] == [[], []]
     (first,) = paint(0, 10.0, 1)  # of another dwell: the first one is over
-    assert (first.stamp_ns, first.heard_ns) == (STAMP_NS, 0)
+    assert (first.stamp_ns, first.received_ns) == (STAMP_NS, 0)
     assert first.drawings[0].path == "slc/power"
     (second,) = paint(1, 10.0, 1)  # as many channels as before: no need to wait
     assert second.stamp_ns == STAMP_NS + 1
@@ -203,7 +203,7 @@ def test_power_is_that_of_all_channels_though_the_first_dwell_was_met_in_its_mid
     for dwell, channels in enumerate([range(11, 16), range(16), range(16), range(15, -1, -1), range(16)]):
         for number, channel in enumerate(channels):
             image = channel_image(like, channel, 1.0, STAMP_NS + dwell)
-            for sheet in painter.paint(heard("/slc", COMPLEX_IMAGE), image):
+            for sheet in painter.paint(received("/slc", COMPLEX_IMAGE), image):
                 drawn[sheet.stamp_ns - STAMP_NS] += 1
                 assert dwell < 2 or number == 15
     assert [drawn[dwell] for dwell in (2, 3, 4)] == [1, 1, 1]
@@ -223,7 +223,7 @@ def test_a_track_is_drawn_in_pieces_that_join_and_is_cut_where_the_platform_jump
     times = np.arange(0.0, 20.0, 0.01)
     for seconds in times:
         east = 50.0 * (seconds if seconds < 10 else seconds - 10)  # it begins anew
-        lines += painter.paint(heard("/platform/odometry", ODOMETRY), odometry(seconds, east))
+        lines += painter.paint(received("/platform/odometry", ODOMETRY), odometry(seconds, east))
     lines += painter.finish()
     places = [s.drawings[0].places for s in lines if isinstance(s.drawings[0], Line)]
     assert 10 < len(places) < 120
@@ -243,8 +243,8 @@ def test_accounts_become_series_at_the_stamp_of_the_last_data(recorded: dict[str
     numbers = {"in": 16, "processed": 8, "offered_hz": 2.5, "achieved_hz": 2.0, "latency_p50_ms": 3.0}
     numbers |= {"latency_p95_ms": 7.0, "dropped.overload": 5, "dropped.queue full": 3}
     status.values = Account.of_numbers(numbers, "Too much came.").to_values()
-    (early,) = painter.paint(heard("/diagnostics", DIAGNOSTICS, 7), message)
-    assert (early.stamp_ns, early.heard_ns) == (None, 7)
+    (early,) = painter.paint(received("/diagnostics", DIAGNOSTICS, 7), message)
+    assert (early.stamp_ns, early.received_ns) == (None, 7)
     assert {d.path: d.value for d in early.drawings if isinstance(d, Number)} == {
         "rates/ml_height/offered": 2.5,
         "rates/ml_height/achieved": 2.0,
@@ -255,7 +255,7 @@ def test_accounts_become_series_at_the_stamp_of_the_last_data(recorded: dict[str
     assert Note("messages/ml_height", "Too much came.") in early.drawings
     image = recorded["/ml/height"][0]
     paint_heights(painter, image)
-    (late,) = painter.paint(heard("/diagnostics", DIAGNOSTICS, 8), message)
+    (late,) = painter.paint(received("/diagnostics", DIAGNOSTICS, 8), message)
     assert late.stamp_ns == image.header.stamp.sec * 10**9 + image.header.stamp.nanosec
     assert not [d for d in late.drawings if isinstance(d, Note)]  # it was told
 
@@ -267,7 +267,7 @@ def test_endless_new_names_of_nodes_are_refused(recorded: dict[str, list[Any]]) 
 
     def paint(number: int) -> None:
         message.status[0].name = f"node_{number}"
-        painter.paint(heard("/diagnostics", DIAGNOSTICS), message)
+        painter.paint(received("/diagnostics", DIAGNOSTICS), message)
 
     for number in range(MOST_PATHS):
         paint(number)
@@ -291,7 +291,7 @@ def test_images_that_cannot_be_drawn_are_refused_in_a_sentence(
     image = channel_image(recorded["/ml/height"][0], 0, 1.0, STAMP_NS)
     spoil(image)
     with pytest.raises(Rejected) as refusal:
-        Painter().paint(heard("/slc", COMPLEX_IMAGE), image)
+        Painter().paint(received("/slc", COMPLEX_IMAGE), image)
     assert refusal.value.reason == reason
     assert_one_sentence(str(refusal.value), "ComplexImage")
 
@@ -303,9 +303,9 @@ def test_another_name_of_the_map_frame_is_that_of_all_messages(recorded: dict[st
     messages = {HEIGHT_IMAGE: image, ODOMETRY: state, COMPLEX_IMAGE: power}
     for type_name, message in messages.items():
         message.header.frame_id = "odom"
-        Painter("odom").paint(heard("/x", type_name), message)
+        Painter("odom").paint(received("/x", type_name), message)
         with pytest.raises(Rejected) as refusal:
-            Painter().paint(heard("/x", type_name), message)
+            Painter().paint(received("/x", type_name), message)
         assert refusal.value.reason == "wrong frames"
 
 
@@ -325,7 +325,7 @@ def test_hostile_messages_are_drawn_or_refused_but_fail_in_no_other_way(recorded
             except Exception:  # noqa: BLE001, S112 (the middleware refuses it)
                 continue
             try:
-                sheets = painter.paint(heard(topic, type_name), decoded)
+                sheets = painter.paint(received(topic, type_name), decoded)
             except Rejected as error:
                 assert_one_sentence(str(error))
                 refused += 1

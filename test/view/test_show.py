@@ -30,7 +30,7 @@ from sal_height.messages import field_from_message, to_ns
 from sal_height.messages.types import HeightImage, Odometry
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.quality import FRAMES_QOS
-from sal_height.view.drawings import Heard, Picture, Sheet
+from sal_height.view.drawings import Picture, ReceivedMessage, Sheet
 from sal_height.view.listener import Listener
 from sal_height.view.painter import HEIGHT_IMAGE
 from sal_height.view.show import show_live
@@ -134,9 +134,9 @@ def test_a_live_graph_is_shown_until_it_is_over(
     expected = {"/ml/height": len(heights), "/platform/odometry": len(states)}
     deadline = time.monotonic() + TIMEOUT_S
     with file_screen(tmp_path / "live.rrd", "live", 10.0) as screen, Listener("", 10**7, domain_id) as listener:
-        hear, published = listener.heard, []
+        hear, published = listener.received, []
 
-        def heard() -> Heard | None:
+        def received() -> ReceivedMessage | None:
             one = hear()
             taken.update([one.topic] if one else [])
             return one
@@ -150,7 +150,7 @@ def test_a_live_graph_is_shown_until_it_is_over(
             graph.spin_until(lambda: True)
             return taken == expected or time.monotonic() > deadline
 
-        monkeypatch.setattr(listener, "heard", heard)
+        monkeypatch.setattr(listener, "received", received)
         shown = show_live(listener, screen, is_over)
     assert shown.drawn == expected
     assert not shown.skipped

@@ -24,7 +24,7 @@ from sal_height.passes.tie import Candidates, Tie, loosest, tie_passes
 ESTIMATORS_OF_PASSES = ("ml", "capon")
 """Estimators of elevation that accept complex beams, and test of a single look if one scatterer explains it."""
 
-OF_POINTS: Mapping[str, Any] = {"range_looks": 1, "azimuth_looks": 1, "misfit_share": 0.0}
+OF_POINTS: Mapping[str, Any] = {"range_looks": 1, "azimuth_looks": 1, "misfit_fraction": 0.0}
 """Settings of the estimators for points: one look, whose residuals are noise and errors of the passes only.
 
 The misfit that is allowed for ground, as parts of a pixel differ in elevation, would give heights to points that have

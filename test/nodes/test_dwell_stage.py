@@ -13,12 +13,7 @@ import pytest
 from helpers import make_sensor
 from rclpy.parameter import Parameter
 
-from sal_height.engine.dwells import (
-    SENSOR_INFO,
-    SENSOR_PORT,
-    DwellStage,
-    WholeDwell,
-)
+from sal_height.engine.dwells import SENSOR_PORT, DwellStage, WholeDwell
 from sal_height.engine.frame_items import COMPLEX_INT16, Frame
 from sal_height.engine.settings import ChannelSettings
 from sal_height.engine.stage import DwellKey, Job, Port, Result

@@ -18,7 +18,7 @@ from sal_height.nodes.transport.quality import LATCHED_QOS
 from sal_height.simulation.flight import SimulatedFlight
 
 SECOND = 1_000_000_000
-HEARD = {"rows": 46, "cols": 12, "air": "heard", "map_height_m": 120.0}
+HEARD = {"rows": 46, "cols": 12, "air": "topics", "map_height_m": 120.0}
 
 
 def test_a_temperature_in_kelvin_is_counted_and_costs_nothing(flight: SimulatedFlight) -> None:

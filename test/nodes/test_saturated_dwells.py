@@ -55,7 +55,7 @@ def test_a_strong_scene_at_a_low_full_scale_is_marked(flight: SimulatedFlight) -
 
 @pytest.mark.parametrize(("limit", "marked"), [(1.0, False), (0.0, True)])
 def test_users_choose_how_much_may_be_clipped(flight: SimulatedFlight, limit: float, marked: bool) -> None:
-    chain = StageChain(clipping_at(flight, 4.0), heights={"max_saturated_share": limit})
+    chain = StageChain(clipping_at(flight, 4.0), heights={"max_saturated_fraction": limit})
     assert marked == (HeightImage.SATURATED in np.array(seen(chain)["ml", 0].validity))
 
 

@@ -38,7 +38,7 @@ from sal_height.engine.gathering import Dwell
 from sal_height.engine.geometry_items import Aperture, check_geometry
 from sal_height.engine.height_items import Heights, packed
 from sal_height.engine.heights import HEIGHTS_ABOUT
-from sal_height.engine.kept import Latest
+from sal_height.engine.kept import RecentValues
 from sal_height.engine.mapper import ADJUSTED as PREFIX
 from sal_height.engine.settings import DwellSettings, FrameSettings
 from sal_height.engine.stage import DwellKey, Event, FileInput, Job, Notice, Port, Product, Result
@@ -259,10 +259,10 @@ class HeightAdjuster(DwellStage):
         self._references = _references_of(self._settings, self._files)
         self._history = OdometryHistory(ODOMETRY_KEPT_S)
         self._needed_ns = 0
-        self._latest = Latest[list[int]](SENSORS_KEPT, lambda: [0, 0])
+        self._latest = RecentValues[list[int]](SENSORS_KEPT, lambda: [0, 0])
         """End (ns) and number of the last dwell of each sensor that became a job, by config_hash."""
         # The heavy side.
-        self._adjusters = Latest[FlightAdjuster](SENSORS_KEPT, partial(FlightAdjuster, self._references))
+        self._adjusters = RecentValues[FlightAdjuster](SENSORS_KEPT, partial(FlightAdjuster, self._references))
 
     @classmethod
     def inputs(cls, settings: Any) -> Sequence[Port]:

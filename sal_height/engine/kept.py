@@ -68,7 +68,7 @@ class Kept(Generic[Value]):
         return value
 
 
-class Latest(Generic[Value]):
+class RecentValues(Generic[Value]):
     """Values by name, each made when it is first asked for; those that were asked for last are kept."""
 
     def __init__(self, capacity: int, make: Callable[[], Value]) -> None:

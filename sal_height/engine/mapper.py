@@ -14,7 +14,7 @@ from sal_height.elevation import ESTIMATORS
 from sal_height.engine.frames import PlacedOrigin
 from sal_height.engine.height_items import Heights
 from sal_height.engine.provenance import Provenance
-from sal_height.engine.settings import MapFrameSettings, OriginSettings
+from sal_height.engine.settings import MapFrameSettings, MapOriginSettings
 from sal_height.engine.stage import (
     Answer,
     DwellKey,
@@ -68,7 +68,7 @@ PUBLISH, SAVE, CONCLUDE = "publish", "save", "conclude"
 """Inputs of jobs of the stage's own."""
 
 
-class MapSettings(OriginSettings, MapFrameSettings, StageSettings):
+class MapSettings(MapOriginSettings, MapFrameSettings, StageSettings):
     """Settings of every stage that makes a map."""
 
     estimator: str = setting(

@@ -137,7 +137,7 @@ class ImagesDescription(Description):
 
 
 @dataclass(frozen=True, eq=False)
-class Images:
+class DescribedImages:
     """Images and their description.
 
     Attributes:
@@ -252,14 +252,14 @@ def import_slc(description: Path, files: Sequence[Path], out: Path) -> int:
     """
     content = read_yaml(description, f"Sensor {description}", f"File {description} cannot be read.")
     if any(file.suffix.lower() in NITF for file in files):
-        images = Images.of_sicd(description, content, files)
+        images = DescribedImages.of_sicd(description, content, files)
     else:
-        images = Images.of_arrays(description, content, files)
+        images = DescribedImages.of_arrays(description, content, files)
     write_images(images, out)
     return len(images.described.images)
 
 
-def write_images(images: Images, out: Path) -> None:
+def write_images(images: DescribedImages, out: Path) -> None:
     """Write a bag of images and the description of their sensor.
 
     Raises:

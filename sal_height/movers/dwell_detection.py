@@ -86,7 +86,7 @@ class ShownDwell:
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
+class MoverTrack:
     """A mover, and where other dwells show it.
 
     Attributes:
@@ -103,7 +103,7 @@ class Track:
     drift: float
     seconds: float
 
-    def covers(self, other: Track, dwells: Sequence[DwellImage]) -> bool:
+    def covers(self, other: MoverTrack, dwells: Sequence[DwellImage]) -> bool:
         """Whether another is less sure, and is this one or in its pixel in one of the dwells."""
         if other.mover.likelihood_ratio >= self.mover.likelihood_ratio:
             return False
@@ -111,7 +111,7 @@ class Track:
             return True
         return any(self._is_beside(other, dwell) for dwell in dwells)
 
-    def _is_beside(self, other: Track, dwell: DwellImage) -> bool:
+    def _is_beside(self, other: MoverTrack, dwell: DwellImage) -> bool:
         """Whether the pixels of two tracks in a dwell are those of one target."""
         (row, col), (other_row, other_col) = self._pixel(dwell), other._pixel(dwell)
         cols, beside = dwell.steps // COLUMN_STEPS, abs(col - other_col)
@@ -129,7 +129,7 @@ class _Found:
     """What was found in a dwell, and where others show it; None: no other overlaps with it."""
 
     looked: Looked | None
-    tracks: Sequence[Track]
+    tracks: Sequence[MoverTrack]
 
 
 Of = TypeVar("Of")
@@ -199,7 +199,7 @@ class DwellMovers(Generic[Of]):
         shown, images = self._held[number], [self._held[other].image for other in group]
         return find_over_dwells(images, group.index(number), shown, self._settings)
 
-    def _is_covered(self, track: Track, number: int) -> bool:
+    def _is_covered(self, track: MoverTrack, number: int) -> bool:
         """Whether what was found in another dwell covers a track of this one."""
         for other, each in enumerate(self._found):
             between = [held.image for held in self._held[min(other, number) : max(other, number) + 1]]
@@ -239,7 +239,9 @@ def find_over_dwells(dwells: Sequence[DwellImage], middle: int, shown: ShownDwel
             sighting = _sighting(seen, (step + off) / COLUMN_STEPS, off, paths)
             walk = seen.walk[0] if seen.walks else 0.0
             drift = paths.driving(seen.along[0]).drift
-            tracks.append(Track(mover_of(sighting, slc, sensor), seen.place, walk / paths.depth, drift, dwell.seconds))
+            tracks.append(
+                MoverTrack(mover_of(sighting, slc, sensor), seen.place, walk / paths.depth, drift, dwell.seconds)
+            )
     surest = without_ambiguities(one.mover for one in tracks)
     looked = Looked(surest, len(candidates), paths.ground, float(search.speeds[-1]))
     return _Found(looked, [one for one in tracks if any(one.mover is mover for mover in surest)])

@@ -13,7 +13,7 @@ from sal_height.errors import UserError
 from sal_height.geometry import ApertureState, Grid, sphere_point
 from sal_height.imaging import ImageSettings, Slc
 from sal_height.movers import DwellMovers, Looked, Mover, MoverSettings, dwell_detection
-from sal_height.movers.dwell_detection import ShownDwell, Track
+from sal_height.movers.dwell_detection import MoverTrack, ShownDwell
 from sal_height.movers.dwell_images import COLUMN_STEPS, DwellImage
 from sal_height.movers.dwell_likelihood import told, told_of_cloud
 from sal_height.movers.dwell_lobes import Lobes
@@ -287,8 +287,8 @@ def test_a_track_covers_what_is_less_sure_and_in_its_pixel_in_one_of_the_dwells(
     here, drift = np.asarray(second.grid.middle), 8 * second.grid.col_spacing / apart
     ahead = here + drift * apart * second.aperture.direction
     weak = replace(seen, position=seen.position + 100.0, likelihood_ratio=1.0)
-    surer = {speed: Track(seen, here, 0.0, speed, first.seconds) for speed in (0.0, drift)}
-    weaker = {speed: Track(weak, ahead, 0.0, speed, second.seconds) for speed in (0.0, drift)}
+    surer = {speed: MoverTrack(seen, here, 0.0, speed, first.seconds) for speed in (0.0, drift)}
+    weaker = {speed: MoverTrack(weak, ahead, 0.0, speed, second.seconds) for speed in (0.0, drift)}
     assert surer[drift].covers(weaker[0.0], [second])
     assert not surer[0.0].covers(weaker[0.0], [first, second])
     assert surer[0.0].covers(weaker[drift], [first, second])

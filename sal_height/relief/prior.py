@@ -31,8 +31,8 @@ import numpy as np
 from sal_height.errors import UserError
 from sal_height.numeric import F64, Bool
 from sal_height.relief import _tracking_kernels as kernels
-from sal_height.relief.range_tracking import MeasuredHeights, ReliefPrior
 from sal_height.relief.settings import DEFAULT_TRACKING, TrackingSettings
+from sal_height.relief.smoothing import MeasuredHeights, ReliefPrior
 
 LEAST_STEPS = 20
 """Least number of pairs of consecutive measured cells of a column from which a prior can be estimated, to a third."""

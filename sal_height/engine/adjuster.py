@@ -63,12 +63,6 @@ ODOMETRY_KEPT_S = 2e5
 """Time for which odometry is kept, longer than between passes: that of a pass may arrive before the last heights of the
 pass before. Memory is limited by the number of samples."""
 
-LONGEST_DELAY_S = 100.0
-"""Delay of the odometry's stamps up to which one that a provenance states is believed."""
-
-BETWEEN_NS = 1_000_000_000
-"""Longest time between dwells whose odometry is published as well."""
-
 KNOWN = "boresight_sigma_rad", "lever_arm_sigma_m", "odometry_delay_sigma_s"
 """Settings that the compression has as well, whose values there count if they are not 0."""
 
@@ -327,7 +321,8 @@ class HeightAdjuster(DwellStage):
         """
         delay_ns, end_ns = _delay_ns(messages[0]), _end_ns(messages[0], sensor)
         latest_ns, latest_dwell = self._latest.of(key.sensor)
-        follows = 0 <= key.stamp_ns - latest_ns <= BETWEEN_NS and key.number > latest_dwell
+        between_ns = 1_000_000_000  # longest time between dwells whose odometry is published as well
+        follows = 0 <= key.stamp_ns - latest_ns <= between_ns and key.number > latest_dwell
         begin_ns = latest_ns if follows else key.stamp_ns
         states = self._history.around(begin_ns + delay_ns, end_ns + delay_ns)
         if states:
@@ -489,4 +484,5 @@ def _end_ns(heights: Heights, sensor: Sensor) -> int:
 def _delay_ns(heights: Heights) -> int:
     """By which the odometry of a dwell is stamped too late, as its provenance states, ns."""
     delay_s = heights.provenance.compression.get("odometry_delay_s", 0.0)
-    return round(1e9 * delay_s) if isinstance(delay_s, float) and abs(delay_s) <= LONGEST_DELAY_S else 0
+    longest_delay_s = 100.0  # delay of the odometry's stamps up to which one that a provenance states is believed
+    return round(1e9 * delay_s) if isinstance(delay_s, float) and abs(delay_s) <= longest_delay_s else 0

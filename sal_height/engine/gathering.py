@@ -17,9 +17,6 @@ Item = TypeVar("Item")
 FINISHED_KEPT = 64
 """Dwells remembered after they were processed or dropped, so that their stragglers are known as late."""
 
-LONGEST_TICK_S = 0.2
-"""Longest time that one tick of the waiting clock may count: two periods of its timer."""
-
 
 @dataclass
 class Dwell(Generic[Item]):
@@ -187,6 +184,7 @@ class WaitingClock:
 
     def tick(self, now: float, busy: bool) -> None:
         """Move on to the time `now` of a steady clock, s; `busy`: there is work or work waits."""
-        step = 0.0 if self._last is None else min(now - self._last, LONGEST_TICK_S)
+        longest_tick_s = 0.2  # longest time that one tick of the waiting clock may count: two periods of its timer
+        step = 0.0 if self._last is None else min(now - self._last, longest_tick_s)
         self._last = now
         self.waited_s = 0.0 if busy else self.waited_s + step

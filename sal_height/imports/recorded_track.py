@@ -23,9 +23,6 @@ _LOG = logging.getLogger(__name__)
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
 
-LONGEST_GAP_S = 2.0
-"""Longest time between two fixes that is bridged, s: receivers give one to twenty a second."""
-
 
 def read_recorded_track(bag: Path, origin: Origin | None) -> PlatformTrack:
     """The track that a bag holds, with times counted from its first sample.
@@ -95,7 +92,8 @@ def _attitude(message: Any) -> Sample:
 
 def _merged(bag: Path, positions: Sequence[Sample], attitudes: Sequence[Sample], origin: Origin) -> list[PlatformState]:
     """A state for each attitude that positions lie around."""
-    navigation = Navigation(LONGEST_GAP_S, velocity_is_measured=False, local_to=origin)
+    longest_gap_s = 2.0  # longest time between two fixes that is bridged, s: receivers give one to twenty a second
+    navigation = Navigation(longest_gap_s, velocity_is_measured=False, local_to=origin)
     add = {"position": navigation.add_position, "attitude": navigation.add_attitude}
     kinds = (
         [(sample, kind) for sample in samples] for kind, samples in (("position", positions), ("attitude", attitudes))

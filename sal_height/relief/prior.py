@@ -37,12 +37,6 @@ from sal_height.relief.smoothing import MeasuredHeights, ReliefPrior
 LEAST_STEPS = 20
 """Least number of pairs of consecutive measured cells of a column from which a prior can be estimated, to a third."""
 
-FLATTEST = 2.0
-"""Least standard deviation of an estimated relief over that of the mean of all measurements.
-
-A smaller one cannot be told from level ground.
-"""
-
 RELIEF_OVER_ERROR = 30.0
 """Factor, of one standard deviation, by which the relief may be rougher or smoother than measurements are precise."""
 
@@ -63,9 +57,6 @@ LONGEST_STEP = 1.5
 
 TOLERANCE = 0.2
 """Length of the last step of the search, in standard deviations of what is sought; its square is the error left."""
-
-STEPS = 20
-"""Most steps of a search, which takes two in most dwells and six in the first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,6 +139,9 @@ class _Heights:
         least, low, middle, high, greatest = np.percentile(deviation[seen], [0, 16, 50, 84, 100]).tolist()
         spread = max((high - low) / 2, error)
         windows = _windows(seen, settings)
+        # Least standard deviation of an estimated relief over that of the mean of all measurements. A smaller
+        # one cannot be told from level ground.
+        flattest = 2.0
         return cls(
             deviation=np.stack([np.where(seen, deviation - middle, 0.0)[window] for window in windows]),
             precision=np.stack([precision[window] for window in windows]),
@@ -158,7 +152,7 @@ class _Heights:
             spread=spread,
             error=error,
             outliers=(settings.outlier_share, 1 / (greatest - least + error)),
-            flattest=FLATTEST * error / math.sqrt(np.count_nonzero(seen)),
+            flattest=flattest * error / math.sqrt(np.count_nonzero(seen)),
         )
 
     def vague(self) -> PriorEstimate:
@@ -243,7 +237,8 @@ def _most_likely(heights: _Heights, expected: F64, known: F64, settings: Trackin
     likelihoods = np.log(heights.likelihoods(starts)).sum(axis=1).tolist()
     merits = [likelihood - doubt(start) for likelihood, start in zip(likelihoods, starts, strict=True)]
     logs, merit = starts[int(np.argmax(merits))], max(merits)
-    for _ in range(STEPS):
+    steps = 20  # most steps of a search, which takes two in most dwells and six in the first
+    for _ in range(steps):
         rise, gained = heights.slopes(logs)
         rise -= known @ (logs - expected)
         free, total = np.where(rise > 0, logs < highest, logs > lowest), known + gained

@@ -122,15 +122,13 @@ def _between(tracked: Bool, measured: Bool) -> Bool:
 COMPANY = 3
 """Least number of the eight pixels around an outlier that must be outliers of the same height."""
 
-SAME = 3.0
-"""Standard deviations of their difference up to which two heights count as the same."""
-
 
 def in_company(surface: Surface, outlier: Bool) -> Bool:
     """Outliers that have COMPANY or more of the same height around them, shape (rows, cols)."""
     company = np.empty(outlier.shape, np.bool_)
     height, variance = np.ascontiguousarray(surface.height), np.ascontiguousarray(surface.sigma**2)
-    mark_company(height, variance, outlier, SAME, COMPANY, company)
+    same = 3.0  # standard deviations of their difference up to which two heights count as the same
+    mark_company(height, variance, outlier, same, COMPANY, company)
     return company
 
 

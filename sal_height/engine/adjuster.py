@@ -130,7 +130,7 @@ class PlacedMounting(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Adjusted:
-    """How a dwell was adjusted.
+    """Adjustment of a dwell.
 
     Attributes:
         field: its heights where they are.
@@ -340,7 +340,7 @@ class HeightAdjuster(DwellStage):
         self._latest.take_surplus()
 
     def is_hopeless(self, dwell: Dwell[Heights], missing: Rejected) -> bool:  # noqa: ARG002
-        """Whether odometry that a dwell waits for will not arrive."""
+        """True if odometry that a dwell waits for will not arrive."""
         heights, delay_ns = dwell.messages[0], _delay_ns(dwell.messages[0])
         start_ns, end_ns = dwell.key.stamp_ns + delay_ns, _end_ns(heights, dwell.sensor) + delay_ns
         return not self._history.may_cover(start_ns, end_ns, self._none_before.get(ODOMETRY, start_ns))

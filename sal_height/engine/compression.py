@@ -278,7 +278,7 @@ class Compression(DwellStage):
         )
 
     def is_hopeless(self, dwell: Dwell[Frame], missing: Rejected) -> bool:
-        """Whether odometry, air or a transform that a dwell waits for will not arrive."""
+        """True if odometry, air or a transform that a dwell waits for will not arrive."""
         settings, none_before = self._settings, self._none_before
         if missing.reason == ODOMETRY_GAP:
             start_ns = dwell.key.stamp_ns + settings.odometry_delay_ns

@@ -52,7 +52,7 @@ class Dwell(Generic[Item]):
 
     @property
     def is_whole(self) -> bool:
-        """Whether the messages of all channels have arrived."""
+        """True if the messages of all channels have arrived."""
         return self.count == self.channels
 
     @property
@@ -124,7 +124,7 @@ class DwellAssembler(Generic[Item]):
         self._latest_ns[dwell.key.sensor] = dwell.key.stamp_ns
 
     def __contains__(self, dwell: Dwell[Item]) -> bool:
-        """Whether a dwell is unfinished."""
+        """True if a dwell is unfinished."""
         return dwell.key in self._dwells
 
     def unfinished(self) -> list[Dwell[Item]]:
@@ -143,11 +143,11 @@ class DwellAssembler(Generic[Item]):
         return dwells[:-1]
 
     def is_crowded(self, capacity: int, capacity_bytes: float) -> bool:
-        """Whether the dwells are too many, or their messages take too much memory."""
+        """True if the dwells are too many, or their messages take too much memory."""
         return len(self._dwells) > capacity or self._size > capacity_bytes
 
     def is_passed(self, dwell: Dwell[Item], seconds: float) -> bool:
-        """Whether the last message of the same sensor is stamped more than `seconds` after the dwell, or before.
+        """True if the last message of the same sensor is stamped more than `seconds` after the dwell, or before.
 
         Before: the dwell has a wrong stamp, which would never be passed otherwise.
         """

@@ -66,7 +66,7 @@ class ImageStage(DwellStage):
         return self._calibrations.of(provenance, sensor, key.number)
 
     def is_hopeless(self, dwell: Dwell[ChannelImage], missing: Rejected) -> bool:  # noqa: ARG002
-        """Whether the calibration that a dwell waits for will not arrive."""
+        """True if the calibration that a dwell waits for will not arrive."""
         return self._none_before.get(CALIBRATION, 0) == FOREVER_NS
 
     def receive_other(self, port: str, item: Any) -> None:  # noqa: ARG002 (it is the only one)

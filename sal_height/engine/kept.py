@@ -37,7 +37,7 @@ class Kept(Generic[Value]):
 
     @property
     def is_in_use(self) -> bool:
-        """Whether any of them has been used."""
+        """True if any of them has been used."""
         return bool(self._used)
 
     def get(self, name: str) -> Value | None:

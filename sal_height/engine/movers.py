@@ -38,7 +38,7 @@ class MoverDetectionSettings(ChannelSettings, MoverSettings):
 
 @dataclass(frozen=True, eq=False)
 class FoundMovers:
-    """What moves in a dwell.
+    """Movers of a dwell.
 
     Attributes:
         key: of the dwell, or of the block that completed the image of a strip.
@@ -164,7 +164,7 @@ def _movers_of_sensors(search: MoverSettings) -> RecentValues[DwellMovers[Images
 
 
 def _concludes_dwell(result: Result) -> bool:
-    """Whether a result is what becomes of a dwell."""
+    """True if a result ends the processing of a dwell."""
     return isinstance(result, Product) or (isinstance(result, Notice) and result.kind == NO_OVERLAP)
 
 

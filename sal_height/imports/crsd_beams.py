@@ -70,7 +70,7 @@ def beams_of(reader: Any, channels: Sequence[str], origin: Origin) -> list[Beam]
 
 
 def _receive_together(vectors: dict[str, Any], described: dict[str, Any], name: str) -> bool:
-    """Whether a channel receives the same pulses as the first one, at the same times and places, in the same band."""
+    """True if a channel receives the same pulses as the first one, at the same times and places, in the same band."""
     first = next(iter(vectors))
     same = ("RcvAPCId", "Fs", "SARImage/{*}TxId", *(f"RcvRefPoint/{{*}}ECF/{{*}}{axis}" for axis in "XYZ"))
     if any(described[name].findtext(f"{{*}}{path}") != described[first].findtext(f"{{*}}{path}") for path in same):

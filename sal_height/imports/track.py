@@ -32,7 +32,7 @@ SBET = np.dtype(
 
 @dataclass(frozen=True, eq=False)
 class PlatformTrack:
-    """Where a platform was, and how it was turned.
+    """Position and attitude of a platform over time.
 
     Attributes:
         seconds: increasing times, s, shape (n,).

@@ -98,7 +98,7 @@ class Programs:
         return self._writers[key]
 
     def is_inlined(self, type_name: str) -> bool:
-        """Whether a nested message of a type is read and written by the function of its holder."""
+        """True if a nested message of a type is read and written by the function of its holder."""
         # Most numbers, texts and lists of a nested message that is read and written by the function of its
         # holder.
         most_inlined = 64

@@ -215,7 +215,7 @@ def received_image(cdr: bytes) -> ReceivedImage:
 
 
 class ReceivedPose(NamedTuple):
-    """What is used of an Odometry.
+    """The used fields of an Odometry.
 
     Attributes:
         stamp_ns: of the header, ns.
@@ -254,7 +254,7 @@ class ReceivedPose(NamedTuple):
 
 
 def received_pose(cdr: bytes) -> ReceivedPose:
-    """What is used of the Odometry that these bytes are.
+    """The used fields of the Odometry that these bytes are.
 
     Raises:
         BrokenMessage: they are none.

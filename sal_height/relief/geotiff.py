@@ -119,7 +119,7 @@ def write_geotiff(
 
 
 def _datum(projection: Projection | None) -> str:
-    """What heights are above, in words."""
+    """Name of the surface that heights are above."""
     if projection is None:
         return SPHERE
     if projection.has_geoid:

@@ -33,7 +33,7 @@ from sal_height.relief.visibility import blocking_cells, contradicted
 
 
 class GroundKind(IntEnum):
-    """How the height of a cell is known; the values are those of ReliefMap.msg."""
+    """Basis of the height of a cell; the values are those of ReliefMap.msg."""
 
     MEASURED = 0
     INTERPOLATED = 1

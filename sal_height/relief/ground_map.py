@@ -1,7 +1,7 @@
 """Map of the ground: what dwells have measured of it so far, and the estimate that follows.
 
 What is kept of the dwells are merged layers (`layers`), in square tiles. A new dwell changes the estimate on the ground
-that it has seen and a little around it, which is estimated anew; `settle` estimates all of it at once. Small dwells
+that it has seen and a little around it, which is estimated again; `settle` estimates all of it at once. Small dwells
 side by side are estimated together, for an estimate of few cells takes as long as one of many.
 """
 
@@ -139,7 +139,7 @@ class GroundMap(CellMap):
             _paste(old, self._estimate)
 
     def _renew(self) -> None:
-        """Estimate the stale cells and MARGIN around them anew, as far as they have been seen."""
+        """Estimate the stale cells and MARGIN around them again, as far as they have been seen."""
         if self._stale is None or self._corners is None:
             return
         inner = _common(self._stale + MARGIN * OUTWARDS, self._corners)

@@ -93,7 +93,7 @@ class Membrane:
 
 
 def footprint(spacing: float) -> float:
-    """How far the footprint of a measurement reaches, cells, at this spacing of measurements in cells.
+    """Reach of the footprint of a measurement, cells, at this spacing of measurements in cells.
 
     It is half a diagonal of their square, and a quarter of a cell, because measurements are not evenly spaced.
     """
@@ -103,7 +103,7 @@ def footprint(spacing: float) -> float:
 def fitted_membrane(
     measured: F64, sigma: F64, spacing: float, gate: float, slope: F64 | None = None, steepest: float = 0.0
 ) -> Membrane:
-    """Fit the membrane to measured heights, of which there must be one at least; `deviation` tells its sigma.
+    """Fit the membrane to measured heights, of which there must be one at least; `deviation` gives its sigma.
 
     Args:
         measured: heights z, m, shape (rows, cols); NaN where there is none.
@@ -131,7 +131,7 @@ def fitted_membrane(
         for step, (a, b) in zip(steps, _pairs(noise), strict=True)
     ]
     height = filled
-    rounds = 2  # number of times that heights are found and the joints decided anew from them; more change next to none
+    rounds = 2  # of finding heights and deciding the joints again from them; more change next to none
     for _ in range(rounds):
         joined = _joints(height, rises, limits)
         stiffness = _stiffness(joined, steps)

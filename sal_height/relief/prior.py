@@ -10,7 +10,7 @@ What the dwells before say of x = (log l, log s) is kept as a Gaussian, that is,
 With each dwell both lose 1 / `prior_dwells` of their weight (exponential forgetting) and gain what the dwell says: the
 most likely x, given it and those before, and the information of its likelihood there. Until dwells have said enough, a
 Gaussian so wide that it hardly matters (`_Heights.vague`) holds its place. Ground that is quite another than before
-(`SURPRISE`) makes the estimate begin anew.
+(`SURPRISE`) makes the estimate start again.
 
 The mean of the relief is that of each dwell alone: Gaussian, with the standard deviation of the heights about their
 median.
@@ -61,7 +61,7 @@ TOLERANCE = 0.2
 
 @dataclass(frozen=True, eq=False)
 class PriorEstimate:
-    """What dwells so far say of the prior of their relief; nothing, to begin with.
+    """Estimate from the dwells so far of the prior of their relief; nothing, to begin with.
 
     Attributes:
         information: of log(length / m) and log(sigma / m), the inverse of their covariance, shape (2, 2).
@@ -110,7 +110,7 @@ class _Heights:
         spread: half the distance between 16th and 84th percentile of the heights, m, at least the error.
         error: median standard deviation of a measurement, m.
         outliers: their expected share, and the density of their heights, 1/m.
-        flattest: least standard deviation of a relief that can be told from level ground, m.
+        flattest: least standard deviation of a relief that can be distinguished from level ground, m.
     """
 
     deviation: F64
@@ -156,14 +156,14 @@ class _Heights:
         )
 
     def vague(self) -> PriorEstimate:
-        """What is known before any dwell: lengths from the spacing to the swath, and RELIEF_OVER_ERROR."""
+        """Estimate before any dwell: lengths from the spacing to the swath, and RELIEF_OVER_ERROR."""
         spacing = self.spacings[0]
         middle = np.array([math.log(spacing * self.swath) / 2, math.log(self.error)])
         deviation = np.array([max(math.log(self.swath / spacing) / 2, 1.0), math.log(RELIEF_OVER_ERROR)])
         return PriorEstimate(np.diag(deviation**-2), middle * deviation**-2)
 
     def starts(self) -> list[F64]:
-        """Where to search for the most likely logarithms, whatever is known."""
+        """Starts of the search for the most likely logarithms, whatever is known."""
         length = math.sqrt(self.spacings[0] * self.swath)
         return [np.log([length, share * self.spread]) for share in (0.1, 0.4, 1.0)]
 

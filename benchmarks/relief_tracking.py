@@ -9,7 +9,7 @@ import numpy as np
 from benchmarks.ground import PIXELS
 from benchmarks.row import Row, medians, sized
 from benchmarks.sizes import APERTURE, heights_of_street
-from sal_height.relief import MeasuredHeights, PriorEstimate, ReliefPrior, smoothed, smoothed_field, track
+from sal_height.relief import MeasuredHeights, PriorEstimate, ReliefPrior, smoothed, smoothed_columns, track
 
 ROWS, COLS = sized((1024, 1024), (64, 64))
 SPACINGS = (0.5, 0.5)
@@ -33,7 +33,7 @@ def throughput() -> Iterator[Row]:
         np.copyto(there[0], height)
         np.copyto(there[1], sigma)
 
-    tracking, copying = medians(lambda: smoothed(MeasuredHeights(height, sigma, SPACINGS), PRIOR), copy)
+    tracking, copying = medians(lambda: smoothed_columns(MeasuredHeights(height, sigma, SPACINGS), PRIOR), copy)
     yield Row(
         "relief tracked along range, over a copy",
         tracking / copying,
@@ -43,7 +43,7 @@ def throughput() -> Iterator[Row]:
         f"memory at hand: {1e3 * copying:.2f} ms",
     )
     part = np.s_[:FIELD_ROWS, :FIELD_COLS]
-    (field,) = medians(lambda: smoothed_field(MeasuredHeights(height[part], sigma[part], SPACINGS), PRIOR))
+    (field,) = medians(lambda: smoothed(MeasuredHeights(height[part], sigma[part], SPACINGS), PRIOR))
     yield Row(
         "relief tracked along the flight, too",
         FIELD_ROWS * FIELD_COLS / 1e6 / field,
@@ -63,7 +63,7 @@ def _one_dwell(rng: np.random.Generator, large: MeasuredHeights) -> Iterator[Row
 
     def smooth_large() -> None:
         prior, _ = before.after(large)
-        smoothed_field(large, prior)
+        smoothed(large, prior)
 
     dwell, million = medians(lambda: track(fields[-1], APERTURE, before), smooth_large)
     pixels, cells = fields[-1].validity.size, large.height.size

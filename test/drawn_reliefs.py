@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.relief.range_tracking import MeasuredHeights, ReliefPrior, TrackedRelief
+from sal_height.relief.smoothing import MeasuredHeights, ReliefPrior, TrackedRelief
 
 Array = npt.NDArray[np.float64]
 

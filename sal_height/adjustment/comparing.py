@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from sal_height.adjustment.equations import Form, Solution, mean_form
-from sal_height.adjustment.matching import REFERENCE, Match, Points, Surface, match
+from sal_height.adjustment.matching import REFERENCE, GriddedSurface, Match, Points, match
 from sal_height.adjustment.network import Comparison, Network
 from sal_height.adjustment.observed import ObservedDwell
 from sal_height.adjustment.recognising import SURE, Rarity, evidence
@@ -165,7 +165,7 @@ class _Met:
         chain: that it is of; None: known ground.
     """
 
-    surface: Surface
+    surface: GriddedSurface
     count: float
     shifts: Mapping[int, F64]
     since: F64

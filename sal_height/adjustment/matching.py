@@ -163,13 +163,13 @@ class Points:
         return bins, np.exp(-(off**2) / 2) / (np.sqrt(2 * np.pi) * width)
 
     @cached_property
-    def surface(self) -> Surface:
+    def surface(self) -> GriddedSurface:
         """The heights on a grid."""
-        return Surface.of(self)
+        return GriddedSurface.of(self)
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class GriddedSurface:
     """Heights on a grid on the ground; NaN where there are none.
 
     Attributes:
@@ -187,7 +187,7 @@ class Surface:
     dwell: Index
 
     @classmethod
-    def of(cls, points: Points) -> Surface:
+    def of(cls, points: Points) -> GriddedSurface:
         """Heights between the points, where the nearest is no farther than a spacing.
 
         Where the height between points is not that of the nearest, as at an edge, it is known no better than that.
@@ -245,7 +245,7 @@ class Match:
         return np.outer(along, along) / along[2]
 
 
-def match(points: Points, surface: Surface, reach: F64, kinds: int = 1) -> Match | None:
+def match(points: Points, surface: GriddedSurface, reach: F64, kinds: int = 1) -> Match | None:
     """How far points lie from a surface.
 
     Args:
@@ -302,7 +302,9 @@ def lattice(half: Index, step: int) -> Index:
     return np.stack(np.meshgrid(east, north, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
-def said_of_shifts(points: Points, surface: Surface, cells: Index, reach: float, kinds: int = 1) -> tuple[F64, F64]:
+def said_of_shifts(
+    points: Points, surface: GriddedSurface, cells: Index, reach: float, kinds: int = 1
+) -> tuple[F64, F64]:
     """What each point says of each shift, and shifts in height with their weights (`_kernels.compare_shifts`)."""
     place = np.column_stack([(points.place[:, :2] - surface.origin) / surface.step, points.place[:, 2]])
     sigma = np.hypot(points.sigma, points.roughness)
@@ -329,7 +331,7 @@ def _scores(said: F64, usual: F64, up: F64, reach: float) -> F64:
     return np.where(np.abs(up[:, 0]) <= reach, TEMPER * scores, -np.inf)
 
 
-def _met(points: Points, surface: Surface, shift: F64) -> tuple[Index, Index]:
+def _met(points: Points, surface: GriddedSurface, shift: F64) -> tuple[Index, Index]:
     """Dwells of the points that meet a surface once they are shifted, and of the cells that they meet."""
     cell = np.floor((points.place[:, :2] - shift[:2] - surface.origin) / surface.step + 0.5).astype(int)
     inside = np.all((cell >= 0) & (cell < surface.height.shape), axis=-1)

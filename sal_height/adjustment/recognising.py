@@ -25,8 +25,8 @@ from sal_height.adjustment.matching import (
     OUTLIERS,
     REACH_SPACINGS,
     TEMPER,
+    GriddedSurface,
     Points,
-    Surface,
     lattice,
     said_of_shifts,
 )
@@ -122,7 +122,7 @@ def _most_alike(points: Points) -> F64:
     return np.asarray(surface.step * cells[half][np.argmax(np.nansum(said[0, half], axis=1) / met[half])])
 
 
-def _misfits(points: Points, surface: Surface, cells: Index) -> F64:
+def _misfits(points: Points, surface: GriddedSurface, cells: Index) -> F64:
     """How much less likely each height is than it could be, by the logarithm, NaN where it does not meet a surface.
 
     The shape is (shifts, points).

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sal_height.adjustment.equations import Equation, Form
-from sal_height.adjustment.matching import REFERENCE, Points, Surface
+from sal_height.adjustment.matching import REFERENCE, GriddedSurface, Points
 from sal_height.numeric import F64
 
 TARGET_DB = 6.0
@@ -85,7 +85,7 @@ class Terrain:
     heights: Heights
     sigma: float
 
-    def around(self, points: Points, reach: F64) -> Surface | None:
+    def around(self, points: Points, reach: F64) -> GriddedSurface | None:
         """Its heights where points may be, up to `reach` (m, shape (3,)) farther; None: it has none there."""
         step = points.spacing / 2
         low = points.place[:, :2].min(axis=0) - reach[:2]
@@ -95,7 +95,7 @@ class Terrain:
         if not np.isfinite(height).any():
             return None
         sigma = np.where(np.isfinite(height), self.sigma, np.nan)
-        return Surface(low, step, height, sigma, np.full(height.shape, REFERENCE))
+        return GriddedSurface(low, step, height, sigma, np.full(height.shape, REFERENCE))
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ from sal_height.engine.gathering import Dwell
 from sal_height.engine.geometry_items import Aperture, check_geometry
 from sal_height.engine.height_items import Heights, packed
 from sal_height.engine.heights import HEIGHTS_ABOUT
-from sal_height.engine.kept import Latest
+from sal_height.engine.kept import RecentValues
 from sal_height.engine.mapper import ADJUSTED as PREFIX
 from sal_height.engine.settings import DwellSettings, FrameSettings
 from sal_height.engine.stage import DwellKey, Event, FileInput, Job, Notice, Port, Product, Result
@@ -63,12 +63,6 @@ ADJUSTED_ODOMETRY, ADJUSTED_MOUNTING = f"{PREFIX}/odometry", f"{PREFIX}/mounting
 ODOMETRY_KEPT_S = 2e5
 """Time for which odometry is kept, longer than between passes: that of a pass may arrive before the last heights of the
 pass before. Memory is limited by the number of samples."""
-
-LONGEST_DELAY_S = 100.0
-"""Delay of the odometry's stamps up to which one that a provenance states is believed."""
-
-BETWEEN_NS = 1_000_000_000
-"""Longest time between dwells whose odometry is published as well."""
 
 KNOWN = "boresight_sigma_rad", "lever_arm_sigma_m", "odometry_delay_sigma_s"
 """Settings that the compression has as well, whose values there count if they are not 0."""
@@ -137,8 +131,8 @@ class PlacedMounting(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class AdjustedDwell:
-    """How a dwell was adjusted.
+class Adjusted:
+    """Adjustment of a dwell.
 
     Attributes:
         field: its heights where they are.
@@ -261,10 +255,10 @@ class HeightAdjuster(DwellStage):
         self._references = _references_of(self._settings, self._files)
         self._history = OdometryHistory(ODOMETRY_KEPT_S)
         self._needed_ns = 0
-        self._latest = Latest[list[int]](SENSORS_KEPT, lambda: [0, 0])
+        self._latest = RecentValues[list[int]](SENSORS_KEPT, lambda: [0, 0])
         """End (ns) and number of the last dwell of each sensor that became a job, by config_hash."""
         # The heavy side.
-        self._adjusters = Latest[FlightAdjuster](SENSORS_KEPT, partial(FlightAdjuster, self._references))
+        self._adjusters = RecentValues[FlightAdjuster](SENSORS_KEPT, partial(FlightAdjuster, self._references))
 
     @classmethod
     def inputs(cls, settings: Any) -> Sequence[Port]:
@@ -329,7 +323,8 @@ class HeightAdjuster(DwellStage):
         """
         delay_ns, end_ns = _delay_ns(messages[0]), _end_ns(messages[0], sensor)
         latest_ns, latest_dwell = self._latest.of(key.sensor)
-        follows = 0 <= key.stamp_ns - latest_ns <= BETWEEN_NS and key.number > latest_dwell
+        between_ns = 1_000_000_000  # longest time between dwells whose odometry is published as well
+        follows = 0 <= key.stamp_ns - latest_ns <= between_ns and key.number > latest_dwell
         begin_ns = latest_ns if follows else key.stamp_ns
         states = self._history.around(begin_ns + delay_ns, end_ns + delay_ns)
         if states:
@@ -347,7 +342,7 @@ class HeightAdjuster(DwellStage):
         self._latest.take_surplus()
 
     def is_hopeless(self, dwell: Dwell[Heights], missing: Rejected) -> bool:  # noqa: ARG002
-        """Whether odometry that a dwell waits for will not arrive."""
+        """True if odometry that a dwell waits for will not arrive."""
         heights, delay_ns = dwell.messages[0], _delay_ns(dwell.messages[0])
         start_ns, end_ns = dwell.key.stamp_ns + delay_ns, _end_ns(heights, dwell.sensor) + delay_ns
         return not self._history.may_cover(start_ns, end_ns, self._none_before.get(ODOMETRY, start_ns))
@@ -491,4 +486,5 @@ def _end_ns(heights: Heights, sensor: Sensor) -> int:
 def _delay_ns(heights: Heights) -> int:
     """By which the odometry of a dwell is stamped too late, as its provenance states, ns."""
     delay_s = heights.provenance.compression.get("odometry_delay_s", 0.0)
-    return round(1e9 * delay_s) if isinstance(delay_s, float) and abs(delay_s) <= LONGEST_DELAY_S else 0
+    longest_delay_s = 100.0  # delay of the odometry's stamps up to which one that a provenance states is believed
+    return round(1e9 * delay_s) if isinstance(delay_s, float) and abs(delay_s) <= longest_delay_s else 0

@@ -153,7 +153,7 @@ def air_of_dwell(
 def may_have_air(
     history: AirHistory, none_before: Mapping[str, int], key: DwellKey, sensor: Sensor, settings: AirSettings
 ) -> bool:
-    """Whether messages that arrive later can give a dwell the air that it lacks.
+    """True if messages that arrive later can give a dwell the air that it lacks.
 
     Args:
         history: measurements.

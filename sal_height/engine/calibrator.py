@@ -10,8 +10,8 @@ from sal_height.engine.calibrations import CALIBRATION_PORT, StatedCalibration
 from sal_height.engine.compression import SLC_PORT
 from sal_height.engine.dwells import SENSOR_PORT, SENSORS_KEPT, DwellStage, WholeDwell
 from sal_height.engine.heights import images_of
-from sal_height.engine.image_items import Image, Images, check_image, check_images
-from sal_height.engine.kept import Latest
+from sal_height.engine.image_items import ChannelImage, Images, check_image, check_images
+from sal_height.engine.kept import RecentValues
 from sal_height.engine.provenance import Provenance
 from sal_height.engine.settings import ChannelSettings
 from sal_height.engine.stage import Answer, FileProduct, Job, Port, Product, Remark, Result
@@ -93,7 +93,7 @@ class PsfCalibration(DwellStage):
         super().__init__(*arguments, **others)
         self._target = _place(self._settings.target)
         # The heavy side.
-        self._sensors_seen = Latest[SensorCalibrator](SENSORS_KEPT, SensorCalibrator)
+        self._sensors_seen = RecentValues[SensorCalibrator](SENSORS_KEPT, SensorCalibrator)
 
     @classmethod
     def inputs(cls, settings: Any) -> Sequence[Port]:  # noqa: ARG003
@@ -105,7 +105,7 @@ class PsfCalibration(DwellStage):
         """The calibration."""
         return [CALIBRATION_PORT]
 
-    def check(self, message: Image, sensor: Sensor) -> None:
+    def check(self, message: ChannelImage, sensor: Sensor) -> None:
         """Check the size of an image, and that no calibration has been applied to it."""
         check_image(message, sensor)
         self._check_provenance(message.provenance, sensor, f"{message.key.number}, channel {message.channel}")

@@ -28,7 +28,7 @@ from sal_height.engine.dwells import SENSOR_PORT, SENSORS_KEPT, DwellStage, Whol
 from sal_height.engine.frame_items import Frame, check_frame, history_of
 from sal_height.engine.gathering import Dwell
 from sal_height.engine.image_items import AIR_LEFT, AIR_REMOVED, Images, Source
-from sal_height.engine.kept import Kept, Latest
+from sal_height.engine.kept import Kept, RecentValues
 from sal_height.engine.provenance import of_compression
 from sal_height.engine.settings import ChannelSettings, FrameSettings
 from sal_height.engine.stage import FOREVER_NS, DwellKey, FileInput, Job, Notice, Port, Product, Result
@@ -168,7 +168,7 @@ class Compression(DwellStage):
         self._applied_from: dict[str, Sequence[DwellKey]] = {}
         """Of calibrations, by identity, the dwells from which on they are applied; none once they have arrived."""
         # The heavy side.
-        self._strips = Latest[Compressor](SENSORS_KEPT, Compressor)
+        self._strips = RecentValues[Compressor](SENSORS_KEPT, Compressor)
         """Of the blocks of each sensor in stripmap, by config_hash."""
 
     @classmethod
@@ -271,7 +271,7 @@ class Compression(DwellStage):
         )
 
     def is_hopeless(self, dwell: Dwell[Frame], missing: Rejected) -> bool:
-        """Whether odometry, air or a transform that a dwell waits for will not arrive."""
+        """True if odometry, air or a transform that a dwell waits for will not arrive."""
         settings, none_before = self._settings, self._none_before
         if missing.reason == ODOMETRY_GAP:
             start_ns = dwell.key.stamp_ns + settings.odometry_delay_ns

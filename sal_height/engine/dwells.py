@@ -126,7 +126,7 @@ class DwellStage(Stage):
         """A job is made of a dwell."""
 
     def is_hopeless(self, dwell: Dwell[Any], missing: Rejected) -> bool:  # noqa: ARG002
-        """Whether what a dwell still waits for will not arrive, by what the source has announced."""
+        """True if what a dwell still waits for will not arrive, by what the source has announced."""
         return self._none_before.get(self._port, 0) == FOREVER_NS
 
     def series_of(self, whole: WholeDwell) -> str | None:  # noqa: ARG002
@@ -152,7 +152,7 @@ class DwellStage(Stage):
 
     @property
     def is_ready(self) -> bool:
-        """Whether a sensor is described and the stage has rehearsed for it: the first dwell takes no longer then."""
+        """True if a sensor is described and the stage has rehearsed for it: the first dwell takes no longer then."""
         return self._rehearsed
 
     def receive(self, port: str, item: Any) -> None:
@@ -274,7 +274,7 @@ class DwellStage(Stage):
         raise NotImplementedError(repr(job.inputs))
 
     def _is_complete(self, dwell: Dwell[Any]) -> bool:
-        """Whether all channels have arrived, except those that are given up."""
+        """True if all channels have arrived, except those that are given up."""
         if not dwell.absent:
             return True
         absences = self._absences.get(dwell.key.sensor, Counter())
@@ -282,11 +282,11 @@ class DwellStage(Stage):
         return (self._is_announced_gone(dwell) if self.announced else is_gone) and self._may_proceed(dwell)
 
     def _is_announced_gone(self, dwell: Dwell[Any]) -> bool:
-        """Whether the source has announced that no more channels of a dwell will arrive."""
+        """True if the source has announced that no more channels of a dwell will arrive."""
         return dwell.key.stamp_ns < self._none_before.get(self._port, dwell.key.stamp_ns)
 
     def _may_proceed(self, dwell: Dwell[Any]) -> bool:
-        """Whether the channels that have arrived may be processed without the others."""
+        """True if the channels that have arrived may be processed without the others."""
         settings = self._settings
         proceeds = getattr(settings, "missing_channels", "refuse") == "proceed"
         return proceeds and dwell.count >= settings.min_channels
@@ -359,7 +359,7 @@ class DwellStage(Stage):
         self._early = kept[::-1]
 
     def _is_whole(self, message: Any) -> bool:
-        """Whether an item is a whole dwell by itself."""
+        """True if an item is a whole dwell by itself."""
         return self.whole_kind is not None and isinstance(message, self.whole_kind)
 
     def _receive_sensor(self, sensor: Sensor) -> None:

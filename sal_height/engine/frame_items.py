@@ -173,7 +173,7 @@ def history_of(frames: Sequence[Frame]) -> PhaseHistory:
 
 
 def _are_finite(numbers: F32) -> bool:
-    """Whether all numbers are finite, as they are if the sum of their squares is, which takes less time to find."""
+    """True if all numbers are finite, as they are if the sum of their squares is, which takes less time to find."""
     with np.errstate(over="ignore", invalid="ignore"):
         return bool(np.isfinite(np.dot(numbers, numbers)) or np.isfinite(numbers).all())
 

@@ -25,7 +25,7 @@ USUAL = Frames()
 
 
 class PlacedOrigin(NamedTuple):
-    """Where on the earth the origin of the map frame is.
+    """Position on the earth of the origin of the map frame.
 
     Attributes:
         origin: place of the origin.

@@ -17,9 +17,6 @@ Item = TypeVar("Item")
 FINISHED_KEPT = 64
 """Dwells remembered after they were processed or dropped, so that their stragglers are known as late."""
 
-LONGEST_TICK_S = 0.2
-"""Longest time that one tick of the waiting clock may count: two periods of its timer."""
-
 
 @dataclass
 class Dwell(Generic[Item]):
@@ -55,7 +52,7 @@ class Dwell(Generic[Item]):
 
     @property
     def is_whole(self) -> bool:
-        """Whether the messages of all channels have arrived."""
+        """True if the messages of all channels have arrived."""
         return self.count == self.channels
 
     @property
@@ -127,7 +124,7 @@ class DwellAssembler(Generic[Item]):
         self._latest_ns[dwell.key.sensor] = dwell.key.stamp_ns
 
     def __contains__(self, dwell: Dwell[Item]) -> bool:
-        """Whether a dwell is unfinished."""
+        """True if a dwell is unfinished."""
         return dwell.key in self._dwells
 
     def unfinished(self) -> list[Dwell[Item]]:
@@ -146,11 +143,11 @@ class DwellAssembler(Generic[Item]):
         return dwells[:-1]
 
     def is_crowded(self, capacity: int, capacity_bytes: float) -> bool:
-        """Whether the dwells are too many, or their messages take too much memory."""
+        """True if the dwells are too many, or their messages take too much memory."""
         return len(self._dwells) > capacity or self._size > capacity_bytes
 
     def is_passed(self, dwell: Dwell[Item], seconds: float) -> bool:
-        """Whether the last message of the same sensor is stamped more than `seconds` after the dwell, or before.
+        """True if the last message of the same sensor is stamped more than `seconds` after the dwell, or before.
 
         Before: the dwell has a wrong stamp, which would never be passed otherwise.
         """
@@ -187,6 +184,7 @@ class WaitingClock:
 
     def tick(self, now: float, busy: bool) -> None:
         """Move on to the time `now` of a steady clock, s; `busy`: there is work or work waits."""
-        step = 0.0 if self._last is None else min(now - self._last, LONGEST_TICK_S)
+        longest_tick_s = 0.2  # longest time that one tick of the waiting clock may count: two periods of its timer
+        step = 0.0 if self._last is None else min(now - self._last, longest_tick_s)
         self._last = now
         self.waited_s = 0.0 if busy else self.waited_s + step

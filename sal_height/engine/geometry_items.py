@@ -66,7 +66,7 @@ class Aperture:
         )
 
     def __eq__(self, other: object) -> bool:
-        """Whether all numbers are equal."""
+        """True if all numbers are equal."""
         return self is other or (
             isinstance(other, Aperture)
             and (self.orientation, self.length, self.sliding) == (other.orientation, other.length, other.sliding)
@@ -84,7 +84,7 @@ class Aperture:
 
 
 def are_equal(one: Grid, other: Grid) -> bool:
-    """Whether two grids have the same pixels."""
+    """True if two grids have the same pixels."""
     return one is other or (
         (one.row_spacing, one.col_spacing, one.rows, one.cols)
         == (other.row_spacing, other.col_spacing, other.rows, other.cols)

@@ -35,7 +35,7 @@ def empty() -> F32:
 
 
 @dataclass(frozen=True, eq=False)
-class Layers:
+class PackedSurface:
     """One scatterer per pixel; arrays of float32, row-major, with one number per pixel or six.
 
     Attributes:
@@ -59,7 +59,7 @@ class Layers:
     common_covariance: F32 = field(default_factory=empty)
 
     @classmethod
-    def of(cls, surface: Surface, grid: Grid) -> Layers:
+    def of(cls, surface: Surface, grid: Grid) -> PackedSurface:
         """The layers of a surface."""
         offset = surface.positions - grid.origin
         has_own = np.isfinite(surface.own_covariance[..., 0, 0]).any()
@@ -110,7 +110,7 @@ class Heights:
     aperture: Aperture
     looks: tuple[int, int]
     validity: U8
-    surfaces: tuple[Layers, ...]
+    surfaces: tuple[PackedSurface, ...]
     order_probability: F32
     provenance: Provenance
     order: int = 0
@@ -190,7 +190,7 @@ def packed(heights: HeightField) -> dict[str, Any]:
     return {
         "grid": heights.grid,
         "validity": np.ascontiguousarray(heights.validity).reshape(-1),
-        "surfaces": tuple(Layers.of(surface, heights.grid) for surface in heights.surfaces),
+        "surfaces": tuple(PackedSurface.of(surface, heights.grid) for surface in heights.surfaces),
         "order_probability": empty() if probability is None else _single(probability),
     }
 
@@ -225,7 +225,7 @@ def _check_sizes(heights: Heights) -> None:
             )
 
 
-def _joined(layers: Sequence[Layers], grid: Grid, aperture: ApertureState) -> Surface:
+def _joined(layers: Sequence[PackedSurface], grid: Grid, aperture: ApertureState) -> Surface:
     """Surfaces seen from `aperture`, arrays of shape (surfaces, rows, cols, ...).
 
     Spread that is not stated is 0, covariance that is not stated follows from sigma.

@@ -17,7 +17,7 @@ from sal_height.engine.dwells import SENSOR_PORT, DwellStage, WholeDwell
 from sal_height.engine.gathering import Dwell
 from sal_height.engine.geometry_items import Aperture
 from sal_height.engine.height_items import Heights, packed
-from sal_height.engine.image_items import Image, Images, check_image, check_images
+from sal_height.engine.image_items import ChannelImage, Images, check_image, check_images
 from sal_height.engine.provenance import LEFT_OUT
 from sal_height.engine.settings import ChannelSettings
 from sal_height.engine.stage import FOREVER_NS, DwellKey, Job, Notice, Port, Product, Result, loss_of
@@ -54,7 +54,7 @@ class ImageStage(DwellStage):
         """Images, their sensor and the calibrations that they were made with."""
         return [SENSOR_PORT, SLC_PORT._replace(counted=True), CALIBRATION_PORT]
 
-    def check(self, message: Image, sensor: Sensor) -> None:
+    def check(self, message: ChannelImage, sensor: Sensor) -> None:
         """Check the size of an image; single bad pixels are marked as such."""
         check_image(message, sensor)
 
@@ -67,8 +67,8 @@ class ImageStage(DwellStage):
         provenance = messages.provenance if isinstance(messages, Images) else messages[0].provenance
         return self._calibrations.of(provenance, sensor, key.number)
 
-    def is_hopeless(self, dwell: Dwell[Image], missing: Rejected) -> bool:  # noqa: ARG002
-        """Whether the calibration that a dwell waits for will not arrive."""
+    def is_hopeless(self, dwell: Dwell[ChannelImage], missing: Rejected) -> bool:  # noqa: ARG002
+        """True if the calibration that a dwell waits for will not arrive."""
         return self._none_before.get(CALIBRATION, 0) == FOREVER_NS
 
     def receive_other(self, port: str, item: Any) -> None:  # noqa: ARG002 (it is the only one)

@@ -41,7 +41,7 @@ class Place:
 
 
 @dataclass(frozen=True, eq=False)
-class Image:
+class ChannelImage:
     """The image of one channel.
 
     Attributes:
@@ -74,7 +74,7 @@ class Image:
     fit: tuple[FitTest, ...] = ()
     size: int = 0
 
-    def blank(self, channel: int) -> Image:
+    def blank(self, channel: int) -> ChannelImage:
         """An image of zeros for a channel that is missing: estimators leave such a channel out as dead."""
         return replace(self, channel=channel, samples=np.zeros_like(self.samples))
 
@@ -109,7 +109,7 @@ class Source:
 
 @dataclass(frozen=True, eq=False)
 class Images:
-    """The images of all channels of a dwell; attributes as of `Image`.
+    """The images of all channels of a dwell; attributes as of `ChannelImage`.
 
     Attributes:
         key: sensor, number and stamp of the dwell.
@@ -161,7 +161,7 @@ class Images:
         return cls(key, frame_id, rounded, place, provenance, **others)  # type: ignore[arg-type]
 
     @classmethod
-    def joined(cls, images: Sequence[Image]) -> Images:
+    def joined(cls, images: Sequence[ChannelImage]) -> Images:
         """The images of all channels, in order, that `check_image` has passed.
 
         Raises:
@@ -201,11 +201,11 @@ class Images:
             first.fit,
         )
 
-    def channels(self) -> list[Image]:
+    def channels(self) -> list[ChannelImage]:
         """The image of each channel; samples are views."""
         powers, shares = self.slc.noise_power.tolist(), self.slc.saturated_share.tolist()
         return [
-            Image(
+            ChannelImage(
                 self.key,
                 self.frame_id,
                 channel,
@@ -234,7 +234,7 @@ class Images:
         return int(self.slc.images.nbytes)
 
 
-def check_image(image: Image, sensor: Sensor) -> None:
+def check_image(image: ChannelImage, sensor: Sensor) -> None:
     """Check that an image has the size that its grid states, and values that can be processed.
 
     Raises:

@@ -37,7 +37,7 @@ class Kept(Generic[Value]):
 
     @property
     def is_in_use(self) -> bool:
-        """Whether any of them has been used."""
+        """True if any of them has been used."""
         return bool(self._used)
 
     def get(self, name: str) -> Value | None:
@@ -68,7 +68,7 @@ class Kept(Generic[Value]):
         return value
 
 
-class Latest(Generic[Value]):
+class RecentValues(Generic[Value]):
     """Values by name, each made when it is first asked for; those that were asked for last are kept."""
 
     def __init__(self, capacity: int, make: Callable[[], Value]) -> None:

@@ -8,13 +8,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 from sal_height.elevation import ESTIMATORS
 from sal_height.engine.frames import PlacedOrigin
 from sal_height.engine.height_items import Heights
 from sal_height.engine.provenance import Provenance
-from sal_height.engine.settings import MapFrameSettings, OriginSettings
+from sal_height.engine.settings import MapFrameSettings, MapOriginSettings
 from sal_height.engine.stage import (
     Answer,
     DwellKey,
@@ -34,6 +34,7 @@ from sal_height.engine.tracker import PREFIX as TRACKED
 from sal_height.errors import UserError
 from sal_height.geometry import UTM, ApertureState, Origin, Projection, find_system
 from sal_height.relief import (
+    CellMap,
     GroundMap,
     GroundSettings,
     HeightField,
@@ -66,7 +67,7 @@ PUBLISH, SAVE, CONCLUDE = "publish", "save", "conclude"
 """Inputs of jobs of the stage's own."""
 
 
-class MapSettings(OriginSettings, MapFrameSettings, StageSettings):
+class MapSettings(MapOriginSettings, MapFrameSettings, StageSettings):
     """Settings of every stage that makes a map."""
 
     estimator: str = setting(
@@ -158,13 +159,6 @@ class PlacedRelief:
         return self.projection.name if self.projection else ""
 
 
-class GrowingMap(Protocol):
-    """A map that grows with what is seen."""
-
-    def relief(self) -> Relief | None:
-        """The map as it stands; None if nothing was seen yet."""
-
-
 class Mapper(Stage):
     """Enters height images into one map, which is published now and then, and written at the end.
 
@@ -191,7 +185,7 @@ class Mapper(Stage):
         self._due_s = math.inf
         # The heavy side.
         self._axes = _axes_about(self._origin, self._settings.crs)
-        self._map: GrowingMap | None = None
+        self._map: CellMap | None = None
         self._map_axes: ProjectedAxes | None = None
         self._images = 0
         self._last: Heights | None = None
@@ -216,18 +210,13 @@ class Mapper(Stage):
         """The file of the map."""
         return [(PlacedRelief, settings.file)] if settings.file else []
 
-    def entered(
-        self, field: HeightField, aperture: ApertureState, grown: GrowingMap | None, settings: Any
-    ) -> GrowingMap:
-        """Enter a height image seen from `aperture` into a map, or into an empty one, and return that.
+    def empty_map(self, field: HeightField, aperture: ApertureState, settings: Any) -> CellMap:
+        """A map for heights such as the first ones, seen from `aperture`.
 
         Raises:
-            Rejected: the map cannot take it, and has not changed.
+            Rejected: the heights do not suit a map.
         """
         raise NotImplementedError
-
-    def settle(self, grown: GrowingMap) -> None:
-        """Make the map final; all height images have been entered."""
 
     def receive(self, port: str, item: Any) -> None:
         """Make a job of the heights of a dwell, or of another origin."""
@@ -284,7 +273,7 @@ class Mapper(Stage):
             yield from self._saved(job.settings)
         elif job.inputs == CONCLUDE:
             if self._map is not None:
-                self.settle(self._map)
+                self._map.settle()
             yield from self._published(job.settings)
             yield from self._written(job.settings)
         else:
@@ -299,8 +288,9 @@ class Mapper(Stage):
         axes = self._axes if self._map is None else self._map_axes
         if axes:
             field, aperture = axes.field(field, aperture)
-        self._map = self.entered(field, aperture, self._map, settings)
-        self._map_axes, self._last = axes, heights
+        grown = self.empty_map(field, aperture, settings) if self._map is None else self._map
+        grown.add(field, aperture)
+        self._map, self._map_axes, self._last = grown, axes, heights
         self._images += 1
 
     def _moved(self, origin: Origin, settings: Any) -> Iterator[Result]:
@@ -370,14 +360,9 @@ class ReliefMapper(Mapper):
     prefix = "map"
     layer = "mean"
 
-    def entered(self, field: HeightField, aperture: ApertureState, grown: Any, settings: Any) -> ReliefMap:
-        """Enter the scatterers of each pixel; the cells of the map contain a pixel of the first height image."""
-        if grown is None:
-            cell_size = settings.cell_size_m or fitting_cell_size(field.grid, aperture)
-            grown = ReliefMap(cell_size, settings.max_cells)
-        grown.add(field)
-        found: ReliefMap = grown
-        return found
+    def empty_map(self, field: HeightField, aperture: ApertureState, settings: Any) -> ReliefMap:
+        """A map whose cells contain a pixel of the first height image."""
+        return ReliefMap(settings.cell_size_m or fitting_cell_size(field.grid, aperture), settings.max_cells)
 
 
 class GroundMapper(Mapper):
@@ -389,18 +374,10 @@ class GroundMapper(Mapper):
     prefix = "ground"
     layer = "ground"
 
-    def entered(self, field: HeightField, aperture: ApertureState, grown: Any, settings: Any) -> GroundMap:
-        """Enter all surfaces of all pixels."""
-        if grown is None:
-            cell_size = settings.cell_size_m or fine_cell_size(field.grid)
-            grown = GroundMap(cell_size, max(ground_spacings(field.grid)), settings.max_cells, settings)
-        grown.add(field, aperture)
-        found: GroundMap = grown
-        return found
-
-    def settle(self, grown: Any) -> None:
-        """Estimate all of the ground at once."""
-        grown.settle()
+    def empty_map(self, field: HeightField, aperture: ApertureState, settings: Any) -> GroundMap:  # noqa: ARG002
+        """A map whose cells are finer than the pixels of the first height image."""
+        cell_size = settings.cell_size_m or fine_cell_size(field.grid)
+        return GroundMap(cell_size, max(ground_spacings(field.grid)), settings.max_cells, settings)
 
 
 def _axes_about(origin: Origin | None, crs: str) -> ProjectedAxes | None:

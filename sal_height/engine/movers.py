@@ -13,8 +13,8 @@ from typing import Any
 
 from sal_height.engine.dwells import SENSORS_KEPT, WholeDwell
 from sal_height.engine.heights import ImageStage, images_of
-from sal_height.engine.image_items import Image, Images
-from sal_height.engine.kept import Latest
+from sal_height.engine.image_items import ChannelImage, Images
+from sal_height.engine.kept import RecentValues
 from sal_height.engine.settings import ChannelSettings
 from sal_height.engine.stage import DwellKey, Job, Loss, Notice, Port, Product, Reset, Result
 from sal_height.errors import Rejected, UserError
@@ -37,8 +37,8 @@ class MoverDetectionSettings(ChannelSettings, MoverSettings):
 
 
 @dataclass(frozen=True, eq=False)
-class ImageMovers:
-    """What moves in a dwell.
+class FoundMovers:
+    """Movers of a dwell.
 
     Attributes:
         key: of the dwell, or of the block that completed the image of a strip.
@@ -73,7 +73,7 @@ class MoverDetection(ImageStage):
         """The movers."""
         return [Port(MOVERS, ImageMovers, "what moves in each dwell, sensor_msgs/PointCloud2 in map")]
 
-    def check(self, message: Image, sensor: Sensor) -> None:
+    def check(self, message: ChannelImage, sensor: Sensor) -> None:
         """Check the size of an image, and whether its sensor can detect movers."""
         super().check(message, sensor)
         _check_sensor(sensor)
@@ -158,13 +158,13 @@ class MoverDetection(ImageStage):
         return Product(MOVERS, ImageMovers(images.key, images.frame_id, images, looked))
 
 
-def _movers_of_sensors(search: MoverSettings) -> Latest[DwellMovers[Images]]:
+def _movers_of_sensors(search: MoverSettings) -> RecentValues[DwellMovers[Images]]:
     """The movers over the dwells of each sensor, by config_hash."""
-    return Latest[DwellMovers[Images]](SENSORS_KEPT, partial(DwellMovers[Images], search))
+    return RecentValues[DwellMovers[Images]](SENSORS_KEPT, partial(DwellMovers[Images], search))
 
 
 def _concludes_dwell(result: Result) -> bool:
-    """Whether a result is what becomes of a dwell."""
+    """True if a result ends the processing of a dwell."""
     return isinstance(result, Product) or (isinstance(result, Notice) and result.kind == NO_OVERLAP)
 
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from sal_height.engine.frames import PlacedOrigin
-from sal_height.engine.mapper import ORIGIN_PORT
-from sal_height.engine.settings import FrameSettings, OriginSettings
+from sal_height.engine.mapper import MAP_ORIGIN, ORIGIN_PORT
+from sal_height.engine.settings import FrameSettings, MapOriginSettings
 from sal_height.engine.stage import Port, Product, Stage, StageSettings
 from sal_height.errors import UserError
 from sal_height.geometry import Navigation, PlatformState, Sample
@@ -41,7 +41,7 @@ class Twist(NamedTuple):
     in_body: bool
 
 
-class NavigationSettings(FrameSettings, OriginSettings, StageSettings):
+class NavigationSettings(FrameSettings, MapOriginSettings, StageSettings):
     """Settings of the stage."""
 
     position: str = setting(

@@ -45,13 +45,13 @@ class Same(Generic[Cached]):
         return id(self.one)
 
     def __eq__(self, other: object) -> bool:
-        """Whether it is the very same object."""
+        """True if it is the very same object."""
         return isinstance(other, Same) and other.one is self.one
 
 
 @dataclass(frozen=True, eq=False)
 class Provenance:
-    """How a product was made; never changed once it is made.
+    """Record of how a product was made; never changed once it is made.
 
     Attributes:
         code_version: version of the package that made the product.
@@ -69,7 +69,7 @@ class Provenance:
     autofocus_phase: F32 = field(default_factory=lambda: np.zeros(0, np.float32))
 
     def __eq__(self, other: object) -> bool:
-        """Whether two provenances state the same."""
+        """True if two provenances state the same."""
         return self is other or (
             isinstance(other, Provenance)
             and (self.code_version, self.config_hash, self.calibration_id)

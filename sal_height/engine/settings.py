@@ -76,7 +76,7 @@ class FrameSettings(MapFrameSettings):
         return Frames(self.map_frame, self.body_frame, Axes(self.map_axes, self.body_axes))
 
 
-class OriginSettings(Settings):
+class MapOriginSettings(Settings):
     """Settings of stages that must know where on the earth the map is."""
 
     origin_latitude_deg: float = setting(

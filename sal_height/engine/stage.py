@@ -68,7 +68,7 @@ class Product:
 
 @dataclass(frozen=True, eq=False)
 class FileProduct:
-    """What the host writes to a file.
+    """A product that the host writes to a file.
 
     Attributes:
         path: of the file; an existing one is replaced.
@@ -265,10 +265,10 @@ class Stage(Scheduling):
     """What can be asked of it beside `reset`, by name, and what that does."""
 
     concludes: ClassVar[bool] = False
-    """Whether jobs that wait when its host ends are processed, and what is due at the end is done."""
+    """True if jobs that wait when its host ends are processed, and what is due at the end is done."""
 
     is_parallel: ClassVar[bool] = False
-    """Whether jobs without a series can be processed by copies of the stage, which need not state `note_done`."""
+    """True if jobs without a series can be processed by copies of the stage, which need not state `note_done`."""
 
     at_once: ClassVar[int] = 1
     """Jobs that it processes faster together than one by one, at most."""
@@ -413,12 +413,12 @@ class Stage(Scheduling):
 
     @property
     def is_ready(self) -> bool:
-        """Whether what takes time before the first dwell is done."""
+        """True if what takes time before the first dwell is done."""
         return True
 
     @property
     def announced(self) -> bool:
-        """Whether the source says when nothing more arrives."""
+        """True if the source says when nothing more arrives."""
         return bool(self._none_before)
 
     # The heavy side.

@@ -27,7 +27,7 @@ NUMBERS = 10
 
 
 class Arrival(Enum):
-    """How an odometry sample was handled."""
+    """Outcome of an odometry sample."""
 
     IN_ORDER = "in order"
     REORDERED = "reordered"
@@ -84,7 +84,7 @@ class OdometryHistory:
         return [self._at(place) for place in range(first, last + 1)] if 0 <= first < last < len(self) else []
 
     def may_cover(self, start_ns: int, end_ns: int, none_before_ns: int, gap_s: float = math.inf) -> bool:
-        """Whether samples that arrive later can make these cover a time that they do not cover yet.
+        """True if samples that arrive later can make these cover a time that they do not cover yet.
 
         Args:
             start_ns: start of the time.
@@ -102,7 +102,7 @@ class OdometryHistory:
         return all((later - earlier) * 1e-9 <= gap_s for earlier, later in pairwise([*known, none_before_ns]))
 
     def _is_continued(self, apart: PlatformState, state: PlatformState) -> bool:
-        """Whether a sample follows the one set aside, and is closer to it than to the latest one."""
+        """True if a sample follows the one set aside, and is closer to it than to the latest one."""
         step_ns = state.stamp_ns - apart.stamp_ns
         return 0 < step_ns < abs(state.stamp_ns - self._stamps[-1])
 

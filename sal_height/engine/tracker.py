@@ -77,7 +77,7 @@ class Tracker(Stage):
 
     @property
     def is_ready(self) -> bool:
-        """Whether made-up heights have been tracked: the first dwell takes no longer then."""
+        """True if made-up heights have been tracked: the first dwell takes no longer then."""
         return self._rehearsed
 
     def begin(self, stamp_ns: int) -> None:  # noqa: ARG002
@@ -162,5 +162,5 @@ def _series_of(heights: Heights, settings: TrackerSettings) -> tuple[Hashable, .
 
 
 def _is_set(name: str) -> bool:
-    """Whether a name in the provenance is that of a parameter."""
+    """True if a name in the provenance is that of a parameter."""
     return "." not in name and name != LEFT_OUT

@@ -8,9 +8,6 @@ from sal_height.errors import UserError
 from sal_height.exports.heights import RecordedHeights
 from sal_height.relief import ProjectedAxes, ReliefMap, check_geotiff, fitting_cell_size, write_geotiff
 
-MOST_CELLS = 100_000_000
-"""Greatest number of cells of a map: 400 MB for each of its layers."""
-
 
 def write_map(heights: RecordedHeights, path: Path, cell_size: float = 0.0) -> tuple[int, int]:
     """Write the map of the scatterers of all dwells, as node relief_mapper makes it; returns its rows and columns.
@@ -27,9 +24,10 @@ def write_map(heights: RecordedHeights, path: Path, cell_size: float = 0.0) -> t
     check_geotiff(path)
     axes = ProjectedAxes.around(heights.projection) if heights.projection else None
     grown, last_ns = None, 0
+    most_cells = 100_000_000  # greatest number of cells of a map: 400 MB for each of its layers
     for dwell in heights.dwells("cog"):
         field, aperture = axes.field(dwell.field, dwell.aperture) if axes else (dwell.field, dwell.aperture)
-        grown = grown or ReliefMap(cell_size or fitting_cell_size(field.grid, aperture), MOST_CELLS)
+        grown = grown or ReliefMap(cell_size or fitting_cell_size(field.grid, aperture), most_cells)
         grown.add(field)
         last_ns = max(last_ns, dwell.stamp_ns)
     relief = grown.relief() if grown else None

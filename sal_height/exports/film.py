@@ -16,7 +16,6 @@ from sal_height.numeric import F32
 MOST_FRAMES = 500
 """Of more dwells, so many are shown, evenly spaced."""
 
-FRAMES_PER_SECOND = 5
 SIZE_INCHES, DOTS_PER_INCH = (9.6, 4.8), 100
 
 SUFFIXES = {".gif": "pillow", ".mp4": "ffmpeg"}
@@ -62,8 +61,9 @@ def write_film(heights: RecordedHeights, path: Path) -> int:
     seen = [frame for frame in shown if np.isfinite(frame.height).any()]
     if not seen:
         raise UserError(f"Topic {heights.topic} of bag {heights.reader.path} has no valid height.")
+    frames_per_second = 5
     with unfinished(path) as beside:
-        _draw(heights, seen, writers[SUFFIXES[suffix]](fps=FRAMES_PER_SECOND), beside)
+        _draw(heights, seen, writers[SUFFIXES[suffix]](fps=frames_per_second), beside)
     return len(seen)
 
 

@@ -18,16 +18,10 @@ from sal_height.geometry import Projection
 from sal_height.io import writing_whole
 from sal_height.numeric import Bool
 
-SCALE = 1e-4
-"""Step of coordinates, m: a 32-bit number of them reaches 214 km to either side."""
-
 POINT_FORMAT = 6
 """That with returns, flags and GPS time, which LAS 1.4 asks for where the system is in well-known text."""
 
 GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
-ADJUSTMENT_S = 1_000_000_000
-"""Adjusted standard GPS time is GPS time less so much."""
-
 LEAP_SECONDS = tuple(
     round((datetime(year, month, 1, tzinfo=UTC) - GPS_EPOCH).total_seconds())
     for year, month in (
@@ -92,12 +86,14 @@ def write_las(heights: RecordedHeights, path: Path) -> int:
 def gps_time(stamp_ns: int) -> float:
     """Adjusted standard GPS time, s, of a time in UTC, ns since 1970."""
     since = stamp_ns * 1e-9 - GPS_EPOCH.timestamp()
-    return since + bisect.bisect_right(LEAP_SECONDS, since) - ADJUSTMENT_S
+    adjustment_s = 1_000_000_000  # adjusted standard GPS time is GPS time less so much
+    return since + bisect.bisect_right(LEAP_SECONDS, since) - adjustment_s
 
 
 def _header(laspy: Any, projection: Projection | None) -> Any:
     header = laspy.LasHeader(version="1.4", point_format=POINT_FORMAT)
-    header.scales = np.full(3, SCALE)
+    scale = 1e-4  # step of coordinates, m: a 32-bit number of them reaches 214 km to either side
+    header.scales = np.full(3, scale)
     header.system_identifier, header.generating_software = "sal_height", "sal_height"
     header.global_encoding.gps_time_type = laspy.header.GpsTimeType.STANDARD
     header.global_encoding.wkt = True

@@ -40,9 +40,6 @@ VERSION = "urn:SICD:1.3.0"
 SIGN = -1
 """Of the exponent of the DFT from an image to its spatial frequencies: phases fall with range."""
 
-UNIFORM_WIDTH = 0.8859
-"""Width at half power of the response to an unweighted band, times the band."""
-
 WINDOWS: Mapping[str, tuple[str, Mapping[str, str]]] = {
     "rectangular": ("UNIFORM", {}),
     "taylor": ("TAYLOR", {"NBAR": "5", "SLL": "-35.0"}),
@@ -52,9 +49,6 @@ WINDOWS: Mapping[str, tuple[str, Mapping[str, str]]] = {
 
 WINDOW_NODES, WEIGHTS = 1025, 129
 """Weights of a window that is interpolated, and of its values in a file."""
-
-SAME_BAND = 1e-4
-"""Relative difference of two bands that are the same."""
 
 AXIS_TOLERANCE = 1e-3
 """Greatest sine of the angle between an axis of the image and the line of sight, or the vertical, along which it is."""
@@ -315,7 +309,8 @@ def _direction(image: PlacedImage, direction: F64, spacing: float, band: float, 
     """
     held = min(band, 1 / spacing)
     weights = window(name, WINDOW_NODES)
-    width = UNIFORM_WIDTH / band * (1.0 if name == "rectangular" else broadening(weights))
+    uniform_width = 0.8859  # width at half power of the response to an unweighted band, times the band
+    width = uniform_width / band * (1.0 if name == "rectangular" else broadening(weights))
     element = {
         "UVectECF": image.in_space(direction),
         "SS": spacing,
@@ -327,7 +322,8 @@ def _direction(image: PlacedImage, direction: F64, spacing: float, band: float, 
         "DeltaK2": held / 2,
     }
     named, parameters = WINDOWS[name]
-    if name == "rectangular" and held < band * (1 - SAME_BAND):
+    same_band = 1e-4  # relative difference of two bands that are the same
+    if name == "rectangular" and held < band * (1 - same_band):
         return element  # a band that is cut has not the response of an even one
     element["WgtType"] = {"WindowName": named, "Parameter": list(parameters.items())}
     if name != "rectangular":

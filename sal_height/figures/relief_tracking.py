@@ -20,7 +20,7 @@ from sal_height.relief import (
     TrackedRelief,
     TrackingSettings,
     filtered,
-    smoothed,
+    smoothed_columns,
     steady_sigmas,
 )
 
@@ -65,14 +65,14 @@ def relief_tracking(trials: int, seed: int) -> Iterator[Curve]:
     priors = [ReliefPrior(length, RELIEF_SIGMA) for length in LENGTHS.tolist()]
     constant = np.full(ROWS, MEASURED_SIGMA)
     steady = np.array([steady_sigmas(prior, SPACING, MEASURED_SIGMA) for prior in priors])
-    for index, (name, track) in enumerate((("filter", filtered), ("smoother", smoothed))):
+    for index, (name, track) in enumerate((("filter", filtered), ("smoother", smoothed_columns))):
         rmse = [_rmse(seed, trials, prior, constant, constant, track) for prior in priors]
         yield _curve("RMSE", name, index, rmse, steady[:, index], LENGTHS)
         gain = [Measured(_decibels(m.value), 20 / np.log(10) * m.standard_error / m.value) for m in rmse]
         expected = np.array([_decibels(sigma) for sigma in steady[:, index]])
         yield _curve("gain", name, index, gain, expected, LENGTHS)
     for index, (name, taken) in enumerate((("each cell's own", varying), ("their mean", level))):
-        rmse = [_rmse(seed, trials, prior, varying, taken, smoothed) for prior in priors]
+        rmse = [_rmse(seed, trials, prior, varying, taken, smoothed_columns) for prior in priors]
         expected = np.array([_expected_rmse(prior, varying, taken) for prior in priors])
         yield _curve("RMSE with noise that varies", f"variance taken: {name}", index, rmse, expected, LENGTHS)
 
@@ -88,7 +88,7 @@ def _over_snr(trials: int, seed: int) -> Iterator[Curve]:
     cases: list[tuple[str, Track, F64]] = [
         ("single cells", _untracked, sigmas),
         ("filter", filtered, steady[:, 0]),
-        ("smoother", smoothed, steady[:, 1]),
+        ("smoother", smoothed_columns, steady[:, 1]),
     ]
     for index, (name, track, closed_form) in enumerate(cases):
         noise = [np.full(ROWS, sigma) for sigma in sigmas.tolist()]

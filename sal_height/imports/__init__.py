@@ -16,12 +16,12 @@ from sal_height.imports.description import Description, read_description
 from sal_height.imports.gotcha import import_gotcha, read_gotcha
 from sal_height.imports.recorded_track import read_recorded_track
 from sal_height.imports.slc import import_slc
-from sal_height.imports.track import Track, read_track
+from sal_height.imports.track import PlatformTrack, read_track
 
 __all__ = [
     "Collection",
     "Description",
-    "Track",
+    "PlatformTrack",
     "import_arrays",
     "import_cphd",
     "import_crsd",

@@ -14,7 +14,7 @@ from sal_height.geometry import Origin
 from sal_height.imports.collection import Collection, write_collection
 from sal_height.imports.description import Description, read_description
 from sal_height.imports.recorded_track import read_recorded_track
-from sal_height.imports.track import Track, read_track
+from sal_height.imports.track import PlatformTrack, read_track
 from sal_height.sensor import PhaseHistory
 
 NEEDED = ("samples", "pulse_times", "reference_range")
@@ -41,7 +41,7 @@ def import_arrays(description: Path, data: Path, out: Path, track: Path | None =
     return len(collection.histories)
 
 
-def _read_track(path: Path, origin: Origin | None) -> Track:
+def _read_track(path: Path, origin: Origin | None) -> PlatformTrack:
     """The track in a bag or in another file.
 
     Raises:
@@ -51,7 +51,9 @@ def _read_track(path: Path, origin: Origin | None) -> Track:
     return read_recorded_track(path, origin) if is_bag else read_track(path, origin)
 
 
-def collection_of(description: Description, arrays: Mapping[str, Any], track: Track | None = None) -> Collection:
+def collection_of(
+    description: Description, arrays: Mapping[str, Any], track: PlatformTrack | None = None
+) -> Collection:
     """The collection of arrays.
 
     Args:
@@ -59,8 +61,8 @@ def collection_of(description: Description, arrays: Mapping[str, Any], track: Tr
         arrays: samples, complex, of the shape (dwells, channels, pulses, samples), where dwells, or dwells and
             channels, may be left out if there is one; pulse_times, s, (dwells, pulses) or (pulses,); reference_range,
             m, of the same shape, or one number; and if there is no track: times, s, (n,), positions, m, (n, 3), and
-            maybe velocities, m/s, (n, 3), and attitudes (x, y, z, w), (n, 4), as in `Track`. All times count from the
-            same begin; start_ns, if it is there, says when that was, ns since 1970.
+            maybe velocities, m/s, (n, 3), and attitudes (x, y, z, w), (n, 4), as in `PlatformTrack`. All times count
+            from the same start; start_ns, if it is there, says when that was, ns since 1970.
         track: of the platform.
 
     Raises:
@@ -97,7 +99,7 @@ def collection_of(description: Description, arrays: Mapping[str, Any], track: Tr
         seconds, positions, velocities, attitudes = (
             np.asarray(arrays[name], dtype=np.float64) if name in arrays else None for name in OF_TRACK
         )
-        track = Track(np.ravel(seconds), positions, velocities, attitudes)  # type: ignore[arg-type]  # looked for above
+        track = PlatformTrack(np.ravel(seconds), positions, velocities, attitudes)  # type: ignore[arg-type]  # looked for above
     return Collection(sensor, histories, track.states(start_ns), description.place, description.processing)
 
 

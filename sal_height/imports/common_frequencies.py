@@ -10,12 +10,6 @@ from scipy import fft
 from sal_height.errors import UserError
 from sal_height.numeric import C64, F64, blocks, chirp_z, outer_phasors
 
-SAME_FREQUENCY = 1e-3
-"""Cycles of phase by which frequencies of pulses may differ at the edge of the swath before they are interpolated."""
-
-PULSES_AT_ONCE = 256
-"""Pulses transformed at a time, so that the factors of the transforms stay small."""
-
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
@@ -59,7 +53,10 @@ def from_frequencies(samples: C64, first: F64, step: F64) -> Spectrum:
     widest, highest = float(step.max()), float(first.max())
     # Delays reach to half of what the samples of a pulse tell apart.
     off = np.abs(first - highest).max() + (count - 1) * np.abs(step - widest).max()
-    if off / (2 * widest) <= SAME_FREQUENCY:
+    # Cycles of phase by which frequencies of pulses may differ at the edge of the swath before they are
+    # interpolated.
+    same_frequency = 1e-3
+    if off / (2 * widest) <= same_frequency:
         return Spectrum(samples, highest, widest)
     last = float((first + (count - 1) * step).min())
     kept = int((last - highest) / widest * (1 + 1e-12)) + 1
@@ -127,7 +124,8 @@ def _at(samples: C64, first: F64, spacing: F64, offset: F64, step: float, count:
     inputs = samples.shape[1]
     result = np.empty((len(samples), count), np.complex64)
     places, frequencies = np.arange(inputs, dtype=np.float64), step * np.arange(count, dtype=np.float64)
-    for pulses in blocks(len(samples), PULSES_AT_ONCE):
+    pulses_at_once = 256  # pulses transformed at a time, so that the factors of the transforms stay small
+    for pulses in blocks(len(samples), pulses_at_once):
         ramps = outer_phasors(-2 * np.pi * offset[pulses] * spacing[pulses], places)
         sums = chirp_z(-2 * np.pi * step * spacing[pulses], inputs, 0.0, count, 0.0).times(ramps)
         sums.fill_rows(np.ascontiguousarray(samples[pulses]), result[pulses])

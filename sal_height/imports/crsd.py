@@ -39,9 +39,6 @@ OF_PULSES = ("TxTime", "TxPos", "TxVel", "TXmt", "PhiX0", "FxFreq0", "FxRate")
 NORMAL = 1
 """Value of SIGNAL of a vector that holds the echo of a pulse, undisturbed."""
 
-SAME_PHASE = 1e-3
-"""Cycles by which the phases of pulses of one waveform may differ."""
-
 
 @dataclass(frozen=True, eq=False)
 class Echoes:
@@ -201,7 +198,8 @@ def _chirp(path: Path, echoes: Echoes) -> dict[str, Any]:
     rate, duration, carrier = (np.asarray(echoes.pulses[name], np.float64) for name in ("FxRate", "TXmt", "FxFreq0"))
     lasts = echoes.samples.shape[1] / echoes.rate
     phase = np.ptp(rate) * duration.max() ** 2 / 8 + np.ptp(duration) * np.abs(rate).max() * duration.max() / 4
-    if phase + np.ptp(carrier) * lasts / 2 > SAME_PHASE:
+    same_phase = 1e-3  # cycles by which the phases of pulses of one waveform may differ
+    if phase + np.ptp(carrier) * lasts / 2 > same_phase:
         raise UserError(
             f"File {path} has pulses of different waveforms: carriers from {carrier.min():.9g} to {carrier.max():.9g} "
             f"Hz, rates from {rate.min():.6g} to {rate.max():.6g} Hz/s and durations from {duration.min():.6g} to "

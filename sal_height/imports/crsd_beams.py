@@ -13,9 +13,6 @@ from sal_height.beams import BeamTable
 from sal_height.geometry import Origin
 from sal_height.numeric import F64
 
-LEAST_PITCH = 1e-4
-"""Least difference of the boresights of two beams, rad; those of channels of one beam differ by rounding."""
-
 FARTHEST = 0.5
 """Offset from the boresight to which a pattern is looked for, rad."""
 
@@ -30,9 +27,6 @@ GRID = ("X0", "Y0", "XSS", "YSS")
 
 QUANTITIES = ("Gain", "Phase")
 """Of an array of gains (dB) and phases (cycles)."""
-
-LOWEST_DB = -40.0
-"""Gain against that of the boresight below which a pattern ends."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,12 +63,14 @@ def beams_of(reader: Any, channels: Sequence[str], origin: Origin) -> list[Beam]
         return []
     beams = [_beam(reader, name, described[name], vectors[name], origin) for name in channels]
     found = sorted((beam for beam in beams if beam), key=lambda beam: beam.boresight)
-    apart = all(second.boresight - first.boresight > LEAST_PITCH for first, second in pairwise(found))
+    # Least difference of the boresights of two beams, rad; those of channels of one beam differ by rounding.
+    least_pitch = 1e-4
+    apart = all(second.boresight - first.boresight > least_pitch for first, second in pairwise(found))
     return found if len(found) == len(channels) and apart else []
 
 
 def _receive_together(vectors: dict[str, Any], described: dict[str, Any], name: str) -> bool:
-    """Whether a channel receives the same pulses as the first one, at the same times and places, in the same band."""
+    """True if a channel receives the same pulses as the first one, at the same times and places, in the same band."""
     first = next(iter(vectors))
     same = ("RcvAPCId", "Fs", "SARImage/{*}TxId", *(f"RcvRefPoint/{{*}}ECF/{{*}}{axis}" for axis in "XYZ"))
     if any(described[name].findtext(f"{{*}}{path}") != described[first].findtext(f"{{*}}{path}") for path in same):
@@ -104,7 +100,8 @@ def _beam(reader: Any, name: str, described: Any, vectors: Any, origin: Origin) 
 
     offsets = np.linspace(-FARTHEST, FARTHEST, DIRECTIONS)
     gain, phase = pattern(offsets)
-    lobe = _around_middle(gain >= LOWEST_DB)
+    lowest_db = -40.0  # gain against that of the boresight below which a pattern ends
+    lobe = _around_middle(gain >= lowest_db)
     half = offsets[_around_middle(gain >= -10 * np.log10(2))]
     if len(half) == DIRECTIONS or len(half) < 2 or np.any(np.abs(phase[lobe] - phase[DIRECTIONS // 2]) > 1e-3):
         return None

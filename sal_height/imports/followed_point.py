@@ -19,18 +19,6 @@ from sal_height.sensor import PhaseHistory, Sensor, spectrum_sensor
 WIDEST_BEAM = 0.1
 """Greatest beamwidth in the sensor info, rad. Files need not state the antenna; it is as wide as pulses sample."""
 
-STEPS_IN_ANTENNA = 2.1
-"""Length of the antenna over the distance between pulses, along the track; below 2, they do not sample its beam."""
-
-SHARE_OF_WINDOW = 0.2
-"""Slant range that the beam meets on level ground, in beamwidths, over that which frequencies tell apart."""
-
-OVERSAMPLED = 1.2
-"""Resolution of the image over the spacing of its pixels."""
-
-LARGEST_SIDE = 2000.0
-"""Greatest side of the square that is imaged, m."""
-
 MOST_PIXELS = 4095
 """Greatest number of rows and columns of an image."""
 
@@ -86,13 +74,18 @@ def following_sensor(name: str, pulses: Pulses, fast_time: Mapping[str, Any], wi
             f"The {steps + 1} pulses of {name} reach over {pulses.seconds[-1]:.6g} s and {steps * pulse_step:.6g} m; "
             "they must be taken one after the other on a flight."
         )
+    # Length of the antenna over the distance between pulses, along the track; below 2, they do not sample its
+    # beam.
+    steps_in_antenna = 2.1
+    # Slant range that the beam meets on level ground, in beamwidths, over that which frequencies tell apart.
+    share_of_window = 0.2
     return Sensor(
         name=name,
         look_side=side_of(antenna, pulses.velocity[pulses.middle], reference),
         pulse_count=len(pulses.antenna),
         pulse_repetition_frequency=steps / float(pulses.seconds[-1]),
-        elevation_diameter=wavelength / min(SHARE_OF_WINDOW * window / (range_ * math.tan(elevation)), WIDEST_BEAM),
-        azimuth_diameter=wavelength / min(wavelength / (STEPS_IN_ANTENNA * pulse_step), WIDEST_BEAM),
+        elevation_diameter=wavelength / min(share_of_window * window / (range_ * math.tan(elevation)), WIDEST_BEAM),
+        azimuth_diameter=wavelength / min(wavelength / (steps_in_antenna * pulse_step), WIDEST_BEAM),
         pattern="sinc",
         elevation_boresights=(elevation,),
         noise_power=(0.0,),
@@ -116,7 +109,9 @@ def collection_of(pulses: Pulses, samples: C64, sensor: Sensor, origin: Origin, 
     slope = math.sin(boresight_to(antenna, reference))
     resolution = spectrum_sensor(sensor).range_resolution / slope
     range_ = float(np.linalg.norm(reference - antenna))
-    image = focusing(sensor, pulses.antenna, range_, min(window / slope / 2, LARGEST_SIDE), resolution / OVERSAMPLED)
+    oversampled = 1.2  # resolution of the image over the spacing of its pixels
+    largest_side = 2000.0  # greatest side of the square that is imaged, m
+    image = focusing(sensor, pulses.antenna, range_, min(window / slope / 2, largest_side), resolution / oversampled)
     return Collection(sensor, [history], states, origin, image)
 
 

@@ -25,12 +25,6 @@ SPEED = 100.0
 BEAM = 0.0145
 """Beamwidth (rad) put into the sensor info; the files do not state the antenna. As wide as the pulses sample: 147 m."""
 
-SCENE = 100.0
-"""Side of the square of the scene that is imaged, m."""
-
-WIDEST_SPACING = 0.2
-"""Greatest pixel spacing of the image, m: of range cells of 0.34 m on the ground; 6 files or less resolve no more."""
-
 PLAUSIBLE = {"freq": (1e9, 1e11), "r0": (1e3, 1e6)}
 """Values of an airborne radar in Hz and m; others are of other units."""
 
@@ -101,7 +95,11 @@ def read_gotcha(files: list[Path], dwells: int = 1) -> Collection:
         histories.append(PhaseHistory(int(times_ns[first]), since, reference[own], samples[:, own]))
     states = states_towards(times_ns, antenna, velocity, np.zeros(3), sensor.look_side)
     middle = antenna[len(antenna) // 2]
-    image = focusing(sensor, antenna[:count], float(np.linalg.norm(middle)), SCENE, WIDEST_SPACING)
+    scene = 100.0  # side of the square of the scene that is imaged, m
+    # Greatest pixel spacing of the image, m: of range cells of 0.34 m on the ground; 6 files or less resolve no
+    # more.
+    widest_spacing = 0.2
+    image = focusing(sensor, antenna[:count], float(np.linalg.norm(middle)), scene, widest_spacing)
     return Collection(sensor, histories, states, parameters=image)
 
 

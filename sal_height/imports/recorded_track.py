@@ -15,7 +15,7 @@ from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import FIX_TYPE, ODOMETRY_TYPE
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Navigation, Origin, PlatformState, Sample
-from sal_height.imports.track import Track, on_earth
+from sal_height.imports.track import PlatformTrack, on_earth
 from sal_height.numeric import F64
 from sal_height.topics import MAP_ORIGIN
 
@@ -23,11 +23,8 @@ _LOG = logging.getLogger(__name__)
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
 
-LONGEST_GAP_S = 2.0
-"""Longest time between two fixes that is bridged, s: receivers give one to twenty a second."""
 
-
-def read_recorded_track(bag: Path, origin: Origin | None) -> Track:
+def read_recorded_track(bag: Path, origin: Origin | None) -> PlatformTrack:
     """The track that a bag holds, with times counted from its first sample.
 
     It is taken from nav_msgs/Odometry of base_link in map, if the bag has that; else from sensor_msgs/NavSatFix, with
@@ -95,7 +92,8 @@ def _attitude(message: Any) -> Sample:
 
 def _merged(bag: Path, positions: Sequence[Sample], attitudes: Sequence[Sample], origin: Origin) -> list[PlatformState]:
     """A state for each attitude that positions lie around."""
-    navigation = Navigation(LONGEST_GAP_S, velocity_is_measured=False, local_to=origin)
+    longest_gap_s = 2.0  # longest time between two fixes that is bridged, s: receivers give one to twenty a second
+    navigation = Navigation(longest_gap_s, velocity_is_measured=False, local_to=origin)
     add = {"position": navigation.add_position, "attitude": navigation.add_attitude}
     kinds = (
         [(sample, kind) for sample in samples] for kind, samples in (("position", positions), ("attitude", attitudes))
@@ -112,9 +110,9 @@ def _merged(bag: Path, positions: Sequence[Sample], attitudes: Sequence[Sample],
     return states
 
 
-def _track_of(bag: Path, states: Sequence[PlatformState]) -> Track:
+def _track_of(bag: Path, states: Sequence[PlatformState]) -> PlatformTrack:
     _check_number(bag, len(states))
-    return Track(
+    return PlatformTrack(
         _seconds([state.stamp_ns for state in states]),
         np.stack([state.position for state in states]),
         np.stack([state.velocity for state in states]),
@@ -124,11 +122,11 @@ def _track_of(bag: Path, states: Sequence[PlatformState]) -> Track:
     )
 
 
-def _track_of_positions(bag: Path, positions: Sequence[Sample]) -> Track:
+def _track_of_positions(bag: Path, positions: Sequence[Sample]) -> PlatformTrack:
     _check_number(bag, len(positions))
     covariances = np.zeros((len(positions), 6, 6))
     covariances[:, :3, :3] = [sample.covariance for sample in positions]
-    return Track(
+    return PlatformTrack(
         _seconds([sample.stamp_ns for sample in positions]),
         np.stack([sample.value for sample in positions]),
         covariances=covariances,

@@ -60,12 +60,6 @@ WINDOW_KEYS = ("range_window", "azimuth_window")
 
 SENSOR_INFO, SLC = f"/{INFO}", f"/{IMAGES}"
 
-UNIT_TOLERANCE = 0.01
-"""Greatest difference of the norm of a direction or an attitude from 1."""
-
-DWELL_NS = 1_000_000_000
-"""Time from an image to the next, where a description does not say when they were taken, ns."""
-
 
 @dataclass(frozen=True)
 class ImagePlace(StrictKeys):
@@ -83,9 +77,10 @@ class ImagePlace(StrictKeys):
     stamp_ns: Annotated[Int, Ge(0)] | None = None
 
     def __post_init__(self) -> None:
+        unit_tolerance = 0.01  # greatest difference of the norm of a direction or an attitude from 1
         for name in ("row_direction", "col_direction", "attitude"):
             numbers = getattr(self, name)
-            if numbers is not None and not abs(math.hypot(*numbers) - 1) <= UNIT_TOLERANCE:
+            if numbers is not None and not abs(math.hypot(*numbers) - 1) <= unit_tolerance:
                 raise PydanticCustomError("unit", f"{name} must have the norm 1")
         if not any(self.velocity_mps[:2]):
             raise PydanticCustomError("velocity", "velocity_mps must be that of a flight, not 0 along the ground")
@@ -138,7 +133,7 @@ class ImagesDescription(Description):
 
 
 @dataclass(frozen=True, eq=False)
-class Images:
+class DescribedImages:
     """Images and their description.
 
     Attributes:
@@ -253,14 +248,14 @@ def import_slc(description: Path, files: Sequence[Path], out: Path) -> int:
     """
     content = read_yaml(description, f"Sensor {description}", f"File {description} cannot be read.")
     if any(file.suffix.lower() in NITF for file in files):
-        images = Images.of_sicd(description, content, files)
+        images = DescribedImages.of_sicd(description, content, files)
     else:
-        images = Images.of_arrays(description, content, files)
+        images = DescribedImages.of_arrays(description, content, files)
     write_images(images, out)
     return len(images.described.images)
 
 
-def write_images(images: Images, out: Path) -> None:
+def write_images(images: DescribedImages, out: Path) -> None:
     """Write a bag of images and the description of their sensor.
 
     Raises:
@@ -276,8 +271,10 @@ def write_images(images: Images, out: Path) -> None:
     sensor = described.sensor_of(*first.shape[1:])
     made = {"range_window": described.range_window, "azimuth_window": described.azimuth_window}
     provenance = provenance_to_message(Provenance(config_hash=sensor.config_hash).derived("sar_compression", made))
+    # Time from an image to the next, where a description does not say when they were taken, ns.
+    dwell_ns = 1_000_000_000
     stamps_ns = [
-        number * DWELL_NS if one.stamp_ns is None else one.stamp_ns for number, one in enumerate(described.images)
+        number * dwell_ns if one.stamp_ns is None else one.stamp_ns for number, one in enumerate(described.images)
     ]
     if any(later <= earlier for earlier, later in pairwise(stamps_ns)):
         raise UserError("The images have times that do not increase from dwell to dwell; give them in that order.")

@@ -31,8 +31,8 @@ SBET = np.dtype(
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
-    """Where a platform was, and how it was turned.
+class PlatformTrack:
+    """Position and attitude of a platform over time.
 
     Attributes:
         seconds: increasing times, s, shape (n,).
@@ -78,7 +78,7 @@ class Track:
         return states
 
 
-def read_track(path: Path, origin: Origin | None) -> Track:
+def read_track(path: Path, origin: Origin | None) -> PlatformTrack:
     """The track in a CSV file with a line of names, or in an SBET file (.sbet, .out).
 
     Columns of a CSV are time (s); x, y, z (map, m) or latitude, longitude (degrees), height (m above WGS 84); if they
@@ -119,10 +119,10 @@ def read_track(path: Path, origin: Origin | None) -> Track:
         positions = on_earth(path, origin).to_map(np.radians(latitude), np.radians(longitude), height)
     if attitudes is None and angles is not None:
         attitudes = _attitudes(np.radians(angles), positions, origin)
-    return Track(columns["time"], positions, stacked(VELOCITY), attitudes)
+    return PlatformTrack(columns["time"], positions, stacked(VELOCITY), attitudes)
 
 
-def _read_sbet(path: Path, origin: Origin | None) -> Track:
+def _read_sbet(path: Path, origin: Origin | None) -> PlatformTrack:
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -136,7 +136,7 @@ def _read_sbet(path: Path, origin: Origin | None) -> Track:
     positions = on_earth(path, origin).to_map(*place)
     roll, pitch, heading = (records[name] for name in ANGLES)
     angles = np.stack([roll, pitch, heading - records["wander"]], axis=-1)
-    return Track(records["time"].copy(), positions, None, _attitudes(angles, positions, origin))
+    return PlatformTrack(records["time"].copy(), positions, None, _attitudes(angles, positions, origin))
 
 
 def on_earth(path: Path, origin: Origin | None) -> Origin:

@@ -5,19 +5,11 @@ types of messages and those of the core. Samples are read without a copy (but fo
 messages that are made have views of the arrays that they are made of, until they are serialized.
 """
 
+from sal_height.engine.air import AIR_LATENCY_NS, HEARD_AIR, AirSample, needed_air
 from sal_height.engine.frame_items import LONGEST_DWELL
 from sal_height.engine.frames import BODY_FRAME, MAP_FRAME, Frames
 from sal_height.engine.provenance import autofocus_values
-from sal_height.messages.air import (
-    AIR,
-    AIR_LATENCY_NS,
-    AIR_OF_TOPICS,
-    AIR_TYPES,
-    AirSample,
-    air_to_messages,
-    needed_air,
-    read_air,
-)
+from sal_height.messages.air import AIR, AIR_TYPES, air_to_messages, read_air
 from sal_height.messages.basics import (
     aperture_from_message,
     complex_view,
@@ -61,9 +53,9 @@ from sal_height.messages.navigation import (
 from sal_height.messages.provenance import stages_of, with_stage
 from sal_height.messages.received import (
     HeightOrigin,
-    Pose,
     ReceivedFrame,
     ReceivedImage,
+    ReceivedPose,
     height_origin,
     received_frame,
     received_height,
@@ -86,9 +78,9 @@ __all__ = [
     "BrokenMessage",
     "Frames",
     "HeightOrigin",
-    "Pose",
     "ReceivedFrame",
     "ReceivedImage",
+    "ReceivedPose",
     "air_to_messages",
     "aperture_from_message",
     "autofocus_values",

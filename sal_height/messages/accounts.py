@@ -47,10 +47,6 @@ COUNTED: Mapping[str, str] = MappingProxyType(
 
 EVENTS = "events"
 
-MOST = 2**32 - 1
-"""Greatest count that is believed."""
-
-
 UNKNOWN: Mapping[str, float] = MappingProxyType(
     dict.fromkeys(("offered_hz", "achieved_hz", "latency_p50_ms", "latency_p95_ms"), math.nan)
 )
@@ -68,12 +64,13 @@ def account_of_numbers(numbers: Mapping[str, float]) -> NodeAccount:
 def fields_of_numbers(numbers: Mapping[str, float]) -> dict[str, Any]:
     """The fields of the account that numbers state, with counts by name as dictionaries, without absent fields."""
     fields: dict[str, Any] = {}
+    most = 2**32 - 1  # greatest count that is believed
     for name, number in numbers.items():
         if not math.isfinite(number):
             continue
         if name in MEASURED:
             fields[name] = float(number)
-        elif 0 <= number <= MOST:
+        elif 0 <= number <= most:
             _enter(fields, name, int(number))
     return fields
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+from sal_height.engine.air import AirSample
 from sal_height.errors import Rejected
-from sal_height.geometry import RADIO_M
 from sal_height.imaging import CorrectionSettings
 from sal_height.messages.basics import to_ns
 from sal_height.messages.types import FluidPressure, Header, RelativeHumidity, Temperature, Time
@@ -36,13 +36,6 @@ class AirQuantity(NamedTuple):
         return str(self.message_type.__msgtype__)
 
 
-class AirSample(NamedTuple):
-    """When a quantity was measured (ns), and its value in the unit of its parameter."""
-
-    stamp_ns: int
-    value: float
-
-
 AIR: Mapping[str, AirQuantity] = {
     "air/pressure": AirQuantity(FluidPressure, "fluid_pressure", " Pa", "air_pressure_pa"),
     "air/temperature": AirQuantity(Temperature, "temperature", " degrees Celsius", "air_temperature_k", 273.15),
@@ -50,19 +43,7 @@ AIR: Mapping[str, AirQuantity] = {
 }
 """The quantities by the topic that they come on."""
 
-AIR_OF_TOPICS = "topics"
-"""Value of the parameter air of the compression: the air is as messages say."""
-
 AIR_TYPES = {quantity.type_name for quantity in AIR.values()}
-
-AIR_LATENCY_NS = 1_000_000_000
-"""A message on the air is used for dwells that begin so much later than it is stamped. Whatever takes less time from
-probe to node has come then, so that a replay uses the same messages as the flight did."""
-
-
-def needed_air(wavelength: float) -> list[str]:
-    """The topics that tell the air for a wavelength (m): the humidity delays and bends radio waves only."""
-    return [topic for topic in AIR if topic != "air/humidity" or wavelength >= RADIO_M]
 
 
 def air_to_messages(values: Mapping[str, float], stamp: Time) -> dict[str, Any]:

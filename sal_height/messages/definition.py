@@ -28,7 +28,7 @@ class Definition:
     encoding: str = "ros2msg"
 
     def same_layout(self, other: Definition) -> bool:
-        """Whether equal messages have the same bytes by both definitions: decided by hash, or else field by field."""
+        """True if equal messages have the same bytes by both definitions: decided by hash, or else field by field."""
         if self.type_hash and other.type_hash:
             return self.type_hash == other.type_hash
         return self.encoding == other.encoding and _fields(self.text) == _fields(other.text)

@@ -15,7 +15,7 @@ from sal_height.engine.stage import DwellKey
 from sal_height.errors import Rejected
 from sal_height.geometry import PlatformState, rotation_matrix
 from sal_height.messages.basics import check_finite, check_rotation, to_ns, to_stamp, xyz
-from sal_height.messages.received import Pose, ReceivedFrame
+from sal_height.messages.received import ReceivedFrame, ReceivedPose
 from sal_height.messages.types import ChannelFrame, Header, Odometry, Point, Quaternion, Time, Vector3
 from sal_height.numeric import C64, F64
 from sal_height.sensor import PhaseHistory, Sensor
@@ -46,10 +46,10 @@ def state_from_message(message: Odometry) -> PlatformState:
     Raises:
         Rejected: as `state_of_pose` does.
     """
-    return state_of_pose(Pose.of(message))
+    return state_of_pose(ReceivedPose.of(message))
 
 
-def state_of_pose(pose: Pose, frames: Frames = USUAL) -> PlatformState:
+def state_of_pose(pose: ReceivedPose, frames: Frames = USUAL) -> PlatformState:
     """Return the platform state of the pose in an Odometry, with the velocity in the axes of map, which are ROS's.
 
     Raises:

@@ -9,7 +9,7 @@ import numpy as np
 
 from sal_height.engine.frames import MAP_FRAME
 from sal_height.engine.geometry_items import Aperture
-from sal_height.engine.height_items import Heights, Layers, packed
+from sal_height.engine.height_items import Heights, PackedSurface, packed
 from sal_height.engine.provenance import Provenance
 from sal_height.engine.stage import DwellKey
 from sal_height.geometry import ApertureState
@@ -43,7 +43,7 @@ from sal_height.messages.types import Surface as SurfaceMessage
 from sal_height.numeric import F32, F64
 from sal_height.relief import HeightField, Surface, folded
 
-_LAYERS = tuple(layer.name for layer in fields(Layers))
+_LAYERS = tuple(layer.name for layer in fields(PackedSurface))
 
 _NONE = Provenance()
 """Of heights whose provenance does not matter."""
@@ -77,7 +77,8 @@ def _heights_of(message: HeightImage, provenance: Provenance) -> Heights:
         (message.range_looks, message.azimuth_looks),
         np.asarray(message.validity, np.uint8),
         tuple(
-            Layers(**{name: np.asarray(getattr(one, name), np.float32) for name in _LAYERS}) for one in message.surfaces
+            PackedSurface(**{name: np.asarray(getattr(one, name), np.float32) for name in _LAYERS})
+            for one in message.surfaces
         ),
         np.asarray(message.order_probability, np.float32),
         provenance,

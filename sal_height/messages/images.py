@@ -8,7 +8,7 @@ from typing import Any, Protocol, TypeAlias
 
 from sal_height.engine.frames import MAP_FRAME
 from sal_height.engine.geometry_items import Aperture
-from sal_height.engine.image_items import Image, Images, Place, check_image
+from sal_height.engine.image_items import ChannelImage, Images, Place, check_image
 from sal_height.engine.provenance import Provenance, Same
 from sal_height.engine.stage import DwellKey
 from sal_height.imaging import Slc
@@ -47,7 +47,7 @@ def _place_of_received(geometry: Same[Any]) -> Place:
     return place_of(geometry.one)
 
 
-def image_of(image: ImageMessage) -> Image:
+def image_of(image: ImageMessage) -> ChannelImage:
     """Return the image that a ComplexImage describes; those received with the same geometry or provenance share these.
 
     Raises:
@@ -61,7 +61,7 @@ def image_of(image: ImageMessage) -> Image:
     else:
         stamp_ns, frame_id, size = to_ns(image.header.stamp), image.header.frame_id, 4 * len(image.samples)
         place = place_of(image)
-    return Image(
+    return ChannelImage(
         DwellKey(provenance.config_hash, image.dwell, stamp_ns),
         frame_id,
         image.channel,
@@ -76,7 +76,7 @@ def image_of(image: ImageMessage) -> Image:
     )
 
 
-def image_to_message(image: Image) -> ComplexImage:
+def image_to_message(image: ChannelImage) -> ComplexImage:
     """Return the ComplexImage that describes an image."""
     return ComplexImage(
         header=Header(stamp=to_stamp(image.key.stamp_ns), frame_id=image.frame_id),

@@ -18,7 +18,7 @@ from sal_height.engine.calibrations import StatedCalibration
 from sal_height.engine.frame_items import Frame
 from sal_height.engine.frames import USUAL, Frames, PlacedOrigin
 from sal_height.engine.height_items import Heights
-from sal_height.engine.image_items import Image, Images
+from sal_height.engine.image_items import ChannelImage, Images
 from sal_height.engine.mapper import PlacedRelief
 from sal_height.engine.movers import ImageMovers
 from sal_height.engine.navigation import Attitude, Fix, Pose, Twist
@@ -99,7 +99,7 @@ def write_frame(frame: Frame, _: Any = None) -> list[bytes]:
     return [SHIPPED.serialize(frame_to_message(frame))]
 
 
-def read_image(cdr: bytes, _: Any = None) -> list[Image]:
+def read_image(cdr: bytes, _: Any = None) -> list[ChannelImage]:
     """The image of a ComplexImage; images of the same bytes of geometry or provenance share these.
 
     Raises:
@@ -231,8 +231,7 @@ def write_mounting(placed: PlacedMounting, _: Any = None) -> list[bytes]:
 
 def _air_reader(port: str) -> Read:
     def read(cdr: bytes, _: Any = None) -> list[AirSample]:
-        sample = read_air(port, _deserialized(cdr, AIR[port].type_name))
-        return [AirSample(*sample)]
+        return [read_air(port, _deserialized(cdr, AIR[port].type_name))]
 
     return read
 

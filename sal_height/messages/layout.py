@@ -64,7 +64,7 @@ class Field:
 
     @property
     def is_message(self) -> bool:
-        """Whether its values are messages."""
+        """True if its values are messages."""
         return "/" in self.kind
 
 

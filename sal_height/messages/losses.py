@@ -1,4 +1,4 @@
-"""What nodes leave out, one message for each loss."""
+"""Losses of nodes, one message for each loss."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ def fields_of_message(message: Any) -> tuple[str, ...]:
 
 
 def is_same(one: Any, other: Any) -> bool:
-    """Whether two values of a field say the same."""
+    """True if two values of a field say the same."""
     if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
         one, other = np.asarray(one), np.asarray(other)
         return bool(np.array_equal(one, other, equal_nan=one.dtype.kind == other.dtype.kind == "f"))

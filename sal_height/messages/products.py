@@ -11,7 +11,7 @@ import numpy as np
 from sal_height.engine.doubts import Doubt, FitTest
 from sal_height.engine.geometry_items import Aperture
 from sal_height.engine.height_items import Heights
-from sal_height.engine.image_items import Image, Images, Place
+from sal_height.engine.image_items import ChannelImage, Images, Place
 from sal_height.engine.provenance import Provenance, Same
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Grid
@@ -136,7 +136,7 @@ def doubts_of(message: Any) -> dict[str, Any]:
     }
 
 
-def doubt_fields(item: Images | Image | Heights) -> dict[str, Any]:
+def doubt_fields(item: Images | ChannelImage | Heights) -> dict[str, Any]:
     """Order, doubts and fit of an item, as fields of its message."""
     return {
         "order": item.order,

@@ -27,9 +27,6 @@ KEPT = 16
 WRITTEN_ONCE = {"sal_height_msgs/msg/Provenance": KEPT, "rcl_interfaces/msg/Parameter": 512}
 """Types of which the bytes of shared messages are kept, and of how many: provenances, and what is in them."""
 
-MOST_INLINED = 64
-"""Most numbers, texts and lists of a nested message that is read and written by the function of its holder."""
-
 DEEPEST = 32
 """Most levels of nested messages."""
 
@@ -101,8 +98,11 @@ class Programs:
         return self._writers[key]
 
     def is_inlined(self, type_name: str) -> bool:
-        """Whether a nested message of a type is read and written by the function of its holder."""
-        return self._size(type_name)[0] <= MOST_INLINED
+        """True if a nested message of a type is read and written by the function of its holder."""
+        # Most numbers, texts and lists of a nested message that is read and written by the function of its
+        # holder.
+        most_inlined = 64
+        return self._size(type_name)[0] <= most_inlined
 
     def least_bytes(self, type_name: str) -> int:
         """How many bytes a message of a type has at least."""

@@ -214,8 +214,8 @@ def received_image(cdr: bytes) -> ReceivedImage:
         return ReceivedImage.of(_read_image(cdr))
 
 
-class Pose(NamedTuple):
-    """What is used of an Odometry.
+class ReceivedPose(NamedTuple):
+    """The used fields of an Odometry.
 
     Attributes:
         stamp_ns: of the header, ns.
@@ -253,8 +253,8 @@ class Pose(NamedTuple):
         )
 
 
-def received_pose(cdr: bytes) -> Pose:
-    """What is used of the Odometry that these bytes are.
+def received_pose(cdr: bytes) -> ReceivedPose:
+    """The used fields of the Odometry that these bytes are.
 
     Raises:
         BrokenMessage: they are none.
@@ -268,9 +268,9 @@ def received_pose(cdr: bytes) -> Pose:
         covariance = np.frombuffer(cdr[at + 8 * 7 : after_pose])
         of_twist = np.frombuffer(cdr[after_twist : after_twist + 8 * 36]).reshape(6, 6)
     except (struct.error, ValueError):
-        return Pose.of(_read_odometry(cdr))
+        return ReceivedPose.of(_read_odometry(cdr))
     stamp_ns = seconds * 1_000_000_000 + nanoseconds
-    return Pose(
+    return ReceivedPose(
         stamp_ns, frame_id, child_frame_id, numbers[:3], numbers[3:7], numbers[7:10], covariance, of_twist[:3, :3]
     )
 

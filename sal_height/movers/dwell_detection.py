@@ -72,7 +72,7 @@ class ShownDwell:
 
 @dataclass(frozen=True, eq=False)
 class MoverTrack:
-    """A mover, and its pixels in other dwells.
+    """A mover, and where other dwells show it.
 
     Attributes:
         mover: mover.
@@ -89,15 +89,15 @@ class MoverTrack:
     seconds: float
 
     def covers(self, other: MoverTrack, dwells: Sequence[DwellImage]) -> bool:
-        """True if another is less likely, and is this one or in its pixel in one of the dwells."""
+        """Whether another is less sure, and is this one or in its pixel in one of the dwells."""
         if other.mover.likelihood_ratio >= self.mover.likelihood_ratio:
             return False
         if len(without_ambiguities([self.mover, other.mover])) == 1:
             return True
         return any(self._shares_pixel(other, dwell) for dwell in dwells)
 
-    def _shares_pixel(self, other: MoverTrack, dwell: DwellImage) -> bool:
-        """True if the pixels of two tracks in a dwell are those of one target, whose response is 3 rows wide."""
+    def _is_beside(self, other: MoverTrack, dwell: DwellImage) -> bool:
+        """Whether the pixels of two tracks in a dwell are those of one target."""
         (row, col), (other_row, other_col) = self._pixel(dwell), other._pixel(dwell)
         cols, adjacent = dwell.steps // COLUMN_STEPS, abs(col - other_col)
         return abs(row - other_row) <= 3 and min(adjacent, cols - adjacent) <= MARGIN
@@ -194,7 +194,7 @@ class DwellMovers(Generic[Of]):
         return find_over_dwells(images, group.index(number), shown, self._settings)
 
     def _is_covered(self, track: MoverTrack, number: int) -> bool:
-        """True if a track of another dwell covers a track of this one."""
+        """Whether what was found in another dwell covers a track of this one."""
         for other, each in enumerate(self._found):
             between = [cached.image for cached in self._dwells[min(other, number) : max(other, number) + 1]]
             if other != number and any(rival.covers(track, between) for rival in each.tracks):
@@ -236,7 +236,7 @@ def find_over_dwells(
             migration = seen.migration[0] if seen.migrates else 0.0
             drift = paths.driving(seen.along[0]).drift
             tracks.append(
-                MoverTrack(mover_of(sighting, slc, sensor), seen.place, migration / paths.depth, drift, dwell.seconds)
+                MoverTrack(mover_of(sighting, slc, sensor), seen.place, walk / paths.depth, drift, dwell.seconds)
             )
     surest = without_ambiguities(one.mover for one in tracks)
     looked = Looked(surest, len(candidates), paths.ground, float(search.speeds[-1]))

@@ -11,7 +11,7 @@ QueuePolicy = Literal["oldest", "newest"]
 """Which job is dropped when there are too many: the one that waits longest, or the one that comes."""
 
 
-class Job(NamedTuple):
+class QueuedJob(NamedTuple):
     """Work for the worker thread.
 
     Attributes:
@@ -32,12 +32,12 @@ class JobQueue:
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
-        self._waiting: deque[Job] = deque()
+        self._waiting: deque[QueuedJob] = deque()
         self._waiting_size = 0
         self._running = False
         self._closed = False
 
-    def put(self, job: Job, capacity: int, capacity_bytes: float, policy: QueuePolicy) -> list[Job]:
+    def put(self, job: QueuedJob, capacity: int, capacity_bytes: float, policy: QueuePolicy) -> list[QueuedJob]:
         """Append a job, unless there is no room for it; a queue without any job takes every job.
 
         Args:
@@ -52,7 +52,7 @@ class JobQueue:
         with self._changed:
             if self._closed:
                 return [job]
-            dropped: list[Job] = []
+            dropped: list[QueuedJob] = []
             while job.messages and self._is_full(job, capacity, capacity_bytes):
                 if policy == "newest":
                     return [job]
@@ -62,7 +62,7 @@ class JobQueue:
             self._changed.notify()
             return dropped
 
-    def get(self) -> Job | None:
+    def get(self) -> QueuedJob | None:
         """Wait for the next job; the one before it is done. None: the queue is closed and empty."""
         with self._changed:
             self._running = False
@@ -76,7 +76,7 @@ class JobQueue:
             self._closed = True
             self._changed.notify_all()
 
-    def clear(self) -> list[Job]:
+    def clear(self) -> list[QueuedJob]:
         """Drop all jobs that wait, and return them."""
         with self._changed:
             dropped = [*self._waiting]
@@ -100,7 +100,7 @@ class JobQueue:
         with self._changed:
             return len(self._waiting) + self._running
 
-    def _is_full(self, job: Job, capacity: int, capacity_bytes: float) -> bool:
+    def _is_full(self, job: QueuedJob, capacity: int, capacity_bytes: float) -> bool:
         count = sum(1 for _ in self._droppable())
         return count > 0 and (count >= capacity or self._waiting_size + job.size > capacity_bytes)
 
@@ -108,7 +108,7 @@ class JobQueue:
         """Places of the jobs that wait and have messages, the oldest first."""
         return (place for place, job in enumerate(self._waiting) if job.messages)
 
-    def _take(self, place: int = 0) -> Job:
+    def _take(self, place: int = 0) -> QueuedJob:
         job = self._waiting[place]
         del self._waiting[place]
         self._waiting_size -= job.size

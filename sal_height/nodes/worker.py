@@ -32,7 +32,7 @@ from sal_height.nodes.accounts.process_numbers import process_numbers
 from sal_height.nodes.accounts.publisher import AccountPublisher, State
 from sal_height.nodes.accounts.tally import Pace, Tally
 from sal_height.nodes.guard import guarded
-from sal_height.nodes.jobs import Job, JobQueue
+from sal_height.nodes.jobs import JobQueue, QueuedJob
 from sal_height.nodes.managed import INACTIVE, Managed
 from sal_height.nodes.parameters import LiveParameters
 from sal_height.nodes.role import Role, Topics
@@ -235,7 +235,7 @@ class WorkerNode(Role, Managed):
             f"Processing falls behind: {capacity} dwells (max_queued_dwells) or {parameters.max_memory_mb} MB "
             f"(max_memory_mb) wait already, and the {policy} dwell was dropped (queue_policy)."
         )
-        for job in self._jobs.put(Job(run, messages, size, item), capacity, parameters.max_memory_bytes, policy):
+        for job in self._jobs.put(QueuedJob(run, messages, size, item), capacity, parameters.max_memory_bytes, policy):
             reason = ENDED if self._jobs.closed else Rejected("queue full", full)
             self.reject(job.messages, reason, _dwell_of(job.item))
 

@@ -2,20 +2,20 @@
 
 Read `heights` first (elevation, range and Doppler to height, place and sigma) with `position_error` (covariance of the
 place; error of height at a place), `slope` (of the ground, from neighbours) and `rows` (those estimated apart), then
-`range_tracking` and `field_tracking` (Gauss-Markov smoothing along range, and along the track too, with the
-`settings`), `prior` (of that, estimated from many dwells), `tracked` (the smoothed heights, placed), `ground` (the
-ground from all surfaces of all dwells, with `layers`, `membrane` and `visibility`), `ground_map` (that estimate,
-brought up to date with each dwell), `map` (the average of all dwells in one grid), `projected`
+`smoothing` (Gauss-Markov smoothing along range and along-track, with the `settings`),
+`prior` (of that, estimated from many dwells), `tracked` (the smoothed heights, placed), `ground` (the
+ground from all surfaces of all dwells, with `layers`, `membrane` and `visibility`), `cell_map` (a map that grows with
+the ground seen), `map` (one of the mean of all dwells), `ground_map` (one of the ground), `projected`
 (a map in UTM or the like) and `geotiff` (a map as a file).
 """
 
-from sal_height.relief.field_tracking import smoothed_field
+from sal_height.relief.cell_map import CellMap, Relief
 from sal_height.relief.geotiff import check_geotiff, write_geotiff
 from sal_height.relief.ground import GroundEstimate, GroundGrid, GroundKind, estimated_ground
 from sal_height.relief.ground_map import GroundMap, fine_cell_size
 from sal_height.relief.heights import HeightField, Surface, height_field
 from sal_height.relief.layers import Layers, layers_of, merged
-from sal_height.relief.map import Relief, ReliefMap, fitting_cell_size
+from sal_height.relief.map import ReliefMap, fitting_cell_size
 from sal_height.relief.position_error import (
     circle_covariance,
     covariances_from_sigma,
@@ -33,20 +33,22 @@ from sal_height.relief.position_error import (
 )
 from sal_height.relief.prior import PriorEstimate
 from sal_height.relief.projected import ProjectedAxes
-from sal_height.relief.range_tracking import (
+from sal_height.relief.rows import joined_rows
+from sal_height.relief.settings import GroundSettings, TrackingSettings
+from sal_height.relief.slope import ground_slope
+from sal_height.relief.smoothing import (
     MeasuredHeights,
     ReliefPrior,
     TrackedRelief,
     filtered,
     smoothed,
+    smoothed_columns,
     steady_sigmas,
 )
-from sal_height.relief.rows import joined_rows
-from sal_height.relief.settings import GroundSettings, TrackingSettings
-from sal_height.relief.slope import ground_slope
 from sal_height.relief.tracked import ground_spacings, track
 
 __all__ = [
+    "CellMap",
     "GroundEstimate",
     "GroundGrid",
     "GroundKind",
@@ -84,7 +86,7 @@ __all__ = [
     "pose_covariance",
     "position_jacobian",
     "smoothed",
-    "smoothed_field",
+    "smoothed_columns",
     "steady_sigmas",
     "track",
     "turn_jacobian",

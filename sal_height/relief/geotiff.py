@@ -13,7 +13,7 @@ from sal_height.errors import UserError
 from sal_height.extras import import_extra
 from sal_height.geometry import WGS_84, Projection
 from sal_height.io import write_whole
-from sal_height.relief.map import Relief
+from sal_height.relief.cell_map import Relief
 
 BANDS = {
     "height": "height at the cell's centre, above {datum}, m",
@@ -119,7 +119,7 @@ def write_geotiff(
 
 
 def _datum(projection: Projection | None) -> str:
-    """What heights are above, in words."""
+    """Name of the surface that heights are above."""
     if projection is None:
         return SPHERE
     if projection.has_geoid:

@@ -33,7 +33,7 @@ from sal_height.relief.visibility import blocking_cells, contradicted
 
 
 class GroundKind(IntEnum):
-    """How the height of a cell is known; the values are those of ReliefMap.msg."""
+    """Basis of the height of a cell; the values are those of ReliefMap.msg."""
 
     MEASURED = 0
     INTERPOLATED = 1
@@ -158,10 +158,6 @@ def highest_surfaces(layers: Layers, grid: GroundGrid, settings: GroundSettings)
     return layers.where(_highest(layers, grid))
 
 
-SCATTERED_CELLS = 19
-"""Side in cells of the square in which heights must not be scattered."""
-
-
 def _scattered(layers: Layers, pairs: Neighbours, reach: float, grid: GroundGrid) -> Bool:
     """Layers around which half of all neighbours, or more, differ by over four times their distance, shape (n,).
 
@@ -171,10 +167,11 @@ def _scattered(layers: Layers, pairs: Neighbours, reach: float, grid: GroundGrid
     size, first, second = len(layers), pairs.first, pairs.second
     number = grid.numbers(layers)
     sums = []
+    scattered_cells = 19  # side in cells of the square in which heights must not be scattered
     for chosen in (steep, np.ones_like(steep)):
         count = np.bincount(first[chosen], minlength=size) + np.bincount(second[chosen], minlength=size)
         cells = np.bincount(number, count, grid.shape[0] * grid.shape[1]).reshape(grid.shape)
-        sums.append(uniform_filter(cells, SCATTERED_CELLS).ravel()[number])
+        sums.append(uniform_filter(cells, scattered_cells).ravel()[number])
     return np.asarray(sums[0] > 0.5 * sums[1])
 
 
@@ -211,23 +208,20 @@ def _settled(tops: Layers, number: I64, grid: GroundGrid, settings: GroundSettin
     """
     offset = grid.places(tops) - np.rint(grid.places(tops))
     slope, steepest = np.zeros((*grid.shape, 2)), grid.cell_size  # m per cell; 45 degrees, until slopes are known
-    for _ in range(PASSES):
+    passes = 2  # number of fits: with unknown slopes, and with those that the first one has found
+    # Least variance of a height at a place over that of the height itself, on slopes along which the errors go.
+    least_variance_share = 0.25
+    for _ in range(passes):
         there = slope.reshape(-1, 2)[number]
         normal = np.column_stack([-there[:, ::-1] / grid.cell_size, np.ones(len(tops))])
         own, common = (np.einsum("ni,nij,nj->n", normal, part, normal) for part in (tops.own, tops.common))
         height, sigma = np.full(grid.shape, np.nan), np.full(grid.shape, np.nan)
         height.ravel()[number] = tops.place[:, 2] - np.sum(there * offset, axis=1)
-        sigma.ravel()[number] = np.sqrt(np.maximum(own, LEAST_VARIANCE_SHARE * tops.own[:, 2, 2]))
+        sigma.ravel()[number] = np.sqrt(np.maximum(own, least_variance_share * tops.own[:, 2, 2]))
         membrane = fitted_membrane(height, sigma, grid.spacing / grid.cell_size, settings.gate, slope, steepest)
         slope, steepest = _slopes(membrane), 0.0
     return membrane, slope, common
 
-
-PASSES = 2
-"""Number of fits: with unknown slopes, and with those that the first one has found."""
-
-LEAST_VARIANCE_SHARE = 0.25
-"""Least variance of a height at a place over that of the height itself, on slopes along which the errors go."""
 
 SLOPE_CELLS = 7
 """Side in cells of the square in which slopes are averaged."""
@@ -265,18 +259,15 @@ def _between_sides(sides: list[Sides], slope: F64, grid: GroundGrid, settings: G
     """
     reach = settings.interpolation_pixels * grid.spacing / grid.cell_size
     same, step, half = np.zeros(grid.shape, bool), np.zeros(grid.shape, bool), np.zeros(grid.shape)
+    steepest_gap = 0.6  # greatest slope across a gap that is interpolated, 30 degrees
     for axis, ((before, lower), (after, upper)) in enumerate(sides):
         near = (before <= reach) & (after <= reach)
         difference = np.abs(upper - lower)
-        level = near & (difference <= STEEPEST_GAP * (before + after) * grid.cell_size)
+        level = near & (difference <= steepest_gap * (before + after) * grid.cell_size)
         same, step = same | level, step | (near & ~level)
         beyond_slope = np.abs(upper - lower - slope[..., axis] * (before + after))
         half = np.where(level, np.maximum(half, beyond_slope / 2), half)
     return same & ~step, half
-
-
-STEEPEST_GAP = 0.6
-"""Greatest slope across a gap that is interpolated, 30 degrees."""
 
 
 Sides = tuple[tuple[F64, F64], tuple[F64, F64]]

@@ -1,36 +1,28 @@
 """Map of the ground: what dwells have measured of it so far, and the estimate that follows.
 
 What is kept of the dwells are merged layers (`layers`), in square tiles. A new dwell changes the estimate on the ground
-that it has seen and a little around it, which is estimated anew; `settle` estimates all of it at once. Small dwells
+that it has seen and a little around it, which is estimated again; `settle` estimates all of it at once. Small dwells
 side by side are estimated together, for an estimate of few cells takes as long as one of many.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import reduce
 
 import numpy as np
 
-from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Grid
-from sal_height.numeric import I64, Bool, Index
+from sal_height.numeric import I64, Bool
+from sal_height.relief.cell_map import TILE, CellMap, Relief, hull, tiles_of
 from sal_height.relief.ground import GroundEstimate, GroundGrid, estimated_ground, unseen
 from sal_height.relief.heights import HeightField
 from sal_height.relief.layers import Layers, layers_of, merged
-from sal_height.relief.map import Relief
 from sal_height.relief.settings import DEFAULT_GROUND, GroundSettings
 from sal_height.relief.tracked import ground_spacings
 from sal_height.relief.visibility import silent_cells
 
-TILE = 128
-"""Side of a tile in cells."""
-
 MARGIN = 4
 """Cells around what a dwell has seen in which the estimate may change, and as many more that are taken into account."""
-
-MOST_TILES = 2**30
-"""More than lie between the map's origin and any cell, along either axis."""
 
 LEAST_CELLS = 2**14
 """Cells that are worth an estimate, if nobody asks for it: ten dwells of sal_spotlight, 50 ms."""
@@ -46,11 +38,8 @@ def fine_cell_size(grid: Grid) -> float:
     return float(next(step * decade for step in (5, 2, 1) if step * decade <= most * (1 + 1e-9)))
 
 
-class GroundMap:
-    """The estimate of all ground that was seen, up to date whenever it is asked for.
-
-    Its memory is proportional to the area, not to the number of dwells.
-    """
+class GroundMap(CellMap):
+    """The highest surface of all ground that was seen, estimated whenever it is asked for."""
 
     def __init__(
         self, cell_size: float, spacing: float, max_cells: int, settings: GroundSettings = DEFAULT_GROUND
@@ -63,26 +52,20 @@ class GroundMap:
             max_cells: greatest number of cells of the rectangle around all that was seen.
             settings: of the estimate.
         """
-        self.cell_size = cell_size
+        super().__init__(cell_size, max_cells)
         self.spacing = spacing
-        self.max_cells = max_cells
         self.settings = settings
         self._tiles: dict[tuple[int, int], Layers] = {}
         self._silent: dict[tuple[int, int], Bool] = {}  # cells of tiles that pixels without a signal show in shadow
         self._estimate: GroundEstimate | None = None  # of whole tiles
-        self._corners = np.zeros((2, 2), dtype=np.int64)  # row and column of the first and of the last cell seen
-        self._stale: I64 | None = None  # the same of the cells seen since they were estimated
+        self._stale: I64 | None = None  # the rectangle around cells seen since they were estimated
 
     def add(self, field: HeightField, aperture: ApertureState) -> None:
-        """Enter all surfaces that a dwell saw from `aperture`, and estimate what has become worth it.
-
-        Raises:
-            Rejected: the map would have more than `max_cells` cells; it does not change.
-        """
+        """Enter all surfaces of a dwell, and estimate what is worth it by now. See `CellMap.add`."""
         seen = self.enter(field, aperture)
         if seen is None:
             return
-        together = seen if self._stale is None else _hull(self._stale, seen)
+        together = seen if self._stale is None else hull(self._stale, seen)
         if _count(together) < LEAST_CELLS:
             self._stale = together
         else:
@@ -106,11 +89,11 @@ class GroundMap:
         cells = layers.cells(self.cell_size)
         seen = np.stack([cells.min(axis=0), cells.max(axis=0)])
         self._grow(seen)
-        for place, there in _tiles_of(cells):
+        for place, there in tiles_of(cells):
             new = layers.where(there)
             self._tiles[place] = self._joined(self._tiles[place], new, seen) if place in self._tiles else new
         silent = silent_cells(field, aperture, self.settings.gate, self.cell_size)
-        for place, there in _tiles_of(silent):
+        for place, there in tiles_of(silent):
             self._silent.setdefault(place, np.zeros((TILE, TILE), bool))[tuple((silent[there] % TILE).T)] = True
         return seen
 
@@ -123,46 +106,28 @@ class GroundMap:
 
     def settle(self) -> None:
         """Estimate all ground at once."""
-        if self._estimate is not None:
-            self._stale = self._corners
-            self._renew()
+        self._stale = self._corners
+        self._renew()
 
     def estimate(self) -> GroundEstimate | None:
-        """Return the estimate as it stands; None if nothing was seen yet."""
+        """Return the estimate up to now; None if nothing was seen yet."""
         self._renew()
-        if self._estimate is None:
+        if self._estimate is None or self._corners is None:
             return None
         return _part(self._estimate, self._corners)
 
-    def relief(self) -> Relief | None:
-        """Return the estimate as a map that can be published; None if nothing was seen yet."""
-        ground = self.estimate()
-        if ground is None:
-            return None
+    def _relief(self, corners: I64) -> Relief:
+        self._renew()
+        assert self._estimate is not None  # noqa: S101 (`_grow` made it)
+        ground = _part(self._estimate, corners)
         height, sigma = ground.height.astype(np.float32), ground.sigma.astype(np.float32)
         disagreement = np.full_like(height, np.nan)  # merging does not keep it
-        return Relief(
-            ground.east,
-            ground.north,
-            ground.cell_size,
-            height,
-            sigma,
-            disagreement,
-            ground.count.copy(),
-            ground.kind.copy(),
-        )
+        place = ground.east, ground.north, ground.cell_size
+        return Relief(*place, height, sigma, disagreement, ground.count.copy(), ground.kind.copy())
 
     def _grow(self, seen: I64) -> None:
         """Make the estimate large enough for cells from seen[0] to seen[1]."""
-        known = seen if self._estimate is None else self._corners
-        corners = _hull(seen, known)
-        rows, cols = (corners[1] - corners[0] + 1).tolist()
-        if rows * cols > self.max_cells:
-            raise Rejected(
-                "map full",
-                f"With these heights the map would have {rows} x {cols} cells of {self.cell_size:g} m, more than the "
-                f"{self.max_cells} that max_cells allows.",
-            )
+        corners = self._grown(seen)
         whole = np.stack([corners[0] // TILE * TILE, corners[1] // TILE * TILE + TILE - 1])
         old, self._corners = self._estimate, corners
         if old is not None and (whole == _corners_of(old)).all():
@@ -174,8 +139,8 @@ class GroundMap:
             _paste(old, self._estimate)
 
     def _renew(self) -> None:
-        """Estimate the stale cells and MARGIN around them anew, as far as they have been seen."""
-        if self._stale is None:
+        """Estimate the stale cells and MARGIN around them again, as far as they have been seen."""
+        if self._stale is None or self._corners is None:
             return
         inner = _common(self._stale + MARGIN * OUTWARDS, self._corners)
         outer = _common(inner + MARGIN * OUTWARDS, self._corners)
@@ -214,11 +179,6 @@ OUTWARDS = np.array([[-1], [1]])
 """Makes a rectangle of cells, given by row and column of its first and of its last cell, larger by a cell."""
 
 
-def _hull(one: I64, other: I64) -> I64:
-    """The smallest rectangle around two."""
-    return np.stack([np.minimum(one[0], other[0]), np.maximum(one[1], other[1])])
-
-
 def _common(one: I64, other: I64) -> I64:
     """The rectangle that two have in common."""
     return np.stack([np.maximum(one[0], other[0]), np.minimum(one[1], other[1])])
@@ -227,16 +187,6 @@ def _common(one: I64, other: I64) -> I64:
 def _count(corners: I64) -> int:
     """Number of cells of a rectangle."""
     return int(np.prod(corners[1] - corners[0] + 1))
-
-
-def _tiles_of(cells: I64) -> Iterator[tuple[tuple[int, int], Index]]:
-    """Row and column of the tiles that hold some of the cells, shape (n, 2), and the numbers of those in each."""
-    rows, cols = (cells // TILE).T
-    number = rows * (2 * MOST_TILES) + cols
-    order = np.argsort(number, kind="stable")
-    for there in np.split(order, np.flatnonzero(np.diff(number[order])) + 1):
-        if there.size:
-            yield (int(rows[there[0]]), int(cols[there[0]])), there
 
 
 def _corners_of(estimate: GroundEstimate) -> I64:

@@ -81,7 +81,7 @@ class Surface:
 
     @property
     def is_determined(self) -> Bool:
-        """Where place and height are finite, and sigma is so in single precision, which messages have: (rows, cols)."""
+        """Pixels with finite place and height, and finite sigma in the single precision of messages, (rows, cols)."""
         with np.errstate(over="ignore"):
             sigma = self.sigma.astype(np.float32)
         east, north, up = np.moveaxis(self.positions, -1, 0)

@@ -20,9 +20,6 @@ from sal_height.geometry import ApertureState, aperture_at, sphere_coordinates
 from sal_height.numeric import F64, I64, Bool, Index
 from sal_height.relief.heights import HeightField, Surface
 
-STEEPEST_GROUND = 1.7
-"""Greatest slope of ground; what rises more steeply, 60 degrees, is a wall."""
-
 
 @dataclass(frozen=True, eq=False)
 class Layers:
@@ -189,7 +186,8 @@ def supported(layers: Layers, pairs: Neighbours, reach: float, least: int) -> Bo
 
 def on_walls(layers: Layers, pairs: Neighbours, reach: float) -> Bool:
     """Layers with another one within `reach` (m) steeply above them, and another one steeply below, shape (n,)."""
-    steep = (np.abs(pairs.rise) > np.maximum(STEEPEST_GROUND * pairs.distance, pairs.error)) & (pairs.distance < reach)
+    steepest_ground = 1.7  # greatest slope of ground; what rises more steeply, 60 degrees, is a wall
+    steep = (np.abs(pairs.rise) > np.maximum(steepest_ground * pairs.distance, pairs.error)) & (pairs.distance < reach)
     lower = np.where(pairs.rise > 0, pairs.first, pairs.second)[steep]
     upper = np.where(pairs.rise > 0, pairs.second, pairs.first)[steep]
     return (np.bincount(lower, minlength=len(layers)) > 0) & (np.bincount(upper, minlength=len(layers)) > 0)

@@ -1,8 +1,5 @@
 """Relief map: the heights of successive dwells, averaged in the cells of one grid on the ground.
 
-The grid lies along the arc distances east and north of `geometry.sphere_coordinates`; the edges of its cells are at
-multiples of the cell size, so that maps of different flights fit.
-
 The map takes the strongest scatterer of each pixel, and a weaker one if it is all but certain to be there
 (LEAST_SUPPORT): a map used for navigation must not hold obstacles that do not exist, so a false alarm of the order of a
 pixel must stay out; and it must not miss a kerb or a car whose brighter neighbour in layover is the road. Estimators
@@ -25,20 +22,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from sal_height.elevation import ORDERS
 from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Grid, sphere_coordinates
-from sal_height.numeric import F32, F64, I64, U8, Bool, in_parallel
+from sal_height.numeric import F64, I64, Bool, in_parallel
 from sal_height.relief._kernels import COLUMNS, average_cells, gather_pixels, read_cells, update_cells
+from sal_height.relief.cell_map import TILE, CellMap, Relief, tiles_of
 from sal_height.relief.heights import HeightField, Surface
 from sal_height.relief.position_error import STEEPEST
 from sal_height.relief.slope import LEAST_PIXELS, ground_slope
 from sal_height.relief.tracked import ground_spacings
-
-TILE = 256
-"""Side in cells of the square tiles by which the memory of a map grows."""
 
 LEAST_SUPPORT = 0.99
 """Least probability that a pixel holds a weaker scatterer, with which that enters a map."""
@@ -47,94 +41,40 @@ STEP = 2.5
 """Spread of heights in a cell, over what their errors let expect, beyond which the cell holds a step."""
 
 
-@dataclass(frozen=True, eq=False)
-class Relief:
-    """A map as it stands; arrays of shape (rows, cols), row 0 the southernmost.
-
-    Attributes:
-        east: arc distance of the centre of cell (0, 0) from the map's origin, m.
-        north: the same, m.
-        cell_size: m.
-        height: of the ground at the centre of the cell, above the sphere, m; NaN where nothing was seen.
-        sigma: standard deviation of that height, m; NaN where nothing was seen.
-        disagreement: spread of the dwells' heights over that expected from their sigmas: the square root of chi-square
-            per degree of freedom (Birge ratio, Phys. Rev. 40, 1932, p. 207). Near 1 if the sigmas are right, smaller if
-            dwells err alike; greater where something moved. NaN where fewer than two dwells saw the cell.
-        count: number of dwells that saw the cell.
-        kind: what each height rests on (`GroundKind`), uint8; None: on measurements, wherever it is not NaN.
-    """
-
-    east: float
-    north: float
-    cell_size: float
-    height: F32
-    sigma: F32
-    disagreement: F32
-    count: npt.NDArray[np.uint32]
-    kind: U8 | None = None
-
-
-class ReliefMap:
-    """A map that grows with the ground that is seen, in tiles of TILE × TILE cells.
-
-    Its memory is proportional to the area seen, not to the number of dwells.
-    """
+class ReliefMap(CellMap):
+    """Mean heights of all dwells."""
 
     def __init__(self, cell_size: float, max_cells: int) -> None:
         """An empty map.
 
         Args:
-            cell_size: m.
+            cell_size: side of a cell, m.
             max_cells: greatest number of cells of the rectangle around all that was seen.
         """
-        self.cell_size = cell_size
-        self.max_cells = max_cells
-        self._corners: I64 | None = None  # row and column of the first and of the last cell of that rectangle
+        super().__init__(cell_size, max_cells)
         # The columns of `update_cells`.
         self._tiles: dict[tuple[int, int], F64] = {}
 
-    def add(self, field: HeightField) -> None:
-        """Enter the heights of a dwell; if they are refused, the map does not change.
-
-        Raises:
-            Rejected: the map would have more than `max_cells` cells.
-        """
+    def add(self, field: HeightField, aperture: ApertureState | None = None) -> None:  # noqa: ARG002
+        """Enter the heights of a dwell; the aperture makes no difference. See `CellMap.add`."""
         pixels = _pixels_of(field)
         if not pixels.height.size:
             return
         cells = np.floor(pixels.place[::-1] / self.cell_size).astype(np.int64)
-        corners = np.stack([cells.min(axis=1), cells.max(axis=1)])
-        if self._corners is not None:
-            corners = np.stack([np.minimum(corners[0], self._corners[0]), np.maximum(corners[1], self._corners[1])])
-        rows, cols = (corners[1] - corners[0] + 1).tolist()
-        if rows * cols > self.max_cells:
-            raise Rejected(
-                "map full",
-                f"With these heights the map would have {rows} x {cols} cells of {self.cell_size:g} m, more than the "
-                f"{self.max_cells} that max_cells allows.",
-            )
+        corners = self._grown(np.stack([cells.min(axis=1), cells.max(axis=1)]))
         self._enter(_averaged(pixels, cells, self.cell_size))
         self._corners = corners
 
     def _enter(self, seen: _Cells) -> None:
         """Enter a dwell's mean heights."""
-        row, col = seen.row, seen.col
-        index, tile_cols = row % TILE * TILE + col % TILE, col // TILE
-        for tile_row in range(row[0] // TILE, row[-1] // TILE + 1):
-            first, end = np.searchsorted(row, [TILE * tile_row, TILE * (tile_row + 1)])
-            for tile_col in range(tile_cols.min(), tile_cols.max() + 1):
-                here = first + np.flatnonzero(tile_cols[first:end] == tile_col)
-                if here.size:
-                    place = tile_row, tile_col
-                    if place not in self._tiles:
-                        self._tiles[place] = np.zeros((TILE * TILE, COLUMNS))
-                    update_cells(index[here], seen.height[here], seen.own[here], seen.common[here], self._tiles[place])
+        index = seen.row % TILE * TILE + seen.col % TILE
+        for tile, here in tiles_of(np.stack([seen.row, seen.col], axis=-1)):
+            if tile not in self._tiles:
+                self._tiles[tile] = np.zeros((TILE * TILE, COLUMNS))
+            update_cells(index[here], seen.height[here], seen.own[here], seen.common[here], self._tiles[tile])
 
-    def relief(self) -> Relief | None:
-        """Return the map as it stands; None if nothing was seen yet."""
-        if self._corners is None:
-            return None
-        first, last = self._corners
+    def _relief(self, corners: I64) -> Relief:
+        first, last = corners
         height, sigma, disagreement = np.full((3, *(last - first + 1)), np.nan, np.float32)
         count = np.zeros(height.shape, np.uint32)
         for place, tile in self._tiles.items():
@@ -149,16 +89,8 @@ class ReliefMap:
                 disagreement[there],
                 count[there],
             )
-        centre = self.cell_size / 2
-        return Relief(
-            east=float(first[1]) * self.cell_size + centre,
-            north=float(first[0]) * self.cell_size + centre,
-            cell_size=self.cell_size,
-            height=height,
-            sigma=sigma,
-            disagreement=disagreement,
-            count=count,
-        )
+        north, east = ((first + 0.5) * self.cell_size).tolist()
+        return Relief(east, north, self.cell_size, height, sigma, disagreement, count)
 
 
 def fitting_cell_size(grid: Grid, aperture: ApertureState) -> float:

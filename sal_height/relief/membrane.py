@@ -42,38 +42,17 @@ FREEDOM = 2.0
 Softer than most ground, so that a step below the gate moves a height by little more than its sigma.
 """
 
-ROUNDS = 2
-"""Number of times that heights are found and the joints decided anew from them; more change next to none."""
-
 SWEEPS = 4
 """Number of sweeps of messages: heights are those of the minimum to a thousandth of their sigma."""
 
 WEIGHT_STEP = 1e-3
 """Relative change of the weights for the derivative of the variances, -diag(A^-1 W A^-1)."""
 
-NEIGHBOURHOOD = 19
-"""Side in cells of the square in which kappa is estimated: some hundred pixels."""
-
 FAR = 2.0
 """Standard deviations beyond which a measurement is called far from the line between its neighbours.
 
 The share of those that are far gives the scale of all, which a step along a line of pixels hardly changes.
 """
-
-BEND_PIXELS = (1, 2, 3)
-"""Distances in pixels over which bends are looked for."""
-
-BEND_SIGMAS = 4.0
-"""Size of a bend that noise may make, over the standard deviation of the height in its middle."""
-
-BENDS_PER_SIGMA = 3.0
-"""Size of a bend beyond that over the standard deviation of the heights on it."""
-
-LEAST_ROUGHNESS = 0.1
-"""What is added to kappa in gaps, where a step may hide that no measurement near it shows."""
-
-GREATEST_ROUGHNESS = 100.0
-"""Greatest kappa: the ground's steps are ten times as large as those of the prior."""
 
 Joints = tuple[Bool, Bool]
 """Whether each cell and the next along rows are joined, shape (rows - 1, cols), and along columns, (rows, cols - 1)."""
@@ -114,7 +93,7 @@ class Membrane:
 
 
 def footprint(spacing: float) -> float:
-    """How far the footprint of a measurement reaches, cells, at this spacing of measurements in cells.
+    """Reach of the footprint of a measurement, cells, at this spacing of measurements in cells.
 
     It is half a diagonal of their square, and a quarter of a cell, because measurements are not evenly spaced.
     """
@@ -124,7 +103,7 @@ def footprint(spacing: float) -> float:
 def fitted_membrane(
     measured: F64, sigma: F64, spacing: float, gate: float, slope: F64 | None = None, steepest: float = 0.0
 ) -> Membrane:
-    """Fit the membrane to measured heights, of which there must be one at least; `deviation` tells its sigma.
+    """Fit the membrane to measured heights, of which there must be one at least; `deviation` gives its sigma.
 
     Args:
         measured: heights z, m, shape (rows, cols); NaN where there is none.
@@ -152,7 +131,8 @@ def fitted_membrane(
         for step, (a, b) in zip(steps, _pairs(noise), strict=True)
     ]
     height = filled
-    for _ in range(ROUNDS):
+    rounds = 2  # of finding heights and deciding the joints again from them; more change next to none
+    for _ in range(rounds):
         joined = _joints(height, rises, limits)
         stiffness = _stiffness(joined, steps)
         precision, height = _beliefs(weight, filled, stiffness, rises)
@@ -175,7 +155,8 @@ def deviation(membrane: Membrane, spacing: float) -> F64:
     roughness = _roughness(membrane.filled, noise, membrane.covered, max(1, round(spacing)))
     smooth = averaged + roughness * (posterior - averaged)
     unresolved = _unresolved(membrane.height, np.sqrt(smooth), membrane.joined, spacing)
-    step = (roughness + LEAST_ROUGHNESS) * (FREEDOM * noise) ** 2 + unresolved[tuple(membrane.nearest)]
+    least_roughness = 0.1  # what is added to kappa in gaps, where a step may hide that no measurement near it shows
+    step = (roughness + least_roughness) * (FREEDOM * noise) ** 2 + unresolved[tuple(membrane.nearest)]
     variance = smooth + membrane.beyond * step + unresolved
     return np.where(np.isnan(membrane.height), np.inf, np.sqrt(variance))
 
@@ -216,15 +197,18 @@ def _unresolved(height: F64, noise: F64, joined: Joints, spacing: float) -> F64:
 
     A ramp has a bend upwards at its foot and one downwards at its top; a ridge or a valley has only one of them near.
     """
-    limit = BEND_SIGMAS * noise
+    bend_sigmas = 4.0  # size of a bend that noise may make, over the standard deviation of the height in its middle
+    limit = bend_sigmas * noise
     down = _bent_both_ways(height, limit, joined[0], spacing)
     across = _bent_both_ways(height.T, limit.T, joined[1].T, spacing).T
-    return np.maximum(down, across) / BENDS_PER_SIGMA**2
+    bends_per_sigma = 3.0  # size of a bend beyond that over the standard deviation of the heights on it
+    return np.maximum(down, across) / bends_per_sigma**2
 
 
 def _bent_both_ways(height: F64, limit: F64, joined: Bool, spacing: float) -> F64:
     """Lesser of the bends upwards and downwards along columns that reach to each cell, squared, m^2."""
-    lags = np.rint(np.array(BEND_PIXELS) * spacing).astype(np.int64)
+    bend_pixels = (1, 2, 3)  # distances in pixels over which bends are looked for
+    lags = np.rint(np.array(bend_pixels) * spacing).astype(np.int64)
     bends = np.zeros((2, *height.shape))
     there = np.ascontiguousarray(joined)
     kernels.mark_bends(np.ascontiguousarray(height), np.ascontiguousarray(limit), there, lags, bends)
@@ -251,7 +235,9 @@ def _roughness(height: F64, noise: F64, covered: Bool, lag: int) -> F64:
         known = covered[first] & covered[middle] & covered[last]
         far[middle] += known & (bend > FAR**2 * variance)
         count[middle] += known
-    far, count = (uniform_filter(values, NEIGHBOURHOOD) for values in (far, count))
+    neighbourhood = 19  # side in cells of the square in which kappa is estimated: some hundred pixels
+    far, count = (uniform_filter(values, neighbourhood) for values in (far, count))
     share = np.clip(far / np.maximum(count, 1e-6), 1e-3, 0.99)
     scale = FAR / ndtri(1 - share / 2)  # of a normal distribution with that share beyond FAR
-    return np.clip((scale**2 - 1) * 6 / (2 * FREEDOM**2), 0.0, GREATEST_ROUGHNESS)
+    greatest_roughness = 100.0  # greatest kappa: the ground's steps are ten times as large as those of the prior
+    return np.clip((scale**2 - 1) * 6 / (2 * FREEDOM**2), 0.0, greatest_roughness)

@@ -37,9 +37,6 @@ LEAST_POINTS = 2**14
 LEAST_OWN_SHARE = 0.01
 """Least share of a height's variance that is not due to the pose; sigma may have been rounded to float32."""
 
-ROUNDING = 1e-5
-"""How far a determinant may be below 0, over that of the variances: float32 rounds each number by up to 1e-7."""
-
 
 def position_jacobian(positions: F64, aperture: ApertureState) -> F64:
     """Derivative of positions by elevation (m/rad), by slant range and by distance along the flight (m/m).
@@ -197,7 +194,9 @@ def is_covariance(matrices: F64) -> Bool:
     """
     found = np.empty(matrices.shape[:-2], np.bool_)
     flat = matrices.reshape(-1, 3, 3), found.reshape(-1)
-    in_parallel(lambda part: find_semidefinite(flat[0][part], ROUNDING, flat[1][part]), len(flat[1]), LEAST_POINTS)
+    # How far a determinant may be below 0, over that of the variances: float32 rounds each number by up to 1e-7.
+    rounding = 1e-5
+    in_parallel(lambda part: find_semidefinite(flat[0][part], rounding, flat[1][part]), len(flat[1]), LEAST_POINTS)
     return found
 
 

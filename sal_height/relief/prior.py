@@ -10,7 +10,7 @@ What the dwells before say of x = (log l, log s) is kept as a Gaussian, that is,
 With each dwell both lose 1 / `prior_dwells` of their weight (exponential forgetting) and gain what the dwell says: the
 most likely x, given it and those before, and the information of its likelihood there. Until dwells have said enough, a
 Gaussian so wide that it hardly matters (`_Heights.vague`) holds its place. Ground that is quite another than before
-(`SURPRISE`) makes the estimate begin anew.
+(`SURPRISE`) makes the estimate start again.
 
 The mean of the relief is that of each dwell alone: Gaussian, with the standard deviation of the heights about their
 median.
@@ -31,17 +31,11 @@ import numpy as np
 from sal_height.errors import UserError
 from sal_height.numeric import F64, Bool
 from sal_height.relief import _tracking_kernels as kernels
-from sal_height.relief.range_tracking import MeasuredHeights, ReliefPrior
 from sal_height.relief.settings import DEFAULT_TRACKING, TrackingSettings
+from sal_height.relief.smoothing import MeasuredHeights, ReliefPrior
 
 LEAST_STEPS = 20
 """Least number of pairs of consecutive measured cells of a column from which a prior can be estimated, to a third."""
-
-FLATTEST = 2.0
-"""Least standard deviation of an estimated relief over that of the mean of all measurements.
-
-A smaller one cannot be told from level ground.
-"""
 
 RELIEF_OVER_ERROR = 30.0
 """Factor, of one standard deviation, by which the relief may be rougher or smoother than measurements are precise."""
@@ -64,13 +58,10 @@ LONGEST_STEP = 1.5
 TOLERANCE = 0.2
 """Length of the last step of the search, in standard deviations of what is sought; its square is the error left."""
 
-STEPS = 20
-"""Most steps of a search, which takes two in most dwells and six in the first."""
-
 
 @dataclass(frozen=True, eq=False)
 class PriorEstimate:
-    """What dwells so far say of the prior of their relief; nothing, to begin with.
+    """Estimate from the dwells so far of the prior of their relief; nothing, to begin with.
 
     Attributes:
         information: of log(length / m) and log(sigma / m), the inverse of their covariance, shape (2, 2).
@@ -119,7 +110,7 @@ class _Heights:
         spread: half the distance between 16th and 84th percentile of the heights, m, at least the error.
         error: median standard deviation of a measurement, m.
         outliers: their expected share, and the density of their heights, 1/m.
-        flattest: least standard deviation of a relief that can be told from level ground, m.
+        flattest: least standard deviation of a relief that can be distinguished from level ground, m.
     """
 
     deviation: F64
@@ -148,6 +139,9 @@ class _Heights:
         least, low, middle, high, greatest = np.percentile(deviation[seen], [0, 16, 50, 84, 100]).tolist()
         spread = max((high - low) / 2, error)
         windows = _windows(seen, settings)
+        # Least standard deviation of an estimated relief over that of the mean of all measurements. A smaller
+        # one cannot be told from level ground.
+        flattest = 2.0
         return cls(
             deviation=np.stack([np.where(seen, deviation - middle, 0.0)[window] for window in windows]),
             precision=np.stack([precision[window] for window in windows]),
@@ -157,19 +151,19 @@ class _Heights:
             mean_sigma=spread if settings.along_track else 0.0,
             spread=spread,
             error=error,
-            outliers=(settings.outlier_fraction, 1 / (greatest - least + error)),
-            flattest=FLATTEST * error / math.sqrt(np.count_nonzero(seen)),
+            outliers=(settings.outlier_share, 1 / (greatest - least + error)),
+            flattest=flattest * error / math.sqrt(np.count_nonzero(seen)),
         )
 
     def vague(self) -> PriorEstimate:
-        """What is known before any dwell: lengths from the spacing to the swath, and RELIEF_OVER_ERROR."""
+        """Estimate before any dwell: lengths from the spacing to the swath, and RELIEF_OVER_ERROR."""
         spacing = self.spacings[0]
         middle = np.array([math.log(spacing * self.swath) / 2, math.log(self.error)])
         deviation = np.array([max(math.log(self.swath / spacing) / 2, 1.0), math.log(RELIEF_OVER_ERROR)])
         return PriorEstimate(np.diag(deviation**-2), middle * deviation**-2)
 
     def starts(self) -> list[F64]:
-        """Where to search for the most likely logarithms, whatever is known."""
+        """Starts of the search for the most likely logarithms, whatever is known."""
         length = math.sqrt(self.spacings[0] * self.swath)
         return [np.log([length, share * self.spread]) for share in (0.1, 0.4, 1.0)]
 
@@ -243,7 +237,8 @@ def _most_likely(heights: _Heights, expected: F64, known: F64, settings: Trackin
     likelihoods = np.log(heights.likelihoods(starts)).sum(axis=1).tolist()
     merits = [likelihood - doubt(start) for likelihood, start in zip(likelihoods, starts, strict=True)]
     logs, merit = starts[int(np.argmax(merits))], max(merits)
-    for _ in range(STEPS):
+    steps = 20  # most steps of a search, which takes two in most dwells and six in the first
+    for _ in range(steps):
         rise, gained = heights.slopes(logs)
         rise -= known @ (logs - expected)
         free, total = np.where(rise > 0, logs < highest, logs > lowest), known + gained

@@ -8,8 +8,8 @@ import numpy as np
 
 from sal_height.geometry import ApertureState, Projection, sphere_coordinates, sphere_point
 from sal_height.numeric import F64
+from sal_height.relief.cell_map import Relief
 from sal_height.relief.heights import HeightField, Surface
-from sal_height.relief.map import Relief
 
 ROUND = 10_000.0
 """Eastings and northings of false origins are multiples of it, m: cells of maps of different flights fit then."""

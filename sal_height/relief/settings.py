@@ -8,7 +8,7 @@ from sal_height.settings import Settings, setting
 
 
 class TrackingSettings(Settings):
-    """How the heights of an image are tracked, and how much of the prior is estimated from them."""
+    """Settings of the tracking of the heights of an image, and of how much of the prior is estimated from them."""
 
     correlation_length_m: float = setting(
         0.0,
@@ -68,7 +68,7 @@ DEFAULT_TRACKING = TrackingSettings()
 
 
 class GroundSettings(Settings):
-    """How the ground is estimated from the surfaces of all pixels."""
+    """Settings of the estimate of the ground from the surfaces of all pixels."""
 
     gate: float = setting(
         3.0,

@@ -21,9 +21,6 @@ KNOWN = 0.2
 MISFIT = 2.5
 """Greatest spread of pixels about their plane, over what their errors let expect; beyond it there is no plane."""
 
-LEAST_SHARE = 0.25
-"""Least share of the pixels of a window that must have a height; a window in a corner of the image has 4 of 9."""
-
 WIDEST = 32
 """Greatest half-width of a window in pixels."""
 
@@ -73,7 +70,9 @@ def _planes(centred: F64, covariance: F64, half: int) -> tuple[F64, F64]:
         half: half-width of the windows in pixels.
     """
     shape = centred.shape[1:]
-    least, limits = LEAST_PIXELS // shape[1] + 1, (LEAST_SHARE, MISFIT**2)
+    # Least share of the pixels of a window that must have a height; a window in a corner of the image has 4 of 9.
+    least_share = 0.25
+    least, limits = LEAST_PIXELS // shape[1] + 1, (least_share, MISFIT**2)
     means = _window_means(centred, half)
     slope, (steepness, off, error) = np.empty((*shape, 2)), np.empty((3, *shape))
     in_parallel(

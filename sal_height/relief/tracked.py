@@ -8,12 +8,11 @@ from sal_height.elevation import Validity
 from sal_height.geometry import ApertureState, Grid, locate_at_height
 from sal_height.numeric import F64, Bool
 from sal_height.relief._tracking_kernels import mark_between, mark_company
-from sal_height.relief.field_tracking import smoothed_field
 from sal_height.relief.heights import HeightField, Surface
 from sal_height.relief.position_error import circle_covariance, height_variance
 from sal_height.relief.prior import PriorEstimate
-from sal_height.relief.range_tracking import MeasuredHeights, ReliefPrior, TrackedRelief, smoothed
 from sal_height.relief.settings import DEFAULT_TRACKING, TrackingSettings
+from sal_height.relief.smoothing import MeasuredHeights, ReliefPrior, TrackedRelief, smoothed
 
 
 def ground_spacings(grid: Grid) -> tuple[float, float]:
@@ -57,7 +56,7 @@ def track(
     """
     measured = MeasuredHeights(field.first.height, own_sigma(field.first), ground_spacings(field.grid))
     prior, after = before.after(measured, settings)
-    relief = (smoothed_field if settings.along_track else smoothed)(measured, prior, settings)
+    relief = smoothed(measured, prior, settings)
     return tracked_field(field, relief, aperture, settings.interpolation_limit * prior.sigma), prior, after
 
 
@@ -123,15 +122,13 @@ def _between(tracked: Bool, measured: Bool) -> Bool:
 COMPANY = 3
 """Least number of the eight pixels around an outlier that must be outliers of the same height."""
 
-SAME = 3.0
-"""Standard deviations of their difference up to which two heights count as the same."""
-
 
 def in_company(surface: Surface, outlier: Bool) -> Bool:
     """Outliers that have COMPANY or more of the same height around them, shape (rows, cols)."""
     company = np.empty(outlier.shape, np.bool_)
     height, variance = np.ascontiguousarray(surface.height), np.ascontiguousarray(surface.sigma**2)
-    mark_company(height, variance, outlier, SAME, COMPANY, company)
+    same = 3.0  # standard deviations of their difference up to which two heights count as the same
+    mark_company(height, variance, outlier, same, COMPANY, company)
     return company
 
 

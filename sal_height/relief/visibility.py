@@ -15,12 +15,6 @@ from sal_height.numeric import F64, I64, Bool, Index
 from sal_height.relief import _kernels as kernels
 from sal_height.relief.heights import HeightField
 
-STRIDE = 2
-"""Distance in cells from one place of a line of sight to the next, and to the first.
-
-Footprints are wider, and the cells beside a wall are as uncertain in their place as the wall.
-"""
-
 
 def blocking_cells(place: F64, height: F64, towards: F64, top: F64, cell_size: float) -> tuple[Index, Index]:
     """Find the cells whose surface stands in the way of lines of sight.
@@ -39,7 +33,10 @@ def blocking_cells(place: F64, height: F64, towards: F64, top: F64, cell_size: f
     with np.errstate(invalid="ignore", divide="ignore"):
         direction, rise = towards[:, ::-1] / level[:, None], cell_size / level
     walls = np.nan_to_num(top, nan=-np.inf) - cell_size
-    lines = place, height, direction, rise, walls, STRIDE
+    # Distance in cells from one place of a line of sight to the next, and to the first. Footprints are wider, and
+    # the cells beside a wall are as uncertain in their place as the wall.
+    stride = 2
+    lines = place, height, direction, rise, walls, stride
     found = np.empty((kernels.follow_lines(*lines, np.empty((0, 2), np.int64)), 2), np.int64)
     kernels.follow_lines(*lines, found)
     return found[:, 0], found[:, 1]

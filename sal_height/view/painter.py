@@ -13,8 +13,8 @@ from sal_height.errors import Rejected
 from sal_height.messages import (
     MAP_FRAME,
     Frames,
-    Pose,
     ReceivedImage,
+    ReceivedPose,
     complex_view,
     field_from_message,
     state_of_pose,
@@ -270,8 +270,8 @@ class Painter:
         picture = Picture(f"{topic}/power", coloured(decibels, self._power.ends, "gray"))
         return Sheet(collected.stamp_ns, collected.received_ns, (picture,))
 
-    def _paint_track(self, topic: str, message: Odometry | Pose, received_ns: int) -> Iterator[Sheet]:
-        pose = message if isinstance(message, Pose) else Pose.of(message)
+    def _paint_track(self, topic: str, message: Odometry | ReceivedPose, heard_ns: int) -> Iterator[Sheet]:
+        pose = message if isinstance(message, ReceivedPose) else ReceivedPose.of(message)
         state = state_of_pose(pose, Frames(self._map_frame, pose.child_frame_id))
         track = self._tracks.setdefault(topic.removesuffix("/odometry"), Track())
         waits_ns = track.add(state, received_ns)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from sal_height.adjustment import UNKNOWN_GROUND, AdjustmentSettings, ObservedDwell, Points, Stated, adjust
-from sal_height.adjustment.comparing import STRIP_POINTS, DwellChain, _Met, compared, joined
-from sal_height.adjustment.matching import Match, Surface, match
+from sal_height.adjustment.comparing import STRIP_POINTS, Chain, _Met, compared, joined
+from sal_height.adjustment.matching import GriddedSurface, Match, match
 from sal_height.adjustment.network import Comparison, Network
 from sal_height.imaging import Placement
 from sal_height.numeric import F64
@@ -104,7 +104,7 @@ def test_of_a_strip_is_said_what_either_density_says(monkeypatch: pytest.MonkeyP
     """And of its images, but not of dwells."""
     kinds = []
 
-    def noted(points: Points, surface: Surface, reach: F64, kind: int) -> Match | None:
+    def noted(points: Points, surface: GriddedSurface, reach: F64, kind: int) -> Match | None:
         kinds.append(kind)
         return match(points, surface, reach, kind)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from copy import copy
 
-from sal_height.engine.kept import Kept, Latest
+from sal_height.engine.kept import Kept, RecentValues
 
 
 def test_the_oldest_goes_if_none_is_in_use() -> None:
@@ -57,7 +57,7 @@ def test_a_copy_keeps_what_it_is_given_for_itself() -> None:
 
 
 def test_values_are_made_when_they_are_asked_for_and_those_asked_for_last_stay() -> None:
-    latest = Latest[list[int]](2, list)
+    latest = RecentValues[list[int]](2, list)
     for name in "abc":
         latest.of(name).append(ord(name))
     assert latest.of("a") is latest.of("a")

@@ -26,7 +26,7 @@ from sal_height.messages import (
 from sal_height.messages.codec import SHIPPED
 from sal_height.messages.parameters import parameter_of
 from sal_height.messages.plain import is_same
-from sal_height.messages.received import KEPT, Pose, _geometry_of
+from sal_height.messages.received import KEPT, ReceivedPose, _geometry_of
 from sal_height.messages.types import (
     ChannelFrame,
     ComplexImage,
@@ -103,7 +103,7 @@ EXAMPLES = [frame_of(), image_of(), odometry_of(), height_of()]
 def assert_same(view: Any, message: Any) -> None:
     """What was read says what a plain message does."""
     if isinstance(message, Odometry):
-        assert all(map(is_same, view, Pose.of(message)))
+        assert all(map(is_same, view, ReceivedPose.of(message)))
         return
     for name in message.__slots__:
         assert is_same(getattr(view, name), getattr(message, name)), name

@@ -7,14 +7,14 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from sal_height.nodes.jobs import Job, JobQueue, QueuePolicy
+from sal_height.nodes.jobs import JobQueue, QueuedJob, QueuePolicy
 
 
-def job(number: int, size: int = 1) -> Job:
-    return Job(lambda: None, number, size)
+def job(number: int, size: int = 1) -> QueuedJob:
+    return QueuedJob(lambda: None, number, size)
 
 
-def numbers(jobs: list[Job]) -> list[int]:
+def numbers(jobs: list[QueuedJob]) -> list[int]:
     return [one.messages for one in jobs]
 
 

@@ -16,8 +16,8 @@ from rio_cogeo.cogeo import cog_validate
 
 from sal_height.errors import UserError
 from sal_height.geometry import Origin, Projection
+from sal_height.relief.cell_map import Relief
 from sal_height.relief.geotiff import check_geotiff, write_geotiff
-from sal_height.relief.map import Relief
 
 CELL_M = 2.0
 STAMP_NS = 1_000_000_000 * round(datetime(2026, 10, 3, 14, 45, 9, tzinfo=UTC).timestamp())

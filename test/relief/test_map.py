@@ -18,8 +18,9 @@ from sal_height.geometry.frames import ApertureState
 from sal_height.geometry.grid import Grid
 from sal_height.geometry.locate import locate_at_elevation
 from sal_height.imaging.pixels import slant_plane_grid
+from sal_height.relief.cell_map import TILE, Relief
 from sal_height.relief.heights import HeightField, Surface, height_field
-from sal_height.relief.map import TILE, Relief, ReliefMap, fitting_cell_size
+from sal_height.relief.map import ReliefMap, fitting_cell_size
 from sal_height.relief.position_error import pose_covariance, variance_at_place
 
 Array = npt.NDArray[np.float64]

@@ -11,10 +11,9 @@ from helpers import assert_one_sentence
 from scipy.optimize import minimize
 
 from sal_height.errors import UserError
-from sal_height.relief.field_tracking import smoothed_field
 from sal_height.relief.prior import LEAST_STEPS, PriorEstimate, _Heights
-from sal_height.relief.range_tracking import MeasuredHeights, ReliefPrior, smoothed
 from sal_height.relief.settings import TrackingSettings
+from sal_height.relief.smoothing import MeasuredHeights, ReliefPrior, smoothed, smoothed_columns
 
 PRIOR = ReliefPrior(20.0, 1.0, 3.0)
 ALONG_RANGE = TrackingSettings(along_track=False)
@@ -61,8 +60,8 @@ def test_prior_is_estimated_in_spite_of_outliers() -> None:
     prior, _ = PriorEstimate().after(of(measured, sigma), ALONG_RANGE)
     assert prior.length == pytest.approx(20, rel=0.3)
     assert prior.sigma == pytest.approx(1, rel=0.15)
-    result = smoothed(of(measured, sigma), prior)
-    without = smoothed(of(np.where(wrong, np.nan, clean), sigma), PRIOR)
+    result = smoothed_columns(of(measured, sigma), prior)
+    without = smoothed_columns(of(np.where(wrong, np.nan, clean), sigma), PRIOR)
     far = wrong & (np.abs(measured - height) > 5)
     assert np.mean(result.outlier[far]) > 0.99
     assert np.mean(result.outlier[~wrong]) < 0.001
@@ -95,7 +94,7 @@ def test_level_ground_is_averaged_and_no_surer_than_its_level() -> None:
         (alone, _), (field, _) = (PriorEstimate().after(measured, one) for one in (ALONG_RANGE, TrackingSettings()))
         assert min(alone.sigma, field.sigma) > 1.99 / np.sqrt(1200)
         assert (alone.mean_sigma, field.mean_sigma) == (0.0, pytest.approx(1.0, rel=0.1))
-        for result in (smoothed(measured, alone), smoothed_field(measured, field)):
+        for result in (smoothed_columns(measured, alone), smoothed(measured, field)):
             assert rms(result.height - 5) < 0.2
             off.append(rms((result.height - 5) / result.sigma))
     assert np.count_nonzero(np.array(off) > 2) <= 2
@@ -148,7 +147,7 @@ def test_sigma_of_tracked_heights_is_the_spread_of_their_errors(length: float, s
     estimate, shares = PriorEstimate(), []
     for height, measured in dwells(rng, ReliefPrior(length, sigma), 90, noise):
         prior, estimate = estimate.after(measured)
-        shares.append(within(smoothed_field(measured, prior), height))
+        shares.append(within(smoothed(measured, prior), height))
     assert np.mean(shares[10:]) == pytest.approx(0.683, abs=0.02)
     assert np.mean(shares[:10]) == pytest.approx(0.683, abs=0.06)
 
@@ -168,7 +167,7 @@ def test_ground_that_is_quite_another_is_followed_at_once(
         _, estimate = estimate.after(measured)
     for number, (height, measured) in enumerate(dwells(rng, ReliefPrior(*after), 16, 0.05)):
         prior, estimate = estimate.after(measured)
-        result = smoothed_field(measured, prior)
+        result = smoothed(measured, prior)
         if number == 0:
             assert within(result, height) > 0.6
             assert np.mean(result.outlier) < 0.01

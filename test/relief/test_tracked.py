@@ -16,7 +16,7 @@ from sal_height.geometry.grid import Grid
 from sal_height.geometry.locate import locate_at_elevation, locate_at_height
 from sal_height.relief.heights import HeightField, Surface
 from sal_height.relief.position_error import circle_covariance, height_variance, pose_covariance
-from sal_height.relief.range_tracking import TrackedRelief
+from sal_height.relief.smoothing import TrackedRelief
 from sal_height.relief.tracked import (
     ground_spacings,
     look_side_of,

@@ -1,4 +1,4 @@
-"""Tracking of the relief in range: heights from noisy measurements of neighbouring cells on the ground.
+"""Smoothing of the relief: heights from noisy measurements of neighbouring cells, in range and along-track.
 
 The relief paper estimates the angle of each range cell and leaves the tracking of the relief from cell to cell to
 Bayesian filtering of a virtual target. Here the relief is a stationary Gauss-Markov (Ornstein-Uhlenbeck) process,
@@ -13,7 +13,18 @@ the posterior given all cells of the swath. Every column is a track of its own.
 A measurement farther from its prediction than `gate` standard deviations of their difference (the validation gate of
 Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001) is an outlier and not
 used. The variance of the prediction then keeps growing, up to s^2, and the gate with it: beyond a cliff the track is
-found again after a fraction of l, unless the ground stays more than `gate` s away from the mean.
+acquired again after a fraction of l, unless the ground stays more than `gate` s away from the mean.
+
+Smoothed along-track as well, the relief is a Gaussian field,
+
+    cov(h, h') = s^2 exp(-|distance along range| / l) exp(-|distance along-track| / l),
+
+about a mean that is itself Gaussian (`ReliefPrior.mean_sigma`). From row to row, a line of cells is a Gauss-Markov
+process whose state is the whole line (`_tracking_kernels`). The Kalman filter with that state, whose measurements enter
+one by one, and a smoother are exact, but their cost for each cell grows as the square of the line's length. Long lines
+are therefore cut into overlapping windows of `window_columns` cells, and each cell takes its height from the window
+that it is in the middle of. The result is the exact posterior given the measurements in the window's columns, with the
+right standard deviation; columns farther away do not contribute.
 """
 
 from __future__ import annotations
@@ -25,7 +36,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.errors import UserError
-from sal_height.numeric import F64, Bool, blocks, in_parallel
+from sal_height.numeric import F64, Bool, Index, blocks, in_parallel
 from sal_height.relief import _tracking_kernels as kernels
 from sal_height.relief._tracking_kernels import LEAST_SIGMA, Heights
 from sal_height.relief.settings import DEFAULT_TRACKING, TrackingSettings
@@ -139,6 +150,13 @@ def filtered(
 def smoothed(
     measured: MeasuredHeights, prior: ReliefPrior, settings: TrackingSettings = DEFAULT_TRACKING
 ) -> TrackedRelief:
+    """Estimate each height from all cells around it: of its window, or of its column if `along_track` is not set."""
+    return (_smoothed_windows if settings.along_track else smoothed_columns)(measured, prior, settings)
+
+
+def smoothed_columns(
+    measured: MeasuredHeights, prior: ReliefPrior, settings: TrackingSettings = DEFAULT_TRACKING
+) -> TrackedRelief:
     """Estimate each height from all cells of its column, by the filter and the smoother of Rauch, Tung and Striebel.
 
     The filter decides what is an outlier.
@@ -168,6 +186,42 @@ def _tracked(measured: MeasuredHeights, prior: ReliefPrior, gate: float, both_wa
 
     in_parallel(work, len(columns))
     return result
+
+
+def _smoothed_windows(measured: MeasuredHeights, prior: ReliefPrior, settings: TrackingSettings) -> TrackedRelief:
+    """Estimate heights from all rows of `window_columns` columns around each cell; exact if there are no more columns.
+
+    The prior is the same in both directions. The filter along range decides what is an outlier.
+    """
+    outlier = filtered(measured, prior, settings).outlier
+    deviation, precision = measured.deviations(prior.mean)
+    precision[outlier] = 0.0
+    rows, cols = deviation.shape
+    starts, size = _windows(cols, settings.window_columns)
+    edges = [0, *((starts[1:] + starts[:-1] + size) // 2).tolist(), cols]  # in the middle of what two windows share
+    steps = float(prior.correlation(measured.spacings[0])), float(prior.correlation(measured.spacings[1]))
+    result = TrackedRelief(np.empty_like(measured.height), np.empty_like(measured.height), outlier)
+
+    def work(part: slice) -> None:
+        columns, (state, variance) = np.empty((rows, size, size + 1)), np.empty((2, rows, size))
+        for number, start in enumerate(starts[part].tolist(), part.start):
+            window = deviation[:, start : start + size], precision[:, start : start + size]
+            kernels.filter_rows(*window, prior.variances, steps, columns, state, variance)
+            kernels.smooth_rows(*window, steps[0], columns, state, variance)
+            there = slice(edges[number], edges[number + 1])
+            inner = np.s_[:, there.start - start : there.stop - start]
+            result.height[:, there] = state[inner] + prior.mean
+            result.sigma[:, there] = np.sqrt(variance[inner])
+
+    worth_a_thread = 2**14  # cells of windows
+    in_parallel(work, len(starts), -(-worth_a_thread // (rows * size)))
+    return result
+
+
+def _windows(cols: int, window: int) -> tuple[Index, int]:
+    """First columns of the windows, which overlap by half or, to end with the image, by more; and their size."""
+    size, half = min(window, cols), window // 2
+    return np.minimum(np.arange(0, max(1, cols - half), half), cols - size), size
 
 
 def steady_sigmas(prior: ReliefPrior, spacing: float, measured_sigma: float) -> tuple[float, float]:

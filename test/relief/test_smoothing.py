@@ -10,16 +10,16 @@ from drawn_reliefs import SPACING, conditioned, draw, measure, of, rms, tracks, 
 from helpers import assert_one_sentence
 
 from sal_height.errors import UserError
-from sal_height.relief.field_tracking import smoothed_field
 from sal_height.relief.prior import PriorEstimate
-from sal_height.relief.range_tracking import (
+from sal_height.relief.settings import TrackingSettings
+from sal_height.relief.smoothing import (
     COLUMNS_AT_ONCE,
     ReliefPrior,
     filtered,
     smoothed,
+    smoothed_columns,
     steady_sigmas,
 )
-from sal_height.relief.settings import TrackingSettings
 
 PRIOR = ReliefPrior(20.0, 1.0, 3.0)
 ALL = TrackingSettings(gate=1000.0)
@@ -37,7 +37,7 @@ def test_filter_and_smoother_are_what_conditioning_on_all_cells_gives() -> None:
     measured = measure(rng, tracks(rng, PRIOR, sigma.shape), sigma, missing=0.2)
     sigma[7, 0], sigma[8, 0], sigma[9, 0], sigma[10, 0] = np.inf, np.nan, 0.0, -1.0
     known = np.where(np.isfinite(sigma) & (sigma > 0), measured, np.nan)
-    both, causal = smoothed(of(measured, sigma), PRIOR, ALL), filtered(of(measured, sigma), PRIOR, ALL)
+    both, causal = smoothed_columns(of(measured, sigma), PRIOR, ALL), filtered(of(measured, sigma), PRIOR, ALL)
     for c in range(3):
         height, spread = conditioned(known[:, c], sigma[:, c], covariance, PRIOR.mean)
         np.testing.assert_allclose(both.height[:, c], height, atol=1e-9)
@@ -69,7 +69,7 @@ def test_errors_are_those_of_the_steady_state() -> None:
     sigma = np.ones_like(height)
     measured = measure(rng, height, sigma)
     middle = slice(80, 161)  # 40 m, twice the correlation length, make several independent errors of a track
-    for track, expected in zip((filtered, smoothed), steady_sigmas(PRIOR, SPACING, 1.0), strict=True):
+    for track, expected in zip((filtered, smoothed_columns), steady_sigmas(PRIOR, SPACING, 1.0), strict=True):
         result = track(of(measured, sigma), PRIOR, ALL)
         assert rms((result.height - height)[middle]) == pytest.approx(expected, rel=0.02)
         np.testing.assert_allclose(result.sigma[middle], expected, rtol=1e-6)
@@ -89,7 +89,7 @@ def test_sigma_is_the_spread_of_the_errors(length: float, noise: float, missing:
     sigma = noise * uneven(rng, height.shape)
     measured = measure(rng, height, sigma, missing)
     estimated, _ = PriorEstimate().after(of(measured, sigma), ALONG_RANGE)
-    for known, track in itertools.product((prior, estimated), (filtered, smoothed)):
+    for known, track in itertools.product((prior, estimated), (filtered, smoothed_columns)):
         result = track(of(measured, sigma), known)
         assert within(result, height) == pytest.approx(0.683, abs=0.03)
         assert rms((result.height - height) / result.sigma) == pytest.approx(1, abs=0.06)
@@ -102,7 +102,7 @@ def test_an_outlier_is_marked_and_does_no_harm() -> None:
     measured = measure(rng, height, sigma)
     spoilt, missing = measured.copy(), measured.copy()
     spoilt[50], missing[50] = 20.0, np.nan
-    result, expected = (smoothed(of(values, sigma), PRIOR) for values in (spoilt, missing))
+    result, expected = (smoothed_columns(of(values, sigma), PRIOR) for values in (spoilt, missing))
     np.testing.assert_array_equal(np.flatnonzero(result.outlier), [50])
     np.testing.assert_allclose(result.height, expected.height, rtol=1e-12)
     np.testing.assert_allclose(result.sigma, expected.sigma, rtol=1e-12)
@@ -131,12 +131,12 @@ def test_columns_and_precision_of_single_numbers_make_no_difference() -> None:
     rng = np.random.default_rng(9)
     sigma = uneven(rng, (50, 2 * COLUMNS_AT_ONCE + 1))
     measured = measure(rng, tracks(rng, PRIOR, sigma.shape), sigma, 0.1)
-    result = smoothed(of(measured, sigma), PRIOR)
+    result = smoothed_columns(of(measured, sigma), PRIOR)
     for c in (0, COLUMNS_AT_ONCE - 1, COLUMNS_AT_ONCE, 2 * COLUMNS_AT_ONCE):
-        alone = smoothed(of(measured[:, [c]], sigma[:, [c]]), PRIOR)
+        alone = smoothed_columns(of(measured[:, [c]], sigma[:, [c]]), PRIOR)
         np.testing.assert_allclose(result.height[:, [c]], alone.height, rtol=1e-12)
         np.testing.assert_allclose(result.sigma[:, [c]], alone.sigma, rtol=1e-12)
-    single = smoothed(of(measured.astype(np.float32), sigma.astype(np.float32)), PRIOR)
+    single = smoothed_columns(of(measured.astype(np.float32), sigma.astype(np.float32)), PRIOR)
     assert single.height.dtype == single.sigma.dtype == np.float32
     np.testing.assert_allclose(single.height, result.height, atol=2e-6)
     np.testing.assert_allclose(single.sigma, result.sigma, atol=1e-6)
@@ -151,7 +151,7 @@ def test_a_field_of_one_window_is_what_conditioning_on_all_cells_gives() -> None
     )
     sigma = uneven(rng, shape)
     measured = measure(rng, draw(rng, PRIOR, shape, spacings), sigma, 0.2)
-    result = smoothed_field(of(measured, sigma, spacings), PRIOR, ALL)
+    result = smoothed(of(measured, sigma, spacings), PRIOR, ALL)
     height, spread = conditioned(measured.ravel(), sigma.ravel(), PRIOR.sigma**2 * np.kron(rows, cols), PRIOR.mean)
     np.testing.assert_allclose(result.height.ravel(), height, atol=1e-9)
     np.testing.assert_allclose(result.sigma.ravel(), spread, atol=1e-9)
@@ -166,7 +166,7 @@ def test_the_mean_is_estimated_with_the_heights_if_it_is_not_known() -> None:
     measured = measure(rng, 7 + draw(rng, prior, shape, (SPACING, SPACING)), sigma, 0.3)
     covariance = prior.sigma**2 * np.kron(rows, cols) + prior.mean_sigma**2
     height, spread = conditioned(measured.ravel(), sigma.ravel(), covariance, prior.mean)
-    result = smoothed_field(of(measured, sigma), prior, ALL)
+    result = smoothed(of(measured, sigma), prior, ALL)
     np.testing.assert_allclose(result.height.ravel(), height, atol=1e-9)
     np.testing.assert_allclose(result.sigma.ravel(), spread, atol=1e-9)
 
@@ -177,7 +177,7 @@ def test_nothing_breaks_the_smoother(prior: ReliefPrior) -> None:
     rng = np.random.default_rng(14)
     sigma = uneven(rng, (40, 6))
     sigma[20:22] = 1e-40
-    result = smoothed_field(of(5 + sigma * rng.standard_normal(sigma.shape), sigma), prior, ALL)
+    result = smoothed(of(5 + sigma * rng.standard_normal(sigma.shape), sigma), prior, ALL)
     assert np.all(np.isfinite(result.height))
     assert np.all(result.sigma > 0)
     assert np.all(result.sigma <= prior.sigma * (1 + 1e-9))
@@ -190,8 +190,8 @@ def test_windows_lose_little_of_a_wide_field(cols: int) -> None:
     spacings = (SPACING, SPACING)
     sigma = np.ones((40, cols))
     measured = measure(rng, draw(rng, PRIOR, sigma.shape, spacings), sigma)
-    windows = smoothed_field(of(measured, sigma), PRIOR, ALL)
-    whole = smoothed_field(of(measured, sigma), PRIOR, ALL.changed(window_columns=max(cols, 4)))
+    windows = smoothed(of(measured, sigma), PRIOR, ALL)
+    whole = smoothed(of(measured, sigma), PRIOR, ALL.changed(window_columns=max(cols, 4)))
     ratio = windows.sigma / whole.sigma
     assert np.all(ratio > 1 - 1e-9)
     assert np.max(ratio) < 1.04
@@ -203,8 +203,8 @@ def test_a_mirrored_field_has_mirrored_heights() -> None:
     rng = np.random.default_rng(15)
     sigma = uneven(rng, (20, TrackingSettings().window_columns + 2))
     measured = measure(rng, draw(rng, PRIOR, sigma.shape, (SPACING, SPACING)), sigma)
-    result = smoothed_field(of(measured, sigma), PRIOR)
-    mirrored = smoothed_field(of(measured[:, ::-1], sigma[:, ::-1]), PRIOR)
+    result = smoothed(of(measured, sigma), PRIOR)
+    mirrored = smoothed(of(measured[:, ::-1], sigma[:, ::-1]), PRIOR)
     np.testing.assert_allclose(mirrored.height[:, ::-1], result.height, rtol=1e-9)
     np.testing.assert_allclose(mirrored.sigma[:, ::-1], result.sigma, rtol=1e-9)
 
@@ -226,9 +226,9 @@ def test_a_field_is_calibrated_and_better_than_tracks_along_range() -> None:
         measured[wrong] = rng.uniform(0, 100, np.count_nonzero(wrong))
         known, _ = PriorEstimate().after(of(measured, sigma, spacings))
         results = [
-            smoothed_field(of(measured, sigma, spacings), prior),
-            smoothed_field(of(measured, sigma, spacings), known),
             smoothed(of(measured, sigma, spacings), prior),
+            smoothed(of(measured, sigma, spacings), known),
+            smoothed_columns(of(measured, sigma, spacings), prior),
         ]
         shares.append([within(result, height) for result in results])
         errors.append([rms(result.height - height) for result in results])

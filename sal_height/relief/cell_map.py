@@ -1,0 +1,120 @@
+"""Maps of ground: cells of one grid in which the heights of successive dwells are combined.
+
+The grid lies along the arc distances east and north of `geometry.sphere_coordinates`; the edges of its cells are at
+multiples of the cell size, so that maps of different flights fit. What is kept of a cell, and how the heights of dwells
+are combined in it, is up to the layer of the map: the mean of all dwells (`map.ReliefMap`) or the highest surface
+(`ground_map.GroundMap`).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sal_height.errors import Rejected
+from sal_height.geometry import ApertureState
+from sal_height.numeric import F32, I64, U8, Index
+from sal_height.relief.heights import HeightField
+
+TILE = 128
+"""Side in cells of the square tiles by which the memory of a map grows."""
+
+
+@dataclass(frozen=True, eq=False)
+class Relief:
+    """A map at some time; arrays of shape (rows, cols), row 0 the southernmost.
+
+    Attributes:
+        east: arc distance east of the centre of cell (0, 0) from the map's origin, m.
+        north: arc distance north of the same, m.
+        cell_size: side of a cell, m.
+        height: height of the ground at the centre of the cell, above the sphere, m; NaN where nothing was seen.
+        sigma: standard deviation of that height, m; NaN where nothing was seen.
+        disagreement: spread of the dwells' heights over that expected from their sigmas: the square root of chi-square
+            per degree of freedom (Birge ratio, Phys. Rev. 40, 1932, p. 207). Near 1 if the sigmas are right, smaller if
+            dwells err alike; greater where something moved. NaN where fewer than two dwells saw the cell.
+        count: number of dwells that saw the cell.
+        kind: basis of each height (`GroundKind`), uint8; None: measurements, wherever the height is not NaN.
+    """
+
+    east: float
+    north: float
+    cell_size: float
+    height: F32
+    sigma: F32
+    disagreement: F32
+    count: npt.NDArray[np.uint32]
+    kind: U8 | None = None
+
+
+class CellMap(ABC):
+    """A map that grows with the ground that is seen, in tiles of TILE × TILE cells.
+
+    Its memory is proportional to the area seen, not to the number of dwells. A rectangle of cells is given by row and
+    column of its first and of its last cell, counted from the map's origin, shape (2, 2).
+
+    Attributes:
+        cell_size: side of a cell, m.
+        max_cells: greatest number of cells of the rectangle around all that was seen.
+    """
+
+    def __init__(self, cell_size: float, max_cells: int) -> None:
+        """An empty map."""
+        self.cell_size = cell_size
+        self.max_cells = max_cells
+        self._corners: I64 | None = None  # the rectangle around all that was seen
+
+    @abstractmethod
+    def add(self, field: HeightField, aperture: ApertureState) -> None:
+        """Enter the heights of a dwell seen from `aperture`; if they are refused, the map does not change.
+
+        Raises:
+            Rejected: the map would have more than `max_cells` cells.
+        """
+
+    def settle(self) -> None:  # noqa: B027 (most maps are final at any time)
+        """Make the map final: all dwells have been entered."""
+
+    def relief(self) -> Relief | None:
+        """Return the map up to now; None if nothing was seen yet."""
+        return None if self._corners is None else self._relief(self._corners)
+
+    @abstractmethod
+    def _relief(self, corners: I64) -> Relief:
+        """The cells of the rectangle around all that was seen."""
+
+    def _grown(self, seen: I64) -> I64:
+        """The rectangle around all that was seen and the rectangle `seen`.
+
+        Raises:
+            Rejected: it has more than `max_cells` cells.
+        """
+        corners = seen if self._corners is None else hull(self._corners, seen)
+        rows, cols = (corners[1] - corners[0] + 1).tolist()
+        if rows * cols > self.max_cells:
+            raise Rejected(
+                "map full",
+                f"With these heights the map would have {rows} x {cols} cells of {self.cell_size:g} m, more than the "
+                f"{self.max_cells} that max_cells allows.",
+            )
+        return corners
+
+
+def hull(one: I64, other: I64) -> I64:
+    """The smallest rectangle of cells around two."""
+    return np.stack([np.minimum(one[0], other[0]), np.maximum(one[1], other[1])])
+
+
+def tiles_of(cells: I64) -> Iterator[tuple[tuple[int, int], Index]]:
+    """Row and column of each tile that has some of the cells, shape (n, 2), and the numbers of these in `cells`."""
+    rows, cols = (cells // TILE).T
+    most_tiles = 2**30  # more than lie between the map's origin and any cell, along either axis
+    number = rows * (2 * most_tiles) + cols
+    order = np.argsort(number, kind="stable")
+    for there in np.split(order, np.flatnonzero(np.diff(number[order])) + 1):
+        if there.size:
+            yield (int(rows[there[0]]), int(cols[there[0]])), there

@@ -66,8 +66,8 @@ def figures(
         names: Names of figures, or all. Default: all.
         out: Output folder, new or empty. Default: out/figures, or the next free of out/figures_2, ….
     """
-    from sal_height.figures.paper_figures import FIGURES, make_figures, summary
     from sal_height.figures.curve import holds
+    from sal_height.figures.paper_figures import FIGURES, make_figures, summary
 
     chosen = [name for name in names if name != "all"]
     everything = not names or "all" in names

@@ -21,8 +21,8 @@ class PhaseHistory:
 
     Attributes:
         stamp_ns: time of the first pulse, ns since the epoch.
-        pulse_times: s after the stamp, shape (pulses,).
-        reference_range: range to which each pulse's phase refers, m, shape (pulses,).
+        pulse_times: times of the pulses after the stamp, shape (pulses,), s.
+        reference_range: range to which each pulse's phase refers, shape (pulses,), m.
         samples: complex64, shape (detectors, pulses, samples).
         saturated_share: fraction of clipped samples in the dwell of each pulse (`receivers.saturated_shares`), shape
             (channels, pulses); None: not counted.

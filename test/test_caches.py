@@ -21,7 +21,7 @@ from sal_height.elevation.monopulse.inverse_table import inverse_table
 from sal_height.elevation.monopulse.sum_difference import _slope_table
 from sal_height.engine.frame_items import _fault_of_pulses
 from sal_height.numeric.range_profiles import _deconvolution
-from sal_height.numeric.windows import HELD, _half_power_width, broadening, window
+from sal_height.numeric.windows import KEPT, _half_power_width, broadening, window
 from sal_height.pipeline.channels import _channels_and_beams
 from sal_height.sensor import whitened_channels
 from sal_height.sensor.waveform import _waveform
@@ -86,10 +86,10 @@ def test_searches_at_the_squints_of_columns_are_bounded(columns: int) -> None:
 def test_windows_and_what_follows_from_them_are_bounded() -> None:
     for cache in (window, _half_power_width, _deconvolution):
         cache.cache_clear()
-    for count in range(16, 17 + HELD):
+    for count in range(16, 17 + KEPT):
         broadening(window("hamming", count))
         _deconvolution(count)
-    assert window.cache_info().currsize == _half_power_width.cache_info().currsize == HELD
+    assert window.cache_info().currsize == _half_power_width.cache_info().currsize == KEPT
     assert _deconvolution.cache_info().currsize == 8
 
 

@@ -1,6 +1,6 @@
 """Amplitude patterns of apertures by formula, and their slopes, for point detectors.
 
-Offsets e (elevation, along the detector axis) and a (azimuth, beside it) are in beamwidths, wavelength / aperture.
+Offsets e (elevation, along the detector axis) and a (azimuth, across it) are in beamwidths, wavelength / aperture.
 """
 
 from __future__ import annotations

@@ -24,21 +24,22 @@ class Beams:
 
     Detectors lie on an axis through the middle of the array that is turned by `rotation` (SAL paper, figure 8). A
     target at elevation x above that middle and squint y has the coordinate x cos psi + y sin psi along the axis, and
-    -x sin psi + y cos psi beside it.
+    -x sin psi + y cos psi across it.
 
     Attributes:
         patterns: amplitude pattern of every detector, or the one common to all.
         boresights: angle of each beam along the detector axis in rad from nadir, shape (detectors,), increasing.
         beamwidth: wavelength / antenna diameter along the detector axis, rad.
         rotation: psi, angle of the detector axis from elevation towards the direction of flight, rad.
-        aspects: angles along the flight, relative to the squint, under which a target was seen while its image was
-            synthesised, rad; a single 0 where the antenna was held on the target.
-        weights: of the aspects in the image; their sum is 1, unless the beams are scaled to the peak of such a mean.
-        middle: point of the axis about which it is turned, rad from nadir; None: half way between the first and the
+        aspects: angles along the flight, relative to the squint, under which a target was observed while its image was
+            synthesised; a single 0 where the antenna was pointed at the target; rad.
+        weights: weights of the aspects in the image; their sum is 1, unless the beams are scaled to the peak of such a
+            mean.
+        middle: point of the axis about which it is turned, from nadir, rad; None: half way between the first and the
             last boresight.
         matrix: channels from detectors, shape (channels, detectors), square; None: the channels are the detectors
             (`combined`).
-        azimuth_beamwidth: wavelength / antenna diameter beside the detector axis, rad; None: as `beamwidth`.
+        azimuth_beamwidth: wavelength / antenna diameter across the detector axis, rad; None: as `beamwidth`.
         uncertainty: standard deviation of the error of a channel's complex amplitude, over the greatest amplitude of a
             beam, root mean square over channels; 0: the beams are known.
     """
@@ -70,7 +71,7 @@ class Beams:
         return np.sum(np.abs(self.response(elevation, squint)) ** 2, axis=-1)
 
     def averaged(self, aspects: F64, weights: F64) -> Self:
-        """Return the beams of an image whose targets were seen under `aspects` (rad), weighted by `weights`."""
+        """Return the beams of an image whose targets were observed under `aspects` (rad), weighted by `weights`."""
         return replace(self, aspects=aspects, weights=weights / np.sum(weights))
 
     def scaled(self, gains: npt.NDArray[Any]) -> Self:
@@ -88,10 +89,10 @@ class Beams:
         return replace(self, beamwidth=self.beamwidth * factor, azimuth_beamwidth=self.beamwidth_beside * factor)
 
     def aberrated(self, coefficients: tuple[float, ...]) -> Self:
-        """Return the beams behind a pupil with aberrations, one for all detectors, that is described without.
+        """Return these beams behind a pupil with aberrations, common to all detectors.
 
         Args:
-            coefficients: of the terms of `pupil.ZERNIKE` in their order, waves rms; empty or all 0: these beams.
+            coefficients: coefficients of the terms of `pupil.ZERNIKE` in their order, waves rms; empty or 0: no change.
 
         Raises:
             UserError: the aperture is not circular ("jinc"), or there are not as many finite coefficients as terms.
@@ -136,12 +137,12 @@ class Beams:
         return replace(self, patterns=patterns, boresights=self.boresights[indices], middle=self.axis_middle)
 
     def pair(self, lower: int) -> Self:
-        """Return the beams of detectors `lower` and `lower` + 1, on the same axis; errors as of `detectors`."""
+        """Return the beams of detectors `lower` and `lower` + 1, on the same axis; errors as in `detectors`."""
         return self.detectors(np.array([lower, lower + 1]))
 
     @property
     def beamwidth_beside(self) -> float:
-        """Beamwidth beside the detector axis, rad."""
+        """Beamwidth across the detector axis, rad."""
         return self.beamwidth if self.azimuth_beamwidth is None else self.azimuth_beamwidth
 
     @property
@@ -161,7 +162,7 @@ class Beams:
 
     @cached_property
     def is_complex(self) -> bool:
-        """Whether `response` is complex, so that estimators need the phases between channels (`looks.covariance`)."""
+        """True if `response` is complex, so that estimators need the phases between channels (`looks.covariance`)."""
         return np.iscomplexobj(self.response(self.domain(0.0)[0], 0.0))
 
     @property
@@ -232,7 +233,7 @@ class Beams:
         return np.stack([function(e[..., i], a[..., i]) for i, function in enumerate(functions)], axis=-1)
 
     def _offsets(self, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> tuple[F64, F64]:
-        """Return the offsets from each boresight in beamwidths, along the detector axis and beside it."""
+        """Return the offsets from each boresight in beamwidths, along and across the detector axis."""
         x, y = np.asarray(elevation)[..., None] - self.axis_middle, np.asarray(squint)[..., None]
         cosine, sine = math.cos(self.rotation), math.sin(self.rotation)
         e = (x * cosine + y * sine - (self.boresights - self.axis_middle)) / self.beamwidth  # differences first: exact
@@ -241,7 +242,7 @@ class Beams:
 
 
 def column_squint(grid: Grid, aperture: ApertureState, beams: Beams, look_side: int) -> F64:
-    """Return the squint (rad) under which each column of an image is seen, shape (cols,).
+    """Return the squint (rad) of each column of an image, shape (cols,).
 
     It is computed at the image's middle row, for a target in the middle of the beams. Other rows of a column have the
     same Doppler but another elevation, hence a slightly different squint, which is neglected.

@@ -2,7 +2,7 @@
 
 Detection is coherent: a detector adds up the amplitude, not the power, of the field that falls on it (SAL paper,
 sections 2 and 3). The mean is a product of two Gauss-Legendre rules. It is computed once, at the Chebyshev points of
-every square of two beamwidths that holds an offset, and interpolated by the polynomial through them (Trefethen,
+every square of two beamwidths that contains an offset, and interpolated by the polynomial through them (Trefethen,
 Approximation Theory and Approximation Practice, 2013, chapter 8).
 """
 
@@ -29,22 +29,13 @@ Spatial frequencies of up to 1/2 cycle per beamwidth are interpolated within 2 (
 Gaussian, the one pattern here with an unlimited spectrum, within 1e-12.
 """
 
-AT_ONCE = 8192
-"""Offsets that are interpolated together: their Chebyshev polynomials, 3 MB, stay in the cache of a processor."""
-
-LEAST_NODES, NODES_PER_BEAMWIDTH = 6, 3
-"""Quadrature nodes along one side of a detector: the least, and those added for every beamwidth.
-
-They leave an error below 1e-11, also for the Gaussian.
-"""
-
 
 def average_over_detector(function: PatternFunction, size: tuple[float, float]) -> PatternFunction:
     """Return the mean of a pattern, or of a slope, over a rectangular detector.
 
     Args:
-        function: of a point detector; real or complex, with spatial frequencies of up to 1/2 per beamwidth.
-        size: widths of the detector along its axis (elevation) and beside it (azimuth), beamwidths; 0: a point.
+        function: pattern of a point detector; real or complex, with spatial frequencies of up to 1/2 per beamwidth.
+        size: widths of the detector along its axis (elevation) and across it (azimuth), beamwidths; 0: a point.
 
     Returns:
         A function of the same offsets, within 1e-11 of the integral; NaN where an offset is not finite.
@@ -69,7 +60,8 @@ def average_over_detector(function: PatternFunction, size: tuple[float, float]) 
         result = np.full(offsets.shape[:-1], np.nan, kind)
         finite = np.isfinite(offsets).all(axis=-1)
         known = offsets[finite]
-        pieces = (known[first : first + AT_ONCE] for first in range(0, len(known), AT_ONCE))
+        at_once = 8192  # offsets whose Chebyshev polynomials, 3 MB, stay in the cache of a processor
+        pieces = (known[first : first + at_once] for first in range(0, len(known), at_once))
         result[finite] = np.concatenate([np.zeros(0, kind), *map(interpolate, pieces)])
         return result
 
@@ -93,5 +85,6 @@ def _quadrature(width: float) -> tuple[F64, F64]:
     """Return nodes (beamwidths) and weights of the mean over an interval of `width` around 0."""
     if width == 0:
         return np.zeros(1), np.ones(1)
-    nodes, weights = roots_legendre(LEAST_NODES + math.ceil(NODES_PER_BEAMWIDTH * width))
+    # Six nodes, and three for every beamwidth, leave an error below 1e-11, also for the Gaussian.
+    nodes, weights = roots_legendre(6 + math.ceil(3 * width))
     return nodes * width / 2, weights / 2

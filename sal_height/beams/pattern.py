@@ -1,7 +1,7 @@
 """Beam patterns: the registry PATTERNS of apertures, and their averages over detectors of some size.
 
-A pattern is a function h of the direction to the target, seen from the beam's boresight: e in elevation (along the
-detector axis) and a in azimuth (beside it), both in beamwidths (wavelength / aperture). For a point detector
+A pattern is a function h of the direction to the target from the beam's boresight: e in elevation (along the detector
+axis) and a in azimuth (across it), both in beamwidths (wavelength / aperture). For a point detector
 h(0, 0) = 1; a detector of some size has the mean of h over it (SAL paper, sections 2 and 3), which is less.
 
 To add an aperture, add one entry to PATTERNS. Presets, commands and finite detectors then know it.
@@ -37,14 +37,14 @@ class Pattern:
     """A beam pattern and its slopes.
 
     Attributes:
-        name: its name in presets and messages.
+        name: name in presets and messages.
         amplitude: h(e, a); broadcasts. Float64, or complex128 for a measured beam.
         slope: derivative of h with respect to e, per beamwidth; broadcasts.
         azimuth_slope: derivative of h with respect to a, per beamwidth; broadcasts.
         main_lobe: half-width of the main lobe in azimuth, from boresight to the first null, beamwidths.
         domain: least and greatest e at which the pattern is known, beamwidths.
-        size: widths of the detector along its axis and beside it, beamwidths; 0: a point.
-        gain: constant that the pattern has been multiplied by, real or complex.
+        size: widths of the detector along and across its axis, beamwidths; 0: a point.
+        gain: constant factor of the pattern, real or complex.
     """
 
     name: str
@@ -78,9 +78,9 @@ def aperture_pattern(
     """Describe the pattern of a point detector behind an aperture, as an entry of PATTERNS.
 
     Args:
-        name: its name in presets.
+        name: name in presets.
         amplitude: h(e, a) with h(0, 0) = 1; it must broadcast.
-        main_lobe: half-width of the main lobe, beamwidths: the first null, or where h no longer matters.
+        main_lobe: half-width of the main lobe: the first null, or the offset from which h is negligible, beamwidths.
         slope: dh/de; None: differences of the amplitude, within 1e-11.
         azimuth_slope: dh/da; None: as `slope`.
     """
@@ -101,7 +101,7 @@ def _difference(function: Callable[[float], F64]) -> F64:
 
 
 def _exchanged(function: PatternFunction) -> PatternFunction:
-    """Return the function with elevation and azimuth exchanged: the azimuth slope of a pattern that is the same so."""
+    """Return the function with elevation and azimuth exchanged: the azimuth slope of a symmetric pattern."""
     return lambda e, a: function(a, e)
 
 
@@ -128,10 +128,6 @@ def pattern_named(name: str) -> Pattern:
     return PATTERNS[name]
 
 
-LARGEST_DETECTOR = 64.0
-"""Greatest width of a detector, beamwidths; real ones have about 1."""
-
-
 def detector_pattern(name: str, size: tuple[float, float]) -> Pattern:
     """Return the pattern of a rectangular detector behind the aperture called `name` (SAL paper, sections 2 and 3).
 
@@ -140,13 +136,14 @@ def detector_pattern(name: str, size: tuple[float, float]) -> Pattern:
 
     Args:
         name: one of PATTERNS.
-        size: widths of the detector along its axis and beside it, beamwidths; 0: a point.
+        size: widths of the detector along and across its axis, beamwidths; 0: a point.
 
     Raises:
-        UserError: there is no such aperture, or a width is negative or greater than LARGEST_DETECTOR.
+        UserError: there is no such aperture, or a width is negative or greater than 64 beamwidths.
     """
-    if not all(0 <= width <= LARGEST_DETECTOR for width in size):
-        raise UserError(f"The detector size is {size} beamwidths; both must be from 0 to {LARGEST_DETECTOR:g}.")
+    largest = 64.0  # real detectors have about 1
+    if not all(0 <= width <= largest for width in size):
+        raise UserError(f"The detector size is {size} beamwidths; both must be from 0 to {largest:g}.")
     point = pattern_named(name)
     return _averaged(point, size) if any(size) else point
 

@@ -45,8 +45,8 @@ def aberrated_pattern(coefficients: tuple[float, ...], size: tuple[float, float]
     """Return the pattern of a detector behind a circular aperture whose pupil has aberrations.
 
     Args:
-        coefficients: of the terms of ZERNIKE in their order, waves rms.
-        size: widths of the detector along its axis and beside it, beamwidths; 0: a point.
+        coefficients: coefficients of the terms of ZERNIKE in their order, waves rms.
+        size: widths of the detector along and across its axis, beamwidths; 0: a point.
 
     Raises:
         UserError: a coefficient is missing or not finite.
@@ -72,8 +72,8 @@ def aberrated_derivatives(coefficients: tuple[float, ...], size: tuple[float, fl
     """Return the derivatives of `aberrated_pattern` with respect to each coefficient, per wave; they have no slopes.
 
     Args:
-        coefficients: as of `aberrated_pattern`.
-        size: likewise.
+        coefficients: as in `aberrated_pattern`.
+        size: as in `aberrated_pattern`.
     """
     field, terms = _field(coefficients), _pupil()[3]
     point = aberrated_pattern(coefficients, size)
@@ -87,13 +87,13 @@ def _field(coefficients: tuple[float, ...]) -> C128:
 
 
 def _far_field(field: C128, size: tuple[float, float]) -> PatternFunction:
-    """Return the mean over a detector of what a field in the pupil makes, tabulated."""
+    """Return the far field of a field in the pupil, mean over a detector, tabulated."""
     u, v, _, _ = _pupil()
 
     def value(e: npt.ArrayLike, a: npt.ArrayLike) -> F64:
         """Field at offsets of which e is a column and a a row, or both are numbers."""
         offsets = np.asarray(e, dtype=np.float64), np.asarray(a, dtype=np.float64)
-        along, across = (np.exp(2j * np.pi * np.outer(one, place)) for one, place in zip(offsets, (u, v), strict=True))
+        along, across = (np.exp(2j * np.pi * np.outer(one, node)) for one, node in zip(offsets, (u, v), strict=True))
         values: Any = (along * field) @ across.T
         return values.reshape(np.broadcast_shapes(offsets[0].shape, offsets[1].shape))
 

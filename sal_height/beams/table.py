@@ -1,4 +1,4 @@
-"""Measured beams: tables of complex amplitudes over angles, and the patterns that they make."""
+"""Measured beams: tables of complex amplitudes over angles, and their patterns."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ class BeamTable:
     """The measured beam of one detector; the same content as sal_height_msgs/BeamTable.
 
     Attributes:
-        elevation: offsets from the detector's boresight along the detector axis, rad, increasing.
-        azimuth: offsets beside it, rad, increasing; a single one: the beam depends on elevation only.
+        elevation: offsets from the detector's boresight along the detector axis, increasing, rad.
+        azimuth: offsets across it, increasing; a single one: the beam depends on elevation only; rad.
         real: real part of the amplitude at every elevation and, within it, every azimuth. All detectors of a sensor
-            share one unit, because they are compared with each other; CNRs keep their meaning if the greatest modulus
+            have one unit, because they are compared with each other; CNRs keep their meaning if the greatest modulus
             is near 1.
         imaginary: imaginary part, as `real`.
 
@@ -73,14 +73,14 @@ class BeamTable:
 
 
 def tabulated_pattern(table: BeamTable, beamwidth: float, azimuth_beamwidth: float | None = None) -> Pattern:
-    """Return the pattern that a table holds: the cubic spline through its amplitudes, and the spline's derivatives.
+    """Return the pattern of a table: the cubic spline through its amplitudes, and the spline's derivatives.
 
     With a single azimuth the pattern is the same at all azimuths. Beyond the table nothing is received: 0.
 
     Args:
-        table: of one detector's beam.
+        table: table of one detector's beam.
         beamwidth: wavelength / antenna diameter along the detector axis, rad.
-        azimuth_beamwidth: the same beside the detector axis; None: as `beamwidth`.
+        azimuth_beamwidth: the same across the detector axis; None: as `beamwidth`.
 
     Returns:
         Pattern: named "table", known where the table is; float64 where all amplitudes are real, otherwise complex128.
@@ -99,7 +99,7 @@ def tabulated_pattern(table: BeamTable, beamwidth: float, azimuth_beamwidth: flo
     amplitude, slope, azimuth_slope = (
         _within(elevations, azimuths, derivatives, orders) for orders in ((0, 0), (1, 0), (0, 1))
     )
-    # A single azimuth does not show the main lobe: it is taken for that of a square aperture, 1 beamwidth.
+    # A single azimuth does not show the main lobe: it is assumed to be that of a square aperture, 1 beamwidth.
     main_lobe = 1.0 if azimuth.size == 1 else first_null(amplitude, max(map(abs, azimuths)))
     return Pattern("table", amplitude, slope, azimuth_slope, main_lobe, elevations)
 

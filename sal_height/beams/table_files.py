@@ -13,7 +13,7 @@ from sal_height.beams.table import BeamTable
 from sal_height.errors import UserError
 
 COLUMNS = ("detector", "elevation_beamwidths", "azimuth_beamwidths", "real", "imaginary")
-"""Columns of a file of beam tables; the third may be absent."""
+"""Columns of a file of beam tables; the third may be missing."""
 
 
 def read_beam_tables(path: Path, beamwidth: float, azimuth_beamwidth: float | None = None) -> tuple[BeamTable, ...]:
@@ -23,9 +23,9 @@ def read_beam_tables(path: Path, beamwidth: float, azimuth_beamwidth: float | No
     boresight of each detector, in beamwidths. Without azimuth_beamwidths all rows have azimuth 0.
 
     Args:
-        path: of the file.
+        path: path of the file.
         beamwidth: wavelength / antenna diameter along the detector axis, rad.
-        azimuth_beamwidth: the same beside the detector axis; None: as `beamwidth`.
+        azimuth_beamwidth: the same across the detector axis; None: as `beamwidth`.
 
     Returns:
         tuple[BeamTable, ...]: the beams of detectors 0, 1, ...

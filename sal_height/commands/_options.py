@@ -1,4 +1,4 @@
-"""Options that mean the same in every command, and the texts that all commands share."""
+"""Options that mean the same in every command, and the texts common to all commands."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from sal_height.nodes.transport.domain import DomainChoice
 
 DONE, FAILED, BAD_USE, INTERRUPTED, CUT_OFF = 0, 1, 2, 130, 141
-"""Exit statuses. FAILED means something else in each command, whose help says what."""
+"""Exit statuses. The meaning of FAILED is stated in the help of each command."""
 
 PROCESSING = Group("Simulate and process", sort_key=1)
 MEASURING = Group("Measure images", sort_key=2)
@@ -38,7 +38,7 @@ def command(name: str, group: Group, examples: str, failure: str | None = None) 
         name: name of the command.
         group: heading under which `sal-height --help` lists it.
         examples: lines of examples, each indented by two spaces.
-        failure: when the exit status is 1; None: it never is.
+        failure: condition for the exit status 1; None: it never occurs.
     """
     return App(
         name=name,
@@ -89,8 +89,8 @@ def allowed(what: str, is_allowed: Callable[[float], bool]) -> Callable[[type, f
     """A validator of a number that says all that is allowed, also where the number is no number.
 
     Args:
-        what: is allowed, behind "must be a number".
-        is_allowed: whether a number is; of NaN it must be False.
+        what: allowed range, after "must be a number".
+        is_allowed: function that is true for allowed numbers, and false for NaN.
     """
 
     def check(_type: type, value: float | None) -> None:
@@ -156,10 +156,10 @@ Place: TypeAlias = Annotated[
 
 
 def check_near(token: Token, numbers: Sequence[float]) -> None:
-    """Make sure that numbers in m are as near the origin of map as places in files of targets must be.
+    """Check that numbers in m are as near to the origin of map as positions in files of targets must be.
 
     Raises:
-        UserError: they are not.
+        UserError: a number is too great.
     """
     from sal_height.adjustment.targets import FARTHEST_M
 
@@ -195,7 +195,7 @@ Places: TypeAlias = Annotated[
         negative=(),
     ),
 ]
-"""Places in map, of an option that may be repeated."""
+"""Positions in map, of an option that may be repeated."""
 
 PixelPosition: TypeAlias = Annotated[
     tuple[int, int] | None,
@@ -273,7 +273,7 @@ Estimators: TypeAlias = Annotated[
 @Parameter(name="*")
 @dataclass(frozen=True)
 class GraphOptions:
-    """How the commands that bring a graph of nodes with them run it."""
+    """Options of the commands that run a graph of nodes."""
 
     record: Annotated[
         tuple[str, ...],
@@ -336,19 +336,19 @@ Jobs: TypeAlias = Annotated[
 
 @contextmanager
 def importing() -> Iterator[None]:
-    """Import many modules without looking for garbage: they leave none, and the search takes a tenth of the time."""
+    """Import many modules without collecting garbage: they leave none, and a tenth of the time is saved."""
     gc.disable()
     try:
         yield
     finally:
-        gc.freeze()  # what modules hold lives on
+        gc.freeze()  # objects of modules are permanent
         gc.enable()
 
 
-def complain(sentences: Sequence[str]) -> None:
-    """Print sentences on stderr, as the program says what went wrong."""
-    for sentence in sentences:
-        print(f"sal-height: {sentence}", file=sys.stderr)
+def complain(messages: Sequence[str]) -> None:
+    """Print warnings and errors on stderr."""
+    for message in messages:
+        print(f"sal-height: {message}", file=sys.stderr)
 
 
 Images: TypeAlias = Annotated[tuple[Path, ...], Parameter(name="IMAGE", show_default=False)]
@@ -413,7 +413,7 @@ def settings_values(assignments: Sequence[str]) -> dict[str, Any]:
 
 
 def _value(text: str) -> Any:
-    """What a text says as YAML; the text itself, where it says nothing, is refused by whoever wants no text."""
+    """Value of a text as YAML; the text itself if it is invalid, which is refused where no text is allowed."""
     import yaml
 
     if re.fullmatch(r"[-+]?\d+[eE][-+]?\d+", text):  # 3e-5 is no number in YAML 1.1

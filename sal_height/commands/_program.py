@@ -1,4 +1,4 @@
-"""The program `sal-height`: finds its commands and turns errors and signals into a sentence and an exit status."""
+"""The program `sal-height`: finds its commands and turns errors and signals into a message and an exit status."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     _interrupt_on_termination()
-    logging.basicConfig(format="sal-height: %(message)s")  # warnings look like all else that the program says
+    logging.basicConfig(format="sal-height: %(message)s")  # warnings look like other messages of the program
     try:
         status = _status(words)
-        sys.stdout.flush()  # what is still in the buffer may find that nobody reads it
+        sys.stdout.flush()  # the reader may have closed the output
     except BrokenPipeError:
         return _cut_off()
     except SystemExit as ended:  # the printer of help ends the program itself
@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _status(words: list[str]) -> int:
-    """Run a command and return its exit status; errors of the user become a sentence on stderr."""
+    """Run a command and return its exit status; errors of the user become a message on stderr."""
     try:
         status = program()(words, exit_on_error=False, print_error=False, result_action="return_value")
     except CycloptsError as error:
@@ -97,7 +97,7 @@ def _interrupt_on_termination() -> None:
 
 
 def _cut_off() -> int:
-    """The status after whoever read the output closed it, as `head` does; nothing more is written to it."""
+    """Status after the reader of the output has closed it, as `head` does; nothing more is written to it."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for stream in (sys.stdout, sys.stderr):
         try:
@@ -123,7 +123,7 @@ def _help_command(error: CycloptsError) -> str:
 
 
 def _is_of_ros(module: str) -> bool:
-    """Whether a module belongs to ROS 2 or is one of the message packages."""
+    """True if a module belongs to ROS 2 or is one of the message packages."""
     top = module.partition(".")[0]
     return top.startswith(("rcl", "rosidl", "ament")) or top.endswith(("_msgs", "_interfaces", "_srvs"))
 

@@ -73,7 +73,7 @@ UPGRADE_EXAMPLES = """
 """
 
 LOST = "parts of the bag could not be read, or messages are lost; all else is in the new bag"
-"""What status 1 of a recovery means."""
+"""Meaning of status 1 of a recovery."""
 
 Seconds: TypeAlias = Annotated[Decimal | None, Parameter(metavar="S", validator=Number(gte=0))]
 

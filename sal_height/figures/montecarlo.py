@@ -149,10 +149,10 @@ def array_statistics(experiment: Experiment, estimator: str, objective: str, dom
     """Statistics of the elevation by an array, beamwidths.
 
     Args:
-        experiment: its `cnr` is that of one detector looking straight at the target.
+        experiment: experiment whose `cnr` is that of one detector looking straight at the target.
         estimator: one of ARRAY_ESTIMATORS, with its node's default settings; or one of DISCRIMINANTS: that of the
             strongest pair.
-        objective: of "ml", one of OBJECTIVES.
+        objective: objective of "ml", one of OBJECTIVES.
         domain: half width of the search of "ml", beamwidths; None: M pitch / 2.
 
     Raises:
@@ -194,9 +194,9 @@ def pair_statistics(experiment: Experiment, estimator: str, objective: str, doma
     The closed form is that of `ratio`: its mean, and for a fluctuating target its median, std and s68, else None.
 
     Args:
-        experiment: its `cnr` is that of the sum channel at the target.
+        experiment: experiment whose `cnr` is that of the sum channel at the target.
         estimator: one of DISCRIMINANTS, or "ml": the discriminant at the maximum-likelihood elevation.
-        objective: of "ml", one of OBJECTIVES.
+        objective: objective of "ml", one of OBJECTIVES.
         domain: half width of the search of "ml", beamwidths; None: the pitch.
 
     Raises:

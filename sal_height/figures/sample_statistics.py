@@ -14,8 +14,8 @@ class Measured(NamedTuple):
     """A statistic of a sample; NaN where the sample has none.
 
     Attributes:
-        value: of the statistic.
-        standard_error: of the value.
+        value: value of the statistic.
+        standard_error: standard error of the value.
     """
 
     value: float

@@ -1,7 +1,7 @@
-"""Numerics without physics: what NumPy and SciPy lack, and how kernels are compiled.
+"""Numerics without physics, in addition to NumPy and SciPy, and the compilation of kernels.
 
-Read `arrays` (types of arrays), `jit` (how kernels are compiled), `threads` (how work is spread over processors) and
-`blas_threads` (why BLAS is not) first, then `windows` (spectral weights), `phasors` (exp(j phase) with the phase
+Read `arrays` (types of arrays), `jit` (compilation of kernels), `threads` (work in several threads) and `blas_threads`
+(BLAS in one thread) first, then `windows` (spectral weights), `phasors` (exp(j phase) with the phase
 reduced in float64), `chirp_z`, `centred_sums` and `fft` (transforms of many rows), `parabola` (peaks between samples),
 `medians` (how well they are known), `error_statistics` (of errors and their predicted standard deviations), `bilinear`
 (interpolation on nodes), `range_profiles` (interpolation of band-limited profiles) and `vectors` (of three numbers,

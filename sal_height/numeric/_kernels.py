@@ -73,8 +73,8 @@ def fill_padded(spectra: C64, factor: F32, padded: C64) -> None:
 
     Args:
         spectra: frequencies from the lowest to the highest, shape (detectors, pulses, frequencies).
-        factor: of the frequencies.
-        padded: to fill, shape (pulses, length, detectors).
+        factor: factors of the frequencies.
+        padded: array to fill, shape (pulses, length, detectors).
     """
     detectors, pulses, count = spectra.shape
     middle, length = count // 2, padded.shape[1]
@@ -94,8 +94,8 @@ def fill_products(values: C64, factors: C64, padded: C64) -> None:
 
     Args:
         values: shape (lines, inputs).
-        factors: of every line or of all alike, shape (lines or 1, inputs).
-        padded: to fill, shape (lines, length).
+        factors: factors of every line, or the same for all, shape (lines or 1, inputs).
+        padded: array to fill, shape (lines, length).
     """
     lines, inputs = values.shape
     common = factors.shape[0] == 1
@@ -112,7 +112,7 @@ def multiply_lines(values: C64, factors: C64) -> None:
 
     Args:
         values: shape (lines, length).
-        factors: of every line or of all alike, shape (lines or 1, length).
+        factors: factors of every line, or the same for all, shape (lines or 1, length).
     """
     lines, length = values.shape
     common = factors.shape[0] == 1
@@ -128,9 +128,9 @@ def fill_even_and_odd(values: C64, factors: C64, even: F32, odd: F32) -> None:
 
     Args:
         values: shape (lines, inputs).
-        factors: of every line or of all alike, shape (lines or 1, inputs).
-        even: to fill, real parts of all lines and then imaginary parts, shape (2 lines, inputs // 2 + 1).
-        odd: of the same shape.
+        factors: factors of every line, or the same for all, shape (lines or 1, inputs).
+        even: array to fill with real parts of all lines, then imaginary parts, shape (2 lines, inputs // 2 + 1).
+        odd: array to fill, same shape.
     """
     lines, inputs = values.shape
     middle, common = inputs // 2, factors.shape[0] == 1
@@ -154,13 +154,13 @@ def fill_from_halves(in_phase: F32, across: F32, result: C64) -> None:
 
     Args:
         in_phase: real parts of all lines and then imaginary parts, shape (half of the outputs, 2 lines).
-        across: of the same shape.
-        result: to fill, shape (outputs, lines or more).
+        across: numbers of the same shape.
+        result: array to fill, shape (outputs, lines or more).
     """
     halves, lines, last = in_phase.shape[0], in_phase.shape[1] // 2, result.shape[0] - 1
     for half in range(halves):
-        place = last - halves + 1 + half
-        after, before = result[place], result[last - place]
+        row = last - halves + 1 + half
+        after, before = result[row], result[last - row]
         real, imag = in_phase[half, :lines], in_phase[half, lines:]
         across_real, across_imag = across[half, :lines], across[half, lines:]
         for line in range(lines):
@@ -171,16 +171,16 @@ def fill_from_halves(in_phase: F32, across: F32, result: C64) -> None:
 
 @compiled
 def fill_columns(values: C64, factors: C64, first: int, columns: C64) -> None:
-    """Numbers times factors as columns of a matrix; a few lines at a time, of which a cache has what comes next.
+    """Numbers times factors as columns of a matrix; a few lines at a time, for the cache.
 
     Args:
         values: shape (lines, outputs or more).
-        factors: of every line or of all alike, shape (lines or 1, outputs).
+        factors: factors of every line, or the same for all, shape (lines or 1, outputs).
         first: number of the first column to fill.
-        columns: to fill, shape (outputs, columns).
+        columns: array to fill, shape (outputs, columns).
     """
     lines, common = values.shape[0], factors.shape[0] == 1
-    for begin in range(0, lines, 8):
+    for start in range(0, lines, 8):
         for i in range(columns.shape[0]):
-            for line in range(begin, min(begin + 8, lines)):
+            for line in range(start, min(start + 8, lines)):
                 columns[i, first + line] = values[line, i] * factors[0 if common else line, i]

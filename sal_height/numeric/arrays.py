@@ -1,4 +1,4 @@
-"""Types of arrays by the type of their elements; shapes stand in the docstrings of what takes and returns them."""
+"""Types of arrays by the type of their elements; docstrings of functions state shapes."""
 
 from __future__ import annotations
 

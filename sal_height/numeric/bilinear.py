@@ -16,8 +16,8 @@ def bilinear(rows: F64, cols: F64, values: F64, row: npt.ArrayLike, col: npt.Arr
         rows: positions of the nodes along the first axis, increasing.
         cols: positions of the nodes along the second axis, increasing.
         values: values at the nodes, shape (rows, cols).
-        row: wanted positions along the first axis.
-        col: wanted positions along the second axis.
+        row: positions of the results along the first axis.
+        col: positions of the results along the second axis.
     """
     y, x = np.broadcast_arrays(np.asarray(row, dtype=np.float64), np.asarray(col, dtype=np.float64))
     result = np.empty(y.shape)
@@ -28,7 +28,7 @@ def bilinear(rows: F64, cols: F64, values: F64, row: npt.ArrayLike, col: npt.Arr
 
 @compiled_with_nan
 def interpolate(rows: F64, cols: F64, values: F64, row: F64, col: F64, result: F64) -> None:
-    """Bilinear interpolation of values (rows, cols) at places (row, col), shape (n,); NaN outside. Nodes increase."""
+    """Bilinear interpolation of values (rows, cols) at positions (row, col), (n,); NaN outside. Nodes increase."""
     i, j = 0, 0
     for k in range(row.size):
         y, x = row[k], col[k]
@@ -40,11 +40,11 @@ def interpolate(rows: F64, cols: F64, values: F64, row: F64, col: F64, result: F
 
 
 @inlined
-def node_before(nodes: F64, place: float, node: int) -> int:
-    """The node before a place between the first and the last, from another on: neighbours in a list lie together."""
-    while nodes[node] > place:
+def node_before(nodes: F64, position: float, node: int) -> int:
+    """The node before a position between first and last, searched from another node, as successive ones are near."""
+    while nodes[node] > position:
         node -= 1
-    while nodes[node + 1] < place:
+    while nodes[node + 1] < position:
         node += 1
     return node
 

@@ -1,4 +1,4 @@
-"""BLAS in one thread: how it rounds a product depends on how it divides this among its threads."""
+"""BLAS in one thread: its rounding of a product depends on the number of its threads."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from threadpoolctl import LibController, OpenBLASController, ThreadpoolControlle
 
 
 class _Limit:
-    """One thread for every BLAS library of the process, as long as a thread of ours asks for it.
+    """One thread for every BLAS library of the process, while a thread of ours requires it.
 
     Attributes:
-        lock: to be held for all that follows.
-        users: number of threads that ask for it.
-        libraries: those that are loaded; empty until there is a user.
-        before: their numbers of threads, to be restored after the last user; empty if all have one.
+        lock: lock for the other attributes.
+        users: number of threads that require it.
+        libraries: libraries that are loaded; empty before the first user.
+        before: numbers of threads of the libraries, to be restored after the last user; empty if all have one.
     """
 
     def __init__(self) -> None:
@@ -44,7 +44,7 @@ class _Limit:
     def _set(self, numbers: list[int]) -> None:
         if not numbers:
             return
-        # OpenBLAS takes a number from one thread alone until that gives up; with the lock, whoever has it may set one.
+        # OpenBLAS accepts a number from one thread alone until that releases it; the lock allows the owner to set it.
         for library, number in zip(self.libraries, numbers, strict=False):
             OpenBLASController.clear_controlling_thread(force=True)
             library.set_num_threads(number)
@@ -55,7 +55,7 @@ _limit = _Limit()
 
 
 def _start_again() -> None:
-    """In a forked process, whose other threads are gone."""
+    """Reset the limit in a forked process, which has no other threads."""
     global _limit  # noqa: PLW0603 (one for the process)
     _limit = _Limit()
 
@@ -66,11 +66,11 @@ if hasattr(os, "register_at_fork"):  # not on Windows
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Multiply matrices in one thread of BLAS, in all threads of this process, however many it may use otherwise.
+    """Multiply matrices in one thread of BLAS, in all threads of this process.
 
     Products then have the same bits on machines of any number of processors. They are small here: several threads of
-    BLAS would rather wait for each other beside the threads that share our work (`in_threads`). It counts for what BLAS
-    starts by itself, as that of the wheels of NumPy and SciPy does, not for threads of OpenMP.
+    BLAS would mostly wait for each other, in addition to our own threads (`in_threads`). It applies to threads of BLAS
+    itself, as in the wheels of NumPy and SciPy, not to threads of OpenMP.
     """
     limit = _limit
     limit.enter()

@@ -2,7 +2,7 @@
 
 With n and m counted from the middles, sum over n of x[n] exp(j step n m) is the sum over n >= 0 of
 (x[n] + x[-n]) cos(step n m) + j (x[n] - x[-n]) sin(step n m), and for -m the same with the other sign of the sines: an
-eighth of the multiplications of the complex matrix, and fewer than two FFTs take of up to LARGEST numbers.
+eighth of the multiplications of the complex matrix, and fewer than those of two FFTs up to LARGEST numbers.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ LARGEST = 2**14
 """Inputs times outputs up to which this is faster than two FFTs (measured: 0.15 against 0.6 us a line for 2944)."""
 
 PRODUCT = 2**18
-"""Multiplications of one product of real matrices: for more OpenBLAS starts threads, which spin while they wait."""
+"""Greatest number of multiplications of one product of real matrices: for more, OpenBLAS starts threads, which spin."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,9 +29,9 @@ class CentredSums:
     n0 is inputs // 2 and m0 is (outputs - 1) / 2.
 
     Attributes:
-        cosines: float32, shape (half of the outputs, inputs // 2 + 1).
-        sines: of the same shape.
-        outputs: numbers out.
+        cosines: cosines, float32, shape (half of the outputs, inputs // 2 + 1).
+        sines: sines, same shape.
+        outputs: number of sums of a line.
         before: factors of the numbers, complex64, shape (lines or 1, inputs).
     """
 
@@ -51,7 +51,7 @@ class CentredSums:
 
     @property
     def is_common(self) -> bool:
-        """Whether all lines have the same factors: they have."""
+        """True: all lines have the same factors."""
         return True
 
     def times(self, factors: C64) -> CentredSums:
@@ -62,8 +62,8 @@ class CentredSums:
         """The sums of some lines as the columns of a matrix.
 
         Args:
-            values: complex64, shape (lines, inputs).
-            result: to fill, shape (outputs, lines or more).
+            values: numbers, complex64, shape (lines, inputs).
+            result: array to fill, shape (outputs, lines or more).
         """
         halves, count = self.cosines.shape
         even, odd = np.empty((2, 2 * len(values), count), np.float32)

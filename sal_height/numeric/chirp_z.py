@@ -17,16 +17,16 @@ from sal_height.numeric.threads import WORKERS
 
 @dataclass(frozen=True, eq=False)
 class ChirpZ:
-    """The sums y[m] = sum over n of x[n] exp(j step (n - n0) (m - m0)) of many lines, each with a step of its own.
+    """The sums y[m] = sum over n of x[n] exp(j step (n - n0) (m - m0)) of many lines, each with its own step.
 
     n m = (n^2 + m^2 - (m - n)^2) / 2 makes each sum a convolution with a chirp between two products with chirps. Other
     factors of the numbers before and after may be multiplied into `before` and `after`. A factor of one line is the
     same for all.
 
     Attributes:
-        before: complex64, shape (lines or 1, inputs).
-        spectrum: of the chirp, over the length of the FFTs: complex64, shape (lines or 1, length).
-        after: complex64, shape (lines or 1, outputs).
+        before: factors before, complex64, shape (lines or 1, inputs).
+        spectrum: spectrum of the chirp over the length of the FFTs, complex64, shape (lines or 1, length).
+        after: factors after, complex64, shape (lines or 1, outputs).
     """
 
     before: C64
@@ -40,12 +40,12 @@ class ChirpZ:
 
     @property
     def outputs(self) -> int:
-        """Numbers out."""
+        """Number of sums of a line."""
         return int(self.after.shape[-1])
 
     @property
     def is_common(self) -> bool:
-        """Whether all lines have the same factors."""
+        """True if all lines have the same factors."""
         return len(self.before) == len(self.spectrum) == len(self.after) == 1
 
     def times(self, factors: C64) -> ChirpZ:
@@ -84,10 +84,10 @@ def chirp_z(steps: F64, inputs: int, n0: float, outputs: int, m0: float) -> Chir
 
     Args:
         steps: phase (rad) per input and output index of each line, shape (lines,).
-        inputs: numbers in.
-        n0: index in that has no phase.
-        outputs: numbers out.
-        m0: index out that has no phase.
+        inputs: number of inputs.
+        n0: input index without phase.
+        outputs: number of outputs.
+        m0: output index without phase.
     """
     length = fast_length(inputs + outputs - 1)
     half = steps / 2

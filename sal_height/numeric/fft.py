@@ -11,7 +11,7 @@ BUFFER = 2**16  # numbers that fit into a processor's cache: half a megabyte
 
 
 def fast_length(least: int) -> int:
-    """Smallest length from `least` on that suits FFTs and vector units: a multiple of 16, with factors 2, 3 and 5."""
+    """Smallest length of `least` or more that is fast: a multiple of 16, with factors 2, 3 and 5."""
     return 16 * int(scipy.fft.next_fast_len(-(-least // 16), real=True))
 
 
@@ -26,5 +26,5 @@ def blocks(count: int, size: int) -> list[slice]:
 
 
 def frequencies(count: int) -> F64:
-    """Of `count` bins, cycles per pixel: from -1/2 up, as `numpy.fft.fftshift` puts them."""
+    """Frequencies of `count` bins, cycles per pixel: from -1/2 up, in the order of `numpy.fft.fftshift`."""
     return np.asarray((np.arange(count) - count // 2) / count, dtype=np.float64)

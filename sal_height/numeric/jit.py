@@ -15,27 +15,24 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 _LOG = logging.getLogger(__name__)
 
-TOLD_PERIOD_S = 5.0
-
 
 class Progress(event.Listener):
-    """Tells while functions are compiled, which takes a minute for all of them at the first start on a machine.
+    """Reports compilation of functions, which takes a minute for all of them at the first start on a machine.
 
     Attributes:
-        functions: those that are compiled on their first call.
-        done: those of them that this process has compiled, for whatever types; all others are not needed, or come from
-            the cache.
+        functions: functions that are compiled on their first call.
+        done: functions that this process has compiled, for any types; all others are not needed, or are cached.
     """
 
     def __init__(self) -> None:
         self.functions: set[Callable[..., Any]] = set()
         self.done: set[Callable[..., Any]] = set()
-        self._told_at = -math.inf
+        self._reported_at = -math.inf
 
     def on_start(self, _: event.Event) -> None:
-        """Say so, but not again and again."""
-        if time.monotonic() - self._told_at > TOLD_PERIOD_S:
-            self._told_at = time.monotonic()
+        """Report it, every five seconds at most."""
+        if time.monotonic() - self._reported_at > 5.0:
+            self._reported_at = time.monotonic()
             _LOG.warning(
                 "Compiling for this processor, once: %d functions done, %d at most.",
                 len(self.done),
@@ -43,7 +40,7 @@ class Progress(event.Listener):
             )
 
     def on_end(self, ended: event.Event) -> None:
-        """Count the function if it is one of ours; numba compiles its own ones in the same way."""
+        """Count the function if it is one of ours; numba compiles its own functions in the same way."""
         self.done |= self.functions & {ended.data["dispatcher"].py_func}
 
 
@@ -55,7 +52,7 @@ def compiled(function: Function) -> Function:
     """Compile the function with numba on its first call, and cache it for later processes.
 
     The compiled function releases the GIL. It may reorder sums and assumes that all numbers are finite. One simple loop
-    per function is compiled best.
+    per function gives the fastest code.
     """
     PROGRESS.functions.add(function)
     return cast("Function", njit(nogil=True, fastmath=True, error_model="numpy", cache=True)(function))
@@ -65,7 +62,7 @@ def compiled_with_nan(function: Function) -> Function:
     """Compile as `compiled` does, but keep the meaning of NaN and of infinities, and the order of sums.
 
     Powers and np.hypot are forbidden in it (`squared` instead): numba makes one loop of these for all functions of a
-    process, and if a `compiled` function was the first to need it, it takes all numbers for finite.
+    process, and if a `compiled` function was the first to need it, it assumes that all numbers are finite.
     """
     PROGRESS.functions.add(function)
     return cast("Function", njit(nogil=True, error_model="numpy", cache=True)(function))

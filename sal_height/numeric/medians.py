@@ -1,4 +1,4 @@
-"""How well a median is known."""
+"""Standard error of a median."""
 
 from __future__ import annotations
 

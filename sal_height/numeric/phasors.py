@@ -8,7 +8,7 @@ from sal_height.numeric._kernels import fill_outer_phasors, fill_phasors
 from sal_height.numeric.arrays import C64, F64
 from sal_height.numeric.threads import in_parallel
 
-SMALL = 2**17  # numbers that are not worth a thread
+SMALL = 2**17  # least number for which another thread pays
 
 
 def unit_phasors(phase: F64) -> C64:

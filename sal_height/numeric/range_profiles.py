@@ -1,7 +1,7 @@
-"""Range profiles between their samples: a spectrum becomes samples so dense that a short kernel reads any range.
+"""Range profiles between their samples: dense samples from a spectrum, and a short kernel to interpolate them.
 
 The spectrum is divided by the transform of a Kaiser-Bessel kernel, zero-padded and transformed; the kernel then
-interpolates without error but for what it aliases (non-uniform FFT: Beatty et al., IEEE Trans. Med. Imaging 24, 2005).
+interpolates without error except for aliases (non-uniform FFT: Beatty et al., IEEE Trans. Med. Imaging 24, 2005).
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from sal_height.numeric.arrays import C64, F32, F64
 
 OVERSAMPLING = 2  # dense samples per resolution cell of the unweighted band
 TAPS = 6  # length of the kernel in dense samples: with OVERSAMPLING, aliases lie 105 dB below the profile
-DEGREE = 7  # of the polynomials that stand for the kernel's taps; their error, 3e-8 of the peak, is that of float32
 
 _SHAPE = float(np.pi * np.sqrt((TAPS / OVERSAMPLING * (OVERSAMPLING - 0.5)) ** 2 - 0.8))
 
 
 @lru_cache(1)
 def tap_polynomials() -> F32:
-    """Weight of every tap as a polynomial of the fraction by which a position lies past a sample: (TAPS, DEGREE + 1).
+    """Weight of every tap as a polynomial of the fraction of a sample by which a position is past one: (TAPS, 8).
 
-    Coefficients of rising powers. Tap j belongs to the sample j - TAPS / 2 + 1 past that before the position.
+    Coefficients of rising powers; the error, 3e-8 of the peak, is that of float32. Tap j belongs to the sample
+    j - TAPS / 2 + 1 past that before the position.
     """
     fraction = (1 - np.cos(np.pi * (np.arange(64) + 0.5) / 64)) / 2
     offsets = fraction[:, None] + TAPS // 2 - 1 - np.arange(TAPS)
     kernel = i0(_SHAPE * np.sqrt(np.maximum(0.0, 1 - (2 * offsets / TAPS) ** 2)))
-    fit = np.polynomial.polynomial.polyfit(fraction, kernel, DEGREE).T
+    fit = np.polynomial.polynomial.polyfit(fraction, kernel, 7).T
     return np.ascontiguousarray(fit, dtype=np.float32)
 
 
@@ -40,11 +40,11 @@ def dense_profiles(spectra: C64, weights: F64) -> C64:
 
     Args:
         spectra: fast-time frequencies, shape (detectors, pulses, frequencies).
-        weights: of the frequencies, shape (frequencies,).
+        weights: weights of the frequencies, shape (frequencies,).
 
     Returns:
-        Complex64, shape (pulses, OVERSAMPLING * frequencies + TAPS, detectors): detectors side by side, as a processor
-        can add them at once. Index i belongs to the delay (i - TAPS / 2 - OVERSAMPLING * frequencies // 2) /
+        Complex64, shape (pulses, OVERSAMPLING * frequencies + TAPS, detectors): detectors side by side, for vector
+        units. Index i belongs to the delay (i - TAPS / 2 - OVERSAMPLING * frequencies // 2) /
         OVERSAMPLING cells; the profile repeats itself at the ends.
     """
     detectors, pulses, count = spectra.shape

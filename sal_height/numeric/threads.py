@@ -1,4 +1,4 @@
-"""Work spread over threads: as many as the process may use, which are started once and kept."""
+"""Work in several threads: as many as the process may use, which are started once and kept."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from sal_height.errors import UserError
 Result = TypeVar("Result")
 
 CONTROL_GROUPS = Path("/sys/fs/cgroup")
-"""Where a Linux container states how much processor time it may use."""
+"""Folder in which a Linux container states its quota of processor time."""
 
 THREADS_VARIABLE = "SAL_HEIGHT_THREADS"
-"""Environment variable with the number of threads, if it is not to be the number of processors."""
+"""Environment variable with a number of threads other than the number of processors."""
 
 
 def available_processors() -> int:
@@ -29,9 +29,9 @@ def available_processors() -> int:
 
 
 def _quota() -> int | None:
-    """Whole processors that the container's quota is worth, at least 1; None: no container, or one without a quota.
+    """Whole processors in the container's quota, at least 1; None: no container, or one without a quota.
 
-    In version 2 of control groups one file holds quota and period in microseconds, or "max" and the period; in version
+    In version 2 of control groups one file has quota and period in microseconds, or "max" and the period; in version
     1 there is a file for each, and -1 is no quota.
     """
     for names in (("cpu.max",), ("cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us")):
@@ -45,7 +45,7 @@ def _quota() -> int | None:
 
 
 def number_of_threads() -> int:
-    """Number of threads to work in: that of THREADS_VARIABLE, or else of `available_processors`.
+    """Number of threads: that of THREADS_VARIABLE, or else of `available_processors`.
 
     Raises:
         UserError: the variable is not a whole number from 1 on.
@@ -59,7 +59,7 @@ def number_of_threads() -> int:
 
 
 WORKERS = number_of_threads()
-"""Number of threads that work at the same time on what one thread asks for, itself included."""
+"""Number of threads that work at the same time on the request of one thread, itself included."""
 
 
 @lru_cache(maxsize=1)
@@ -75,8 +75,8 @@ if hasattr(os, "register_at_fork"):  # not on Windows
 def in_threads(work: Callable[..., Result], *arguments: Iterable[object]) -> list[Result]:
     """The results of `work` for each of the arguments, as `map` gives them, computed in WORKERS threads.
 
-    The calling thread takes part, and waits for nothing that has not begun: work may itself call this function. An
-    exception of `work` is raised here; what has not begun then is not done.
+    The calling thread takes part, and waits for nothing that has not started: work may itself call this function. An
+    exception of `work` is raised here; work that has not started then is not done.
     """
     tasks = list(zip(*arguments, strict=True))
     results: dict[int, Result] = {}
@@ -92,7 +92,7 @@ def in_threads(work: Callable[..., Result], *arguments: Iterable[object]) -> lis
                 results[number] = work(*tasks[number])
         except BaseException:
             with lock:
-                for _ in numbers:  # nothing is left to begin
+                for _ in numbers:  # nothing is left to start
                     pass
             raise
 
@@ -100,8 +100,8 @@ def in_threads(work: Callable[..., Result], *arguments: Iterable[object]) -> lis
     try:
         take_part()
     finally:
-        begun = [helper for helper in helpers if not helper.cancel()]
-        errors = [helper.exception() for helper in begun]
+        started = [helper for helper in helpers if not helper.cancel()]
+        errors = [helper.exception() for helper in started]
     for error in errors:
         if error is not None:
             raise error
@@ -111,13 +111,12 @@ def in_threads(work: Callable[..., Result], *arguments: Iterable[object]) -> lis
 def in_parallel(work: Callable[[slice], object], count: int, least: int = 1) -> None:
     """Run `work` on slices that together cover `count` items, in as many threads as there are processors.
 
-    Another thread costs 0.1 ms of processor time to ask for help: what takes less than a few times that is best done
-    in one.
+    Another thread costs 0.1 ms of processor time: work of less than a few times that is best done in one.
 
     Args:
         work: function of a slice; called in several threads at the same time.
         count: number of items.
-        least: smallest number of items worth a thread of its own.
+        least: smallest number of items for which another thread pays.
     """
     size = max(least, -(-count // WORKERS))
     pieces = [slice(first, min(first + size, count)) for first in range(0, count, size)]

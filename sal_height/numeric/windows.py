@@ -11,22 +11,20 @@ from scipy.optimize import brentq
 from sal_height.errors import UserError
 from sal_height.numeric.arrays import F64
 
-SIDELOBES_LEVEL = 5
-"""Number n of a Taylor window: n - 1 sidelobes on each side fall off little."""
-
 
 def taylor(count: int, sidelobe_db: float) -> F64:
     """Taylor weights of `count` samples, 1 in the middle (Carrara, Goodman, Majewski, appendix D.2).
 
-    They are those of scipy.signal, which brings scipy.stats: half a second of every start.
+    They are those of scipy.signal, which imports scipy.stats: half a second of every start.
 
     Args:
         count: number of samples.
         sidelobe_db: level of the nearest sidelobes below the peak, dB.
     """
-    order = np.arange(1.0, SIDELOBES_LEVEL)
+    level = 5  # level - 1 sidelobes on each side fall off little
+    order = np.arange(1.0, level)
     a = np.arccosh(10 ** (sidelobe_db / 20)) / np.pi
-    dilation = SIDELOBES_LEVEL**2 / (a**2 + (SIDELOBES_LEVEL - 0.5) ** 2)  # of the zeros behind the level sidelobes
+    dilation = level**2 / (a**2 + (level - 0.5) ** 2)  # of the zeros behind the level sidelobes
     coefficients = np.empty(len(order))
     for index, m in enumerate(order):
         zeros = np.prod(1 - m**2 / dilation / (a**2 + (order - 0.5) ** 2))
@@ -48,10 +46,10 @@ WINDOWS: dict[str, Callable[[int], F64]] = {"rectangular": np.ones, "taylor": _t
 """Windows by name, as functions of the number of samples."""
 
 
-HELD = 32  # windows, and widths of windows, that are kept: a sensor needs a few
+KEPT = 32  # windows, and widths of windows, that are cached: a sensor needs a few
 
 
-@lru_cache(HELD)
+@lru_cache(KEPT)
 def window(name: str, count: int) -> F64:
     """Weights of `count` samples, scaled to a mean of 1 so that a point keeps its peak value; they cannot be changed.
 
@@ -76,7 +74,7 @@ def broadening(weights: F64) -> float:
     return _half_power_width(weights.tobytes()) / _half_power_width(np.ones(len(weights)).tobytes())
 
 
-@lru_cache(HELD)
+@lru_cache(KEPT)
 def _half_power_width(float64: bytes) -> float:
     """Width of the response to weights at half its peak power, in resolution bins; kept by the weights' bytes."""
     weights = np.frombuffer(float64)

@@ -1,8 +1,8 @@
-"""A sensor as it is described, and its samples up to the phase history.
+"""The description of a sensor, and its samples up to the phase history.
 
 Read `sensor` first (`Sensor`: wavelength, pulses, frequencies, beams, noise), then `phase_history` (samples of a dwell
 over frequency), `waveform` (raw chirp or deramped echoes to phase history), `receivers` (clipped samples), `channels`
-(from what receivers deliver to whitened channels) and `stripmap` (how far a fixed antenna sees along the track).
+(from the receivers' channels to whitened ones) and `stripmap` (the angle that a fixed antenna illuminates).
 """
 
 from sal_height.sensor.channels import Channels, sum_difference_channels, whitened_channels, with_powers

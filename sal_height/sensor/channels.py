@@ -1,4 +1,4 @@
-"""Whitening of a sensor's channels: channels of independent noise, as close to the single beams as can be."""
+"""Whitening of a sensor's channels: channels of independent noise, as close to the single beams as possible."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Channels:
     """Linear combinations of a sensor's channels with independent noise, for an estimator.
 
     Attributes:
-        transform: matrix by which the sensor's channels are multiplied (`looks.windowed_looks`).
+        transform: matrix that multiplies the sensor's channels (`looks.windowed_looks`).
         matrix: matrix from the detectors to the new channels (`Beams.combined`).
         noise_powers: E|n|^2 of a sample of each new channel.
     """
@@ -27,7 +27,7 @@ class Channels:
 
 
 def whitened_channels(noise_covariance: C128, channel_matrix: C128) -> Channels:
-    """Return channels of equal and independent noise that are as close to the single beams as such channels can be.
+    """Return channels of equal and independent noise that are as close to the single beams as possible.
 
     A sensor's channels are M times the beams, with noise of covariance N. With the polar decomposition
     N^(-1/2) M = U P (U unitary, P Hermitian and positive), T = sqrt(power) U^H N^(-1/2) gives channels of independent
@@ -84,7 +84,7 @@ MATRIX_ROUNDING = 1e-6  # relative difference allowed between a channel matrix a
 def sum_difference_channels(noise_covariance: C128, channel_matrix: C128) -> Channels:
     """Return Sigma = upper + lower and Delta = upper - lower from a sensor's channels, for `sum_difference_elevation`.
 
-    The matrix of these `Channels` is diagonal and holds the gains of the lower and the upper beam.
+    The matrix of these `Channels` is diagonal, with the gains of the lower and the upper beam.
 
     Args:
         noise_covariance: E n n^H of the channels, shape (2, 2).

@@ -9,7 +9,7 @@ import numpy as np
 from sal_height.numeric import C64, F64
 
 NUFFT_TOLERANCE = 1e-7
-"""Relative error of the non-uniform FFTs: below the rounding of the complex64 samples they make or read."""
+"""Relative error of the non-uniform FFTs: less than the rounding of complex64 samples."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,11 +21,11 @@ class PhaseHistory:
 
     Attributes:
         stamp_ns: time of the first pulse, ns since the epoch.
-        pulse_times: s after the stamp, shape (pulses,).
-        reference_range: range to which each pulse's phase refers, m, shape (pulses,).
+        pulse_times: times of the pulses after the stamp, shape (pulses,), s.
+        reference_range: range to which each pulse's phase refers, shape (pulses,), m.
         samples: complex64, shape (detectors, pulses, samples).
-        saturated_share: for each channel and pulse, the share of clipped samples in the dwell that the pulse belongs to
-            (`receivers.saturated_shares`), shape (channels, pulses); None: not counted.
+        saturated_share: fraction of clipped samples in the dwell of each pulse (`receivers.saturated_shares`), shape
+            (channels, pulses); None: not counted.
     """
 
     stamp_ns: int
@@ -51,5 +51,5 @@ class PhaseHistory:
 
     @property
     def shares(self) -> F64:
-        """The saturated shares, shape (channels, pulses); NaN where they were not counted."""
+        """Fractions of clipped samples, shape (channels, pulses); NaN where they were not counted."""
         return np.full(self.samples.shape[:2], np.nan) if self.saturated_share is None else self.saturated_share

@@ -1,4 +1,4 @@
-"""Receivers that saturate: clipping, and the share of clipped samples."""
+"""Receivers that saturate: clipping, and the fraction of clipped samples."""
 
 from __future__ import annotations
 
@@ -11,12 +11,9 @@ from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.sensor.sensor import Sensor
 
 MAX_SHARE = 8e-4
-"""Greatest share of clipped real and imaginary parts: the distortion of Gaussian samples is then 40 dB below them.
+"""Greatest fraction of clipped real and imaginary parts: the distortion of Gaussian samples is then -40 dB.
 
 By Bussgang's theorem, which the tests evaluate."""
-
-ROUNDING = 1e-5
-"""Relative error of a clipped number after a channel matrix was undone in single precision."""
 
 
 def clipped(samples: C64, full_scale: float) -> C64:
@@ -28,18 +25,19 @@ def clipped(samples: C64, full_scale: float) -> C64:
 
 
 def saturated_shares(samples: C64, sensor: Sensor) -> F64:
-    """Share of the real and imaginary parts at or beyond full scale in what each channel is made of, shape (channels,).
+    """Fraction of real and imaginary parts at or beyond full scale in the receivers of each channel, shape (channels,).
 
-    With receivers before the channel matrix that is undone first; a channel has the share of the worst of its
+    With receivers before the channel matrix, that is inverted first; a channel has the greatest fraction of its
     receivers. NaN where the full scale is not known.
 
     Args:
-        samples: of all channels as the sensor delivers them, shape (channels, pulses, samples).
-        sensor: that took them.
+        samples: samples of all channels as the sensor delivers them, shape (channels, pulses, samples).
+        sensor: sensor that delivers them.
     """
     if not sensor.full_scale:
         return np.full(len(samples), np.nan)
-    limit = np.float32(sensor.full_scale * (1 - ROUNDING))
+    # A clipped number has this relative error after a channel matrix was inverted in single precision.
+    limit = np.float32(sensor.full_scale * (1 - 1e-5))
     if sensor.matrix_in_antenna or not sensor.channel_matrix:
         return _shares(samples, limit)
     receivers = np.tensordot(np.linalg.inv(sensor.mixing).astype(np.complex64), samples, axes=1)

@@ -1,4 +1,4 @@
-"""The sensor: what a receiver must know to process its frames."""
+"""The sensor: the description that is needed to process its frames."""
 
 from __future__ import annotations
 
@@ -17,16 +17,13 @@ from sal_height.geometry import AT_BASE_LINK, Mounting
 from sal_height.numeric import C128, F64, Bool
 
 MAX_DETECTORS = 128
-"""Greatest number of detectors: estimators hold M x M numbers per pixel and direction."""
+"""Greatest number of detectors: estimators keep M x M numbers per pixel and direction."""
 
 MODES = ("spotlight", "stripmap")
-"""Steering of the antenna: held on the scene during a dwell, or fixed to the body."""
+"""Steering of the antenna: pointed at the scene during a dwell, or fixed to the body."""
 
 WAVEFORMS = ("spectrum", "chirp", "deramped")
 """Kinds of fast-time samples: frequencies, the echo of a linear FM pulse, or that echo mixed with a replica."""
-
-LONGEST_TEXT = 256
-"""Characters of a name or an identity, which go with every product and into diagnostics."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +45,7 @@ class Sensor:
     pulse_count: int  # pulses in a dwell
     pulse_repetition_frequency: float  # Hz
     elevation_diameter: float  # of the receive antenna along the detector axis, m
-    azimuth_diameter: float  # of the receive antenna beside the detector axis, m
+    azimuth_diameter: float  # of the receive antenna across the detector axis, m
     pattern: str  # name of the beam pattern that the antenna gives, or "table"
     elevation_boresights: tuple[float, ...]  # rad from nadir of the sensor frame, increasing, one per detector
     noise_power: tuple[float, ...]  # E|n|^2 of a phase-history sample, one per receiver; 0: unknown
@@ -57,13 +54,13 @@ class Sensor:
     chirp_rate: float = 0.0  # of the linear FM, Hz/s, negative for a falling one
     pulse_duration: float = 0.0  # of the linear FM, s
     sampling_rate: float = 0.0  # of the fast-time samples, Hz
-    detector_size: tuple[float, float] = (0.0, 0.0)  # along the detector axis and beside it, beamwidths; 0: points
+    detector_size: tuple[float, float] = (0.0, 0.0)  # along and across the detector axis, beamwidths; 0: points
     # Angle of the detector axis, along which boresights are measured, from elevation towards the direction of flight,
     # in the plane across the line of sight, rad.
     detector_rotation: float = 0.0
     # With pattern "table", the measured beam of every detector, or the one common to all.
     beam_tables: tuple[BeamTable, ...] = ()
-    # Channels from detectors: a row per channel, a column per detector; empty: identity. A diagonal matrix holds the
+    # Channels from detectors: a row per channel, a column per detector; empty: identity. A diagonal matrix contains the
     # detectors' complex calibration constants; [[1, 1], [-1, 1]] / sqrt(2) is a lossless sum-difference hybrid (relief
     # paper, eqs. 2 and 3).
     channel_matrix: tuple[tuple[complex, ...], ...] = ()
@@ -71,9 +68,9 @@ class Sensor:
     # detectors, and the channels' noise is correlated (`noise_covariance`).
     matrix_in_antenna: bool = True
     full_scale: float = 0.0  # where receivers clip real and imaginary part, in the unit of the samples; 0: not known
-    mounting: Mounting = AT_BASE_LINK  # where the antenna is on the platform, and how it is turned
-    # How well the beams are known: rms error of the complex amplitude of each beam over its greatest one; 0: perfectly,
-    # but for what a calibration says.
+    mounting: Mounting = AT_BASE_LINK  # position and attitude of the antenna on the platform
+    # Uncertainty of the beams: rms error of the complex amplitude of each beam over its greatest one, in addition to
+    # that of a calibration.
     beam_uncertainty: float = 0.0
     # Slant ranges (m) over which a channel does not receive: (channel, first range, last range).
     blanked_ranges: tuple[tuple[int, float, float], ...] = ()
@@ -81,10 +78,9 @@ class Sensor:
     config_hash: str = ""  # identity; empty: the first 16 hexadecimal digits of the SHA-256 of the rest
 
     def __post_init__(self) -> None:
+        longest = 256  # characters, as these texts are part of every product and of diagnostics
         for name in ("name", "calibration_id", "config_hash"):
-            self._require(
-                len(getattr(self, name)) <= LONGEST_TEXT, name, f"it must have {LONGEST_TEXT} characters or fewer"
-            )
+            self._require(len(getattr(self, name)) <= longest, name, f"it must have {longest} characters or fewer")
         self._require(self.look_side in (-1, 1), "look_side", "allowed are +1 (right) and -1 (left)")
         for name, allowed in (("mode", MODES), ("waveform", WAVEFORMS)):
             self._require(getattr(self, name) in allowed, name, f"allowed are {', '.join(allowed)}")
@@ -107,16 +103,16 @@ class Sensor:
             object.__setattr__(self, "config_hash", digest[:16])
 
     def __hash__(self) -> int:
-        """Equal sensors have equal config hashes; all else would take long to hash for every dwell."""
+        """Hash of the config_hash, which is equal for equal sensors; all fields would take too long for every dwell."""
         return hash(self.config_hash)
 
     def __reduce__(self) -> tuple[Any, tuple[Any, ...]]:
-        """What makes the sensor again in another process, where equal ones are one object, with one set of tables."""
+        """Function and arguments that make the sensor in another process, as one object with one set of tables."""
         return _sensor_of, tuple(getattr(self, one.name) for one in fields(self))
 
     @property
     def digest(self) -> str:
-        """The config_hash that the sensor would have if none were given: it tells whether two descriptions agree."""
+        """The config_hash of the description without a given one, to compare two descriptions."""
         return replace(self, config_hash="").config_hash
 
     def _require(self, holds: bool, name: str, allowed: str) -> None:
@@ -197,8 +193,8 @@ class Sensor:
             "bandwidth",
             f"it must be |chirp_rate| * pulse_duration = {swept:g} Hz within 1 %",
         )
-        # A matched filter needs the band and two resolution cells beside the pulse; a deramped pulse, three samples and
-        # the delays that its sampling rate tells apart.
+        # A matched filter needs the band and two resolution cells next to the pulse; a deramped pulse, three samples
+        # and the delays that its sampling rate resolves.
         chirp = self.waveform == "chirp"
         least, window = (self.bandwidth, 2 / self.bandwidth) if chirp else (3 / duration, sampling / rate)
         self._require(sampling >= least, "sampling_rate", f"it must be {least:g} Hz or more")
@@ -265,7 +261,7 @@ class Sensor:
 
     @property
     def azimuth_beamwidth(self) -> float:
-        """Beamwidth beside the detector axis: wavelength / azimuth_diameter, rad."""
+        """Beamwidth across the detector axis: wavelength / azimuth_diameter, rad."""
         return self.wavelength / self.azimuth_diameter
 
     @cached_property
@@ -310,12 +306,12 @@ class Sensor:
 
     @cached_property
     def is_mixed(self) -> bool:
-        """Whether a channel mixes several detectors."""
+        """True if a channel mixes several detectors."""
         matrix = self.mixing
         return bool(np.any(matrix != np.diag(np.diag(matrix))))
 
     def receives(self, nearest: F64, farthest: F64) -> Bool:
-        """Whether each channel receives all of some intervals of slant range (m, (n,)): shape (channels, n)."""
+        """True for each channel that receives all of an interval of slant range (m, (n,)): shape (channels, n)."""
         received = np.ones((self.detector_count, len(nearest)), np.bool_)
         for channel, first, last in self.blanked_ranges:
             received[channel] &= (farthest < first) | (nearest > last)

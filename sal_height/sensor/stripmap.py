@@ -1,4 +1,4 @@
-"""Stripmap sensors: the angle that a pulse lights up, the angle that is processed, and the synthetic aperture."""
+"""Stripmap sensors: the illuminated angle, the processed angle, and the synthetic aperture."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from sal_height.sensor.sensor import Sensor
 
 
 def lit_angle(beams: Beams) -> float:
-    """Return the angle along the flight, to each side of the middle of all beams, that main lobes light up, rad.
+    """Return the angle along the flight, to each side of the middle of all beams, that main lobes illuminate, rad.
 
     It is the half-width of the widest main lobe and the `look_ahead_angle`. The pulse repetition frequency that presets
-    demand samples the Doppler of this angle; what lies beyond would appear as ambiguities.
+    require samples the Doppler of this angle; echoes from beyond would appear as ambiguities.
     """
     return max(pattern.main_lobe for pattern in beams.patterns) * beams.track_beamwidth + look_ahead_angle(beams)
 
 
 def lit_doppler(sensor: Sensor, speed: float) -> float:
-    """Return the band of Doppler frequencies (Hz) that main lobes light up at a speed (m/s); pulses must sample it."""
+    """Return the band of Doppler frequencies (Hz) of the main lobes at a speed (m/s); pulses must sample it."""
     return 4 * lit_angle(sensor.beams) * speed / sensor.wavelength
 
 

@@ -46,8 +46,8 @@ def to_spectrum(samples: C64, sensor: Sensor) -> C64:
     """Compress raw samples in range to those of `spectrum_sensor(sensor)`.
 
     Args:
-        samples: of any waveform, shape (detectors, pulses, samples); not changed.
-        sensor: that took them.
+        samples: samples of any waveform, shape (detectors, pulses, samples); not changed.
+        sensor: sensor that delivers them.
 
     Returns:
         Complex64 samples over frequency, shape (detectors, pulses, frequencies); `samples` itself if they are that.
@@ -69,8 +69,8 @@ def from_spectrum(samples: Complex, sensor: Sensor) -> C64:
     `to_spectrum`, exact except for ripples at the ends of echoes.
 
     Args:
-        samples: over frequency, shape (detectors, pulses, sensor.sample_count); not changed.
-        sensor: whose raw samples to make.
+        samples: samples over frequency, shape (detectors, pulses, sensor.sample_count); not changed.
+        sensor: sensor of the raw samples.
 
     Returns:
         Complex64 raw samples of the same shape.
@@ -238,15 +238,15 @@ def _in_blocks(transform: Callable[[Complex], Complex], samples: Complex, count:
 
 
 def _centred(count: int) -> F64:
-    """Return the places of `count` samples, one apart, around 0."""
+    """Return the positions of `count` samples, one apart, around 0."""
     return np.arange(count, dtype=np.float64) - (count - 1) / 2
 
 
 def _centred_dft(values: Complex, count: int, period: int) -> Complex:
     """Return sums over n of values[n] exp(-j 2 pi k n / period) for `count` k; k and n are centred on 0."""
-    places = _centred(values.shape[-1])
-    ramp = np.exp(1j * np.pi * (count - 1) / period * places)
-    turn = np.exp(-2j * np.pi * places[0] / period * np.arange(count))
+    positions = _centred(values.shape[-1])
+    ramp = np.exp(1j * np.pi * (count - 1) / period * positions)
+    turn = np.exp(-2j * np.pi * positions[0] / period * np.arange(count))
     return fft.fft(values * ramp, period)[..., :count] * turn
 
 

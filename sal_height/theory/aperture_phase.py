@@ -1,4 +1,4 @@
-"""What a random phase of the pulses does to the image of an aperture, in the mean over many apertures.
+"""Effect of a random phase of the pulses on the image of an aperture, averaged over many apertures.
 
 A trend of the phase moves the image along the flight: by range over speed times a velocity along the line of sight of
 the trend times wavelength / 4 pi. The rest of a phase, of the standard deviation s, spreads 1 - exp(-s^2) of the energy
@@ -16,17 +16,14 @@ from scipy.special import spherical_jn
 
 from sal_height.numeric import F64
 
-NODES = 40_001
-"""Of the integral over the lag. They are dense at short lags, where structure functions of lasers bend."""
-
 
 @dataclass(frozen=True)
 class AperturePhase:
     """A phase over an aperture.
 
     Attributes:
-        trend: its rms slope over time by least squares, rad/s.
-        rest: rms of what is left beside mean and trend, rad.
+        trend: rms slope over time by least squares, rad/s.
+        rest: rms without mean and trend, rad.
     """
 
     trend: float
@@ -34,20 +31,20 @@ class AperturePhase:
 
     @property
     def spread_share(self) -> float:
-        """Share of the energy of a target that is not in its pixel."""
+        """Fraction of the energy of a target that is not in its pixel."""
         return -float(np.expm1(-(self.rest**2)))
 
 
 def phase_of_line(amplitude: float, omega: float, duration: float) -> AperturePhase:
-    """That of a sinusoid of random phase, such as a vibration.
+    """Phase of a sinusoid of random phase, such as a vibration.
 
     Over an aperture of the duration T, exp(j omega t) has the coefficients (2 k + 1) j^k j_k(omega T / 2) in Legendre's
     polynomials (Abramowitz & Stegun, 10.1.47), whose mean squares are 1 / (2 k + 1).
 
     Args:
-        amplitude: rad.
-        omega: rad/s.
-        duration: of the aperture, s.
+        amplitude: amplitude of the sinusoid, rad.
+        omega: angular frequency, rad/s.
+        duration: duration of the aperture, s.
     """
     mean, trend = (float(spherical_jn(order, omega * duration / 2)) for order in (0, 1))
     rest = max(0.0, 1 - mean**2 - 3 * trend**2)
@@ -55,17 +52,18 @@ def phase_of_line(amplitude: float, omega: float, duration: float) -> AperturePh
 
 
 def phase_of_structure(structure: Callable[[F64], F64], duration: float) -> AperturePhase:
-    """That of a phase with stationary increments, from its structure function D.
+    """Phase with stationary increments, from its structure function D.
 
     The least-squares trend is the sum of the phase weighted by w(t) = 12 t / T^3 over |t| < T / 2. The weights have the
     sum 0, so that its variance is -1/2 of the double integral of w(t) w(s) D(|t - s|), and the variance about the mean
     is half the mean of D over all pairs.
 
     Args:
-        structure: mean square of the difference of the phases (rad^2) at times that are so far apart (s).
-        duration: of the aperture, T, s.
+        structure: mean squared difference of the phases (rad^2) as a function of the time between them (s).
+        duration: duration T of the aperture, s.
     """
-    node = np.linspace(0.0, 1.0, NODES)
+    # Nodes are dense at short lags, where structure functions of lasers bend.
+    node = np.linspace(0.0, 1.0, 40_001)
     lag = node**3
     of_pairs = structure(lag * duration) * 3 * node**2
     rest = 0.5 - lag
@@ -76,7 +74,7 @@ def phase_of_structure(structure: Callable[[F64], F64], duration: float) -> Aper
 
 
 def sum_of_phases(phases: Iterable[AperturePhase]) -> AperturePhase:
-    """That of the sum of independent phases."""
+    """Phase of the sum of independent phases."""
     found = list(phases)
     return AperturePhase(
         float(np.sqrt(sum(one.trend**2 for one in found))), float(np.sqrt(sum(one.rest**2 for one in found)))

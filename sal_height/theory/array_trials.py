@@ -1,4 +1,4 @@
-"""Monte Carlo of the array estimator: a target in unit noise, seen again and again (SAL paper, figures 10 and 11)."""
+"""Monte Carlo of the array estimator: repeated observations of a target in unit noise (SAL paper, figures 10, 11)."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ TARGETS: dict[str, Callable[[np.random.Generator, tuple[int, int]], C64]] = {"ga
 
 @dataclass(frozen=True, eq=False)
 class TargetPixels:
-    """Independent pixels that hold the same target in circular noise of mean power 1.
+    """Independent pixels with the same target in circular noise of mean power 1.
 
     Attributes:
-        beams: of the channels.
-        elevation: of the target, rad.
+        beams: beams of the channels.
+        elevation: elevation of the target, rad.
         cnr: mean power of the target in a detector with h = 1 there.
-        looks: independent samples of a pixel.
+        looks: number of independent samples of a pixel.
         target: kind of target, one of TARGETS.
-        squint: of the target, rad.
+        squint: squint of the target, rad.
     """
 
     beams: Beams
@@ -52,7 +52,7 @@ class TargetPixels:
     squint: float = 0.0
 
     def draw(self, rng: np.random.Generator, trials: int) -> C64:
-        """Samples of pixels, shape (trials, looks, channels), as `looks.covariance` takes them."""
+        """Samples of pixels, shape (trials, looks, channels), for `looks.covariance`."""
         noise = rng.standard_normal((trials, self.looks, 2 * self.beams.count), dtype=np.float32)
         noise *= np.float32(np.sqrt(0.5))
         response = (np.sqrt(self.cnr) * self.beams.response(self.elevation, self.squint)).astype(np.complex64)

@@ -49,16 +49,16 @@ def cnr_detector_of(cnr_sum: npt.ArrayLike, pair: Beams, elevation: npt.ArrayLik
     """Return the CNR of one detector that looks straight at the target, from that of the sum channel.
 
     It is 2 |h(0, 0)|^2 / |l + u|^2 times as much: l and u are the two responses, and Sigma has the noise of both.
-    Infinite where the sum channel sees nothing.
+    Infinite where the sum channel receives nothing.
 
     Args:
         cnr_sum: power ratio; broadcasts with the angles.
         pair: beams of two detectors.
-        elevation: of the target, rad.
-        squint: of the target, rad.
+        elevation: elevation of the target, rad.
+        squint: squint of the target, rad.
 
     Raises:
-        UserError: the detectors see nothing straight ahead.
+        UserError: the detectors receive nothing straight ahead.
     """
     sum_gain = np.abs(pair.response(elevation, squint).sum(axis=-1)) ** 2 / 2 / straight_power(pair)
     with np.errstate(divide="ignore"):
@@ -106,7 +106,7 @@ class SteadyLaw:
 
     Attributes:
         kappa: discriminant without noise.
-        cnr_sum: of the sum channel.
+        cnr_sum: CNR of the sum channel, power ratio.
     """
 
     kappa: float
@@ -128,12 +128,12 @@ class SteadyLaw:
         below = np.where(b > 0, ncx2.sf(b**2, 2, a**2), 1.0)
         return below - (radius - mu) / (2 * radius) * np.exp(-((a - b) ** 2) / 2) * i0e(a * b)
 
-    def ppf(self, share: float) -> float:
-        """Return the value below which mu lies with the probability `share`, to 1e-12."""
+    def ppf(self, probability: float) -> float:
+        """Return the value below which mu lies with this probability, to 1e-12."""
         reach = abs(self.kappa) + 1
-        while not self.cdf(-reach) < share < self.cdf(reach):
+        while not self.cdf(-reach) < probability < self.cdf(reach):
             reach *= 2
-        return float(brentq(lambda mu: float(self.cdf(mu)) - share, -reach, reach, xtol=1e-12))
+        return float(brentq(lambda mu: float(self.cdf(mu)) - probability, -reach, reach, xtol=1e-12))
 
 
 class SteadyMlLaw(SteadyLaw):
@@ -165,5 +165,5 @@ def s68_of(law: Any) -> float:
     Args:
         law: anything whose `ppf` gives quantiles: `SteadyLaw`, `SteadyMlLaw`, or a distribution of `scipy.stats`.
     """
-    low, high = (law.ppf(share) for share in NORMAL_SHARES)
+    low, high = (law.ppf(probability) for probability in NORMAL_SHARES)
     return float(high - low) / 2

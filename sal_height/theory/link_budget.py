@@ -1,6 +1,6 @@
-"""Link budget: the mean power that a sensor must transmit for a carrier-to-noise ratio, and what a power gives.
+"""Link budget: the mean transmitted power for a carrier-to-noise ratio, and the ratio for a power.
 
-It holds for radar and for coherent lidar alike: both receive the echo of a resolution cell in one mode of the antenna,
+It applies to radar and to coherent lidar: both receive the echo of a resolution cell in one mode of the antenna,
 sum it coherently over the aperture, and compare its energy with the energy of the noise in one mode (Skolnik,
 Introduction to Radar Systems, 3rd ed., chapter 1, written with mean power and coherent time).
 """
@@ -14,9 +14,6 @@ from scipy.constants import Boltzmann, Planck, speed_of_light
 
 from sal_height.beams import Pattern
 
-REFERENCE_TEMPERATURE = 290.0
-"""Of the noise that a perfect receiver adds to, K."""
-
 FARTHEST_BEAMWIDTHS, STEP_BEAMWIDTHS = 40.0, 0.1
 """Part of a pattern over which its power is summed, to each side, and the steps: of that of a circular aperture 0.4 %
 lie outside."""
@@ -24,17 +21,17 @@ lie outside."""
 
 @dataclass(frozen=True)
 class Link:
-    """A transmitter that lights a solid angle evenly, a resolution cell in it, and a receiver.
+    """A transmitter that illuminates a solid angle evenly, a resolution cell in it, and a receiver.
 
     Attributes:
-        slant_range: m.
-        lit_angle: solid angle that the transmitter lights up, sr.
-        cell_area: of a resolution cell, on the ground, m^2.
+        slant_range: slant range of the cell, m.
+        lit_angle: illuminated solid angle, sr.
+        cell_area: area of a resolution cell on the ground, m^2.
         backscatter: radar cross-section per area of ground, sigma0.
-        effective_area: of the receive antenna for a target straight ahead, m^2.
-        coherent_time: that a cell is lit up and received in an aperture, s.
+        effective_area: effective area of the receive antenna for a target straight ahead, m^2.
+        coherent_time: time for which a cell is illuminated and received in an aperture, s.
         noise: `noise_density` of the receiver, W/Hz.
-        loss: of power in transmitter, air and receiver together, 1 or more.
+        loss: loss of power in transmitter, air and receiver together, power ratio of 1 or more.
     """
 
     slant_range: float
@@ -64,11 +61,11 @@ def noise_density(wavelength: float, noise_figure: float = 1.0) -> float:
     noise (Caves, Physical Review D 26, 1982).
 
     Args:
-        wavelength: of the carrier, m.
-        noise_figure: F, by which the receiver is worse; of a lidar, one over the efficiency of detection.
+        wavelength: wavelength of the carrier, m.
+        noise_figure: F, noise over that of a perfect receiver; of a lidar, one over the efficiency of detection.
     """
     photon = Planck * speed_of_light / wavelength
-    return float(noise_figure * photon / -np.expm1(-photon / (Boltzmann * REFERENCE_TEMPERATURE)))
+    return float(noise_figure * photon / -np.expm1(-photon / (Boltzmann * 290.0)))
 
 
 def diffuse_backscatter(albedo: float, incidence: float) -> float:
@@ -82,9 +79,9 @@ def effective_area(pattern: Pattern, elevation_diameter: float, azimuth_diameter
     Within 1 %: sidelobes more than FARTHEST_BEAMWIDTHS off are left out.
 
     Args:
-        pattern: of the antenna, in beamwidths; its power straight ahead is what counts as 1.
-        elevation_diameter: along the first axis of the pattern, m.
-        azimuth_diameter: along the second, m.
+        pattern: pattern of the antenna, whose power straight ahead counts as 1, over beamwidths.
+        elevation_diameter: diameter along the first axis of the pattern, m.
+        azimuth_diameter: diameter along the second axis, m.
     """
     nodes = np.arange(-FARTHEST_BEAMWIDTHS, FARTHEST_BEAMWIDTHS, STEP_BEAMWIDTHS) + STEP_BEAMWIDTHS / 2
     known = nodes[(nodes >= pattern.domain[0]) & (nodes <= pattern.domain[1])]

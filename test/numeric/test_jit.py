@@ -85,7 +85,7 @@ def test_whoever_waits_for_the_compiler_is_told_once_in_a_while(
 ) -> None:
     """Each function counts once, for whatever types; those of others, and of the cache, do not count."""
     caplog.set_level(logging.WARNING, jit.__name__)
-    monkeypatch.setattr(jit.PROGRESS, "_told_at", -math.inf)
+    monkeypatch.setattr(jit.PROGRESS, "_reported_at", -math.inf)
     functions, before = jit.PROGRESS.functions, len(jit.PROGRESS.done)
     assert len(functions) > 50
     ours = [njit(lambda x, number=number: x + number) for number in range(2)]

@@ -204,7 +204,7 @@ def _moments(elevations: F64, likelihood: F64) -> tuple[F64, F64]:
     """Mean and standard deviation (rad) over elevation with the weight exp L, L a spline through the given values.
 
     Args:
-        elevations: rad, increasing and equally spaced, shape (n,).
+        elevations: increasing, equally spaced angles, shape (n,), rad.
         likelihood: L, shape (n, pixels).
     """
     fine = np.linspace(elevations[0], elevations[-1], 8 * (len(elevations) - 1) + 1)

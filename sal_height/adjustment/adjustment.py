@@ -31,9 +31,8 @@ from sal_height.adjustment.comparing import (
 from sal_height.adjustment.equations import Form, Solution, mean_form
 from sal_height.adjustment.network import Comparison, Network
 from sal_height.adjustment.observed import COMMON, GROUND, Layout, ObservedDwell
-from sal_height.adjustment.observed_image import ObservedImage, compared_images, targets_in_images
-from sal_height.adjustment.reference import UNKNOWN_GROUND, References, Target
-from sal_height.adjustment.settings import AdjustmentSettings, ImageAdjustmentSettings
+from sal_height.adjustment.reference import UNKNOWN_GROUND, References
+from sal_height.adjustment.settings import AdjustmentSettings
 from sal_height.geometry import Mounting
 from sal_height.numeric import F64, in_threads
 
@@ -173,29 +172,6 @@ def _adjusted(
     found += sighted(network, network.dwells, solution, references)
     solution, displacements = network.solved(chains, found), list(network.displacements.values())
     return Adjustment(network.layout, solution, displacements, found, references.ground_sigma)
-
-
-def adjust_images(
-    dwells: Sequence[ObservedImage],
-    mounting: Mounting,
-    settings: ImageAdjustmentSettings,
-    targets: tuple[Target, ...] = (),
-) -> Adjustment:
-    """Adjust images without heights to each other, and to targets whose places are known.
-
-    The displacements are those of images on the ground, and of the antenna in height.
-
-    Args:
-        dwells: in the order of time.
-        mounting: of their sensor, as described.
-        settings: what is known beforehand.
-        targets: that stand out in the images.
-    """
-    network = Network(mounting, settings, settings.position_step_m, most_weight=1.0)
-    images = {network.add(dwell): dwell for dwell in dwells}
-    found = list(compared_images(images, network, network.solved([]), settings))
-    found += targets_in_images(images, network, network.solved([], found), targets)
-    return Adjustment(network.layout, network.solved([], found), list(network.displacements.values()), found)
 
 
 def _all_compared(

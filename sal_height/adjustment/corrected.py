@@ -71,7 +71,7 @@ def corrected_states(
     times, common = np.asarray(seconds), adjustment.solution.of(adjustment.layout.common)
     drift = adjustment.layout.drift
     knots = np.array([knot.seconds for knot in drift.knots])
-    motion, turns = _interpolated(knots, adjustment.knots, times, steps=drift.position_step > 0)
+    motion, turns = _interpolated(knots, adjustment.knots, times)
     found = []
     covariances = _covariances(states, times, adjustment, mounting)
     for state, place, velocity, turn, covariance in zip(states, *motion, turns, covariances, strict=True):
@@ -98,18 +98,11 @@ def corrected_states(
     return found
 
 
-def _interpolated(knots: F64, errors: F64, times: F64, *, steps: bool) -> tuple[tuple[F64, F64], F64]:
-    """Errors of position and velocity, and of attitude, between the knots; beyond them they stay as they are.
-
-    A position that `steps` does so half way between two knots: smoothed, a step would blur the dwells at both of them.
-    """
+def _interpolated(knots: F64, errors: F64, times: F64) -> tuple[tuple[F64, F64], F64]:
+    """Errors of position and velocity, and of attitude, between the knots; beyond them they stay as they are."""
     turns = np.stack([np.interp(times, knots, errors[:, axis]) for axis in range(6, STATE)], axis=-1)
     inside = np.clip(times, knots[0], knots[-1])
-    if steps:
-        nearest = np.searchsorted((knots[1:] + knots[:-1]) / 2, times)
-        inside = knots[nearest]
-        place, velocity = errors[nearest, :3], errors[nearest, 3:6]
-    elif len(knots) > 1:
+    if len(knots) > 1:
         spline = CubicHermiteSpline(knots, errors[:, :3], errors[:, 3:6])
         place, velocity = spline(inside), spline(inside, 1)
     else:
@@ -140,7 +133,7 @@ def _covariances(
     """Covariance of the numbers of `_errors` of each state near a knot; None: there is none near."""
     drift = adjustment.layout.drift
     near = [drift.nearest_knot(time) for time in times.tolist()]
-    known = KNOWN_CORRELATIONS * drift.correlation if not drift.position_step else np.inf
+    known = KNOWN_CORRELATIONS * drift.correlation
     covered = [abs(time - knot.seconds) <= known for knot, time in zip(near, times.tolist(), strict=True)]
     first = {knot: number for number, knot in reversed(list(enumerate(near))) if covered[number]}
     if not first:

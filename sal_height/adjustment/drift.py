@@ -8,8 +8,7 @@ Over a time t = x T the errors of position p, velocity v and attitude e become, 
 
 (Farrell, Aided Navigation, chapter 4). C_v and C_e are what odometry states; a velocity whose error it does not state
 is taken to move the position by as much in T as the error of position that it states. Where it states a position better
-than these let it become, as with satellites, the difference is taken as a fix; where worse, as a step. Fixes may make
-the stated position itself step from knot to knot, by as much as is told beforehand.
+than these let it become, as with satellites, the difference is taken as a fix; where worse, as a step.
 """
 
 from __future__ import annotations
@@ -106,9 +105,9 @@ class Knot:
 class Drift:
     """Knots in time, as time goes on, between which the errors follow smoothly."""
 
-    def __init__(self, correlation: float, position_step: float = 0.0) -> None:
-        """Begin without knots; `correlation`: T, s; standard deviation of steps between knots in each axis, m."""
-        self.correlation, self.position_step = correlation, position_step
+    def __init__(self, correlation: float) -> None:
+        """Begin without knots; `correlation`: T, s."""
+        self.correlation = correlation
         self.knots: list[Knot] = []
         # Variance of the position at the last knot, and its covariance with the velocity.
         self._variance = self._mixed = 0.0
@@ -140,7 +139,6 @@ class Drift:
         fade, speed = np.exp(-step), _mean_variance(velocity)
         noise, carried = _position_noise(step, self.correlation) * speed, self.correlation * (1 - fade)
         become = self._variance + 2 * carried * self._mixed + carried**2 * speed + float(noise[0, 0])
-        become += self.position_step**2
         self._mixed = fade * (self._mixed + carried * speed) + float(noise[0, 1])
         self._variance = variance
         equations = [self._transition(before, knot, velocity, attitude, max(0.0, variance - become))]
@@ -176,7 +174,7 @@ class Drift:
         noise = np.zeros((STATE, STATE))
         noise[:6, :6] = np.kron(_position_noise(step, t), velocity)
         noise[6:, 6:] = (1 - fade**2) * attitude
-        noise[:3, :3] += np.eye(3) * (worse + self.position_step**2 + (0.01 * EXACT_M) ** 2)
+        noise[:3, :3] += np.eye(3) * (worse + (0.01 * EXACT_M) ** 2)
         noise[3:6, 3:6] += np.eye(3) * EXACT_MPS**2
         noise[6:, 6:] += np.eye(3) * EXACT_RAD**2
         columns = np.concatenate([before.columns, knot.columns])

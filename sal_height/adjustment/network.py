@@ -29,9 +29,6 @@ from sal_height.numeric import F64
 FREEDOM = 4.0
 """Of Student's t: the fewer, the sooner a comparison loses weight."""
 
-MOST_WEIGHT = (FREEDOM + 3) / FREEDOM
-"""Weight of a comparison without an error."""
-
 ROUNDS, SETTLED = 6, 0.02
 """Solutions after which the weights hardly change, at most, and the greatest change of a weight that is none."""
 
@@ -72,26 +69,16 @@ class Network:
         ground: how far the elevation model lies off.
     """
 
-    def __init__(
-        self,
-        mounting: Mounting,
-        settings: AdjustmentSettings,
-        position_step: float = 0.0,
-        most_weight: float = MOST_WEIGHT,
-        ground_sigma: float = 0.0,
-    ) -> None:
+    def __init__(self, mounting: Mounting, settings: AdjustmentSettings, ground_sigma: float = 0.0) -> None:
         """Begin without dwells.
 
         Args:
             mounting: of the sensor, as described.
             settings: what is known beforehand.
-            position_step: standard deviation by which the stated position steps from dwell to dwell, m.
-            most_weight: of a comparison that agrees with the others: 1 where so few dwells are compared that they
-                agree by being fitted to each other.
             ground_sigma: standard deviation of what the elevation model lies off, m.
         """
-        self.mounting, self.settings, self._most_weight = mounting, settings, most_weight
-        self.layout, self._ground_sigma = Layout(settings.correlation_s, position_step), ground_sigma
+        self.mounting, self.settings = mounting, settings
+        self.layout, self._ground_sigma = Layout(settings.correlation_s), ground_sigma
         self.ground = Form(self.layout.common[GROUND], np.eye(3), np.zeros(3))
         self.dwells: dict[int, ObservedDwell] = {}
         self.poses: dict[int, Form] = {}
@@ -132,7 +119,7 @@ class Network:
         self._own = dict(zip(self.dwells, own, strict=True))
         known = [*self._known, *self._own.values()]
         weights = np.array([self._weights.get(one, 1.0) for one in compared])
-        solution, weights = solve(known, [one.equation for one in compared], weights, self._most_weight)
+        solution, weights = solve(known, [one.equation for one in compared], weights)
         self._weights = dict(zip(compared, weights.tolist(), strict=True))
         self._ambiguities = ambiguities_of(self.dwells, self.layout, solution)
         return solution
@@ -154,16 +141,13 @@ class Network:
         return list(self._weights)
 
 
-def solve(
-    known: Sequence[Equation], compared: Sequence[Equation], weights: F64, most_weight: float = MOST_WEIGHT
-) -> tuple[Solution, F64]:
+def solve(known: Sequence[Equation], compared: Sequence[Equation], weights: F64) -> tuple[Solution, F64]:
     """The unknowns that fit all equations best; those in `compared` lose weight if they contradict the others.
 
     Args:
         known: equations whose weight is 1.
         compared: the others.
         weights: of these, to begin with, shape (comparisons,).
-        most_weight: of each of them.
 
     Returns:
         The unknowns, and the weights.
@@ -172,7 +156,6 @@ def solve(
     solution = system.solved(np.append(ones, weights))
     for _ in range(ROUNDS if compared else 0):
         before, weights = weights, (FREEDOM + 3) / (FREEDOM + system.mismatches(solution)[len(known) :])
-        weights = np.minimum(weights, most_weight)
         if np.all(np.abs(weights - before) < SETTLED):
             break
         solution = system.solved(np.append(ones, weights))

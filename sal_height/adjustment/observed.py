@@ -200,9 +200,9 @@ class Layout:
 
     common = np.arange(COMMON)
 
-    def __init__(self, correlation: float, position_step: float = 0.0) -> None:
-        """Begin without dwells; `correlation` of the navigation's errors, s, and steps of its position (`Drift`), m."""
-        self.drift = Drift(correlation, position_step)
+    def __init__(self, correlation: float) -> None:
+        """Begin without dwells; `correlation`: correlation time of the navigation's errors, s."""
+        self.drift = Drift(correlation)
         self._count = COMMON
         self._own: dict[int, Index] = {}
 

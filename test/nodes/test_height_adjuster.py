@@ -18,7 +18,7 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from sal_height import messages
-from sal_height.adjustment import LEAST_POINTS, Window
+from sal_height.adjustment import LEAST_POINTS, AdjustmentWindow
 from sal_height.errors import UserError
 from sal_height.geometry import sphere_coordinates
 from sal_height.messages.types import (
@@ -368,7 +368,7 @@ def test_an_error_within_begins_anew(
         raise ZeroDivisionError
 
     with monkeypatch.context() as broken:
-        broken.setattr(Window, "add", fail)
+        broken.setattr(AdjustmentWindow, "add", fail)
         adjusting.heights.publish(flown.images[2])
         for state in flown.odometry[2]:
             adjusting.odometry.publish(state)

@@ -6,7 +6,7 @@ from sal_height.settings import Settings, setting
 
 
 class AdjustmentSettings(Settings):
-    """What is known of navigation and mounting before the dwells are compared."""
+    """Prior knowledge of navigation and mounting, before dwells are compared."""
 
     correlation_s: float = setting(
         100.0,

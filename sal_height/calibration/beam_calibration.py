@@ -149,7 +149,7 @@ def _settle(sums: Sums, start: BeamCalibration, basis: F64, settings: Calibratio
     for step in range(1, most_steps + 1):
         normal = sums(found)
         change, sigma = _solve(normal, basis, settings.max_uncertainty)
-        change *= min(1.0, 6 / step)  # shorter later on: pixels that hardly fit may leave and come back in turn
+        change *= min(1.0, 6 / step)  # shorter later on: pixels that hardly fit may leave and return in turn
         settled = step > 2 and np.all(np.abs(change) <= 0.05 * sigma)
         sigma = np.where(sigma > 0, sigma, np.nan)  # of parameters that are not free
         width = found.width_factor * float(np.exp(change[0]))

@@ -19,11 +19,11 @@ from sal_height.adjustment import (
     BORESIGHT,
     Adjustment,
     AdjustmentSettings,
+    AdjustmentWindow,
     ObservedDwell,
     References,
     Stated,
     Terrain,
-    Window,
     adjust,
 )
 from sal_height.adjustment.observed import pose_jacobian
@@ -249,7 +249,7 @@ def _speeds_and_heights(passes: FlownPasses, errors: F64, late: Index) -> F64:
 
 def _one_by_one(passes: FlownPasses, settings: AdjustmentSettings, held: int) -> tuple[F64, F64, F64]:
     """Errors of dwells as they come, m, shape (dwells, 3), what is stated of them, m^2, and the time for each, s."""
-    window = Window(passes.flight.sensor.mounting, settings, held)
+    window = AdjustmentWindow(passes.flight.sensor.mounting, settings, held)
     errors, stated, seconds = [], [], []
     for dwell, truth in zip(passes.dwells, passes.shifts, strict=True):
         begun = time.monotonic()

@@ -81,7 +81,7 @@ def _from_a_scene(name: str) -> Iterator[Row]:
 def _truth(rng: np.random.Generator, channels: int) -> BeamCalibration:
     amplitude, phase = GAIN_DB * DB * rng.standard_normal(channels), PHASE * rng.standard_normal(channels)
     gains = np.exp(amplitude - amplitude.mean() + 1j * (phase - phase.mean()))
-    return replace(BeamCalibration.none(channels), width_factor=WIDTH, gains=gains)
+    return replace(BeamCalibration.as_described(channels), width_factor=WIDTH, gains=gains)
 
 
 def _calibrated(beams: Beams, calibration: BeamCalibration) -> Beams:

@@ -19,7 +19,7 @@ from benchmarks.row import REPEATS, Row, sized
 from sal_height.sensor import echo_sensor
 from sal_height.simulation import SimulatedFlight, flight_of, load_preset
 from sal_height.simulation.preset import TargetSettings
-from sal_height.simulation.receivers import receiver_noise
+from sal_height.simulation.receiver_noise import receiver_noise
 
 TARGETS = {"sal_spotlight": 8, "sal_stripmap": 60, "xband_relief": 14, "xband_sumdiff": 45, "small": 35, "woods": 500}
 """Greatest times over FFTs and noise: a twentieth of a non-uniform FFT per pulse, but for the radar in woods."""

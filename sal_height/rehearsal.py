@@ -9,7 +9,7 @@ from threading import Lock
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sal_height.adjustment import AdjustmentSettings, ObservedDwell, Stated, Window, corrected_heights
+from sal_height.adjustment import AdjustmentSettings, AdjustmentWindow, ObservedDwell, Stated, corrected_heights
 from sal_height.elevation import ElevationEstimator, HeightSettings, Validity
 from sal_height.geometry import ApertureState, Grid, PlatformState, Trajectory, look_direction
 from sal_height.imaging import ImageSettings, Placement, Slc, image_beams
@@ -140,7 +140,7 @@ def rehearse_adjustment(sensor: Sensor, rng: np.random.Generator) -> None:
         rng: of errors of the heights.
     """
     settings = AdjustmentSettings(boresight_sigma_rad=0.0, lever_arm_sigma_m=0.0)  # so that little has to be searched
-    window, known = Window(sensor.mounting, settings, 1), 1e-10 * np.eye(6)
+    window, known = AdjustmentWindow(sensor.mounting, settings, 1), 1e-10 * np.eye(6)
     for passage in range(2):
         field, aperture = made_up_heights(rng)
         stated = Stated(2 * passage * settings.strip_s, known, known[:3, :3])

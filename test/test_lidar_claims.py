@@ -29,7 +29,7 @@ from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.sensor.sensor import Sensor
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import Preset, load_preset
-from sal_height.simulation.receivers import receiver_noise
+from sal_height.simulation.receiver_noise import receiver_noise
 from sal_height.simulation.scene import PointScatterer, VisibleSurface
 from sal_height.simulation.truth import truth_image
 

@@ -2,16 +2,16 @@
 
 Read `adjustment` first (the way through), then `observed` (how errors move what a dwell shows), `comparing` and
 `matching` (which images of the same ground are compared, and how far they lie apart), `drift` (how errors of navigation
-develop), `network` and `equations` (least squares), `reference` and `targets` (known ground) and `corrected` (the
-trajectory that results). `window` and `corrected_heights` are the same for a flight that goes on;
-`observed_image` and `ground_image` are the same for images of one detector, which have no heights.
+develop), `network` and `equations` (least squares), `known_ground` and `targets` (known ground) and `corrected` (the
+trajectory that results). `window` and `corrected_heights` do the same for a flight in progress.
 """
 
-from sal_height.adjustment.adjustment import Adjustment, adjust, adjust_images, describe_ground
+from sal_height.adjustment.adjustment import Adjustment, adjust, describe_ground
+from sal_height.adjustment.adjustment_settings import AdjustmentSettings
 from sal_height.adjustment.corrected import corrected_mounting, corrected_states, mounting_covariance
 from sal_height.adjustment.corrected_heights import corrected_aperture, corrected_heights
-from sal_height.adjustment.drift import Pulses, Stated
-from sal_height.adjustment.ground_image import cell_size
+from sal_height.adjustment.drift import PulseTrack, Stated
+from sal_height.adjustment.known_ground import UNKNOWN_GROUND, References, Target, Terrain
 from sal_height.adjustment.matching import LEAST_POINTS, Points
 from sal_height.adjustment.observed import (
     BORESIGHT,
@@ -22,11 +22,8 @@ from sal_height.adjustment.observed import (
     placement_in_strip,
     stated_sigmas,
 )
-from sal_height.adjustment.observed_image import ObservedImage
-from sal_height.adjustment.reference import UNKNOWN_GROUND, References, Target, Terrain
-from sal_height.adjustment.settings import AdjustmentSettings, ImageAdjustmentSettings
 from sal_height.adjustment.targets import read_targets
-from sal_height.adjustment.window import MOST_POINTS, PoseError, Window
+from sal_height.adjustment.window import MOST_POINTS, AdjustmentWindow, PoseError
 
 __all__ = [
     "BORESIGHT",
@@ -38,20 +35,16 @@ __all__ = [
     "UNKNOWN_GROUND",
     "Adjustment",
     "AdjustmentSettings",
-    "ImageAdjustmentSettings",
+    "AdjustmentWindow",
     "ObservedDwell",
-    "ObservedImage",
     "Points",
     "PoseError",
-    "Pulses",
+    "PulseTrack",
     "References",
     "Stated",
     "Target",
     "Terrain",
-    "Window",
     "adjust",
-    "adjust_images",
-    "cell_size",
     "corrected_aperture",
     "corrected_heights",
     "corrected_mounting",

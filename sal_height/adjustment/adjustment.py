@@ -1,14 +1,14 @@
 """The adjustment of dwells: navigation and mounting such that overlapping height images agree.
 
-First joined dwells are compared with those of other passes, which finds them wherever navigation leaves them; then,
-with what that told, each dwell by itself. Every comparison gives an equation between the displacements of the dwells
-that met (`observed.displacement`), every Doppler centroid another, and what navigation and mounting are known to be are
-the others: a sparse linear least-squares problem. Comparisons that contradict the others lose weight (`network.solve`),
-so that a wrong one does no harm.
+First joined dwells are compared with those of other passes, within the errors of navigation; then, from that solution,
+each dwell by itself. Every comparison gives an equation between the displacements of the dwells that overlap
+(`observed.displacement`), every Doppler centroid another, and the priors of navigation and mounting the others: a
+sparse linear least-squares problem. Comparisons that contradict the others lose weight (`network.solve`), so that a
+wrong one does no harm.
 
-Images of a strip lie to each other as they were made: joined, they tell where they are, and one by one only how high.
-By itself, an image that ends where a wall or a car begins fits any shift away from it, and all that show the same edge
-err to the same side. A strip of which too little fits (`comparing.compared`) stays where it is known to be.
+Images of a strip are rigidly connected: joined they determine the horizontal position, and one by one only the height.
+By itself, an image that ends where a wall or a car starts fits any shift away from it, and all that show the same edge
+err to the same side. A strip of which too little fits (`comparing.compared`) stays at its prior position.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from operator import attrgetter
 
 import numpy as np
 
+from sal_height.adjustment.adjustment_settings import AdjustmentSettings
 from sal_height.adjustment.comparing import (
     FINE_POINTS,
     ROUGH_POINTS,
@@ -29,20 +30,11 @@ from sal_height.adjustment.comparing import (
     sighted,
 )
 from sal_height.adjustment.equations import Form, Solution, mean_form
+from sal_height.adjustment.known_ground import UNKNOWN_GROUND, References
 from sal_height.adjustment.network import Comparison, Network
-from sal_height.adjustment.observed import COMMON, GROUND, Layout, ObservedDwell
-from sal_height.adjustment.observed_image import ObservedImage, compared_images, targets_in_images
-from sal_height.adjustment.reference import UNKNOWN_GROUND, References, Target
-from sal_height.adjustment.settings import AdjustmentSettings, ImageAdjustmentSettings
+from sal_height.adjustment.observed import COMMON, GROUND, ObservedDwell, Unknowns
 from sal_height.geometry import Mounting
 from sal_height.numeric import F64, in_threads
-
-CONTRADICTION = 30.0
-"""Square of the error of a comparison, of three numbers, over its variance, from which it contradicts the others: by
-chance one of a million."""
-
-GROUND_CONTRADICTION = 16.0
-"""The same of what the elevation model lies off, of which there is one: by chance one of a thousand."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,15 +42,15 @@ class Adjustment:
     """Navigation and mounting that fit best.
 
     Attributes:
-        layout: of the unknowns.
-        solution: their values and covariance.
-        displacements: of the dwells, as forms of the unknowns.
-        comparisons: of dwells that overlap.
-        ground_sigma: standard deviation of what the elevation model lies off, as stated, m.
-        refused_ground: how far the elevation model that the result is without was seen to lie off, m, shape (3,).
+        layout: numbers of the unknowns.
+        solution: values of the unknowns, and their covariance.
+        displacements: displacements of the dwells, as forms of the unknowns.
+        comparisons: comparisons of overlapping dwells.
+        ground_sigma: stated standard deviation of the offset of the elevation model, m.
+        refused_ground: estimated offset of an elevation model that was left out, shape (3,), m.
     """
 
-    layout: Layout
+    layout: Unknowns
     solution: Solution
     displacements: list[Form]
     comparisons: list[Comparison]
@@ -67,20 +59,20 @@ class Adjustment:
 
     @property
     def common(self) -> tuple[F64, F64]:
-        """What all dwells share (`observed.common_prior`), and its covariance."""
+        """Unknowns that all dwells have in common (`observed.common_prior`), and their covariance."""
         columns = self.layout.common
         (covariance,) = self.solution.covariance([Form(columns, np.eye(COMMON), np.zeros(COMMON))])
         return self.solution.of(columns), covariance
 
     @property
     def shifts(self) -> tuple[F64, F64]:
-        """How far east, north and up (m) the surfaces of each dwell lie off, shape (dwells, 3), and the covariance."""
+        """Displacement of each dwell's surfaces east, north and up, m, shape (dwells, 3), and its covariance."""
         shifts = [self.solution.at(form) for form in self.displacements]
         return np.array(shifts), np.array(self.solution.covariance(self.displacements))
 
     @property
     def spread(self) -> tuple[F64, F64]:
-        """Covariance of each dwell's shift against the mean of all, m^2, shape (dwells, 3, 3), and of that mean."""
+        """Covariance of each dwell's shift from the mean of all, m^2, shape (dwells, 3, 3), and of that mean."""
         forms = self.displacements
         middle = mean_form(dict.fromkeys(range(len(forms)), 1 / len(forms)), dict(enumerate(forms)))
         apart = self.solution.covariance([form.minus([(1.0, middle)]) for form in forms])
@@ -88,9 +80,9 @@ class Adjustment:
 
     @property
     def differences(self) -> tuple[F64, F64]:
-        """How far dwells that were compared lie apart as published, and once adjusted, m, shape (comparisons, 3)."""
+        """Offsets between compared dwells as published, and once adjusted, m, shape (comparisons, 3)."""
         apart = [
-            (told := one.equation.right + one.between.constant, told - self.solution.at(one.between))
+            (published := one.equation.right + one.between.constant, published - self.solution.at(one.between))
             for one in self.comparisons
         ]
         before, after = np.array(apart).reshape(-1, 2, 3).swapaxes(0, 1)
@@ -98,24 +90,27 @@ class Adjustment:
 
     @property
     def contradictions(self) -> int:
-        """Number of comparisons that contradict the others: a part of the dwells was taken for another place."""
-        return sum(self.solution.mismatch(one.equation) > CONTRADICTION for one in self.comparisons)
+        """Number of comparisons that contradict the others: some dwells were matched with other ground.
+
+        The square of the error of three numbers over its variance exceeds 30 by chance once in a million.
+        """
+        return sum(self.solution.mismatch(one.equation) > 30.0 for one in self.comparisons)
 
     @property
     def ground_off(self) -> tuple[F64, float]:
-        """How far the dwells put the elevation model off, m, shape (3,), and the square of that over its variance.
+        """Offset of the elevation model by the dwells, m, shape (3,), and the square of that over its variance.
 
-        An estimate varies, where all is as stated, by what it takes off the variance that was known beforehand.
+        The variance of the estimate is the prior variance less the posterior one.
         """
         values, covariance = self.common
         learnt = self.ground_sigma**2 * np.eye(3) - covariance[GROUND, GROUND]
-        share = np.linalg.pinv(learnt, rcond=1e-6, hermitian=True) @ values[GROUND]
-        return self.ground_sigma**2 * share, float(values[GROUND] @ share)
+        scaled = np.linalg.pinv(learnt, rcond=1e-6, hermitian=True) @ values[GROUND]
+        return self.ground_sigma**2 * scaled, float(values[GROUND] @ scaled)
 
     @property
     def contradicts_ground(self) -> bool:
-        """Whether the elevation model cannot lie where it is, by what is known of it and of the dwells."""
-        return self.ground_sigma > 0 and self.ground_off[1] > GROUND_CONTRADICTION
+        """True if the offset of the elevation model exceeds its variance as it does by chance once in a thousand."""
+        return self.ground_sigma > 0 and self.ground_off[1] > 16.0
 
     @property
     def knots(self) -> F64:
@@ -124,7 +119,7 @@ class Adjustment:
 
 
 def describe_ground(off: F64) -> str:
-    """The begin of a sentence on an elevation model that lies off, m, shape (3,)."""
+    """The start of a message on the offset of an elevation model, m, shape (3,)."""
     east, north, up = off
     return (
         f"The elevation model contradicts odometry and dwells, by which it lies {east:.2g} m too far east, "
@@ -138,13 +133,13 @@ def adjust(
     settings: AdjustmentSettings,
     references: References = UNKNOWN_GROUND,
 ) -> Adjustment:
-    """Adjust dwells to each other, and to what is known of the ground.
+    """Adjusts dwells to each other, and to known ground.
 
     Args:
-        dwells: in the order of time.
-        mounting: of their sensor, as described.
-        settings: what is known beforehand.
-        references: targets, and an elevation model; the result is without one that contradicts what is known.
+        dwells: dwells in the order of time.
+        mounting: mounting of their sensor, as described.
+        settings: prior knowledge.
+        references: targets, and an elevation model, which is left out if it contradicts odometry and dwells.
     """
     found = _adjusted(dwells, mounting, settings, references)
     if not found.contradicts_ground:
@@ -156,7 +151,7 @@ def adjust(
 def _adjusted(
     dwells: Sequence[ObservedDwell], mounting: Mounting, settings: AdjustmentSettings, references: References
 ) -> Adjustment:
-    """The same, with the elevation model whatever it is."""
+    """Adjusts dwells, with the elevation model even if it contradicts them."""
     network = Network(mounting, settings, ground_sigma=references.ground_sigma)
     for dwell in dwells:
         network.add(dwell)
@@ -175,29 +170,6 @@ def _adjusted(
     return Adjustment(network.layout, solution, displacements, found, references.ground_sigma)
 
 
-def adjust_images(
-    dwells: Sequence[ObservedImage],
-    mounting: Mounting,
-    settings: ImageAdjustmentSettings,
-    targets: tuple[Target, ...] = (),
-) -> Adjustment:
-    """Adjust images without heights to each other, and to targets whose places are known.
-
-    The displacements are those of images on the ground, and of the antenna in height.
-
-    Args:
-        dwells: in the order of time.
-        mounting: of their sensor, as described.
-        settings: what is known beforehand.
-        targets: that stand out in the images.
-    """
-    network = Network(mounting, settings, settings.position_step_m, most_weight=1.0)
-    images = {network.add(dwell): dwell for dwell in dwells}
-    found = list(compared_images(images, network, network.solved([]), settings))
-    found += targets_in_images(images, network, network.solved([], found), targets)
-    return Adjustment(network.layout, network.solved([], found), list(network.displacements.values()), found)
-
-
 def _all_compared(
     numbers: Sequence[range],
     network: Network,
@@ -207,7 +179,7 @@ def _all_compared(
     *,
     single: bool = False,
 ) -> list[Comparison]:
-    """Compare each chain, or each of its dwells by itself, with chains that were flown before."""
+    """Compares each chain, or each of its dwells by itself, with chains that were flown before."""
     chains = [DwellChain.of(dwells, network, known) for dwells in numbers]
     in_threads(attrgetter("points.surface"), [chain for chain in chains if chain.points.place.size])  # kept for later
     found: list[Comparison] = []

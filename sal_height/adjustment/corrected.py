@@ -1,7 +1,7 @@
-"""The trajectory as the adjustment has found it, with what is left of the errors in its covariance.
+"""The trajectory without the estimated errors, with the covariance of the residual errors.
 
-What was found of the mounting is part of it: with the mounting as described, the corrected trajectory puts the antenna
-where it was, and its beams where they looked.
+Estimated errors of the mounting are part of it: with the mounting as described, the corrected trajectory gives the true
+position of the antenna and the true direction of its beams.
 """
 
 from __future__ import annotations
@@ -14,22 +14,19 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
 
 from sal_height.adjustment.adjustment import Adjustment
+from sal_height.adjustment.adjustment_settings import AdjustmentSettings
 from sal_height.adjustment.drift import STATE
 from sal_height.adjustment.equations import Form
 from sal_height.adjustment.observed import BORESIGHT, COMMON, DELAY, LEVER_ARM
-from sal_height.adjustment.settings import AdjustmentSettings
 from sal_height.geometry import Mounting, PlatformState
 from sal_height.numeric import F64
-
-KNOWN_CORRELATIONS = 0.01
-"""Correlation times from a knot up to which its covariance holds."""
 
 PLACE, TURN, MOTION = slice(0, 3), slice(3, 6), slice(6, 9)
 """Errors of the pose of base_link, and of its velocity, among the numbers of `_errors`."""
 
 
 def corrected_mounting(mounting: Mounting, adjustment: Adjustment) -> Mounting:
-    """The mounting without the errors that were found."""
+    """The mounting without the estimated errors."""
     common, _ = adjustment.common
     arm = np.array(mounting.lever_arm) - common[LEVER_ARM]
     x, y, z, w = (mounting.axes * Rotation.from_rotvec(-common[BORESIGHT])).as_quat().tolist()
@@ -37,11 +34,11 @@ def corrected_mounting(mounting: Mounting, adjustment: Adjustment) -> Mounting:
 
 
 def mounting_covariance(mounting: Mounting, adjustment: Adjustment) -> F64:
-    """Covariance of what is left of its errors: of the lever arm (m^2) and of the rotation (rad^2), axes of base_link.
+    """Covariance of residual errors of the lever arm (m^2) and of the rotation (rad^2), axes of base_link.
 
     Args:
-        mounting: of the sensor, as described.
-        adjustment: of its dwells.
+        mounting: mounting of the sensor, as described.
+        adjustment: adjustment of its dwells.
 
     Returns:
         Shape (6, 6).
@@ -59,19 +56,19 @@ def corrected_states(
     mounting: Mounting,
     settings: AdjustmentSettings,
 ) -> list[PlatformState]:
-    """Odometry without the errors that were found.
+    """Odometry without the estimated errors.
 
     Args:
         states: samples, in any order.
-        seconds: their times, s, as those of the dwells.
-        adjustment: of these dwells.
-        mounting: of the sensor, as described.
-        settings: of the adjustment; the jitter of single dwells becomes part of the covariance.
+        seconds: times of the samples, from the epoch of the dwells, s.
+        adjustment: adjustment of these dwells.
+        mounting: mounting of the sensor, as described.
+        settings: settings of the adjustment; the jitter of single dwells becomes part of the covariance.
     """
     times, common = np.asarray(seconds), adjustment.solution.of(adjustment.layout.common)
     drift = adjustment.layout.drift
     knots = np.array([knot.seconds for knot in drift.knots])
-    motion, turns = _interpolated(knots, adjustment.knots, times, steps=drift.position_step > 0)
+    motion, turns = _interpolated(knots, adjustment.knots, times)
     found = []
     covariances = _covariances(states, times, adjustment, mounting)
     for state, place, velocity, turn, covariance in zip(states, *motion, turns, covariances, strict=True):
@@ -98,18 +95,11 @@ def corrected_states(
     return found
 
 
-def _interpolated(knots: F64, errors: F64, times: F64, *, steps: bool) -> tuple[tuple[F64, F64], F64]:
-    """Errors of position and velocity, and of attitude, between the knots; beyond them they stay as they are.
-
-    A position that `steps` does so half way between two knots: smoothed, a step would blur the dwells at both of them.
-    """
+def _interpolated(knots: F64, errors: F64, times: F64) -> tuple[tuple[F64, F64], F64]:
+    """Interpolates errors of position and velocity, and of attitude, between the knots; beyond them they continue."""
     turns = np.stack([np.interp(times, knots, errors[:, axis]) for axis in range(6, STATE)], axis=-1)
     inside = np.clip(times, knots[0], knots[-1])
-    if steps:
-        nearest = np.searchsorted((knots[1:] + knots[:-1]) / 2, times)
-        inside = knots[nearest]
-        place, velocity = errors[nearest, :3], errors[nearest, 3:6]
-    elif len(knots) > 1:
+    if len(knots) > 1:
         spline = CubicHermiteSpline(knots, errors[:, :3], errors[:, 3:6])
         place, velocity = spline(inside), spline(inside, 1)
     else:
@@ -118,10 +108,10 @@ def _interpolated(knots: F64, errors: F64, times: F64, *, steps: bool) -> tuple[
 
 
 def _errors(state: PlatformState, mounting: Mounting) -> F64:
-    """Errors of position, attitude and velocity of base_link by those of a knot and of what all dwells share.
+    """Errors of position, attitude and velocity of base_link by those of a knot and the common ones.
 
-    Those of the mounting count as if they were the platform's: with the arm a and the turn b of the sensor, in map,
-    p + A l - V d - b x a, e + b and v.
+    Errors of the mounting count as if they were the platform's: with the arm a and the rotation b of the sensor, in
+    map, p + A l - V d - b x a, e + b and v.
     """
     body = Rotation.from_quat(state.orientation)
     sensor, arm = (body * mounting.axes).as_matrix(), body.apply(mounting.lever_arm)
@@ -137,10 +127,10 @@ def _errors(state: PlatformState, mounting: Mounting) -> F64:
 def _covariances(
     states: Sequence[PlatformState], times: F64, adjustment: Adjustment, mounting: Mounting
 ) -> list[F64 | None]:
-    """Covariance of the numbers of `_errors` of each state near a knot; None: there is none near."""
+    """Covariance of the numbers of `_errors` of each state near a knot; None: no knot is near."""
     drift = adjustment.layout.drift
     near = [drift.nearest_knot(time) for time in times.tolist()]
-    known = KNOWN_CORRELATIONS * drift.correlation if not drift.position_step else np.inf
+    known = 0.01 * drift.correlation  # so far from a knot its covariance is valid
     covered = [abs(time - knot.seconds) <= known for knot, time in zip(near, times.tolist(), strict=True)]
     first = {knot: number for number, knot in reversed(list(enumerate(near))) if covered[number]}
     if not first:

@@ -1,4 +1,4 @@
-"""A height image without the error of its dwell that the adjustment has found, with what is left in its covariance."""
+"""A height image without the estimated error of its dwell, with the residual error in its covariance."""
 
 from __future__ import annotations
 
@@ -13,17 +13,14 @@ from sal_height.geometry import ApertureState, height_of
 from sal_height.numeric import F64
 from sal_height.relief import HeightField, Surface, height_variance, pose_covariance
 
-ROUNDING = 1e-5
-"""Share of a common covariance that single precision may add: less than that beyond the pose is not there."""
-
 
 def corrected_heights(field: HeightField, dwell: ObservedDwell, off: PoseError) -> HeightField:
-    """The surfaces of a dwell where they are, with the covariance of what is left of the error.
+    """The surfaces of a dwell at corrected positions, with the covariance of the residual error.
 
     Args:
         field: heights as published.
-        dwell: what they were made with.
-        off: how far off that was.
+        dwell: geometry that they were made with.
+        off: error of its pose.
     """
     surfaces = tuple(_corrected(surface, dwell, off) for surface in field.surfaces)
     grid = replace(field.grid, origin=field.grid.origin - off.error[PLACE])
@@ -57,7 +54,7 @@ def _corrected(surface: Surface, dwell: ObservedDwell, off: PoseError) -> Surfac
 
 
 def _beyond_pose(surface: Surface, aperture: ApertureState) -> F64:
-    """The part of the common covariance that is not that of the pose but of the beams, m^2."""
+    """The part of the common covariance that is due to the beams rather than to the pose, m^2."""
     common, by_pose = surface.common_covariance, pose_covariance(surface.positions, aperture)
     if common is None:
         return np.zeros_like(surface.own_covariance)
@@ -65,4 +62,5 @@ def _beyond_pose(surface: Surface, aperture: ApertureState) -> F64:
         return common
     beyond = common - by_pose
     size = np.trace(common, axis1=-2, axis2=-1)[..., None, None]
-    return np.where(np.abs(beyond).max(axis=(-2, -1), keepdims=True) > ROUNDING * size, beyond, 0.0)
+    # Less than this fraction is rounding of single precision.
+    return np.where(np.abs(beyond).max(axis=(-2, -1), keepdims=True) > 1e-5 * size, beyond, 0.0)

@@ -1,4 +1,4 @@
-r"""How the errors of a navigation develop: velocity and attitude as Gauss-Markov processes, position as it follows.
+r"""Model of the errors of a navigation: velocity and attitude as Gauss-Markov processes, position as it follows.
 
 Over a time t = x T the errors of position p, velocity v and attitude e become, with f = exp(-x),
 
@@ -7,9 +7,8 @@ Over a time t = x T the errors of position p, velocity v and attitude e become, 
     cov(n_p, n_v) = [[T^2 (2 x - 3 + 4 f - f^2), T (1 - f)^2], [., 1 - f^2]] C_v,    cov(n_e) = (1 - f^2) C_e
 
 (Farrell, Aided Navigation, chapter 4). C_v and C_e are what odometry states; a velocity whose error it does not state
-is taken to move the position by as much in T as the error of position that it states. Where it states a position better
-than these let it become, as with satellites, the difference is taken as a fix; where worse, as a step. Fixes may make
-the stated position itself step from knot to knot, by as much as is told beforehand.
+is assumed to move the position in T by the stated error of position. Where the stated position is better than these
+predict, as with satellites, the difference is processed as a fix; where worse, as a step.
 """
 
 from __future__ import annotations
@@ -28,22 +27,17 @@ STATE = 9
 """Numbers of a knot: errors of position (m), velocity (m/s) and attitude (rad), each about or along east, north, up."""
 
 EXACT_M, EXACT_MPS, EXACT_RAD = 1e-4, 1e-6, 1e-9
-"""Standard deviations of what odometry states to be exact, or does not state."""
-
-WORST_M, WORST_MPS, WORST_RAD = 1e3, 10.0, 0.1
-"""Standard deviations of what it states to be known worse: no images could be compared then."""
-
-KNOTS_PER_CORRELATION = 1000
+"""Standard deviations of values that odometry states to be exact, or does not state."""
 
 
 @dataclass(frozen=True, eq=False)
 class Stated:
-    """What odometry states of its errors at a time.
+    """Errors that odometry states at a time.
 
     Attributes:
-        seconds: s.
+        seconds: time, s.
         pose: covariance of position (m^2) and rotation (rad^2), axes of map, shape (6, 6).
-        velocity: covariance, (m/s)^2, axes of map, shape (3, 3).
+        velocity: covariance of the velocity, axes of map, shape (3, 3), (m/s)^2.
     """
 
     seconds: float
@@ -52,14 +46,14 @@ class Stated:
 
 
 @dataclass(frozen=True, eq=False)
-class Pulses:
-    """When the pulses of a dwell, or of a block of a strip, were sent, and where odometry had the platform meanwhile.
+class PulseTrack:
+    """Times of the pulses of a dwell, or of a block of a strip, and the track of the platform by odometry.
 
     Attributes:
-        track: of base_link.
-        begin_ns: of the dwell.
-        times: of the pulses, s from there, two or more.
-        epoch_ns: from which seconds count.
+        track: track of base_link.
+        begin_ns: start of the dwell, ns.
+        times: times of the pulses from there, two or more, s.
+        epoch_ns: epoch from which seconds count, ns.
     """
 
     track: Trajectory
@@ -69,7 +63,7 @@ class Pulses:
 
     @property
     def stated(self) -> Stated:
-        """What odometry states in their middle."""
+        """The errors that odometry states in the middle of the pulses."""
         begin_ns, times = self.begin_ns, self.times
         return Stated(
             (begin_ns - self.epoch_ns) * 1e-9 + float(times.mean()),
@@ -78,11 +72,11 @@ class Pulses:
         )
 
     def stated_abeam(self, aperture: ApertureState, mounting: Mounting) -> Stated:
-        """What it states of an image of a strip that they completed, as of when the antenna was abeam of its middle.
+        """The stated errors at the time when the antenna was abeam of the middle of an image that the pulses completed.
 
         Args:
-            aperture: of the image, whose position is that of the antenna then.
-            mounting: of the sensor.
+            aperture: aperture of the image of a strip, at the position of the antenna then.
+            mounting: mounting of the sensor.
         """
         last = self.times[-1:]
         (antenna,) = self.track.mounted(mounting).positions(self.begin_ns, last)
@@ -95,7 +89,7 @@ class Knot:
     """A time at which the errors are unknowns.
 
     Attributes:
-        seconds: s.
+        seconds: time, s.
         columns: numbers of the unknowns, shape (STATE,).
     """
 
@@ -104,50 +98,49 @@ class Knot:
 
 
 class Drift:
-    """Knots in time, as time goes on, between which the errors follow smoothly."""
+    """Consecutive knots in time, between which the errors change smoothly."""
 
-    def __init__(self, correlation: float, position_step: float = 0.0) -> None:
-        """Begin without knots; `correlation`: T, s; standard deviation of steps between knots in each axis, m."""
-        self.correlation, self.position_step = correlation, position_step
+    def __init__(self, correlation: float) -> None:
+        """Starts without knots; `correlation`: T, s."""
+        self.correlation = correlation
         self.knots: list[Knot] = []
         # Variance of the position at the last knot, and its covariance with the velocity.
         self._variance = self._mixed = 0.0
 
     def needs_knot(self, seconds: float) -> bool:
-        """Whether there is no knot yet, or the last one is older than T / KNOTS_PER_CORRELATION."""
-        return not self.knots or seconds - self.knots[-1].seconds >= self.correlation / KNOTS_PER_CORRELATION
+        """True if there is no knot yet, or the last one is older than T / 1000."""
+        return not self.knots or seconds - self.knots[-1].seconds >= self.correlation / 1000
 
     def add_knot(self, stated: Stated, columns: Index) -> list[Equation]:
-        """Add a knot at the time of what odometry states, later than all others, whose unknowns have these numbers.
+        """Adds a knot at the time of stated errors, later than all others, whose unknowns have these numbers.
 
         Returns:
-            What is known of them beforehand.
+            The prior of these unknowns.
         """
         knot, before = Knot(stated.seconds, columns), self.knots[-1] if self.knots else None
         self.knots.append(knot)
-        place, attitude = (
-            _bounded(stated.pose[:3, :3], EXACT_M, WORST_M),
-            _bounded(stated.pose[3:, 3:], EXACT_RAD, WORST_RAD),
-        )
-        moved = stated.velocity if stated.velocity.any() else place / self.correlation**2
-        velocity = _bounded(moved, EXACT_MPS, WORST_MPS)
-        variance = _mean_variance(place)
+        # No images could be compared with worse errors than 1 km, 0.1 rad and 10 m/s.
+        position = _bounded(stated.pose[:3, :3], EXACT_M, 1e3)
+        attitude = _bounded(stated.pose[3:, 3:], EXACT_RAD, 0.1)
+        moved = stated.velocity if stated.velocity.any() else position / self.correlation**2
+        velocity = _bounded(moved, EXACT_MPS, 10.0)
+        variance = _mean_variance(position)
         if before is None:
             self._variance = variance
-            return [Equation(columns, np.eye(STATE), np.zeros(STATE), _inverse(block_diag(place, velocity, attitude)))]
-        # Variance of the position, and its covariance with the velocity, as they become.
+            prior = _inverse(block_diag(position, velocity, attitude))
+            return [Equation(columns, np.eye(STATE), np.zeros(STATE), prior)]
+        # Predicted variance of the position, and its covariance with the velocity.
         step = (knot.seconds - before.seconds) / self.correlation
         fade, speed = np.exp(-step), _mean_variance(velocity)
         noise, carried = _position_noise(step, self.correlation) * speed, self.correlation * (1 - fade)
-        become = self._variance + 2 * carried * self._mixed + carried**2 * speed + float(noise[0, 0])
-        become += self.position_step**2
+        predicted = self._variance + 2 * carried * self._mixed + carried**2 * speed + float(noise[0, 0])
         self._mixed = fade * (self._mixed + carried * speed) + float(noise[0, 1])
         self._variance = variance
-        equations = [self._transition(before, knot, velocity, attitude, max(0.0, variance - become))]
-        if variance < 0.99 * become:
-            fix = np.eye(3) * (1 / variance - 1 / become)
+        equations = [self._transition(before, knot, velocity, attitude, max(0.0, variance - predicted))]
+        if variance < 0.99 * predicted:
+            fix = np.eye(3) * (1 / variance - 1 / predicted)
             equations.append(Equation(columns[:3], np.eye(3), np.zeros(3), fix))
-            self._mixed *= variance / become
+            self._mixed *= variance / predicted
         return equations
 
     def knot_before(self, seconds: float) -> Knot:
@@ -155,18 +148,18 @@ class Drift:
         return self.knots[max(0, bisect.bisect_right(self.knots, seconds, key=_time_of) - 1)]
 
     def nearest_knot(self, seconds: float) -> Knot:
-        """The knot that is nearest in time."""
+        """The nearest knot in time."""
         after = bisect.bisect_right(self.knots, seconds, key=_time_of)
         return min(self.knots[max(0, after - 1) : after + 1], key=lambda knot: abs(knot.seconds - seconds))
 
     def forget_before(self, knot: Knot) -> list[Knot]:
-        """Forget the knots before this one, and return them."""
+        """Forgets the knots before this one, and returns them."""
         first = self.knots.index(knot)
         gone, self.knots = self.knots[:first], self.knots[first:]
         return gone
 
     def _transition(self, before: Knot, knot: Knot, velocity: F64, attitude: F64, worse: float) -> Equation:
-        """How a knot follows from the one before, whose position is `worse` known by so much variance, m^2."""
+        """The transition from one knot to the next, whose position has an additional variance `worse`, m^2."""
         t = self.correlation
         step = (knot.seconds - before.seconds) / t
         fade = np.exp(-step)
@@ -176,7 +169,7 @@ class Drift:
         noise = np.zeros((STATE, STATE))
         noise[:6, :6] = np.kron(_position_noise(step, t), velocity)
         noise[6:, 6:] = (1 - fade**2) * attitude
-        noise[:3, :3] += np.eye(3) * (worse + self.position_step**2 + (0.01 * EXACT_M) ** 2)
+        noise[:3, :3] += np.eye(3) * (worse + (0.01 * EXACT_M) ** 2)
         noise[3:6, 3:6] += np.eye(3) * EXACT_MPS**2
         noise[6:, 6:] += np.eye(3) * EXACT_RAD**2
         columns = np.concatenate([before.columns, knot.columns])
@@ -190,11 +183,11 @@ def _time_of(knot: Knot) -> float:
 def _position_noise(step: float, correlation: float) -> F64:
     """Covariance of n_p and n_v over that of the velocity, after `step` correlation times."""
     fade = np.exp(-step)
-    place = 2 * step - 3 + 4 * fade - fade**2
+    position = 2 * step - 3 + 4 * fade - fade**2
     if step < 1e-2:  # where these terms cancel
-        place = 2 * step**3 / 3 - step**4 / 2
+        position = 2 * step**3 / 3 - step**4 / 2
     mixed = correlation * (1 - fade) ** 2
-    return np.array([[correlation**2 * place, mixed], [mixed, 1 - fade**2]])
+    return np.array([[correlation**2 * position, mixed], [mixed, 1 - fade**2]])
 
 
 def _inverse(matrix: F64) -> F64:

@@ -1,7 +1,7 @@
 """Sparse linear least squares: linear forms of unknowns, equations with an information matrix, and their solution.
 
-Unknowns are known by their numbers, of which there may be gaps: they come and go with the dwells of a flight. Before
-they go, what equations with them say of the others is kept (`without`).
+Unknowns have numbers, with gaps: they are added and removed with the dwells of a flight. Before they are removed, the
+information of their equations on the others is kept (`without`).
 """
 
 from __future__ import annotations
@@ -16,9 +16,6 @@ from scipy.sparse.linalg import splu
 
 from sal_height.numeric import F64, Index
 
-COLUMNS = 512
-"""Right sides that are solved at once."""
-
 
 @dataclass(frozen=True, eq=False)
 class Form:
@@ -26,8 +23,8 @@ class Form:
 
     Attributes:
         columns: numbers of the unknowns, shape (terms,).
-        values: shape (numbers, terms).
-        constant: shape (numbers,).
+        values: factors of the unknowns, shape (numbers, terms).
+        constant: constant part, shape (numbers,).
     """
 
     columns: Index
@@ -42,14 +39,14 @@ class Form:
         return Form(columns, values, constant)
 
     def equals(self, right: F64, information: F64) -> Equation:
-        """The equation by which it is so much."""
+        """The equation that sets the form equal to a right side, with its information."""
         return Equation(self.columns, self.values, right - self.constant, information)
 
 
-def mean_form(shares: Mapping[int, float], forms: Mapping[int, Form]) -> Form:
-    """The mean of some forms of three numbers, by their own numbers, with weights; those below 0 stand for nothing."""
-    nothing = Form(np.empty(0, np.int64), np.empty((3, 0)), np.zeros(3))
-    return nothing.minus([(-share, forms[number]) for number, share in shares.items() if number >= 0])
+def mean_form(weights: Mapping[int, float], forms: Mapping[int, Form]) -> Form:
+    """The weighted mean of some forms of three numbers, by their own numbers; numbers below 0 stand for a form of 0."""
+    zero = Form(np.empty(0, np.int64), np.empty((3, 0)), np.zeros(3))
+    return zero.minus([(-weight, forms[number]) for number, weight in weights.items() if number >= 0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +60,7 @@ class Equation:
 
     @cached_property
     def whitened(self) -> tuple[Index, F64, F64]:
-        """As many equations whose errors are independent and of variance 1: unknowns, values and right sides.
+        """The same number of equations with independent errors of variance 1: unknowns, values and right sides.
 
         Unknowns and values are those of one equation after the other.
         """
@@ -75,49 +72,49 @@ class System:
     """Equations whose errors are made independent and of variance 1, ready to be solved with changing weights."""
 
     def __init__(self, equations: Sequence[Equation]) -> None:
-        """Take equations that determine all unknowns which they have."""
+        """Stores equations that determine all of their unknowns."""
         rows, values, self.columns, self._right = _whitened(equations)
         self._sizes = np.array([len(one.right) for one in equations])
         self._matrix = csr_array((values, rows), (len(self._right), len(self.columns)))
 
     def solved(self, weights: F64) -> Solution:
-        """The unknowns that fit best, with a weight of each equation."""
+        """Solves for the unknowns that fit best, with a weight of each equation."""
         return Solution(self.columns, self._matrix, np.repeat(weights, self._sizes), self._right)
 
     def mismatches(self, solution: Solution) -> F64:
-        """Square of the error of each equation over what is expected."""
+        """Square of the error of each equation over its variance."""
         errors = (self._matrix @ solution.of(self.columns) - self._right) ** 2
         return np.add.reduceat(errors, np.append(0, np.cumsum(self._sizes)[:-1]))
 
 
 def _whitened(equations: Sequence[Equation]) -> tuple[tuple[Index, Index], F64, Index, F64]:
-    """Equations with errors that are independent and of variance 1.
+    """Scales equations to independent errors of variance 1.
 
     Returns:
         Rows and columns of all entries, the entries, the number of the unknown of each column, and the right sides.
     """
     numbers, values, right = map(np.concatenate, zip(*(one.whitened for one in equations), strict=True))
     lengths = np.repeat([len(one.columns) for one in equations], [len(one.right) for one in equations])
-    columns, places = np.unique(numbers, return_inverse=True)
-    return (np.repeat(np.arange(len(right)), lengths), places), values, columns, right
+    columns, indices = np.unique(numbers, return_inverse=True)
+    return (np.repeat(np.arange(len(right)), lengths), indices), values, columns, right
 
 
 def without(equations: Sequence[Equation], gone: Index) -> list[Equation]:
-    """Equations without some unknowns: what those that have any of them say of the others becomes one equation.
+    """Eliminates unknowns: the information of their equations on the others becomes one equation.
 
-    By a triangular decomposition whose first columns are the unknowns that go: rows that begin after them are free of
-    them (Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, chapter II).
+    By a triangular decomposition whose first columns are these unknowns: the rows after them are free of them (Bierman,
+    Factorization Methods for Discrete Sequential Estimation, 1977, chapter II).
     """
     has_gone = [bool(np.isin(one.columns, gone).any()) for one in equations]
     if not any(has_gone):
         return list(equations)
-    (rows, places), values, columns, right = _whitened(
+    (rows, indices), values, columns, right = _whitened(
         [one for one, has in zip(equations, has_gone, strict=True) if has]
     )
     stays = ~np.isin(columns, gone)
     order = np.argsort(stays, kind="stable")
     dense = np.zeros((len(right), len(columns) + 1))
-    np.add.at(dense, (rows, np.argsort(order)[places]), values)
+    np.add.at(dense, (rows, np.argsort(order)[indices]), values)
     dense[:, -1] = right
     triangle = np.asarray(np.linalg.qr(dense, mode="r"))
     first, count = int(np.count_nonzero(~stays)), int(np.count_nonzero(stays))
@@ -132,7 +129,7 @@ class Solution:
     """Unknowns that fit all equations best, and their covariance."""
 
     def __init__(self, columns: Index, matrix: csr_array, weights: F64, right: F64) -> None:
-        """Solve equations of variance 1 with a weight of each row; `columns`: number of the unknown of each column."""
+        """Solves equations of variance 1 with a weight of each row; `columns`: number of the unknown of each column."""
         weighed = csr_array(matrix.multiply(weights[:, None]))
         normal = csc_array(matrix.T @ weighed)
         # Unknowns of very different units: each in units in which its own equation has the factor 1.
@@ -152,16 +149,17 @@ class Solution:
         return np.asarray(form.values @ self.of(form.columns) + form.constant)
 
     def mismatch(self, equation: Equation) -> float:
-        """Square of the error of an equation over what is expected."""
+        """Square of the error of an equation over its variance."""
         error = equation.values @ self.of(equation.columns) - equation.right
         return float(error @ equation.information @ error)
 
     def covariance(self, forms: Sequence[Form]) -> list[F64]:
-        """Covariance of the numbers of each form, all of which have as many."""
+        """Covariance of the numbers of each form; all forms have the same number of them."""
         found: list[F64] = []
         size = len(forms[0].constant)
-        for first in range(0, len(forms), max(1, COLUMNS // size)):
-            part = forms[first : first + max(1, COLUMNS // size)]
+        at_once = max(1, 512 // size)  # of 512 right sides, which bounds memory
+        for first in range(0, len(forms), at_once):
+            part = forms[first : first + at_once]
             rows = np.repeat(np.arange(size * len(part)), [len(form.columns) for form in part for _ in range(size)])
             columns = np.searchsorted(self._columns, np.concatenate([np.tile(form.columns, size) for form in part]))
             values = np.concatenate([form.values.ravel() for form in part])

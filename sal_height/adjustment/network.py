@@ -1,4 +1,4 @@
-"""Dwells that have come, their unknowns, and all equations between these."""
+"""Dwells that have arrived, their unknowns, and all equations between these."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sal_height.adjustment.adjustment_settings import AdjustmentSettings
 from sal_height.adjustment.equations import Equation, Form, Solution, System, without
 from sal_height.adjustment.matching import REFERENCE
 from sal_height.adjustment.observed import (
     GROUND,
-    Layout,
     ObservedDwell,
+    Unknowns,
     ambiguities_of,
     centroid,
     common_prior,
@@ -22,29 +23,19 @@ from sal_height.adjustment.observed import (
     seen,
     vibration_of,
 )
-from sal_height.adjustment.settings import AdjustmentSettings
 from sal_height.geometry import Mounting
 from sal_height.numeric import F64
-
-FREEDOM = 4.0
-"""Of Student's t: the fewer, the sooner a comparison loses weight."""
-
-MOST_WEIGHT = (FREEDOM + 3) / FREEDOM
-"""Weight of a comparison without an error."""
-
-ROUNDS, SETTLED = 6, 0.02
-"""Solutions after which the weights hardly change, at most, and the greatest change of a weight that is none."""
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """What a comparison of two images tells of the displacements of their dwells.
+    """A comparison of two images, as an equation of the displacements of their dwells.
 
     Attributes:
-        dwells: shares of the dwells of the one image, and of those of the other; REFERENCE: known ground.
-        equation: between the displacements.
-        between: displacement of the one from the other, without what edges make of it.
-        is_target: whether a reference target was seen.
+        dwells: fractions of the dwells of the first image, and of those of the other; REFERENCE: known ground.
+        equation: equation between the displacements.
+        between: displacement of the first from the other, without the apparent shift of edges.
+        is_target: True if it is of a reference target.
     """
 
     dwells: tuple[Mapping[int, float], Mapping[int, float]]
@@ -54,44 +45,34 @@ class Comparison:
 
     @property
     def is_absolute(self) -> bool:
-        """Whether the ground was known."""
+        """True if the ground was known."""
         return REFERENCE in self.dwells[1]
 
 
 class Network:
-    """Dwells, what is known of them beforehand, and the solution of that and of comparisons.
+    """Dwells, their priors, and the solution of these and of comparisons.
 
     Attributes:
-        mounting: of the sensor, as described.
-        settings: what is known beforehand.
-        layout: of the unknowns.
-        dwells: by their numbers, in the order of time.
-        poses: how they are off as forms of the unknowns (`observed.pose`), by number.
-        displacements: how far their surfaces lie off, by number.
-        seen: how far these are seen to lie off by their edges, by number.
-        ground: how far the elevation model lies off.
+        mounting: mounting of the sensor, as described.
+        settings: prior knowledge.
+        layout: numbers of the unknowns.
+        dwells: dwells by their numbers, in the order of time.
+        poses: errors of their poses as forms of the unknowns (`observed.pose`), by number.
+        displacements: displacements of their surfaces, by number.
+        seen: apparent displacements by edges, by number.
+        ground: offset of the elevation model.
     """
 
-    def __init__(
-        self,
-        mounting: Mounting,
-        settings: AdjustmentSettings,
-        position_step: float = 0.0,
-        most_weight: float = MOST_WEIGHT,
-        ground_sigma: float = 0.0,
-    ) -> None:
-        """Begin without dwells.
+    def __init__(self, mounting: Mounting, settings: AdjustmentSettings, ground_sigma: float = 0.0) -> None:
+        """Starts without dwells.
 
         Args:
-            mounting: of the sensor, as described.
-            settings: what is known beforehand.
-            position_step: standard deviation by which the stated position steps from dwell to dwell, m.
-            most_weight: of a comparison that agrees with the others: 1 where so few dwells are compared that they
-                agree by being fitted to each other.
-            ground_sigma: standard deviation of what the elevation model lies off, m.
+            mounting: mounting of the sensor, as described.
+            settings: prior knowledge.
+            ground_sigma: standard deviation of the offset of the elevation model, m.
         """
-        self.mounting, self.settings, self._most_weight = mounting, settings, most_weight
-        self.layout, self._ground_sigma = Layout(settings.correlation_s, position_step), ground_sigma
+        self.mounting, self.settings = mounting, settings
+        self.layout, self._ground_sigma = Unknowns(settings.correlation_s), ground_sigma
         self.ground = Form(self.layout.common[GROUND], np.eye(3), np.zeros(3))
         self.dwells: dict[int, ObservedDwell] = {}
         self.poses: dict[int, Form] = {}
@@ -105,7 +86,7 @@ class Network:
         self._weights: dict[Comparison, float] = {}
 
     def add(self, dwell: ObservedDwell) -> int:
-        """Add a dwell, not earlier than all others; returns its number."""
+        """Adds a dwell, not earlier than all others; returns its number."""
         number, self._count = self._count, self._count + 1
         if not number:
             self._known.append(common_prior(dwell.edges_sigma, self._ground_sigma, self.layout, self.settings))
@@ -114,17 +95,17 @@ class Network:
         self.poses[number] = pose(number, dwell, self.layout, self.mounting)
         self.displacements[number] = displacement(self.poses[number], dwell)
         self.seen[number] = seen(dwell, self.displacements[number], self.layout)
-        told = centroid(number, dwell, self.layout, self.settings)
-        self._known += [told] if told else []
+        by_centroid = centroid(number, dwell, self.layout, self.settings)
+        self._known += [by_centroid] if by_centroid else []
         return number
 
     def solved(self, joined: Iterable[range], compared: Sequence[Comparison] = ()) -> Solution:
-        """The unknowns that fit best; those comparisons lose weight that contradict the others.
+        """Solves for the unknowns that fit best; comparisons that contradict the others lose weight.
 
-        What dwells have of their own is taken to be near what the last solution has found.
+        The ambiguities of the dwells' own velocities are those of the last solution.
 
         Args:
-            joined: numbers of the dwells that follow each other.
+            joined: numbers of consecutive dwells.
             compared: comparisons of the dwells.
         """
         vibration = vibration_of(self.dwells, joined)
@@ -132,48 +113,47 @@ class Network:
         self._own = dict(zip(self.dwells, own, strict=True))
         known = [*self._known, *self._own.values()]
         weights = np.array([self._weights.get(one, 1.0) for one in compared])
-        solution, weights = solve(known, [one.equation for one in compared], weights, self._most_weight)
+        solution, weights = solve(known, [one.equation for one in compared], weights)
         self._weights = dict(zip(compared, weights.tolist(), strict=True))
         self._ambiguities = ambiguities_of(self.dwells, self.layout, solution)
         return solution
 
     def forget(self, numbers: Collection[int]) -> list[Comparison]:
-        """Forget the first dwells, but not what they told in the last solution of the unknowns that others share.
+        """Forgets the first dwells, but not their information, in the last solution, on unknowns of other dwells.
 
         Returns:
-            The comparisons of that solution in which none of them is.
+            The comparisons of that solution without these dwells.
         """
         leave = [one for one in self._weights if any(number in numbers for side in one.dwells for number in side)]
-        told = [replace(one.equation, information=self._weights.pop(one) * one.equation.information) for one in leave]
+        weighted = [
+            replace(one.equation, information=self._weights.pop(one) * one.equation.information) for one in leave
+        ]
         own = [self._own.pop(number) for number in numbers]
         for number in numbers:
-            for held in (self.dwells, self.poses, self.displacements, self.seen, self._ambiguities):
-                del held[number]
+            for kept in (self.dwells, self.poses, self.displacements, self.seen, self._ambiguities):
+                del kept[number]
         first = self.layout.drift.knot_before(next(iter(self.dwells.values())).seconds)
-        self._known = without([*self._known, *own, *told], self.layout.forget(numbers, first))
+        self._known = without([*self._known, *own, *weighted], self.layout.forget(numbers, first))
         return list(self._weights)
 
 
-def solve(
-    known: Sequence[Equation], compared: Sequence[Equation], weights: F64, most_weight: float = MOST_WEIGHT
-) -> tuple[Solution, F64]:
-    """The unknowns that fit all equations best; those in `compared` lose weight if they contradict the others.
+def solve(known: Sequence[Equation], compared: Sequence[Equation], weights: F64) -> tuple[Solution, F64]:
+    """Solves for the unknowns that fit all equations best; those in `compared` lose weight if they contradict others.
 
     Args:
         known: equations whose weight is 1.
         compared: the others.
-        weights: of these, to begin with, shape (comparisons,).
-        most_weight: of each of them.
+        weights: initial weights of these, shape (comparisons,).
 
     Returns:
         The unknowns, and the weights.
     """
     system, ones = System([*known, *compared]), np.ones(len(known))
     solution = system.solved(np.append(ones, weights))
-    for _ in range(ROUNDS if compared else 0):
-        before, weights = weights, (FREEDOM + 3) / (FREEDOM + system.mismatches(solution)[len(known) :])
-        weights = np.minimum(weights, most_weight)
-        if np.all(np.abs(weights - before) < SETTLED):
+    freedom = 4.0  # degrees of Student's t: the fewer, the sooner a comparison loses weight
+    for _ in range(6 if compared else 0):
+        before, weights = weights, (freedom + 3) / (freedom + system.mismatches(solution)[len(known) :])
+        if np.all(np.abs(weights - before) < 0.02):  # hardly changes any more
             break
         solution = system.solved(np.append(ones, weights))
     return solution, weights

@@ -1,21 +1,21 @@
-"""How the errors of navigation and mounting move the surfaces of a dwell, and its Doppler centroid.
+"""Displacement of the surfaces of a dwell, and of its Doppler centroid, by errors of navigation and mounting.
 
-Errors are what is stated less what is true. With the antenna's position off by p, the body turned by e (about the axes
-of map), the velocity along the line of sight u off by v u, and the beams turned on by j about the body, a surface at
-the range R lies off by
+Errors are stated less true values. With an error p of the antenna's position, a rotation e of the body (about the axes
+of map), an error v u of the velocity along the line of sight u, and a further rotation j of the beams about the body, a
+surface at the range R is displaced by
 
     p + e x arm + A l - V d + c (w (e + S b) + j) - (R / |V|) g (v u - shake)
 
 where A turns the body and S the sensor into map, l is the error of the lever arm, b that of the boresight (about the
-axes of the sensor), d that of the odometry's delay, g how a surface moves by a metre along the flight
-(`geometry.shift_along`), and c and w are those of `relief.position_error`. If the image was put into the middle of the
-beams, the last term is R g (t (e + S b) + q) instead: t = u x f with the direction of flight f, and q is the angle by
-which the beams were taken to look farther ahead than the attitude says.
+axes of the sensor), d that of the odometry's delay, g the shift of a surface per metre along the flight
+(`geometry.shift_along`), and c and w are those of `relief.position_error`. If the image was located by the middle of
+the beams, the last term is R g (t (e + S b) + q) instead: t = u x f with the direction of flight f, and q is the
+assumed pointing of the beams ahead less that of the attitude.
 
-An image of a strip is seen from where the antenna was abeam of its middle. Where nothing was removed from the phase of
-its pulses, it lies as a dwell does. Autofocus removes all of the phase but what the beams turn it, as the first block
-has found them to point (`imaging.strip_focus`): all images are in the middle of the beams then, with one q, and no
-velocity moves them. The Doppler centroid of the first block is in q; it says nothing more of where images lie.
+An image of a strip is seen from the point where the antenna was abeam of its middle. Where nothing was removed from the
+phase of its pulses, it is displaced as a dwell is. Autofocus removes all of the phase but that of the beams' pointing,
+as measured in the first block (`imaging.strip_focus`): all images are in the middle of the beams then, with one q, and
+no velocity moves them. The Doppler centroid of the first block is in q, and gives no more information on positions.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from typing import Self
 
 import numpy as np
 
-from sal_height.adjustment.drift import EXACT_M, STATE, Drift, Knot, Pulses, Stated
+from sal_height.adjustment.adjustment_settings import AdjustmentSettings
+from sal_height.adjustment.drift import EXACT_M, STATE, Drift, Knot, PulseTrack, Stated
 from sal_height.adjustment.equations import Equation, Form, Solution
 from sal_height.adjustment.matching import LEAST_POINTS, Points
-from sal_height.adjustment.settings import AdjustmentSettings
 from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Mounting, Trajectory, angles_of, shift_along, sphere_point
 from sal_height.imaging import Placement, Slc
@@ -39,33 +39,27 @@ from sal_height.relief import HeightField, position_jacobian, turn_jacobian
 from sal_height.sensor import PhaseHistory, Sensor
 
 BORESIGHT, LEVER_ARM, DELAY, PITCH, EDGES, GROUND, COMMON = slice(0, 3), slice(3, 6), 6, 7, 8, slice(9, 12), 12
-"""Among the unknowns that all dwells share; EDGES is what surfaces are seen to lie off by (`by_edges`), and GROUND what
-the elevation model lies off by as a whole, east, north and up."""
-
-EXACT = np.array([1e-9] * 3 + [1e-5] * 3 + [1e-9, 1e-8, 1e-6] + [1e-6] * 3)
-"""Standard deviations of those that are exact."""
-
-EDGES_SPACINGS = 0.3
-"""Standard deviation of how much farther from the sensor edges are seen than they are, in spacings of pixels: where a
-wall is in the same pixels as a roof, the roof begins later, and its last pixel reaches beyond it."""
+"""Columns of the unknowns that all dwells have in common; EDGES is the apparent shift of edges (`by_edges`), and GROUND
+the constant offset of the elevation model, east, north and up."""
 
 OWN = 2
-"""Unknowns of each dwell: its shift along the flight (m) and its angle off nadir (rad)."""
+"""Number of unknowns of each dwell: its shift along the flight (m) and its angle off nadir (rad)."""
 
 PLACE, TURN, STRETCH, POSE = slice(0, 3), slice(3, 6), 6, 7
-"""What is off where a dwell is seen from: the antenna (m, map), the sensor (rad, about the axes of map), and the angles
-between its beams (share)."""
+"""Errors of the pose from which a dwell is seen: position of the antenna (m, map), rotation of the sensor (rad, about
+the axes of map), and relative error of the angles between its beams."""
 
 
 def placement_in_strip(placement: Placement, *, phase_removed: bool) -> Placement:
-    """How an image of a strip lies.
+    """The placement of an image of a strip.
 
     Args:
-        placement: of the strip, as its first block has it.
-        phase_removed: whether autofocus has removed the phase error of the block that completed the image.
+        placement: placement of the strip by its first block.
+        phase_removed: True if autofocus has removed the phase error of the block that completed the image.
 
     Raises:
-        Rejected: it was removed in some blocks of the strip only, so that these lie by the beams and others do not.
+        Rejected: it was removed in some blocks of the strip only, so that these are located by the beams and others
+            are not.
     """
     by_beams = placement.centroid is not None or placement.by_beams
     if by_beams != phase_removed:
@@ -79,16 +73,16 @@ def placement_in_strip(placement: Placement, *, phase_removed: bool) -> Placemen
 
 @dataclass(frozen=True, eq=False)
 class ObservedDwell:
-    """A height image, and what it was made with.
+    """A height image, and the geometry that it was made with.
 
     Attributes:
-        points: its surfaces.
-        aperture: from which it is seen, as published.
-        placement: where it lies other than odometry says; of an image of a strip as of `placement_in_strip`.
-        stated: what odometry states, of base_link, in the middle of the dwell, or abeam of that of the image.
+        points: surfaces of the dwell.
+        aperture: aperture from which it is seen, as published.
+        placement: offset of the image from odometry; of an image of a strip as of `placement_in_strip`.
+        stated: errors of base_link that odometry states, in the middle of the dwell, or abeam of that of the image.
         axis_middle: elevation of the middle of all beams, rad.
         look_side: +1 right, -1 left.
-        ambiguity: velocity along the line of sight that pulses cannot tell from none, wavelength PRF / 2, m/s.
+        ambiguity: ambiguity of the velocity along the line of sight, wavelength PRF / 2, m/s.
     """
 
     points: Points
@@ -109,14 +103,14 @@ class ObservedDwell:
         history: PhaseHistory,
         epoch_ns: int = 0,
     ) -> Self:
-        """The heights of a dwell, with its images, its sensor, the track of base_link, and its pulses.
+        """Observes a dwell by its heights, with its images, its sensor, the track of base_link, and its pulses.
 
         Of a strip the heights of an image, and the pulses of the block that completed it. Seconds count from the epoch.
 
         Raises:
-            Rejected: it has too few points, or nothing says where it lies.
+            Rejected: it has too few points, or its placement is undetermined.
         """
-        pulses, aperture = Pulses(track, history.stamp_ns, history.pulse_times, epoch_ns), slc.aperture
+        pulses, aperture = PulseTrack(track, history.stamp_ns, history.pulse_times, epoch_ns), slc.aperture
         if not aperture.sliding:
             return cls.seen_from(aperture, field, slc.placement, pulses.stated, sensor)
         placement = placement_in_strip(slc.placement, phase_removed=slc.autofocus_phase.size > 0)
@@ -126,7 +120,7 @@ class ObservedDwell:
     def seen_from(
         cls, aperture: ApertureState, field: HeightField, placement: Placement, stated: Stated, sensor: Sensor
     ) -> Self:
-        """The heights of a dwell, and what they were made with.
+        """Observes a dwell by its heights, given the geometry that they were made with.
 
         Raises:
             Rejected: it has too few points.
@@ -146,32 +140,36 @@ class ObservedDwell:
 
     @property
     def jacobian(self) -> F64:
-        """How its surfaces lie off at their middle, east, north and up, by the POSE numbers, shape (3, POSE)."""
+        """Derivative of the displacement at the middle of its surfaces by the POSE numbers, shape (3, POSE)."""
         return pose_jacobian(self.middle, self)
 
     @property
     def by_edges(self) -> F64:
-        """How far it is seen to lie off by a metre of the unknown EDGES, shape (3,): outwards."""
+        """Apparent displacement per metre of the unknown EDGES, shape (3,): outwards."""
         return np.array([*self.sight[:2], 0.0]) / np.linalg.norm(self.sight[:2])
 
     @property
     def edges_sigma(self) -> float:
-        """Standard deviation of that unknown, m."""
-        return EDGES_SPACINGS * self.points.spacing
+        """Standard deviation of that unknown, m: 0.3 pixels.
+
+        Edges appear farther from the sensor than they are: where a wall is in the same pixels as a roof, the roof
+        starts later, and its last pixel reaches beyond it.
+        """
+        return 0.3 * self.points.spacing
 
     @property
     def seconds(self) -> float:
-        """Its middle in time, s."""
+        """Time of its middle, s."""
         return self.stated.seconds
 
     @cached_property
     def middle(self) -> F64:
-        """Of its points, in map, m, shape (3,)."""
+        """Middle of its points, in map, m, shape (3,)."""
         return sphere_point(*self.points.middle)
 
     @cached_property
     def slant_range(self) -> float:
-        """To their middle, m."""
+        """Range of their middle, m."""
         return float(np.linalg.norm(self.middle - self.aperture.position))
 
     @property
@@ -181,12 +179,12 @@ class ObservedDwell:
 
     @cached_property
     def along(self) -> F64:
-        """How its surfaces move that are taken to be a metre farther along the flight, shape (3,)."""
+        """Shift of its surfaces per metre along the flight, shape (3,)."""
         return shift_along(self.aperture, self.sight)
 
     @property
     def speed(self) -> float:
-        """Of the flight, m/s."""
+        """Speed of the flight, m/s."""
         return float(np.linalg.norm(self.aperture.velocity))
 
     @property
@@ -195,22 +193,22 @@ class ObservedDwell:
         return self.slant_range / self.speed
 
 
-class Layout:
-    """Numbers of the unknowns: first what all dwells share; then, as they come, knots of navigation and their own."""
+class Unknowns:
+    """Numbers of the unknowns: first the common ones; then, as dwells arrive, knots of navigation and own unknowns."""
 
     common = np.arange(COMMON)
 
-    def __init__(self, correlation: float, position_step: float = 0.0) -> None:
-        """Begin without dwells; `correlation` of the navigation's errors, s, and steps of its position (`Drift`), m."""
-        self.drift = Drift(correlation, position_step)
+    def __init__(self, correlation: float) -> None:
+        """Starts without dwells; `correlation`: correlation time of the navigation's errors, s."""
+        self.drift = Drift(correlation)
         self._count = COMMON
         self._own: dict[int, Index] = {}
 
     def add(self, dwell: int, stated: Stated) -> list[Equation]:
-        """Number the unknowns of a dwell, which is later than all others, and of a knot if it needs one.
+        """Numbers the unknowns of a dwell, which is later than all others, and of a knot if it needs one.
 
         Returns:
-            What is known beforehand of that knot.
+            The prior of that knot.
         """
         equations: list[Equation] = []
         if self.drift.needs_knot(stated.seconds):
@@ -219,11 +217,11 @@ class Layout:
         return equations
 
     def own(self, dwell: int) -> Index:
-        """Numbers of what a dwell has of its own."""
+        """Numbers of a dwell's own unknowns."""
         return self._own[dwell]
 
     def forget(self, dwells: Collection[int], first: Knot) -> Index:
-        """Forget what dwells have of their own, and the knots before the first that is still needed: their numbers."""
+        """Forgets own unknowns of dwells, and knots before the first that is still needed; returns their numbers."""
         knots = [knot.columns for knot in self.drift.forget_before(first)]
         return np.concatenate([*knots, *(self._own.pop(dwell) for dwell in dwells)])
 
@@ -232,16 +230,16 @@ class Layout:
         return np.arange(self._count - count, self._count)
 
 
-def pose(number: int, dwell: ObservedDwell, layout: Layout, mounting: Mounting) -> Form:
-    """How far the antenna is off as a dwell is seen from it: the POSE numbers.
+def pose(number: int, dwell: ObservedDwell, layout: Unknowns, mounting: Mounting) -> Form:
+    """The error of the pose from which a dwell is seen, as a form of the unknowns: the POSE numbers.
 
-    What moves an image along the flight counts as an error of the position.
+    A shift of the image along the flight counts as an error of the position.
 
     Args:
-        number: of the dwell in the layout.
+        number: number of the dwell in the layout.
         dwell: the dwell.
-        layout: of the unknowns.
-        mounting: of the sensor, as described.
+        layout: numbers of the unknowns.
+        mounting: mounting of the sensor, as described.
     """
     aperture, u, f, along = dwell.aperture, dwell.sight, dwell.aperture.direction, dwell.along
     body = aperture.rotation @ mounting.axes.inv().as_matrix()
@@ -270,7 +268,7 @@ def pose(number: int, dwell: ObservedDwell, layout: Layout, mounting: Mounting) 
 
 
 def pose_jacobian(positions: F64, dwell: ObservedDwell) -> F64:
-    """How far positions (m, map, shape (..., 3)) of a dwell's surfaces lie off by the POSE numbers, (..., 3, POSE)."""
+    """Derivative of positions (m, map, shape (..., 3)) of a dwell's surfaces by the POSE numbers, (..., 3, POSE)."""
     jacobian = np.empty((*positions.shape, POSE))
     jacobian[..., PLACE], jacobian[..., TURN] = np.eye(3), turn_jacobian(positions, dwell.aperture)
     _, elevation, _ = angles_of(positions, dwell.aperture, dwell.look_side)
@@ -280,21 +278,21 @@ def pose_jacobian(positions: F64, dwell: ObservedDwell) -> F64:
 
 
 def displacement(pose_error: Form, dwell: ObservedDwell) -> Form:
-    """How far east, north and up (m) the surfaces of a dwell lie off, at their middle, by the error of its pose."""
+    """The displacement of a dwell's surfaces east, north and up (m), at their middle, by the error of its pose."""
     jacobian = dwell.jacobian
     return Form(pose_error.columns, jacobian @ pose_error.values, jacobian @ pose_error.constant)
 
 
-def seen(dwell: ObservedDwell, off: Form, layout: Layout) -> Form:
-    """How far a dwell is seen to lie off by its edges, where it lies off by so much."""
+def seen(dwell: ObservedDwell, off: Form, layout: Unknowns) -> Form:
+    """The apparent displacement of a dwell, by its edges, given the true one."""
     columns = np.append(off.columns, layout.common[EDGES])
     return Form(columns, np.column_stack([off.values, dwell.by_edges]), off.constant)
 
 
-def centroid(number: int, dwell: ObservedDwell, layout: Layout, settings: AdjustmentSettings) -> Equation | None:
-    """What the Doppler centroid of a dwell tells; None: it was not measured.
+def centroid(number: int, dwell: ObservedDwell, layout: Unknowns, settings: AdjustmentSettings) -> Equation | None:
+    """The equation of the Doppler centroid of a dwell; None: it was not measured.
 
-    It is off that of navigation by -v u + shake - |V| t (e + S b), with the shake of the dwell's own shift.
+    It differs from that of navigation by -v u + shake - |V| t (e + S b), with the shake of the dwell's own shift.
     """
     if (found := dwell.placement.centroid) is None:
         return None
@@ -310,16 +308,16 @@ def centroid(number: int, dwell: ObservedDwell, layout: Layout, settings: Adjust
 def vibration_of(dwells: Mapping[int, ObservedDwell], joined: Iterable[range]) -> float:
     """Standard deviation of the velocity along the line of sight by vibration that odometry does not contain, m/s.
 
-    That is the spread of the Doppler centroids of dwells that follow each other, whose navigation errs alike; they are
-    angles on the circle of the ambiguity (Mardia and Jupp, Directional Statistics, section 2.3). At least what the
-    curvature of their phases told.
+    That is the spread of the Doppler centroids of consecutive dwells, whose errors of navigation are equal; they are
+    angles on the circle of the ambiguity (Mardia and Jupp, Directional Statistics, section 2.3). It is at least the
+    estimate from the curvature of their phases.
 
     Args:
-        dwells: all of them, by number.
-        joined: numbers of those that follow each other.
+        dwells: all dwells, by number.
+        joined: numbers of consecutive dwells.
     """
-    told = [dwell.placement.centroid.vibration for dwell in dwells.values() if dwell.placement.centroid]
-    if not told:
+    by_curvature = [dwell.placement.centroid.vibration for dwell in dwells.values() if dwell.placement.centroid]
+    if not by_curvature:
         return 0.0
     weight = resultant = 0.0
     for members in joined:
@@ -330,13 +328,13 @@ def vibration_of(dwells: Mapping[int, ObservedDwell], joined: Iterable[range]) -
             weight += count - 1
     length = np.clip(resultant / weight, 0.01, 1.0) if weight else 1.0
     spread = float(np.sqrt(-np.log(length))) * next(iter(dwells.values())).ambiguity / (2 * np.pi)
-    return max(spread, float(np.sqrt(np.mean(np.square(told)))))
+    return max(spread, float(np.sqrt(np.mean(np.square(by_curvature)))))
 
 
-def ambiguities_of(dwells: Mapping[int, ObservedDwell], layout: Layout, solution: Solution) -> dict[int, float]:
-    """By how many ambiguities the velocity of each dwell is beyond that of navigation, a whole number, by number.
+def ambiguities_of(dwells: Mapping[int, ObservedDwell], layout: Unknowns, solution: Solution) -> dict[int, float]:
+    """The whole number of ambiguities in the velocity error of each dwell, by number.
 
-    A velocity beyond the half of the ambiguity acts as if it were one ambiguity less.
+    A velocity beyond half of the ambiguity acts as if it were one ambiguity less.
     """
     along = {number: float(solution.of(layout.own(number)[:1])[0]) for number in dwells}
     return {
@@ -347,19 +345,19 @@ def ambiguities_of(dwells: Mapping[int, ObservedDwell], layout: Layout, solution
 
 def own_priors(
     dwells: Mapping[int, ObservedDwell],
-    layout: Layout,
+    layout: Unknowns,
     settings: AdjustmentSettings,
     vibration: float,
     ambiguities: Mapping[int, float],
 ) -> list[Equation]:
-    """What is known beforehand of each dwell's own errors: of vibration, or of the middle of its beams; and of jitter.
+    """The priors of each dwell's own errors: of vibration, or of the middle of its beams; and of jitter.
 
     Args:
-        dwells: all of them, by number.
-        layout: of the unknowns.
-        settings: of the jitter.
+        dwells: all dwells, by number.
+        layout: numbers of the unknowns.
+        settings: settings with the jitter.
         vibration: standard deviation of the velocity by vibration, m/s.
-        ambiguities: as of `ambiguities_of`; of those that are not there 0.
+        ambiguities: ambiguities as of `ambiguities_of`; 0 where absent.
     """
     equations = []
     for number, dwell in dwells.items():
@@ -373,21 +371,22 @@ def own_priors(
 
 
 def stated_sigmas(settings: AdjustmentSettings) -> F64:
-    """Standard deviations of what all dwells share, but for edges and ground, as known beforehand; 0: exact."""
+    """Prior standard deviations of the common unknowns but for edges and ground; 0: exact."""
     sigmas = np.empty(EDGES)
     sigmas[BORESIGHT], sigmas[LEVER_ARM] = settings.boresight_sigma_rad, settings.lever_arm_sigma_m
     sigmas[DELAY], sigmas[PITCH] = settings.odometry_delay_sigma_s, settings.pitch_sigma
     return sigmas
 
 
-def common_prior(edges_sigma: float, ground_sigma: float, layout: Layout, settings: AdjustmentSettings) -> Equation:
-    """What is known beforehand of mounting, delay, pitch of the beams, edges in images, and the elevation model.
+def common_prior(edges_sigma: float, ground_sigma: float, layout: Unknowns, settings: AdjustmentSettings) -> Equation:
+    """The prior of mounting, delay, pitch of the beams, edges in images, and the elevation model.
 
     Args:
-        edges_sigma: standard deviation of what edges are seen to lie off, m.
-        ground_sigma: of what the elevation model lies off, m; 0: it is exact, or there is none.
-        layout: of the unknowns.
-        settings: of the adjustment.
+        edges_sigma: standard deviation of the apparent shift of edges, m.
+        ground_sigma: standard deviation of the offset of the elevation model, m; 0: it is exact, or absent.
+        layout: numbers of the unknowns.
+        settings: settings of the adjustment.
     """
-    sigmas = np.maximum([*stated_sigmas(settings), edges_sigma, *[ground_sigma] * 3], EXACT)
+    exact = np.array([1e-9] * 3 + [1e-5] * 3 + [1e-9, 1e-8, 1e-6] + [1e-6] * 3)  # stand for 0
+    sigmas = np.maximum([*stated_sigmas(settings), edges_sigma, *[ground_sigma] * 3], exact)
     return Equation(layout.common, np.eye(COMMON), np.zeros(COMMON), np.diag(sigmas**-2))

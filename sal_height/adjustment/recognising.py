@@ -1,15 +1,16 @@
-"""Whether two images show the same ground, or only ground of the same kind: by what each of them shows only once.
+"""Decides whether two images show the same ground, or only ground of the same kind: by what each shows only once.
 
-Kerbs, walls and slopes go on beyond an image. So another piece of the same street fits it as well as its own ground
-does, and best where most of both images meet. What tells them apart is what does not go on: the end of a wall or of a
-car. To find it, an image is shifted over itself, so far that about the half of it still meets, to where it fits itself
-best: along the street. The rarity of a point is by how much the logarithm of the likelihood of its height is less there
-than it could be. It is about 0 on all that goes on.
+Kerbs, walls and slopes continue beyond an image. So another piece of the same street fits it as well as its own ground
+does, and best where most of both images overlap. They are distinguished by what ends: a wall or a car. To find it, an
+image is shifted over itself, so far that about half of it still overlaps, to where it fits itself best: along the
+street. The rarity of a point is the difference between the greatest possible logarithm of the likelihood of its height
+and the one found there. It is about 0 on all that continues.
 
-Where two images meet, those points tell that it is the same ground which are rare in both, shifted as far the same
-way, the way that goes on in the one that shows less: by the lesser one of the two rarities, less what the height itself
-is less likely than it could be. Two pieces of a street that have nothing in common have no such points, even if each
-has rare points of its own: road before a car is rare one way, and road behind another car the other way.
+Where two images overlap, points that are rare in both are evidence of the same ground. Both images are shifted over
+themselves by the same distance and direction, along which the smaller one continues. A point counts by the lesser of
+the two rarities, less the misfit of its height. Two pieces of a street that have nothing in common have no such points,
+even if each has rare points of its own: road before a car is rare in one direction, and road behind another car in the
+other.
 """
 
 from __future__ import annotations
@@ -28,33 +29,24 @@ from sal_height.adjustment.matching import (
     GriddedSurface,
     Points,
     lattice,
-    said_of_shifts,
+    likelihood_of_shifts,
 )
 from sal_height.numeric import F64, Index
 
-HALF_MET = (0.25, 0.55)
-"""Share of an image that meets the image itself once it is shifted: so little that what it shows once fits no more, and
-so much that what goes on is seen to."""
-
-SEARCH_POINTS, SEARCH_STEPS = 300, 8
-"""Most points with which that shift is looked for, and steps over the narrower side, of COARSE cells at most."""
-
-RARE = 0.5
-"""Least rarity of a point that counts: noise makes less than half of that of what goes on."""
-
 SURE = 7.5
 """Logarithm of the likelihood by which two images must be more likely to show the same ground. Of 240 pairs of dwells
-of `sal_passes` that share none, seven exceed 4, where a car ends as another does elsewhere, and the greatest is 7.1."""
+of `sal_passes` without common ground, seven exceed 4, where a car ends as another does elsewhere, and the greatest is
+7.1."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rarity:
-    """How much less likely heights are elsewhere in their own image than they could be.
+    """Misfit of the heights of an image to the same image elsewhere.
 
     Attributes:
-        elsewhere: by how much the image was shifted, m east and north, shape (2,); 0: it goes on in no direction.
-        less: logarithm of the likelihood, a mean over neighbours, shifted that way and back, shape (2, points); 0 where
-            the image ends.
+        elsewhere: shift of the image east and north, m, shape (2,); 0: it continues in no direction.
+        less: rarity of each point, as a mean over neighbours, shifted by `elsewhere` and by its opposite, shape
+            (2, points); 0 where the image ends.
     """
 
     elsewhere: F64
@@ -67,7 +59,7 @@ class Rarity:
 
     @classmethod
     def shifted(cls, points: Points, elsewhere: F64) -> Rarity:
-        """The rarity of each point, shifted by so much (m)."""
+        """The rarity of each point for a given shift, m, shape (2,)."""
         cells = np.rint(elsewhere / points.surface.step).astype(int)
         if not cells.any():
             return cls(elsewhere, np.zeros((2, len(points.place))))
@@ -75,7 +67,7 @@ class Rarity:
 
 
 def _less(points: Points, shift: Index) -> F64:
-    """The mean over neighbours of how much less likely each height is once the image is shifted, shape (points,)."""
+    """The mean over neighbours of the misfit of each height once the image is shifted, shape (points,)."""
     (misfit,), count = _misfits(points, points.surface, shift[None]), len(points.place)
     met = np.isfinite(misfit)
     if not met.any():
@@ -87,13 +79,13 @@ def _less(points: Points, shift: Index) -> F64:
 
 
 def evidence(points: Points, rarity: Rarity, other: Points, shift: F64) -> float:
-    """Logarithm of how much more likely it is that two images show the same ground than ground of the same kind.
+    """Logarithm of the likelihood ratio of two images of the same ground against ground of the same kind.
 
     Args:
-        points: of the image that shows less.
-        rarity: of these; the other image is shifted over itself as far.
+        points: points of the smaller image.
+        rarity: their rarity; the other image is shifted over itself by the same distance.
         other: points of the other image.
-        shift: by which the one image lies farther east, north and up, m, shape (3,).
+        shift: offset of the first image from the other east, north and up, m, shape (3,).
     """
     surface = other.surface
     (misfit,) = _misfits(points, surface, np.rint(shift[None, :2] / surface.step).astype(int))
@@ -103,34 +95,35 @@ def evidence(points: Points, rarity: Rarity, other: Points, shift: F64) -> float
     _, nearest = cKDTree(other.place[:, :2]).query(points.place[met, :2] - shift[:2])
     less_in_other = Rarity.shifted(other, rarity.elsewhere).less
     in_both = np.minimum(rarity.less[:, met], less_in_other[:, nearest]).max(axis=0)
-    rare = in_both >= RARE
+    rare = in_both >= 0.5  # the rarity of what continues is less than half of that, by noise
     return TEMPER * float(np.sum(in_both[rare] - misfit[met][rare]))
 
 
 def _most_alike(points: Points) -> F64:
-    """The shift (m) at which about the half of an image meets itself and fits itself best; 0: there is none."""
-    some, surface = points.thinned(SEARCH_POINTS), points.surface
-    step = int(np.clip(min(surface.height.shape) // SEARCH_STEPS, 2, COARSE))
+    """The shift (m) at which about half of an image overlaps itself and fits itself best; 0: no such shift."""
+    some, surface = points.thinned(300), points.surface
+    step = int(np.clip(min(surface.height.shape) // 8, 2, COARSE))  # eight steps over the narrower side
     cells = lattice(np.array(surface.height.shape) - 1, step)
     cells = cells[len(cells) // 2 :]  # the others are the same, the other way
-    said, _ = said_of_shifts(some, surface, cells, np.inf)
-    met = np.isfinite(said[0]).sum(axis=1)
-    low, high = (share * len(some.place) for share in HALF_MET)
+    likelihood, _ = likelihood_of_shifts(some, surface, cells, np.inf)
+    met = np.isfinite(likelihood[0]).sum(axis=1)
+    # So little overlap that what is shown once does not fit, and enough of it for what continues to fit.
+    low, high = (fraction * len(some.place) for fraction in (0.25, 0.55))
     half = (met >= max(LEAST_POINTS, low)) & (met <= high)
     if not half.any():
         return np.zeros(2)
-    return np.asarray(surface.step * cells[half][np.argmax(np.nansum(said[0, half], axis=1) / met[half])])
+    return np.asarray(surface.step * cells[half][np.argmax(np.nansum(likelihood[0, half], axis=1) / met[half])])
 
 
 def _misfits(points: Points, surface: GriddedSurface, cells: Index) -> F64:
-    """How much less likely each height is than it could be, by the logarithm, NaN where it does not meet a surface.
+    """The greatest possible logarithm of the likelihood of each height less the one found, shape (shifts, points).
 
-    The shape is (shifts, points).
+    NaN where a point does not meet the surface.
     """
-    said, _ = said_of_shifts(points, surface, cells, np.inf)
+    likelihood, _ = likelihood_of_shifts(points, surface, cells, np.inf)
     bins, kernel = points.binned
     counts = np.bincount(bins, minlength=int(bins.max()) + len(kernel))
     density = np.convolve(counts, kernel, "same")[bins] / len(bins)
     sigma = np.sqrt(2) * np.hypot(points.sigma, points.roughness)
     best = np.log((1 - OUTLIERS) / (np.sqrt(2 * np.pi) * sigma * density) + OUTLIERS)
-    return np.asarray(best - said[0])
+    return np.asarray(best - likelihood[0])

@@ -1,4 +1,4 @@
-"""Files with the places of targets that are known."""
+"""Files with the known positions of targets."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
-from sal_height.adjustment.reference import Target
+from sal_height.adjustment.known_ground import Target
 from sal_height.errors import UserError
 
 COLUMNS = ("east_m", "north_m", "height_m")
@@ -39,7 +39,7 @@ def read_targets(path: Path) -> tuple[Target, ...]:
 
 
 def _targets(lines: Iterator[list[str]], path: Path) -> Iterator[Target]:
-    """The targets of the lines of a file, of which the first names the columns."""
+    """Parses the lines of a file, of which the first names the columns."""
     names = [name.strip() for name in next(lines, [])]
     if sorted(names) not in (sorted(COLUMNS), sorted([*COLUMNS, SIGMA])):
         raise UserError(
@@ -60,7 +60,7 @@ def _targets(lines: Iterator[list[str]], path: Path) -> Iterator[Target]:
 
 
 def _number(text: str, what: str) -> float:
-    """The number in a field of a file."""
+    """Parses the number in a field of a file."""
     try:
         number = float(text)
     except ValueError:

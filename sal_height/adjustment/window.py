@@ -1,12 +1,12 @@
-"""The adjustment of a flight as it goes on: each dwell as it comes, with all that the dwells before it have told.
+"""The adjustment of a flight in progress: each dwell as it arrives, with the information of all dwells before it.
 
 A dwell is compared with earlier ones that saw the same ground: first joined with those that it follows, then by itself,
 as in `adjustment`. So are those that it follows, once the ground is recognised of which they showed too little. Only
-the latest dwells are held; what the others have told of navigation and mounting stays (`Network.forget`), with the
-weights that their comparisons had when they left.
+the latest dwells are kept; the information of the others on navigation and mounting stays (`Network.forget`), with the
+weights that their comparisons had when they were removed.
 
-Images of a strip are joined as they come. Whenever they are half as many again, all of them are compared anew, from
-what is known without them: what fitted when the strip was short is not believed because it fitted then. Until enough
+Images of a strip are joined as they arrive. Whenever their number has grown by half, all of them are compared again,
+from the solution without them: a match of the short strip does not count as evidence for the longer one. Until enough
 of the strip fits (`comparing.compared`), its images are where navigation and earlier strips put them.
 """
 
@@ -16,6 +16,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from sal_height.adjustment.adjustment import Adjustment
+from sal_height.adjustment.adjustment_settings import AdjustmentSettings
 from sal_height.adjustment.comparing import (
     FINE_POINTS,
     ROUGH_POINTS,
@@ -25,35 +26,31 @@ from sal_height.adjustment.comparing import (
     sighted,
 )
 from sal_height.adjustment.equations import Solution
+from sal_height.adjustment.known_ground import UNKNOWN_GROUND, References
 from sal_height.adjustment.network import Comparison, Network
 from sal_height.adjustment.observed import ObservedDwell
-from sal_height.adjustment.reference import UNKNOWN_GROUND, References
-from sal_height.adjustment.settings import AdjustmentSettings
 from sal_height.geometry import Mounting
 from sal_height.numeric import F64
 
-GROWTH = 1.5
-"""Growth of a strip from which all of it is compared anew."""
-
 MOST_POINTS = 5_000_000
-"""Points of all dwells that are held, 1 GB: with the surfaces between them each takes 200 bytes."""
+"""Points of all dwells that are kept, 1 GB: with the surfaces between them each takes 200 bytes."""
 
 
 @dataclass(frozen=True, eq=False)
 class PoseError:
-    """How far off a dwell is seen from: the POSE numbers of `observed`, and their covariance.
+    """Error of the pose from which a dwell is seen.
 
     Attributes:
-        error: shape (POSE,).
-        covariance: shape (POSE, POSE).
+        error: the POSE numbers of `observed`, shape (POSE,).
+        covariance: covariance of what is left of them, shape (POSE, POSE).
     """
 
     error: F64
     covariance: F64
 
 
-class Window:
-    """The latest dwells of a flight, adjusted to each other as they come."""
+class AdjustmentWindow:
+    """The latest dwells of a flight, adjusted to each other as they arrive."""
 
     def __init__(
         self,
@@ -63,27 +60,28 @@ class Window:
         most_points: int = MOST_POINTS,
         references: References = UNKNOWN_GROUND,
     ) -> None:
-        """Begin without dwells.
+        """Starts without dwells.
 
         Args:
-            mounting: of the sensor, as described.
-            settings: what is known beforehand.
-            most_dwells: that are held; a chain is held as a whole or not at all, and one that is over always is.
-            most_points: of all dwells that are held, likewise.
+            mounting: mounting of the sensor, as described.
+            settings: prior knowledge.
+            most_dwells: greatest number of dwells that are kept; chains are kept as a whole, the last complete one
+                always.
+            most_points: greatest number of points of all kept dwells, likewise.
             references: targets, and an elevation model.
         """
         self._network = Network(mounting, settings, ground_sigma=references.ground_sigma)
         self._references, self._most_dwells, self._most_points = references, most_dwells, most_points
         self._over: list[DwellChain] = []
         self._growing = range(0)
-        # Comparisons of chains that are over, and of the one that grows; of how many of its images all were compared.
+        # Comparisons of complete chains, and of the growing one; its number of images when all were last compared.
         self._compared: list[Comparison] = []
         self._of_growing: list[Comparison] = []
         self._grown = 0
         self._solution: Solution | None = None
 
     def add(self, dwell: ObservedDwell) -> PoseError:
-        """Add a dwell, not earlier than all others, and tell how it is off."""
+        """Adds a dwell, not earlier than all others, and estimates the error of its pose."""
         network = self._network
         self._begin_chain_with(dwell)
         number = network.add(dwell)
@@ -95,7 +93,7 @@ class Window:
         return PoseError(known.at(pose), known.covariance([pose])[0])
 
     def _place(self) -> Solution:
-        """Compare the chain that grows as a whole, and then, from where that puts it, its dwells by themselves.
+        """Compares the growing chain as a whole, and then, from where that puts it, its dwells by themselves.
 
         That is the last one, and if the chain is recognised, all that have not been compared with others yet.
         """
@@ -112,7 +110,7 @@ class Window:
         return known
 
     def _place_strip(self) -> Solution:
-        """Compare the last image of the strip that grows, or all of them, and the strip as a whole, if it has grown."""
+        """Compares the last image of the growing strip, or all of them, and the strip as a whole, if it has grown."""
         fresh: Sequence[int] = self._growing[-1:]
         if self._has_grown():
             self._grown, fresh = len(self._growing), self._growing
@@ -123,16 +121,16 @@ class Window:
         return known
 
     def _has_grown(self) -> bool:
-        """Whether the strip has grown so much since all of it was compared, or is as long as one may be."""
+        """True if the strip has grown by half since all of it was compared, or has reached the greatest length."""
         count = len(self._growing)
-        return count >= GROWTH * self._grown or count == self._network.settings.strip_dwells
+        return count >= 1.5 * self._grown or count == self._network.settings.strip_dwells
 
-    def _solved(self, besides: Sequence[Comparison] = ()) -> Solution:
-        """What all comparisons tell, and some others."""
-        return self._network.solved(self._chains(), [*self._compared, *self._of_growing, *besides])
+    def _solved(self, others: Sequence[Comparison] = ()) -> Solution:
+        """The solution of all comparisons, and of some others."""
+        return self._network.solved(self._chains(), [*self._compared, *self._of_growing, *others])
 
     def _compare(self, known: Solution, most_points: int, alone: Sequence[int] = ()) -> list[Comparison]:
-        """Compare the chain that grows with those that are over, or some of its dwells by themselves."""
+        """Compares the growing chain with complete ones, or some of its dwells by themselves."""
         network = self._network
         chain = DwellChain.of(self._growing, network, known)
         parts = [DwellChain.of(range(number, number + 1), network, known) for number in alone]
@@ -140,12 +138,12 @@ class Window:
 
     @property
     def latest_is_compared(self) -> bool:
-        """Whether the latest dwell was seen to show the same ground as an earlier one, or as what is known."""
+        """True if the latest dwell shows ground of an earlier one, or known ground."""
         return any(not one.dwells[0].keys().isdisjoint(self._growing[-1:]) for one in self._of_growing)
 
     @property
     def dwells(self) -> int:
-        """Number of those that are held."""
+        """Number of dwells that are kept."""
         return len(self._network.dwells)
 
     @property
@@ -155,19 +153,19 @@ class Window:
 
     @property
     def adjustment(self) -> Adjustment:
-        """The adjustment of the dwells that are held, as it stands.
+        """The current adjustment of the dwells that are kept.
 
         Raises:
-            ValueError: no dwell has arrived.
+            ValueError: no dwell was added.
         """
         if self._solution is None:
-            raise ValueError("no dwell has arrived")
+            raise ValueError("no dwell was added")
         forms = list(self._network.displacements.values())
         compared = [*self._compared, *self._of_growing]
         return Adjustment(self._network.layout, self._solution, forms, compared, self._references.ground_sigma)
 
     def _begin_chain_with(self, dwell: ObservedDwell) -> None:
-        """End the chain that grows if a dwell does not continue it, and forget chains that are too many."""
+        """Ends the growing chain if a dwell does not continue it, and forgets chains beyond the limits."""
         network, growing = self._network, self._growing
         if not growing or self._solution is None:
             return

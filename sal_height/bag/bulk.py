@@ -23,8 +23,8 @@ def odometry_of(states: Sequence[PlatformState]) -> Iterator[bytes]:
     pose, twist (of which the turning is not known) and covariance of the twist: 85 numbers of 8 bytes.
     """
     first = messages.serialize(messages.state_to_message(states[0], messages.to_stamp(states[0].stamp_ns)))
-    numbers = 7 + 36 + 6 + 36  # pose, its covariance, twist, its covariance
-    frames = first[STAMP_BYTES.stop : -8 * numbers]
+    count = 7 + 36 + 6 + 36  # pose, its covariance, twist, its covariance
+    frames = first[STAMP_BYTES.stop : -8 * count]
     turning = np.zeros(3)
     for state in states:
         stamp = struct.pack("<iI", *divmod(state.stamp_ns, 1_000_000_000))

@@ -282,7 +282,7 @@ def _vegetation(of: Situation) -> Iterator[BudgetEntry]:
 
 
 def _converters(of: Situation) -> Iterator[BudgetEntry]:
-    """Rounding to the step q adds noise of the power q^2 / 6 to a sample (`simulation.receivers`)."""
+    """Rounding to the step q adds noise of the power q^2 / 6 to a sample (`simulation.receiver_noise`)."""
     if bits := of.preset.impairments.adc_bits:
         step = 2 * of.sensor.full_scale / (2**bits - 1)
         rise = 1 + step**2 / 6 / min(of.sensor.noise_power)

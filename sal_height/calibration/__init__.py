@@ -1,16 +1,16 @@
-"""Calibration of receivers and beams from the images of whatever is flown over.
+"""Calibration of receivers and beams from images of any scene.
 
 Read `calibration` first (the result: responses, gains, width of the beams, each with its standard error), then
-`accumulate` (`Calibrator`: many dwells to one calibration), `receivers` (differences between channels over the band),
-`beams` with `beam_likelihood` (gains and beam width), `reference_target` (a reflector of known place), `files` (a
-calibration in a file) and `settings`.
+`accumulate` (`Calibrator`: many dwells to one calibration), `receiver_responses` (differences between channels over the
+band), `beam_calibration` with `beam_likelihood` (gains and beam width), `pupil` (aberrations), `reference_target` (a
+reflector at a known position), `files` (a calibration in a file) and `calibration_settings`.
 """
 
 from sal_height.calibration.accumulate import Calibrator
-from sal_height.calibration.beams import BeamCalibration, calibrate_beams
+from sal_height.calibration.beam_calibration import BeamCalibration, calibrate_beams
 from sal_height.calibration.calibration import Calibration
+from sal_height.calibration.calibration_settings import CalibrationSettings
 from sal_height.calibration.files import load_calibration, save_calibration
-from sal_height.calibration.settings import CalibrationSettings
 
 __all__ = [
     "BeamCalibration",

@@ -1,4 +1,4 @@
-"""From the images of many dwells to the calibration of the sensor that took them."""
+"""Calibration of a sensor from the images of many dwells."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 import scipy.fft
 
 from sal_height.beams import Beams, column_squint
-from sal_height.calibration.beams import BeamCalibration, calibrate_beams, calibrate_on_target
+from sal_height.calibration.beam_calibration import BeamCalibration, calibrate_beams, calibrate_on_target
 from sal_height.calibration.calibration import Calibration
+from sal_height.calibration.calibration_settings import DEFAULTS, CalibrationSettings
 from sal_height.calibration.pupil import PupilCalibration, calibrate_pupil
-from sal_height.calibration.receivers import CrossSpectra, differential_response, remove_range_phase
+from sal_height.calibration.receiver_responses import CrossSpectra, differential_response, remove_range_phase
 from sal_height.calibration.reference_target import Sighting, find_reference_target
-from sal_height.calibration.settings import DEFAULTS, CalibrationSettings
 from sal_height.elevation import Looks, Window, windowed_looks
 from sal_height.errors import NotDetermined, Rejected, UserError
 from sal_height.imaging import Slc, image_beams
@@ -30,19 +30,19 @@ from sal_height.response import (
 from sal_height.sensor import Channels, Sensor, spectrum_sensor, whitened_channels, with_powers
 
 TARGET_MEMORY = 2**27
-"""Bytes of the chips of point targets that are held: 2048 of 64 x 64 pixels, where 25 per dwell would be 1.6 MB."""
+"""Bytes of the chips of point targets that are kept: 2048 of 64 x 64 pixels, where 25 per dwell would be 1.6 MB."""
 
 
 class Calibrator:
-    """Collects from the images of a sensor, dwell by dwell, what a calibration is estimated from."""
+    """Collects statistics of the images of a sensor, dwell by dwell, and estimates a calibration from them."""
 
     def __init__(self, sensor: Sensor, target: F64 | None = None, settings: CalibrationSettings = DEFAULTS) -> None:
-        """Begin.
+        """Start without dwells.
 
         Args:
-            sensor: its description.
-            target: place of a reference target in the map, m, shape (3,); None: there is none.
-            settings: what the calibration is measured from.
+            sensor: description of the sensor.
+            target: position of a reference target in the map, m, shape (3,); None: no target.
+            settings: criteria for the data that are used.
         """
         self.sensor = spectrum_sensor(sensor)
         self.dwells = 0
@@ -58,7 +58,7 @@ class Calibrator:
         self._squints: list[F64] = []
 
     def add(self, slc: Slc) -> None:
-        """Take in the images of a dwell.
+        """Process the images of a dwell.
 
         Args:
             slc: images of all channels in the slant plane, unweighted in range, their rows a range cell apart.
@@ -67,11 +67,11 @@ class Calibrator:
             NotDetermined: the images are weighted in range or not in the slant plane.
             Rejected: samples of a channel are clipped.
         """
-        share, allowed = slc.saturated_share.max(), self._settings.max_saturated_fraction
-        if share > allowed:
+        clipped, allowed = slc.saturated_share.max(), self._settings.max_saturated_fraction
+        if clipped > allowed:
             raise Rejected(
                 "saturated",
-                f"{share:.3g} of a channel's samples are clipped; calibration needs {allowed:g} or less.",
+                f"{clipped:.3g} of a channel's samples are clipped; calibration needs {allowed:g} or less.",
             )
         if not self.dwells:
             self._beams = image_beams(self.sensor, slc.azimuth_window)
@@ -90,7 +90,7 @@ class Calibrator:
         self.dwells += 1
 
     def calibration(self) -> tuple[Calibration, list[str]]:
-        """Return the calibration, and a sentence for each part that is not determined and stays as described."""
+        """Return the calibration, and a message on each part that is not determined and stays as described."""
         channels, frequencies = self.sensor.detector_count, self.sensor.sample_count
         response, sigma = np.ones((channels, frequencies), dtype=np.complex128), np.full(channels, np.nan)
         undetermined: list[str] = []
@@ -135,7 +135,7 @@ class Calibrator:
     def _calibrated_beams(self, response: C128, undetermined: list[str]) -> BeamCalibration:
         """Return gains and width of the beams, by the reference target if it determines them, or by the scene.
 
-        Adds to `undetermined` a sentence for each that does not determine them.
+        Adds to `undetermined` a message on each that does not determine them.
         """
         estimates: dict[str, Callable[[], BeamCalibration]] = {"scene": partial(self._beams_by_scene, response)}
         if self._target is not None:
@@ -149,12 +149,12 @@ class Calibrator:
                 return estimate()
             except UserError as error:
                 undetermined.append(f"Gains and width of the beams by the {source}: {error}")
-        return BeamCalibration.none(self.sensor.detector_count)
+        return BeamCalibration.as_described(self.sensor.detector_count)
 
     def _calibrated_pupil(
         self, response: C128, beams: BeamCalibration, undetermined: list[str]
     ) -> PupilCalibration | None:
-        """Return aberrations of the pupil, and what gains and width differ from `beams` with them, by the scene."""
+        """Return aberrations of the pupil, and gains and width relative to `beams` with them, by the scene."""
         try:
             if self.sensor.is_mixed:
                 raise NotDetermined("The channels are mixtures of detectors; the pupil is that of single detectors.")
@@ -183,7 +183,7 @@ class Calibrator:
         return calibrate_beams(*self._scene(response), self._settings)
 
     def _scene(self, response: C128) -> tuple[Looks, Beams]:
-        """Looks of images of weighted range, with receivers of these responses made equal, and the beams in them.
+        """Looks of range-weighted images, equalised by these responses of the receivers, and the beams in them.
 
         Raises:
             NotDetermined: no image has enough columns.
@@ -212,7 +212,7 @@ class Calibrator:
 
 
 def targets_in(image: C64, settings: PointTargetSettings) -> tuple[PointTarget, ...]:
-    """Return the point targets of an image; none where no pixel stands out, or the image is too narrow for a point."""
+    """Return the point targets of an image; empty if no pixel stands out, or the image is too narrow for a point."""
     power = image.real**2 + image.imag**2
     rows, cols = (min(size, length) for size, length in zip(CHIP, image.shape, strict=True))
     if min(rows, cols) < 4 or not power.max() > 10 ** (settings.point_over_clutter_db / 10) * power.mean():
@@ -221,20 +221,20 @@ def targets_in(image: C64, settings: PointTargetSettings) -> tuple[PointTarget, 
 
 
 def brightest(targets: list[PointTarget], memory: int) -> list[PointTarget]:
-    """Return the brightest of some targets over their clutter, as many as their chips fit into `memory` bytes.
+    """Return the brightest targets over their clutter whose chips fit into `memory` bytes.
 
     The standard error of a response falls with the sum of these ratios, to which the faint ones add least.
     """
     ranked = sorted(targets, key=lambda target: -target.over_clutter)
-    held = np.cumsum([target.spectrum.nbytes for target in ranked])
-    return ranked[: int(np.searchsorted(held, memory, side="right"))]
+    size = np.cumsum([target.spectrum.nbytes for target in ranked])
+    return ranked[: int(np.searchsorted(size, memory, side="right"))]
 
 
 def common_response(targets: list[PointTarget], frequencies: int) -> C128:
     """Return the range response that point targets show, at the fast-time frequencies, shape (frequencies,).
 
     Args:
-        targets: in unweighted images, rows a range cell apart, of the sum of all channels.
+        targets: targets in unweighted images of the sum of all channels, rows a range cell apart.
         frequencies: number of fast-time frequencies.
 
     Raises:

@@ -1,4 +1,4 @@
-"""What was measured of a sensor, and how its phase history and its beams are corrected by it."""
+"""The measured responses and beams of a sensor, and the correction of its phase history and its beams by them."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from sal_height.sensor import PhaseHistory, Sensor
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Receivers' responses and beams of a sensor, as measured, over what its description says.
+    """Measured responses of receivers and beams of a sensor, relative to its description.
 
     Attributes:
-        config_hash: of the sensor.
+        config_hash: hash of the sensor's description.
         response: of each channel at the fast-time frequencies, gain included: complex128, shape (channels,
             frequencies), those of waveform "spectrum" (`waveform.spectrum_sensor`); 1: as described.
         response_sigma: standard error of the shape of a channel's response, at a frequency, shape (channels,); NaN: not
             measured.
         gain_sigma: standard error of ln |gain| of each channel, shape (channels,); NaN: not measured.
-        phase_sigma: of the gain's phase, rad.
+        phase_sigma: standard error of the gain's phase, shape (channels,), rad.
         width_factor: width of the beams over that described.
-        width_sigma: standard error of it; NaN: the width was not measured.
-        pupil: coefficients of the aberrations of the pupil, as of `Beams.aberrated`; empty: not measured.
-        pupil_sigma: their standard errors.
+        width_sigma: standard error of the width factor; NaN: not measured.
+        pupil: coefficients of the aberrations of the pupil, as of `Beams.aberrated`, waves rms; empty: not measured.
+        pupil_sigma: standard errors of the coefficients, waves rms.
         pupil_misfit: power that one scatterer leaves in a pixel over that of the noise, with this pupil; NaN: as above.
-        pupil_p_value: probability of so great a misfit or a greater one if all of it is right.
-        dwells: that it was made of.
+        pupil_p_value: probability of this misfit or a greater one if the calibration is right.
+        dwells: number of dwells that it was made of.
         id: identity, any text; empty: the first 16 hexadecimal digits of the SHA-256 of all values.
     """
 
@@ -90,15 +90,15 @@ class Calibration:
             object.__setattr__(self, "id", digest[:16])
 
     def __reduce__(self) -> tuple[Any, tuple[Any, ...]]:
-        """What makes the calibration again in another process, where equal ones are one object."""
+        """Function and arguments that restore the calibration in another process, where equal ones are one object."""
         return _calibration_of, tuple(_hashable(getattr(self, one.name)) for one in fields(self))
 
     @cached_property
     def equaliser(self) -> C64:
-        """Weights of the channels' frequencies that leave all channels with one response, flat where it can be.
+        """Weights of the channels' frequencies that give all channels the same response, flat where possible.
 
         The inverse of the responses, regularised: a frequency has the weight w = a^4 / (a^4 + 0.1^4), with a the
-        amplitude of the channel that is weakest there, in all of them. So ratios between channels are right at any
+        amplitude of the weakest channel there, in all channels. So ratios between channels are right at any
         frequency; w is 1 within .2 % down to a = 0.5, and 1/2 at a = 0.1.
 
         Returns:
@@ -117,11 +117,11 @@ class Calibration:
         """Root mean square error that the calibration leaves to the beams' amplitudes, as of `Beams.uncertainty`.
 
         A relative error of a gain is one of the beam's greatest amplitude; an error of the width changes the amplitude
-        by dh / d ln w, whose mean square is that over all directions between the boresights. What was not measured adds
-        nothing: it stays as uncertain as the sensor's description says.
+        by dh / d ln w, whose mean square is that over all directions between the boresights. Values that were not
+        measured add nothing: their uncertainty is that of the sensor's description.
 
         Args:
-            beams: of the sensor, as described.
+            beams: beams of the sensor, as described.
         """
         gains = np.nan_to_num(self.gain_sigma) ** 2 + np.nan_to_num(self.phase_sigma) ** 2
         step, directions = 1e-3, np.linspace(*beams.span, 8 * beams.count)
@@ -130,7 +130,7 @@ class Calibration:
         return float(np.sqrt(np.mean(gains) + np.mean(change**2)))
 
     def check(self, sensor: Sensor) -> None:
-        """Check that it is of this sensor, whose waveform is "spectrum".
+        """Check that the calibration is of this sensor, whose waveform is "spectrum".
 
         Raises:
             UserError: it is not.
@@ -151,10 +151,10 @@ class Calibration:
         return replace(history, samples=history.samples * self.equaliser[:, None])
 
     def noise_gains(self, range_window: str) -> F64:
-        """Return by how much equalising raises the noise power of images, shape (channels,).
+        """Return the factor by which equalising raises the noise power of images, shape (channels,).
 
         Args:
-            range_window: of the images, a name of `windows.WINDOWS`.
+            range_window: range window of the images, a name of `windows.WINDOWS`.
         """
         power = window(range_window, self.response.shape[1]) ** 2
         return np.abs(self.equaliser) ** 2 @ power / np.sum(power)

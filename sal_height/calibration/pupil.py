@@ -1,15 +1,14 @@
 """Aberrations of the common pupil, from the scene itself, by the likelihood that calibrates beams.
 
 Parameters are the coefficients c_k of `beams.ZERNIKE`, in waves rms, ln w, and ln |g_m| and arg g_m of the channels;
-every pixel has, besides, its own elevation. They maximise the likelihood of `beam_likelihood`, with Gaussian priors of
-the mean 0: what pixels do not tell stays 0, with the prior for its standard error.
+in addition, every pixel has its own elevation. They maximise the likelihood of `beam_likelihood`, with Gaussian priors
+of the mean 0: undetermined parameters stay 0, with the standard error of the prior.
 
-What is determined. Even terms (defocus, astigmatism, spherical) turn the phases of detectors against each other as far
-as the target moves through their beams, and their signs show in that. From powers alone they would not: h and its
-conjugate have one power, which changes by c^2 only. Images seen from one squint tell the mean of the phase over each
-chord of the pupil across the detector axis: defocus and astigmatism then differ in their second order only, and oblique
-astigmatism and coma beside the axis not at all. Their standard errors say so, and the beams at this squint do not
-depend on it.
+Determined are: even terms (defocus, astigmatism, spherical), which change the phases between detectors as the target
+moves through their beams; their signs show in that. From powers alone they would not: h and its conjugate have the same
+power, which changes by c^2 only. Images seen from one squint determine the mean of the phase over each chord of the
+pupil across the detector axis: defocus and astigmatism then differ in their second order only, and oblique astigmatism
+and coma off the axis not at all. Their standard errors state this, and the beams at this squint do not depend on them.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from scipy.special import chdtrc
 
 from sal_height.beams import ZERNIKE, Beams, aberrated_derivatives
 from sal_height.calibration.beam_likelihood import DIFFERENCE, curve_of
-from sal_height.calibration.settings import DEFAULTS, CalibrationSettings
+from sal_height.calibration.calibration_settings import DEFAULTS, CalibrationSettings
 from sal_height.elevation import (
     OBJECTIVES,
     Covariance,
@@ -37,27 +36,20 @@ from sal_height.elevation import (
 from sal_height.errors import NotDetermined
 from sal_height.numeric import C128, F64, Bool
 
-MOST_STEPS = 20
-GAIN_PRIOR = 0.1
-"""Standard deviation that ln w, ln |g| and arg g are assumed to have still, after beams have been calibrated."""
-
-LONGEST_STEP = 0.03
-"""Greatest change of a coefficient in a step, waves: beyond it the field is not linear in it."""
-
 
 @dataclass(frozen=True, eq=False)
 class PupilCalibration:
-    """Aberrations of the pupil, and how well beams with them fit.
+    """Aberrations of the pupil, and the goodness of fit of beams with them.
 
     Attributes:
-        coefficients: of the terms of ZERNIKE in their order, waves rms.
-        sigma: their standard errors; that of the prior where pixels tell nothing.
-        width_factor: w, by which all beams are wider than described.
-        gains: complex, of the channels over those described, with the mean 0 of ln |g| and of arg g, (channels,).
-        pixels: number that was used.
+        coefficients: coefficients of the terms of ZERNIKE in their order, waves rms.
+        sigma: standard errors of the coefficients, that of the prior where pixels do not determine them, waves rms.
+        width_factor: w, width of all beams over that described.
+        gains: complex gains of the channels over those described, with the mean 0 of ln |g| and of arg g, (channels,).
+        pixels: number of pixels used.
         misfit: power that one scatterer leaves in these pixels over that of the noise in the same degrees of freedom.
         p_value: probability of such a misfit or a greater one, if the beams are right and the pixels one scatterer.
-        steps: after which the estimate settled.
+        steps: number of steps until the estimate settled.
     """
 
     coefficients: F64
@@ -72,7 +64,7 @@ class PupilCalibration:
 
 @dataclass(frozen=True)
 class _Sums:
-    """Sums over pixels that a step needs: score, information, variance of the score, and what tells of the fit."""
+    """Sums over pixels that a step needs: score, information, variance of the score, and the misfit."""
 
     score: F64
     information: F64
@@ -85,12 +77,12 @@ class _Sums:
 def calibrate_pupil(looks: Looks, beams: Beams, settings: CalibrationSettings = DEFAULTS) -> PupilCalibration:
     """Estimate aberrations and gains from all pixels that look like one scatterer, bright enough, inside the array.
 
-    Which pixels do is judged leniently in the first steps and strictly later (`misfit_fraction`).
+    The criterion for one scatterer is lenient in the first steps and strict later (`misfit_fraction`).
 
     Args:
-        looks: with complex covariances, of detectors of equal noise.
-        beams: of the detectors, as described; circular apertures.
-        settings: which pixels count, and the prior of the coefficients.
+        looks: looks with complex covariances, of detectors of equal noise.
+        beams: beams of the detectors, as described; circular apertures.
+        settings: criteria for pixels, and the prior of the coefficients.
 
     Raises:
         NotDetermined: fewer than three detectors, channels that mix them, too few pixels, or no convergence.
@@ -102,14 +94,16 @@ def calibrate_pupil(looks: Looks, beams: Beams, settings: CalibrationSettings = 
             f"{' that mix detectors' if beams.matrix is not None else ''}."
         )
     terms, channels = len(ZERNIKE), beams.count
-    prior = np.concatenate([np.full(terms, settings.pupil_prior_waves), np.full(1 + 2 * channels, GAIN_PRIOR)])
-    values = np.zeros(len(prior))
-    for step in range(1, MOST_STEPS + 1):
-        share = max(settings.misfit_fraction, 0.5**step)  # while the beams are wrong, single scatterers fit badly, too
-        sums = _sum_over_scene(values, looks, beams, settings, share)
+    # After beams have been calibrated, ln w, ln |g| and arg g have errors of about 0.1.
+    prior = np.concatenate([np.full(terms, settings.pupil_prior_waves), np.full(1 + 2 * channels, 0.1)])
+    values, most_steps = np.zeros(len(prior)), 20
+    for step in range(1, most_steps + 1):
+        misfit = max(settings.misfit_fraction, 0.5**step)  # while the beams are wrong, single scatterers fit badly, too
+        sums = _sum_over_scene(values, looks, beams, settings, misfit)
         change, sigma = _step(sums, values, prior)
-        values = values + change * min(1.0, LONGEST_STEP / np.max(np.abs(change[:terms])))
-        if share == settings.misfit_fraction and np.all(np.abs(change[:terms]) <= 0.1 * sigma[:terms]):
+        longest_step = 0.03  # of a coefficient, in waves: beyond it the field is not linear
+        values = values + change * min(1.0, longest_step / np.max(np.abs(change[:terms])))
+        if misfit == settings.misfit_fraction and np.all(np.abs(change[:terms]) <= 0.1 * sigma[:terms]):
             gains = values[terms + 1 :].reshape(2, channels)
             gains = gains - gains.mean(axis=1, keepdims=True)
             return PupilCalibration(
@@ -123,27 +117,27 @@ def calibrate_pupil(looks: Looks, beams: Beams, settings: CalibrationSettings = 
                 steps=step,
             )
     raise NotDetermined(
-        f"The aberrations of the pupil have not settled in {MOST_STEPS} steps; that needs pixels of one scatterer at "
+        f"The aberrations of the pupil have not settled in {most_steps} steps; that needs pixels of one scatterer at "
         "elevations that differ, and aberrations well below a quarter of a wave."
     )
 
 
 def _step(sums: _Sums, values: F64, prior: F64) -> tuple[F64, F64]:
-    """Change of the parameters that the next step makes, and their standard errors.
+    """Change of the parameters in the next step, and their standard errors.
 
-    Combinations of parameters of which pixels do not tell three times as much as the prior stay.
+    Combinations of parameters that pixels do not determine three times better than the prior stay unchanged.
     """
     strength, directions = np.linalg.eigh(prior[:, None] * sums.information * prior)
-    told = strength > 9
+    known = strength > 9
     basis = prior[:, None] * directions
-    inverse = (basis[:, told] / (1 + strength[told])) @ basis[:, told].T
+    inverse = (basis[:, known] / (1 + strength[known])) @ basis[:, known].T
     change = inverse @ (sums.score - values / prior**2)
-    variance = inverse @ (sums.variance + np.diag(prior**-2.0)) @ inverse + basis[:, ~told] @ basis[:, ~told].T
+    variance = inverse @ (sums.variance + np.diag(prior**-2.0)) @ inverse + basis[:, ~known] @ basis[:, ~known].T
     return change, np.sqrt(np.diag(variance))
 
 
-def _sum_over_scene(values: F64, looks: Looks, beams: Beams, settings: CalibrationSettings, share: float) -> _Sums:
-    """Sum over the usable pixels of a scene, at the elevations that are likeliest with the parameters found so far."""
+def _sum_over_scene(values: F64, looks: Looks, beams: Beams, settings: CalibrationSettings, misfit: float) -> _Sums:
+    """Sum over the usable pixels of a scene, at the most likely elevations with the current parameters."""
     terms, channels = len(ZERNIKE), beams.count
     coefficients = tuple(values[:terms].tolist())
     gains = np.exp(values[terms + 1 :][:channels] + 1j * values[terms + 1 + channels :])
@@ -160,7 +154,7 @@ def _sum_over_scene(values: F64, looks: Looks, beams: Beams, settings: Calibrati
         pixels, count = looks.covariance[here] / looks.receiver_noise, looks.count[here]
         squint = looks.squint[here[1]]
         elevation = search.peaks(pixels).elevation
-        usable, left = _usable(search, pixels, count, elevation, beams, settings, share)
+        usable, left = _usable(search, pixels, count, elevation, beams, settings, misfit)
         usable &= looks.finite[here]
         basis = _derivatives(seen, bends, elevation[usable], squint[usable])
         freedom = float(np.sum((channels - 1) * count[usable] - 0.5))
@@ -191,12 +185,12 @@ def _usable(
     elevation: F64,
     beams: Beams,
     settings: CalibrationSettings,
-    share: float,
+    misfit: float,
 ) -> tuple[Bool, F64]:
-    """Which pixels count, and the power that one scatterer leaves in each."""
+    """Select pixels of one scatterer that is bright enough, with the power that it leaves in each."""
     explained = search.fit(pixels, elevation)[0]
     left = np.trace(pixels, axis1=1, axis2=2).real - explained
-    rules = HeightSettings(misfit_fraction=share)
+    rules = HeightSettings(misfit_fraction=misfit)
     usable = is_explained(Fit(explained, left, (beams.count - 1) * count - 0.5, beams.count), rules)
     first, last = beams.span
     usable &= (explained - count >= settings.min_energy) & (elevation >= first) & (elevation <= last)

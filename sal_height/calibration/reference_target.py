@@ -1,4 +1,4 @@
-"""A target whose place is known, such as a corner reflector, in the images of dwells."""
+"""A target at a known position, such as a corner reflector, in the images of dwells."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sal_height.calibration.settings import DEFAULTS, CalibrationSettings
+from sal_height.calibration.calibration_settings import DEFAULTS, CalibrationSettings
 from sal_height.geometry import ApertureState, Grid, angles_of, aperture_at, pixels_at
 from sal_height.numeric import C64, C128, F64
 
@@ -15,9 +15,9 @@ class Sighting(NamedTuple):
     """A reference target in the images of a dwell.
 
     Attributes:
-        samples: its pixel in each channel, complex128, shape (channels,).
-        elevation: under which it was seen, rad from nadir.
-        squint: rad.
+        samples: pixel of the target in each channel, complex128, shape (channels,).
+        elevation: elevation of the line of sight, rad from nadir.
+        squint: squint of the line of sight, rad.
     """
 
     samples: C128
@@ -36,12 +36,12 @@ def find_reference_target(
     """Find the reference target in the images of a dwell; None: it is not in them, or does not stand out.
 
     Args:
-        pixels: of all channels, shape (channels, rows, cols).
-        grid: where they lie, in the slant plane.
-        aperture: the images were made with.
+        pixels: pixels of all channels, shape (channels, rows, cols).
+        grid: positions of the pixels, in the slant plane.
+        aperture: aperture of the images.
         look_side: +1 looking right, -1 left.
-        target: its place in the map, m, shape (3,).
-        settings: how far from its place it may be, and how bright it must be.
+        target: position in the map, m, shape (3,).
+        settings: search distance, and least brightness.
     """
     sight = target - aperture.position
     along = sight @ aperture.direction

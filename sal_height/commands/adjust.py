@@ -33,8 +33,6 @@ EXAMPLES = """
   sal-height replay out/adjusted/bag
   sal-height adjust BAG --target 3.95,3,1.02 --target -3.5,3,1.02
   sal-height adjust BAG --terrain ground.tif --terrain-sigma 0.1
-  sal-height import gotcha pass1/HH/*.mat --dwells 3 --out out/gotcha
-  sal-height adjust out/gotcha --set position_sigma_m=0.3
 """
 
 LEAST_SIGMA_M, DEFAULT_SIGMA_M, MOST_SIGMA_M = 1e-4, 0.1, 1000.0
@@ -77,17 +75,14 @@ def adjust(
     with their covariance. It reports what cannot be determined: without known
     ground, a common offset of all dwells is that of the odometry.
 
-    Dwells of one detector have no heights. Their images are compared on level
-    ground instead, which gives errors of navigation from dwell to dwell.
-
     The output folder holds a bag with the corrected odometry, to be replayed;
     report.json and adjustment.png. Errors of the mounting that were found are part
     of that odometry; the report has the mounting as it should be described. If no
     dwell could be compared, the bag has the odometry as it was.
 
     Args:
-        estimator: Estimator of the heights that are compared.
-        target: A point target at a known position in map; may be repeated.
+        estimator: Whose heights are compared.
+        target: A point target at a known place in map; may be repeated.
         targets: CSV file of more, with the columns east_m, north_m, height_m and, if it is not 0.01, sigma_m.
         terrain: Elevation model of known ground, as .tif or .npz, around the origin of map.
         terrain_sigma: Standard deviation of its heights. Default: 0.1 m.

@@ -16,12 +16,12 @@ import numpy as np
 from sal_height.adjustment import (
     MOST_POINTS,
     AdjustmentSettings,
+    AdjustmentWindow,
     ObservedDwell,
     PoseError,
-    Pulses,
+    PulseTrack,
     References,
     Terrain,
-    Window,
     corrected_aperture,
     corrected_heights,
     corrected_mounting,
@@ -131,7 +131,7 @@ class PlacedMounting(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Adjusted:
+class AdjustedDwell:
     """Adjustment of a dwell.
 
     Attributes:
@@ -166,7 +166,7 @@ class FlightAdjuster:
         """Start without dwells."""
         self.published_ns = 0
         self._references = references
-        self._window: Window | None = None
+        self._window: AdjustmentWindow | None = None
         self._made_for: Hashable = None
         self._epoch_ns = self._latest_ns = 0
 
@@ -195,7 +195,7 @@ class FlightAdjuster:
             self._window = None
         is_first = self._window is None
         if self._window is None:
-            self._window = Window(sensor.mounting, known, *limits, self._references)
+            self._window = AdjustmentWindow(sensor.mounting, known, *limits, self._references)
             self._made_for, self._epoch_ns, self._latest_ns = made_for, stamp_ns, stamp_ns
         if stamp_ns < self._latest_ns:
             late_s = (self._latest_ns - stamp_ns) * 1e-9
@@ -204,7 +204,7 @@ class FlightAdjuster:
                 f"Dwell {heights.key.number} is {late_s:.3g} s older than one before it; dwells must be in order.",
             )
         self._latest_ns = stamp_ns
-        pulses = Pulses(Trajectory(states), stamp_ns, np.array([0.0, length_s(heights, sensor)]), self._epoch_ns)
+        pulses = PulseTrack(Trajectory(states), stamp_ns, np.array([0.0, length_s(heights, sensor)]), self._epoch_ns)
         dwell = _observed(heights, pulses, sensor)
         try:
             off = self._window.add(dwell)
@@ -451,7 +451,7 @@ def _check_mounting(stage: Mapping[str, Any]) -> None:
         )
 
 
-def _observed(heights: Heights, pulses: Pulses, sensor: Sensor) -> ObservedDwell:
+def _observed(heights: Heights, pulses: PulseTrack, sensor: Sensor) -> ObservedDwell:
     """The heights of a dwell, or of an image of a strip, as an adjustment takes them.
 
     Args:

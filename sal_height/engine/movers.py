@@ -37,7 +37,7 @@ class MoverDetectionSettings(ChannelSettings, MoverSettings):
 
 
 @dataclass(frozen=True, eq=False)
-class FoundMovers:
+class ImageMovers:
     """Movers of a dwell.
 
     Attributes:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from sal_height.engine.frames import PlacedOrigin
-from sal_height.engine.mapper import MAP_ORIGIN, ORIGIN_PORT
+from sal_height.engine.mapper import ORIGIN_PORT
 from sal_height.engine.settings import FrameSettings, MapOriginSettings
 from sal_height.engine.stage import Port, Product, Stage, StageSettings
 from sal_height.errors import UserError

@@ -1,15 +1,15 @@
 """Image formation: from the phase history of a dwell or strip to single-look complex images of all detectors.
 
 Read `focus` and `strip_focus` first (`focus_dwell`, `StripFocuser`: the whole of it), then `pixels` (image grids and
-their noise), `weighting` (spectral windows), `corrections` (errors that are known), `checks` (dwells that alias are
+their noise), `weighting` (spectral windows), `corrections` (known errors), `checks` (dwells that alias are
 refused), `formers` (backprojection and the fast ones), `autofocus` (phase errors common to all detectors), `strip`
-(blocks that join) and `beams` (patterns in strip images).
+(blocks that join) and `beams_in_images` (patterns in strip images).
 """
 
 from sal_height.imaging.autofocus.gradient import apply_phase, is_for_speckle
 from sal_height.imaging.autofocus.placement import Centroid, NavigationPrior, Placement
 from sal_height.imaging.autofocus.strip_phase import stays_in_range_cell
-from sal_height.imaging.beams import image_beams
+from sal_height.imaging.beams_in_images import image_beams
 from sal_height.imaging.corrections import (
     Corrected,
     CorrectionSettings,

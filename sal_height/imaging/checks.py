@@ -1,6 +1,6 @@
-"""Refuse dwells of which no image can be made: odometry, pulse times and Doppler that disagree, and aliasing.
+"""Refuse dwells that cannot be imaged: odometry, pulse times and Doppler that disagree, and aliasing.
 
-What the data cannot tell is not refused but said (`describe_unverified_squint`, `describe_strip_centroid`).
+Errors that the data cannot show are not refused but reported (`describe_unverified_squint`, `describe_strip_centroid`).
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from sal_height.imaging.pixels import aim_point, line_of_sight
 from sal_height.numeric import F64
 from sal_height.sensor import PhaseHistory, Sensor, look_ahead_angle
 
-COHERENT = 0.5  # least share of the products of neighbouring pulses that agree where there is one Doppler centroid
-ROUNDING = 1e-6  # by which a limit may be exceeded, so that a value at the limit that a sentence states is accepted
+COHERENT = 0.5  # least fraction of the products of neighbouring pulses that agree if there is one Doppler centroid
+ROUNDING = 1e-6  # by which a limit may be exceeded, so that a value at the limit that a message states is accepted
 
 TIMING_TOLERANCE = 0.1
 """Greatest relative difference between the mean pulse interval and that of the stated pulse repetition frequency.
@@ -23,28 +23,18 @@ TIMING_TOLERANCE = 0.1
 Pulse intervals may vary by design (staggered pulses), their mean may not; errors of description are factors of 2 or 10.
 """
 
-LOWEST_FLIGHT = 0.5
-"""Depth of the antenna below the map's origin, over its height above the aim point, beyond which z must point down.
-
-With z down, the ground would be nearer to the height of the origin than with z up: for any depth greater than 0. Half
-of the height allows maps whose origin lies above the flight.
-"""
-
 OFF_MIDDLE = 0.1
 """Greatest distance of the Doppler centroid from the middle of the beams without doubt, beamwidths: the uneven ground
 of presets moves it by less than half as much."""
 
-WIDEST_CRAB = 0.07
-"""Greatest squint without doubt, rad: gusts of 2 m/s rms turn a flight at 50 m/s by 0.02 rad rms, at most 0.068."""
-
 
 def check_dwell(history: PhaseHistory, antenna: F64, sensor: Sensor, aperture: ApertureState) -> None:
-    """Make sure that odometry, pulse times and frequencies fit each other and sample what the beams light.
+    """Make sure that odometry, pulse times and frequencies fit each other and sample the lit ground.
 
     Args:
-        history: of all detectors, as fast-time frequencies.
+        history: phase history of all detectors, as fast-time frequencies.
         antenna: position at each pulse, m, shape (pulses, 3).
-        sensor: with waveform "spectrum".
+        sensor: sensor with waveform "spectrum".
         aperture: state of the platform in the middle of the pulses.
 
     Raises:
@@ -65,7 +55,7 @@ def check_frames(sensor: Sensor, aperture: ApertureState, reference_range: float
 
     Raises:
         Rejected: z of the sensor frame (base_link, turned by the mounting) points down, or the antenna is far below the
-            map's origin (LOWEST_FLIGHT).
+            map's origin.
     """
     if aperture.rotation[2, 2] <= 0:
         raise Rejected(
@@ -76,7 +66,9 @@ def check_frames(sensor: Sensor, aperture: ApertureState, reference_range: float
         )
     height = float(aperture.position[2])
     drop = height - float(aim_point(sensor, aperture, reference_range)[2])
-    if height < -LOWEST_FLIGHT * drop:
+    # With z down, the ground would be nearer to the height of the origin than with z up: for any depth greater than 0.
+    # Half of the height allows maps whose origin lies above the flight.
+    if height < -0.5 * drop:
         raise Rejected(
             "odometry frames",
             f"The antenna is at z = {height:.4g} m in map and {drop:.4g} m above the point it looks at, as if z "
@@ -86,7 +78,7 @@ def check_frames(sensor: Sensor, aperture: ApertureState, reference_range: float
 
 
 def check_pulse_times(sensor: Sensor, pulse_times: F64) -> None:
-    """Reject pulses that do not come at the stated pulse repetition frequency, in the mean, up to TIMING_TOLERANCE."""
+    """Reject pulses whose mean rate is not the stated pulse repetition frequency, within TIMING_TOLERANCE."""
     found, stated = _pulse_rate(pulse_times), sensor.pulse_repetition_frequency
     if abs(stated / found - 1) > TIMING_TOLERANCE:
         raise Rejected(
@@ -97,15 +89,16 @@ def check_pulse_times(sensor: Sensor, pulse_times: F64) -> None:
 
 
 def describe_unverified_squint(sensor: Sensor, aperture: ApertureState) -> str:
-    """A sentence on a squint that the data cannot confirm; empty where they can.
+    """A message on a squint that the data cannot confirm; empty if they can.
 
-    Doppler is measured modulo the pulse repetition frequency, so it confirms where the beams point along the flight up
-    to multiples of wavelength PRF / (2 speed). Beams within half of that about abeam, or within what gusts do to the
-    direction of flight (WIDEST_CRAB), are not doubted; farther ahead or behind, a wrong yaw may look the same.
+    Doppler is measured modulo the pulse repetition frequency, so it confirms the pointing of the beams along the flight
+    up to multiples of wavelength PRF / (2 speed). Beams within half of that about abeam, or within the effect of gusts
+    on the direction of flight, are not doubted; farther ahead or behind, a wrong yaw has the same effect.
     """
     squint = float(np.arcsin(np.clip(line_of_sight(sensor, aperture) @ aperture.direction, -1.0, 1.0)))
     speed = float(np.linalg.norm(aperture.velocity))
-    limit = max(WIDEST_CRAB, sensor.wavelength * sensor.pulse_repetition_frequency / (4 * speed))
+    # Gusts of 2 m/s rms turn a flight at 50 m/s by 0.02 rad rms, at most 0.068.
+    limit = max(0.07, sensor.wavelength * sensor.pulse_repetition_frequency / (4 * speed))
     if abs(squint) <= limit:
         return ""
     where = "ahead of" if squint > 0 else "behind"
@@ -116,7 +109,7 @@ def describe_unverified_squint(sensor: Sensor, aperture: ApertureState) -> str:
 
 
 def describe_covariances(state: PlatformState) -> str:
-    """A sentence on covariances of the odometry that are none; empty where they are, or are zeros."""
+    """A message on invalid covariances of the odometry; empty if they are valid, or zeros."""
     for name, matrix in (("pose", state.covariance), ("twist", state.velocity_covariance)):
         if not is_finite_covariance(matrix):
             wrong = "is negative" if np.all(np.isfinite(matrix)) else "is not finite"
@@ -128,10 +121,10 @@ def describe_covariances(state: PlatformState) -> str:
 
 
 def check_pulses(sensor: Sensor, antenna: F64, aperture: ApertureState) -> None:
-    """Make sure that the pulses are close enough for the beams, and reach far enough to resolve more than they do.
+    """Make sure that the pulses are dense enough for the beams, and the aperture resolves more than these do.
 
     Raises:
-        Rejected: they alias what the beams light (a step above half the antenna), or there are too few.
+        Rejected: they alias the lit ground (a step above half the antenna), or there are too few.
     """
     way = float(np.linalg.norm(antenna[-1] - antenna[0]))
     step = way / (len(antenna) - 1)
@@ -152,7 +145,7 @@ def check_pulses(sensor: Sensor, antenna: F64, aperture: ApertureState) -> None:
 
 
 def check_range_window(sensor: Sensor, reference_range: float) -> None:
-    """Reject frequencies that do not tell apart all ranges at which the beams meet level ground.
+    """Reject frequencies that do not resolve all ranges at which the beams meet level ground.
 
     Echoes from beyond the range window would appear within it.
     """
@@ -170,12 +163,12 @@ def check_range_window(sensor: Sensor, reference_range: float) -> None:
 def check_doppler_centroid(
     history: PhaseHistory, antenna: F64, sensor: Sensor, aperture: ApertureState, grid: Grid
 ) -> str:
-    """Reject a spotlight dwell whose Doppler centroid is outside the band that image or beam make up.
+    """Reject a spotlight dwell whose Doppler centroid is outside the band of image or beam.
 
-    What lies outside was not lit where attitude and boresights say.
+    Outside, the lit ground is not where attitude and boresights point.
 
     Returns:
-        A sentence on a centroid that is off the middle of the beams by more than OFF_MIDDLE; empty: it is not.
+        A message on a centroid that is off the middle of the beams by more than OFF_MIDDLE; empty: it is not.
 
     Raises:
         Rejected: it is outside.
@@ -205,10 +198,10 @@ def check_doppler_centroid(
 
 
 def describe_strip_centroid(history: PhaseHistory, antenna: F64, sensor: Sensor, aperture: ApertureState) -> str:
-    """A sentence on a stripmap block whose Doppler centroid is not that of the middle of the beams; empty where it is.
+    """A message on a stripmap block whose Doppler centroid is not that of the middle of the beams; empty if it is.
 
-    Level ground has its centroid there. A single target that outshines its surroundings has it wherever in the beam it
-    stands, so that such a block is not refused.
+    Level ground has its centroid there. That of a single target that outshines its surroundings is anywhere in the
+    beam, so that such a block is not refused.
     """
     steps = -np.diff(antenna, axis=0) @ line_of_sight(sensor, aperture) - np.diff(history.reference_range)
     speed = float(np.linalg.norm(aperture.velocity))
@@ -225,11 +218,11 @@ def describe_strip_centroid(history: PhaseHistory, antenna: F64, sensor: Sensor,
 
 
 def _centroid_offset(history: PhaseHistory, steps: F64, sensor: Sensor, expected: float) -> float:
-    """Doppler centroid (Hz) relative to a point whose delay changes by `steps` (m); 0 where the data have none.
+    """Doppler centroid (Hz) relative to a point whose delay changes by `steps` (m); 0 if the data have no centroid.
 
     The centroid is the phase from pulse to pulse, after dechirping to that point, averaged over everything (Madsen,
     IEEE Trans. AES 25, 1989). Noise, or errors of phase from pulse to pulse, have none. Where it is beyond what is
-    expected, it is that of most range cells, however bright: a car that drives may outshine all ground.
+    expected, it is that of most range cells, whatever their brightness: a moving car may outshine all ground.
     """
     products = np.vecdot(history.samples[:, :-1], history.samples[:, 1:]).sum(axis=0)
     correlation = complex(np.sum(products * np.exp(1j * sensor.centre_wavenumber * steps)))

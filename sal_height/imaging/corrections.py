@@ -1,8 +1,8 @@
-"""What is known to be wrong beforehand: delays, air, clocks, and how well the mounting is known.
+"""Correction of known errors: delays, air, clocks, and the uncertainty of the mounting.
 
-What a setting names is taken out before the images are formed. What it leaves, by its sigma, is an error that all
-pixels share: it enters the covariance of the pose, as a shift of the antenna along the line of sight, along the flight
-or anywhere, or as a turn of the body.
+The errors that settings state are removed before the images are formed. Their residuals, by their sigmas, are common to
+all pixels: they enter the covariance of the pose, as a shift of the antenna along the line of sight, along the flight
+or in all directions, or as a rotation of the body.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ MEASURED_AIR = "air_temperature_k", "air_pressure_pa", "air_humidity", "air_heig
 
 
 class Corrected(NamedTuple):
-    """A dwell without the errors that are known.
+    """A dwell without the known errors.
 
     Attributes:
-        history: at the ranges that it ought to have had.
-        track: with the stamps that it ought to have had.
-        sensor: with a mounting that knows of the bend of the way.
-        delay: by which ranges were too long, m, shape (pulses,).
+        history: phase history at corrected ranges.
+        track: track with corrected stamps.
+        sensor: sensor with a mounting that contains the bend of the path.
+        delay: excess of the ranges, m, shape (pulses,).
     """
 
     history: PhaseHistory
@@ -53,7 +53,7 @@ class Corrected(NamedTuple):
 
 
 class CorrectionSettings(Settings):
-    """Errors that are known, and how well."""
+    """Known errors, and their standard deviations."""
 
     range_offset_m: float = setting(
         0.0, "by which slant ranges are too long, as by delays of receivers", unit="m", minimum=-1e4, maximum=1e4
@@ -106,7 +106,7 @@ class CorrectionSettings(Settings):
 
     @property
     def atmosphere(self) -> Atmosphere | None:
-        """The air; None: there is none."""
+        """The air; None: no air."""
         if self.air == "measured":
             return Atmosphere.measured(
                 self.air_height_m, self.air_temperature_k, self.air_pressure_pa, self.air_humidity
@@ -120,7 +120,7 @@ class CorrectionSettings(Settings):
 
     @property
     def leaves_errors(self) -> bool:
-        """Whether any sigma is not 0."""
+        """True if any sigma is not 0."""
         return any(
             (
                 self.range_sigma_m,
@@ -141,22 +141,22 @@ def correct_track(track: Trajectory, settings: CorrectionSettings) -> Trajectory
 
 
 def correct_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settings: CorrectionSettings) -> Corrected:
-    """The phase history at ranges, and the sensor with a mounting, that know of delays and of the bend of the way.
+    """Correct the ranges of the phase history by delays, and the mounting of the sensor by the bend of the path.
 
     The track is that of `correct_track`.
 
-    A delay is that of the middle of all beams at the reference range. Over the swath it changes by the share that the
-    range does: for light and a window of 8 m at 5 km, by 2 mm. From pulse to pulse it changes as the antenna comes
-    closer, or images of one that climbs would move along the flight.
+    A delay is that of the middle of all beams at the reference range. Over the swath it changes in proportion to range:
+    for light and a window of 8 m at 5 km, by 2 mm. From pulse to pulse it changes as the antenna approaches, or images
+    of a climbing antenna would move along the flight.
 
     Args:
-        history: of all detectors, as fast-time frequencies.
-        track: of the platform.
-        sensor: with waveform "spectrum".
-        settings: what is known.
+        history: phase history of all detectors, as fast-time frequencies.
+        track: track of the platform.
+        sensor: sensor with waveform "spectrum".
+        settings: known errors.
 
     Raises:
-        UserError: the air is not known for this wavelength or height.
+        UserError: the air is unknown for this wavelength or height.
     """
     track = correct_track(track, settings)
     of_air, bend = _air(history, track, sensor, settings)
@@ -169,14 +169,14 @@ def correct_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, sett
 
 
 class StripDelay:
-    """The delay of a strip as its phase has it, which goes on from block to block.
+    """The delay in the phase of a strip, which is continuous from block to block.
 
-    That of each block is worked out for the ground that it lights, under the air of its time, and so jumps from one to
-    the next: by less than ranges can tell, and by more than a wavelength.
+    That of each block is computed for its lit ground, under the air of its time, and so jumps from one to the next: by
+    less than ranges resolve, and by more than a wavelength.
     """
 
     def __init__(self) -> None:
-        """Begin with any block."""
+        """Start with any block."""
         self._next: float | None = None
 
     def joined(self, history: PhaseHistory, delay: F64, sensor: Sensor) -> PhaseHistory:
@@ -189,7 +189,7 @@ class StripDelay:
 
 
 def with_known_errors(aperture: ApertureState, sensor: Sensor, settings: CorrectionSettings) -> ApertureState:
-    """The aperture with what corrections leave in its covariance."""
+    """The aperture with the residual errors of corrections in its covariance."""
     if not settings.leaves_errors:
         return aperture
     sight, velocity, forward = line_of_sight(sensor, aperture), aperture.velocity, aperture.forward
@@ -205,10 +205,10 @@ def with_known_errors(aperture: ApertureState, sensor: Sensor, settings: Correct
 
 
 def _air(history: PhaseHistory, track: Trajectory, sensor: Sensor, settings: CorrectionSettings) -> tuple[F64, float]:
-    """What the air does to echoes from the middle of all beams at the reference range.
+    """The effect of the air on echoes from the middle of all beams at the reference range.
 
     Returns:
-        Range that it adds at each pulse, m, and the angle by which they come from farther off nadir, rad.
+        Additional range at each pulse, m, and the additional angle of arrival off nadir, rad.
     """
     pulses = len(history.reference_range)
     if (atmosphere := settings.atmosphere) is None:

@@ -47,7 +47,7 @@ from sal_height.settings import setting
 
 
 class ImageSettings(AutofocusSettings, CorrectionSettings):
-    """What image is wanted of a dwell or a strip, and what is known to be wrong with it."""
+    """Settings of the image of a dwell or a strip, and known errors."""
 
     former: str = setting(
         "auto",
@@ -84,15 +84,15 @@ class ImageSettings(AutofocusSettings, CorrectionSettings):
     )
 
     def beams_are_uncertain(self, prior: NavigationPrior, sensor: Sensor) -> bool:
-        """Whether navigation does not know well enough where the beams are along the flight."""
+        """True if the direction of the beams along the flight is too uncertain by navigation."""
         allowed = self.autofocus_from_beamwidths * sensor.beams.track_beamwidth * prior.flight_speed
         return prior.spread > allowed
 
     def describes_pixels_of(self, other: ImageSettings) -> bool:
-        """Whether images with the other settings join on to these.
+        """True if images with the other settings join these in one strip.
 
-        All are equal but the former that makes them, and what was measured of the air, whose delay goes on from block
-        to block (`StripDelay`).
+        All are equal but the image former and the measured air, whose delay is continuous from block to block
+        (`StripDelay`).
         """
         names = ImageSettings.model_fields.keys() - {"former", *MEASURED_AIR}
         return all(getattr(self, name) == getattr(other, name) for name in names)
@@ -104,16 +104,16 @@ class Slc:
 
     Attributes:
         images: complex64, shape (detectors, rows, cols).
-        grid: pixels.
+        grid: grid of the pixels.
         aperture: state of the platform in the middle of the aperture, or of the strip's image.
         noise_power: E|n|^2 of a pixel of each channel, shape (channels,).
-        saturated_share: greatest share of clipped samples in each channel in the dwells that the images are made of,
+        saturated_share: greatest fraction of clipped samples in each channel in the dwells that the images are made of,
             shape (channels,).
-        azimuth_window: over the synthetic aperture, a name of `windows.WINDOWS`.
-        range_window: over the bandwidth.
-        focus: what autofocus found; None: it was not asked for.
-        doubt: a sentence on what of the odometry the data cannot confirm; empty: nothing.
-        placement: where the image lies other than odometry says.
+        azimuth_window: window over the synthetic aperture, a name of `windows.WINDOWS`.
+        range_window: window over the bandwidth, a name of `windows.WINDOWS`.
+        focus: result of autofocus; None: not requested.
+        doubt: message on odometry that the data cannot confirm; empty: none.
+        placement: offset of the image from odometry.
         residual_phase: standard deviation of the phase of each pulse that autofocus leaves, rad.
     """
 
@@ -139,11 +139,11 @@ def cell_response(slc: Slc, sensor: Sensor) -> CellResponse:
     """The response of images, by their windows and the spacing of their pixels in range and along the flight.
 
     A phase error of variance s^2, independent from pulse to pulse, leaves exp(-s^2) of a scatterer's energy in its
-    response, and spreads the rest evenly over as many cells along azimuth as there are pulses.
+    response, and spreads the rest evenly over one cell along azimuth per pulse.
 
     Args:
-        slc: the images.
-        sensor: that they are of.
+        slc: images.
+        sensor: sensor of the images.
     """
     grid, aperture = slc.grid, slc.aperture
     sight = grid.middle - aperture.position
@@ -162,13 +162,13 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
     """Images of a spotlight dwell.
 
     Args:
-        history: of all detectors, as fast-time frequencies.
-        track: of the platform, from the first pulse to the last.
-        sensor: with waveform "spectrum".
-        settings: what image is wanted.
+        history: phase history of all detectors, as fast-time frequencies.
+        track: track of the platform, from the first pulse to the last.
+        sensor: sensor with waveform "spectrum".
+        settings: settings of the image.
 
     Raises:
-        Rejected: pulses or frequencies do not sample the scene, or it is not known where the beams are.
+        Rejected: pulses or frequencies do not sample the scene, or the direction of the beams is unknown.
         UserError: an image that cannot be made.
     """
     processing = Processing(settings.range_window, settings.azimuth_window)
@@ -177,7 +177,7 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
     aperture = track.aperture(history.stamp_ns, history.pulse_times)
     reference = float(history.reference_range[len(antenna) // 2])
     check_dwell(history, antenna, sensor, aperture)
-    # Phase error, and where the beams are along the flight: from navigation and, where that is not enough, the data.
+    # Phase error, and the direction of the beams along the flight: by navigation and, if necessary, the data.
     sight, grid = line_of_sight(sensor, aperture), _dwell_grid(settings, sensor, aperture, reference, processing)
     velocity_covariance = track.velocity_covariance(history.stamp_ns, history.pulse_times)
     bad_covariance = describe_covariances(track.nearest(history.stamp_ns, history.pulse_times))
@@ -188,7 +188,7 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
     seconds = history.pulse_times - (history.pulse_times[0] + history.pulse_times[-1]) / 2
     antenna = placement.moved(antenna, seconds, sight)
     aperture = placement.seen_from(aperture, sight, reference)
-    # The image, where the beams are.
+    # The image, in the middle of the beams.
     grid = _dwell_grid(settings, sensor, aperture, reference, processing)
     former = choose_former(settings.former, antenna, sensor, processing, grid)
     off_middle = check_doppler_centroid(history, antenna, sensor, aperture, grid)
@@ -207,10 +207,10 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
 def _find_beams(
     history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64, prior: NavigationPrior, settings: ImageSettings
 ) -> tuple[Focus | None, Placement]:
-    """The phase error of a dwell, None if it is not looked for, and where the image lies.
+    """Estimate the phase error of a dwell, None if not requested, and the placement of the image.
 
     Raises:
-        Rejected: navigation does not know well enough where the beams are, and the data do not tell.
+        Rejected: the direction of the beams is too uncertain by navigation, and the data do not determine it.
     """
     uncertain = settings.beams_are_uncertain(prior, sensor) and is_for_speckle(sensor, antenna)
     if settings.autofocus == "never" or (settings.autofocus == "auto" and not uncertain):

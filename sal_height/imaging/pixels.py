@@ -25,12 +25,12 @@ def slc_noise_power(sensor: Sensor, processing: Processing, pulses: int) -> F64:
 
     A pixel is made of `pulses` pulses and all frequencies.
     """
-    return _noise_share(processing, pulses, sensor.sample_count) * sensor.noise_covariance.diagonal().real
+    return _noise_factor(processing, pulses, sensor.sample_count) * sensor.noise_covariance.diagonal().real
 
 
 @lru_cache(maxsize=8)
-def _noise_share(processing: Processing, pulses: int, frequencies: int) -> float:
-    """Noise power of a pixel that is made of so many samples over that of a sample."""
+def _noise_factor(processing: Processing, pulses: int, frequencies: int) -> float:
+    """Noise power of a pixel that is made of this number of samples over that of a sample."""
     gain = noise_gain(processing.range_weights(frequencies)) * noise_gain(processing.azimuth_weights(pulses))
     return gain / (pulses * frequencies)
 
@@ -71,12 +71,12 @@ def slant_plane_grid(
     straight track every scatterer focuses in this plane at its own range and Doppler, whatever its elevation.
 
     Args:
-        sensor: wavelength, bandwidth and beams.
+        sensor: sensor with wavelength, bandwidth and beams.
         aperture: state of the platform.
         reference_range: slant range of the middle of the image, m.
-        rows: pixels in range.
-        cols: pixels in azimuth.
-        range_broadening: of the range window (`windows.broadening`).
+        rows: number of pixels in range.
+        cols: number of pixels in azimuth.
+        range_broadening: broadening by the range window (`windows.broadening`).
 
     Raises:
         UserError: a line of sight along the flight, or too many pixels.

@@ -1,4 +1,4 @@
-"""The strip: pulses of consecutive stripmap blocks, held until the apertures of targets are complete, and its pixels.
+"""The strip: pulses of consecutive stripmap blocks, kept until the apertures of targets are complete, and its pixels.
 
 All images of a strip lie on one lattice of pixels, so that they join without seam or gap.
 """
@@ -21,26 +21,25 @@ from sal_height.sensor import PhaseHistory, Sensor
 
 WIDEST_GAP = 1.5  # pulse intervals from one block to the next, beyond which pulses are missing
 GREATEST_DRIFT = 0.1  # of the middle row from the reference range on one lattice, range windows
-GREATEST_TURN = 0.1  # of the beams from abeam of a lattice, beamwidths
-CLOCK_STEP = 1.0  # greatest delay of a block, s; an older one is of a clock that has begun anew, as of a bag replayed
-SPARE_PULSES = 16  # held beyond the aperture of the next column, from which others are interpolated
-SPARE_SHARE = 0.25  # of an aperture, held beyond those for a lattice that is laid anew in another direction
+CLOCK_STEP = 1.0  # greatest delay of a block, s; an older one is of a clock that was restarted, as by a replay
+SPARE_PULSES = 16  # kept beyond the aperture of the next column, from which others are interpolated
+SPARE_SHARE = 0.25  # of an aperture, kept beyond those for a new lattice in another direction
 GREATEST_CRAB = np.pi / 3  # angle between the flight and the body's forward axis, along which columns lie, rad
 ROUNDING = 1e-6  # columns added to an aperture so that rounding does not leave its ends unfilled
 
 
 @dataclass(frozen=True, eq=False)
 class Strip:
-    """Pulses held, and the pixels that come next.
+    """Pulses kept, and the next pixels.
 
     Attributes:
-        history: pulses held; times count from its stamp.
-        antenna: position at each pulse held, m, shape (pulses, 3).
-        track: of the platform during these pulses.
-        lattice: pixels from the next column on, as many as one image has.
-        angle: that is processed, rad.
-        placement: by the Doppler centroid of the first block, if the phase errors of all pulses are removed; None: they
-            are not looked for.
+        history: kept pulses; times count from its stamp.
+        antenna: position at each kept pulse, m, shape (pulses, 3).
+        track: track of the platform during these pulses.
+        lattice: pixels from the next column on, those of one image.
+        angle: processed angle, rad.
+        placement: placement by the Doppler centroid of the first block, if the phase errors of all pulses are removed;
+            None: they are not estimated.
     """
 
     history: PhaseHistory
@@ -65,25 +64,25 @@ class Strip:
         return replace(strip, lattice=_moved(lattice, np.ceil(strip._first_column(lattice))))
 
     def pause_before(self, history: PhaseHistory) -> float:
-        """Time (s) from the last pulse held to the first of a block."""
+        """Time (s) from the last kept pulse to the first of a block."""
         since = (history.stamp_ns - self.history.stamp_ns) * 1e-9 + history.pulse_times[0]
         return float(since - self.history.pulse_times[-1])
 
     def followed_by(self, history: PhaseHistory, antenna: F64, track: Trajectory) -> Self:
         """The strip with the pulses of the next block, and a track of all its pulses."""
-        held = self.history
-        later = (history.stamp_ns - held.stamp_ns) * 1e-9 + history.pulse_times
+        kept = self.history
+        later = (history.stamp_ns - kept.stamp_ns) * 1e-9 + history.pulse_times
         joined = PhaseHistory(
-            stamp_ns=held.stamp_ns,
-            pulse_times=np.concatenate([held.pulse_times, later]),
-            reference_range=np.concatenate([held.reference_range, history.reference_range]),
-            samples=np.concatenate([held.samples, history.samples], axis=1),
-            saturated_share=np.concatenate([held.shares, history.shares], axis=1),
+            stamp_ns=kept.stamp_ns,
+            pulse_times=np.concatenate([kept.pulse_times, later]),
+            reference_range=np.concatenate([kept.reference_range, history.reference_range]),
+            samples=np.concatenate([kept.samples, history.samples], axis=1),
+            saturated_share=np.concatenate([kept.shares, history.shares], axis=1),
         )
         return replace(self, history=joined, antenna=np.concatenate([self.antenna, antenna]), track=track)
 
     def has_left_lattice(self, sensor: Sensor, aperture: ApertureState) -> bool:
-        """Whether the flight has drifted from the middle row, or the beams have turned, by more than one lattice bears.
+        """True if the flight has drifted from the middle row, or the beams have turned, too far for one lattice.
 
         The drift is that of the middle row, abeam of the last pulse, from the reference range. The turn is the angle by
         which the middle of the beams points ahead of abeam.
@@ -93,19 +92,16 @@ class Strip:
         abeam -= (abeam @ along) * along
         drift = float(np.linalg.norm(abeam) - self.history.reference_range[-1])
         turn = float(np.arcsin(line_of_sight(sensor, aperture) @ along))
-        return (
-            abs(drift) > GREATEST_DRIFT * sensor.range_window
-            or abs(turn) > GREATEST_TURN * sensor.beams.track_beamwidth
-        )
+        return abs(drift) > GREATEST_DRIFT * sensor.range_window or abs(turn) > 0.1 * sensor.beams.track_beamwidth
 
     def on(self, lattice: Grid) -> Self:
-        """The strip on another lattice, from where the old one ends, or from the first column that pulses fill."""
+        """The strip on another lattice, from the end of the old one, or from the first column that pulses fill."""
         next_one = float((self.lattice.origin - lattice.origin) @ lattice.col_direction) / lattice.col_spacing
         missing = max(0.0, np.ceil(self._first_column(lattice) - next_one))
         return replace(self, lattice=_moved(lattice, next_one + missing))
 
     def complete_columns(self) -> int:
-        """Number of columns, from the next one on, whose apertures the pulses held fill."""
+        """Number of columns, from the next one on, whose apertures the kept pulses fill."""
         lattice = self.lattice
         last = float((self.antenna[-1] - lattice.origin) @ lattice.col_direction)
         count = int((last - self._reach(lattice, self.antenna[-1])) / lattice.col_spacing) + 1
@@ -117,7 +113,7 @@ class Strip:
         return 0
 
     def lighting(self, grid: Grid) -> tuple[PhaseHistory, F64]:
-        """The pulses held that light some of the columns, with SPARE_PULSES on either side; and the antenna in them."""
+        """The kept pulses that light some of the columns, with SPARE_PULSES on either side; and the antenna in them."""
         along = grid.points(0.0, np.array([0.0, grid.cols - 1.0])) @ grid.col_direction
         reach = self._reach(grid, self.antenna[-1])
         first, last = np.searchsorted(self.antenna @ grid.col_direction, along + np.array([-reach, reach]))
@@ -130,17 +126,17 @@ class Strip:
         needed = float(lattice.origin @ lattice.col_direction)
         needed -= (1 + 2 * SPARE_SHARE) * self._reach(lattice, self.antenna[-1])
         first = int(np.searchsorted(self.antenna @ lattice.col_direction, needed)) - SPARE_PULSES
-        held = slice(max(0, first), None)
-        dropped_ns = int(self.history.pulse_times[held][0] * 1e9)
+        kept = slice(max(0, first), None)
+        dropped_ns = int(self.history.pulse_times[kept][0] * 1e9)
         history = replace(
             self.history,
             stamp_ns=self.history.stamp_ns + dropped_ns,
-            pulse_times=self.history.pulse_times[held] - dropped_ns * 1e-9,
-            reference_range=self.history.reference_range[held],
-            samples=self.history.samples[:, held],
-            saturated_share=self.history.shares[:, held],
+            pulse_times=self.history.pulse_times[kept] - dropped_ns * 1e-9,
+            reference_range=self.history.reference_range[kept],
+            samples=self.history.samples[:, kept],
+            saturated_share=self.history.shares[:, kept],
         )
-        return replace(self, history=history, antenna=self.antenna[held], lattice=lattice)
+        return replace(self, history=history, antenna=self.antenna[kept], lattice=lattice)
 
     def abeam_time(self, grid: Grid) -> float:
         """Time (s after the stamp of the history) at which the antenna is abeam of the middle column of `grid`."""
@@ -167,17 +163,17 @@ def lay_lattice(
     reference_range: float,
     shape: tuple[int, int],
 ) -> Grid:
-    """Pixels abeam of an aperture, as many whole pulses apart along the flight as come nearest to the resolution.
+    """Pixels abeam of an aperture, spaced along the flight by the whole number of pulses nearest to the resolution.
 
     Nearest, so that a gust that spreads the pulses by a little does not halve the spacing.
 
     Args:
-        sensor: wavelength, bandwidth and beams.
+        sensor: sensor with wavelength, bandwidth and beams.
         processing: windows and processed angle.
         aperture: state of the platform.
         antenna: position at each pulse, m, shape (pulses, 3).
         reference_range: slant range of the middle row, m.
-        shape: rows (0: all of the range window) and columns of an image (0: as long as the pulses' way).
+        shape: rows (0: all of the range window) and columns of an image (0: as long as the pulses' path).
 
     Raises:
         Rejected: the platform flies sideways or backwards.

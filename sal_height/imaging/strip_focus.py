@@ -37,15 +37,15 @@ from sal_height.sensor import PhaseHistory, Sensor, aperture_length, processed_a
 
 
 class StripFocuser:
-    """Images of a strip, as its blocks come; holds the pulses, and their track, that the next ones need.
+    """Forms images of a strip as its blocks arrive; keeps the pulses, and their track, that the next ones need.
 
     Attributes:
-        shortfall: why the block that has begun a strip completed no image, a sentence; empty: it did, or another block
-            came last.
+        shortfall: message on the block that has started a strip without completing an image; empty: it did, or another
+            block was last.
     """
 
     def __init__(self) -> None:
-        """Begin without a strip."""
+        """Start without a strip."""
         self.shortfall = ""
         self._doubt = ""
         self._strip: Strip | None = None
@@ -54,16 +54,16 @@ class StripFocuser:
     def focus_block(
         self, history: PhaseHistory, track: Trajectory, sensor: Sensor, settings: ImageSettings
     ) -> Slc | None:
-        """Images of the columns that a block completes, a multiple of the settings' `cols`; None: not that many yet.
+        """Form images of the columns that a block completes, a multiple of the settings' `cols`; None: too few yet.
 
-        A block that does not follow the last one, or of which another image is wanted, begins a new strip; so does one
-        of a clock that has begun anew.
+        A block that does not follow the last one, or with other settings of the image, starts a new strip; so does one
+        of a clock that was restarted.
 
         Args:
-            history: of all detectors, as fast-time frequencies.
-            track: of the platform, from the first pulse of the block to its last.
-            sensor: with waveform "spectrum".
-            settings: what image is wanted.
+            history: phase history of all detectors, as fast-time frequencies.
+            track: track of the platform, from the first pulse of the block to its last.
+            sensor: sensor with waveform "spectrum".
+            settings: settings of the image.
 
         Raises:
             Rejected: pulses or frequencies do not sample the scene, or the block is older than the last one.
@@ -72,18 +72,18 @@ class StripFocuser:
         if settings.image_plane != "slant":
             raise UserError(f"Parameter image_plane is {settings.image_plane}; stripmap allows only slant.")
         processing = Processing(settings.range_window, settings.azimuth_window, processed_angle(sensor))
-        # The strip that the block continues, and a track from the first pulse that it holds.
+        # The strip that the block continues, and a track from its first pulse.
         continued = self._continued(history, sensor, settings)
         if continued:
             first_ns, last_ns = continued.history.stamp_ns, history.stamp_of_last_pulse_ns
             track = continued.track.followed_by(track).between(first_ns, last_ns)
-        # The block alone: where the antenna was, whether it can be focused, and which pixels suit it.
+        # The block alone: position of the antenna, checks, and suitable pixels.
         mounted = track.mounted(sensor.mounting)
         antenna = mounted.positions(history.stamp_ns, history.pulse_times)
         aperture = mounted.aperture(history.stamp_ns, history.pulse_times)
         reference = float(history.reference_range[len(antenna) // 2])
         check_dwell(history, antenna, sensor, aperture)
-        # Phase error, and where the beams are along the flight: as navigation or, where that is not enough, data say.
+        # Phase error, and the direction of the beams along the flight: by navigation or, if necessary, the data.
         velocity_covariance = mounted.velocity_covariance(history.stamp_ns, history.pulse_times)
         self._doubt = describe_covariances(mounted.nearest(history.stamp_ns, history.pulse_times)) or self._doubt
         flown = with_known_errors(aperture, sensor, settings)
@@ -143,23 +143,24 @@ def _in_focus(
     sensor: Sensor,
     settings: ImageSettings,
 ) -> tuple[PhaseHistory, Focus | None, Placement | None]:
-    """The block without its phase error, that error, and where the strip lies; None of both if it is not looked for.
+    """The block without its phase error, that error, and the placement of the strip; None for both if not estimated.
 
-    It is looked for in all blocks of a strip or in none, or they would not join. The first tells where the beams look,
-    and all of the phase beyond that is movement of the antenna.
+    It is estimated in all blocks of a strip or in none, or they would not join. The first determines the direction of
+    the beams, and all of the phase beyond that is movement of the antenna.
 
     Args:
-        history: of a block.
+        history: phase history of a block.
         antenna: position at each of its pulses, m, shape (pulses, 3).
-        aperture: of the block, as navigation says.
-        prior: what navigation knows.
-        strip: that the block continues; None: it begins one.
-        sensor: that took the block.
-        settings: what image is wanted.
+        aperture: aperture of the block by navigation.
+        prior: uncertainty of navigation.
+        strip: strip that the block continues; None: it starts one.
+        sensor: sensor of the block.
+        settings: settings of the image.
 
     Raises:
-        Rejected: navigation does not know well enough where the beams are, and the data do not tell, or contradict it.
-        UserError: a phase error that cannot be told is wanted.
+        Rejected: the direction of the beams is too uncertain by navigation, and the data do not determine it, or
+            contradict it.
+        UserError: a phase error is requested that cannot be estimated.
     """
     uncertain = settings.beams_are_uncertain(prior, sensor)
     if not _is_wanted(strip, uncertain, float(history.reference_range[0]), sensor, settings):
@@ -173,7 +174,7 @@ def _in_focus(
         if uncertain:
             raise Rejected("autofocus", describe_distrust(focus, prior, settings))
         return history, replace(focus, phase=np.zeros(len(antenna))), placement or placed_by_navigation(prior)
-    # How far the middle of the beams is off, if the course of the phase is known; the rest is movement.
+    # The offset of the middle of the beams, if the course of the phase is known; the rest is movement.
     times, phase, slow = history.pulse_times, focus.phase, turns_slowly(focus.phase)
     error = float(np.hypot(focus.trend_error, hidden_trend(sensor, antenna, settings)))
     of_a_radian = speed_of_a_radian(times, sensor.wavelength)
@@ -194,10 +195,10 @@ def _in_focus(
 def _is_wanted(
     strip: Strip | None, uncertain: bool, slant_range: float, sensor: Sensor, settings: ImageSettings
 ) -> bool:
-    """Whether the phase error of a block is looked for: as in the strip that it continues, or else as the settings say.
+    """True if the phase error of a block is estimated: as in the strip that it continues, or else by the settings.
 
     Raises:
-        UserError: it is asked for where it cannot be told.
+        UserError: it is requested but cannot be estimated.
     """
     if strip:
         return strip.placement is not None
@@ -222,13 +223,13 @@ def _image(
     """The image of columns that are complete.
 
     Args:
-        strip: that they are of.
-        grid: of the columns.
-        track: of the antenna.
-        pulses: of an aperture.
-        slant_range: at which an aperture is as long as it is said to be, m.
-        sensor: that took the strip.
-        settings: what image is wanted.
+        strip: strip of the columns.
+        grid: grid of the columns.
+        track: track of the antenna.
+        pulses: number of pulses of an aperture.
+        slant_range: slant range at which an aperture has its stated length, m.
+        sensor: sensor of the strip.
+        settings: settings of the image.
     """
     processing = Processing(settings.range_window, settings.azimuth_window, processed_angle(sensor))
     history, sent_from = strip.lighting(grid)
@@ -236,7 +237,7 @@ def _image(
     images = former(history, sent_from, sensor, processing, grid)
     noise_power = slc_noise_power(sensor, processing, pulses)
     shares = strip.history.shares.max(axis=1)
-    # The state of the platform abeam of the middle; what is not known of its velocity is an error along the flight.
+    # The state of the platform abeam of the middle; the error of its velocity is an error along the flight.
     around = strip.abeam_time(grid) + np.array([-0.5, 0.5]) / sensor.pulse_repetition_frequency
     abeam = track.aperture(strip.history.stamp_ns, around)
     sight, placement = line_of_sight(sensor, abeam), strip.placement

@@ -1,4 +1,4 @@
-"""How images are weighted: the windows over both bands, and how much of the beam a stripmap image uses."""
+"""Weighting of images: the windows over both bands, and the part of the beam that a stripmap image uses."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ class Processing:
     """Weights of a compression; the same for every detector.
 
     Attributes:
-        range_window: over the bandwidth, a name of `windows.WINDOWS`.
-        azimuth_window: over the pulses of the aperture.
-        angle: processed in stripmap, rad: a target's aperture is what lies within half of it to each side of abeam;
-            0 in spotlight, where all pulses are the aperture of every target.
+        range_window: window over the bandwidth, a name of `windows.WINDOWS`.
+        azimuth_window: window over the pulses of the aperture.
+        angle: processed angle in stripmap, rad: a target's aperture is half of it to each side of abeam; 0 in
+            spotlight, where all pulses are the aperture of every target.
     """
 
     range_window: str = "taylor"
@@ -35,11 +35,11 @@ class Processing:
         return window(self.azimuth_window, pulses)
 
     def angle_weights(self, sine: F64, spacing: F64) -> F64:
-        """Weights of pulses in stripmap, that of a pulse halfway over the edge of the aperture by its share within.
+        """Weights of pulses in stripmap, that of a pulse across the edge of the aperture by its fraction within.
 
         Args:
-            sine: of the angle between abeam and the antenna, seen from a target.
-            spacing: of neighbouring pulses, in that sine.
+            sine: sine of the angle between abeam and the antenna, seen from a target.
+            spacing: spacing of neighbouring pulses, in that sine.
         """
         share = np.clip((self.angle / 2 - np.abs(sine)) / spacing + 0.5, 0.0, 1.0)
         taper, position = self.taper(), np.clip((sine / self.angle + 0.5) * (TAPER_NODES - 1), 0, TAPER_NODES - 1)

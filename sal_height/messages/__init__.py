@@ -5,7 +5,7 @@ types of messages and those of the core. Samples are read without a copy (but fo
 messages that are made have views of the arrays that they are made of, until they are serialized.
 """
 
-from sal_height.engine.air import AIR_LATENCY_NS, HEARD_AIR, AirSample, needed_air
+from sal_height.engine.air import AIR_LATENCY_NS, AIR_OF_TOPICS, AirSample, needed_air
 from sal_height.engine.frame_items import LONGEST_DWELL
 from sal_height.engine.frames import BODY_FRAME, MAP_FRAME, Frames
 from sal_height.engine.provenance import autofocus_values

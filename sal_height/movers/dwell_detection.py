@@ -96,7 +96,7 @@ class MoverTrack:
             return True
         return any(self._shares_pixel(other, dwell) for dwell in dwells)
 
-    def _is_beside(self, other: MoverTrack, dwell: DwellImage) -> bool:
+    def _shares_pixel(self, other: MoverTrack, dwell: DwellImage) -> bool:
         """Whether the pixels of two tracks in a dwell are those of one target."""
         (row, col), (other_row, other_col) = self._pixel(dwell), other._pixel(dwell)
         cols, adjacent = dwell.steps // COLUMN_STEPS, abs(col - other_col)
@@ -236,7 +236,7 @@ def find_over_dwells(
             migration = seen.migration[0] if seen.migrates else 0.0
             drift = paths.driving(seen.along[0]).drift
             tracks.append(
-                MoverTrack(mover_of(sighting, slc, sensor), seen.place, walk / paths.depth, drift, dwell.seconds)
+                MoverTrack(mover_of(sighting, slc, sensor), seen.place, migration / paths.depth, drift, dwell.seconds)
             )
     surest = without_ambiguities(one.mover for one in tracks)
     looked = Looked(surest, len(candidates), paths.ground, float(search.speeds[-1]))

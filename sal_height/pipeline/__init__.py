@@ -1,7 +1,7 @@
-"""The whole way from phase history to heights.
+"""The whole procedure from phase history to heights.
 
-Read `dwell` first, then `channels` (which channels a dwell has, and their beams), `strip` (what a strip keeps from
-block to block) and `moving` (what moves in images).
+Read `dwell` first, then `channels` (the channels of a dwell, and their beams), `strip` (data that a strip keeps from
+block to block) and `moving` (movers in images).
 """
 
 from sal_height.pipeline.channels import channel_sets, channels_and_beams, live_channels

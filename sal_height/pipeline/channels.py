@@ -1,4 +1,4 @@
-"""Which channels heights are made of, as the estimator takes them, and their beams."""
+"""Selection of the channels that heights are made of, and their beams."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ NOISE_DIGITS = 9
 def channels_and_beams(
     slc: Slc, sensor: Sensor, estimator: ElevationEstimator, calibration: Calibration | None, live: Index
 ) -> tuple[Channels, Beams]:
-    """The channels that an estimator takes, of those that are `live`, and their beams; other arguments as of `heights`.
+    """The channels that an estimator uses, of those that are `live`, and their beams; other arguments as of `heights`.
 
     They depend on the ratios of the noise powers, which are rounded to NOISE_DIGITS, and hardly ever change from dwell
-    to dwell: these have the very same beams then, and all that is held for them. Powers are in units of the highest.
+    to dwell: these have the very same beams then, and all that is cached for them. Powers are in units of the highest.
     """
     powers = slc.noise_power[live]
     level = powers.max() if np.all(np.isfinite(powers) & (powers > 0)) else 1.0
@@ -51,7 +51,7 @@ def _channels_and_beams(
     powers = np.zeros(sensor.detector_count)
     powers[indices] = noise_power
     channels = make_channels(with_powers(sensor.noise_covariance, powers)[square], sensor.mixing[square])
-    # The beams as the images have them, and as wide and as well known as the calibration has found them.
+    # The beams in the images, with the width and uncertainty of the calibration.
     beams = image_beams(sensor, azimuth_window)
     if calibration:
         uncertainty = np.hypot(beams.uncertainty, calibration.beam_uncertainty(beams))
@@ -63,13 +63,13 @@ def channel_sets(slc: Slc, sensor: Sensor, down: Window) -> list[tuple[Index, Bo
     """Sets of channels to estimate heights from, and the rows of height pixels that each is for, (rows,).
 
     A channel is left out of a row if it is dead, or blanked in one of the looks or less than the spacing of the pixels
-    from it, where the response of a scatterer is cut off. Sets of fewer than two channels are none, nor are parts of
-    channels that are mixtures of detectors.
+    from it, where the response of a scatterer is cut off. Sets of fewer than two channels are left out, and so are
+    parts of channels that are mixtures of detectors.
 
     Args:
         slc: images of all channels.
-        sensor: that took them.
-        down: looks in range.
+        sensor: sensor of the images.
+        down: number of looks in range.
 
     Raises:
         Rejected: no row has enough channels.

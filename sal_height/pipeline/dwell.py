@@ -52,7 +52,7 @@ class Compressor:
     """From the phase history of dwells to the images of all channels.
 
     In spotlight each dwell is an image. In stripmap dwells are consecutive blocks of pulses; those that the next image
-    still needs are kept, with their track and their shares of clipped samples.
+    still needs are kept, with their track and their fractions of clipped samples.
     """
 
     def __init__(self) -> None:
@@ -68,18 +68,18 @@ class Compressor:
         settings: ImageSettings,
         calibration: Calibration | None = None,
     ) -> Slc | None:
-        """Images of a dwell, or of the columns that a block completes of a strip; None: of too few as yet.
+        """Form images of a dwell, or of the columns of a strip that a block completes; None: too few as yet.
 
         Args:
-            history: of all channels, as the sensor delivers it.
-            track: of the platform, from the first pulse or before to the last or after.
-            sensor: that took it.
-            settings: what image is wanted.
-            calibration: of the sensor's receivers, taken out of the samples; None: they are as described.
+            history: phase history of all channels, as the sensor delivers it.
+            track: track of the platform, from the first pulse or before to the last or after.
+            sensor: sensor of the phase history.
+            settings: settings of the image.
+            calibration: calibration of the sensor's receivers, removed from the samples; None: as described.
 
         Raises:
-            Rejected: pulses or frequencies do not sample the scene, or the block comes out of order.
-            UserError: an image that cannot be made, a track that does not cover the pulses, air that is not known, or
+            Rejected: pulses or frequencies do not sample the scene, or the block is out of order.
+            UserError: an image that cannot be made, a track that does not cover the pulses, unknown air, or
                 the calibration of another sensor.
         """
         corrected = corrected_spectrum(history, track, sensor, settings, calibration)
@@ -88,7 +88,7 @@ class Compressor:
             slc: Slc | None = focus_dwell(corrected.history, corrected.track, corrected.sensor, settings)
         else:
             slc = self._strip.focus_block(corrected, settings, calibration)
-        # What the corrections leave is an error that all pixels share.
+        # The corrections leave a common error of all pixels.
         if slc:
             slc = replace(slc, aperture=with_known_errors(slc.aperture, corrected.sensor, settings))
         # The calibration has raised the noise of channels that were weak.
@@ -136,7 +136,7 @@ def heights(
     settings: HeightSettings,
     calibration: Calibration | None = None,
 ) -> HeightField:
-    """Height, its standard deviation and a place, or the reason why there is none, for every pixel of a dwell.
+    """Height, its standard deviation and a position, or the reason why it is invalid, for every pixel of a dwell.
 
     Where receivers are blanked, every row of pixels is estimated from the channels that receive all of it, and is
     MISSING_DATA if these are too few. Arguments and errors as of `elevations`.
@@ -164,7 +164,7 @@ def heights_of_dwells(
     fields: list[list[tuple[Bool, HeightField]]] = [[] for _ in slcs]
     for (number, rows, seen), estimate in zip(parts, estimates, strict=True):
         judged, grid, aperture = _judge(estimate, seen, settings), slcs[number].grid, slcs[number].aperture
-        # 15  Range, Doppler and elevation give the place on the ground.
+        # 15  Range, Doppler and elevation give the position on the ground.
         side, velocity = sensor.look_side, settings.radial_velocity_mps
         field = height_field(judged, seen.looks, grid, seen.grid, aperture, side, velocity, seen.beams)
         fields[number].append((rows, field))
@@ -184,10 +184,10 @@ def elevations(
 
     Args:
         slc: images of all channels.
-        sensor: whose phase history they were made from.
-        estimator: one of `elevation.ESTIMATORS`.
-        settings: of the estimator, an object of its class `estimator.settings`.
-        calibration: that the images were made with; None: the beams are as the sensor describes them.
+        sensor: sensor of the images.
+        estimator: estimator, one of `elevation.ESTIMATORS`.
+        settings: settings of the estimator, an object of its class `estimator.settings`.
+        calibration: calibration of the images; None: the beams are as the sensor describes them.
         channels_used: numbers of the channels to estimate from; None: all that are not dead.
 
     Raises:
@@ -202,14 +202,14 @@ def elevations(
 
 @dataclass(frozen=True, eq=False)
 class _Observed:
-    """What an estimator takes of a dwell, and what its estimate is judged by.
+    """Inputs of an estimator for a dwell, and of the judgement of its estimate.
 
     Attributes:
-        looks: of the channels.
-        beams: of the channels; those of the next dwell are the same object if nothing has changed.
-        grid: of the height pixels.
-        response: of the images.
-        saturated_share: greatest share of clipped samples of a channel.
+        looks: looks of the channels.
+        beams: beams of the channels; those of the next dwell are the same object if nothing has changed.
+        grid: grid of the height pixels.
+        response: response of the images.
+        saturated_share: greatest fraction of clipped samples of a channel.
     """
 
     looks: Looks
@@ -236,7 +236,7 @@ def _observe(
     # 9  The squint of each column; a target that moves is seen at another one than its pixel.
     squint = column_squint(grid, slc.aperture, sensor.beams, sensor.look_side)
     squint = moving_squint(squint, settings.radial_velocity_mps, np.linalg.norm(slc.aperture.velocity))
-    # 10  Looks: the covariance of the channels in each pixel, and what sidelobes and other ranges bring to it.
+    # 10  Looks: the covariance of the channels in each pixel, and the parts of sidelobes and other ranges in it.
     response = cell_response(slc, sensor)
     turn = level_turn(float(np.mean(beams.span)), slc.grid, slc.aperture, sensor.look_side)
     looks = windowed_looks(images, settings.windows, squint, channels, beams.is_complex, response, turn)
@@ -244,7 +244,7 @@ def _observe(
 
 
 def _judge(estimate: ElevationEstimate, seen: _Observed, settings: HeightSettings) -> ElevationEstimate:
-    """The estimate with the error by scatterers elsewhere, without what is imprecise, or spoilt by clipped samples."""
+    """The estimate with the error by scatterers elsewhere, without imprecise pixels, or those of clipped samples."""
     looks, beams = seen.looks, seen.beams
     # 12  The error by scatterers elsewhere, whose sidelobes are in the pixel.
     foreign = sidelobe_variance(estimate.elevation, looks, beams, settings.windows, seen.response)

@@ -1,4 +1,4 @@
-"""What moves in images: they are handed to `movers` as channels of independent noise, with their beams."""
+"""Movers in images, which are passed to package `movers` as channels of independent noise, with their beams."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from sal_height.sensor import Sensor
 
 @one_blas_thread()
 def movers(slc: Slc, sensor: Sensor, settings: MoverSettings, calibration: Calibration | None = None) -> Looked:
-    """What moves in an image of a strip, its place, height and radial velocity.
+    """Movers in an image of a strip, with position, height and radial velocity.
 
     Args:
         slc: images of all channels.
-        sensor: whose phase history they were made from.
-        settings: of the search.
-        calibration: that the images were made with; None: the beams are as the sensor describes them.
+        sensor: sensor of the images.
+        settings: settings of the search.
+        calibration: calibration of the images; None: the beams are as the sensor describes them.
 
     Raises:
         Rejected: too few channels have a signal, too many samples are clipped, or the image has too few columns.
-        UserError: the sensor is in spotlight (`dwell_with_movers`) or cannot tell movers (`movers.check_sensor`), or
+        UserError: the sensor is in spotlight (`dwell_with_movers`) or cannot detect movers (`movers.check_sensor`), or
             noise powers are not known.
     """
     if sensor.mode != "stripmap":
@@ -45,14 +45,14 @@ def movers(slc: Slc, sensor: Sensor, settings: MoverSettings, calibration: Calib
 def dwell_with_movers(
     slc: Slc, seconds: float, sensor: Sensor, settings: MoverSettings, calibration: Calibration | None = None
 ) -> ShownDwell:
-    """A spotlight dwell as `movers.DwellMovers` takes it, which finds what moves over dwells that follow each other.
+    """A spotlight dwell for `movers.DwellMovers`, which finds movers over consecutive dwells.
 
     Args:
         slc: images of all channels, of all Doppler frequencies.
-        seconds: time of the dwell.
-        sensor: whose phase history they were made from.
-        settings: of the search.
-        calibration: as of `movers`.
+        seconds: time of the dwell, s.
+        sensor: sensor of the images.
+        settings: settings of the search.
+        calibration: calibration as of `movers`.
 
     Raises:
         Rejected: as `movers`; or the images do not have all Doppler frequencies.

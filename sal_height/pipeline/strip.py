@@ -1,4 +1,4 @@
-"""What a strip keeps from block to block."""
+"""Data that a strip keeps from block to block."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ class StripBuffer:
         self._source, self._focuser, self._delay = source, StripFocuser(), StripDelay()
 
     def focus_block(self, block: Corrected, settings: ImageSettings, calibration: Calibration | None) -> Slc | None:
-        """Images of the columns that a block completes; None: too few as yet.
+        """Form images of the columns that a block completes; None: too few as yet.
 
         Args:
             block: samples over fast-time frequency without known errors, of all channels.
-            settings: what image is wanted.
-            calibration: that was taken out of the samples.
+            settings: settings of the image.
+            calibration: calibration that was removed from the samples.
 
         Raises:
             Rejected, UserError: as of `StripFocuser.focus_block`.

@@ -151,7 +151,7 @@ class _Heights:
             mean_sigma=spread if settings.along_track else 0.0,
             spread=spread,
             error=error,
-            outliers=(settings.outlier_share, 1 / (greatest - least + error)),
+            outliers=(settings.outlier_fraction, 1 / (greatest - least + error)),
             flattest=flattest * error / math.sqrt(np.count_nonzero(seen)),
         )
 

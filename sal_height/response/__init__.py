@@ -1,9 +1,9 @@
 """The response of an imaging system, measured on its images: point targets, speckle, and both compared.
 
 Read `impulse` first (width, PSLR and ISLR of a point), then `point_targets` (finding them), `transfer_function` and
-`point_spread` (what they say together), `speckle_tiles` and `speckle_spectra` (the same from pure speckle), `linearity`
-(whether both agree, as only a linear system's do), `doppler` (one band in azimuth for all columns) and `report` (all of
-it for the images of one receiver).
+`point_spread` (the function that follows), `speckle_tiles` and `speckle_spectra` (the same from pure speckle),
+`linearity` (a test that both agree, as they do if the system is linear), `doppler` (one band in azimuth for all
+columns) and `report` (all of it for the images of one receiver).
 """
 
 from sal_height.response.impulse import (
@@ -41,7 +41,7 @@ from sal_height.response.speckle_spectra import (
     periodogram_covariance,
 )
 from sal_height.response.speckle_tiles import find_pure_speckle
-from sal_height.response.transfer_function import FLOOR, AxisResponse, TransferFunction, estimate_transfer_function
+from sal_height.response.transfer_function import FLOOR, AxisTransfer, TransferFunction, estimate_transfer_function
 
 __all__ = [
     "CHIP",
@@ -51,9 +51,9 @@ __all__ = [
     "NOISE_UNKNOWN",
     "OVERSAMPLING",
     "REACH",
-    "AxisResponse",
     "AxisSpectrum",
     "AxisSpread",
+    "AxisTransfer",
     "Chip",
     "CutResponse",
     "ImpulseResponse",

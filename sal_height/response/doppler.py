@@ -15,10 +15,6 @@ from scipy.ndimage import uniform_filter1d
 
 from sal_height.numeric import C128, F64, Complex
 
-SMOOTHED = 65  # columns over which the centroid is averaged, about those of a tile of speckle
-
-SIGNIFICANT = 6.0  # standard errors by which the centroid of a column differs from the mean if it moves
-
 
 def steadied(images: Sequence[Complex]) -> tuple[list[Complex], list[F64]]:
     """Turn the pixels until all columns of all images have the Doppler centroid of their mean.
@@ -27,13 +23,14 @@ def steadied(images: Sequence[Complex]) -> tuple[list[Complex], list[F64]]:
         images: complex pixels, range along axis 0, shapes (rows, cols).
 
     Returns:
-        The images, the same objects where the centroid does not move significantly; and for each image what was taken
-        off the centroid between each column and the next, cycles per pixel, shape (cols - 1,).
+        The images, the same objects if the centroid does not move significantly; and for each image what was subtracted
+        from the centroid between each column and the next, cycles per pixel, shape (cols - 1,).
     """
     measured = [_neighbours(image) for image in images]
     mean = sum((products.sum() for products, _ in measured), 0j)
     relative = [products * np.exp(-1j * np.angle(mean)) for products, _ in measured]
-    moved = [np.any(np.abs(one.imag) > SIGNIFICANT * error) for one, (_, error) in zip(relative, measured, strict=True)]
+    # The centroid of a column moves if it differs from the mean by six standard errors.
+    moved = [np.any(np.abs(one.imag) > 6.0 * error) for one, (_, error) in zip(relative, measured, strict=True)]
     if not any(moved):
         return list(images), [np.zeros(len(one)) for one in relative]
     turns = [np.angle(one) for one in relative]
@@ -51,6 +48,7 @@ def _neighbours(image: Complex) -> tuple[C128, float]:
     # A phase that is quadratic over the image would cancel in the mean: it is taken out first and put back.
     bend = np.angle(np.sum(products[1:] * products[:-1].conj()))
     straight = products * np.exp(-1j * bend * np.arange(len(products)))
-    smooth = uniform_filter1d(straight, SMOOTHED, mode="constant")
-    error = np.sqrt(np.mean(np.abs(straight - smooth) ** 2) / (2 * SMOOTHED)) if len(products) else 0.0
+    columns = 65  # about those of a tile of speckle
+    smooth = uniform_filter1d(straight, columns, mode="constant")
+    error = np.sqrt(np.mean(np.abs(straight - smooth) ** 2) / (2 * columns)) if len(products) else 0.0
     return smooth * np.exp(1j * bend * np.arange(len(products))), float(error)

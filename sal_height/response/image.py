@@ -1,4 +1,4 @@
-"""An image to be measured, and what is known of it."""
+"""An image to be measured, with its origin, geometry and noise."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ class Image:
     """An image to be measured.
 
     Attributes:
-        pixels: complex, shape (rows, cols).
-        path: file or bag that holds the image.
+        pixels: complex pixels, shape (rows, cols).
+        path: file or bag that contains the image.
         axes: directions of rows and columns.
         topic: topic in the bag; None if not from a bag.
         dwell: number of the dwell; None if not from a bag.
         channel: number of the channel; None if from an array of one image.
         grid: positions of the pixels; None if unknown.
         noise_power: E|n|^2 of the receiver noise in a pixel; None if unknown.
-        noise_shape: how the processor has shaped that noise; None if unknown.
+        noise_shape: covariance of that noise between pixels, by the processor; None if unknown.
     """
 
     pixels: Complex

@@ -1,4 +1,4 @@
-"""Measuring focused images and windows: width, sidelobes and place of a point's response, and the image's contrast."""
+"""Measuring focused images and windows: width, sidelobes and position of a point's response, and image contrast."""
 
 from __future__ import annotations
 
@@ -17,18 +17,6 @@ OVERSAMPLING = 32  # samples per pixel of an interpolated cut
 REACH = 10  # sidelobes are counted up to this many widths (at -3 dB) from the peak
 NEAR = 8  # pixels around a given place where the target is searched
 
-GAP = 1 / 16
-"""Share of the sampling rate over which a spectrum is averaged to find the gap beside its band.
-
-It is wide enough that the fringes of two targets or the speckle of clutter leave no gap of their own.
-"""
-
-EMPTY = 0.8
-"""Energy in the emptiest part of a spectrum, over its mean, below which that part is a gap beside the band.
-
-Speckle in a chip of CHIP columns varies by 2 % there; a gap of 2 % of the sampling rate leaves 0.6.
-"""
-
 
 @dataclass(frozen=True)
 class CutResponse:
@@ -36,10 +24,10 @@ class CutResponse:
 
     The main lobe lies between the first minima of power to both sides of the peak; sidelobes are the rest up to REACH
     widths from the peak. For an unweighted band pslr_db is -13.26 and islr_db -10.2; it would be -9.7 over an endless
-    cut. A number is NaN if the cut does not show what it needs.
+    cut. A number is NaN if the cut is too short for it.
 
     Attributes:
-        width: between the points at half the peak's power, pixels; NaN unless both are in the cut.
+        width: distance between the points at half the peak's power, pixels; NaN unless both are in the cut.
         pslr_db: greatest power of the sidelobes over that of the peak, dB; NaN unless the first sidelobe is whole on
             both sides.
         islr_db: energy of the sidelobes over that of the main lobe, dB; NaN unless the cut reaches REACH widths to
@@ -58,12 +46,12 @@ class ImpulseResponse:
     With a `geometry.Grid` the position in m is grid.points(row, col), a width in m the width times the spacing.
 
     Attributes:
-        row: of the interpolated peak, pixels from the centre of the first row.
-        col: of the interpolated peak, pixels from the centre of the first column.
+        row: row of the interpolated peak, pixels from the centre of the first row.
+        col: column of the interpolated peak, pixels from the centre of the first column.
         row_cut: response along the rows' index (axis 0) through the peak.
         col_cut: response along the columns' index (axis 1) through the peak.
         peak_over_median_db: power of the target's brightest pixel over the median of the image, dB; NaN if that is 0.
-        entropy: of the image: - sum p ln p, with p each finite pixel's share of their energy.
+        entropy: entropy of the image, - sum p ln p, with p the fraction of each finite pixel in their energy.
     """
 
     row: float
@@ -82,8 +70,8 @@ class Chip:
         start: row and column of its first pixel in the image.
         spectrum: discrete Fourier transform of its pixels, scaled to a greatest amplitude of 1, those not finite taken
             for 0; complex128, shape (rows, cols).
-        frequencies: cycles per pixel of each bin along rows and along columns, in the band that holds the spectrum.
-        finite: first and last of the pixels beside the target, without a gap, that are finite; in the image's rows,
+        frequencies: cycles per pixel of each bin along rows and along columns, in the band of the spectrum.
+        finite: first and last of the pixels around the target, without a gap, that are finite; in the image's rows,
             and in its columns.
     """
 
@@ -103,7 +91,7 @@ class Chip:
     def peak(self, row: int, col: int) -> tuple[float, float]:
         """Row and column of the interpolated peak, within a pixel of the brightest one and among finite pixels."""
         pixel, peak = (row, col), [float(row), float(col)]
-        for axis in (0, 1, 0, 1):  # the second time for what the step along the other axis has changed
+        for axis in (0, 1, 0, 1):  # the second time after the step along the other axis
             spectrum = (self.spectrum, self.spectrum.T)[axis]
             across = self.waves(1 - axis, peak[1 - axis])[0]
             # einsum: threads of a BLAS cost more than so small a product
@@ -129,7 +117,7 @@ def measure_brightest(image: Complex, near: tuple[int, int] | None = None) -> Im
 
     Args:
         image: complex pixels, shape (rows, cols); those that are not finite do not count.
-        near: row and column of a pixel; the brightest is looked for up to NEAR pixels from it, None: everywhere.
+        near: row and column of a pixel; the brightest is searched up to NEAR pixels from it, None: everywhere.
 
     Raises:
         UserError: no pixel there is finite and not 0.
@@ -197,12 +185,12 @@ def cut_response(power: F64, peak: int) -> CutResponse:
 
 @dataclass(frozen=True)
 class WindowFigures:
-    """What a window costs and gains.
+    """Broadening, sidelobes and noise gain of a window.
 
     Attributes:
-        response: of a point, in resolution bins (of 1 / bandwidth) in place of pixels.
+        response: response to a point, in resolution bins (of 1 / bandwidth) instead of pixels.
         broadening: width over that of the unweighted band.
-        noise_gain: factor on the power of noise; the equivalent noise bandwidth in bins.
+        noise_gain: factor on the power of noise, which is the equivalent noise bandwidth, bins.
     """
 
     response: CutResponse
@@ -249,24 +237,26 @@ def band_frequencies(energy: F64) -> I64:
     the circle is cut where the spectrum is emptiest. A spectrum without a gap is cut at half a cycle per pixel.
 
     Args:
-        energy: of each bin, in the order of `numpy.fft.fft`, shape (bins,).
+        energy: energy of each bin, in the order of `numpy.fft.fft`, shape (bins,).
     """
     count = len(energy)
-    around = max(3, round(GAP * count / 2))
+    # Averaged so widely that the fringes of two targets or the speckle of clutter leave no gap of their own.
+    around = max(3, round(count / 32))
     smooth = uniform_filter1d(
         uniform_filter1d(np.asarray(energy, dtype=np.float64), around, mode="wrap"), around, mode="wrap"
     )
     emptiest = int(np.argmin(smooth))
-    highest = emptiest if smooth[emptiest] < EMPTY * np.mean(energy) else (count + 1) // 2
+    # Speckle in a chip of CHIP columns varies by 2 % there; a gap of 2 % of the sampling rate leaves 0.6.
+    highest = emptiest if smooth[emptiest] < 0.8 * np.mean(energy) else (count + 1) // 2
     return (np.arange(count) - highest) % count + highest - count
 
 
 def peak_offset(spectrum: C128, frequencies: F64) -> float:
-    """Place of the peak of a sum of waves near pixel 0, pixels.
+    """Position of the peak of a sum of waves near pixel 0, pixels.
 
     Args:
         spectrum: amplitude of each wave, shape (count,).
-        frequencies: of each, cycles per pixel, within one cycle; shape (count,).
+        frequencies: frequency of each, within one cycle, cycles per pixel; shape (count,).
     """
     waves = 2j * np.pi * (frequencies - np.mean(frequencies))
     place = 0.0
@@ -280,7 +270,7 @@ def peak_offset(spectrum: C128, frequencies: F64) -> float:
 
 
 def _response_along(axis: int, chip: Chip, row: float, col: float) -> CutResponse:
-    """The response along an axis through the peak at `row` and `col`, as far as the pixels beside it are finite."""
+    """The response along an axis through the peak at `row` and `col`, as far as the adjacent pixels are finite."""
     (first, last), position = chip.finite[axis], (row, col)[axis]
     before, after = int((position - first) * OVERSAMPLING), int((last - position) * OVERSAMPLING)
     positions = position + np.arange(-before, after + 1) / OVERSAMPLING

@@ -1,4 +1,4 @@
-"""Does the system respond to bright targets as it does to speckle? If it is linear it must: superposition.
+"""Test of superposition: a linear system responds to bright targets as it does to speckle.
 
 The PSF paper compares |R| of targets (figure 10) with that of speckle (figure 24) by eye, finds a shallower sawtooth
 on a higher pedestal in speckle, and concludes that the system is not linear. But a linear one shows the same:
@@ -38,21 +38,14 @@ from sal_height.errors import NotDetermined
 from sal_height.numeric import C128, F64, frequencies
 from sal_height.response.speckle_spectra import SpeckleSpectra, cross_spectrum, fejer_power
 
-BAND = 0.03
-"""Share of the greatest power of the response above which a frequency is compared. Below it, what a chip cuts off and
-the end of a sub-image count for more than the response."""
-
-NOISE_LAGS = 64
-"""Lags at which the covariance of weighted noise is known: the pixels of a sub-image."""
-
 
 @dataclass(frozen=True, eq=False)
 class ShapedNoise:
-    """What a processor makes of white receiver noise: the covariance of its pixels, over that at lag 0.
+    """Receiver noise, white before the processor: the covariance of its pixels, over that at lag 0.
 
     Attributes:
-        range: at lags from 0 up in range; those beyond the last are 0.
-        azimuth: the same along azimuth.
+        range: covariance at lags from 0 up in range; beyond the last it is 0.
+        azimuth: covariance at lags along azimuth, likewise.
     """
 
     range: C128
@@ -65,11 +58,11 @@ class ShapedNoise:
         A window over a band makes noise of its square as spectrum; the covariance is the transform of that.
 
         Args:
-            range_weights: at evenly spaced frequencies of the band.
-            azimuth_weights: at even steps over the aperture.
+            range_weights: weights at evenly spaced frequencies of the band.
+            azimuth_weights: weights at even steps over the aperture.
             steps: spacing of rows and of columns, over the resolution without weights.
         """
-        lags = np.arange(NOISE_LAGS)
+        lags = np.arange(64)  # the pixels of a sub-image
 
         def covariance(weights: F64, step: float) -> C128:
             power = weights**2 / np.sum(weights**2)
@@ -86,7 +79,7 @@ class ShapedNoise:
 
 @dataclass(frozen=True, eq=False)
 class KnownNoise:
-    """Receiver noise in speckle: its shape, and its share of the mean power of the pixels."""
+    """Receiver noise in speckle: its shape, and its fraction of the mean power of the pixels."""
 
     shape: ShapedNoise
     share: float
@@ -94,12 +87,12 @@ class KnownNoise:
 
 @dataclass(frozen=True)
 class Superposition:
-    """How the responses to targets and to speckle compare.
+    """Comparison of the responses to targets and to speckle.
 
     Attributes:
-        p_value: probability of as large a residual or a larger one, if the system is linear.
-        chi_square: the residual squared, over its covariance.
-        freedom: degrees of freedom of it.
+        p_value: probability of this residual or a larger one, if the system is linear.
+        chi_square: square of the residual over its covariance.
+        freedom: degrees of freedom of chi_square.
         share: c, over the mean power of speckle: that of lines and their like, or of lines and their neighbours.
     """
 
@@ -114,10 +107,10 @@ class _Lines:
     """Products P_s of lines of speckle, without noise.
 
     Attributes:
-        power: P_s at the frequencies of a sub-image of as many pixels.
+        power: P_s at the frequencies of a sub-image of the same number of pixels.
         apart: s, lines between the two of a product.
         signal: cross-spectrum of a line that responds as the targets do, at 2 M frequencies, M the rows of a tile.
-        noise: what noise adds to it.
+        noise: contribution of noise to it.
         across: covariances along azimuth of speckle and of noise at lags from 0 up, shape (2, columns of a tile).
         count: number of lines.
     """
@@ -154,17 +147,18 @@ def superposition(
         target_error: standard error of each, as a complex number: the root of the mean |error|^2; the error's real and
             imaginary parts alike, and independent between bins.
         speckle: spectra of speckle.
-        noise: in the speckle; None: not known, but white along azimuth.
+        noise: noise in the speckle; None: unknown, but white along azimuth.
 
     Raises:
-        NotDetermined: too few frequencies tell something, or nothing tells speckle from noise.
+        NotDetermined: too few frequencies are usable, or speckle cannot be separated from noise.
     """
     size = min(len(speckle.range.covariance), len(target) // 2)
     scale = np.sqrt(np.mean(np.abs(target) ** 2))
     response, errors = _target_covariance(target / scale, (target_error / scale) ** 2, size)
     shape = fejer_power(response)
     lines = _neighbours(response, speckle) if noise is None else _own(response, speckle, noise)
-    kept = shape > BAND * shape.max(initial=0.0)
+    # Below 3 % the truncation of a chip and the ends of a sub-image outweigh the response.
+    kept = shape > 0.03 * shape.max(initial=0.0)
     kept[:1] &= not speckle.range.spur
     shape, power = shape[kept], lines.power[kept]
     amplitude, own, of_target = power.sum() / shape.sum(), lines.covariance[np.ix_(kept, kept)], errors[kept][:, kept]
@@ -182,7 +176,7 @@ def superposition(
 
 
 def _neighbours(response: C128, speckle: SpeckleSpectra) -> _Lines:
-    """Products of neighbouring lines. The noise in their errors is what the lines contain beside the response."""
+    """Products of neighbouring lines. The noise in their errors is the part of the lines that is not the response."""
     if speckle.pointing is None:
         raise NotDetermined(
             "Neighbouring pixels along azimuth do not correlate, and the shape of receiver noise is not known, so that "
@@ -219,7 +213,7 @@ def _first(covariance: C128, count: int) -> C128:
 
 
 def _fewer_lags(rows: int, count: int) -> F64:
-    """Matrix from periodograms of `rows` pixels at twice as many frequencies to those of `count`; (count, 2 rows).
+    """Matrix from periodograms of `rows` pixels at 2 rows frequencies to those of `count`; (count, 2 rows).
 
     Covariances are multiplied by the triangle of the latter over that of the former.
     """

@@ -9,7 +9,7 @@ import scipy.fft
 
 from sal_height.numeric import C128, F64, Index
 from sal_height.response.impulse import OVERSAMPLING, CutResponse, band_frequencies, cut_response
-from sal_height.response.transfer_function import AxisResponse, TransferFunction
+from sal_height.response.transfer_function import AxisTransfer, TransferFunction
 
 FINENESS = 4  # samples per pixel of the function as it is drawn, those of the paper
 
@@ -21,9 +21,9 @@ class Sidelobe:
     A ripple of n periods in all frequencies makes a pair of them n pixels to both sides (paired echoes).
 
     Attributes:
-        position: pixels from the peak, signed.
-        level_db: its power over that of the peak.
-        significance: its amplitude less that of the sidelobes nearer to the peak, in standard errors.
+        position: signed distance from the peak, pixels.
+        level_db: power over that of the peak, dB.
+        significance: amplitude less that of the sidelobes nearer to the peak, in standard errors.
     """
 
     position: float
@@ -63,10 +63,10 @@ def estimate_point_spread(transfer: TransferFunction) -> PointSpread:
 
 
 def cut_through(response: C128, fineness: int) -> C128:
-    """The point-spread function along an axis: the response's transform, with zeros beside its band.
+    """The point-spread function along an axis: the response's transform, with zeros outside its band.
 
     Args:
-        response: from -1/2 cycle per pixel on, shape (count,).
+        response: response from -1/2 cycle per pixel on, shape (count,).
         fineness: samples per pixel.
 
     Returns:
@@ -82,13 +82,13 @@ def cut_through(response: C128, fineness: int) -> C128:
 def anomalous_sidelobes(response: C128, sigma: F64) -> tuple[Sidelobe, ...]:
     """Sidelobes that stand above the ones nearer to the peak, from the greatest on.
 
-    Those of a smooth response fall, or stay alike, from the peak outwards; what makes one rise above both its
+    Those of a smooth response fall, or stay equal, from the peak outwards; the cause of one that rises above both its
     neighbours, and above the median of the three before it by 3.5 standard errors, is a ripple of the response. Both
     sides are searched together, in the root of their mean power. An echo adds to the sidelobes that are there without
-    it, so that its level and its place are those of the sum.
+    it, so that its level and position are those of the sum.
 
     Args:
-        response: as in `cut_through`.
+        response: response as in `cut_through`.
         sigma: standard errors of its bins, shape (count,).
     """
     fine = np.abs(cut_through(response, OVERSAMPLING))
@@ -118,6 +118,6 @@ def _tops(amplitude: F64) -> Index:
     return np.flatnonzero((amplitude[1:-1] > amplitude[:-2]) & (amplitude[1:-1] >= amplitude[2:])) + 1
 
 
-def _axis_spread(axis: AxisResponse) -> AxisSpread:
+def _axis_spread(axis: AxisTransfer) -> AxisSpread:
     power = np.abs(cut_through(axis.response, OVERSAMPLING)) ** 2
     return AxisSpread(cut_response(power, len(power) // 2), anomalous_sidelobes(axis.response, axis.sigma))

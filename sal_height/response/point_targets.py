@@ -24,7 +24,6 @@ from sal_height.settings import Settings, setting
 CHIP = (64, 64)  # rows and columns around a target, those of the paper
 BLOCK = 16  # side of the pixels of the survey: 24 m at the paper's 1.5 m
 CORE = (2, 1)  # pixels to each side of the peak, in range and azimuth, where a chip is not compared with its cuts
-OVER_SPECKLE = 20.0  # power over the mean that speckle in a chip does not reach: exp(-20) a pixel
 
 
 class PointTargetSettings(Settings):
@@ -66,7 +65,7 @@ DEFAULTS = PointTargetSettings()
 
 
 class Verdict(StrEnum):
-    """What became of a candidate; all but ACCEPTED say why it does not show the system's response."""
+    """Result of the tests of a candidate; all but ACCEPTED state why it does not show the system's response."""
 
     ACCEPTED = "accepted"
     SPARE = "fainter than those examined"
@@ -83,10 +82,10 @@ class Candidate:
     """A pixel that stands out from its surroundings.
 
     Attributes:
-        row: of the brightest pixel.
-        col: of the brightest pixel.
-        over_clutter: its power over that of the clutter around.
-        verdict: whether it is a point target, or why not.
+        row: row of the brightest pixel.
+        col: column of the brightest pixel.
+        over_clutter: power over that of the clutter around.
+        verdict: result of the tests.
     """
 
     row: int
@@ -100,8 +99,8 @@ class PointTarget:
     """A target's chip, with its interpolated peak moved to pixel (0, 0), where it is 1.
 
     Attributes:
-        row: of the peak in the image, pixels, with fractions.
-        col: of the peak in the image, pixels, with fractions.
+        row: row of the peak in the image, with fractions, pixels.
+        col: column of the peak in the image, with fractions, pixels.
         over_clutter: power of the peak over the mean power of the clutter.
         spectrum: discrete Fourier transform of the chip, from -1/2 cycle per pixel on along both axes; complex128,
             shape (rows, cols).
@@ -120,11 +119,11 @@ class PointTarget:
 
 @dataclass(frozen=True, eq=False)
 class TargetSurvey:
-    """What was found in an image.
+    """Candidates and point targets of an image.
 
     Attributes:
-        candidates: all that stand out, the brightest first.
-        targets: of the accepted ones, the brightest first.
+        candidates: all pixels that stand out, the brightest first.
+        targets: targets of the accepted candidates, the brightest first.
     """
 
     candidates: tuple[Candidate, ...]
@@ -132,7 +131,7 @@ class TargetSurvey:
 
     @classmethod
     def pooled(cls, surveys: Sequence[TargetSurvey]) -> TargetSurvey:
-        """What was found in several images."""
+        """Joins the surveys of several images."""
         return cls(
             tuple(candidate for survey in surveys for candidate in survey.candidates),
             tuple(target for survey in surveys for target in survey.targets),
@@ -147,7 +146,7 @@ class TargetSurvey:
         """The targets.
 
         Raises:
-            NotDetermined: there is none; the sentence counts the verdicts and says what is needed.
+            NotDetermined: the image has none; the message counts the verdicts and states what is needed.
         """
         if self.targets:
             return self.targets
@@ -170,21 +169,21 @@ def find_targets(
 
     A candidate is the brightest pixel of a block and the eight around it, if it stands far enough over the median of
     the blocks around. It is judged in a chip of its own; along an axis where the chip is as long as the image the image
-    is taken for cyclic.
+    is assumed to be cyclic.
 
     Args:
         image: complex pixels, shape (rows, cols); range, azimuth.
         chip: rows and columns of a chip.
-        settings: which bright pixels are taken for point targets.
+        settings: criteria for point targets.
 
     Raises:
         UserError: the image is not a complex matrix, or the chip does not fit into it.
     """
     _check(image, chip)
-    with np.errstate(over="ignore", invalid="ignore"):  # what is too great is not finite
+    with np.errstate(over="ignore", invalid="ignore"):  # too great values are not finite
         pixels = np.ascontiguousarray(image, dtype=np.complex64)
     places, power, clutter = _survey(pixels, _ratio(settings.point_over_clutter_db))
-    verdicts = _place_verdicts(places, power, pixels.shape, chip, _ratio(-settings.point_isolation_db))
+    verdicts = _position_verdicts(places, power, pixels.shape, chip, _ratio(-settings.point_isolation_db))
     promising = [index for index, verdict in enumerate(verdicts) if verdict is Verdict.ACCEPTED]
     targets: dict[int, PointTarget] = {}
     for index in promising[: settings.points_per_image]:
@@ -210,8 +209,8 @@ def chip_at(image: Complex, row: int, col: int, clutter: float, shape: tuple[int
 
     Args:
         image: complex pixels, shape (rows, cols).
-        row: of the brightest pixel; the chip must fit into the image.
-        col: of the brightest pixel.
+        row: row of the brightest pixel; the chip must fit into the image.
+        col: column of the brightest pixel.
         clutter: mean power of the clutter.
         shape: rows and columns of the chip.
     """
@@ -256,7 +255,7 @@ def _survey(image: C64, least: float) -> tuple[Index, F64, F64]:
 
 
 def _blocks(image: C64) -> tuple[F64, F64]:
-    """Mean and greatest power of each block's finite pixels, 0 if there is none; shapes (blocks down, across)."""
+    """Mean and greatest power of each block's finite pixels, 0 without any; shapes (blocks down, across)."""
     edges = np.arange(0, image.shape[1], BLOCK)
     mean, peak = np.zeros((2, -(-image.shape[0] // BLOCK), len(edges)))
 
@@ -277,10 +276,10 @@ def _power(pixels: C64) -> F64:
     return np.where(np.isfinite(power), power, 0.0)
 
 
-def _place_verdicts(
+def _position_verdicts(
     places: Index, power: F64, shape: tuple[int, ...], chip: tuple[int, int], foreign: float
 ) -> list[Verdict]:
-    """EDGE where a chip leaves the image, CROWDED where it holds another candidate of more than `foreign` its power."""
+    """EDGE where a chip leaves the image, CROWDED where it contains a candidate of over `foreign` its power."""
     crowded = np.zeros(len(places), dtype=np.bool_)
     if len(places):
         halves = places / (np.array(chip) // 2)
@@ -320,7 +319,8 @@ def _examined(
     down, across = (np.minimum(np.arange(size), size - np.arange(size)) for size in shape)
     rest[np.ix_(down <= CORE[0], across <= CORE[1])] = 0
     second_peak = max(_second_peak(np.abs(cut) ** 2) for cut in (chip[:, 0], chip[0]))
-    allowed = max(_ratio(-settings.point_isolation_db), OVER_SPECKLE / target.over_clutter)
+    over_speckle = 20.0  # power over the mean that speckle in a chip does not reach: exp(-20) a pixel
+    allowed = max(_ratio(-settings.point_isolation_db), over_speckle / target.over_clutter)
     if rest.max() > allowed or second_peak > _ratio(-settings.point_sidelobes_db):
         return Verdict.COMPLICATED, None
     return Verdict.ACCEPTED, target
@@ -331,7 +331,7 @@ def _ratio(decibels: float) -> float:
 
 
 def _is_clipped(pixels: C64) -> bool:
-    """Whether several pixels share the greatest part, or the greatest amplitude to single precision."""
+    """True if several pixels have the greatest part, or the greatest amplitude, to single precision."""
     parts = np.maximum(np.abs(pixels.real), np.abs(pixels.imag))
     amplitude = np.abs(pixels)
     equal = np.count_nonzero(parts == parts.max()), np.count_nonzero(amplitude >= amplitude.max() * (1 - 1e-6))
@@ -339,14 +339,14 @@ def _is_clipped(pixels: C64) -> bool:
 
 
 def _second_peak(power: F64) -> float:
-    """Greatest local maximum of a cyclic cut beside the first sample, and its neighbours."""
+    """Greatest local maximum of a cyclic cut apart from the first sample, and its neighbours."""
     tops = (power > np.roll(power, 1)) & (power >= np.roll(power, -1))
     tops[[0, 1, -1]] = False
     return float(np.max(power, where=tops, initial=0.0))
 
 
 def _wide(targets: dict[int, PointTarget], ratio: float) -> list[int]:
-    """Those whose cuts hold more energy than `ratio` times that of the median target, less their clutter."""
+    """Targets whose cuts have more energy than `ratio` times that of the median target, less their clutter."""
     if not targets:
         return []
     energies = []

@@ -1,6 +1,6 @@
-"""The point-spread function from the images of one receiver: by targets, by speckle, and whether both agree.
+"""The point-spread function from the images of one receiver: by targets, by speckle, and a comparison of both.
 
-Each part is there or it is not, and then a sentence says why and what would be needed: nothing is made up (PSF paper,
+Each part is determined, or a message states why it is not and what would be needed: nothing is assumed (PSF paper,
 sections 3 and 4). Axis 0 of images is range, axis 1 azimuth.
 """
 
@@ -25,7 +25,7 @@ from sal_height.response.transfer_function import TransferFunction, estimate_tra
 Part = TypeVar("Part")
 
 LONG_CHIPS = (256, 128, 64)
-"""Rows of the chips that are compared with speckle, the first that hold a target: long ones cut less off."""
+"""Rows of the chips that are compared with speckle, the first that contain a target: long ones truncate less."""
 
 NOISE_UNKNOWN = (
     "The power of receiver noise is not known: tiles pass for speckle because neighbours in azimuth correlate, which "
@@ -43,19 +43,19 @@ DEFAULTS = PsfSettings()
 
 @dataclass(frozen=True, eq=False)
 class PsfReport:
-    """The response to a point as images show it; None stands for what they do not show.
+    """The response to a point as measured in images; None: not determined.
 
     Attributes:
         chip: rows and columns of the targets' chips.
         surveys: candidates and targets of each image.
         transfer: range and azimuth response, of the targets of all images.
-        spread: the point-spread function they make.
-        tiles: of the images side by side along azimuth, each cut to whole tiles.
-        spectra: of the tiles of pure speckle.
-        pointing: where the antenna points along each image; empty where that is not known.
+        spread: point-spread function of these responses.
+        tiles: tiles of the images side by side along azimuth, each cut to whole tiles.
+        spectra: spectra of the tiles of pure speckle.
+        pointing: pointing of the antenna along each image; empty where unknown.
         linearity: comparison of the responses to targets and to speckle, that of tiles away from bright points.
-        linearity_rows: of the chips of the targets compared; 0: none were.
-        undetermined: for each part that is None ("targets", "speckle", "pointing", "superposition"), one sentence: why,
+        linearity_rows: rows of the chips of the targets compared; 0: not compared.
+        undetermined: message on each part that is None ("targets", "speckle", "pointing", "superposition"): why,
             and what would be needed.
     """
 
@@ -85,18 +85,18 @@ def report_on(
 ) -> PsfReport:
     """Measure the point-spread function on images of one receiver.
 
-    Targets and speckle of all images are pooled: what the images share is their response. Where the Doppler centroid
+    Targets and speckle of all images are pooled, which have a common response. Where the Doppler centroid
     moves along the columns, the pixels are turned until it does not.
 
     Args:
-        images: complex pixels, each of as many rows, of one spacing; shapes (rows, cols).
+        images: complex pixels, all with the same number of rows and one spacing; shapes (rows, cols).
         chip: rows and columns around a target; None: 64 x 64 (PSF paper), or what the smallest image has.
-        settings: which pixels are taken for point targets, and which tiles for speckle.
-        noise_powers: E|n|^2 of the receiver noise in a pixel of each image; None: not known.
-        noise_shape: how the processor has shaped it; None: not known, but white along azimuth.
+        settings: criteria for point targets, and for tiles of speckle.
+        noise_powers: E|n|^2 of the receiver noise in a pixel of each image; None: unknown.
+        noise_shape: covariance of the noise by the processor; None: unknown, but white along azimuth.
 
     Raises:
-        UserError: there is no image, they are not complex matrices of as many rows, one has no phase, or the chip does
+        UserError: there is no image, they are not complex matrices of equal rows, one has no phase, or the chip does
             not fit.
     """
     rows, cols = _common_shape(images)
@@ -152,7 +152,7 @@ def _common_shape(images: Sequence[Complex]) -> tuple[int, int]:
 
 
 def _part(name: str, undetermined: dict[str, str], measure: Callable[[], Part]) -> Part | None:
-    """What is measured, or None, with the reason entered."""
+    """The measured part, or None, with the reason entered."""
     try:
         return measure()
     except NotDetermined as reason:
@@ -161,7 +161,7 @@ def _part(name: str, undetermined: dict[str, str], measure: Callable[[], Part]) 
 
 
 def _side_by_side(images: Sequence[Complex], width: int, noise_powers: Sequence[float] | None) -> C64:
-    """The images' whole tiles of `width` columns, beside each other; pixels too great for single precision infinite.
+    """The images' whole tiles of `width` columns, side by side; pixels too great for single precision infinite.
 
     Images of a known noise power are divided by its root, so that all have the noise power 1.
     """
@@ -174,7 +174,7 @@ def _side_by_side(images: Sequence[Complex], width: int, noise_powers: Sequence[
 
 
 def _pointing_of_each(spectra: SpeckleSpectra | None, width: int, displacements: Sequence[F64]) -> tuple[Pointing, ...]:
-    """The pointing along each image, from that of the whole mosaic and what was taken off the images' centroids."""
+    """The pointing along each image, from that of the whole mosaic and what was subtracted from its centroids."""
     found = spectra.pointing if spectra else None
     if not found:
         return tuple(Pointing(*np.zeros((3, 0))) for _ in displacements)
@@ -200,12 +200,12 @@ def _compared(
     """Comparison of the targets' range response with that of speckle, and the rows of the chips it was made with.
 
     Args:
-        images: as `report_on` has them.
-        mosaic: the same side by side, of the noise power 1 if the noise's shape is known.
-        tiles: of the mosaic, those not pure that a bright point touches.
-        cols: of a chip.
+        images: images as of `report_on`.
+        mosaic: images side by side, of the noise power 1 if the noise's shape is known.
+        tiles: tiles of the mosaic; those that a bright point touches are not pure.
+        cols: columns of a chip.
         settings: which pixels are taken for point targets.
-        noise: how the processor has shaped it; None: not known.
+        noise: covariance of the noise by the processor; None: unknown.
     """
     least, rows = tiles.tile[0], images[0].shape[0]
     if not tiles.pure.any():

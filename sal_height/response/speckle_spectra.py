@@ -10,10 +10,10 @@ The modulus that the paper averages, of 64 x 64 sub-images, is sqrt(pi) / 2 time
 of any Rayleigh amplitude (`mean_modulus`).
 
 The phase of c(1) along azimuth is the Doppler centroid in cycles per pixel, times 2 pi (Madsen, "Estimating the Doppler
-centroid of SAR data", IEEE Trans. AES 25, 1989): where the antenna points. Sub-images from the same columns share it,
-so that the swing of the antenna shows, and |A| is averaged after it has been taken out.
+centroid of SAR data", IEEE Trans. AES 25, 1989): the pointing of the antenna. It is common to sub-images from the same
+columns, so that the swing of the antenna shows, and |A| is averaged after it has been removed.
 
-Spectra begin at -1/2 cycles per pixel.
+Spectra start at -1/2 cycles per pixel.
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ from scipy.linalg import toeplitz
 from sal_height.numeric import C64, C128, F32, F64, Index, blocks, frequencies, in_parallel
 from sal_height.response.speckle_tiles import SpeckleTiles, checked_image, sum_of_powers
 
-LAG_ERRORS = 2.0  # standard errors up to which the covariance at a lag is taken for 0
 BLOCK = 2**15  # pixels transformed at a time: they and their spectra stay in a processor's cache
 
 
@@ -39,8 +38,8 @@ class AxisSpectrum:
         covariance: autocovariance at lags 0 to M - 1 over that at 0, M the pixels of a sub-image; white noise adds to
             lag 0, a spur is taken out.
         lines: number of lines of M pixels that were averaged.
-        independent: of them, as neighbouring lines correlate.
-        spur: power of a wave of half a cycle per pixel over the mean of the image; 0: there is none.
+        independent: number of independent lines among them, as neighbouring lines correlate.
+        spur: power of a wave of half a cycle per pixel over the mean of the image; 0: no such wave.
     """
 
     covariance: C128
@@ -62,11 +61,13 @@ class AxisSpectrum:
         """|R|^2 at `count` frequencies, of mean 1, without Fejer's kernel; and its standard error.
 
         The covariance at each lag is shrunk by its error, to 0 if that is half of it, so that undoing the kernel does
-        not raise noise. The result may be negative by its error, which is that of the mean periodogram carried through
-        the division by the triangle; what a response has finer than a sub-image shows, such as steps, comes on top.
+        not raise noise. The result may be negative by its error, which is that of the mean periodogram propagated
+        through the division by the triangle; errors by structure finer than a sub-image, such as
+        steps, are additional.
         """
         size = len(self.covariance)
-        lost = LAG_ERRORS**2 * self._lag_variance / np.maximum(np.abs(self.covariance) ** 2, np.finfo(float).tiny)
+        # Up to two standard errors the covariance at a lag is set to 0.
+        lost = 4.0 * self._lag_variance / np.maximum(np.abs(self.covariance) ** 2, np.finfo(float).tiny)
         shrunk = self.covariance * np.maximum(0, 1 - lost)
         passed = np.where(lost < 1, np.sqrt(1 + lost**2), 0)
         lag = np.arange(1 - size, size)
@@ -88,12 +89,12 @@ class AxisSpectrum:
 
 @dataclass(frozen=True)
 class Pointing:
-    """Where the antenna points along the track.
+    """Pointing of the antenna along the track.
 
     Attributes:
-        cols: middle columns of the tiles that hold speckle, pixels from the centre of the first column.
-        displacement: Doppler centroid there, from -1/2 to 1/2 cycles per pixel.
-        sigma: its standard error, cycles per pixel.
+        cols: middle columns of the tiles of speckle, pixels from the centre of the first column.
+        displacement: Doppler centroid there, from -1/2 to 1/2, cycles per pixel.
+        sigma: standard error of the displacement, cycles per pixel.
     """
 
     cols: F64
@@ -135,7 +136,7 @@ def estimate_speckle_spectra(image: C64, tiles: SpeckleTiles) -> SpeckleSpectra:
 
     Args:
         image: complex pixels, shape (rows, cols), range along axis 0.
-        tiles: of this image, as `find_pure_speckle` finds them.
+        tiles: tiles of this image, as of `find_pure_speckle`.
 
     Raises:
         UserError: the image is not complex or not two-dimensional.
@@ -278,7 +279,7 @@ def _pointing_error(coherence: float, tiles: SpeckleTiles) -> float:
 
     Args:
         coherence: |c(1)| along azimuth, without bias.
-        tiles: for the correlation rho.
+        tiles: tiles with the correlation rho.
     """
     rho = tiles.correlation
     alike = np.sum(np.abs(rho) ** 2) - np.sum(rho[:, 2:] * rho[:, :-2].conj()).real

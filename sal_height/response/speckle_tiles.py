@@ -1,14 +1,14 @@
-"""Regions of pure speckle: where an image holds nothing but a circular Gaussian field of even brightness.
+"""Regions of pure speckle: a circular Gaussian field of even brightness, and nothing else.
 
-The PSF paper picks them by eye (section 3). Here every tile of the image takes three tests, beside those of its
-numbers. Those of the intensity I know how many of its pixels are independent, from the field's own correlation rho,
+The PSF paper picks them by eye (section 3). Here every tile of the image takes three tests, in addition to those of its
+numbers. Those of the intensity I use the number of independent pixels, from the field's own correlation rho,
 which brightness does not change: the intensities of a circular Gaussian field at a distance l correlate by |rho(l)|^2,
 and their Laguerre polynomials of degree n by |rho(l)|^2n.
 
     noise     if the power of receiver noise is known: the tile is too little above it. If it is not known: pixels that
               are neighbours in azimuth do not correlate. Receiver noise has passed the window over range frequency, but
               no antenna, so that it is white in azimuth; so is speckle whose response fills all azimuth frequencies
-              evenly, and only the power of the noise tells the two apart.
+              evenly, and only the power of the noise distinguishes the two.
     moment    <I^2> / <I>^2 is 2 (Rayleigh amplitude; contrast 0.5227). With degree 2, its variance over N pixels is
               4 sum |rho|^4 / N, its bias -2 sum |rho|^2 / N, and its skewness that of N_e = N / sum |rho|^4
               independent pixels, 10 / sqrt(N_e): Pearson's type III.
@@ -32,10 +32,9 @@ from sal_height.settings import Settings, setting
 TILE = (64, 64)  # rows and columns of the sub-images of the PSF paper
 LEAST_TILE = 8  # fewer rows or columns than this make no tile
 REACH = 16  # greatest lag, in pixels, at which the field's correlation is measured
-SAMPLED_TILES = 64  # most tiles from which the field's correlation is measured
 
-REASONS = ("pure", "not finite", "zero", "real", "clipped", "like noise", "moment", "texture", "next to a bright point")
-"""What may become of a tile, in the order of the tests; the last is for those who know where bright points are."""
+REASONS = ("pure", "not finite", "zero", "real", "clipped", "like noise", "moment", "texture", "beside a bright point")
+"""Verdicts on a tile, in the order of the tests; the last is for callers that know the positions of bright points."""
 
 
 class SpeckleSettings(Settings):
@@ -62,14 +61,14 @@ DEFAULTS = SpeckleSettings()
 
 @dataclass(frozen=True, eq=False)
 class SpeckleTiles:
-    """Tiles of an image, side by side from its first pixel on, and what the tests say of them.
+    """Tiles of an image, side by side from its first pixel on, and the results of their tests.
 
     Attributes:
-        tile: rows and columns of each.
+        tile: rows and columns of each tile.
         verdict: indices into REASONS; shape (tiles down, tiles across).
-        intensity: mean |g|^2 of each; the same shape.
-        correlation: rho of the field at lags up to REACH, or the tile less 1, lag (0, 0) in the middle, and the Doppler
-            centroid taken out; 0 where it does not stand out of its error; shape (lags down, lags across).
+        intensity: mean |g|^2 of each tile; the same shape.
+        correlation: rho of the field at lags up to REACH, or the tile less 1, lag (0, 0) in the middle, with the
+            Doppler centroid removed; 0 where it is not significant; shape (lags down, lags across).
     """
 
     tile: tuple[int, int]
@@ -79,7 +78,7 @@ class SpeckleTiles:
 
     @property
     def pure(self) -> Bool:
-        """Where all tests are passed, shape (tiles down, tiles across)."""
+        """True for tiles that pass all tests, shape (tiles down, tiles across)."""
         return self.verdict == 0
 
     def counts(self) -> dict[str, int]:
@@ -97,9 +96,9 @@ def find_pure_speckle(
 
     Args:
         image: complex pixels, shape (rows, cols).
-        tile: rows and columns of a tile; the image's own where it has fewer. What is left beside whole tiles does not
+        tile: rows and columns of a tile; the image's own where it has fewer. The rest beyond whole tiles does not
             count.
-        settings: how strict the tests are.
+        settings: thresholds of the tests.
         noise_power: E|n|^2 of the receiver noise in a pixel; None: not known.
 
     Raises:
@@ -151,7 +150,7 @@ def find_pure_speckle(
 
 
 def _why_none(tiles: SpeckleTiles, noise_power: float | None) -> str:
-    """A sentence on an image without pure speckle: what its tiles are, and what is needed."""
+    """A message on an image without pure speckle: the verdicts on its tiles, and what is needed."""
     failed = ", ".join(f"{count} {reason}" for reason, count in tiles.counts().items() if count)
     need = (
         "at least one is needed, or the power of the receiver noise: where neighbours in azimuth do not correlate, "
@@ -214,7 +213,7 @@ def _white_tail(strip: C64) -> F64:
 
 
 def _field_correlation(image: C64, tile: tuple[int, int], usable: Index) -> C128:
-    """Correlation of the field: the median over some of the usable tiles, so that a few bright ones do not tell.
+    """Correlation of the field: the median over some of the usable tiles, robust to a few bright ones.
 
     The error of a lag has the power sum |rho|^2 / pixels or less; what is not above 9 times that is 0.
     """
@@ -223,7 +222,7 @@ def _field_correlation(image: C64, tile: tuple[int, int], usable: Index) -> C128
     middle[reach] = 1
     if not len(usable):
         return middle
-    chosen = usable[np.linspace(0, len(usable) - 1, min(SAMPLED_TILES, len(usable))).round().astype(int)]
+    chosen = usable[np.linspace(0, len(usable) - 1, min(64, len(usable))).round().astype(int)]
     corners = chosen * np.array(tile)
     chips = np.stack([image[row : row + tile[0], col : col + tile[1]] for row, col in corners])
     size = (tile[0] + reach[0], tile[1] + reach[1])
@@ -239,12 +238,12 @@ def _field_correlation(image: C64, tile: tuple[int, int], usable: Index) -> C128
 
 
 def sum_of_powers(correlation: C128, size: tuple[int, int], exponent: float) -> float:
-    """Sum over the lags of a rectangle of |rho|^exponent, each times the share of its pixels that are that far apart.
+    """Sum over the lags of a rectangle of |rho|^exponent, each times the fraction of pixels at that distance.
 
     Args:
         correlation: rho, lag (0, 0) in the middle; a single row or column of lags is that at lag 0.
         size: rows and columns of the rectangle.
-        exponent: 2 for means of intensity, 4 for its second moment.
+        exponent: exponent, 2 for means of intensity, 4 for its second moment.
     """
     down, across = (
         np.maximum(0, 1 - np.abs(np.arange(count) - count // 2) / side)

@@ -1,7 +1,7 @@
 """The transfer function of an imaging system from chips of point targets: a range and an azimuth response.
 
-H(k_r, k_a) = R(k_r) A(k_a) (PSF paper, eq. 2.10; section 3, figures 4 to 15). Responses begin with -1/2 cycle per
-pixel, as `numpy.fft.fftshift` puts them; along arrays of two axes, range comes first.
+H(k_r, k_a) = R(k_r) A(k_a) (PSF paper, eq. 2.10; section 3, figures 4 to 15). Responses start at -1/2 cycle per
+pixel, as `numpy.fft.fftshift` puts them; along arrays of two axes, range is first.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ FLOOR = 0.05  # power of a response, over its greatest, below which bins hardly 
 
 
 @dataclass(frozen=True, eq=False)
-class AxisResponse:
+class AxisTransfer:
     """The response of a system along one axis.
 
     It is scaled and turned so that the response to a point has its peak in pixel 0, and the value 1 there: the mean of
@@ -29,7 +29,7 @@ class AxisResponse:
 
     Attributes:
         response: R or A from -1/2 cycle per pixel on, complex128, shape (count,).
-        sigma: standard error of each of its bins (of the whole complex number), float64, shape (count,).
+        sigma: standard error of each bin (of the whole complex number), float64, shape (count,).
         disagreement: root of the mean square of the targets' deviations over what their clutter explains; 1 for targets
             that agree, NaN for fewer than two. Where it is greater, the sigma is greater by as much.
     """
@@ -39,7 +39,7 @@ class AxisResponse:
     disagreement: float
 
     def without_clutter(self) -> C128:
-        """The response less what clutter explains of its point-spread function, pixel by pixel; shape (count,).
+        """The response with clutter removed from its point-spread function, pixel by pixel; shape (count,).
 
         Each pixel h counts by 1 - s^2 / |h|^2, or not at all where that is below 0, with s its standard error (Wiener's
         filter, with the power that is there for that which is expected). It takes most of the error out of a response
@@ -55,22 +55,22 @@ class AxisResponse:
 class TransferFunction:
     """Responses of a system along range and azimuth, from a number of `targets`."""
 
-    range: AxisResponse
-    azimuth: AxisResponse
+    range: AxisTransfer
+    azimuth: AxisTransfer
     targets: int
 
 
 def estimate_transfer_function(targets: Sequence[PointTarget]) -> TransferFunction:
     """Range and azimuth response with the least error that the clutter leaves.
 
-    The clutter has passed through the same system as the targets, so that all bins of a chip's spectrum G tell the same
-    of a target, be the response strong or weak there: R is the mean over k_a of G / A, and A the mean over k_r of
-    G / R, where the other response is well over FLOOR. Under an even beam that is the paper's mean over k_a (figure
+    The clutter has passed through the same system as the targets, so that all bins of a chip's spectrum G have the same
+    information on a target, be the response strong or weak there: R is the mean over k_a of G / A, and A that over k_r
+    of G / R, where the other response is well over FLOOR. Under an even beam that is the paper's mean over k_a (figure
     10), the transform of the line through the peak, whose bins have the variance rows |R|^2 / (TCR mean |R|^2) at a
     target-to-clutter ratio TCR. Targets, of peak 1, count by that ratio: the reciprocal of their variance.
 
     Args:
-        targets: chips of one shape.
+        targets: targets with chips of one shape.
 
     Raises:
         NotDetermined: there is no target.
@@ -118,7 +118,7 @@ def _inverse(response: C128) -> C128:
     return weights / (weights @ response)
 
 
-def _axis_response(mean: C128, responses: C128, shares: F64, variance: F64) -> AxisResponse:
+def _axis_response(mean: C128, responses: C128, shares: F64, variance: F64) -> AxisTransfer:
     """A mean response with its standard errors, and the targets' disagreement on it (the ratio of Birge 1932).
 
     Args:
@@ -131,4 +131,4 @@ def _axis_response(mean: C128, responses: C128, shares: F64, variance: F64) -> A
     if len(responses) > 1:
         spread = shares @ np.abs(responses - mean) ** 2 / (len(responses) - 1)
         disagreement = float(np.sqrt(np.sum(spread) / np.sum(variance)))
-    return AxisResponse(mean, np.sqrt(variance) * np.fmax(disagreement, 1.0), disagreement)
+    return AxisTransfer(mean, np.sqrt(variance) * np.fmax(disagreement, 1.0), disagreement)

@@ -1,9 +1,9 @@
 """A simulated flight: scene, platform and sensor become phase histories with known truth.
 
 Read `preset` first (the YAML that describes a run), then `flight` (everything a run is made of), `scene`, `canopy`,
-`scenes` (the ground and what grows on it), `gust` (how the platform moves), `spotlight` and `stripmap` (what lights
-which scatterers), `pulse_groups` and `echoes` (the sum of their echoes), `beam_lattice` (beams in many directions),
-`air`, `receivers` and `impairments` (what happens to echoes) and `truth` (what a height image should show).
+`scenes` (the ground and its vegetation), `gust` (motion of the platform), `spotlight` and `stripmap` (echoes of the
+lit scatterers), `pulse_groups` and `echoes` (the sum of their echoes), `beam_lattice` (beams in many directions),
+`air`, `receiver_noise` and `impairments` (changes of echoes) and `truth` (the true height image).
 """
 
 from sal_height.simulation.flight import (

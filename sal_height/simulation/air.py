@@ -1,4 +1,4 @@
-"""The air between a simulated platform and the ground: what it does to echoes, and what a probe measures."""
+"""The air between a simulated platform and the ground: its effect on echoes, and the measurements of a probe."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from sal_height.configuration import Float, StrictKeys
 from sal_height.geometry import PRESSURES_PA, TEMPERATURES_K, AirPath, Atmosphere, path_through_air
 
 INTERVAL_NS = 1_000_000_000
-"""Between two measurements, ns; a dwell has the last one that is so much older than its first pulse."""
+"""Time between two measurements, ns; a dwell has the last one that is older than its first pulse by this time."""
 
 
 class ProbedAir(NamedTuple):
-    """What a probe measures at a time.
+    """Measurement of a probe at a time.
 
     Attributes:
         stamp_ns: time, ns.
-        values: by the names of the parameters of the compression that state the same: air_temperature_k (K),
+        values: measured values by the names of the compression's parameters: air_temperature_k (K),
             air_pressure_pa (Pa) and air_humidity (relative, from 0 to 1).
     """
 
@@ -33,11 +33,11 @@ class SimulatedAir(StrictKeys):
     """Air in hydrostatic equilibrium, by its values at one height; by default those of the standard atmosphere.
 
     Attributes:
-        temperature_k: at that height.
-        pressure_pa: at that height.
-        humidity: relative, at that height.
-        height_m: that height, above sea level.
-        map_height_m: of the origin of map above sea level.
+        temperature_k: temperature at that height, K.
+        pressure_pa: pressure at that height, Pa.
+        humidity: relative humidity at that height.
+        height_m: that height above sea level, m.
+        map_height_m: height of the origin of map above sea level, m.
     """
 
     temperature_k: Annotated[Float, Ge(TEMPERATURES_K[0]), Le(TEMPERATURES_K[1])] = 288.15
@@ -52,23 +52,23 @@ class SimulatedAir(StrictKeys):
         return Atmosphere.measured(self.height_m, self.temperature_k, self.pressure_pa, self.humidity)
 
     def way(self, wavelength: float, slant_range: float, off_nadir: float, ground: float) -> AirPath:
-        """Delay and bend of the way to ground at a height in map.
+        """Delay and bend of the path to ground at a height in map.
 
         Args:
-            wavelength: m.
-            slant_range: of the ground, m.
-            off_nadir: of the straight line to it, rad.
-            ground: its height in map, m.
+            wavelength: wavelength, m.
+            slant_range: slant range of the ground, m.
+            off_nadir: angle of the straight line to it off nadir, rad.
+            ground: height of the ground in map, m.
 
         Raises:
-            UserError: the air is not known for this wavelength or height.
+            UserError: the air is unknown for this wavelength or height.
         """
         below = self.map_height_m + ground
         above = below + float(slant_range * np.cos(off_nadir))
         return path_through_air(wavelength, above, below, off_nadir, self.atmosphere)
 
     def probed(self, stamp_ns: int, height: float) -> ProbedAir:
-        """What a probe at a height in map (m) measures."""
+        """The measurement of a probe at a height in map (m)."""
         air, above = self.atmosphere, np.array([self.map_height_m + height])
         temperature, pressure, _ = (float(values[0]) for values in air.at(above))
         humidity = min(1.0, air.humidity(float(above[0])))

@@ -18,28 +18,25 @@ from sal_height.simulation._kernels import read_lattice
 NODES_PER_BEAMWIDTH = 20
 """Nodes of the table in a beamwidth: Lagrange's cubics are then off by at most 9/384 (pi / 20)^4 = 1.4e-5 per axis."""
 
-LATTICE_ERROR = 4e-5
-"""Greatest error between nodes, as a share of the beams' peak."""
-
 LEAST_REACH, MOST_REACH = 32, 512
-"""Nodes to each side of the middle that a table has, and powers of 2 between, so that the dwells of a flight share one.
+"""Nodes to each side of the middle of a table, and powers of 2 between, so that the dwells of a flight use one table.
 
-The responses to what lies farther off, by more than 25 beamwidths, are computed one by one.
+The responses to scatterers farther off, by more than 25 beamwidths, are computed one by one.
 """
 
 
 def response_of(beams: Beams, offset: F64, squint: F64) -> F32 | C64:
     """Response of every detector, float32 or complex64, shape (scatterers, detectors).
 
-    Within LATTICE_ERROR of the peak of `Beams.response`, which is asked where the table cannot keep this: beyond its
+    Within 4e-5 of the peak of `Beams.response`, which is evaluated where the table is less accurate: beyond its
     ends, and at the edge of a measured beam, beyond which nothing is received. Scatterers that are seen in several
     directions, shape (directions, scatterers), have the detectors of each in turn: (scatterers, directions *
     detectors).
 
     Args:
-        beams: of the detectors.
+        beams: beams of the detectors.
         offset: elevation from the middle of the axis, rad, shape (scatterers,).
-        squint: rad, same shape.
+        squint: squint, rad, same shape.
     """
     spacing = min(beams.beamwidth, beams.beamwidth_beside) / NODES_PER_BEAMWIDTH
     offset, squint = (np.atleast_2d(np.ascontiguousarray(angle, dtype=np.float64)) for angle in (offset, squint))
@@ -64,16 +61,16 @@ def response_of(beams: Beams, offset: F64, squint: F64) -> F32 | C64:
 
 
 def _reach(nodes: float) -> int:
-    """Nodes to each side of 0 of a table that holds as many, and two nodes more."""
+    """Nodes to each side of 0 of a table that has at least these nodes and two more."""
     return min(MOST_REACH, LEAST_REACH * 2 ** math.ceil(max(0.0, math.log2((nodes + 2) / LEAST_REACH))))
 
 
 @lru_cache(maxsize=8)
 def _table(beams: Beams, spacing: float, rows: int, cols: int) -> tuple[list[F32], Bool]:
-    """Responses on nodes to `rows` in elevation and `cols` in squint, and where they are too rough to be interpolated.
+    """Responses on nodes to `rows` in elevation and `cols` in squint, and a mask of those too rough to be interpolated.
 
-    Real and, if they are complex, imaginary parts have the shape (rows, cols * detectors); `rough` tells it of the
-    4 x 4 nodes that begin at each.
+    Real and, if they are complex, imaginary parts have the shape (rows, cols * detectors); `rough` is
+    the mask for the 4 x 4 nodes that start at each.
     """
     row, col = (np.arange(-reach, reach + 1, dtype=np.float64) for reach in (rows, cols))
     values = beams.response(row[:, None] * spacing + beams.axis_middle, col * spacing)
@@ -81,6 +78,6 @@ def _table(beams: Beams, spacing: float, rows: int, cols: int) -> tuple[list[F32
     along = np.lib.stride_tricks.sliding_window_view(values, (4, 4), axis=(0, 1))
     middle = np.einsum("rckij,i,j->rck", along, halves, halves)
     exact = beams.response((row[1:-2, None] + 0.5) * spacing + beams.axis_middle, (col[1:-2] + 0.5) * spacing)
-    rough = np.any(np.abs(middle - exact) > LATTICE_ERROR * np.abs(values).max(), axis=-1)
+    rough = np.any(np.abs(middle - exact) > 4e-5 * np.abs(values).max(), axis=-1)
     parts = [values.real, values.imag] if np.iscomplexobj(values) else [values]
     return [np.ascontiguousarray(part.reshape(len(row), -1), dtype=np.float32) for part in parts], rough

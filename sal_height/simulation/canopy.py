@@ -1,7 +1,7 @@
 """Vegetation above the ground of a scene: a random volume over ground, lit through its own extinction.
 
-The volume holds scatterers evenly. Intensity falls as exp(-kappa s) along a path of length s inside it, so that a
-scatterer returns exp(-2 kappa s) of its power, and so does the ground beneath (the random volume over ground of
+The volume has an even density of scatterers. Intensity falls as exp(-kappa s) along a path of length s inside it, so
+that a scatterer returns exp(-2 kappa s) of its power, and so does the ground beneath (the random volume over ground of
 Treuhaft and Siqueira, Radio Science 35, 2000).
 """
 
@@ -18,10 +18,7 @@ CANOPY_LAYERS = 24
 """Layers of scatterers from base to top: 4 in a beamwidth for a canopy of 6 beamwidths."""
 
 CANOPY_THINNING = 4
-"""How many times fewer scatterers a layer has than the terrain: one in a resolution cell instead of 2 x 2."""
-
-PATH_STEPS = 16
-"""Steps, equal in height, in which a path through the canopy is followed; in a level canopy their sum is exact."""
+"""Scatterers of the terrain per scatterer of a layer: a layer has one in a resolution cell instead of 2 x 2."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +27,7 @@ class Canopy:
 
     Attributes:
         top: height above the terrain, m, on the nodes of the scene, shape (n_north, n_east); 0 in gaps.
-        base: height above the terrain at which it begins, m; there is none where `top` is lower.
+        base: height above the terrain at which it starts, m; there is no canopy where `top` is lower.
         extinction: kappa of intensity, one way, 1/m.
         reflectivity: radar brightness per metre of height if nothing attenuated it, 1/m.
     """
@@ -42,7 +39,7 @@ class Canopy:
 
     @property
     def is_possible(self) -> bool:
-        """Whether all its numbers are finite and 0 or more."""
+        """True if all its numbers are finite and 0 or more."""
         numbers = np.concatenate([self.top.ravel(), [self.base, self.extinction, self.reflectivity]])
         return bool(np.all(np.isfinite(numbers) & (numbers >= 0)))
 
@@ -71,5 +68,6 @@ class Canopy:
             np.ascontiguousarray(values, dtype=np.float64) for values in (north, east, ground, self.top)
         )
         ceiling, inside = float(np.max(ground + top)), np.empty(points.shape[1])
-        rise_in_canopy(north, east, ground, top, self.base, ceiling, points, sight[:2] / sight[2], PATH_STEPS, inside)
+        steps = 16  # equal in height; in a level canopy their sum is exact
+        rise_in_canopy(north, east, ground, top, self.base, ceiling, points, sight[:2] / sight[2], steps, inside)
         return np.asarray(self.extinction * inside / sight[2])

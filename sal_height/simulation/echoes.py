@@ -1,8 +1,8 @@
 """Echoes of all scatterers in a group of pulses: one non-uniform FFT over range frequency and pulse.
 
-Within a group the range of a scatterer is rho + v q in the pulse q, beside what is common to all and the curvature,
+Within a group the range of a scatterer is rho + v q in the pulse q, apart from the common range and the curvature,
 which depends on range (`pulse_groups`). The sum over scatterers of exp(-j k (rho + v q)), k = k_c + dk f, is the
-adjoint of reading an image at the places (rho, v): each echo is spread with the interpolator's kernel over bins of
+adjoint of reading an image at the positions (rho, v): each echo is spread with the interpolator's kernel over bins of
 range and range rate, and the transforms of the bins are divided by that of the kernel (type-1 non-uniform FFT). In the
 product dk f v q, range migration, the pulse q counts as q (1 + f dk / k_c): the sum there is that at q, and its
 derivative times the difference.
@@ -36,9 +36,6 @@ from sal_height.simulation.pulse_groups import PulseGroup
 KERNEL = tap_polynomials()
 """The interpolator's kernel."""
 
-WORTH_A_THREAD = 20_000
-"""Scatterers, each counted in every group, that a thread takes a few milliseconds for."""
-
 Response = Callable[[list[int]], Complex | F32]
 """Response of all detectors to the scatterers in pulses of the dwell: shape (scatterers, pulses * detectors)."""
 
@@ -50,7 +47,8 @@ def for_each_group(fill: Callable[[PulseGroup], None], groups: list[PulseGroup],
         for group in groups[part]:
             fill(group)
 
-    in_parallel(fill_some, len(groups), least=-(-WORTH_A_THREAD // scatterers))
+    # A thread processes 20000 scatterers, each counted in every group, in a few milliseconds.
+    in_parallel(fill_some, len(groups), least=-(-20_000 // scatterers))
 
 
 def sum_of_echoes(
@@ -58,15 +56,15 @@ def sum_of_echoes(
 ) -> C64:
     """Noise-free phase history of every detector in the pulses of a group.
 
-    Phases are reduced to a turn in float64; what follows is float32, which has as many digits as the samples need.
+    Phases are reduced to a turn in float64; the rest is float32, whose digits suffice for the samples.
 
     Args:
-        sensor: wavelength and frequencies.
-        positions: of the scatterers, at rest, m, shape (3, scatterers).
-        strengths: their complex amplitudes, shape (scatterers,).
-        response: of the detectors, asked for in the pulses of the group's nodes.
-        group: of pulses.
-        reference_range: m, shape (pulses of the group,).
+        sensor: sensor with wavelength and frequencies.
+        positions: positions of the scatterers, at rest, m, shape (3, scatterers).
+        strengths: complex amplitudes of the scatterers, shape (scatterers,).
+        response: response of the detectors in the pulses of the group's nodes.
+        group: group of pulses.
+        reference_range: reference range, m, shape (pulses of the group,).
 
     Returns:
         Shape (detectors, pulses, frequencies).
@@ -105,12 +103,12 @@ def _grid(sensor: Sensor, positions: F64, strengths: C64, response: Response, gr
         rate_weights = tap_weights(fractions[1], KERNEL)
     else:
         bins[1], rate_weights = 0, np.ones((1, count), dtype=np.float32)
-    beside = response([group.pulses.start + int(node) for node in group.nodes])
+    amplitudes = response([group.pulses.start + int(node) for node in group.nodes])
     rows = rates + TAPS if group.count > 1 else 1
-    grid = np.zeros((rows, (dense + TAPS) * beside.shape[1] * 2), dtype=np.float32)
-    spread_echoes(bins, weights, rate_weights, echoes, np.ascontiguousarray(beside.real), grid)
-    if np.iscomplexobj(beside):
-        spread_echoes(bins, weights, rate_weights, 1j * echoes, np.ascontiguousarray(beside.imag), grid)
+    grid = np.zeros((rows, (dense + TAPS) * amplitudes.shape[1] * 2), dtype=np.float32)
+    spread_echoes(bins, weights, rate_weights, echoes, np.ascontiguousarray(amplitudes.real), grid)
+    if np.iscomplexobj(amplitudes):
+        spread_echoes(bins, weights, rate_weights, 1j * echoes, np.ascontiguousarray(amplitudes.imag), grid)
     return grid.view(np.complex64)
 
 

@@ -42,14 +42,13 @@ from sal_height.simulation.impairments import MOST_SWING_BEAMWIDTHS, pointing_ro
 from sal_height.simulation.odometry_errors import PoseErrors
 from sal_height.simulation.phase_errors import laser_phase
 from sal_height.simulation.preset import Preset
-from sal_height.simulation.receivers import blanked, received
+from sal_height.simulation.receiver_noise import blanked, received
 from sal_height.simulation.scene import SAMPLES_PER_CELL, PointScatterer, Scene, VisibleSurface, joined, visible_surface
 from sal_height.simulation.scenes import load_scene
 from sal_height.simulation.spotlight import cell_power, draw_amplitudes, simulate_dwell
 from sal_height.simulation.stripmap import mean_square_gain, simulate_block
 
-LEAST_ABOVE = 1e-3  # height above the terrain from which a scatterer is vegetation, m
-TURN_BEAMWIDTHS = 0.5  # ground beyond what the pulses of a stripmap block light up, in case the body turns a little
+TURN_BEAMWIDTHS = 0.5  # additional ground around that lit by a stripmap block, for small turns of the body
 GROUND, GUST, ODOMETRY, VIBRATION, AIR, JITTER = range(6)  # keys of random streams that do not belong to a dwell
 LASER, LEAVES = 6, 7  # keys of streams of a dwell, or of a tile: laser phase, and velocities of vegetation
 
@@ -60,16 +59,16 @@ class SimulatedFlight:
 
     Positions, velocities and attitudes are those of the sensor: of the antenna, and of the axes of its stabilised
     mount. Odometry is that of base_link, from which the antenna is a lever arm away (`Sensor.mounting`). In spotlight
-    the beams are held on the scene: during a dwell every scatterer keeps the direction in which the sensor sees it in
+    the beams follow the scene: during a dwell every scatterer keeps the direction in which the sensor sees it in
     the middle of the dwell. In stripmap they are fixed to the sensor's axes, and dwells are blocks of one sequence of
     pulses.
 
     Attributes:
-        preset: sensor, flight and CNR.
-        sensor: of the preset, as it is described; the preset's impairments come on top.
+        preset: preset with sensor, flight and CNR.
+        sensor: sensor of the preset, as it is described; the preset's impairments are applied in addition.
         scene: the ground.
         dwells: number of dwells; those of a pass are centred on the scene.
-        seed: of all random numbers.
+        seed: seed of all random numbers.
     """
 
     preset: Preset
@@ -84,10 +83,10 @@ class SimulatedFlight:
         aim = sphere_point(0.0, 0.0, self.scene.reference_height)
         abeam = aim - flight.slant_range_m * look_direction(flight.look_angle_rad, 0.0, self.sensor.look_side)
         seconds = np.asarray(seconds, dtype=np.float64)
-        begin = self._pass_of(seconds) * flight.passes.interval_s
-        along = flight.speed_mps * (seconds - begin) - self._pass_length / 2
+        start_s = self._pass_of(seconds) * flight.passes.interval_s
+        along = flight.speed_mps * (seconds - start_s) - self._pass_length / 2
         straight = abeam + along[..., None] * np.array([1.0, 0.0, 0.0])
-        middle_of_pass = begin + self._pass_length / flight.speed_mps / 2
+        middle_of_pass = start_s + self._pass_length / flight.speed_mps / 2
         eastwards = straight + self._gust.displacement(seconds) - self._gust.displacement(middle_of_pass)
         return eastwards * self._heading(seconds)
 
@@ -154,7 +153,7 @@ class SimulatedFlight:
 
     @cached_property
     def _air(self) -> Harmonics | None:
-        """Phases by turbulence; None: there is none."""
+        """Phases by turbulence; None: no turbulence."""
         if not (turbulence := self.preset.impairments.turbulence):
             return None
         flight = self.preset.flight
@@ -227,8 +226,8 @@ class SimulatedFlight:
         period_ns = round(1e9 / self.preset.flight.odometry_rate_hz)
         early_ns, late_ns = self._odometry_off_ns
         before, last = ((self._dwell_end_ns(number) + late_ns) // period_ns + 2 for number in (dwell - 1, dwell))
-        begins = dwell % self._dwells_per_pass == 0
-        first = (self.dwell_start_ns(dwell) + early_ns) // period_ns - 2 if begins else before + 1
+        starts_pass = dwell % self._dwells_per_pass == 0
+        first = (self.dwell_start_ns(dwell) + early_ns) // period_ns - 2 if starts_pass else before + 1
         return [self._state(number * period_ns) for number in range(first, last + 1)]
 
     def track(self, dwell: int) -> Trajectory:
@@ -241,7 +240,7 @@ class SimulatedFlight:
 
     @property
     def _odometry_off_ns(self) -> tuple[int, int]:
-        """By how much odometry that tells of a time may be stamped before it (not positive) and after it, ns."""
+        """Least (not positive) and greatest offset of an odometry stamp from the time that it describes, ns."""
         delay_ns = self.preset.impairments.odometry.delay_ns
         return min(0, delay_ns), max(0, delay_ns)
 
@@ -280,9 +279,9 @@ class SimulatedFlight:
         )
 
     def surface(self, dwell: int) -> VisibleSurface:
-        """Return what the dwell illuminates, in the range window; positions are those in the middle of the dwell.
+        """Return the surface that the dwell illuminates, in the range window, at positions in the middle of the dwell.
 
-        In spotlight that is the `lit_angle` along the flight to each side of the beams, however they swing. In stripmap
+        In spotlight that is the `lit_angle` along the flight to each side of the beams, for any swing. In stripmap
         it is the ground abeam of the block, and `lit_angle` and TURN_BEAMWIDTHS before and behind it, each scatterer as
         it is seen from abeam.
 
@@ -305,7 +304,7 @@ class SimulatedFlight:
     def _tiles(self, dwell: int) -> list[tuple[int, int]]:
         """The tiles of ground that a stripmap block lights up, each by its pass and its number there.
 
-        Tile n is what lies abeam of block n of the pass without gusts.
+        Tile n is the ground abeam of block n of the pass without gusts.
         """
         angle = self._swept_angle + TURN_BEAMWIDTHS * self.sensor.beams.track_beamwidth
         neighbours = math.ceil(angle * self.preset.flight.slant_range_m / self.preset.dwell_spacing_m)
@@ -334,22 +333,23 @@ class SimulatedFlight:
         return ground, draw_amplitudes(ground, power, rng)
 
     def _in_wind(self, surface: VisibleSurface, aperture: ApertureState, key: tuple[int, ...]) -> VisibleSurface:
-        """The surface, with velocities of what of it is vegetation: above the terrain, and no target."""
+        """The surface, with velocities of its vegetation: scatterers above the terrain that are no targets."""
         if not (wind := self.preset.impairments.vegetation_wind):
             return surface
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
         east, north, _ = sphere_coordinates(surface.positions)
-        above = (surface.heights > self.scene.heights(east, north) + LEAST_ABOVE) & ~surface.deterministic
+        # Vegetation is more than 1 mm above the terrain.
+        above = (surface.heights > self.scene.heights(east, north) + 1e-3) & ~surface.deterministic
         sight = surface.positions - aperture_at(surface.positions, aperture).position
         sight /= np.linalg.norm(sight, axis=-1, keepdims=True)
         speed = np.where(above, wind.drawn(len(above), rng), 0.0)
         return replace(surface, velocity=surface.velocity + speed[:, None] * sight)
 
     def probed_air(self, dwell: int) -> list[ProbedAir]:
-        """What a probe on the platform measures, each second, in all from one before the first dwell on.
+        """Measurements of a probe on the platform, each second, starting with one before the first dwell.
 
-        They are published with a dwell and meant for the next one, which so has them whatever comes first. Stamps count
-        from the start. None: there is no air.
+        They are published with a dwell for the next one, which so has them whatever arrives first. Stamps count
+        from the start. None: no air.
         """
         if not (air := self.preset.impairments.air):
             return []
@@ -359,7 +359,7 @@ class SimulatedFlight:
 
     @cached_property
     def _way(self) -> AirPath:
-        """What the air does to echoes from the middle of the scene."""
+        """The effect of the air on echoes from the middle of the scene."""
         if not (air := self.preset.impairments.air):
             return AirPath(0.0, 0.0)
         flight = self.preset.flight
@@ -372,7 +372,7 @@ class SimulatedFlight:
     def _visible(
         self, aperture: ApertureState, east_extent: tuple[float, float], strips_per_cell: int = SAMPLES_PER_CELL
     ) -> VisibleSurface:
-        """What an aperture sees in the range window between two arc distances east (m)."""
+        """The surface that an aperture sees in the range window between two arc distances east (m)."""
         reach = self.preset.flight.slant_range_m - self._way.delay
         half_window = self.spectrum.range_window / 2
         azimuth_cell = self.sensor.wavelength * reach / (2 * aperture.length)
@@ -446,10 +446,10 @@ def flight_of(preset: Preset, seed: int) -> SimulatedFlight:
 
 
 def _origin_of(preset: Preset, scene: Scene) -> Origin | None:
-    """Where on the earth the map's origin is, as the scene or else the preset says; None: nowhere in particular.
+    """The map's origin on the earth, by the scene or else the preset; None: unspecified.
 
     Raises:
-        UserError: both say it.
+        UserError: both state it.
     """
     if preset.origin is None:
         return scene.origin
@@ -462,12 +462,12 @@ def _origin_of(preset: Preset, scene: Scene) -> Origin | None:
 
 
 def samples_doppler(preset: Preset, sensor: Sensor) -> bool:
-    """Whether the pulses sample the Doppler of all that the main lobes light up."""
+    """True if the pulses sample the Doppler of all ground that the main lobes illuminate."""
     return sensor.pulse_repetition_frequency >= lit_doppler(sensor, preset.flight.speed_mps) * (1 - 1e-6)
 
 
 def swings_little(preset: Preset, sensor: Sensor) -> bool:
-    """Whether the beams stay within the band that a dwell may have."""
+    """True if the beams stay within the band that a dwell may have."""
     return preset.impairments.greatest_swing <= MOST_SWING_BEAMWIDTHS * sensor.beams.track_beamwidth
 
 

@@ -1,6 +1,6 @@
-"""How gusts move the platform about its track, and how much of it the antenna's mount passes on.
+"""Motion of the platform about its track by gusts, and the part of it that the antenna's mount transmits.
 
-Gusts have the Dryden spectra of MIL-F-8785C for medium and high altitude, as strong in all axes. The aircraft follows
+Gusts have the Dryden spectra of MIL-F-8785C for medium and high altitude, equal in all axes. The aircraft follows
 them with a lag, and its autopilot brings it back to the track. The motion is a sum of harmonics of random phases, so
 that position, velocity and attitude are known exactly at any time.
 """
@@ -18,9 +18,7 @@ from sal_height.numeric import F64
 from sal_height.simulation.harmonics import Harmonics
 
 SCALE_LENGTH = 533.4  # m: 1750 ft, scale of the turbulence in all axes above 2000 ft
-RESPONSE_TIME = 0.5  # s, lag with which the aircraft takes on the velocity of the air
-TRACK_BANDWIDTH, DAMPING = 0.3, 0.7  # natural frequency (rad/s) and damping of the autopilot that holds the track
-MOUNT_RESIDUAL = 2e-4  # share of the aircraft's turns that the stabilised mount of the antenna lets through
+MOUNT_RESIDUAL = 2e-4  # fraction of the aircraft's turns that the stabilised mount of the antenna transmits
 SLOWEST, FASTEST = 0.02, 60.0  # rad/s: below, the autopilot leaves nothing; above, the airframe's inertia
 HARMONICS = 150
 
@@ -35,9 +33,10 @@ def gust_spectra(omega: F64, speed: float) -> F64:
 
 def response(omega: F64) -> F64:
     """Amplitude of the aircraft's velocity over that of the gust."""
-    lag = 1 / np.hypot(1, RESPONSE_TIME * omega)
-    held = omega**2 / np.hypot(TRACK_BANDWIDTH**2 - omega**2, 2 * DAMPING * TRACK_BANDWIDTH * omega)
-    return lag * held
+    lag = 1 / np.hypot(1, 0.5 * omega)  # s, with which the aircraft follows the velocity of the air
+    bandwidth, damping = 0.3, 0.7  # natural frequency, rad/s, and damping of the autopilot that keeps the track
+    corrected = omega**2 / np.hypot(bandwidth**2 - omega**2, 2 * damping * bandwidth * omega)
+    return lag * corrected
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,13 +44,13 @@ class GustMotion(Harmonics):
     """Motion about the track, on top of level flight eastwards: along, left and up.
 
     Attributes:
-        speed: of the flight, m/s.
+        speed: speed of the flight, m/s.
     """
 
     speed: float
 
     def rotation(self, seconds: npt.ArrayLike) -> Rotation:
-        """Attitude of the mount's axes: level and eastwards, except for the share of turns that the mount lets through.
+        """Attitude of the mount's axes: level and eastwards, except for the fraction of turns that the mount transmits.
 
         The aircraft banks by the acceleration to its right over g, and pitches and yaws with the direction of flight.
         """

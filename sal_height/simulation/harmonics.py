@@ -12,12 +12,12 @@ from sal_height.numeric import F64
 
 @dataclass(frozen=True, eq=False)
 class Harmonics:
-    """Velocities in one or more axes, and what follows from them.
+    """Velocities in one or more axes, their derivative and their integral.
 
     Attributes:
         omega: angular frequencies of the harmonics, rad/s, shape (harmonics,).
-        amplitude: of the velocity in each axis, shape (harmonics, axes).
-        phase: rad, shape (harmonics, axes).
+        amplitude: amplitude of the velocity in each axis, shape (harmonics, axes).
+        phase: phase in each axis, rad, shape (harmonics, axes).
     """
 
     omega: F64

@@ -1,7 +1,7 @@
-"""Impairments: how the simulated sensor differs from its description, for calibration to find.
+"""Impairments: differences of the simulated sensor from its description, which calibration estimates.
 
-What a receiver does to the echoes, before its own noise, is a response over fast-time frequency; what the antenna does
-is where its beams point and how wide they are; what the processing of a real radar leaves is a phase over the aperture
+A receiver changes echoes, before its own noise, by a response over fast-time frequency; the antenna changes the
+pointing and width of its beams; the processing of a real radar leaves a phase over the aperture
 (PSF paper, sections 1 and 3). None of this is part of `sensor.Sensor`, which is the description; only the saturation of
 receivers is described there: `full_scale`.
 
@@ -30,7 +30,7 @@ from sal_height.simulation.air import SimulatedAir
 from sal_height.simulation.harmonics import Harmonics
 from sal_height.simulation.odometry_errors import EXACT, OdometryErrors
 from sal_height.simulation.phase_errors import AT_REST, Vibration
-from sal_height.simulation.settings import Angle, Decibels
+from sal_height.simulation.preset_types import Angle, Decibels
 from sal_height.simulation.turbulence import Turbulence
 from sal_height.simulation.vegetation_wind import VegetationWind
 
@@ -47,9 +47,9 @@ class RangeSawtooth(StrictKeys):
     frequencies and M = N / teeth of them in a tooth, depth / (M sin(pi / M)). Its harmonics are echoes farther off.
 
     Attributes:
-        depth: of the amplitude.
-        teeth: over the band; at most half the number of frequencies.
-        receivers: that have it, counted from 0; empty: all.
+        depth: depth of the amplitude.
+        teeth: number of teeth over the band; at most half the number of frequencies.
+        receivers: numbers of the receivers that have it, counted from 0; empty: all.
     """
 
     depth: Annotated[Float, Gt(0), Le(1)]
@@ -87,11 +87,11 @@ class ChirpRipple(StrictKeys):
 class RangeTaper(StrictKeys):
     """Taylor weights over the middle of the band in all receivers (PSF paper, section 1).
 
-    They are 1 in the middle of the band and 0 outside of their share.
+    They are 1 in the middle of the band and 0 outside of their part of it.
 
     Attributes:
         sidelobe_db: level by which the 4 sidelobes to each side stay below the peak.
-        band_share: of the band that the weights take.
+        band_share: fraction of the band that has weights.
     """
 
     sidelobe_db: Annotated[Float, Ge(13), Le(100)] = 35.0
@@ -111,8 +111,8 @@ class AntennaSwing(StrictKeys):
 
     Attributes:
         amplitude_rad: angle along the flight; at most MOST_SWING_BEAMWIDTHS.
-        period_s: s.
-        phase_rad: when the first dwell starts.
+        period_s: period, s.
+        phase_rad: phase when the first dwell starts, rad.
     """
 
     amplitude_rad: Annotated[Float, Ge(0), Le(1)]
@@ -133,8 +133,8 @@ class PointingJitter(StrictKeys):
     """Random angles by which the beams point ahead and farther off nadir; the odometry does not contain them.
 
     Attributes:
-        rms_rad: of each of the two.
-        highest_hz: below which their spectrum is flat, and above which they have nothing.
+        rms_rad: rms of each of the two angles, rad.
+        highest_hz: highest frequency of their spectrum, which is flat below, Hz.
     """
 
     rms_rad: Annotated[Float, Ge(0), Le(1)]
@@ -170,39 +170,39 @@ class PupilAberrations(StrictKeys):
 
 @dataclass(frozen=True)
 class Impairments(StrictKeys):
-    """How the simulated sensor differs from its description; by default in nothing.
+    """Differences of the simulated sensor from its description; by default none.
 
-    Receivers are where noise is added: behind the detectors, or behind a hybrid in the antenna (Sigma, then Delta).
-    What they do to echoes comes before their noise, which stays as described.
+    Receivers add noise behind the detectors, or behind a hybrid in the antenna (Sigma, then Delta). They change echoes
+    before their noise, which stays as described.
 
     Attributes:
-        range_sawtooth: of the receivers' response.
-        range_taper: of the receivers' response.
-        chirp_ripple: of the waveform; None: its chirp is linear.
-        undescribed_gains_db: of the receivers, one each; empty: 0.
-        undescribed_phases_rad: of the receivers, one each; empty: 0.
+        range_sawtooth: sawtooth of the receivers' response.
+        range_taper: taper of the receivers' response.
+        chirp_ripple: ripple of the waveform; None: its chirp is linear.
+        undescribed_gains_db: gains of the receivers, one each, dB; empty: 0.
+        undescribed_phases_rad: phases of the receivers, one each, rad; empty: 0.
         nyquist_spur_over_noise: amplitude, over the rms of the receiver's noise in a sample, of a signal in the first
             of an even number of frequencies: a wave of half a cycle per range cell in the image (PSF paper, section 3).
             It is the same in every pulse: in stripmap it has everywhere the same amplitude, in spotlight it stands in
             the columns abeam of the antenna. Waveform "spectrum" only.
-        beam_width_factor: by which all beams, about their boresights, are wider than described.
-        pupil_aberrations_waves: of the pupil that all detectors share, rms, by the names of `beams.ZERNIKE`; patterns
-            "jinc" only.
-        antenna_swing: of all beams.
-        pointing_jitter: of all beams.
+        beam_width_factor: width of all beams, about their boresights, over that described.
+        pupil_aberrations_waves: aberrations of the common pupil of all detectors by the names of `beams.ZERNIKE`, waves
+            rms; patterns "jinc" only.
+        antenna_swing: swing of all beams.
+        pointing_jitter: jitter of all beams.
         quartic_phase_rad: phase at the edge of the aperture, growing with the fourth power (PSF paper, section 3): in
             spotlight over the pulses of the dwell, in stripmap over a scatterer's angle to the beams along the flight,
             whose half a beamwidth is the edge.
-        odometry: errors of the odometry, and of where the sensor is said to be.
-        vibration: of the antenna along the line of sight; the odometry does not contain it.
-        laser_linewidth_hz: full width at half maximum of the line of the laser.
-        laser_within_pulse: whether its phase walks within a pulse, too; not with waveform "spectrum", whose samples are
-            no times.
-        air: between platform and ground, which delays and bends echoes; None: there is none.
-        turbulence: of the air; None: it is at rest.
-        vegetation_wind: moves what is above the terrain; None: it stands still.
-        adc_bits: of the converters of real and imaginary parts, over the full scale that the sensor must have; 0: as
-            fine as floating-point numbers.
+        odometry: errors of the odometry, and of the described position of the sensor.
+        vibration: vibration of the antenna along the line of sight; the odometry does not contain it.
+        laser_linewidth_hz: full width at half maximum of the line of the laser, Hz.
+        laser_within_pulse: True if its phase drifts within a pulse, too; not with waveform "spectrum", whose samples
+            are no times.
+        air: air between platform and ground, which delays and bends echoes; None: no air.
+        turbulence: turbulence of the air; None: it is at rest.
+        vegetation_wind: wind that moves scatterers above the terrain; None: they are at rest.
+        adc_bits: bits of the converters of real and imaginary parts, over the full scale that the sensor must have; 0:
+            as fine as floating-point numbers.
     """
 
     range_sawtooth: RangeSawtooth | None = None
@@ -229,7 +229,7 @@ class Impairments(StrictKeys):
         """Factor of each receiver on the echoes at the frequencies of `echo_sensor(sensor)`.
 
         Args:
-            sensor: as it is described, of any waveform.
+            sensor: sensor as it is described, of any waveform.
 
         Returns:
             complex128, shape (receivers, frequencies), frequencies ascending: with waveform "spectrum" the first is at
@@ -263,7 +263,7 @@ class Impairments(StrictKeys):
 
     @property
     def turns_pulses(self) -> bool:
-        """Whether vibration, laser or air turn the phase of pulses."""
+        """True if vibration, laser or air change the phase of pulses."""
         return bool(self.laser_linewidth_hz or self.turbulence) or not self.vibration.is_none
 
     def dwell_phase(self, pulses: int) -> F64:
@@ -299,8 +299,8 @@ def through_receivers(clean: Complex, sensor: Sensor, impairments: Impairments) 
 
     Args:
         clean: s, noise-free samples of `echo_sensor(sensor)`, shape (detectors, pulses, frequencies); not changed.
-        sensor: as it is described.
-        impairments: of its receivers.
+        sensor: sensor as it is described.
+        impairments: impairments of its receivers.
 
     Returns:
         Samples of the shape of `clean`, which is returned itself where nothing is impaired.

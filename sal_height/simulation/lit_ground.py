@@ -1,4 +1,4 @@
-"""Which cells of the ground an image sees, which lie in shadow, and which are outside of the array."""
+"""Cells of the ground in an image: seen, in shadow, or outside of the array."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class GroundCells:
     Attributes:
         number: row (north) and column (east) of the cell, counted from the map's origin, shape (cells, 2); its centre
             is at (number + 0.5) cells.
-        height: of the terrain at the centre, m.
+        height: height of the terrain at the centre, m.
         lit: True where the sensor sees the centre over everything nearer.
         inside: True where the elevation of the centre is between the first boresight of the array and the last.
         pixel: row and column of the image's pixel that it falls into, shape (cells, 2).
@@ -44,13 +44,13 @@ def ground_cells(
     """Cells of the ground in an image.
 
     Args:
-        scene: the ground.
-        surface: what is lit of it; only cells between its outermost scatterers are looked at.
-        aperture: from which range and Doppler are measured.
+        scene: scene with the ground.
+        surface: lit part of it; only cells between its outermost scatterers are tested.
+        aperture: aperture from which range and Doppler are measured.
         grid: pixels of the image.
-        beams: of the detectors.
+        beams: beams of the detectors.
         look_side: +1 right, -1 left.
-        size: of a cell, m.
+        size: side of a cell, m.
     """
     east, north, _ = sphere_coordinates(surface.positions)
     rows, cols = (np.arange(np.floor(v.min() / size), np.ceil(v.max() / size)).astype(np.intp) for v in (north, east))

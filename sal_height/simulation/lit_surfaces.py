@@ -1,4 +1,4 @@
-"""The lit surfaces in each pixel of an image: what a height image of a scene should show, layover and shadow included.
+"""The lit surfaces in each pixel of an image: the true height image of a scene, with layover and shadow.
 
 Independent of the estimators: scatterers of the lit terrain are sorted into pixels by range and Doppler, and those of a
 pixel into surfaces by their elevation. Scatterers lie so densely along the terrain that a gap between two elevations
@@ -18,7 +18,7 @@ from sal_height.numeric import F64, Bool, Index
 from sal_height.simulation.scene import VisibleSurface
 
 CONNECTED = 0.1
-"""Widest gap between the elevations of scatterers of one surface, in beamwidths: a quarter of what can be told apart.
+"""Widest gap between the elevations of scatterers of one surface, in beamwidths: a quarter of the resolution.
 
 Scatterers on terrain are at most half a range cell apart across the line of sight.
 """
@@ -35,17 +35,17 @@ WEAK = 0.1
 
 @dataclass(frozen=True, eq=False)
 class LitSurfaces:
-    """The lit surfaces in each pixel, that with the most received power first; NaN where there are no more.
+    """The lit surfaces in each pixel, that with the most received power first; NaN where there are no further ones.
 
     Attributes:
-        height: of the surface in the pixel, m, shape (surfaces, rows, cols): that of the plane through its scatterers,
-            weighted by their power, at the range and Doppler that were asked for; in their middle, the mean.
-        elevation: their mean elevation with the same weights, rad, same shape.
+        height: height of the surface in the pixel, m, shape (surfaces, rows, cols): that of the plane through its
+            scatterers, weighted by their power, at the given range and Doppler; in their middle, the mean.
+        elevation: mean elevation of the scatterers with the same weights, rad, same shape.
         spread: standard deviation of their elevations with the same weights, rad, same shape.
-        power: of its scatterers, per resolution cell; 1 for brightness 1; same shape.
+        power: power of its scatterers, per resolution cell; 1 for brightness 1; same shape.
         received: power that the array receives of it over that of the strongest surface in the pixel, same shape.
         inside: True where the elevation is between the first boresight of the array and the last, same shape.
-        rise: of the plane through its scatterers along the flight, at one range, m/m, same shape.
+        rise: rise of the plane through its scatterers along the flight, at one range, m/m, same shape.
     """
 
     height: F64
@@ -58,7 +58,7 @@ class LitSurfaces:
 
     @property
     def counted(self) -> Bool:
-        """Which surfaces are inside the array and not WEAK, shape (surfaces, rows, cols)."""
+        """True for surfaces that are inside the array and not WEAK, shape (surfaces, rows, cols)."""
         return (self.received >= WEAK) & self.inside
 
     @property
@@ -74,7 +74,7 @@ class LitSurfaces:
 
     @property
     def shadow(self) -> Bool:
-        """Where neither the pixel nor one of its eight neighbours holds a scatterer, shape (rows, cols)."""
+        """True if neither the pixel nor one of its eight neighbours contains a scatterer, shape (rows, cols)."""
         return ~maximum_filter(np.isfinite(self.height[0]), size=3, mode="nearest")
 
 
@@ -94,10 +94,10 @@ def lit_surfaces(
 
     Args:
         surface: lit scatterers.
-        aperture: from which range and Doppler are measured.
+        aperture: aperture from which range and Doppler are measured.
         grid: pixels of the height image, in the slant plane.
         cell: unweighted resolution in range and azimuth, m.
-        beams: of the detectors; what lies outside them is not seen.
+        beams: beams of the detectors; scatterers outside them are not seen.
         connected: widest gap between the elevations of scatterers of one surface, beamwidths; wider than the spacing of
             the layers of a scene with an extent.
         seen: points of the range and Doppler to which heights belong, in map, m, shape (rows, cols, 3); where they are
@@ -105,15 +105,15 @@ def lit_surfaces(
     """
     places = np.stack(_places(surface.positions, aperture, grid), axis=-1)
     pixel, scatterer, share = _members(places, grid, cell)
-    # Scatterers of a pixel in the order of their elevations; a new surface begins after each gap.
+    # Scatterers of a pixel in the order of their elevations; a new surface starts after each gap.
     order = np.lexsort((surface.elevation[scatterer], pixel))
     pixel, scatterer, share = pixel[order], scatterer[order], share[order]
     weight, elevation = share * surface.power[scatterer], surface.elevation[scatterer]
-    begins = (np.diff(pixel, prepend=-1) > 0) | (np.diff(elevation, prepend=0.0) > connected * beams.beamwidth)
-    label = np.cumsum(begins) - 1
+    starts = (np.diff(pixel, prepend=-1) > 0) | (np.diff(elevation, prepend=0.0) > connected * beams.beamwidth)
+    label = np.cumsum(starts) - 1
 
     def total(values: F64) -> F64:
-        return np.bincount(label, values, np.count_nonzero(begins)).astype(np.float64)
+        return np.bincount(label, values, np.count_nonzero(starts)).astype(np.float64)
 
     power = total(weight)
     mean = total(weight * elevation) / power
@@ -124,12 +124,12 @@ def lit_surfaces(
     off = place - middle[label]
     slope, reach = _plane(off, surface.heights[scatterer] - height[label], weight, label)
     if seen is not None:
-        asked = np.stack(_places(seen, aperture, grid), axis=-1).reshape(-1, 2)[pixel[begins]]
+        asked = np.stack(_places(seen, aperture, grid), axis=-1).reshape(-1, 2)[pixel[starts]]
         height += np.sum(slope * np.clip(np.nan_to_num(asked - middle), -reach, reach), axis=-1)
     received = power * beams.power(mean, total(weight * surface.squint[scatterer]) / power)
     inside = (mean >= beams.span[0]) & (mean <= beams.span[1])
     # Surfaces of a pixel in the order of the power received of them.
-    of_pixel = pixel[begins]
+    of_pixel = pixel[starts]
     order = np.lexsort((-received, of_pixel))
     first = np.flatnonzero(np.diff(of_pixel[order], prepend=-1) > 0)
     rank = np.arange(len(order)) - np.repeat(first, np.diff(first, append=len(order)))
@@ -153,14 +153,14 @@ def lit_surfaces(
 
 
 def _plane(off: F64, higher: F64, weight: F64, label: Index) -> tuple[F64, F64]:
-    """Slope of the plane through the scatterers of each surface, by row and column, m, and how far it reaches.
+    """Slope of the plane through the scatterers of each surface, by row and column, m, and its extent.
 
-    An even surface of the same variance reaches so far, in rows and columns. Both have the shape (surfaces, 2).
+    The extent is that of an even surface of the same variance, in rows and columns. Both have the shape (surfaces, 2).
 
     Args:
         off: row and column of scatterers from the middle of their surface, (scatterers, 2).
         higher: their height above its mean, m, (scatterers,).
-        weight: of them, (scatterers,).
+        weight: weight of the scatterers, (scatterers,).
         label: number of their surface, (scatterers,).
     """
 
@@ -183,9 +183,9 @@ def _places(positions: F64, aperture: ApertureState, grid: Grid) -> tuple[F64, F
 
 
 def _members(places: F64, grid: Grid, cell: tuple[float, float]) -> tuple[Index, Index, F64]:
-    """Pixels and scatterers that belong together: number of the pixel, of the scatterer, and share of its power.
+    """Pairs of pixel and scatterer: number of the pixel, of the scatterer, and fraction of its power.
 
-    A scatterer has its whole power in the pixel that it lies in, and NEIGHBOUR_SHARE of it in those that it misses by
+    A scatterer has its whole power in its own pixel, and NEIGHBOUR_SHARE of it in those that it misses by
     less than half a resolution cell. `places` are rows and columns, (scatterers, 2).
     """
     row, col = places.T
@@ -193,20 +193,20 @@ def _members(places: F64, grid: Grid, cell: tuple[float, float]) -> tuple[Index,
     reach = 0.5 + np.array(cell) / 2 / (grid.row_spacing, grid.col_spacing)
     parts = []
     for down in (-1, 0, 1):
-        for beside in (-1, 0, 1):
-            at_row, at_col = near_row + down, near_col + beside
+        for right in (-1, 0, 1):
+            at_row, at_col = near_row + down, near_col + right
             belongs = (np.abs(row - at_row) <= reach[0]) & (np.abs(col - at_col) <= reach[1])
             belongs &= (at_row >= 0) & (at_row < grid.rows) & (at_col >= 0) & (at_col < grid.cols)
             which = np.flatnonzero(belongs)
             number = (at_row[which] * grid.cols + at_col[which]).astype(np.intp)
-            share = 1.0 if down == beside == 0 else NEIGHBOUR_SHARE
+            share = 1.0 if down == right == 0 else NEIGHBOUR_SHARE
             parts.append((number, which, np.full(len(which), share)))
     pixel, scatterer, shares = (np.concatenate(entries) for entries in zip(*parts, strict=True))
     return pixel, scatterer, shares
 
 
 def _cells(grid: Grid, cell: tuple[float, float]) -> float:
-    """Resolution cells from which a pixel has power, those beside it by their share."""
+    """Resolution cells from which a pixel has power, neighbours by their fraction."""
     own = grid.row_spacing * grid.col_spacing
     reached = (grid.row_spacing + cell[0]) * (grid.col_spacing + cell[1])
     return (own + NEIGHBOUR_SHARE * (reached - own)) / (cell[0] * cell[1])

@@ -1,11 +1,11 @@
-"""How the odometry of a simulated platform errs, and how the sensor is mounted other than it is described.
+"""Errors of the odometry of a simulated platform, and of the described mounting of the sensor.
 
 Errors of velocity and attitude are Gauss-Markov processes of first order, as the residuals of an inertial navigation
 that satellites aid are commonly modelled (Farrell, Aided Navigation, chapter 4); position follows velocity.
 
 A grade gives the rms errors that the maker of such a navigation states for it: Applanix Corporation, POS AV
 Specifications, absolute accuracy, post-processed, of the models 310 (tactical), 510 (navigation) and 610 (survey).
-docs/presets.md says what is not known of them.
+docs/presets.md states what is unknown of them.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from sal_height.configuration import Float, StrictKeys
 from sal_height.geometry import Mounting, PlatformState
 from sal_height.numeric import F64
 from sal_height.simulation.harmonics import Harmonics
-from sal_height.simulation.settings import Angle
+from sal_height.simulation.preset_types import Angle
 
 HARMONICS = 150
 SPAN = 100.0
-"""The slowest harmonic turns by a radian in so many correlation times, the fastest in that part of one."""
+"""Correlation times in which the slowest harmonic turns by a radian; the fastest does in the inverse of that."""
 
 Arm = Annotated[Float, Ge(-10), Le(10)]
 
@@ -38,30 +38,27 @@ GRADES = {
 }
 """Rms errors of each grade."""
 
-GRADED_POSITION_M = 0.1
-"""Rms error of position of every grade: satellites decide it, and all models state 0.05 to 0.3 m."""
-
 BY_GRADE = float("nan")
-"""Stands for a number that is not given, while errors are made; none is left in them."""
+"""Stands for a number that is not given, until it is filled in."""
 
 NO_ERRORS = {"position_m": 0.0, "velocity_mps": 0.0, "attitude_rad": 0.0}
 
 
 @dataclass(frozen=True)
 class OdometryErrors(StrictKeys):
-    """How odometry and mounting err; by default in nothing.
+    """Errors of odometry and mounting; by default none.
 
     Attributes:
-        grade: gives those of the next four numbers that are not given; none: they are 0, and the heading errs as the
-            attitude does.
-        position_m: rms of an error of each coordinate that stays the same in a flight.
-        velocity_mps: rms of the error of each component of velocity.
-        attitude_rad: rms of the error about the two level axes of map.
-        heading_rad: rms of the error about the vertical.
-        correlation_s: correlation time of errors of velocity and attitude.
-        delay_s: by which odometry is stamped too late.
-        undescribed_lever_arm_m: from where the antenna is described to be to where it is, in axes of base_link.
-        undescribed_boresight_rad: turn of the sensor from how it is described, about its own x, y and z.
+        grade: source of those of the next four numbers that are not given; none: they are 0, and the error of the
+            heading is that of the attitude.
+        position_m: rms of an error of each coordinate that is constant in a flight, m.
+        velocity_mps: rms of the error of each component of velocity, m/s.
+        attitude_rad: rms of the error about the two level axes of map, rad.
+        heading_rad: rms of the error about the vertical, rad.
+        correlation_s: correlation time of errors of velocity and attitude, s.
+        delay_s: delay of the stamps of odometry, s.
+        undescribed_lever_arm_m: offset of the antenna from its described position, in axes of base_link, m.
+        undescribed_boresight_rad: rotation of the sensor from its described attitude, about its own x, y and z, rad.
     """
 
     position_m: Annotated[Float, Ge(0), Le(1000)] = BY_GRADE
@@ -75,8 +72,9 @@ class OdometryErrors(StrictKeys):
     grade: Literal["tactical", "navigation", "survey"] | None = None
 
     def __post_init__(self) -> None:
-        """Fill in what is not given."""
-        graded = {"position_m": GRADED_POSITION_M, **GRADES[self.grade]} if self.grade else NO_ERRORS
+        """Fill in numbers that are not given."""
+        # Satellites determine the position alike in every grade; all models state 0.05 to 0.3 m.
+        graded = {"position_m": 0.1, **GRADES[self.grade]} if self.grade else NO_ERRORS
         for name, value in graded.items():
             self._fill(name, value)
         self._fill("heading_rad", self.attitude_rad)
@@ -87,7 +85,7 @@ class OdometryErrors(StrictKeys):
 
     @property
     def is_wrong(self) -> bool:
-        """Whether the pose and the velocity that odometry states err."""
+        """True if the pose and the velocity that odometry states have errors."""
         return bool(self.position_m or self.velocity_mps or self.turn_rad.any())
 
     @property
@@ -101,7 +99,7 @@ class OdometryErrors(StrictKeys):
         return round(1e9 * self.delay_s)
 
     def built(self, mounting: Mounting) -> Mounting:
-        """Where the sensor really is, from where it is described to be."""
+        """The true mounting of the sensor, from the described one."""
         if not (any(self.undescribed_lever_arm_m) or any(self.undescribed_boresight_rad)):
             return mounting
         arm = np.add(mounting.lever_arm, self.undescribed_lever_arm_m)
@@ -123,10 +121,10 @@ class PoseErrors:
     """The errors of the odometry of one flight, over time in s after the start of the first dwell.
 
     Attributes:
-        of: what they were drawn from.
+        of: statistics that they were drawn from.
         place: error of position when the flight starts, m, shape (3,).
-        motion: errors of velocity.
-        turns: errors of attitude, as the velocity of these harmonics, rad about the axes of map.
+        motion: errors of velocity, m/s.
+        turns: errors of attitude about the axes of map, as the velocity of these harmonics, rad.
     """
 
     of: OdometryErrors
@@ -135,7 +133,7 @@ class PoseErrors:
     turns: Harmonics
 
     def added_to(self, true: PlatformState, seconds: float) -> PlatformState:
-        """The state that odometry tells instead of the true one at a time, with its covariance."""
+        """The state that odometry reports instead of the true one at a time, with its covariance."""
         if not self.of.is_wrong:
             return true
         attitude = self.rotation(seconds) * Rotation.from_quat(true.orientation)

@@ -1,9 +1,9 @@
-"""Phase of the echoes of a pulse that neither odometry nor sensor description tells of: vibration, and the laser's own.
+"""Phase of the echoes of a pulse that neither odometry nor sensor description contains: vibration, and laser phase.
 
 Both are the same in all detectors. A vibration moves the antenna along the line of sight by far less than a range cell,
-by the same for all that the beams light, and stays the same within a pulse. The phase of a laser of finite linewidth
-walks at random, and an echo is mixed with what the laser sends when it comes back. Within a pulse it is taken to stay
-the same as well, or else (`laser_within_pulse`) to walk from sample to sample, as of the middle of the range window.
+by the same distance for all lit ground, constant within a pulse. The phase of a laser of finite linewidth is a random
+walk, and an echo is mixed with the laser when it returns. Within a pulse it is assumed to be constant as well, or else
+(`laser_within_pulse`) to drift from sample to sample, as of the middle of the range window.
 """
 
 from __future__ import annotations
@@ -21,8 +21,6 @@ from sal_height.configuration import Float, StrictKeys
 from sal_height.numeric import F64
 from sal_height.simulation.harmonics import Harmonics
 
-HARMONICS_OF_BAND = 200
-
 Frequency = Annotated[Float, Gt(0), Le(1e6)]
 
 
@@ -31,8 +29,8 @@ class VibrationLine(StrictKeys):
     """A sinusoidal vibration along the line of sight, as of a rotor or a propeller, of random phase.
 
     Attributes:
-        amplitude_m: of the displacement.
-        frequency_hz: Hz.
+        amplitude_m: amplitude of the displacement, m.
+        frequency_hz: frequency, Hz.
     """
 
     amplitude_m: Annotated[Float, Ge(0), Le(1)]
@@ -44,9 +42,10 @@ class VibrationBand(StrictKeys):
     """A vibration along the line of sight whose acceleration has one spectral density over a band.
 
     Attributes:
-        density_g2_per_hz: of the acceleration, in squares of standard gravity per Hz, as vibration tests state it.
-        lowest_hz: of the band.
-        highest_hz: of the band.
+        density_g2_per_hz: spectral density of the acceleration, squares of standard gravity per Hz, as of vibration
+            tests.
+        lowest_hz: lowest frequency of the band, Hz.
+        highest_hz: highest frequency of the band, Hz.
     """
 
     density_g2_per_hz: Annotated[Float, Ge(0), Le(100)]
@@ -60,7 +59,7 @@ class VibrationBand(StrictKeys):
     @property
     def lines(self) -> list[VibrationLine]:
         """Lines of the same power, evenly spaced in the logarithm of frequency."""
-        edges = np.geomspace(self.lowest_hz, self.highest_hz, HARMONICS_OF_BAND + 1)
+        edges = np.geomspace(self.lowest_hz, self.highest_hz, 201)  # of 200 harmonics
         frequency = np.sqrt(edges[1:] * edges[:-1])
         acceleration = constants.g * np.sqrt(2 * self.density_g2_per_hz * np.diff(edges))
         amplitude = acceleration / (2 * np.pi * frequency) ** 2
@@ -69,7 +68,7 @@ class VibrationBand(StrictKeys):
 
 @dataclass(frozen=True)
 class Vibration(StrictKeys):
-    """How the antenna vibrates; by default not at all.
+    """Vibration of the antenna; by default none.
 
     Attributes:
         lines: sinusoidal vibrations.
@@ -81,7 +80,7 @@ class Vibration(StrictKeys):
 
     @property
     def is_none(self) -> bool:
-        """Whether nothing vibrates."""
+        """True if nothing vibrates."""
         return not (self.lines or self.bands)
 
     @property
@@ -105,15 +104,15 @@ def laser_phase(linewidth_hz: float, seconds: F64, slant_range_m: float, rng: np
     """Phase (rad) of echoes of a laser mixed with the laser itself, in the shape of `seconds`.
 
     The phase of a Lorentzian line is a Wiener process, whose variance grows by 2 pi linewidth in a second. Over a time
-    t the phase of the echoes changes with a variance of 4 pi linewidth min(t, 2 R / c). A beat note so keeps the share
+    t the phase of the echoes changes with a variance of 4 pi linewidth min(t, 2 R / c). A beat note keeps the fraction
     exp(-4 pi linewidth R / c) of its power, and the rest is spread (Richter, Mandelberg, Kruger and McGrath, IEEE J.
     Quantum Electron. 22, 1986); in pulses shorter than 2 R / c more of it is still in the resolution cell.
 
     Args:
-        linewidth_hz: full width at half maximum.
-        seconds: times at which echoes return, of any shape.
-        slant_range_m: of the scene, R.
-        rng: of the walk.
+        linewidth_hz: full width at half maximum, Hz.
+        seconds: times at which echoes return, of any shape, s.
+        slant_range_m: slant range R of the scene, m.
+        rng: generator of the random walk.
     """
     if not linewidth_hz:
         return np.zeros(seconds.shape)

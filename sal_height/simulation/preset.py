@@ -1,6 +1,6 @@
-"""Presets: a sensor, its flight, a scene and how to process it, read from validated YAML.
+"""Presets: a sensor, its flight, a scene and the processing, read from validated YAML.
 
-docs/presets.md describes every key. What depends on the beams of the sensor is checked by `flight.flight_of`.
+docs/presets.md describes every key. Keys that depend on the beams of the sensor are checked by `flight.flight_of`.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from sal_height.errors import UserError
 from sal_height.geometry import Mounting, Origin, describe_implausible_pressure
 from sal_height.sensor import MAX_DETECTORS, Sensor
 from sal_height.simulation.impairments import UNIMPAIRED, Impairments
-from sal_height.simulation.settings import Angle, Decibels
+from sal_height.simulation.preset_types import Angle, Decibels
 
-SHIPPED = Path(__file__).parents[1] / "presets"  # the folder of the presets that come with the package
+SHIPPED = Path(__file__).parents[1] / "presets"  # folder of the presets of the package
 BEAM_TABLES = ".csv"  # suffix of the file of measured beams that a preset may name as its pattern
 
 LONGEST_LIGHT_M = 100e-6  # wavelength of a laser; terahertz radars have longer waves, which no laser line describes
@@ -53,7 +53,7 @@ class HybridSettings(StrictKeys):
 
 @dataclass(frozen=True)
 class MountingSettings(StrictKeys):
-    """Where the antenna is on the platform and how it is turned, in the axes of base_link (x forward, y left, z up)."""
+    """Position and rotation of the antenna on the platform, in the axes of base_link (x forward, y left, z up)."""
 
     frame_id: Annotated[str, MinLen(1)] = "sensor"
     lever_arm_m: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
@@ -109,15 +109,15 @@ class Passes(StrictKeys):
     """Passes to and fro over the same ground: every second one is flown westwards and sees it from the other side.
 
     Attributes:
-        count: of the passes, among which the dwells are divided evenly.
-        interval_s: from the begin of a pass to that of the next one.
+        count: number of passes, among which the dwells are divided evenly.
+        interval_s: time from the start of a pass to that of the next one, s.
     """
 
     count: Annotated[Int, Ge(1), Le(10_000)] = 1
     interval_s: Annotated[Float, Gt(0), Le(1e5)] = 120.0
 
     def dwells_each(self, dwells: int) -> int:
-        """How many of all dwells are of each pass; of the last one perhaps fewer."""
+        """Number of dwells of each pass; the last one may have fewer."""
         return -(-dwells // self.count)
 
 
@@ -136,7 +136,7 @@ class Flight(StrictKeys):
 
 @dataclass(frozen=True)
 class OriginSettings(StrictKeys):
-    """Where on the earth the map's origin is, on WGS 84."""
+    """The map's origin on the earth, on WGS 84."""
 
     latitude_deg: Annotated[Float, Ge(-90), Le(90)]
     longitude_deg: Annotated[Float, Ge(-180), Le(180)]
@@ -174,7 +174,7 @@ class TargetSettings(StrictKeys):
 
 @dataclass(frozen=True)
 class Preset(StrictKeys):
-    """What a run is made from."""
+    """Description of a run."""
 
     name: Annotated[str, MinLen(1)]
     sensor: SensorSettings
@@ -265,14 +265,14 @@ def _channels(s: SensorSettings) -> tuple[tuple[tuple[complex, ...], ...], bool,
 
 
 def preset_names() -> list[str]:
-    """Names of the presets that come with the package."""
+    """Names of the presets of the package."""
     return sorted(entry.stem for entry in SHIPPED.glob("*.yaml"))
 
 
 def load_preset(name_or_path: str) -> Preset:
     """The preset of that name (`preset_names`), or the one in that YAML file.
 
-    A file of beams has its absolute path; one that comes with the package has its name, which holds on other machines.
+    A file of beams has its absolute path; one of the package has its name, which is valid on other machines.
 
     Raises:
         UserError: no such preset, not YAML, or a key that is missing, unknown or has a value out of its range.
@@ -292,7 +292,7 @@ def parse_preset(content: Any, source: str) -> Preset:
     """The preset with that content (mappings as from YAML); `source` names it in messages.
 
     Raises:
-        UserError: a key that is missing, unknown, out of its range, or in contradiction to others: the first one found.
+        UserError: a key that is missing, unknown, out of its range, or in contradiction to others: the first of these.
     """
     preset = validated(Preset, content, f"Preset {source}")
     for contradiction in (
@@ -307,7 +307,7 @@ def parse_preset(content: Any, source: str) -> Preset:
     return preset
 
 
-# Where keys contradict each other: sentences without their beginning and end.
+# Contradictions between keys: messages without their start and end.
 
 
 def _channel_misfits(preset: Preset) -> Iterator[str]:
@@ -413,7 +413,7 @@ def _spacing_misfits(preset: Preset) -> Iterator[str]:
 
 
 PAUSE_S = 1.0
-"""Least time between the end of a pass and the begin of the next one."""
+"""Least time between the end of a pass and the start of the next one, s."""
 
 
 def _pass_misfits(preset: Preset) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""Pulses in groups within which the range of every scatterer is a line in time, but for what range alone decides.
+"""Pulses in groups within which the range of every scatterer is linear in time, but for a function of range alone.
 
 During a few milliseconds the antenna flies all but straight. With the range of a point in the middle of the scene taken
 off, that of a scatterer changes linearly with time; what is left, the curvature, is nearly a function of range. So the
@@ -21,28 +21,17 @@ from sal_height.sensor import Sensor
 LEAST_PULSES = 8
 """Shortest group in which the FFT over pulses pays: it spreads a scatterer over TAPS bins, which replace the pulses."""
 
-MOST_NODES = 6
-"""Most pulses of a group in which beams are evaluated, to be interpolated in the others."""
-
-PHASE_ERROR = 3e-4
-"""Greatest phase (rad) of an outermost scatterer that a group leaves out; the rms over scatterers is far below it."""
-
 LEAST_MIGRATION, MOST_MIGRATION = 8e-4, 0.07
-"""Phase (rad) of an outermost scatterer by range migration, at the ends of group and band, from which on it is made
-good, and up to which its first order suffices.
+"""Phase (rad) of an outermost scatterer by range migration, at the ends of group and band, from which on it is
+corrected, and up to which its first order suffices.
 
 It grows linearly with time, frequency and squint, each counted from the middle, and beams weigh great squints least:
 the rms is an eighth of the first, and a twentieth of the second order. So samples are off by less than 1e-4 of their
 rms.
 """
 
-MOST_TURN = 0.505
-"""Greatest phase, in turns from pulse to pulse, of an outermost scatterer whose range migration is made good: what
-turns by more than half is mistaken for what turns the other way. At the edge of the main lobe, the 1 % weighs nothing.
-"""
-
 BEAM_ERROR = 2e-4
-"""Greatest error of interpolated beams, as a share of their peak; its mean is several times less."""
+"""Greatest error of interpolated beams, as a fraction of their peak; its mean is several times less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,11 +39,11 @@ class PulseGroup:
     """Some pulses in a row, and the point whose range history is common to all scatterers.
 
     Attributes:
-        pulses: which of the dwell.
-        antenna: position at each, m, shape (pulses, 3).
-        centre: the point, m, shape (3,).
+        pulses: numbers of the pulses in the dwell.
+        antenna: position of the antenna at each, m, shape (pulses, 3).
+        centre: position of the point, m, shape (3,).
         nodes: pulses of the group in which beams are evaluated, increasing.
-        migrates: True where the change of range within the group must be told from one of phase.
+        migrates: True if the change of range within the group must be separated from one of phase.
     """
 
     pulses: slice
@@ -93,7 +82,7 @@ class PulseGroup:
         return start, rate, distance - start[:, None] - rate[:, None] * self.steps
 
     def curvature(self, ranges: F64) -> F64:
-        """What the line leaves out, m, (n, pulses), at ranges (m, (n,)) beyond the centre on its line of sight."""
+        """Residual of the line, m, (n, pulses), at ranges (m, (n,)) beyond the centre on its line of sight."""
         middle = self.count // 2
         sight = (self.centre - self.antenna[middle]) / self.common[middle]
         return self.off_line(self.centre + ranges[:, None] * sight)[2]
@@ -112,13 +101,13 @@ class PulseGroup:
 
 
 def pulse_groups(count: int, group_of: Callable[[slice], PulseGroup | None]) -> list[PulseGroup]:
-    """All pulses in the groups that make least work; empty if groups of LEAST_PULSES are too long.
+    """All pulses in the groups with the least computation; empty if groups of LEAST_PULSES are too long.
 
     Work is counted in the beams that scatterers are spread with; transforms of what migrates are half as much again.
 
     Args:
         count: number of pulses.
-        group_of: makes the group of some pulses, or None if its errors would be too great (`smooth_group`).
+        group_of: function that makes the group of some pulses, or None if its errors are too great (`smooth_group`).
     """
     best: list[PulseGroup] = []
     cost, parts = float("inf"), 1
@@ -155,11 +144,11 @@ def smooth_group(sensor: Sensor, probes: F64, antenna: F64, beam_angles: F64, pu
     """Return the group of some pulses; None if its errors would be greater than those of this module.
 
     Args:
-        sensor: frequencies.
-        probes: outermost scatterers, m, shape (n, 3).
+        sensor: sensor with the frequencies.
+        probes: positions of the outermost scatterers, m, shape (n, 3).
         antenna: position at each pulse of the dwell, m, shape (all pulses, 3).
         beam_angles: angles by which scatterers move in the beams in these pulses, beamwidths, shape (pulses, angles).
-        pulses: which.
+        pulses: numbers of the pulses.
     """
     nodes = _beam_nodes(beam_angles)
     if nodes is None:
@@ -169,12 +158,15 @@ def smooth_group(sensor: Sensor, probes: F64, antenna: F64, beam_angles: F64, pu
     start, rate, rest = group.off_line(probes)
     window = sensor.range_window
     left = rest - group.curvature(np.mod(start + window / 2, window) - window / 2)
-    if sensor.centre_wavenumber * np.abs(left).max() > PHASE_ERROR:
+    # In rad, for an outermost scatterer; the rms over scatterers is far below it.
+    if sensor.centre_wavenumber * np.abs(left).max() > 3e-4:
         return None
     fastest = float(np.abs(rate).max())
     migration = fastest * group.count / 2 * sensor.wavenumber_step * sensor.sample_count / 2
     turn = fastest * sensor.centre_wavenumber / (2 * np.pi)
-    if migration > MOST_MIGRATION or (migration > LEAST_MIGRATION and turn > MOST_TURN):
+    # Phases of more than half a turn from pulse to pulse are ambiguous, and their range migration cannot be corrected.
+    # At the edge of the main lobe, the 1 % has no weight.
+    if migration > MOST_MIGRATION or (migration > LEAST_MIGRATION and turn > 0.505):
         return None
     return replace(group, migrates=migration > LEAST_MIGRATION)
 
@@ -196,7 +188,7 @@ def _beam_nodes(angles: F64) -> Index | None:
     count = len(angles)
     reach = float(np.max(np.ptp(angles, axis=0), initial=0.0)) / 2
     bound = 2.0
-    for number in range(1, min(MOST_NODES, count) + 1):
+    for number in range(1, min(6, count) + 1):
         bound *= np.pi * reach / 2 / number
         nodes = np.rint((1 - np.cos(np.pi * (np.arange(number) + 0.5) / number)) / 2 * count - 0.5).astype(np.intp)
         if bound <= BEAM_ERROR and _are_smooth(angles, nodes):
@@ -205,7 +197,7 @@ def _beam_nodes(angles: F64) -> Index | None:
 
 
 def _are_smooth(angles: F64, nodes: Index) -> bool:
-    """Whether a polynomial through the nodes, of degree 1 or more, gives all angles within the error of beams."""
+    """True if a polynomial through the nodes, of degree 1 or more, gives all angles within the error of beams."""
     if len(nodes) < 2:
         return True
     group = PulseGroup(slice(0), np.zeros((len(angles), 3)), np.zeros(3), nodes)

@@ -1,4 +1,4 @@
-"""The ground: terrain heights, radar brightness and point targets, and what of it an aperture sees."""
+"""The ground: terrain heights, radar brightness and point targets, and its part that an aperture sees."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from sal_height.simulation.double_bounce import find_walls
 class PointScatterer:
     """A single scatterer, at rest or on a straight path at constant speed.
 
-    It is at `east`, `north` and `height` when the antenna is abeam of that place, in every pass anew. Its radial
+    It is at `east`, `north` and `height` when the antenna is abeam of that position, in every pass again. Its radial
     velocity is along the line of sight from there (SAL paper, section 4), in spotlight from the middle of the dwell.
 
     Attributes:
         east: arc distance from the map origin, m.
         north: arc distance from the map origin, m.
-        height: above the sphere, m.
-        power: relative to a resolution cell of brightness 1 in an unweighted image. A range window raises the power of
-            cell and noise by its `windows.noise_gain`, that of the point not at all. Neither terrain nor canopy
-            shadows it.
-        radial_velocity: away from the antenna, m/s.
-        along_velocity: in the direction of flight, m/s.
+        height: height above the sphere, m.
+        power: power relative to a resolution cell of brightness 1 in an unweighted image. A range window raises the
+            power of cell and noise by its `windows.noise_gain`, that of the point not at all. Neither terrain nor
+            canopy shadows it.
+        radial_velocity: velocity away from the antenna, m/s.
+        along_velocity: velocity in the direction of flight, m/s.
     """
 
     east: float
@@ -52,17 +52,17 @@ class Scene:
     slant range and azimuth, so that a cell of brightness 1 has the CNR that a simulation states, whatever its slope.
 
     Attributes:
-        name: for people.
+        name: name for people.
         east: node arc distances from the map origin, m, increasing, shape (n_east,).
         north: node arc distances, m, increasing, shape (n_north,).
-        height: above the sphere, m, shape (n_north, n_east).
+        height: height above the sphere, m, shape (n_north, n_east).
         brightness: relative radar brightness, shape (n_north, n_east).
         points: point targets.
-        extent: of the scatterers in height, m: spread evenly from half of it below the terrain to half above, as in
-            vegetation or on rough ground; 0: on the terrain. Where the terrain is hidden, so are all scatterers above
-            and below it, and only there.
-        canopy: vegetation above the terrain, hidden where the terrain under it is; None: there is none.
-        origin: where on the earth the map origin is; None: nowhere in particular.
+        extent: extent of the scatterers in height, m: spread evenly from half of it below the terrain to half above, as
+            in vegetation or on rough ground; 0: on the terrain. Where the terrain is hidden, so are all scatterers
+            above and below it, and only there.
+        canopy: vegetation above the terrain, hidden where the terrain under it is; None: no canopy.
+        origin: map origin on the earth; None: unspecified.
         double_bounce: power of the double bounce at the foot of a wall 1 m high, relative to a resolution cell of
             brightness 1; it grows with the square of the height.
 
@@ -118,12 +118,12 @@ class Scene:
 
     @cached_property
     def reference_height(self) -> float:
-        """Median terrain height and half the greatest height of the canopy, m: what a flight aims at."""
+        """Median terrain height and half the greatest height of the canopy, m: the aim point of a flight."""
         return float(np.median(self.height)) + (self.canopy.top.max() / 2 if self.canopy else 0.0)
 
     @property
     def layer_spacing(self) -> float:
-        """Greatest spacing in height of the layers of scatterers at a place, m; 0: all are on the terrain."""
+        """Greatest spacing in height of the layers of scatterers, m; 0: all are on the terrain."""
         return max(self.extent / LAYERS, float(self.canopy.top.max()) / CANOPY_LAYERS if self.canopy else 0.0)
 
     def canopy_tops(self, east: npt.ArrayLike, north: npt.ArrayLike) -> F64:
@@ -132,11 +132,11 @@ class Scene:
         return bilinear(self.north, self.east, tops, north, east)
 
     def transmission(self, positions: F64, antenna: F64) -> F64:
-        """Share of power that scatterers return through the canopy on the way to the antenna and back, (scatterers,).
+        """Fraction of power that scatterers return through the canopy, over the path in both directions, (scatterers,).
 
         Args:
-            positions: in map, m, shape (scatterers, 3).
-            antenna: from where each is seen, in map, m, broadcasts with the positions.
+            positions: positions in map, m, shape (scatterers, 3).
+            antenna: position in map from which each is seen, m, broadcasts with the positions.
         """
         if not self.canopy:
             return np.ones(len(positions))
@@ -148,17 +148,17 @@ class Scene:
 
 @dataclass(frozen=True, eq=False)
 class VisibleSurface:
-    """Scatterers that an aperture sees, dense enough that each resolution cell holds several.
+    """Scatterers that an aperture sees, dense enough that each resolution cell has several.
 
     Attributes:
-        positions: in map in the middle of the aperture's time, m, shape (scatterers, 3).
-        heights: above the sphere, m, shape (scatterers,).
+        positions: positions in map in the middle of the aperture's time, m, shape (scatterers, 3).
+        heights: heights above the sphere, m, shape (scatterers,).
         power: mean power relative to a resolution cell of brightness 1, shape (scatterers,).
-        slant_range: from the middle of the aperture, in stripmap from abeam, m.
-        elevation: rad from nadir in body axes, from there.
-        squint: rad.
+        slant_range: slant range from the middle of the aperture, in stripmap from abeam, m.
+        elevation: elevation in body axes, from there, rad from nadir.
+        squint: squint, rad.
         deterministic: True for point targets, whose amplitude does not fluctuate.
-        velocity: in map, m/s, shape (scatterers, 3).
+        velocity: velocity in map, m/s, shape (scatterers, 3).
     """
 
     positions: F64
@@ -171,11 +171,11 @@ class VisibleSurface:
     velocity: F64
 
     def after(self, seconds: float) -> Self:
-        """The surface with its positions at a time (s) after these; how it was seen stays."""
+        """The surface with its positions at a time (s) after these; ranges and angles stay."""
         return replace(self, positions=self.positions + seconds * self.velocity)
 
     def at_rest_and_moving(self) -> list[Index | slice]:
-        """Which scatterers are at rest and which move, where there are any."""
+        """Scatterers at rest and moving scatterers, without empty groups."""
         if not np.any(self.velocity):
             return [slice(None)]
         moves = np.any(self.velocity, axis=-1)
@@ -207,7 +207,7 @@ with strips as far apart as its resolution.
 LAYERS = 15
 """Layers of scatterers in height; odd, so that one is the terrain. An extent of 3.5 beams has 4 layers in a beam."""
 
-LONGEST_PIECE = 16  # longest piece of a cut, in range cells, over which range is taken as linear
+LONGEST_PIECE = 16  # longest piece of a cut, in range cells, over which range is assumed to be linear
 
 
 def visible_surface(
@@ -225,11 +225,11 @@ def visible_surface(
     when its elevation exceeds that of all points before it.
 
     Args:
-        scene: the ground.
-        aperture: flying east or west (the strips are perpendicular to the flight).
+        scene: scene with the ground.
+        aperture: aperture flying east or west (the strips are perpendicular to the flight).
         look_side: +1 right, -1 left.
         cell: resolution in slant range and azimuth, m.
-        east_extent: first arc distance east and the one where the next extent begins, m.
+        east_extent: first arc distance east, and that where the next extent starts, m.
         range_extent: least and greatest slant range from the middle of the aperture, m.
         strips_per_cell: strips of scatterers in a resolution cell in azimuth.
 
@@ -261,7 +261,7 @@ def _within(values: F64, extent: tuple[float, float]) -> Bool:
 def _targets(points: tuple[PointScatterer, ...], aperture: ApertureState, look_side: int) -> VisibleSurface:
     """Point targets, lit or not, with their positions in the middle of the aperture's time.
 
-    Each is where its point is when the antenna is abeam of that: a target that moves lies elsewhere in every dwell.
+    Each is at the position of its point when the antenna is abeam of that: a moving target changes from dwell to dwell.
     """
     numbers = [(p.east, p.north, p.height, p.power, p.radial_velocity, p.along_velocity) for p in points]
     east, north, height, power, radial, along = np.array(numbers).reshape(-1, 6).T
@@ -284,11 +284,11 @@ class _Cuts:
     """Vertical cuts through the terrain across the flight, the middles of strips, with nodes in the order outwards.
 
     Attributes:
-        strip_width: m.
+        strip_width: width of a strip, m.
         north: arc distances of the nodes, m, shape (nodes,).
         place: arc distances east and north and height of the nodes, m, three arrays of shape (cuts, nodes).
-        slant_range: to them, m, shape (cuts, nodes).
-        elevation: under which they are seen, rad, shape (cuts, nodes).
+        slant_range: slant range of the nodes, m, shape (cuts, nodes).
+        elevation: elevation of the nodes, rad, shape (cuts, nodes).
     """
 
     strip_width: float
@@ -330,13 +330,13 @@ def _terrain_scatterers(
     cell: tuple[float, float],
     range_extent: tuple[float, float],
 ) -> tuple[VisibleSurface, Bool]:
-    """Scatterers along vertical cuts through the terrain, SAMPLES_PER_CELL in each cell of a cut, and which are lit.
+    """Scatterers along vertical cuts through the terrain, SAMPLES_PER_CELL in each cell of a cut, and the lit ones.
 
-    Between two nodes of a cut there are so many that neither range nor the arc across it steps by more than their
-    spacing. Each has its share of the piece's extent in range, as brightness is power per slant range; in the canopy,
-    which is a volume, of the range that level ground would extend over. They come layer after layer from the lowest to
-    the highest, each strip after strip, ordered outwards, those of the canopy last. Where the terrain, the middle layer
-    of the others, is lit, all layers are.
+    Between two nodes of a cut there are enough that neither range nor the arc across it steps by more than their
+    spacing. Each has its part of the piece's extent in range, as brightness is power per slant range; in the canopy,
+    which is a volume, of the range that level ground would extend over. They are ordered layer after layer from the
+    lowest to the highest, each strip after strip, outwards, those of the canopy last. Where the terrain, the middle
+    layer of the others, is lit, all layers are.
     """
     range_cell, azimuth_cell = cell
     east, north, height = cuts.place
@@ -345,8 +345,8 @@ def _terrain_scatterers(
     step = np.abs(np.diff(node_range))
     span = np.maximum(step, np.abs(np.diff(node_elevation)) * node_range[:, :-1])
     pieces = np.ceil(np.nan_to_num(span) / range_cell * SAMPLES_PER_CELL).astype(np.int64)
-    # What lies nearer or farther than all that the height of scatterers above the terrain brings into the range window
-    # has no scatterers; it hides what lies behind it.
+    # Ground nearer or farther than any that the height of scatterers above the terrain brings into the range window
+    # has no scatterers; it hides the ground behind it.
     reach = scene.extent / 2 + (float(scene.canopy.top.max()) if scene.canopy else 0.0)
     nearer, farther = (
         np.minimum(node_range[:, :-1], node_range[:, 1:]),
@@ -406,9 +406,9 @@ def _wall_feet(
 def _seen(
     east: F64, north: F64, height: F64, aperture: ApertureState, look_side: int
 ) -> tuple[F64, tuple[F64, F64, F64]]:
-    """Positions, m, shape (points, 3), of places by arc distances and height, m, in any shape, and how they are seen.
+    """Positions, m, shape (points, 3), of points by arc distances and height, m, in any shape, and their view.
 
-    That is slant range, m, elevation and squint, rad, in that shape; in stripmap from abeam.
+    The view is slant range, m, elevation and squint, rad, in that shape; in stripmap from abeam.
     """
     positions, seen = np.empty((3, height.size)), np.empty((3, height.size))
     glide = aperture.velocity / (aperture.velocity @ aperture.forward) if aperture.sliding else np.zeros(3)

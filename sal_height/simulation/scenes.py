@@ -19,8 +19,8 @@ def load_scene(name_or_path: str, extent: float = 0.0) -> Scene:
     """The scene of that name (see SCENES), or the elevation model in that file (.tif, .tiff or .npz).
 
     Args:
-        name_or_path: of the scene.
-        extent: of its scatterers in height, m (`Scene.extent`).
+        name_or_path: name or path of the scene.
+        extent: extent of its scatterers in height, m (`Scene.extent`).
 
     Raises:
         UserError: no such scene, a file that cannot be used, or an extent below 0.
@@ -73,7 +73,7 @@ def street(length: float = 60.0) -> Scene:
 
 
 def woods() -> Scene:
-    """Woods 6 to 12 m high on gently rolling ground, with two glades; crowns begin 2 m above the ground, nodes 0.25 m.
+    """Woods 6 to 12 m high on gently rolling ground, with two glades; crowns start 2 m above the ground, nodes 0.25 m.
 
     Through 10 m of woods under 45 degrees 32 % of the ground's power remain, and the crowns return half as much again.
     """

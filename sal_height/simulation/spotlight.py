@@ -18,14 +18,14 @@ from sal_height.simulation.scene import VisibleSurface
 def cell_power(cnr: float, sensor: Sensor, pulses: float, gain: float = 1.0) -> float:
     """Power of a resolution cell of brightness 1 so that it has the carrier-to-noise power ratio `cnr` in the image.
 
-    That is in the unweighted image of a detector that looks straight at the cell, with a receiver right behind it: what
-    a channel matrix takes or gives comes on top. Focusing divides the noise power by the number of samples.
+    That is in the unweighted image of a detector that looks straight at the cell, with a receiver right behind it: the
+    gain of a channel matrix is additional. Focusing divides the noise power by the number of samples.
 
     Args:
         cnr: power ratio.
-        sensor: frequencies and noise.
-        pulses: in the aperture.
-        gain: of the beam over the aperture, as a power, which is made good (`stripmap.mean_square_gain`).
+        sensor: sensor with frequencies and noise.
+        pulses: number of pulses in the aperture.
+        gain: power gain of the beam over the aperture, which is compensated (`stripmap.mean_square_gain`).
     """
     noise = float(np.mean(sensor.noise_power)) / (pulses * sensor.sample_count)
     return cnr * noise / gain
@@ -49,16 +49,16 @@ def simulate_dwell(
 ) -> C64:
     """Noise-free phase history of every detector.
 
-    The beam is held on the scene, so that a scatterer keeps its weight in each detector's beam as long as `ahead` and
+    The beam follows the scene, so that a scatterer keeps its weight in each detector's beam as long as `ahead` and
     `off_nadir` stay the same. The samples are within 1e-4 of their rms of the sum over scatterers (`echoes`).
 
     Args:
-        sensor: wavelength, frequencies and beams.
+        sensor: sensor with wavelength, frequencies and beams.
         surface: scatterers.
-        amplitudes: of the scatterers, shape (scatterers,).
+        amplitudes: amplitudes of the scatterers, shape (scatterers,).
         antenna: position at each pulse, m, shape (pulses, 3).
-        reference_range: m, shape (pulses,).
-        seconds: times of the pulses after that of the surface's positions; broadcasts with (pulses,).
+        reference_range: reference range, m, shape (pulses,).
+        seconds: times of the pulses after that of the surface's positions, s; broadcasts with (pulses,).
         ahead: angle by which the beams point ahead in each pulse, rad; broadcasts with (pulses,).
         off_nadir: angle by which they point farther off nadir, rad; broadcasts with (pulses,).
 
@@ -75,7 +75,7 @@ def simulate_dwell(
         return tuple(map(tuple, pointing[pulses].tolist()))
 
     def add(chosen: Index | slice) -> None:
-        """Add the echoes of scatterers that are all at rest, or all move: those are placed anew in every pulse."""
+        """Add the echoes of scatterers that are all at rest, or all move: these are located again in every pulse."""
         offset, squint = surface.elevation[chosen] - sensor.beams.axis_middle, surface.squint[chosen]
         positions, velocity = (np.ascontiguousarray(v[chosen].T) for v in (surface.positions, surface.velocity))
         strengths, at_rest = amplitudes[chosen].astype(np.complex64), not np.any(velocity)

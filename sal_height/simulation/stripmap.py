@@ -27,8 +27,8 @@ def mean_square_gain(beams: Beams) -> float:
     """
     nodes = (np.arange(1000) + 0.5) / 1000 - 0.5
     along = math.sin(beams.rotation) * (beams.track_beamwidth / beams.beamwidth)
-    beside = math.cos(beams.rotation) * (beams.track_beamwidth / beams.beamwidth_beside)
-    return float(np.mean(np.abs(beams.patterns[0].amplitude(nodes * along, nodes * beside)) ** 2))
+    across = math.cos(beams.rotation) * (beams.track_beamwidth / beams.beamwidth_beside)
+    return float(np.mean(np.abs(beams.patterns[0].amplitude(nodes * along, nodes * across)) ** 2))
 
 
 def simulate_block(
@@ -43,21 +43,21 @@ def simulate_block(
 ) -> C64:
     """Noise-free phase history of every detector with the antenna fixed to the body.
 
-    A scatterer has in each pulse the weight of the direction in which the body sees it then. It has none in the pulses
+    A scatterer has in each pulse the weight of the direction in which the body sees it then, and weight 0 in the pulses
     of a group (`pulse_groups`) in whose middle it is more than `lit_angle`, along the flight, from where the beams meet
-    the ground at the reference range (which is asked of the positions as given). As in `simulate_dwell` that is the
+    the ground at the reference range (by the given positions). As in `simulate_dwell` that is the
     weight of the receiving beam, and the samples are within 1e-4 of their rms of the sum over scatterers.
 
     Args:
-        sensor: wavelength, frequencies and beams.
-        surface: scatterers; where they are, not how they were seen.
-        amplitudes: of the scatterers, shape (scatterers,).
+        sensor: sensor with wavelength, frequencies and beams.
+        surface: scatterers, of which only the positions are used.
+        amplitudes: amplitudes of the scatterers, shape (scatterers,).
         antenna: position at each pulse on a flight eastwards, m, shape (pulses, 3).
         rotation: matrix that turns body into map axes at each pulse, shape (pulses, 3, 3).
-        reference_range: m, shape (pulses,).
-        seconds: times of the pulses after that of the surface's positions; broadcasts with (pulses,).
-        quartic_phase: of a scatterer half a beamwidth off the beams' middle along the flight, growing with the fourth
-            power of that angle, rad.
+        reference_range: reference range, m, shape (pulses,).
+        seconds: times of the pulses after that of the surface's positions, s; broadcasts with (pulses,).
+        quartic_phase: phase of a scatterer half a beamwidth off the beams' middle along the flight, growing with the
+            fourth power of that angle, rad.
 
     Returns:
         Complex64 samples, shape (detectors, pulses, frequencies).
@@ -118,7 +118,7 @@ def _add_echoes(
 
 
 class _View:
-    """How a block of pulses sees the ground: arguments of `simulate_block`."""
+    """View of the ground from a block of pulses: arguments of `simulate_block`."""
 
     def __init__(self, sensor: Sensor, antenna: F64, rotation: F64, reference_range: F64) -> None:
         self.sensor, self.antenna, self.reference_range = sensor, np.ascontiguousarray(antenna), reference_range

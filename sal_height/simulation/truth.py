@@ -14,13 +14,13 @@ from sal_height.simulation.scene import VisibleSurface
 
 @dataclass(frozen=True)
 class Truth:
-    """What a height image should show; arrays of shape (rows, cols).
+    """The true content of a height image; arrays of shape (rows, cols).
 
     Attributes:
         height: mean height of the scatterers in the pixel, weighted by the power that the array receives of them, m;
-            NaN where there are none.
-        elevation: their mean elevation with the same weights, rad.
-        power: of a scatterer at that elevation from which the array would receive as much, per resolution cell;
+            NaN without any.
+        elevation: mean elevation of the scatterers with the same weights, rad.
+        power: power of a scatterer at that elevation with the same received power, per resolution cell;
             1 for brightness 1.
         single: True where they act as one scatterer: elevation is a function of range, as on sloping ground and unlike
             in layover, with a standard deviation about its regression on range below 0.1 beamwidths.
@@ -39,10 +39,10 @@ def truth_image(
 
     Args:
         surface: lit scatterers.
-        aperture: from which range and Doppler are measured.
+        aperture: aperture from which range and Doppler are measured.
         grid: pixels of the height image, in the slant plane.
         resolution_cell: unweighted range resolution times azimuth resolution, m^2, to which powers refer.
-        beams: of the detectors; what lies outside them is not seen.
+        beams: beams of the detectors; scatterers outside them are not seen.
     """
     sight = surface.positions - aperture.position
     along = sight @ aperture.direction

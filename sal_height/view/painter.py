@@ -270,7 +270,7 @@ class Painter:
         picture = Picture(f"{topic}/power", coloured(decibels, self._power.ends, "gray"))
         return Sheet(collected.stamp_ns, collected.received_ns, (picture,))
 
-    def _paint_track(self, topic: str, message: Odometry | ReceivedPose, heard_ns: int) -> Iterator[Sheet]:
+    def _paint_track(self, topic: str, message: Odometry | ReceivedPose, received_ns: int) -> Iterator[Sheet]:
         pose = message if isinstance(message, ReceivedPose) else ReceivedPose.of(message)
         state = state_of_pose(pose, Frames(self._map_frame, pose.child_frame_id))
         track = self._tracks.setdefault(topic.removesuffix("/odometry"), Track())

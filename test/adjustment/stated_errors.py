@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from sal_height.adjustment.drift import STATE, Stated
 from sal_height.adjustment.equations import Form
-from sal_height.adjustment.observed import COMMON, DELAY, OWN, Layout, ObservedDwell, displacement, pose
+from sal_height.adjustment.observed import COMMON, DELAY, OWN, ObservedDwell, Unknowns, displacement, pose
 from sal_height.geometry import Mounting, PlatformState
 from sal_height.numeric import F64
 from sal_height.sensor import Sensor
@@ -59,15 +59,15 @@ def axis(number: int, size: float) -> F64:
 S = STATE
 
 
-def layout_of(*times: float) -> Layout:
+def layout_of(*times: float) -> Unknowns:
     """Of dwells at these times, s."""
-    layout = Layout(100.0)
+    layout = Unknowns(100.0)
     for number, seconds in enumerate(times):
         layout.add(number, Stated(seconds, np.eye(6), np.eye(3)))
     return layout
 
 
-def displaced(number: int, dwell: ObservedDwell, mounting: Mounting, layout: Layout) -> Form:
+def displaced(number: int, dwell: ObservedDwell, mounting: Mounting, layout: Unknowns) -> Form:
     return displacement(pose(number, dwell, layout, mounting), dwell)
 
 

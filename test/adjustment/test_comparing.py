@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sal_height.adjustment import UNKNOWN_GROUND, AdjustmentSettings, ObservedDwell, Points, Stated, adjust
-from sal_height.adjustment.comparing import STRIP_POINTS, Chain, _Met, compared, joined
+from sal_height.adjustment.comparing import STRIP_POINTS, DwellChain, _Compared, compared, joined
 from sal_height.adjustment.matching import GriddedSurface, Match, match
 from sal_height.adjustment.network import Comparison, Network
 from sal_height.imaging import Placement
@@ -87,7 +87,7 @@ def test_a_strip_is_placed_where_enough_of_it_fits(only: slice, count: int) -> N
 def test_a_match_of_a_strip_is_clear_from_a_share_of_the_smaller_image_on(share: float, clear: bool) -> None:
     """And if it is within what was known: 3.5 standard deviations, of 10 cm and 1 cm, and not 4.5."""
     chain = DwellChain({}, points_of(1000), np.zeros(2), np.zeros(2))
-    met = _Met(chain.points.surface, 2000, {}, np.zeros(3), 0.01 * np.eye(3))
+    met = _Compared(chain.points.surface, 2000, {}, np.zeros(3), 0.01 * np.eye(3))
     found = Match(np.array([0.3, 0.0, 0.0]), 1e4 * np.eye(3), ({0: 1.0}, {1: 1.0}), share)
     assert met.is_clear(found, chain) == clear
     assert replace(met, count=500).is_clear(replace(found, share=share / 2), chain) == clear

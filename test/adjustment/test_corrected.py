@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from sal_height.adjustment import Adjustment, AdjustmentSettings, corrected_mounting, corrected_states
 from sal_height.adjustment.drift import STATE, Stated
 from sal_height.adjustment.equations import Equation, System
-from sal_height.adjustment.observed import BORESIGHT, COMMON, DELAY, LEVER_ARM, Layout
+from sal_height.adjustment.observed import BORESIGHT, COMMON, DELAY, LEVER_ARM, Unknowns
 from sal_height.geometry import Mounting, PlatformState, Trajectory
 from sal_height.numeric import F64
 
@@ -38,7 +38,7 @@ def true_states() -> list[PlatformState]:
 
 def adjustment_with(knots: F64, common: F64) -> Adjustment:
     """An adjustment that has found these errors, and knows each to within 1."""
-    layout = Layout(100.0)
+    layout = Unknowns(100.0)
     for number, seconds in enumerate(KNOTS.tolist()):
         layout.add(number, Stated(seconds, np.eye(6), np.eye(3)))
     unknowns = np.concatenate([common, knots.ravel()])

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from sal_height.adjustment._kernels import average_said, compare_shifts, sum_said
-from sal_height.adjustment.matching import LEAST_INFORMATION, MOST_SAID, Match, Points, match
+from sal_height.adjustment._kernels import average_over_shifts, compare_shifts, sum_over_points
+from sal_height.adjustment.matching import LEAST_INFORMATION, MOST_CONTRIBUTIONS, Match, Points, match
 
 SPACING = 0.1
 REACH = np.array([0.6, 0.6, 0.5])
@@ -149,14 +149,14 @@ def test_a_wide_search_over_level_ground_stays_small() -> None:
 
 @pytest.mark.parametrize("kinds", [1, 2])
 def test_a_far_search_takes_bounded_memory(kinds: int) -> None:
-    """Of 3600 points over 40 m to each side: thinned to MOST_SAID numbers, and the shift is found all the same."""
+    """Of 3600 points over 40 m to each side: thinned to MOST_CONTRIBUTIONS, and the shift is found all the same."""
     rng, shift = np.random.default_rng(5), np.array([12.3, -9.1, 0.2])
     one, other = seen(steps, shift, rng), seen(steps, np.zeros(3), rng)
     tracemalloc.start()
     matched = match(one, other.surface, np.array([40.0, 40.0, 0.5]), kinds)
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert most < 1.6 * 8 * MOST_SAID
+    assert most < 1.6 * 8 * MOST_CONTRIBUTIONS
     assert matched is not None
     np.testing.assert_allclose(matched.shift, shift, atol=0.1)
 
@@ -210,8 +210,8 @@ def test_the_loop_is_what_its_description_says() -> None:
             np.testing.assert_allclose(said_there[met], np.log(0.8 * normal / density + 0.2), rtol=1e-9)
         np.testing.assert_allclose([mean, weights], [expected, np.sum(1 / variance[fits])], rtol=1e-10)
     usual, score, said = np.empty(len(place)), np.empty(4), said[0]
-    average_said(said, usual)
-    sum_said(said, usual, score)
+    average_over_shifts(said, usual)
+    sum_over_points(said, usual, score)
     expected = np.nan_to_num(np.nansum(said, axis=0) / np.maximum(1, np.isfinite(said).sum(axis=0)))
     np.testing.assert_allclose(usual, expected, rtol=1e-12)
     np.testing.assert_allclose(score, np.nansum(said - expected, axis=1), rtol=1e-9)

@@ -9,7 +9,7 @@ import pytest
 from helpers import thorough
 from made_up_strips import SENSOR, Strips, strips
 
-from sal_height.adjustment import Adjustment, AdjustmentSettings, Window, adjust
+from sal_height.adjustment import Adjustment, AdjustmentSettings, AdjustmentWindow, adjust
 from sal_height.adjustment.observed import pose_jacobian
 from sal_height.numeric import F64
 
@@ -64,7 +64,7 @@ class Told:
 
 
 def told(flown: Strips, most: int = 1000) -> Told:
-    window = Window(SENSOR.mounting, SETTINGS, most)
+    window = AdjustmentWindow(SENSOR.mounting, SETTINGS, most)
     errors, covariances, held = [], [], 0
     for image, shift in zip(flown.images, flown.shifts, strict=True):
         off, jacobian = window.add(image), pose_jacobian(image.middle, image)
@@ -96,7 +96,7 @@ def test_images_come_together_once_enough_of_their_strip_has_come(seed: int) -> 
 def test_a_strip_is_compared_as_a_whole_once_and_each_image_once() -> None:
     """What was said of it when it was shorter does not count again: with each strip before it, one and one each."""
     flown = strips(3, 8, 0.3, 1)
-    window = Window(SENSOR.mounting, SETTINGS, 1000)
+    window = AdjustmentWindow(SENSOR.mounting, SETTINGS, 1000)
     for image in flown.images:
         window.add(image)
     found = window.adjustment.comparisons

@@ -10,12 +10,12 @@ from flown_passes import flown, flown_as, preset_of
 from helpers import thorough
 
 from benchmarks.passes import FlownPasses
-from sal_height.adjustment import AdjustmentSettings, References, Target, Terrain, Window, adjust
+from sal_height.adjustment import AdjustmentSettings, AdjustmentWindow, References, Target, Terrain, adjust
 from sal_height.adjustment.comparing import FINE_POINTS, DwellChain, compared, joined
 from sal_height.adjustment.equations import Solution
+from sal_height.adjustment.known_ground import UNKNOWN_GROUND
 from sal_height.adjustment.network import Network
 from sal_height.adjustment.observed import pose_jacobian
-from sal_height.adjustment.reference import UNKNOWN_GROUND
 from sal_height.numeric import F64
 from sal_height.simulation.preset import TargetSettings
 
@@ -35,7 +35,7 @@ class Told:
 
 
 def told_of(passes: FlownPasses, most_dwells: int, references: References = UNKNOWN_GROUND) -> Told:
-    window = Window(passes.flight.sensor.mounting, SETTINGS, most_dwells, references=references)
+    window = AdjustmentWindow(passes.flight.sensor.mounting, SETTINGS, most_dwells, references=references)
     shifts, covariances, held = [], [], 0
     for dwell in passes.dwells:
         off, jacobian = window.add(dwell), pose_jacobian(dwell.middle, dwell)
@@ -76,7 +76,7 @@ def test_dwells_are_brought_together_as_they_come(seed: int) -> None:
 def test_the_last_adjustment_is_that_of_all_dwells_at_once() -> None:
     """Within a standard deviation, though comparisons began from what was known then."""
     passes = flown()
-    window = Window(passes.flight.sensor.mounting, SETTINGS, 1000)
+    window = AdjustmentWindow(passes.flight.sensor.mounting, SETTINGS, 1000)
     for dwell in passes.dwells:
         window.add(dwell)
     whole = adjust(passes.dwells, passes.flight.sensor.mounting, SETTINGS)
@@ -105,7 +105,7 @@ def test_no_more_points_are_held_than_wanted() -> None:
     """But for a chain that is over, and one that grows."""
     passes = flown()
     chain = sum(len(dwell.points.place) for dwell in passes.dwells[:3])
-    window = Window(passes.flight.sensor.mounting, SETTINGS, 1000, 2 * chain)
+    window = AdjustmentWindow(passes.flight.sensor.mounting, SETTINGS, 1000, 2 * chain)
     held = []
     for dwell in passes.dwells:
         window.add(dwell)
@@ -190,6 +190,6 @@ def test_known_ground_is_used_as_dwells_come() -> None:
 
 
 def test_a_window_tells_of_nothing_before_the_first_dwell() -> None:
-    window = Window(flown().flight.sensor.mounting, SETTINGS, 10)
+    window = AdjustmentWindow(flown().flight.sensor.mounting, SETTINGS, 10)
     with pytest.raises(ValueError, match="no dwell"):
         _ = window.adjustment

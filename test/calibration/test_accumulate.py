@@ -12,8 +12,8 @@ from helpers import assert_one_sentence, multilook
 
 from sal_height.beams.array import Beams, column_squint
 from sal_height.calibration.accumulate import Calibrator, brightest, common_response, targets_in
-from sal_height.calibration.beams import BeamCalibration
-from sal_height.calibration.settings import CalibrationSettings
+from sal_height.calibration.beam_calibration import BeamCalibration
+from sal_height.calibration.calibration_settings import CalibrationSettings
 from sal_height.elevation.estimators.maximum_likelihood import MlSettings, ml_elevation
 from sal_height.elevation.looks.looks import Looks
 from sal_height.errors import NotDetermined, Rejected
@@ -108,7 +108,7 @@ def test_beams_are_told_by_images_of_white_noise_power(monkeypatch: pytest.Monke
 
     def remember(looks: Looks, _beams: Beams, _settings: CalibrationSettings) -> BeamCalibration:
         given.append(looks.power.sum() / looks.count.sum() / looks.covariance.shape[-1] / looks.receiver_noise)
-        return BeamCalibration.none(8)
+        return BeamCalibration.as_described(8)
 
     monkeypatch.setattr("sal_height.calibration.accumulate.calibrate_beams", remember)
     flight = flown(1, cnr_db=-60.0)

@@ -20,7 +20,7 @@ from sal_height.engine.stage import DwellKey, Loss, Product, Stage
 from sal_height.geometry import PlatformState
 from sal_height.sensor import PhaseHistory, Sensor
 from sal_height.simulation import SimulatedFlight, flight_of, load_preset
-from sal_height.simulation.receivers import receiver_noise
+from sal_height.simulation.receiver_noise import receiver_noise
 from sal_height.topics import ODOMETRY, PHASE_HISTORY, SENSOR_INFO, SLC
 
 START_NS = 1_700_000_000_123_456_789

@@ -10,6 +10,7 @@ import pytest
 
 from sal_height.figures import relief_tracking as figure
 from sal_height.figures.curve import Curve, check_of, holds, rows_of
+from sal_height.figures.paper_figures import FIGURES
 from sal_height.relief.smoothing import ReliefPrior
 
 TRIALS, SEED = 3000, 2

@@ -25,7 +25,7 @@ from sal_height.errors import UserError
 from sal_height.sensor.channels import with_powers
 from sal_height.sensor.sensor import Sensor
 from sal_height.sensor.waveform import spectrum_sensor
-from sal_height.simulation.receivers import form_channels, received, receiver_noise
+from sal_height.simulation.receiver_noise import form_channels, received, receiver_noise
 
 LOSSLESS = np.array([[1, 1], [-1, 1]]) / np.sqrt(2)
 """Sum, and difference upper less lower, of two beams."""

@@ -17,7 +17,7 @@ from helpers import assert_one_sentence
 from stage_graph import StageGraph
 
 from sal_height import messages
-from sal_height.adjustment import LEAST_POINTS, Window
+from sal_height.adjustment import LEAST_POINTS, AdjustmentWindow
 from sal_height.errors import UserError
 from sal_height.geometry import sphere_coordinates
 from sal_height.messages.types import (
@@ -329,8 +329,8 @@ def test_an_error_within_begins_anew(
         raise ZeroDivisionError
 
     with monkeypatch.context() as broken:
-        broken.setattr(Window, "add", fail)
-        adjusting.graph.publish("ml/height", flown.images[2])
+        broken.setattr(AdjustmentWindow, "add", fail)
+        adjusting.heights.publish(flown.images[2])
         for state in flown.odometry[2]:
             adjusting.graph.publish("platform/odometry", state)
         adjusting.wait(lambda: sum(adjusting.stage.counted("dropped.").values()) == 1, "a drop")

@@ -16,7 +16,7 @@ from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.sensor.receivers import clipped
 from sal_height.simulation.flight import SimulatedFlight, flight_of
 from sal_height.simulation.preset import load_preset
-from sal_height.simulation.receivers import receiver_noise
+from sal_height.simulation.receiver_noise import receiver_noise
 
 USABLE = (HeightImage.OK, HeightImage.TWO_SCATTERERS)
 

@@ -16,7 +16,7 @@ from sal_height.imaging import ImageSettings, Slc
 from sal_height.pipeline import Compressor, channels_and_beams, heights
 from sal_height.sensor import Channels, PhaseHistory, clipped, whitened_channels
 from sal_height.simulation import SimulatedFlight, flight_of, load_preset
-from sal_height.simulation.receivers import receiver_noise
+from sal_height.simulation.receiver_noise import receiver_noise
 
 STRIP_IMAGE = ImageSettings(rows=16, cols=128)
 

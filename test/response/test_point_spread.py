@@ -16,7 +16,7 @@ from sal_height.numeric.fft import frequencies
 from sal_height.response.impulse import measure_brightest
 from sal_height.response.point_spread import FINENESS, anomalous_sidelobes, cut_through, estimate_point_spread
 from sal_height.response.point_targets import find_targets
-from sal_height.response.transfer_function import AxisResponse, TransferFunction, centred, estimate_transfer_function
+from sal_height.response.transfer_function import AxisTransfer, TransferFunction, centred, estimate_transfer_function
 
 COUNT = 64
 TAYLOR = RangeFault(sawtooth=0.0).response(COUNT)
@@ -28,7 +28,7 @@ def transfer(range_response: np.ndarray, azimuth_response: np.ndarray, sigma: fl
     """A transfer function that is known well."""
     ranges, azimuths = centred(range_response), centred(azimuth_response)
     errors = np.full(len(ranges), sigma), np.full(len(azimuths), sigma)
-    return TransferFunction(AxisResponse(ranges, errors[0], 1.0), AxisResponse(azimuths, errors[1], 1.0), 4)
+    return TransferFunction(AxisTransfer(ranges, errors[0], 1.0), AxisTransfer(azimuths, errors[1], 1.0), 4)
 
 
 def half_power_of_taylor() -> float:

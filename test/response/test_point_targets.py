@@ -165,7 +165,7 @@ def draw_candidates(count: int, side: int) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("chip", [(64, 64), (30, 6)])
 def test_crowds_are_those_of_all_pairs(chip: tuple[int, int]) -> None:
     places, power = draw_candidates(300, 600)
-    marked = point_targets._place_verdicts(places, power, (10_000, 10_000), chip, 0.01)
+    marked = point_targets._position_verdicts(places, power, (10_000, 10_000), chip, 0.01)
     expected = crowded_pairwise(places, power, chip)
     assert 50 < sum(expected) < 290
     assert [verdict is Verdict.CROWDED for verdict in marked] == expected
@@ -175,7 +175,7 @@ def test_crowds_of_a_city_need_little_memory() -> None:
     """All pairs of as many candidates would take 3 GB."""
     places, power = draw_candidates(20_000, 8192)
     tracemalloc.start()
-    point_targets._place_verdicts(places, power, (10_000, 10_000), (64, 64), 0.01)
+    point_targets._position_verdicts(places, power, (10_000, 10_000), (64, 64), 0.01)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 50e6

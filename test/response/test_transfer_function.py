@@ -20,7 +20,7 @@ from sal_height.figures.synthetic_tape import (
     make_tape,
 )
 from sal_height.response.point_targets import PointTarget, chip_at, find_targets
-from sal_height.response.transfer_function import AxisResponse, centred, estimate_transfer_function
+from sal_height.response.transfer_function import AxisTransfer, centred, estimate_transfer_function
 
 COUNT = 64
 RANGE, EVEN, COSINE = RangeFault(), AzimuthFault(taper=0.0), AzimuthFault(taper=1.0)
@@ -237,9 +237,9 @@ def test_a_band_across_the_ends_of_the_frequencies_is_centred_too() -> None:
 
 def test_what_clutter_explains_is_taken_out() -> None:
     response = centred(RANGE.response(COUNT))
-    assert_allclose(AxisResponse(response, np.zeros(COUNT), 1.0).without_clutter(), response, atol=1e-12)
+    assert_allclose(AxisTransfer(response, np.zeros(COUNT), 1.0).without_clutter(), response, atol=1e-12)
     faint = np.fft.fft(np.where(np.arange(COUNT) == 5, 0.01, np.arange(COUNT) == 0))
-    noisy = AxisResponse(faint, np.full(COUNT, 0.011 * np.sqrt(COUNT)), 1.0)
+    noisy = AxisTransfer(faint, np.full(COUNT, 0.011 * np.sqrt(COUNT)), 1.0)
     assert_allclose(noisy.without_clutter(), np.ones(COUNT), atol=1e-12)
 
 

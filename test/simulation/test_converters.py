@@ -10,7 +10,7 @@ from helpers import assert_one_sentence, make_sensor
 
 from sal_height.errors import UserError
 from sal_height.simulation import load_preset, parse_preset
-from sal_height.simulation.receivers import received
+from sal_height.simulation.receiver_noise import received
 
 
 @pytest.mark.parametrize("bits", [4, 8])

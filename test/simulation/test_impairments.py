@@ -38,7 +38,7 @@ from sal_height.simulation.impairments import (
     through_receivers,
 )
 from sal_height.simulation.preset import HybridSettings, load_preset
-from sal_height.simulation.receivers import form_channels
+from sal_height.simulation.receiver_noise import form_channels
 from sal_height.simulation.scene import PointScatterer, Scene
 
 REFERENCE = Path(__file__).parents[2] / "bags" / "version_3"

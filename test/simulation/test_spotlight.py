@@ -28,7 +28,7 @@ from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.sensor.sensor import Sensor
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
-from sal_height.simulation.receivers import receiver_noise
+from sal_height.simulation.receiver_noise import receiver_noise
 from sal_height.simulation.scene import VisibleSurface, visible_surface
 from sal_height.simulation.spotlight import cell_power, draw_amplitudes, simulate_dwell
 

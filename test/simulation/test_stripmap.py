@@ -21,7 +21,7 @@ from scipy.special import erf
 
 from sal_height.beams.apertures import GAUSSIAN_WIDTH
 from sal_height.geometry.frames import angles_of, look_direction
-from sal_height.imaging.beams import image_beams
+from sal_height.imaging.beams_in_images import image_beams
 from sal_height.imaging.formers.backprojection import backproject_points
 from sal_height.imaging.weighting import Processing
 from sal_height.sensor.phase_history import PhaseHistory

@@ -1,4 +1,4 @@
 """Autofocus: read `gradient` first, then `coherence` and `phase_linking`, and `strip_phase` for stripmap.
 
-`phase_error` says which part of a phase may be removed, `placement` where the image then lies.
+`phase_error` selects the part of a phase that may be removed, `placement` locates the image then.
 """

@@ -1,13 +1,13 @@
-"""Autofocus on bright targets: phase-gradient autofocus of a wide scene, and whether two halves of it agree.
+"""Autofocus on bright targets: phase-gradient autofocus of a wide scene, with its error by comparing two halves of it.
 
 The response around each target is centred and windowed in azimuth, in iterations with shrinking windows (Wahl, Eichel,
-Ghiglia & Jakowatz, IEEE Trans. AES 30, 1994). Targets are weighted by what their windows leave out: the power of noise,
-and of structure that is no point's. Without that, iterations end at phases which make one point of the few scatterers
-of the brightest target, and double images of others.
+Ghiglia & Jakowatz, IEEE Trans. AES 30, 1994). Targets are weighted by the power outside of their windows: noise, and
+structure that is no point's. Without that, iterations end at phases which make one point of the few scatterers of the
+brightest target, and double images of others.
 
-The iterations begin anew from what they have found, with targets where navigation puts them, as long as the pictures of
-all range cells, bright or not, get sharper. From there each of two halves of the range cells is focused by itself: what
-they differ by is the error, that by structure of targets included.
+The iterations start again from their result, with targets at the positions by navigation, as long as the pictures of
+all range cells, bright or not, get sharper. From there each of two halves of the range cells is focused by itself:
+their difference is the error, including that by the structure of targets.
 """
 
 from __future__ import annotations
@@ -18,15 +18,9 @@ import scipy.fft
 from sal_height.imaging.autofocus.phase_error import detrended, phase_gradient, without_shift
 from sal_height.numeric import F64, Bool, Complex
 
-WINDOW_SHRINKS = 0.85  # ratio of the azimuth windows of successive iterations
 NARROWEST_WINDOW = 5  # width of the last azimuth window, cells: a focused target and its first sidelobes
 ITERATIONS = 30  # maximum number of iterations of a round
-ROUNDS = 5  # maximum number of rounds, each from the widest window to the narrowest
-ATTEMPTS = 3  # maximum number of times that the rounds begin
-SHARPER = 1.01  # by which an attempt must be better than the last one for another to be worth its time
 CHANGE = 0.05  # rms change of the phase (rad) below which the iterations of a round end, and the rounds
-WITHIN_CELL = np.arange(-4, 5) / 8  # of a cell, places that are tried for a target's peak
-LEAST_OUTSIDE = 1e-6  # of a target's power that is taken to lie outside of any window
 LIKE_ROWS = 8  # neighbouring range cells of one half, so that a target with its first sidelobes is seldom in both
 
 
@@ -36,16 +30,16 @@ def focus_targets(responses: Complex, half_width: int, brightness: float) -> tup
     That is infinite where one of the halves has no target.
 
     Args:
-        responses: of pulses at points, shape (detectors, rows, patches, pulses).
-        half_width: azimuth cells to each side of a point that its picture shows.
+        responses: responses of pulses at points, shape (detectors, rows, patches, pulses).
+        half_width: number of azimuth cells to each side of a point in its picture.
         brightness: power of a target over the median of the pictures.
     """
     everything = _at_points(responses)
     phase, sharp = np.zeros(responses.shape[-1]), 0.0
-    for _ in range(ATTEMPTS):
+    for _ in range(3):  # attempts, each with all rounds
         found = without_shift(_in_rounds(everything, phase, half_width, brightness))
         reached = sharpness(turned(everything, found), half_width)
-        if reached <= sharp * SHARPER:
+        if reached <= sharp * 1.01:  # another attempt would not be worth its time
             break
         phase, sharp = found, reached
     first = _first_half(responses.shape[1])
@@ -60,8 +54,8 @@ def sharpness(responses: Complex, half_width: int) -> float:
     """Mean over points of the sum of squared powers in a point's picture over the square of their sum; 1: no power.
 
     Args:
-        responses: of pulses at points, shape (detectors, points, pulses).
-        half_width: azimuth cells to each side of a point that its picture shows.
+        responses: responses of pulses at points, shape (detectors, points, pulses).
+        half_width: number of azimuth cells to each side of a point in its picture.
     """
     picture = _picture(responses, half_width)
     total = picture.sum(axis=-1)
@@ -82,7 +76,7 @@ def _at_points(responses: Complex) -> Complex:
 
 
 def _first_half(rows: int) -> Bool:
-    """Which range cells are in the first of two halves: blocks of LIKE_ROWS by turns, of fewer where they are few."""
+    """Mask of the range cells in the first of two halves: alternate blocks of LIKE_ROWS, of fewer if there are few."""
     block = max(1, min(LIKE_ROWS, rows // 4))
     return np.arange(rows) // block % 2 == 0
 
@@ -90,7 +84,7 @@ def _first_half(rows: int) -> Bool:
 def _in_rounds(responses: Complex, start: F64, half_width: int, brightness: float) -> F64:
     """Phase error in rounds, until one finds nothing new: a blur wider than the pictures takes several."""
     phase = start.copy()
-    for _ in range(ROUNDS):
+    for _ in range(5):  # rounds, each from the widest window to the narrowest
         found = _round(turned(responses, phase), half_width, brightness)
         phase += found
         if _rms(detrended(np.unwrap(found))) <= CHANGE:
@@ -99,9 +93,9 @@ def _in_rounds(responses: Complex, start: F64, half_width: int, brightness: floa
 
 
 def _round(responses: Complex, half_width: int, brightness: float) -> F64:
-    """Phase error by phase-gradient autofocus, in windows that shrink; then by `_refine`; 0 where there is no target.
+    """Phase error by phase-gradient autofocus, in windows that shrink; then by `_refine`; 0 without a target.
 
-    Each iteration looks at the present picture of every point, an FFT over its pulses, within `half_width` cells,
+    Each iteration uses the present picture of every point, an FFT over its pulses, within `half_width` cells,
     takes those whose brightest cell is a target, moves that to the middle, and windows it in azimuth.
     """
     phase, width = np.zeros(responses.shape[-1]), 2.0 * half_width + 1
@@ -113,19 +107,19 @@ def _round(responses: Complex, half_width: int, brightness: float) -> F64:
             return phase
         within = _windowed(targets, width)
         phase += detrended(phase_gradient(within / _outside(targets, within)))
-        width = max(width * WINDOW_SHRINKS, NARROWEST_WINDOW)
+        width = max(width * 0.85, NARROWEST_WINDOW)
     last = _refine(turned(responses, phase), half_width, brightness)
     return phase if last is None else phase + last
 
 
 def _refine(responses: Complex, half_width: int, brightness: float) -> F64 | None:
-    """Phase error of what is nearly in focus: each pulse against all others; None: there is no target.
+    """Phase error of responses that are nearly in focus: each pulse against all others; None: there is no target.
 
-    What the others say of a target is its response in the narrowest window less the pulse's own share in it. So phases
-    are seen which change from pulse to pulse.
+    The others' estimate of a target is its response in the narrowest window less the pulse's own part in it. So phases
+    that change from pulse to pulse are measured.
     """
     pulses = responses.shape[-1]
-    own_share = (2 * (NARROWEST_WINDOW // 2) + 1) / pulses
+    own_part = (2 * (NARROWEST_WINDOW // 2) + 1) / pulses
     phase = np.zeros(pulses)
     for _ in range(ITERATIONS):
         targets = _centred_targets(turned(responses, phase), half_width, brightness)
@@ -134,7 +128,7 @@ def _refine(responses: Complex, half_width: int, brightness: float) -> F64 | Non
         within = _windowed(targets, NARROWEST_WINDOW)
         outside = _outside(targets, within)
         targets, within = targets / outside, within / outside
-        others = within - own_share * targets
+        others = within - own_part * targets
         step = detrended(np.angle(np.einsum("mpt,mpt->t", others.conj(), targets)))
         phase += step
         if _rms(step) <= CHANGE:
@@ -149,7 +143,7 @@ def _picture(responses: Complex, half_width: int) -> F64:
 
 
 def _centred_targets(responses: Complex, half_width: int, brightness: float) -> Complex:
-    """Responses of the points whose picture holds a bright target, which a linear phase moves to the middle."""
+    """Responses of the points whose picture contains a bright target, which a linear phase moves to the middle."""
     if not responses.shape[1]:
         return responses
     picture = _picture(responses, half_width)
@@ -158,25 +152,25 @@ def _centred_targets(responses: Complex, half_width: int, brightness: float) -> 
     turn = -2j * np.pi / len(pulses) * pulses
     cell = picture[bright].argmax(axis=-1) - half_width
     targets = responses[:, bright] * np.exp(turn)[cell[:, None] * pulses % len(pulses)]
-    within_cell = np.exp(turn[:, None] * WITHIN_CELL)
-    beside = np.sum(np.abs(targets @ within_cell) ** 2, axis=0)
-    return targets * within_cell.T[beside.argmax(axis=-1)]
+    within_cell = np.exp(turn[:, None] * (np.arange(-4, 5) / 8))  # positions that are tried for a target's peak
+    at_peak = np.sum(np.abs(targets @ within_cell) ** 2, axis=0)
+    return targets * within_cell.T[at_peak.argmax(axis=-1)]
 
 
 def _windowed(responses: Complex, width: float) -> Complex:
-    """Responses of what lies within `width` azimuth cells around the middle."""
+    """The part of responses within `width` azimuth cells around the middle."""
     pulses = responses.shape[-1]
     near = np.abs(np.fft.fftfreq(pulses, 1 / pulses)) <= width / 2
     return np.fft.ifft(np.fft.fft(responses) * near)
 
 
 def _outside(responses: Complex, within: Complex) -> F64:
-    """Root mean square of what of responses is not `within` a window: noise, and structure that is no point's.
+    """Root mean square of the part of responses outside a window: noise, and structure that is no point's.
 
     Shape (points, 1): targets are weighted by its inverse.
     """
     outside, power = (np.mean(np.abs(part) ** 2, axis=(0, 2)) for part in (responses - within, responses))
-    return np.sqrt(np.maximum(outside, LEAST_OUTSIDE * power))[:, None]
+    return np.sqrt(np.maximum(outside, 1e-6 * power))[:, None]  # some power is always assumed outside
 
 
 def _rms(values: F64) -> float:

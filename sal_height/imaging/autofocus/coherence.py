@@ -1,4 +1,4 @@
-"""Coherence of the echo between the pulses of a flight, from where the beam sends its power."""
+"""Coherence of the echo between the pulses of a flight, by the directions of the beam's power."""
 
 from __future__ import annotations
 
@@ -14,21 +14,19 @@ from numpy.lib.stride_tricks import as_strided
 from sal_height.numeric import C128, F32, F64, Complex
 from sal_height.sensor import Sensor
 
-UNLIKE = 0.1  # coherence of pulses below which their echoes have nothing in common
-COMPARED = 16  # times as far apart are pulses that are compared, by what lies between them
+COMPARED = 16  # greatest distance of compared pulses, over that of coherent ones, by the pulses between them
 Array = TypeVar("Array", F64, C128, Complex)
 
-DARKEST = 1e-3  # least power of a beam's profile over its greatest, so that it may grow where the beam has a null
-STEP_DIGITS = 0.01  # relative difference of the ways from pulse to pulse that have the same coherence
+STEP_DIGITS = 0.01  # relative difference of the steps from pulse to pulse that have the same coherence
 
 
 @dataclass(frozen=True, eq=False)
 class Coherence:
-    """Of the echo between every two pulses; 1 on the diagonal where the profile's sum is 1.
+    """Coherence of the echo between every two pulses; 1 on the diagonal if the profile's sum is 1.
 
     Attributes:
-        waves: from each azimuth, shape (pulses, azimuths).
-        profile: share of the power that comes from each, shape (azimuths,).
+        waves: waves from each azimuth, shape (pulses, azimuths).
+        profile: fraction of the power from each azimuth, shape (azimuths,).
     """
 
     waves: C128
@@ -44,8 +42,8 @@ class Coherence:
 
     @cached_property
     def lags(self) -> int:
-        """How far pulses are apart that are compared: an antenna that has moved by its length sees other speckle."""
-        alike = np.flatnonzero(np.abs(self.matrix[:, 0]) >= UNLIKE)[-1] + 1
+        """Greatest distance of compared pulses: an antenna that has moved by its length sees other speckle."""
+        alike = np.flatnonzero(np.abs(self.matrix[:, 0]) >= 0.1)[-1] + 1
         return min(COMPARED * int(alike), len(self.matrix) - 1)
 
     @cached_property
@@ -87,10 +85,10 @@ class Coherence:
 
 
 def beam_coherence(sensor: Sensor, antenna: F64) -> Coherence:
-    """Of even ground in the beam, between the positions of the antenna (m, shape (pulses, 3)).
+    """Coherence of even ground in the beam, between the positions of the antenna (m, shape (pulses, 3)).
 
-    Positions are taken as evenly apart on a line, and ways from pulse to pulse that differ by less than STEP_DIGITS as
-    the same, so that dwells of a flight share what is made of them once.
+    Positions are assumed to be evenly spaced on a line, and steps from pulse to pulse that differ by less than
+    STEP_DIGITS to be equal, so that dwells of a flight use one result.
     """
     way = float(np.linalg.norm(antenna[-1] - antenna[0])) / (len(antenna) - 1)
     return _beam_coherence(sensor, len(antenna), round(math.log(way) / STEP_DIGITS))
@@ -104,7 +102,7 @@ def _beam_coherence(sensor: Sensor, pulses: int, step: int) -> Coherence:
     angle = azimuths * sensor.wavelength / (4 * way)  # at which the phase turns by that from pulse to pulse
     beamwidths = angle / sensor.beams.track_beamwidth
     power = np.abs(sensor.beams.patterns[0].amplitude(np.zeros_like(beamwidths), beamwidths)) ** 2
-    power += DARKEST * power.max()
+    power += 1e-3 * power.max()  # so that the profile may grow where the beam has a null
     return Coherence(azimuth_waves(pulses), power / power.sum())
 
 
@@ -129,7 +127,7 @@ def periodograms(responses: Complex) -> F32:
 
 
 def half_turns(pulses: int) -> F64:
-    """All azimuths that pulses can tell apart, half a resolution cell from one to the next, shape (2 pulses,).
+    """All azimuths that pulses can resolve, half a resolution cell from one to the next, shape (2 pulses,).
 
     Stated as half turns by which the phase of the echo grows from pulse to pulse, from -1 to 1; 0 is the middle.
     """

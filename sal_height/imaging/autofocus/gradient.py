@@ -1,12 +1,12 @@
-"""Autofocus: the phase error that all detectors share, estimated from all of them together and removed from all alike.
+"""Autofocus: the common phase error of all detectors, estimated from all of them together and removed from all alike.
 
 An error of path length common to the detectors - atmosphere, vibration, navigation - turns the phase of a whole pulse.
-Each detector and range cell tells what that pulse's phase did, so the maximum-likelihood phase-gradient kernel
+Each detector and range cell measures the phase of that pulse, so the maximum-likelihood phase-gradient kernel
 (Wahl, Eichel, Ghiglia & Jakowatz, IEEE Trans. AES 30, 1994; Jakowatz & Wahl, JOSA A 10, 1993)
 
     phase(t+1) - phase(t) = arg of the sum over detectors and range cells of conj(g(t)) g(t+1)
 
-adds over both. What g is depends on the scene:
+adds over both. The choice of g depends on the scene:
 
 * Speckle in a beam so narrow that neighbouring pulses see almost the same (lidar): g is the response at the beam's
   middle, with nothing windowed, and errors of any size can be followed. `phase_linking` then compares pulses that are
@@ -14,7 +14,7 @@ adds over both. What g is depends on the scene:
 * Bright targets in a wide scene (radar): g is the response around each target, centred and windowed in azimuth, see
   `bright_targets`.
 
-All of it needs only the responses of pulses at points, so it holds for any trajectory.
+It needs only the responses of pulses at points, so it is valid for any trajectory.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ from sal_height.numeric import C64, C128, F64, Complex
 from sal_height.sensor import NUFFT_TOLERANCE, PhaseHistory, Sensor
 from sal_height.settings import Settings, setting
 
-MOST_RESPONSES = 2**25  # detectors x points x pulses: 0.5 GB, of which four copies are held at a time
+MOST_RESPONSES = 2**25  # detectors x points x pulses: 0.5 GB, of which there are four copies at a time
 
 
 class AutofocusSettings(Settings):
-    """When autofocus trusts what it finds, and how it looks for it."""
+    """Criteria for trusting autofocus, and parameters of its estimation."""
 
     autofocus_max_error_rad: float = setting(
         0.5,
@@ -92,12 +92,12 @@ class Focus:
     """A phase error that autofocus has estimated.
 
     Attributes:
-        phase: estimated error, rad, shape (pulses,); 0 where there is nothing to focus on.
-        standard_error: rms over the pulses that the estimate's own statistics predict, rad; infinite where there is
+        phase: estimated error, rad, shape (pulses,); 0 if there is nothing to focus on.
+        standard_error: rms over the pulses that the estimate's own statistics predict, rad; infinite if there is
             nothing to focus on.
-        trusted: whether the phase should be applied: known well enough, and the image does not lose by it.
-        trend: phase from pulse to pulse by which, besides, the echoes are off the middle of the beam, rad.
-        trend_error: its standard error, rad; infinite where bright targets are focused, or nothing is.
+        trusted: True if the phase should be applied: known well enough, and the image does not lose by it.
+        trend: residual linear phase per pulse (Doppler centroid offset), rad.
+        trend_error: standard error of the trend, rad; infinite if bright targets are focused, or nothing is.
     """
 
     phase: F64
@@ -108,26 +108,26 @@ class Focus:
 
     @property
     def finds_beams(self) -> bool:
-        """Whether the middle of the beams is known along the flight."""
+        """True if the middle of the beams is known along the flight."""
         return self.trusted and bool(np.isfinite(self.trend_error))
 
     @property
     def is_smooth(self) -> bool:
-        """Whether the course of the phase is known, and not only modulo 2 pi."""
+        """True if the course of the phase is known, and not only modulo 2 pi."""
         return is_smooth(self.phase)
 
 
 def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64, settings: AutofocusSettings) -> Focus:
-    """Estimate the phase error of a dwell; ask the result whether it is to be trusted.
+    """Estimate the phase error of a dwell; the result states if it is to be trusted.
 
-    The band is used without a window: it has more independent range cells so, and sidelobes share the phase error.
+    The band is used without a window: it has more independent range cells so, and sidelobes have the same phase error.
 
     Args:
-        history: of all detectors in a spotlight dwell.
+        history: phase history of all detectors in a spotlight dwell.
         antenna: position at each pulse, m, shape (pulses, 3).
         sensor: wavelength, frequencies, beams and noise power.
-        patches: points (m) at whose azimuths the scene is looked at, shape (rows, patches, 3) (`patch_centres`).
-        settings: what is trusted.
+        patches: points at whose azimuths the scene is focused, shape (rows, patches, 3) (`patch_centres`), m.
+        settings: criteria for trust.
 
     Raises:
         UserError: a stripmap sensor (see `strip_phase`), or a dwell that is too large.
@@ -160,7 +160,7 @@ def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64,
         responses = pulse_responses(history, antenna, sensor, np.ones(sensor.sample_count), patches.reshape(-1, 3))
         of_rows = responses.reshape(len(responses), *patches.shape[:2], -1)
         phase, error = focus_targets(of_rows, half, 10 ** (settings.autofocus_target_db / 10))
-        # Where targets lie is known by the trend alone, and the course of a phase that is not smooth has none.
+        # Positions of targets are known by the trend alone, and the course of a phase that is not smooth has no trend.
         tells_place = np.isfinite(error) and is_smooth(phase)
         focus = Focus(phase, error) if tells_place else Focus(np.zeros(len(phase)), np.inf)
     phase = without_shift(focus.phase)
@@ -170,7 +170,7 @@ def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64,
 
 
 def is_for_speckle(sensor: Sensor, antenna: F64) -> bool:
-    """Whether a dwell is focused on speckle: its noise is known, and all that the beam lights stays in its range cell.
+    """True if a dwell is focused on speckle: its noise is known, and all lit ground stays in its range cell.
 
     Args:
         sensor: wavelength, bandwidth, beams and noise power.
@@ -194,16 +194,17 @@ def apply_phase(history: PhaseHistory, phase: F64) -> PhaseHistory:
 
 
 def cell_responses(history: PhaseHistory, antenna: F64, sensor: Sensor, centre: F64) -> C64:
-    """What each pulse contributes to the range cells before and behind a point: `pulse_responses` by an FFT.
+    """Contribution of each pulse to the range cells before and behind a point: `pulse_responses` by an FFT.
 
-    Cells are as far from each other in all pulses as for what stays in its range cell; a phase that is the same in all
-    pulses is left out. Shape (detectors, cells, pulses), in the order of range, all cells of the range window.
+    The distance of cells is the same in all pulses, as for echoes that stay in their range cells; a phase that is the
+    same in all pulses is left out. Shape (detectors, cells, pulses), in the order of range, all cells of the range
+    window.
 
     Args:
         history: of all detectors in a dwell.
         antenna: position at each pulse, m, shape (pulses, 3).
         sensor: wavelength and frequencies.
-        centre: the point, m, shape (3,); or one for each pulse, shape (pulses, 3).
+        centre: point, m, shape (3,); or one for each pulse, shape (pulses, 3).
     """
     delay = np.linalg.norm(centre - antenna, axis=-1) - history.reference_range
     half = sensor.sample_count // 2
@@ -215,7 +216,7 @@ def cell_responses(history: PhaseHistory, antenna: F64, sensor: Sensor, centre: 
 
 
 def pulse_responses(history: PhaseHistory, antenna: F64, sensor: Sensor, weights: F64, points: F64) -> C128:
-    """What each pulse contributes to points: backprojection without the sum over pulses.
+    """Contribution of each pulse to points: backprojection without the sum over pulses.
 
     response(p, t) = sum over frequencies of w(f) samples(t, f) exp(+j 4 pi f (|p - antenna| - reference) / c)
 
@@ -224,7 +225,7 @@ def pulse_responses(history: PhaseHistory, antenna: F64, sensor: Sensor, weights
         antenna: position at each pulse, m, shape (pulses, 3).
         sensor: wavelength and frequencies.
         weights: range window w of mean 1, shape (frequencies,).
-        points: m, shape (points, 3).
+        points: positions, m, shape (points, 3).
 
     Returns:
         Shape (detectors, points, pulses); 0 where a point is outside the range window.
@@ -241,12 +242,11 @@ def pulse_responses(history: PhaseHistory, antenna: F64, sensor: Sensor, weights
 
 
 def focus_speckle(modes: Complex, snr: F64, by_beam: Coherence) -> Focus:
-    """Phase error from all that the beam lights: gradient of neighbours, then pulses farther apart, twice.
+    """Phase error from all lit ground: gradient of neighbours, then pulses farther apart, twice.
 
     Args:
-        modes: what the channels' responses at the beam's middle hold in every range cell, and the signal-to-noise ratio
-            of each (`signal_modes`).
-        snr: see there.
+        modes: modes of the channels' responses at the beam's middle in every range cell (`signal_modes`).
+        snr: signal-to-noise ratio of each mode.
         by_beam: coherence of even ground (`beam_coherence`).
     """
     if not len(modes):
@@ -264,7 +264,7 @@ def focus_speckle(modes: Complex, snr: F64, by_beam: Coherence) -> Focus:
 def patch_half_width(sensor: Sensor) -> int:
     """Azimuth cells to each side of a point within which a target stays in the point's range cell: carrier / bandwidth.
 
-    At most as many as the pulses can tell apart.
+    At most the number that the pulses can resolve.
     """
     return min(int(speed_of_light / (sensor.wavelength * sensor.bandwidth)), (sensor.pulse_count - 1) // 2)
 

@@ -1,4 +1,4 @@
-"""Phase errors common to all detectors: what of an estimate may be corrected.
+"""Phase errors common to all detectors: the part of an estimate that may be corrected.
 
 A phase error is an array of shape (pulses,) in rad. Its mean cannot be seen in an image and its linear trend is a shift
 in azimuth; neither is counted as an error.
@@ -15,7 +15,6 @@ import scipy.linalg
 
 from sal_height.numeric import F64, Complex
 
-FAINTLY = 1e-9  # of the information on a phase, with which the mean counts as known, so that it can be factorised
 SMOOTH_STEP = 1.0  # rms step from pulse to pulse, rad, up to which a phase can be unwrapped: pi is three times as much
 
 
@@ -47,10 +46,10 @@ class PhaseInformation:
     def of(cls, information: F64) -> Self:
         """Of the information on phases, rad^-2, between pulses that are compared (`lower_band`)."""
         lags, pulses = len(information) - 1, information.shape[-1]
-        # A phase that all pulses share changes nothing; pairs that are not compared must not make it look known.
+        # A common phase of all pulses changes nothing; pairs that are not compared must not make it look known.
         on_all = scipy.linalg.blas.dsbmv(lags, 1.0, information, np.ones(pulses), lower=1)
         level = information.copy(order="F")
-        level[0] += FAINTLY * information[0].max() - on_all
+        level[0] += 1e-9 * information[0].max() - on_all  # the mean counts as faintly known, for the factorisation
         factor = scipy.linalg.cholesky_banded(level, lower=True, overwrite_ab=True, check_finite=False)
         known = _mean_and_trend(pulses)
         towards = scipy.linalg.cho_solve_banded((factor, True), known, check_finite=False)
@@ -74,11 +73,11 @@ def _mean_and_trend(pulses: int) -> F64:
 
 
 def without_shift(phase: F64) -> F64:
-    """The phase, unwrapped, without what cannot or must not be corrected: its mean, and a shift where it has one.
+    """The phase, unwrapped, without its mean and any shift, which cannot or must not be corrected.
 
     A linear trend moves the image along the flight, which navigation knows better than an image does. Where the phase
-    steps by more than SMOOTH_STEP (rms), its course is known only modulo 2 pi, and so is no trend of it: there only the
-    mean is removed, and the image stays where the middle of the beams puts it.
+    steps by more than SMOOTH_STEP (rms), its course is known only modulo 2 pi, and so it has no trend: there only the
+    mean is removed, and the image stays at the middle of the beams.
     """
     if is_smooth(phase):
         return detrended(np.unwrap(phase - _mean_step(phase) * np.arange(len(phase))))
@@ -87,16 +86,16 @@ def without_shift(phase: F64) -> F64:
 
 
 def is_smooth(phase: F64) -> bool:
-    """Whether steps from pulse to pulse differ so little that the course of a phase, and not only its value, is known.
+    """True if steps from pulse to pulse differ so little that the course of a phase, and not only its value, is known.
 
-    A trend, whatever its size, is none of the difference.
+    A trend, whatever its size, is not part of the difference.
     """
     steps = np.angle(np.exp(1j * (np.diff(phase) - _mean_step(phase))))
     return bool(np.sqrt(np.mean(steps**2)) <= SMOOTH_STEP)
 
 
 def turns_slowly(phase: F64) -> bool:
-    """Whether steps from pulse to pulse, however large, change so little from one to the next that they can be told."""
+    """True if steps from pulse to pulse, whatever their size, change so little that they are known."""
     changes = np.angle(np.exp(1j * np.diff(phase, 2)))
     return bool(np.sqrt(np.mean(changes**2)) <= SMOOTH_STEP)
 

@@ -1,18 +1,18 @@
 """Phase linking: the maximum-likelihood phase of every pulse from a scene of speckle, by pairs of pulses.
 
-The scene that the beam lights is narrower than what the pulses could tell apart, so its echo changes little from pulse
-to pulse: where a share p(a) of its power comes from the azimuth a, whose waves are w(a), pulses have the covariance
-R = snr sum over a of p(a) w(a) w(a)^H + 1. What they differ in besides is the phase error. With g = exp(j phase) *
+The lit scene is narrower than the pulses' unambiguous azimuths, so its echo changes little from pulse to pulse: with a
+fraction p(a) of its power from the azimuth a, whose waves are w(a), pulses have the covariance
+R = snr sum over a of p(a) w(a) w(a)^H + 1. Any further difference is the phase error. With g = exp(j phase) *
 speckle of covariance R, summed over channels and range cells,
 
     log likelihood = -sum over t, s of exp(j (phase_t - phase_s)) conj(g_t) R^-1(t, s) g_s
 
 (Guarnieri & Tebaldini, IEEE Trans. GRS 46, 2008; for a single target in the middle it is the eigenvector method of
 Jakowatz & Wahl, JOSA A 10, 1993). The phase gradient of neighbours is the start, and Fisher scoring leads to the
-maximum; the Fisher information 2 (R o R^-1 - 1) per response also tells how well it is known. An antenna that has moved
-by its own length sees other speckle, so R and the information are bands, and so is R^-1 but for what is left after many
-lengths: pulses farther apart than `Coherence.lags` are not compared. Points that outshine the ground, and what moves by
-itself, are left out (`which_fit`). The profile p(a) is at first that of the beam; then it is fitted to the responses,
+maximum; the Fisher information 2 (R o R^-1 - 1) per response gives its error. An antenna that has moved by its own
+length sees other speckle, so R and the information are bands, and so is R^-1 but for the rest after many lengths:
+pulses farther apart than `Coherence.lags` are not compared. Points that outshine the ground, and movers, are left out
+(`which_fit`). The profile p(a) is at first that of the beam; then it is fitted to the responses,
 and the phases are linked again, because the sidelobes, a beam that is round and not a product, and ground of uneven
 brightness spread the echo otherwise.
 """
@@ -31,16 +31,8 @@ from sal_height.imaging.autofocus.phase_error import PhaseInformation, phase_gra
 from sal_height.imaging.autofocus.unevenness import uneven_trend
 from sal_height.numeric import C128, F64, Bool, Complex
 
-WEAKEST_MODE = 0.1  # least share of the strongest mode's signal-to-noise ratio in a range cell
+WEAKEST_MODE = 0.1  # least signal-to-noise ratio of a mode over that of the strongest one in a range cell
 LIKE_ROWS = 5  # range cells over which channels are correlated: terrain takes more to cross a beam
-NOISE_MARGIN = 1.1  # on the greatest eigenvalue of noise for many samples: a few hundred exceed it in 1 % of the cells
-CLASS_RATIO = 2.0  # of the greatest to the least signal-to-noise ratio of responses that share one covariance
-ITERATIONS = 50  # maximum number of steps of Fisher scoring
-CONVERGED = 1e-2  # rms change of the phases (rad) below which Fisher scoring has converged
-FINELY = 16  # trends on which the likelihood is looked at, over the number of pulses
-OUTSHINING = 8.0  # signal-to-noise ratio over the median above which a response is of a point, not of ground
-MISFIT = 5.0  # above which a response is of something that moves by itself; that of ground stays below 4
-LONGEST_STEP = 1.0  # greatest change of a phase in one step, rad: far from the maximum the likelihood is no parabola
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,16 +51,16 @@ class Speckle:
 
 
 def signal_modes(responses: Complex, noise_covariance: F64 | C128) -> tuple[Complex, F64]:
-    """Combinations of the channels that hold more than noise.
+    """Combinations of the channels that contain more than noise.
 
     A common phase leaves the covariance between the channels of LIKE_ROWS range cells as it is. Where noise is white,
     its eigenvectors whose values exceed those of noise alone (Marchenko & Pastur: (1 + sqrt(channels / samples))^2),
-    and WEAKEST_MODE, are the channels' beams towards what lies there; the rest is left out, and so are the last cells
-    if they are fewer.
+    and WEAKEST_MODE, are the channels' beams towards the scatterers there; the rest is left out, and so are the last
+    cells if they are fewer.
 
     Args:
-        responses: shape (channels, cells, pulses).
-        noise_covariance: of the channels, shape (channels, channels).
+        responses: responses of the channels, shape (channels, cells, pulses).
+        noise_covariance: noise covariance of the channels, shape (channels, channels).
 
     Returns:
         The combinations, noise of power 1, shape (modes, pulses), and the signal-to-noise ratio of each, (modes,).
@@ -82,7 +74,8 @@ def signal_modes(responses: Complex, noise_covariance: F64 | C128) -> tuple[Comp
     values, vectors = np.linalg.eigh(covariance)
     snr = values - 1
     noise_edge = (1 + np.sqrt(channels / samples)) ** 2
-    seen = (values > NOISE_MARGIN * noise_edge) & (snr >= WEAKEST_MODE * snr[:, -1:])
+    # The margin is for few samples: a few hundred of noise exceed 1.1 times the edge in 1 % of the cells.
+    seen = (values > 1.1 * noise_edge) & (snr >= WEAKEST_MODE * snr[:, -1:])
     strongest = slice(channels - int(seen.sum(axis=1).max(initial=0)), None)  # values ascend
     combined = (vectors[..., strongest].conj().swapaxes(1, 2) @ whitening @ alike)[seen[:, strongest]]
     return combined.reshape(-1, pulses), np.repeat(snr[seen], like)
@@ -93,10 +86,11 @@ def speckle_classes(modes: Complex, snr: F64) -> list[Speckle]:
 
     Classes are those of any responses, so that the inverses of their covariances serve others as well.
     """
-    steps, classes = np.floor(np.log(snr) / np.log(CLASS_RATIO)), []
+    ratio = 2.0  # greatest to least signal-to-noise ratio of responses with one covariance
+    steps, classes = np.floor(np.log(snr) / np.log(ratio)), []
     for step in np.unique(steps):
         members = modes[steps == step]
-        classes.append(Speckle(members.conj().T @ members, float(CLASS_RATIO ** (step + 0.5)), len(members)))
+        classes.append(Speckle(members.conj().T @ members, float(ratio ** (step + 0.5)), len(members)))
     return classes
 
 
@@ -133,7 +127,7 @@ class Likelihood:
 
 
 def _weighted(classes: list[Speckle], coherence: Coherence) -> C128:
-    """What responses say of the difference of the phases of pulses that are compared, shape (lags + 1, pulses)."""
+    """Products of responses that measure the phase differences of compared pulses, shape (lags + 1, pulses)."""
     found = np.zeros((coherence.lags + 1, len(coherence.matrix)), np.complex128, order="F")
     for speckle in classes:
         found -= coherence.inverse_band(speckle.snr) * lower_band(speckle.total, coherence.lags)
@@ -144,62 +138,64 @@ def link_phases(likelihood: Likelihood, start: F64) -> F64:
     """Phases of maximum likelihood by Fisher scoring, rad; their mean and linear trend are those of the start.
 
     Args:
-        likelihood: of the phases; it knows nothing of mean and linear trend, which steps therefore do not have.
+        likelihood: likelihood of the phases, without information on mean and linear trend, so that steps have neither.
         start: first estimate, rad, shape (pulses,).
     """
     phase = start.copy()
-    for _ in range(ITERATIONS):
+    longest_step = 1.0  # rad: far from the maximum the likelihood is no parabola
+    for _ in range(50):
         step = likelihood.information.solve(likelihood.slope(phase))
-        step *= LONGEST_STEP / max(np.abs(step).max(), LONGEST_STEP)
+        step *= longest_step / max(np.abs(step).max(), longest_step)
         phase += step
-        if np.sqrt(np.mean(step**2)) < CONVERGED:
+        if np.sqrt(np.mean(step**2)) < 1e-2:
             break
     return phase
 
 
 def which_fit(modes: Complex, snr: F64, coherence: Coherence) -> Bool:
-    """Which responses can be of ground in the beam, shape (responses,); others are of points or of what moves.
+    """Mask of responses that can be of ground in the beam, shape (responses,); others are of points or movers.
 
-    A point that outshines the ground looks likelier to the beam with phases that hold it in the middle, out of focus.
-    The phase gradient of the others, to which they count alike, tells the phases well enough: the periodogram of a
+    A point that outshines the ground is more likely in the beam with phases that keep it in the middle, out of focus.
+    The phase gradient of the others, with equal weights, is accurate enough: the periodogram of a
     response over that of the ground is then, on average, about one, and more where the beam is not as stated; that of
-    an echo from outside the beam, where a car appears that drives, is more by its signal-to-noise ratio.
+    an echo from outside the beam, where a moving car appears, is more by its signal-to-noise ratio.
 
     Args:
         modes: responses, shape (responses, pulses).
-        snr: of each response, shape (responses,).
-        coherence: of the echo of even ground.
+        snr: signal-to-noise ratio of each response, shape (responses,).
+        coherence: coherence of the echo of even ground.
     """
     if not len(modes):
         return np.zeros(0, dtype=np.bool_)
-    ground = snr <= OUTSHINING * np.median(snr)
+    ground = snr <= 8.0 * np.median(snr)  # others are of points
     alike = modes[ground] / np.sqrt(snr[ground])[:, None]
     level = modes * np.exp(-1j * phase_gradient(alike)).astype(modes.dtype)
     misfit = np.mean(periodograms(level) / (1 + np.outer(snr, coherence.spectrum)), axis=-1)
-    return np.asarray(ground & (misfit <= MISFIT * np.median(misfit)))
+    return np.asarray(ground & (misfit <= 5.0 * np.median(misfit)))  # that of ground stays below 4, others move
 
 
 def find_trend(
     modes: Complex, snr: F64, coherence: Coherence, likelihood: Likelihood, phase: F64
 ) -> tuple[float, float]:
-    """Phase from pulse to pulse by which the echoes are off the middle of the beam, and its standard error, rad.
+    """Residual linear phase per pulse (Doppler centroid offset), and its standard error, rad.
 
-    The likelihood of `phase` and a trend s, s t: a sum over the lags d between pulses of exp(-j s d) times what the
-    responses say of them. Its error is that by ground of uneven brightness (`uneven_trend`), which moves the maximum
-    more than speckle does.
+    The likelihood of `phase` and a trend s, s t: a sum over the lags d between pulses of exp(-j s d) times the
+    products of the responses. Its error is that by ground of uneven brightness (`uneven_trend`), which moves the
+    maximum more than speckle does.
 
     Args:
         modes: responses, shape (responses, pulses), in the order of their range cells.
-        snr: of each response, shape (responses,).
-        coherence: of the echo of even ground (`beam_coherence`).
-        likelihood: of the phases of these responses by that coherence.
-        phase: of the pulses besides the trend, rad, shape (pulses,).
+        snr: signal-to-noise ratio of each response, shape (responses,).
+        coherence: coherence of the echo of even ground (`beam_coherence`).
+        likelihood: likelihood of the phases of these responses by that coherence.
+        phase: phase of the pulses without the trend, rad, shape (pulses,).
     """
     pulses = modes.shape[-1]
     by_lags = likelihood.by_lags(phase)
     lag = np.arange(len(by_lags))
-    likeliest = int(np.argmax(np.fft.hfft(by_lags.conj(), FINELY * pulses)))
-    trend = float(2 * np.pi * np.fft.fftfreq(FINELY * pulses)[likeliest])
+    trends = 16 * pulses  # at which the likelihood is evaluated
+    likeliest = int(np.argmax(np.fft.hfft(by_lags.conj(), trends)))
+    trend = float(2 * np.pi * np.fft.fftfreq(trends)[likeliest])
     for _ in range(2):  # Newton: the grid is within a hundredth of the beam
         turned = by_lags * np.exp(1j * trend * lag)
         trend -= float(np.sum(lag * turned.imag) / np.sum(lag**2 * turned.real))

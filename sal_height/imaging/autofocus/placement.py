@@ -1,15 +1,15 @@
-"""Where the image of a dwell lies along the flight: what navigation knows, and what the Doppler centroid adds.
+"""Placement of the image of a dwell along the flight, by navigation and the Doppler centroid.
 
 The middle of the beams returns the Doppler frequency 2 (v u + V e) / wavelength off that of navigation: v u is the
-error of the velocity along the line of sight u, V the speed, and e the angle by which the beams look farther ahead
-than the attitude says. Both move the lit ground alike in the image, by R / V times the sum. An error of the velocity
-moves the image itself, one of the attitude does not. Data tell only the sum, modulo wavelength PRF / 2; navigation
-states how large each part is, with the standard deviations a and V b, and so divides it (Gauss-Markov estimate)
+error of the velocity along the line of sight u, V the speed, and e the pointing error ahead relative to the attitude.
+Both move the lit ground alike in the image, by R / V times the sum. An error of the velocity moves the image itself,
+one of the attitude does not. Data give only the sum, modulo wavelength PRF / 2; navigation states the standard
+deviations a and V b of both parts, and so divides it (Gauss-Markov estimate)
 
     v u = (sum) a^2 / (a^2 + V^2 b^2 + n^2),    V e = (sum) V^2 b^2 / (a^2 + V^2 b^2 + n^2)
 
-where n is the error of the centroid. The image is placed by the first, and the beams are looked for where the second
-puts them. What is left of the first is an error along the flight, which all pixels of the dwell share.
+where n is the error of the centroid. The image is located by the first, and the beams by the second. The residual of
+the first is a common error of all pixels of the dwell along the flight.
 """
 
 from __future__ import annotations
@@ -27,25 +27,18 @@ from sal_height.geometry import ApertureState, shift_along
 from sal_height.imaging.autofocus.gradient import Focus
 from sal_height.numeric import F64
 
-FAR_OFF = 5.0
-"""Standard deviations by which a Doppler centroid may differ from that of navigation."""
-
-WRAPS_SIGMAS, MOST_WRAPS = 6.0, 10_000
-"""Standard deviations of what navigation states up to which multiples of the ambiguity of velocity are weighed against
-each other, and the most of them to each side."""
-
-LOWEST_HZ, HIGHEST_HZ, FREQUENCIES = 10.0, 2000.0, 200
-"""Of vibrations: below, navigation follows; rotors, propellers and engines make those between."""
+LOWEST_HZ, HIGHEST_HZ = 10.0, 2000.0
+"""Frequencies of vibrations by rotors, propellers and engines; below, navigation follows."""
 
 
 @dataclass(frozen=True)
 class NavigationPrior:
-    """How well navigation knows the Doppler frequency of the beams' middle, as standard deviations.
+    """Uncertainty of the Doppler frequency of the beams' middle by navigation, as standard deviations.
 
     Attributes:
-        speed: of the antenna along the line of sight, m/s.
-        pointing: of the angle along the flight under which the beams look, rad.
-        flight_speed: m/s.
+        speed: standard deviation of the antenna's velocity along the line of sight, m/s.
+        pointing: standard deviation of the pointing of the beams along the flight, rad.
+        flight_speed: speed of the flight, m/s.
     """
 
     speed: float
@@ -54,11 +47,11 @@ class NavigationPrior:
 
     @classmethod
     def of(cls, aperture: ApertureState, velocity_covariance: F64, sight: F64) -> Self:
-        """From the covariances that odometry states; what is not stated counts as exact.
+        """Derive the prior from the covariances that odometry states; unstated values count as exact.
 
         Args:
             aperture: state of the platform with the covariance of its pose.
-            velocity_covariance: (m/s)^2, map axes, shape (3, 3).
+            velocity_covariance: covariance of the velocity, map axes, shape (3, 3), (m/s)^2.
             sight: unit vector in the middle of the beams, map axes.
         """
         turn = np.cross(sight, aperture.direction)
@@ -76,8 +69,8 @@ class NavigationPrior:
         return replace(self, speed=float(np.hypot(self.speed, vibration)))
 
     def allows(self, found: float, error: float) -> bool:
-        """Whether a centroid (m/s) of this standard error may be; any may be if nothing is stated."""
-        return not self.spread or abs(found) <= FAR_OFF * float(np.hypot(self.spread, error))
+        """True if a centroid (m/s) of this standard error is within five sigma; always if nothing is stated."""
+        return not self.spread or abs(found) <= 5.0 * float(np.hypot(self.spread, error))
 
 
 def _deviation_along(direction: F64, covariance: F64) -> float:
@@ -87,11 +80,11 @@ def _deviation_along(direction: F64, covariance: F64) -> float:
 
 @dataclass(frozen=True)
 class Centroid:
-    """What the Doppler frequency of the beams' middle tells, as a velocity along the line of sight.
+    """Measured Doppler frequency of the beams' middle, as a velocity along the line of sight.
 
     Attributes:
-        speed: beyond that of navigation, v u + V e, m/s.
-        error: its standard error, m/s.
+        speed: velocity relative to that of navigation, v u + V e, m/s.
+        error: standard error of the velocity, m/s.
         vibration: standard deviation of the part of v u that odometry does not contain, m/s.
     """
 
@@ -102,19 +95,19 @@ class Centroid:
 
 @dataclass(frozen=True)
 class Placement:
-    """How an image lies other than navigation says.
+    """Placement of an image relative to navigation.
 
     Attributes:
-        speed: of the antenna along the line of sight beyond that of the odometry, m/s.
-        pointing: by how much farther ahead the beams look than the attitude says: the change of the cosine of the angle
-            to the flight, which abeam is that of the angle, rad.
-        speed_error: standard deviation of what is left of `speed`, m/s.
-        centroid: from which these follow; None: it was not measured.
-        by_beams: whether the image is in the middle of the beams, wherever its Doppler frequency is: what is left is an
+        speed: velocity of the antenna along the line of sight relative to the odometry, m/s.
+        pointing: pointing of the beams ahead relative to the attitude, as the change of the cosine of the angle to the
+            flight, which abeam is that of the angle, rad.
+        speed_error: standard deviation of the residual of `speed`, m/s.
+        centroid: centroid from which these follow; None: it was not measured.
+        by_beams: True if the image is in the middle of the beams, whatever its Doppler frequency: the residual is an
             error of the attitude, not of the velocity.
         beams_error: standard error of the beams' middle in the image, of a strip in each of its images, as a velocity
             along the line of sight, m/s; 0: it was not measured.
-        own_error: the part of `speed_error` that other dwells do not share, m/s: errors of the odometry last longer.
+        own_error: part of `speed_error` that is independent in each dwell, m/s: errors of the odometry last longer.
     """
 
     speed: float
@@ -136,7 +129,7 @@ class Placement:
         return replace(aperture, rotation=turn.as_matrix() @ aperture.rotation)
 
     def seen_from(self, aperture: ApertureState, sight: F64, slant_range: float) -> ApertureState:
-        """The aperture as it flew and looked, with what is left of the error along the flight in its covariance."""
+        """The corrected aperture, with the residual error along the flight in its covariance."""
         covariance = np.array(aperture.covariance, dtype=np.float64)
         along = self.speed_error * slant_range / np.linalg.norm(aperture.velocity) * shift_along(aperture, sight)
         covariance[:3, :3] += np.outer(along, along)
@@ -149,17 +142,17 @@ AS_NAVIGATED = Placement(0.0, 0.0, 0.0)
 
 
 def placed_by_navigation(prior: NavigationPrior) -> Placement:
-    """Where navigation alone puts an image."""
+    """Placement of an image by navigation alone."""
     return Placement(0.0, 0.0, prior.speed)
 
 
 def placed_by_centroid(centroid: Centroid, prior: NavigationPrior, ambiguity: float) -> Placement:
-    """Where the Doppler centroid and navigation together put an image.
+    """Placement of an image by the Doppler centroid and navigation together.
 
     Args:
-        centroid: that was found.
-        prior: what navigation knows. If it states nothing, all is taken for an error of the attitude, and the
-            image stays.
+        centroid: measured centroid.
+        prior: uncertainty of navigation. If it states nothing, all is assumed to be an error of the attitude, and
+            the image stays.
         ambiguity: wavelength PRF / 2, m/s. Other multiples of it are weighed by the prior.
     """
     found, error = centroid.speed, centroid.error
@@ -168,12 +161,13 @@ def placed_by_centroid(centroid: Centroid, prior: NavigationPrior, ambiguity: fl
     prior = prior.beside(centroid.vibration)
     variance = prior.spread**2 + error**2
     of_speed, of_pointing = prior.speed**2 / variance, (prior.flight_speed * prior.pointing) ** 2 / variance
-    most = int(min(np.ceil(WRAPS_SIGMAS * np.sqrt(variance) / ambiguity), MOST_WRAPS))
+    # Multiples of the ambiguity within six standard deviations of navigation are weighed against each other.
+    most = int(min(np.ceil(6.0 * np.sqrt(variance) / ambiguity), 10_000))
     wraps = ambiguity * np.arange(-most, most + 1)
     exponent = -((found + wraps) ** 2) / (2 * variance)
     weights = np.exp(exponent - exponent.max())
     wrapped = np.sum(weights * wraps**2) / weights.sum()
-    # A wrap more moves image and beams together, and so the image off the beams' middle by what is not its part.
+    # A further wrap moves image and beams together, and so the image off the beams' middle by the part of the beams.
     left = prior.speed**2 * (1 - of_speed) + (1 - of_speed) ** 2 * wrapped
     own = (1 - of_speed) ** 2 * (centroid.vibration**2 + wrapped) + (of_speed * error) ** 2
     pointing, errors = of_pointing * found / prior.flight_speed, np.sqrt([left, own])
@@ -181,10 +175,10 @@ def placed_by_centroid(centroid: Centroid, prior: NavigationPrior, ambiguity: fl
 
 
 def placed_by_beams(prior: NavigationPrior, error: float) -> Placement:
-    """An image in the middle of the beams, whose angle alone says where that is.
+    """Placement of an image in the middle of the beams, which only their angle determines.
 
     Args:
-        prior: what navigation knows.
+        prior: uncertainty of navigation.
         error: standard error of the beams' middle in the image, as a velocity along the line of sight, m/s.
     """
     whole = float(np.hypot(prior.flight_speed * prior.pointing, error))
@@ -194,14 +188,14 @@ def placed_by_beams(prior: NavigationPrior, error: float) -> Placement:
 def vibration_speed(phase: F64, seconds: F64, wavelength: float) -> float:
     """Standard deviation (m/s) of the mean velocity by a vibration, from the rest of its phase over a dwell.
 
-    A vibration of unknown frequency is taken to have the same power of velocity in every octave from LOWEST_HZ to
-    HIGHEST_HZ. How much of it is a curvature of the phase, of the second or third order, and how much the trend that
-    cannot be told from an error of navigation, follows from the length of the dwell; the curvature tells its power.
+    A vibration of unknown frequency is assumed to have the same power of velocity in every octave from LOWEST_HZ to
+    HIGHEST_HZ. The parts that are a curvature of the phase, of the second or third order, and the trend, which cannot
+    be separated from an error of navigation, follow from the length of the dwell; the curvature gives its power.
 
     Args:
-        phase: without mean and linear trend, rad, shape (pulses,).
+        phase: phase without mean and linear trend, rad, shape (pulses,).
         seconds: times of the pulses, s.
-        wavelength: m.
+        wavelength: wavelength, m.
     """
     duration = float(seconds[-1] - seconds[0])
     of_trend, *of_curvature = _powers_of_vibration(duration)
@@ -218,16 +212,16 @@ def _powers_of_vibration(duration: float) -> tuple[float, ...]:
     A displacement exp(j omega t) / omega, whose velocity has the amplitude 1, has the parts
     (2 k + 1) j^k j_k(omega T / 2) (Abramowitz & Stegun, 10.1.47).
     """
-    omega, order = 2 * np.pi * np.geomspace(LOWEST_HZ, HIGHEST_HZ, FREQUENCIES), np.arange(1, 4)
+    omega, order = 2 * np.pi * np.geomspace(LOWEST_HZ, HIGHEST_HZ, 200), np.arange(1, 4)
     waves = (2 * order + 1)[:, None] * spherical_jn(order[:, None], omega * duration / 2) / omega
     return tuple(np.mean(waves**2, axis=1).tolist())
 
 
 def place_image(focus: Focus, pulse_times: F64, wavelength: float, prior: NavigationPrior) -> tuple[Focus, Placement]:
-    """The phase to remove from a dwell, and where its image then lies.
+    """The phase to remove from a dwell, and the placement of its image then.
 
-    Where the phase steps at random from pulse to pulse, its trend is that of nothing: it is removed as well, so that
-    the image is in the middle of the beams, whose angle alone says where that is.
+    If the phase steps at random from pulse to pulse, its trend has no meaning: it is removed as well, so that the image
+    is in the middle of the beams, which only their angle determines.
 
     Args:
         focus: what autofocus has found, to be trusted.

@@ -1,4 +1,4 @@
-"""How far a fast image former may differ from backprojection."""
+"""Greatest difference of a fast image former from backprojection."""
 
 from __future__ import annotations
 

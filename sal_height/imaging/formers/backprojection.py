@@ -24,16 +24,13 @@ from sal_height.numeric import (
 )
 from sal_height.sensor import PhaseHistory, Sensor
 
-PULSES_AT_ONCE = 16  # whose dense profiles are held: a few megabytes
-PIXELS_OF_IMAGE = 3 * 2**15  # that are summed up at a time, over all pulses: bounds the memory beside history and image
-PIXELS_AT_ONCE = 4096  # that a thread takes at a time
-PIXELS_OF_THREAD = 2048  # at least: fewer are not worth a thread of their own
+PULSES_AT_ONCE = 16  # whose dense profiles are kept: a few megabytes
 
 
 def backproject(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Processing, grid: Grid) -> C64:
     """Images of all detectors at the pixels of `grid`, (detectors, rows, cols); see `backproject_points`."""
     image = np.empty((len(history.samples), *grid.shape), dtype=np.complex64)
-    rows = max(1, PIXELS_OF_IMAGE // grid.cols)
+    rows = max(1, 3 * 2**15 // grid.cols)  # at a time, over all pulses: bounds the memory
     for first in range(0, grid.rows, rows):
         block = np.arange(first, min(first + rows, grid.rows))
         points = grid.points(block[:, None], np.arange(grid.cols)).reshape(-1, 3)
@@ -55,12 +52,12 @@ def backproject_points(
     samples have no more digits (`make bench` measures the error). Geometry is computed once for all detectors.
 
     Args:
-        history: of all detectors in a dwell, as fast-time frequencies.
+        history: phase history of all detectors in a dwell, as fast-time frequencies.
         antenna: position at each pulse, m, shape (pulses, 3).
-        sensor: wavelength and frequencies.
+        sensor: sensor with wavelength and frequencies.
         processing: windows, and the processed angle in stripmap.
         points: positions, m, shape (points, 3).
-        direction: unit vector of flight, shape (3,); matters in stripmap only.
+        direction: unit vector of flight, shape (3,); used in stripmap only.
 
     Returns:
         Complex64, shape (detectors, points); NaN where a point leaves the range window in some pulse, and in stripmap
@@ -85,7 +82,8 @@ def backproject_points(
             abs(float((antenna[-1] - antenna[0]) @ direction)) / max(1, pulses - 1),
         ]
     )
-    size = int(np.clip(math.ceil(points.shape[1] / WORKERS), PIXELS_OF_THREAD, PIXELS_AT_ONCE))
+    # Pixels of a thread: fewer are not worth one.
+    size = int(np.clip(math.ceil(points.shape[1] / WORKERS), 2048, 4096))
     apart = np.empty((PULSES_AT_ONCE, OVERSAMPLING * frequencies + TAPS, 2, detectors), dtype=np.float32)
     for block in blocks(pulses, PULSES_AT_ONCE):
         dense = dense_profiles(history.samples[:, block], range_weights)
@@ -108,7 +106,7 @@ def backproject_points(
 
 
 def filled_apertures(points: F64, antenna: F64, direction: F64, angle: float) -> Bool:
-    """Whether the pulses reach from end to end of the processed angle of each point; (points,)."""
+    """True for points whose whole processed angle the pulses cover; (points,)."""
     ends = [
         (position - points) @ direction / np.linalg.norm(position - points, axis=-1) for position in antenna[[0, -1]]
     ]
@@ -125,7 +123,7 @@ def blank_invalid(
 
 
 def valid_pixels(history: PhaseHistory, antenna: F64, sensor: Sensor, angle: float, grid: Grid) -> Bool:
-    """Where `backproject` gives values and not NaN, (rows, cols), for the processed `angle` (rad; 0 in spotlight)."""
+    """Mask of the values of `backproject` that are not NaN, (rows, cols); `angle` as of `Processing`."""
     valid = np.ones(grid.shape, dtype=np.bool_)
     starts, step, direction = grid.points(np.arange(grid.rows), 0.0), grid.col_step, grid.col_direction
     if angle:

@@ -17,20 +17,20 @@ FormImages = Callable[[PhaseHistory, F64, Sensor, Processing, Grid], C64]
 """From phase history, antenna positions, sensor, weights and pixels to the images of all detectors."""
 
 FEW_PIXELS = 10_000  # of a dwell, that backprojection forms in about the same time as a fast former
-FEW_OF_STRIP = 1_000  # of a strip, where backprojection looks at every pulse for every pixel
+FEW_OF_STRIP = 1_000  # of a strip, where backprojection tests every pulse for every pixel
 
 
 @dataclass(frozen=True)
 class Former:
-    """An image former, and when it is as good as backprojection.
+    """An image former, and its conditions for the accuracy of backprojection.
 
     Attributes:
-        form: makes the images.
-        modes: of the sensor for which it works.
-        worthwhile_above: pixels of an image above which it is faster than backprojection.
+        form: function that makes the images.
+        modes: modes of the sensor for which it works.
+        worthwhile_above: number of pixels of an image above which it is faster than backprojection.
         expected_error: power of the difference to backprojection over that of the image, from antenna positions (m,
             shape (pulses, 3)), sensor and pixels alone.
-        suits: whether it is as good for the windows, too; from antenna positions, sensor, weights and pixels.
+        suits: test of its accuracy with the windows, from antenna positions, sensor, weights and pixels.
     """
 
     form: FormImages
@@ -59,11 +59,11 @@ def choose_former(name: str, antenna: F64, sensor: Sensor, processing: Processin
     """The former of that name; for "auto", the fastest that is as good as backprojection and worth it.
 
     Args:
-        name: of FORMERS, or "auto".
+        name: name in FORMERS, or "auto".
         antenna: position at each pulse, m, shape (pulses, 3).
-        sensor: its mode, and what the expected error of a fast former follows from.
-        processing: the azimuth window and the processed angle.
-        grid: pixels.
+        sensor: sensor with its mode, and the data for the expected error of a fast former.
+        processing: azimuth window and processed angle.
+        grid: grid of the pixels.
 
     Raises:
         UserError: there is no former of that name, it does not work in the sensor's mode, or its image would differ

@@ -38,8 +38,6 @@ from sal_height.numeric import (
 )
 from sal_height.sensor import PhaseHistory, Sensor, processed_angle
 
-SAMPLES_OF_THREAD = 2**19  # at least: fewer are not worth a thread of their own
-STRAY_CELLS = 0.2  # migration, in range cells, beyond which strong sidelobes far along the track matter
 WIDE_BAND = 0.05
 """Bandwidth over carrier up to which the low sidelobes of tapered windows do not matter.
 
@@ -47,9 +45,7 @@ Measured against backprojection on targets that migrate by 0.5 to 6 cells: -42 t
 """
 
 PULSES_LOOKED_AT = 128  # of a track: errors that are random from pulse to pulse are then known to a fifth, 1 dB
-EVEN_PHASE = 0.003  # phase (rad) that a pulse off its even place may make at the edge of the aperture
 SMALL_PHASE = 0.001  # phase (rad) by which Dopplers may differ, in migration or scale of range, and be treated alike
-COARSER = 1.02  # greatest even step over the pulse spacing: what steps do not sample would appear as ambiguities
 
 WIDEST_SINE = 0.9
 """Sine of the angle off abeam up to which Dopplers are processed, at the lowest frequency of the band.
@@ -61,15 +57,16 @@ such Dopplers too; no antenna sends there, so their filters are 0.
 
 @dataclass(frozen=True)
 class Filters:
-    """What is done to the data of every detector alike.
+    """Filters for the data of every detector.
 
     Attributes:
-        compensation: of motion, with the range window, a factor of shape (pulses, frequencies).
+        compensation: compensation of motion, with the range window, a factor of shape (pulses, frequencies).
         resampling: matrix from pulses to even steps; None: they are even.
-        range: from frequency to rows, for each Doppler or one for all.
-        compensated: the same with the compensation, where all Dopplers have one and pulses are even; None: elsewhere.
+        range: transform from frequency to rows, for each Doppler or one for all.
+        compensated: that transform with the compensation, if all Dopplers have one and pulses are even; None:
+            otherwise.
         azimuth: matched filter of each row over Doppler, (rows, length).
-        fold: Doppler spectra that fall together where columns are that many steps apart.
+        fold: number of Doppler spectra that coincide, which is that of steps between columns.
     """
 
     compensation: C64
@@ -93,7 +90,7 @@ def focus_stripmap(history: PhaseHistory, antenna: F64, sensor: Sensor, processi
         for samples, made in zip(history.samples[detectors], image[detectors], strict=True):
             _focus(samples, filters, made)
 
-    in_threads(focus, blocks(len(image), max(1, SAMPLES_OF_THREAD // history.samples[0].size)))
+    in_threads(focus, blocks(len(image), max(1, 2**19 // history.samples[0].size)))  # fewer are not worth a thread
     blank_invalid(image, history, antenna, sensor, processing, grid)
     return image
 
@@ -111,7 +108,7 @@ def _focus(samples: C64, filters: Filters, image: C64) -> None:
 
 
 def _range_first(samples: C64, filters: Filters) -> C64:
-    """The rows of every even step along the track, (rows, steps), where range does not depend on Doppler."""
+    """The rows of every even step along the track, (rows, steps), if range does not depend on Doppler."""
     if filters.compensated:
         pulses, to_rows = samples, filters.compensated
     else:
@@ -149,11 +146,11 @@ class _Layout:
         step: distance between even steps, on which columns fall, m.
         fold: number of steps from column to column.
         abeam: vector from the track to the first row, square to the track, m, shape (3,).
-        distance: of each row from the track, m, shape (rows,).
-        first_column: place of the first column along the track, m.
-        places: of the even steps along the track, m, shape (steps,).
-        doppler: of a transform in which only columns that have no whole aperture wrap around, in the order of an FFT,
-            rad/m, shape (length,).
+        distance: distance of each row from the track, m, shape (rows,).
+        first_column: position of the first column along the track, m.
+        places: positions of the even steps along the track, m, shape (steps,).
+        doppler: Dopplers of a transform in which only columns that have no whole aperture wrap around, in the order of
+            an FFT, rad/m, shape (length,).
     """
 
     track: StraightTrack
@@ -201,7 +198,8 @@ def filters_of(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: 
 
 def _lay_out(antenna: F64, sensor: Sensor, processing: Processing, grid: Grid) -> _Layout:
     track = straight_track(antenna, grid.col_direction)
-    fold = max(1, int(np.ceil(grid.col_spacing / (COARSER * track.spacing))))
+    # Steps may be 1.02 times the pulse spacing: coarser ones would make ambiguities.
+    fold = max(1, int(np.ceil(grid.col_spacing / (1.02 * track.spacing))))
     step = grid.col_spacing / fold
     widest_step = np.pi / (sensor.centre_wavenumber * processing.angle / 2)
     if step > widest_step * (1 + 1e-9):
@@ -234,10 +232,11 @@ def _motion_compensation(
 
 
 def _is_even(sensor: Sensor, processing: Processing, layout: _Layout) -> bool:
-    """Whether pulses lie so near to even steps that they need not be resampled."""
+    """True if pulses are so near to even steps that they need not be resampled."""
     pulses, steps = layout.track.places, layout.places
     edge = sensor.centre_wavenumber * processing.angle / 2
-    return len(pulses) == len(steps) and bool(np.abs(steps - pulses).max() * edge < EVEN_PHASE)
+    # 0.003 rad of a pulse off its even position, at the edge of the aperture, are allowed.
+    return len(pulses) == len(steps) and bool(np.abs(steps - pulses).max() * edge < 0.003)
 
 
 def _range_transform(
@@ -280,8 +279,8 @@ def _azimuth_filters(sensor: Sensor, processing: Processing, layout: _Layout) ->
     """Spectra of the matched filters in azimuth of all rows, over the sum of their weights, shape (rows, length).
 
     Made in time, with the weight that backprojection gives to each angle, so that both filters are the same. They lead
-    from the first step to the first column: by whole steps the replica is shifted in its spectrum, by the rest where it
-    is made, because its ends are sharp.
+    from the first step to the first column: by whole steps the replica is shifted in its spectrum, by the rest in time,
+    because its ends are sharp.
     """
     step, distance, length = layout.step, layout.distance, len(layout.doppler)
     begin = layout.track.places.min()
@@ -303,26 +302,26 @@ def _azimuth_filters(sensor: Sensor, processing: Processing, layout: _Layout) ->
 
 
 def keeps_sidelobes(antenna: F64, sensor: Sensor, processing: Processing, grid: Grid) -> bool:
-    """Whether sidelobes far along the track lie where backprojection puts them, or are too low to matter.
+    """True if sidelobes far along the track have the positions of backprojection, or are too low to matter.
 
-    They are corrected for the migration of where they lie, not of their target, and the azimuth window is that of the
-    middle frequency at all others. Both matter where targets migrate by cells: with a rectangular window, or in a band
-    that is wide for its carrier (WIDE_BAND).
+    They are corrected for the migration of their own position, not of their target, and the azimuth window is that of
+    the middle frequency at all others. Both matter where targets migrate by cells: with a rectangular window, or in a
+    band that is wide for its carrier (WIDE_BAND).
     """
     farthest = float(np.linalg.norm(grid.points(grid.rows - 1, (grid.cols - 1) / 2) - antenna.mean(axis=0)))
     migration = farthest * (1 / np.cos(processing.angle / 2) - 1)
     strong = (
         processing.azimuth_window == "rectangular" or sensor.bandwidth > WIDE_BAND * speed_of_light / sensor.wavelength
     )
-    return bool(migration <= STRAY_CELLS * sensor.range_resolution) or not strong
+    return bool(migration <= 0.2 * sensor.range_resolution) or not strong
 
 
 def expected_error(antenna: F64, sensor: Sensor, grid: Grid) -> float:
     """Power of the difference to backprojection over that of the image, by geometry; the worst of 25 pixels.
 
-    It is a mean over PULSES_LOOKED_AT to twice as many pulses. As of `specan.expected_error`: what the compensation
-    of motion leaves of the pulses in a pixel's aperture, by how much rows are not at even steps of range, and
-    pulses not at even steps of the track. Sidelobes far along the track, which lie elsewhere where targets migrate
+    It is a mean over PULSES_LOOKED_AT to twice that number of pulses. As of `specan.expected_error`: the residual
+    motion of the pulses in a pixel's aperture, and the offsets of rows from even steps of range, and of pulses from
+    even steps of the track. Sidelobes far along the track, which lie elsewhere where targets migrate
     by cells, add -40 dB if the azimuth window has low ones and -25 dB if it is rectangular. Infinite where the
     processed angle reaches beyond WIDEST_SINE.
     """

@@ -1,7 +1,7 @@
 """Fast spotlight image former for narrow images: all pixels of a row read the range profiles at the same range.
 
-Backprojection reads each pulse's range profile anew for every pixel. Where the pixels of a row are at one range but for
-a small part of a cell, they can share what is read in its middle. A row is then a product of matrices, phases (columns,
+Backprojection reads each pulse's range profile again for every pixel. If the pixels of a row are at one range but for
+a small part of a cell, all can use the value in its middle. A row is then a product of matrices, phases (columns,
 pulses) times profiles (pulses, detectors); phases are exact, whatever the track.
 """
 
@@ -17,8 +17,6 @@ from sal_height.imaging.weighting import Processing
 from sal_height.numeric import C64, F64, OVERSAMPLING, blocks, dense_profiles, in_parallel, tap_polynomials
 from sal_height.sensor import PhaseHistory, Sensor
 
-PROFILES_AT_ONCE = 128  # of pulses and detectors, held densely: half a megabyte of 256 frequencies, that a cache holds
-PHASES_AT_ONCE = 2**15  # of pixels and pulses that a thread holds: a quarter of a megabyte
 PHASES_OF_THREAD = 2**18  # at least: fewer are not worth a thread of their own
 
 
@@ -38,7 +36,8 @@ def focus_rows(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: 
             fill_turns(starts[rows], grid.col_step, track, turns_per_metre, turns.view(np.float32))
             image[:, rows] = (turns @ profiles[:, rows].transpose(1, 0, 2)).transpose(2, 0, 1)
 
-    at_once, of_thread = (max(1, phases // (grid.cols * pulses)) for phases in (PHASES_AT_ONCE, PHASES_OF_THREAD))
+    # A thread keeps the phases of 2**15 pixels and pulses: a quarter of a megabyte.
+    at_once, of_thread = (max(1, phases // (grid.cols * pulses)) for phases in (2**15, PHASES_OF_THREAD))
     in_parallel(focus, grid.rows, of_thread)
     blank_invalid(image, history, antenna, sensor, processing, grid)
     return image
@@ -51,7 +50,8 @@ def row_profiles(history: PhaseHistory, antenna: F64, sensor: Sensor, processing
     half_window, middle = sensor.range_window / 2, (OVERSAMPLING * frequencies) // 2
     per_metre, taps = OVERSAMPLING * frequencies / sensor.range_window, tap_polynomials()
     weights, found = processing.range_weights(frequencies), np.empty((pulses, grid.rows, detectors), dtype=np.complex64)
-    for block in blocks(pulses, max(1, PROFILES_AT_ONCE // detectors)):
+    # 128 dense profiles of pulses and detectors: half a megabyte of 256 frequencies, which fits into a cache.
+    for block in blocks(pulses, max(1, 128 // detectors)):
         dense = dense_profiles(history.samples[:, block], weights)
         numbers = found[block].view(np.float32)
         read_profiles(delay[block], dense.view(np.float32), taps, per_metre, middle, half_window, numbers)
@@ -61,12 +61,12 @@ def row_profiles(history: PhaseHistory, antenna: F64, sensor: Sensor, processing
 def expected_error(antenna: F64, sensor: Sensor, grid: Grid) -> float:
     """Power of the difference to backprojection over that of the image, by geometry; the worst of 25 pixels.
 
-    A profile read x cells beside the pixel's range adds (pi x)^2 / 3.
+    A profile read x cells off the pixel's range adds (pi x)^2 / 3.
     """
     rows, cols = (np.linspace(0, n - 1, 5) for n in grid.shape)
     pixels = grid.points(rows[:, None], cols).reshape(-1, 3)
-    beside = cdist(pixels, antenna).reshape(5, 5, -1) - cdist(_row_middles(grid, rows), antenna)[:, None]
-    return float(np.max(np.mean((np.pi * beside / sensor.range_resolution) ** 2, axis=-1))) / 3
+    off = cdist(pixels, antenna).reshape(5, 5, -1) - cdist(_row_middles(grid, rows), antenna)[:, None]
+    return float(np.max(np.mean((np.pi * off / sensor.range_resolution) ** 2, axis=-1))) / 3
 
 
 def _row_middles(grid: Grid, rows: F64) -> F64:

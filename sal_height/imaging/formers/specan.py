@@ -1,9 +1,9 @@
 """Fast spotlight image former: dechirp to the scene, transform range, transform azimuth (spectral analysis, SPECAN).
 
 Within a spotlight dwell that is short against the range, a target's phase from pulse to pulse is that of the middle of
-its row plus a term linear in the antenna's place (Cumming & Wong, Digital Processing of SAR Data, 2005, chapter 9). The
-first is removed exactly, whatever the track; a chirp z-transform of each row, with the row's own scale, sorts the
-second into columns. What that leaves out is known before anything is computed: `expected_error`.
+its row plus a term linear in the antenna's position (Cumming & Wong, Digital Processing of SAR Data, 2005, chapter 9).
+The first is removed exactly, whatever the track; a chirp z-transform of each row, with the row's own scale, sorts the
+second into columns. The error of this approximation is known before anything is computed: `expected_error`.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def transforms(
 
 
 def _rows(antenna: F64, grid: Grid) -> tuple[F64, F64]:
-    """Range (m) of the middle of every row, and -d^2 range / (d column place, d antenna place) there, 1/m: (rows,)."""
+    """Range (m) of the middle of every row, and -d^2 range / (d column d antenna) along the track, 1/m: (rows,)."""
     sight = grid.points(np.arange(grid.rows), np.full(grid.rows, (grid.cols - 1) / 2)) - antenna.mean(axis=0)
     distance = np.linalg.norm(sight, axis=-1)
     along = sight @ grid.col_direction
@@ -107,13 +107,13 @@ def expected_error(antenna: F64, sensor: Sensor, grid: Grid) -> float:
     scale = np.interp(rows, np.arange(grid.rows), _rows(antenna, grid)[1])
     pixels, middles = grid.points(rows[:, None], cols), grid.points(rows, np.full(5, middle[1]))
     distance = np.linalg.norm(pixels[:, :, None] - antenna, axis=-1)
-    # What the former takes for the distance: that of the row's middle, its bow, and a term linear in both places.
+    # The distance that the former uses: that of the row's middle, its bow, and a term linear in both positions.
     row_range = np.linalg.norm(middles - track.middle, axis=-1)
     bow = np.linalg.norm(pixels - track.middle, axis=-1) - row_range[:, None]
     places = scale[:, None] * (cols - middle[1]) * grid.col_spacing
     model = cdist(middles, antenna)[:, None] + bow[..., None] - places[..., None] * track.even
     phase = sensor.centre_wavenumber * (distance - model)
-    # What it takes for the range: that of the scene's middle in every pulse, and even steps from row to row.
+    # The range that it uses: that of the scene's middle in every pulse, and even steps from row to row.
     centre = grid.points(*middle)
     nominal = np.linalg.norm(centre - antenna, axis=-1) - np.linalg.norm(centre - track.middle)
     migration = (distance - nominal - row_range[:, None, None]) / sensor.range_resolution

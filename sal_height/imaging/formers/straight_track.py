@@ -1,4 +1,4 @@
-"""What the fast image formers take for granted, a straight track with pulses at even steps; and how to get there."""
+"""The assumption of the fast image formers, a straight track with pulses at even steps; and resampling to it."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class StraightTrack:
     Attributes:
         middle: mean of the antenna positions, m, shape (3,).
         direction: unit vector of flight, shape (3,).
-        spacing: way from pulse to pulse, m.
-        places: of the antenna along the track, from its middle, as they were, m, shape (pulses,).
+        spacing: distance from pulse to pulse, m.
+        places: true positions of the antenna along the track, from its middle, m, shape (pulses,).
     """
 
     middle: F64
@@ -31,7 +31,7 @@ class StraightTrack:
 
     @property
     def even(self) -> F64:
-        """Places at even steps, m, shape (pulses,)."""
+        """Positions at even steps, m, shape (pulses,)."""
         return np.asarray((np.arange(len(self.places)) - (len(self.places) - 1) / 2) * self.spacing, dtype=np.float64)
 
 

@@ -110,7 +110,7 @@ class Player(WorkerNode):
     """
 
     usual_name: ClassVar[str] = "player"
-    parameters = PlayerSettings
+    parameters: type[StageSettings] = PlayerSettings
     outputs: ClassVar[Topics] = {
         **SENSOR_TOPICS,
         CALIBRATION: "calibrations that were applied in the flight, in a replay",

@@ -6,20 +6,16 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from sal_height import messages
 from sal_height.adjustment import (
     UNKNOWN_GROUND,
     Adjustment,
     AdjustmentSettings,
-    ImageAdjustmentSettings,
     ObservedDwell,
-    ObservedImage,
     References,
     adjust,
-    adjust_images,
-    cell_size,
     corrected_states,
 )
 from sal_height.bag.copies import kept_packing
@@ -42,11 +38,9 @@ from sal_height.io import bag_name, new_folder, writing
 from sal_height.runs.chain.chain_runs import COMPRESSION, BagRun, Scheme, only_sensor, plan
 from sal_height.runs.chain.entry import Part
 from sal_height.runs.products.adjustment_picture import draw_adjustment
-from sal_height.runs.products.adjustment_report import summary_of, summary_of_images
+from sal_height.runs.products.adjustment_report import summary_of
 from sal_height.sensor import Sensor
 from sal_height.topics import ODOMETRY, SLC
-
-Observed = TypeVar("Observed", bound=ObservedDwell)
 
 ADJUSTED_FROM = "adjusted_from"
 """Name of the bag that was adjusted in the custom data of a new one."""
@@ -96,20 +90,17 @@ def adjust_bag(
         UserError: the bag cannot be used, or a parameter or a setting is not allowed.
     """
     sensors = sensors_of(Part().open(bag))[0].values()
-    by_images = not any(map(suited, sensors))
-    if by_images and references.terrain:
+    if not any(map(suited, sensors)):
         raise UserError(
-            f"Bag {bag} is of a sensor with one detector, whose images have no heights to compare with an elevation "
-            "model; give targets, and the height of the ground by --set ground_m."
+            f"Bag {bag} is of a sensor with one detector, whose dwells have no heights to compare; adjust needs two or "
+            "more."
         )
-    if not by_images:
-        for sensor in sensors:
-            check_estimator(estimator, sensor)
-    estimators = () if by_images else (estimator,)
-    scheme = plan(bag, given or {}, estimators, for_heights=not by_images)
+    for sensor in sensors:
+        check_estimator(estimator, sensor)
+    scheme = plan(bag, given or {}, (estimator,))
     compression = scheme.parameters.get(COMPRESSION, {})
     stated = {name: compression[name] for name in KNOWN if compression.get(name)}
-    settings = (ImageAdjustmentSettings if by_images else AdjustmentSettings)(**{**stated, **(wanted or {})})
+    settings = AdjustmentSettings(**{**stated, **(wanted or {})})
     folder = new_folder(out)
     with reporting(folder, {"bag": bag.name, "settings": settings.model_dump()}) as report:
         reader = NamespacedReader(scheme.bag, scheme.namespace)
@@ -153,31 +144,18 @@ def _adjusted(
     references: References,
     report: dict[str, Any],
 ) -> _Found:
-    """Adjust the dwells of a bag by their heights, or by their images where the settings are those of images.
+    """Adjust the dwells of a bag by their heights.
 
     How many there are, and what was left out, is in the report even if they cannot be adjusted.
 
     Raises:
-        UserError: there is none, or nothing that could be wrong with images.
+        UserError: there is none.
     """
-    if not isinstance(settings, ImageAdjustmentSettings):
-        run = BagRun(scheme, [COMPRESSION, ESTIMATORS[estimator].node], jobs=jobs, wanted=[SLC, f"{estimator}/height"])
-        dwells, sensor, losses = _in_order(run, _observe(run, estimator, run.losses), report)
-        adjustment = adjust(dwells, sensor.mounting, settings, references)
-        summary, sentences = summary_of(adjustment, dwells, sensor.mounting, settings, references)
-        return _Found(adjustment, sensor.mounting, losses, summary, sentences)
-    run = BagRun(scheme, [COMPRESSION], jobs=jobs, wanted=[SLC])
-    images, sensor, losses = _in_order(run, _observe_images(run, settings, run.losses), report)
-    if not any(image.stated.pose[:3, :3].any() for image in images):
-        raise UserError(
-            f"The odometry of bag {scheme.bag} states no errors of position, so that there is nothing to find; say how "
-            "large they may be by --set position_sigma_m=0.3 and, if they change from dwell to dwell, "
-            "velocity_sigma_mps and position_step_m."
-        )
-    adjustment = adjust_images(images, sensor.mounting, settings, references.targets)
-    summary, sentences = summary_of(adjustment, images, sensor.mounting, settings, references)
-    of_images, on_images = summary_of_images(adjustment, images)
-    return _Found(adjustment, sensor.mounting, losses, summary | of_images, [*sentences, *on_images])
+    run = BagRun(scheme, [COMPRESSION, ESTIMATORS[estimator].node], jobs=jobs, wanted=[SLC, f"{estimator}/height"])
+    dwells, sensor, losses = _in_order(run, _observe(run, estimator, run.losses), report)
+    adjustment = adjust(dwells, sensor.mounting, settings, references)
+    summary, sentences = summary_of(adjustment, dwells, sensor.mounting, settings, references)
+    return _Found(adjustment, sensor.mounting, losses, summary, sentences)
 
 
 def _observe(run: BagRun, estimator: str, losses: Losses) -> Iterator[ObservedDwell]:
@@ -198,24 +176,6 @@ def _observe(run: BagRun, estimator: str, losses: Losses) -> Iterator[ObservedDw
                 losses.add(node, Loss(item.key, 0, few.reason, str(few)))
 
 
-def _observe_images(run: BagRun, settings: ImageAdjustmentSettings, losses: Losses) -> Iterator[ObservedImage]:
-    """The images of a bag of one detector, on cells as of the first one."""
-    cell = 0.0
-    for made in run.results("dwells"):
-        if not (isinstance(made.result, Product) and isinstance(made.result.item, Images)):
-            continue
-        source = made.result.item.source
-        if source is None:
-            continue
-        cell = cell or cell_size(source.slc)
-        try:
-            yield ObservedImage.of_image(
-                source.slc, source.sensor, _track_of(source), source.pulses, settings, cell, run.scheme.epoch_ns
-            )
-        except Rejected as strip:
-            losses.add(COMPRESSION, Loss(made.dwell, 0, strip.reason, str(strip)))
-
-
 def _track_of(source: Source) -> Trajectory:
     """The track of base_link during a dwell."""
     track: Trajectory = correct_track(Trajectory(source.states, motion=source.settings.motion), source.settings)
@@ -223,8 +183,8 @@ def _track_of(source: Source) -> Trajectory:
 
 
 def _in_order(
-    run: BagRun, observed: Iterator[Observed], report: dict[str, Any]
-) -> tuple[list[Observed], Sensor, Losses]:
+    run: BagRun, observed: Iterator[ObservedDwell], report: dict[str, Any]
+) -> tuple[list[ObservedDwell], Sensor, Losses]:
     """The dwells of a bag in the order of time, their sensor, and what was left out, which the report has then.
 
     Raises:

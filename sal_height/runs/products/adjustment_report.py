@@ -11,7 +11,6 @@ from sal_height.adjustment import (
     Adjustment,
     AdjustmentSettings,
     ObservedDwell,
-    ObservedImage,
     References,
     corrected_mounting,
     describe_ground,
@@ -74,39 +73,6 @@ def summary_of(
         "shift_sigmas_m": np.sqrt([one.diagonal() for one in spread]).tolist(),
     }
     return summary, _sentences(summary, references, adjustment)
-
-
-def summary_of_images(adjustment: Adjustment, dwells: Sequence[ObservedImage]) -> tuple[dict[str, Any], list[str]]:
-    """How far the antenna of each dwell lay off, as its image tells, and sentences on what that cannot tell.
-
-    Towards the ground counts along the line of sight. What lies off along the flight is an error of the position there,
-    or one of the velocity along the line of sight times range over speed. Both are against the mean of all dwells,
-    unless a target was seen.
-    """
-    shifts, covariances = adjustment.shifts
-    of_all = np.zeros(3) if (absolute := any(one.is_absolute for one in adjustment.comparisons)) else shifts.mean(0)
-    spread = covariances if absolute else adjustment.spread[0]
-    rows = []
-    for dwell, shift, covariance in zip(dwells, shifts - of_all, spread, strict=True):
-        axes = np.stack([dwell.sight[:2], dwell.aperture.direction[:2]])
-        towards, along = axes @ shift[:2]
-        sigma = np.sqrt((axes @ covariance[:2, :2] @ axes.T).diagonal())
-        rows.append(
-            {
-                "towards_ground_m": float(towards),
-                "towards_ground_sigma_m": float(sigma[0]),
-                "along_flight_m": float(along),
-                "along_flight_sigma_m": float(sigma[1]),
-                "as_velocity_mps": -float(along) / dwell.lever,
-                "as_velocity_sigma_mps": float(sigma[1]) / dwell.lever,
-            }
-        )
-    gauge = (
-        "Images without heights do not separate an error of the position along the flight from one of the "
-        "velocity along "
-        "the line of sight, nor errors across both; what odometry states of these stays."
-    )
-    return {"images": rows, "images_against": "targets" if absolute else "mean"}, [gauge]
 
 
 def _sentences(summary: dict[str, Any], references: References, adjustment: Adjustment) -> list[str]:
@@ -176,11 +142,7 @@ def adjustment_table(summary: dict[str, Any]) -> str:
         heading = ["shared by all dwells", "known to", "found", "+-"]
         rows = [[name, f"{one['known_to']:.3g}", *_found(one)] for name, one in summary["parameters"].items()]
         lines += [aligned([heading, *rows]), ""]
-    if "images" in summary:
-        lines += [_table_of_images(summary), ""]
     heading = ["surfaces of dwells", "east m", "north m", "up m"]
-    if "images" in summary:
-        heading = ["images on the ground", "east m", "north m", "antenna up m"]
     kinds = {
         "misalignment before, rms": "shifts_rms_m",
         "sigma between dwells": "sigma_between_dwells_m",
@@ -198,19 +160,3 @@ def _found(parameter: dict[str, Any]) -> tuple[str, str]:
     if not parameter["determined"]:
         return ABSENT, ABSENT
     return f"{parameter['error']:+.3g}", f"{parameter['sigma']:.2g}"
-
-
-def _table_of_images(summary: dict[str, Any]) -> str:
-    """How far the antenna of each dwell lay off, as its image tells, as a table."""
-    against = "of " + ("the mean of all" if summary["images_against"] == "mean" else "targets")
-    heading = [f"dwell, {against}", "towards ground m", "+-", "along flight m", "+-", "or velocity mm/s", "+-"]
-    rows = [
-        [
-            str(number),
-            *(f"{one['towards_ground_m']:+.3f}", f"{one['towards_ground_sigma_m']:.3f}"),
-            *(f"{one['along_flight_m']:+.3f}", f"{one['along_flight_sigma_m']:.3f}"),
-            *(f"{1e3 * one['as_velocity_mps']:+.2f}", f"{1e3 * one['as_velocity_sigma_mps']:.2f}"),
-        ]
-        for number, one in enumerate(summary["images"])
-    ]
-    return aligned([heading, *rows])

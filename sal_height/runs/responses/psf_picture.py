@@ -15,8 +15,8 @@ from sal_height.graph.picture import page
 from sal_height.numeric import F64, frequencies
 from sal_height.response import (
     FINENESS,
-    AxisResponse,
     AxisSpectrum,
+    AxisTransfer,
     Pointing,
     PointSpread,
     PointTarget,
@@ -117,7 +117,7 @@ def _draw_chip(axes: Axes, target: PointTarget, index: int) -> None:
     )
 
 
-def _draw_modulus(axes: Axes, letter: str, axis: AxisResponse, singles: Sequence[AxisResponse]) -> None:
+def _draw_modulus(axes: Axes, letter: str, axis: AxisTransfer, singles: Sequence[AxisTransfer]) -> None:
     """Draw the modulus of R or A with its error (figures 6 to 15), and those of single targets."""
     for one in singles:
         axes.plot(frequencies(len(one.response)), np.abs(one.response), lw=0.6, color=ONE_TARGET)
@@ -128,7 +128,7 @@ def _draw_modulus(axes: Axes, letter: str, axis: AxisResponse, singles: Sequence
     _finish_response(axes, letter)
 
 
-def _draw_phase(axes: Axes, letter: str, axis: AxisResponse, singles: Sequence[AxisResponse]) -> None:
+def _draw_phase(axes: Axes, letter: str, axis: AxisTransfer, singles: Sequence[AxisTransfer]) -> None:
     """Draw the phase of R or A with its error where it is known, and those of single targets."""
     for one in singles:
         axes.plot(frequencies(len(one.response)), _phase(one), ".", ms=1.5, color=ONE_TARGET)
@@ -140,13 +140,13 @@ def _draw_phase(axes: Axes, letter: str, axis: AxisResponse, singles: Sequence[A
     _finish_response(axes, letter)
 
 
-def _phase(axis: AxisResponse) -> F64:
+def _phase(axis: AxisTransfer) -> F64:
     """Phase of a response, rad; NaN where it is not known."""
     known = np.abs(axis.response) > PHASE_KNOWN * axis.sigma
     return np.where(known, np.angle(axis.response), np.nan)
 
 
-def _draw_speckle(axes: Axes, letter: str, spectrum: AxisSpectrum, transfer: AxisResponse | None, count: int) -> None:
+def _draw_speckle(axes: Axes, letter: str, spectrum: AxisSpectrum, transfer: AxisTransfer | None, count: int) -> None:
     """Draw the modulus from speckle (figure 24) with its errors, and that from targets, both with an rms of 1."""
     power, sigma = spectrum.unfolded(count)
     low, middle, high = (np.sqrt(np.maximum(0, power + step * sigma)) for step in (-1, 0, 1))

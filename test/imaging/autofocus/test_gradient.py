@@ -43,7 +43,7 @@ from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.sensor.sensor import Sensor
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
-from sal_height.simulation.receivers import receiver_noise
+from sal_height.simulation.receiver_noise import receiver_noise
 from sal_height.simulation.scenes import load_scene
 
 ERRORS = {"white": white_phase, "atmosphere": lambda n, rms, rng: power_law_phase(n, rms, ATMOSPHERE, rng)}

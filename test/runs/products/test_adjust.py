@@ -208,6 +208,15 @@ def test_what_cannot_be_adjusted_gets_one_sentence(
     assert "adjusted, movers" not in error
 
 
+def test_a_sensor_with_one_detector_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    preset = preset_of(1, 1)
+    bag = record_sensor(replace(preset, sensor=replace(preset.sensor, detectors=1)), 1, tmp_path / "bag")
+    assert main(["adjust", str(bag), "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err.splitlines()[-1].removeprefix("sal-height: ")
+    assert_one_sentence(error, "one detector", "no heights")
+    assert not (tmp_path / "out").exists()
+
+
 def test_what_stays_as_it_was_has_no_value(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Dwells of one pass: Doppler centroids tell a boresight that is known badly, and none that is known well."""
     preset = preset_of(1, 4)

@@ -2,11 +2,11 @@
 
 "The beam pattern must be well characterized" (SAL paper, section 3). A detector receives g_m h((theta - theta_m) / w):
 h is the described pattern, w its width factor, and g_m what the description of detector m has to be multiplied by. The
-parameters ln w, ln |g_m| and arg g_m maximise the likelihood of `beam_likelihood`; every pixel has, besides, its own
+parameters ln w, ln |g_m| and arg g_m maximise the likelihood of `beam_likelihood`; in addition, every pixel has its own
 elevation theta.
 
-What is determined. One complex factor of all gains is not; here the means of ln |g_m| and of arg g_m are 0. Boresights
-are taken as known: angles, and so w, are measured against them. The elevation of a scatterer takes one of the M - 1
+One complex factor of all gains is not determined; here the means of ln |g_m| and of arg g_m are 0. Boresights are
+assumed to be known: angles, and so w, are measured against them. The elevation of a scatterer uses up one of the M - 1
 ratios of amplitudes: two detectors determine neither w nor |g_m|. With Gaussian beams, whatever their number, a slope
 of ln |g_m| over the array is a shift of all angles, and a parabola another width. Sinc and jinc differ from that in
 their sidelobes: least known are the slope with eight detectors or more, and the parabola together with w with four.
@@ -28,7 +28,7 @@ from sal_height.calibration.beam_likelihood import (
     with_known_angles,
     with_unknown_angles,
 )
-from sal_height.calibration.settings import DEFAULTS, CalibrationSettings
+from sal_height.calibration.calibration_settings import DEFAULTS, CalibrationSettings
 from sal_height.elevation import (
     OBJECTIVES,
     Fit,
@@ -46,16 +46,16 @@ from sal_height.numeric import C64, C128, F64, Index
 
 @dataclass(frozen=True, eq=False)
 class BeamCalibration:
-    """What the description of the beams has to be changed by, with standard deviations.
+    """Corrections of the description of the beams, with standard deviations.
 
     Attributes:
-        width_factor: w, by which all beams are wider than described, in elevation and azimuth.
+        width_factor: w, width of all beams over that described, in elevation and azimuth.
         width_sigma: standard deviation of w; NaN: w was not estimated.
-        gains: complex, of the channels over those described, with the mean 0 of ln |g| and of arg g, (channels,).
+        gains: complex gains of the channels over those described, with the mean 0 of ln |g| and of arg g, (channels,).
         gain_sigmas: standard deviations of ln |g|, (channels,); NaN: not estimated.
         phase_sigmas: standard deviations of arg g, rad, (channels,).
-        pixels: number that was used.
-        steps: after which the estimate settled.
+        pixels: number of pixels used.
+        steps: number of steps until the estimate settled.
     """
 
     width_factor: float
@@ -67,8 +67,8 @@ class BeamCalibration:
     steps: int
 
     @classmethod
-    def none(cls, channels: int) -> Self:
-        """Of beams that are as described."""
+    def as_described(cls, channels: int) -> Self:
+        """The calibration of beams that are as described."""
         unknown = np.full(channels, np.nan)
         return cls(1.0, np.nan, np.ones(channels, np.complex128), unknown, unknown, 0, 0)
 
@@ -80,26 +80,28 @@ Sums = Callable[[BeamCalibration], Normal]
 def calibrate_beams(looks: Looks, beams: Beams, settings: CalibrationSettings = DEFAULTS) -> BeamCalibration:
     """Estimate width and gains from all pixels of one scatterer, bright enough and between the boresights.
 
-    Fisher scoring with the corrected derivatives of the likelihood, at elevations that are searched anew in each step.
+    Fisher scoring with the corrected derivatives of the likelihood, at elevations that are searched again in each step.
     It starts from the beams as described, and converges from phases that are 30 degrees and amplitudes that are 2 dB
-    wrong. Looks that differ in elevation count as one scatterer as long as they fit: on slopes they should lie in
-    azimuth. Rows may share speckle, by the response in range or by layover: standard deviations are the greater of
-    those of independent pixels and those that differences between columns show. Columns must not share looks, or the
-    standard deviations are too small. Of two detectors only the phases are estimated.
+    wrong. Looks that differ in elevation count as one scatterer as long as they fit: on slopes they should be taken in
+    azimuth. Rows may have common speckle, by the response in range or by layover: standard deviations are the greater
+    of those of independent pixels and those that differences between columns show. Columns must not have looks in
+    common, or the standard deviations are too small. Of two detectors only the phases are estimated.
 
     Args:
         looks: complex covariance of single detectors with equal noise (`windowed_looks` with `hermitian`).
-        beams: of the channels, as described.
-        settings: which pixels are used, and how well they must determine the result.
+        beams: beams of the channels, as described.
+        settings: criteria for pixels, and the greatest error of the result.
 
     Raises:
         NotDetermined: too few pixels; or a combination of width and gains remains unknown, as of Gaussian beams, or
             where all pixels have one elevation.
     """
     basis = _all_parameters(beams.count) if beams.count > 2 else _phases(beams.count)
-
     return _settle(
-        lambda found: _sum_over_scene(found, looks, beams, settings), BeamCalibration.none(beams.count), basis, settings
+        lambda found: _sum_over_scene(found, looks, beams, settings),
+        BeamCalibration.as_described(beams.count),
+        basis,
+        settings,
     )
 
 
@@ -116,12 +118,12 @@ def calibrate_on_target(
     If the elevations do not determine the width, as a single one, the gains alone are estimated.
 
     Args:
-        samples: of the target at each position, shape (positions, channels).
-        beams: of the channels, single detectors, as described.
-        elevation: of the target, rad, shape (positions,).
-        squint: of the target, rad, shape (positions,).
+        samples: samples of the target at each position, shape (positions, channels).
+        beams: beams of the channels, single detectors, as described.
+        elevation: elevation of the target, rad, shape (positions,).
+        squint: squint of the target, rad, shape (positions,).
         noise_power: E|n|^2 of a sample in every channel.
-        settings: how well the samples must determine the result.
+        settings: greatest error of the result.
 
     Raises:
         NotDetermined: a detector does not see the target, or the target is too weak.
@@ -134,7 +136,7 @@ def calibrate_on_target(
         return with_known_angles(curve, covariance * _undo_phases(found.gains, noise_power), one_look)
 
     gains = _first_gains(covariance, beams.response(elevation, squint))
-    start = replace(BeamCalibration.none(beams.count), gains=gains)
+    start = replace(BeamCalibration.as_described(beams.count), gains=gains)
     try:
         return _settle(sums, start, _all_parameters(beams.count), settings)
     except NotDetermined:
@@ -142,12 +144,12 @@ def calibrate_on_target(
 
 
 def _settle(sums: Sums, start: BeamCalibration, basis: F64, settings: CalibrationSettings) -> BeamCalibration:
-    """Change the parameters by Fisher scoring, within the `basis` (parameters, free ones), until they settle."""
+    """Estimate the parameters by Fisher scoring, within the `basis` (parameters, free ones), until they settle."""
     found, channels, most_steps = start, len(start.gains), 25
     for step in range(1, most_steps + 1):
         normal = sums(found)
         change, sigma = _solve(normal, basis, settings.max_uncertainty)
-        change *= min(1.0, 6 / step)  # shorter later on: pixels that hardly fit may leave and come back in turn
+        change *= min(1.0, 6 / step)  # shorter later on: pixels that hardly fit may leave and return in turn
         settled = step > 2 and np.all(np.abs(change) <= 0.05 * sigma)
         sigma = np.where(sigma > 0, sigma, np.nan)  # of parameters that are not free
         width = found.width_factor * float(np.exp(change[0]))
@@ -205,13 +207,13 @@ def _phases(channels: int) -> F64:
 
 
 def _undo_phases(gains: C128, noise_power: float) -> C64:
-    """Return what takes the phases of gains off a covariance, (channels, channels), and makes noise its unit."""
+    """Return factors that remove the phases of gains from a covariance, and divide it by the noise."""
     phases = gains / np.abs(gains)
     return (phases.conj()[:, None] * phases / noise_power).astype(np.complex64)
 
 
 def _sum_over_scene(found: BeamCalibration, looks: Looks, beams: Beams, settings: CalibrationSettings) -> Normal:
-    """Sum over the usable pixels of a scene, at the elevations that are likeliest with the calibration found so far."""
+    """Sum over the usable pixels of a scene, at the most likely elevations with the current calibration."""
     wide, amplitudes, squint = beams.widened(found.width_factor), np.abs(found.gains), looks.squint
     undone = _undo_phases(found.gains, looks.receiver_noise)
     searches = PeakSearches.over(wide.scaled(amplitudes), OBJECTIVES["normalised"], search_guard(beams))
@@ -233,7 +235,7 @@ def _sum_over_scene(found: BeamCalibration, looks: Looks, beams: Beams, settings
         of_blocks[block] = with_unknown_angles(curve, pixels[usable], count[usable]), here[1][usable]
 
     searches.each(squint, looks.covariance.shape[0], work)
-    # Floating-point sums depend on their order, so that it must not be the one in which threads finish.
+    # Floating-point sums depend on their order, which must not be that in which threads finish.
     parts, columns = zip(*(of_blocks[block] for block in sorted(of_blocks)), strict=True)
     total = Normal.joined(parts)
     needed = settings.pixels_per_parameter * (2 * channels + 1)

@@ -1,4 +1,4 @@
-"""What is known of the ground beforehand: targets that stand out, and an elevation model."""
+"""Ground that is known beforehand: targets that stand out, and an elevation model."""
 
 from __future__ import annotations
 
@@ -11,28 +11,19 @@ from sal_height.adjustment.equations import Equation, Form
 from sal_height.adjustment.matching import REFERENCE, GriddedSurface, Points
 from sal_height.numeric import F64
 
-TARGET_DB = 6.0
-"""By which a target is brighter than all else where it may be."""
-
-OVER_IMAGE_DB = 6.0
-"""By which it is brighter than half of the image."""
-
-EXTENT_SPACINGS = 2.5
-"""Distance of pixels that show the same target, in spacings of pixels."""
-
 Heights = Callable[[F64, F64], F64]
-"""Heights (m) at arc distances east and north (m), NaN where they are not known."""
+"""Heights (m) at arc distances east and north (m), NaN where they are unknown."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """A point target whose place is known.
+    """A point target at a known position.
 
     Attributes:
-        east: m.
-        north: m.
-        height: m.
-        sigma: standard deviation of each of them, m.
+        east: distance east along the sphere, m.
+        north: distance north along the sphere, m.
+        height: height over the sphere, m.
+        sigma: standard deviation of each coordinate, m.
     """
 
     east: float
@@ -46,13 +37,16 @@ class Target:
         return np.array([self.east, self.north, self.height])
 
     def sighted(self, points: Points, form: Form, expected: F64, reach: F64) -> Equation | None:
-        """What it tells of the displacement of a dwell; None: it is not in the image, or does not stand out.
+        """Estimates the displacement of a dwell from its image of the target.
 
         Args:
-            points: of the dwell, as published.
-            form: its displacement.
-            expected: that displacement as it is known beforehand, m, shape (3,).
-            reach: how far from that it may be, m, shape (3,).
+            points: points of the dwell, as published.
+            form: displacement of the dwell.
+            expected: prior value of that displacement, m, shape (3,).
+            reach: greatest difference from it, m, shape (3,).
+
+        Returns:
+            None: the target is not in the image, or does not stand out.
         """
         off = points.place - self.place - expected
         near = np.flatnonzero(np.all(np.abs(off) <= reach, axis=1))
@@ -60,11 +54,11 @@ class Target:
             return None
         power = 10 ** (points.cnr_db / 10)
         brightest = near[np.argmax(power[near])]
-        extent = EXTENT_SPACINGS * points.spacing
-        apart = np.linalg.norm(points.place[near, :2] - points.place[brightest, :2], axis=1) > extent
+        # Pixels up to 2.5 spacings apart show the same target.
+        apart = np.linalg.norm(points.place[near, :2] - points.place[brightest, :2], axis=1) > 2.5 * points.spacing
         others = power[near[apart]].max() if apart.any() else 0.0
-        least = max(10 ** (TARGET_DB / 10) * others, 10 ** (OVER_IMAGE_DB / 10) * float(np.median(power)))
-        if power[brightest] < least:
+        # 6 dB brighter than all else where it may be, and than half of the image.
+        if power[brightest] < 10 ** (6.0 / 10) * max(others, float(np.median(power))):
             return None
         same = near[~apart & (power[near] > power[brightest] / 4)]
         weight = power[same] / power[same].sum()
@@ -78,15 +72,15 @@ class Terrain:
     """An elevation model.
 
     Attributes:
-        heights: of the ground.
-        sigma: standard deviation of its heights, each by itself, and of all of it, each way, m.
+        heights: function that returns the heights of the ground.
+        sigma: standard deviation of each height, and of a constant offset of the model per axis, m.
     """
 
     heights: Heights
     sigma: float
 
     def around(self, points: Points, reach: F64) -> GriddedSurface | None:
-        """Its heights where points may be, up to `reach` (m, shape (3,)) farther; None: it has none there."""
+        """The surface around points, up to `reach` (m, shape (3,)) farther; None: all of it is unknown."""
         step = points.spacing / 2
         low = points.place[:, :2].min(axis=0) - reach[:2]
         size = np.ceil((points.place[:, :2].max(axis=0) + reach[:2] - low) / step).astype(int) + 1
@@ -100,14 +94,14 @@ class Terrain:
 
 @dataclass(frozen=True)
 class References:
-    """All that is known of the ground."""
+    """All known ground."""
 
     targets: tuple[Target, ...] = ()
     terrain: Terrain | None = None
 
     @property
     def ground_sigma(self) -> float:
-        """Standard deviation of what the elevation model lies off as a whole, each way, m."""
+        """Standard deviation of a constant offset of the elevation model per axis, m."""
         return self.terrain.sigma if self.terrain else 0.0
 
     def without_terrain(self) -> References:

@@ -6,7 +6,7 @@ from sal_height.settings import Settings, setting
 
 
 class AdjustmentSettings(Settings):
-    """What is known of navigation and mounting before the dwells are compared."""
+    """Prior knowledge of navigation and mounting, before dwells are compared."""
 
     correlation_s: float = setting(
         100.0,
@@ -59,46 +59,4 @@ class AdjustmentSettings(Settings):
         "largest offset between two images of the same ground that is searched, in spacings of their pixels",
         minimum=1.0,
         maximum=200.0,
-    )
-
-
-class ImageAdjustmentSettings(AdjustmentSettings):
-    """What is known before the images of one detector are compared, which have no heights."""
-
-    boresight_sigma_rad: float = setting(
-        0.0,
-        "as of dwells with heights; images of one detector do not determine it",
-        unit="rad",
-        minimum=0.0,
-        maximum=0.1,
-    )
-    lever_arm_sigma_m: float = setting(
-        0.0, "as of dwells with heights; 0: it is exact", unit="m", minimum=0.0, maximum=10.0
-    )
-    position_sigma_m: float = setting(
-        0.0,
-        "standard deviation of each component of the position where odometry states none; 0: it is exact",
-        unit="m",
-        minimum=0.0,
-        maximum=1e3,
-    )
-    velocity_sigma_mps: float = setting(
-        0.0,
-        "standard deviation of each component of the velocity where odometry states none; 0: position_sigma_m over "
-        "correlation_s",
-        unit="m/s",
-        minimum=0.0,
-        maximum=10.0,
-    )
-    position_step_m: float = setting(
-        0.0,
-        "standard deviation by which each component of the stated position steps from dwell to dwell, as fixes make "
-        "it; 0: it goes on as its velocity says",
-        unit="m",
-        minimum=0.0,
-        maximum=1e3,
-    )
-    ground_m: float = setting(0.0, "height of the ground that images show", unit="m", minimum=-1e3, maximum=1e4)
-    ground_sigma_m: float = setting(
-        1.0, "standard deviation of that height, over all that they show", unit="m", minimum=0.0, maximum=1e3
     )

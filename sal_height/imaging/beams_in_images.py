@@ -15,7 +15,7 @@ ASPECTS = 8  # directions, of the Gauss-Legendre rule, in which beams are averag
 
 
 def image_beams(sensor: Sensor, azimuth_window: str) -> Beams:
-    """The beams as images have them: in spotlight those of the sensor, in stripmap their mean over a target's aspects.
+    """The beams in images: in spotlight those of the sensor, in stripmap their mean over a target's aspects.
 
     At its peak a target of a stripmap image has in every detector the mean of the pattern along its passage, weighted
     by the window (SAL paper, section 4). Where the pattern does not separate into one across and one along the flight,
@@ -30,8 +30,8 @@ def image_beams(sensor: Sensor, azimuth_window: str) -> Beams:
     points stays on ground.
 
     Args:
-        sensor: beams.
-        azimuth_window: over the processed angle, a name of `windows.WINDOWS`.
+        sensor: sensor with the beams.
+        azimuth_window: window over the processed angle, a name of `windows.WINDOWS`.
 
     Raises:
         UserError: there is no window of that name.
@@ -43,6 +43,6 @@ def image_beams(sensor: Sensor, azimuth_window: str) -> Beams:
     aspects = processing.angle / 2 * nodes
     edge = np.full(ASPECTS, (1 - nodes[-1]) * processing.angle / 2)
     beams = sensor.beams.averaged(aspects, weights * processing.angle_weights(aspects, edge))
-    along, beside = aspects * math.sin(beams.rotation), aspects * math.cos(beams.rotation)
-    passage = beams.patterns[0].amplitude(along / beams.beamwidth, beside / beams.beamwidth_beside)
+    along, across = aspects * math.sin(beams.rotation), aspects * math.cos(beams.rotation)
+    passage = beams.patterns[0].amplitude(along / beams.beamwidth, across / beams.beamwidth_beside)
     return replace(beams, weights=beams.weights / float(np.abs(beams.weights @ passage)))

@@ -10,13 +10,13 @@ from sal_height.sensor import Sensor, clipped
 
 
 def received(samples: C64, sensor: Sensor, rng: np.random.Generator, adc_bits: int = 0) -> C64:
-    """The channels' samples: where the receivers are, noise is added, what exceeds the full scale clipped, and rounded.
+    """The channels' samples: the receivers add noise, clip what exceeds the full scale, and round.
 
     Args:
-        samples: noise-free, of every detector, shape (detectors, pulses, samples); not changed.
-        sensor: noise, channel matrix and full scale.
-        rng: of the noise.
-        adc_bits: of the converters; 0: nothing is rounded.
+        samples: noise-free samples of every detector, shape (detectors, pulses, samples); not changed.
+        sensor: sensor with noise, channel matrix and full scale.
+        rng: generator of the noise.
+        adc_bits: bits of the converters; 0: nothing is rounded.
     """
     noise = receiver_noise(sensor, samples.shape[1], rng)
     if sensor.matrix_in_antenna:
@@ -41,8 +41,8 @@ def blanked(samples: C64, sensor: Sensor, reference_range: float) -> C64:
     """The samples without the range cells in which their channels are blanked, noise included; of waveform "spectrum".
 
     Args:
-        samples: shape (channels, pulses, frequencies); not changed.
-        sensor: its `blanked_ranges`.
+        samples: samples of all channels, shape (channels, pulses, frequencies); not changed.
+        sensor: sensor with `blanked_ranges`.
         reference_range: slant range of the echo without delay, m.
     """
     if not sensor.blanked_ranges:

@@ -1,12 +1,12 @@
 """The frequency response of each channel's receiver relative to the others, from images of any scene.
 
 All channels see the same scatterers. So their cross-spectra over range, averaged over columns and dwells, differ from
-frequency to frequency only by what the receivers do: S(k) = D(k) G D(k)^H + N, with D the diagonal matrix of their
-responses, G the covariance of the channels' signals, which the scene and the beams make, and N the noise. Averages of
+frequency to frequency only by the receivers: S(k) = D(k) G D(k)^H + N, with D the diagonal matrix of their responses,
+G the covariance of the channels' signals, which depends on the scene and the beams, and N the noise. Averages of
 complex Gaussian signals have a Wishart distribution (Goodman, Ann. Math. Stat. 34, 1963); its likelihood is maximised
 by Fisher scoring (Kay, Estimation Theory, 1993, section 15.7, has the scores).
 
-A response that all channels share cannot be found in this way; the spectrum of a point target shows it (PSF paper).
+A common response of all channels cannot be estimated in this way; the spectrum of a point target shows it (PSF paper).
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ class CrossSpectra:
 
     Attributes:
         power: sum of x x^H over columns, x the channels' spectra at a fast-time frequency, scaled to the mean power 1
-            in every column, so that none counts more than others: complex128, shape (frequencies, channels, channels).
-        noise: the same sum of the noise alone, at any frequency: complex128, shape (channels, channels).
+            in every column, so that all have equal weight: complex128, shape (frequencies, channels, channels).
+        noise: sum of the noise alone, at any frequency: complex128, shape (channels, channels).
         columns: number of columns that were summed; those that are 0 or not finite are left out.
     """
 
@@ -42,8 +42,8 @@ class CrossSpectra:
         """Add the images of a dwell.
 
         Args:
-            pixels: of all channels, as `remove_range_phase` returns them, shape (channels, rows, cols).
-            sensor: with waveform "spectrum".
+            pixels: images of all channels, as `remove_range_phase` returns them, shape (channels, rows, cols).
+            sensor: sensor with waveform "spectrum".
             noise_powers: E|n|^2 of a pixel of each channel.
         """
         brightness = sum(np.einsum("crk,crk->k", part, part) for part in (pixels.real, pixels.imag)) / len(pixels)
@@ -64,10 +64,10 @@ def remove_range_phase(slc: Slc, sensor: Sensor) -> C64:
 
     Args:
         slc: images of all channels in the slant plane, unweighted in range.
-        sensor: with waveform "spectrum".
+        sensor: sensor with waveform "spectrum".
 
     Returns:
-        complex64, shape (channels, rows, cols): the rows that lie within the range window.
+        The rows within the range window, complex64, shape (channels, rows, cols).
 
     Raises:
         NotDetermined: rows are not a range cell apart: the images are weighted or in another plane.
@@ -86,14 +86,14 @@ def remove_range_phase(slc: Slc, sensor: Sensor) -> C64:
 def differential_response(spectra: CrossSpectra, echo_significance: float) -> tuple[C128, F64]:
     """Return the receivers' responses that make these cross-spectra most likely.
 
-    They are sums of echoes. Of the Fourier coefficients of their logarithms over the band, those are kept that noise
-    and speckle do not make: that exceed `echo_significance` times their standard error, which is that of even power
-    over range, and as many times the rms of those around, as uneven power makes more at some lags.
+    They are sums of echoes. Of the Fourier coefficients of their logarithms over the band, those are kept that are not
+    due to noise and speckle: that exceed `echo_significance` times their standard error for uniform power over range,
+    and the same number times the rms of their neighbours, as uneven power increases the error at some lags.
 
     Returns:
         The responses relative to the median of all channels and to their own mean over the band, complex128, shape
         (channels, frequencies); 1: like the others. Then the standard error of a frequency's response, rms of its two
-        parts together, were all lags kept, shape (channels,).
+        parts together, if all lags were kept, shape (channels,).
 
     Raises:
         NotDetermined: a channel's power is not above its noise, or there are fewer columns than twice the channels.
@@ -127,7 +127,7 @@ def differential_response(spectra: CrossSpectra, echo_significance: float) -> tu
 def _score(measured: C128, noise: C128, response: C128) -> tuple[C128, F64]:
     """Return a step of Fisher scoring of the logarithms of the responses, and their covariance in a single look.
 
-    The responses found so far are taken off the spectra and their noise; the mean over the band is then the signals'
+    The spectra and their noise are divided by the current responses; the mean over the band is then the signals'
     covariance. With A the inverse of the covariance of both, G of the signals, and
     W = A (S - G - N) A, the derivatives of the log-likelihood of one look are 2 Re diag(G W) by the logarithm of an
     amplitude and -2 Im diag(G W) by a phase.
@@ -152,20 +152,20 @@ def _information(signal: C128, weight: C128) -> F64:
     tr(A dS A dS') with dS = E G + G E by an amplitude and j (E G - G E) by a phase, E picking a channel.
     """
     across = (signal @ weight) * (signal @ weight).T
-    beside = (signal @ weight @ signal) * weight.T
-    amplitudes = 2 * (across + beside).real
-    phases = 2 * (beside - across).real
-    mixed = -2 * across.imag + 2 * beside.imag
+    direct = (signal @ weight @ signal) * weight.T
+    amplitudes = 2 * (across + direct).real
+    phases = 2 * (direct - across).real
+    mixed = -2 * across.imag + 2 * direct.imag
     return np.block([[amplitudes, mixed], [mixed.T, phases]])
 
 
 def _beyond_median(echoes: C128) -> C128:
-    """Subtract the median channel from echoes (lags, channels), so that a fault of few channels is theirs alone."""
+    """Subtract the median channel from echoes (lags, channels), so that faults of a few channels affect only these."""
     return echoes - np.median(echoes.real, axis=1)[:, None] - 1j * np.median(echoes.imag, axis=1)[:, None]
 
 
 def _rms_around(echoes: C128) -> F64:
-    """Return the rms of echoes (lags, channels) of noise: from the median of 17, which a few real ones do not move."""
+    """Return the rms of echoes (lags, channels) of noise, from the median of 17, which is robust to a few real ones."""
     around = np.arange(len(echoes))[:, None] + np.arange(-8, 9)
     return np.sqrt(np.median(np.abs(echoes[around % len(echoes)]) ** 2, axis=1) / np.log(2))
 

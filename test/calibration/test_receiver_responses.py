@@ -8,7 +8,12 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from sal_height.calibration.receivers import CrossSpectra, _information, differential_response, remove_range_phase
+from sal_height.calibration.receiver_responses import (
+    CrossSpectra,
+    _information,
+    differential_response,
+    remove_range_phase,
+)
 from sal_height.errors import NotDetermined
 from sal_height.geometry.trajectory import Trajectory
 from sal_height.imaging.focus import ImageSettings, focus_dwell
@@ -80,7 +85,7 @@ def test_one_receiver_that_differs_is_found_and_no_other(fault: np.ndarray) -> N
 
 def test_sigma_is_the_spread_of_single_frequencies(monkeypatch: pytest.MonkeyPatch) -> None:
     """All lags kept: 30 trials of 64 frequencies, standard error of the rms 1.2 %; the bound is first order in it."""
-    monkeypatch.setattr("sal_height.calibration.receivers._beyond_median", lambda echoes: echoes)
+    monkeypatch.setattr("sal_height.calibration.receiver_responses._beyond_median", lambda echoes: echoes)
     rng = np.random.default_rng(2)
     found = [estimate(drawn(np.ones((COUNT, CHANNELS)), 400, rng), 0.0) for _ in range(30)]
     spread = np.sqrt(np.mean([np.abs(np.log(one.response)) ** 2 for one in found], axis=(0, 2)))

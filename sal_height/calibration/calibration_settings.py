@@ -9,7 +9,7 @@ from sal_height.settings import setting
 
 
 class CalibrationSettings(PointTargetSettings):
-    """What a calibration is measured from, and from which error on it is not used."""
+    """Criteria for the data that a calibration is measured from, and its greatest error."""
 
     azimuth_looks: int = setting(
         4,

@@ -14,13 +14,13 @@ from helpers import BEAMWIDTH, circular, elevation_at, make_beams, make_sensor, 
 
 from sal_height.beams.array import Beams
 from sal_height.beams.pattern import Pattern, pattern_named
+from sal_height.calibration.beam_calibration import BeamCalibration, calibrate_beams, calibrate_on_target
 from sal_height.calibration.beam_likelihood import (
     curve_of,
     variance_between,
     with_known_angles,
     with_unknown_angles,
 )
-from sal_height.calibration.beams import BeamCalibration, calibrate_beams, calibrate_on_target
 from sal_height.elevation.array.likelihood import OBJECTIVES, peak_elevation
 from sal_height.elevation.array.search import PeakSearches
 from sal_height.elevation.looks.looks import Looks, covariance
@@ -42,7 +42,7 @@ def draw_truth(
     """Beams and gains wrong by that much (standard deviations), with the means 0 of a calibration."""
     amplitude, angle = gain_db * DB * rng.standard_normal(channels), phase * rng.standard_normal(channels)
     gains = np.exp(amplitude - amplitude.mean() + 1j * (angle - angle.mean()))
-    return replace(BeamCalibration.none(channels), width_factor=width, gains=gains)
+    return replace(BeamCalibration.as_described(channels), width_factor=width, gains=gains)
 
 
 def beams_with(beams: Beams, calibration: BeamCalibration) -> Beams:
@@ -487,7 +487,7 @@ def test_nothing_is_left_to_calibrate() -> None:
     found = calibrated(described)
     left = calibrated(sensor_with(described, found))
     for result, least, most in ((found, 20.0, np.inf), (left, 0.0, 0.1)):
-        worst = np.max(np.abs(errors(result, BeamCalibration.none(count))) / sigmas(result))
+        worst = np.max(np.abs(errors(result, BeamCalibration.as_described(count))) / sigmas(result))
         assert least <= worst <= most
     again = sensor_with(described, found)
     assert again.elevation_diameter == pytest.approx(actual.elevation_diameter, rel=0.003)

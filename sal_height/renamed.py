@@ -1,7 +1,7 @@
 """Parameters and values that had other names: whatever is recorded or written with the old ones is read with the new.
 
-`with_new_names` serves custom data of bags, parameters.yaml, provenance, parameter events, presets, launch files,
-`--param` and campaigns. A node declares the new names only, and its refusal of an old one names the new one.
+`with_new_names` serves custom data of bags, parameters.yaml, provenance, parameter events, presets, `--param` and
+campaigns. A node declares the new names only; its refusal of an old one, as from a launch file, names the new one.
 """
 
 from __future__ import annotations

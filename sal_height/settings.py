@@ -126,7 +126,7 @@ class Setting:
 
     def refusal(self, value: Any) -> str:
         """A sentence that says that `value` is not allowed, and what is."""
-        if isinstance(value, (bool, str)) and (new := VALUES.get(self.name, {}).get(value)):
+        if isinstance(value, (bool, str)) and (new := VALUES.get(self.name, {}).get(value)) in self.choices:
             return f"Parameter {self.name} is {value!r}, which is named {new!r} now."
         return f"Parameter {self.name} {'has no value' if value is None else f'is {value!r}'}; {self.allowed}."
 

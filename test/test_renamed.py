@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from conftest import Graph
@@ -13,13 +15,18 @@ from rclpy.parameter import Parameter
 
 from sal_height.bag.files import PARAMETERS as CUSTOM
 from sal_height.bag.reader import BagReader
+from sal_height.budget.budget_errors import image_settings
+from sal_height.commands._options import node_parameters
 from sal_height.engine.registry import STAGES
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import check_parameters
 from sal_height.graph.node_classes import PROCESSING
+from sal_height.graph.reporting import merged
 from sal_height.renamed import PARAMETERS, VALUES, with_new_names
-from sal_height.runs.chain.recorded_parameters import recorded_parameters
+from sal_height.runs.campaign.batch import Campaign
+from sal_height.runs.chain.recorded_parameters import RecordedParameters, recorded_parameters
 from sal_height.settings import settings_of, unknown_name
+from sal_height.simulation import load_preset
 
 BAG = Path(__file__).parents[1] / "bags" / "version_3"
 
@@ -47,6 +54,30 @@ def test_presets_options_and_campaigns_take_old_names() -> None:
     """All of these are checked by one function."""
     checked = check_parameters({"sar_compression": {"odometry_held_s": 5, "air": "heard"}})
     assert checked == {"sar_compression": {"odometry_buffer_s": 5.0, "air": "topics"}}
+
+
+def test_old_names_of_the_user_replace_new_ones_of_the_bag() -> None:
+    """Both are merged before they are checked."""
+    recorded: dict[str, dict[str, Any]] = {"ml_height": {"misfit_fraction": 0.03}, "sar_compression": {"air": "topics"}}
+    given: dict[str, dict[str, Any]] = {"ml_height": {"misfit_share": 0.2}, "sar_compression": {"air": "none"}}
+    assert check_parameters(merged(recorded, given)) == {
+        "ml_height": {"misfit_fraction": 0.2},
+        "sar_compression": {"air": "none"},
+    }
+    assert node_parameters(["ml_height.misfit_share=0.2"]) == {"ml_height": {"misfit_fraction": 0.2}}
+    bag = RecordedParameters(BAG, recorded, {}, {})
+    assert bag.check(recorded, given)["ml_height"] == {"misfit_fraction": 0.2}
+
+
+def test_a_campaign_varies_parameters_by_old_names() -> None:
+    campaign = Campaign((BAG,), {"ml_height": {"misfit_fraction": 0.1}}, {"ml_height.misfit_share": [0.2, 0.3]})
+    values = [case.given["ml_height"] for case in campaign.cases(Path("out"))]
+    assert values == [{"misfit_fraction": 0.2}, {"misfit_fraction": 0.3}]
+
+
+def test_budgets_take_old_values_of_presets() -> None:
+    preset = replace(load_preset("small"), processing={"sar_compression": {"autofocus": True}})
+    assert image_settings(preset).autofocus == "always"
 
 
 @pytest.mark.parametrize("as_file", [True, False], ids=["parameters.yaml", "custom data"])

@@ -27,6 +27,7 @@ from sal_height.imaging import (
     with_known_errors,
 )
 from sal_height.numeric import F64
+from sal_height.renamed import with_new_names
 from sal_height.sensor import Sensor, spectrum_sensor
 from sal_height.simulation import Preset, laser_structure, swings_little
 from sal_height.theory import AperturePhase, phase_of_line, phase_of_structure, sum_of_phases
@@ -82,7 +83,7 @@ def image_settings(preset: Preset) -> ImageSettings:
     Raises:
         UserError: one is not allowed.
     """
-    given = preset.processing.get("sar_compression", {})
+    given = with_new_names(preset.processing.get("sar_compression", {}))
     return ImageSettings(**{key: given[key] for key in ImageSettings.model_fields.keys() - {"air"} if key in given})
 
 

@@ -16,6 +16,7 @@ from cyclopts import App, Group, Parameter, Token
 from cyclopts.validators import Number
 
 from sal_height.errors import UserError
+from sal_height.renamed import with_new_names
 
 if TYPE_CHECKING:
     from sal_height.graph.plan import Execution
@@ -385,7 +386,7 @@ def output_folder(given: Path | None, default: str) -> Path:
 
 
 def node_parameters(assignments: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Values of NODE.NAME=VALUE by node and name; values are read as YAML.
+    """Values of NODE.NAME=VALUE by node and new name; values are read as YAML.
 
     Raises:
         UserError: an assignment has another form.
@@ -397,7 +398,7 @@ def node_parameters(assignments: Sequence[str]) -> dict[str, dict[str, Any]]:
             raise UserError(f"Option --param is {text!r}; it must be of the form NODE.NAME=VALUE.")
         node, name, value = match.groups()
         values.setdefault(node, {})[name] = _value(value)
-    return values
+    return {node: with_new_names(of_node) for node, of_node in values.items()}
 
 
 def settings_values(assignments: Sequence[str]) -> dict[str, Any]:

@@ -112,7 +112,7 @@ def pair(
     Printed, each with its standard error (NAME_se), are
       mean, median, std, s68, bias   s68 is half the width from 16 to 84 %; bias
                                      is that of the mean
-      outlier_fraction                  share of estimates more than 1 from the truth
+      outlier_share                     share of estimates more than 1 from the truth
       clipped_share                  share of estimates that do not exist or whose
                                      modulus exceeds 1; they are included in the
                                      other statistics
@@ -161,7 +161,7 @@ def array(
     Printed, each with its standard error (NAME_se), are
       mean, median, std, s68, bias   s68 is half the width from 16 to 84 %; bias
                                      is that of the mean
-      outlier_fraction                  share of estimates more than 1 beamwidth from
+      outlier_share                     share of estimates more than 1 beamwidth from
                                      the truth
       clipped_share                  share of estimates that stopped at an end of
                                      the search, or have no pair; they are

@@ -305,7 +305,7 @@ def _statistics(estimates: F64, truth: float, clipped: Bool) -> dict[str, float 
     """Statistics with their standard errors (_se); estimates that do not exist count in clipped_share alone."""
     finite = estimates[np.isfinite(estimates)]
     outliers = np.abs(estimates - truth) > 1.0  # beamwidths of an elevation, or a number of a discriminant
-    named: list[tuple[str, Measured]] = [("outlier_fraction", share(outliers)), ("clipped_share", share(clipped))]
+    named: list[tuple[str, Measured]] = [("outlier_share", share(outliers)), ("clipped_share", share(clipped))]
     if finite.size:
         average = mean(finite)
         bias = Measured(average.value - truth, average.standard_error)

@@ -15,6 +15,7 @@ from sal_height.graph.catalogue import NodeParameters
 from sal_height.graph.plan import Outcome
 from sal_height.io import or_null, write_text
 from sal_height.nodes.accounts.account import Account
+from sal_height.renamed import with_new_names
 
 PARAMETERS = files.PARAMETERS
 """Name of the nodes' parameters (JSON) in the custom data of a bag."""
@@ -65,8 +66,11 @@ def conclude(outcome: Outcome, values: NodeParameters, report: dict[str, Any]) -
 
 
 def merged(base: NodeParameters, changes: NodeParameters) -> dict[str, dict[str, Any]]:
-    """Node parameters of `base`, overridden by those of `changes`."""
-    return {name: {**base.get(name, {}), **changes.get(name, {})} for name in {**base, **changes}}
+    """Node parameters of `base`, overridden by those of `changes`, by their new names."""
+    return {
+        name: {**with_new_names(base.get(name, {})), **with_new_names(changes.get(name, {}))}
+        for name in {**base, **changes}
+    }
 
 
 def _stage(account: Account) -> dict[str, Any]:

@@ -2,4 +2,4 @@
 
 from sal_height.moved import names_of
 
-__getattr__ = names_of(__name__, "sal_height.runs.truth.comparison")
+__getattr__ = names_of(__name__, "sal_height.runs.truth.comparison", {"Comparison": "SurfaceComparison"})

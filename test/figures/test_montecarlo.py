@@ -19,7 +19,7 @@ from sal_height.errors import UserError
 from sal_height.figures.montecarlo import Experiment, array_statistics, array_with
 from sal_height.theory.discriminator_noise import NORMAL_SHARES, SteadyLaw, s68_of
 
-STATISTICS = ("mean", "median", "std", "s68", "bias", "outlier_fraction", "clipped_share")
+STATISTICS = ("mean", "median", "std", "s68", "bias", "outlier_share", "clipped_share")
 BOUNDS = ("crb_conditional", "crb_stochastic", "crb_speckle")
 
 
@@ -131,7 +131,7 @@ def test_array_at_high_cnr_is_as_exact_as_its_bound(capsys: pytest.CaptureFixtur
     assert abs(z(result, "mean", 1.75)) < 3.5
     assert abs(z(result, "std", result["crb_stochastic"] * np.sqrt(16 / 15))) < 3.5
     assert abs(z(result, "s68", result["crb_stochastic"] * student.ppf(NORMAL_SHARES[1], 32))) < 3.5
-    assert (result["outlier_fraction"], result["clipped_share"]) == (0, 0)
+    assert (result["outlier_share"], result["clipped_share"]) == (0, 0)
     assert result["domain"] == [-4, 4]
     assert result["crb_stochastic"] == pytest.approx(result["crb_conditional"] * np.sqrt(1 + 1 / 200), rel=1e-3)
     assert result["crb_speckle"] == pytest.approx(result["crb_conditional"] * np.sqrt(16 / 15))
@@ -166,7 +166,7 @@ def test_noise_alone_is_spread_over_the_search(capsys: pytest.CaptureFixture[str
     assert wide["domain"] == [-6, 6]
     assert narrow["clipped_share"] > 0.05
     assert wide["std"] > 1.5 * narrow["std"]
-    assert narrow["outlier_fraction"] > 0.3
+    assert narrow["outlier_share"] > 0.3
 
 
 def test_cnr_is_that_of_a_detector_of_the_size_given(capsys: pytest.CaptureFixture[str]) -> None:
@@ -234,7 +234,7 @@ def test_table_shows_what_json_has(capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("mean", "median", "std", "s68"):
         shown = [f"{number:.6g}" for number in (result[name], result[f"{name}_se"], result["closed_form"][name])]
         assert lines[name] == shown
-    assert lines["outlier_fraction"][0] == f"{result['outlier_fraction']:.6g}"
+    assert lines["outlier_share"][0] == f"{result['outlier_share']:.6g}"
     assert main(["montecarlo", "array", "--trials", "50"]) == 0
     assert "domain                -4 to 4\n" in capsys.readouterr().out
 

@@ -21,6 +21,7 @@ from sal_height.graph.catalogue import NodeParameters, parameters_of
 from sal_height.graph.plan import DwellChanges
 from sal_height.graph.reporting import merged
 from sal_height.messages import to_ns
+from sal_height.renamed import with_new_names
 from sal_height.runs.chain.entry import Part, ReplayNodes, check_given
 from sal_height.runs.chain.flight_record import FlightRecord
 from sal_height.runs.chain.recorded_parameters import RecordedParameters, parameters_in, recorded_at_start
@@ -120,6 +121,7 @@ def processing_of(
     Raises:
         UserError: the bag's parameters cannot be read, a value is not allowed today, or the bag lacks the air.
     """
+    given = {node: with_new_names(values) for node, values in given.items()}
     check_given(given, chain)
     timeline = timeline_of(reader, chain.dwell_topics)
     in_bag = timeline.dwells

@@ -68,7 +68,7 @@ KNOWN = "boresight_sigma_rad", "lever_arm_sigma_m", "odometry_delay_sigma_s"
 """Settings that the compression has as well, whose values there count if they are not 0."""
 
 POSE_ERROR = "pose_error"
-"""Name in the provenance, beside the settings, of the error of the pose that was removed."""
+"""Name in the provenance, in addition to the settings, of the error of the pose that was removed."""
 
 TERRAIN, TARGETS = "terrain", "targets"
 """Names of files."""
@@ -118,9 +118,9 @@ class PlacedMounting(NamedTuple):
     """The pose of the sensor in the axes of the platform.
 
     Attributes:
-        mounting: of the sensor.
-        covariance: of its lever arm (m^2) and its rotation (rad^2) in the axes of the platform, shape (6, 6).
-        stamp_ns: of the dwell that showed it, ns.
+        mounting: mounting of the sensor.
+        covariance: covariance of lever arm (m^2) and rotation (rad^2) in the axes of the platform, shape (6, 6).
+        stamp_ns: stamp of the dwell that it was estimated with, ns.
         body_frame: name of the platform's frame.
     """
 
@@ -135,14 +135,14 @@ class AdjustedDwell:
     """Adjustment of a dwell.
 
     Attributes:
-        field: its heights where they are.
-        aperture: from which they are seen.
-        off: how far off that was.
-        states: odometry during the dwell.
-        mounting: of the sensor.
-        mounting_covariance: of its lever arm, m^2, and of its rotation, rad^2, both in the axes of the platform.
-        is_compared: whether the dwell was seen to show ground that others show, or that is known.
-        is_first: whether the flight, or what it is adjusted with, begins again with it.
+        field: adjusted heights.
+        aperture: adjusted aperture from which they are seen.
+        off: error of the pose that was removed.
+        states: adjusted odometry during the dwell.
+        mounting: adjusted mounting of the sensor.
+        mounting_covariance: covariance of lever arm (m^2) and rotation (rad^2) in the axes of the platform.
+        is_compared: True if the dwell shows ground that others show, or that is known.
+        is_first: True if the flight, or its adjustment, starts again with this dwell.
     """
 
     field: HeightField
@@ -178,10 +178,10 @@ class FlightAdjuster:
         Another description of the sensor, or other settings, start again.
 
         Args:
-            heights: of the dwell.
-            sensor: that took it.
+            heights: heights of the dwell.
+            sensor: sensor that recorded it.
             states: odometry around it, without the delay of its stamps.
-            settings: of the stage.
+            settings: settings of the stage.
 
         Raises:
             UserError: they cannot be adjusted.
@@ -352,7 +352,7 @@ class HeightAdjuster(DwellStage):
         return self.name
 
     def receive_other(self, port: str, item: PlatformState) -> None:  # noqa: ARG002 (it is the only one)
-        """Take odometry."""
+        """Accept odometry."""
         _, latest_ns = self._history.span_ns or (0, 0)
         arrival = self._history.add(item)
         if arrival is Arrival.RESTARTED and item.stamp_ns < latest_ns:  # the clock began again, and so does the flight
@@ -428,10 +428,10 @@ class HeightAdjuster(DwellStage):
 
 
 def _known(settings: AdjusterSettings, stage: Mapping[str, Any]) -> AdjustmentSettings:
-    """What is known beforehand: what the compression states of mounting and delay, and else the settings.
+    """Prior knowledge: values of mounting and delay that the compression states, and otherwise the settings.
 
     Raises:
-        UserError: what it states is not allowed.
+        UserError: a value that it states is not allowed.
     """
     values = {name: getattr(settings, name) for name in settings_of(AdjustmentSettings)}
     return AdjustmentSettings(**{**values, **{name: stage[name] for name in KNOWN if stage.get(name)}})
@@ -455,9 +455,9 @@ def _observed(heights: Heights, pulses: PulseTrack, sensor: Sensor) -> ObservedD
     """The heights of a dwell, or of an image of a strip, as an adjustment takes them.
 
     Args:
-        heights: of the dwell.
-        pulses: of the dwell, or of the block that completed the image.
-        sensor: that took them.
+        heights: heights of the dwell.
+        pulses: pulses of the dwell, or of the block that completed the image.
+        sensor: sensor that recorded them.
 
     Raises:
         Rejected: there are too few, or nothing says where they lie.
@@ -484,7 +484,7 @@ def _end_ns(heights: Heights, sensor: Sensor) -> int:
 
 
 def _delay_ns(heights: Heights) -> int:
-    """By which the odometry of a dwell is stamped too late, as its provenance states, ns."""
+    """Delay of the odometry's stamps that the provenance of a dwell states, ns."""
     delay_s = heights.provenance.compression.get("odometry_delay_s", 0.0)
     longest_delay_s = 100.0  # delay of the odometry's stamps up to which one that a provenance states is believed
     return round(1e9 * delay_s) if isinstance(delay_s, float) and abs(delay_s) <= longest_delay_s else 0

@@ -37,10 +37,10 @@ class Frame:
         sample_count: samples in each pulse.
         pulse_time: time of every pulse after the stamp, s, shape (pulses,).
         reference_range: range to which each pulse's phase refers, m, shape (pulses,).
-        encoding: one of SAMPLE_BYTES.
+        encoding: name of the encoding, one of SAMPLE_BYTES.
         scale: unit of the receiver per integer step.
         samples: bytes of the samples, in the encoding.
-        size: bytes of the message.
+        size: size of the message, bytes.
     """
 
     key: DwellKey
@@ -70,7 +70,7 @@ def frames_of(history: PhaseHistory, sensor: Sensor, dwell: int, stamp_ns: int |
 
     Args:
         history: phase history of all channels.
-        sensor: that took it.
+        sensor: sensor that recorded it.
         dwell: number of the dwell.
         stamp_ns: time of the first pulse, ns; None: that of the history.
     """
@@ -180,7 +180,7 @@ def _are_finite(numbers: F32) -> bool:
 
 @functools.lru_cache(maxsize=2)
 def _fault_of_pulses(pulse_time: bytes, reference_range: bytes) -> tuple[str, str] | None:
-    """What is wrong with the times and ranges of a dwell's pulses, which all its frames share: reason and sentence."""
+    """Fault of the times and ranges of a dwell's pulses, which all its frames share: reason and message; or None."""
     times, ranges = np.frombuffer(pulse_time), np.frombuffer(reference_range)
     for field, numbers in (("pulse_time", times), ("reference_range", ranges)):
         if not np.isfinite(numbers).all():

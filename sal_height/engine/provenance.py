@@ -110,7 +110,7 @@ class Provenance:
 
     @cached_property
     def placement(self) -> Placement:
-        """Misalignment of the image against odometry.
+        """Placement of the image relative to odometry.
 
         Raises:
             Rejected: a number that is stated is invalid.

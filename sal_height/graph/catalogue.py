@@ -138,7 +138,7 @@ def consumers(estimators: list[str]) -> dict[str, dict[str, str]]:
     Mappers read adjusted ones where these are made.
 
     Args:
-        estimators: the height nodes of a run.
+        estimators: height nodes of a run.
     """
     taken = {}
     if estimators and ESTIMATORS["ml"].node not in estimators:

@@ -35,7 +35,7 @@ COMPANY_TIMEOUT_S = 1.0
 on an idle machine."""
 
 LOOK_PERIOD_S = 0.1
-"""Period at which signals, the bag and other publishers are looked at."""
+"""Period at which signals, the bag and other publishers are checked, s."""
 
 
 class Ends(NamedTuple):
@@ -43,7 +43,7 @@ class Ends(NamedTuple):
 
     Attributes:
         outlets: publishers, each with the number of messages before.
-        inlets: subscriptions, likewise.
+        inlets: subscriptions, each with the number of messages before.
     """
 
     outlets: list[tuple[Outlet, int]]
@@ -51,7 +51,7 @@ class Ends(NamedTuple):
 
     @property
     def published(self) -> int:
-        """Messages published since the first step began."""
+        """Number of messages published since the start of the first step."""
         return sum(outlet.published - before for outlet, before in self.outlets)
 
     @property
@@ -194,7 +194,7 @@ class Lockstep:
         )
 
     def final_accounts(self) -> dict[str, Account]:
-        """The accounts of the source and of every stage; what never arrived is received and dropped in them.
+        """The accounts of the source and of every stage; messages that never arrived count as received and dropped.
 
         So is what the recorder has missed, whose account is there only then.
         """

@@ -304,7 +304,7 @@ class HeightAdjuster(DwellStage):
         return 0
 
     def check(self, message: Heights, sensor: Sensor) -> None:
-        """Check the geometry of a height image; the pixels are read when its turn comes."""
+        """Check the geometry of a height image; the pixels are read when it is processed."""
         check_geometry(message.grid, message.aperture, message.where)
         if not 0 < (seconds := length_s(message, sensor)) <= LONGEST_DWELL:
             raise Rejected(
@@ -316,7 +316,7 @@ class HeightAdjuster(DwellStage):
     def supplies(self, key: DwellKey, messages: list[Heights], sensor: Sensor) -> list[PlatformState]:
         """Odometry, without the delay of its stamps, from before the dwell to after it.
 
-        It begins before the end of the dwell that this one follows; a played bag that begins again is elsewhere.
+        It starts before the end of the dwell that this one follows; the first dwell of a bag played again follows none.
 
         Raises:
             Rejected: it does not cover the dwell yet.
@@ -355,14 +355,14 @@ class HeightAdjuster(DwellStage):
         """Accept odometry."""
         _, latest_ns = self._history.span_ns or (0, 0)
         arrival = self._history.add(item)
-        if arrival is Arrival.RESTARTED and item.stamp_ns < latest_ns:  # the clock began again, and so does the flight
+        if arrival is Arrival.RESTARTED and item.stamp_ns < latest_ns:  # the clock started again, and the flight too
             super().forget()
         elif arrival is not Arrival.IN_ORDER:
             self.count(f"odometry.{arrival.value}")
         if item.stamp_ns <= self._needed_ns:
             self.note_progress()  # what heights wait for is on its way
         elif self._needed_ns:
-            self._needed_ns = 0  # heights that go on waiting will say so
+            self._needed_ns = 0  # heights that still wait set it again
             self.hand_over_complete()
 
     def forget(self) -> None:
@@ -452,7 +452,7 @@ def _check_mounting(stage: Mapping[str, Any]) -> None:
 
 
 def _observed(heights: Heights, pulses: PulseTrack, sensor: Sensor) -> ObservedDwell:
-    """The heights of a dwell, or of an image of a strip, as an adjustment takes them.
+    """The heights of a dwell, or of an image of a strip, as an adjustment reads them.
 
     Args:
         heights: heights of the dwell.
@@ -460,7 +460,7 @@ def _observed(heights: Heights, pulses: PulseTrack, sensor: Sensor) -> ObservedD
         sensor: sensor that recorded them.
 
     Raises:
-        Rejected: there are too few, or nothing says where they lie.
+        Rejected: there are too few, or their positions are not known.
     """
     aperture, placement = heights.aperture.state, heights.provenance.placement
     if not aperture.sliding:

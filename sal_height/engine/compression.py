@@ -300,7 +300,7 @@ class Compression(DwellStage):
         elif port in AIR_PARAMETERS:
             self._air.add(port, item)
             if self._awaits_air:
-                self._awaits_air = False  # dwells that go on waiting will say so
+                self._awaits_air = False  # dwells that still wait set it again
                 self.hand_over_complete()
         elif port == CALIBRATION:
             self._receive_calibration(item)
@@ -445,7 +445,7 @@ class Compression(DwellStage):
         elif arrival is not Arrival.IN_ORDER:
             self.count(f"odometry.{arrival.value}")
         if state.stamp_ns >= self._awaited_ns or arrival is not Arrival.IN_ORDER:
-            self._awaited_ns = math.inf  # dwells that go on waiting will say so
+            self._awaited_ns = math.inf  # dwells that still wait set it again
             self.hand_over_complete()
 
 

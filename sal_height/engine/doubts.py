@@ -19,7 +19,7 @@ class Doubt(NamedTuple):
         channel: number of the channel that it concerns; ALL_CHANNELS: the dwell.
         size: size of what was found; NaN: it has none.
         unit: unit of the size.
-        p_value: probability of such a size or more if nothing is wrong; NaN: not tested.
+        p_value: probability of this size or a larger one if nothing is wrong; NaN: not tested.
     """
 
     name: str
@@ -37,7 +37,7 @@ class FitTest(NamedTuple):
         name: name of what was tested.
         channel: number of the channel that was tested; ALL_CHANNELS: the dwell.
         statistic: value of the test.
-        p_value: probability of such a value or more if the assumptions are true.
+        p_value: probability of this statistic or a larger one if the assumptions are true.
         size: departure that fits best; NaN: not estimated.
         sigma: standard deviation of `size`.
         unit: unit of `size` and `sigma`.

@@ -97,7 +97,7 @@ class DwellStage(Stage):
         self._to_rehearse: Sensor | None = None
         self._rehearsing = self._rehearsed = False
 
-    # What subclasses say of their dwells.
+    # Declarations of subclasses about their dwells.
 
     def channels_of(self, sensor: Sensor) -> int:
         """Number of messages that make a dwell of a sensor whole."""

@@ -97,7 +97,7 @@ def check_frame(frame: Frame, sensor: Sensor) -> None:
     """Check that a frame has the sizes that its sensor states, and values that can be processed.
 
     Raises:
-        Rejected: it has not; the sentence names the field, its value and what is allowed.
+        Rejected: it has not; the message names the field, its value and what is allowed.
     """
     where = f"ChannelFrame of dwell {frame.key.number}, channel {frame.channel}"
     check_channel(frame.channel, sensor, where)
@@ -131,7 +131,7 @@ def check_channel(channel: int, sensor: Sensor, where: str) -> None:
     """Check that the sensor has a channel of that number.
 
     Raises:
-        Rejected: it has not; the sentence begins with `where`.
+        Rejected: it has not; the message begins with `where`.
     """
     if not 0 <= channel < sensor.detector_count:
         raise Rejected("unknown channel", f"{where}: SensorInfo has channels 0 to {sensor.detector_count - 1}.")

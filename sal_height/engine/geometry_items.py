@@ -99,7 +99,7 @@ def check_geometry(grid: Grid, aperture: Aperture, where: str) -> None:
 
     Raises:
         Rejected: a value is not finite or beyond FARTHEST, a direction or the orientation has not the norm 1, a spacing
-            is less than FINEST, or the velocity is 0; the sentence begins with `where`.
+            is less than FINEST, or the velocity is 0; the message begins with `where`.
     """
     directions = grid.row_direction.tolist(), grid.col_direction.tolist()
     places = *grid.origin.tolist(), *aperture.position.tolist(), *aperture.velocity.tolist()

@@ -124,7 +124,7 @@ class Heights:
 
     @property
     def where(self) -> str:
-        """Name of the message, as the beginning of a sentence."""
+        """Name of the message, as the start of a warning."""
         return f"HeightImage of dwell {self.key.number}"
 
     @cached_property
@@ -136,7 +136,7 @@ class Heights:
         `bad_pixels` counts them. Where no covariance is stated it follows from sigma and the pose.
 
         Raises:
-            Rejected: the heights cannot be used; the sentence names the field, its value and what is allowed.
+            Rejected: the heights cannot be used; the error names the field, its value and what is allowed.
         """
         if not self.surfaces:
             raise Rejected("wrong size", f"{self.where} has no surface; it must have at least one.")

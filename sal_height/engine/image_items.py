@@ -238,7 +238,7 @@ def check_image(image: ChannelImage, sensor: Sensor) -> None:
     """Check that an image has the size that its grid states, and values that can be processed.
 
     Raises:
-        Rejected: it has not; the sentence names the field, its value and what is allowed.
+        Rejected: it has not; the message names the field, its value and what is allowed.
     """
     where = f"ComplexImage of dwell {image.key.number}, channel {image.channel}"
     check_channel(image.channel, sensor, where)

@@ -51,7 +51,7 @@ class Losses:
         self.note(f"{WARNED}{kind}", notice.sentence)
 
     def note(self, kind: str, sentence: str) -> None:
-        """Keep a sentence if it is the first of its kind."""
+        """Keep a message if it is the first of its kind."""
         self.sentences.setdefault(kind, sentence)
 
     @property
@@ -68,7 +68,7 @@ class Losses:
         return {"dropped": self.dropped, "warned": self.warned, "ignored": self.ignored}
 
     def _counted(self, kind: str, dwells: int) -> str:
-        """A sentence on how many of a kind there are, and a space; empty if they are not counted."""
+        """Message on the number of a kind, and a space; empty if they are not counted."""
         if kind.startswith(WARNED):
             kind = kind.removeprefix(WARNED)
             return f"There is a warning on {self.warned[kind]} of {dwells} dwells ({kind}). "
@@ -83,5 +83,5 @@ class Losses:
         return f"{' and '.join(said)} {verb} left out ({kind}). " if said else ""
 
     def as_json(self) -> dict[str, Any]:
-        """All counts and sentences."""
+        """All counts and messages."""
         return vars(self)

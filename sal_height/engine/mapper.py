@@ -52,7 +52,7 @@ ADJUSTED = "adjusted"
 """Prefix of adjusted heights."""
 
 LOCAL = "local"
-"""Name for the coordinates of a map that is not placed on the earth."""
+"""Name for the coordinates of a map that is not located on the earth."""
 
 
 ORIGIN_PORT = Port(

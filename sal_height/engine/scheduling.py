@@ -53,7 +53,7 @@ class Scheduling:
 
     @contextmanager
     def as_before(self, dwell: Hashable) -> Iterator[None]:
-        """Within it, and only there, what was scheduled before a dwell has been accepted; nothing is decided in it."""
+        """Context in which what was scheduled before a dwell has been accepted; nothing is decided in it."""
         if dwell not in self._scheduled:
             yield
             return

@@ -60,7 +60,7 @@ class Port(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Product:
-    """An item for a port; rounded as its message is, so that whoever reads the message has the same item."""
+    """An item for a port; rounded as its message is, so that readers of the message have the same item."""
 
     port: str
     item: Any

@@ -173,12 +173,12 @@ class StageNode(WorkerNode):
         return self.stage.unpublished
 
     def nothing_before(self, topic: str, stamp_ns: int) -> None:
-        """Let the stage know that nothing with an earlier stamp will arrive on a topic (run and replay)."""
+        """Notify the stage that nothing with an earlier stamp will arrive on a topic (run and replay)."""
         if topic in self._inlets_of:
             self._decide(lambda: self.stage.nothing_before(topic, stamp_ns))
 
     def finish_stage(self) -> None:
-        """Let the stage know that nothing more arrives (run and replay)."""
+        """Notify the stage that nothing more arrives (run and replay)."""
         self._decide(self.stage.finish)
         self._is_finished = True
 

@@ -379,7 +379,7 @@ class WorkerNode(Role, Managed):
 
     def _measure_pace(self) -> None:
         for inlet in (*self._inlets, *self._optional):
-            inlet.look_for_strangers()  # names of nodes come after their publishers
+            inlet.look_for_strangers()  # names of nodes arrive after their publishers
         self._pace.sample(time.monotonic(), self.tally.offered, self.tally.finished)
         self._publish_account()
 
@@ -390,7 +390,7 @@ class WorkerNode(Role, Managed):
         """The account; what changes without a piece of work is as it was last."""
         inlets = (*self._inlets, *self._optional)
         missed = {_plain(inlet.topic): inlet.missed for inlet in inlets if inlet.missed and not inlet.latched}
-        account = self.tally.account()  # before what is published, and after what has come
+        account = self.tally.account()  # before what is published, and after what was received
         published = {_plain(outlet.topic): outlet.published for outlet in self._offered if outlet.keeps_all}
         account = replace(account, jobs=self.jobs, missed=missed, published_on=published, last_drop=self.last_drop)
         return replace(account, **self._slow_numbers)

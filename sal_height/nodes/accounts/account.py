@@ -1,7 +1,7 @@
 """The account of a node: its message counts, as its messages on /progress and its status on /diagnostics carry them.
 
-Nodes write their account with `to_message` and `to_values`, and whoever watches a graph reads it with `of_message` and
-`of_status`. NodeAccount says what the numbers are; `messages.accounts` has their names on /diagnostics.
+Nodes write their account with `to_message` and `to_values`, and programs that watch a graph read it with `of_message`
+and `of_status`. NodeAccount describes the numbers; `messages.accounts` has their names on /diagnostics.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ OF_TOPICS = ("published_on", "subscribers", "missed", "recorded")
 
 SUMMED = ("received", "processed", "published", "dwells", "calibrations", "unwritten", "cpu_s")
 SUMMED_BY_NAME = ("dropped", "ignored", EVENTS, "published_on", "recorded")
-"""Fields that count from the start of the node's process; all others say how it is now."""
+"""Fields that count from the start of the node's process; all others state its present state."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class Account:
 
     @classmethod
     def of_numbers(cls, numbers: Mapping[str, float], last_drop: str = "") -> Self:
-        """The account that numbers by their names on /diagnostics say."""
+        """The account that numbers by their names on /diagnostics state."""
         values = fields_of_numbers(numbers)
         for name in OF_TOPICS:
             values[name] = {key.removeprefix("/"): count for key, count in values.get(name, {}).items()}

@@ -19,7 +19,7 @@ SHARES = 0.5, 0.95
 """Fractions of the dwells that take no longer than the latencies that are published."""
 
 OF_NODE = {"jobs", "ready"}
-"""Numbers of an account that no counts say."""
+"""Numbers of an account that do not follow from counts."""
 
 
 class Tally:

@@ -52,5 +52,5 @@ class TopicCounts:
         return max(0, self._number - self.received)
 
     def as_json(self) -> dict[str, Any]:
-        """The counts as the bag says them."""
+        """The counts as the bag states them."""
         return {"received": self.received, "written": self.written, "left_out": dict(self.left_out)}

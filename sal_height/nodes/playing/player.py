@@ -434,7 +434,7 @@ def _class_of(topic: Topic) -> type[Any]:
 
 
 def main() -> int:
-    """Console script of both nodes; the name of the script says which node it is."""
+    """Console script of both nodes; the name of the script is that of the node."""
     return run_node(PacedPlayer if Path(sys.argv[0]).stem == PacedPlayer.usual_name else Player)
 
 

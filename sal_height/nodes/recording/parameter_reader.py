@@ -22,7 +22,7 @@ ASK_PERIOD_S = 0.5
 """Period at which new nodes are looked for, s."""
 
 ANSWER_S = 2.0
-"""Time, s, after which a node without an answer is asked again: it is lost to a client not known there yet."""
+"""Time, s, after which a silent node is asked again: an answer is lost if it does not know its client yet."""
 
 MOST_NODES = 1000
 """Greatest number of nodes whose parameters are asked for and kept."""
@@ -53,7 +53,7 @@ class ParameterReader:
         nodes = {
             bytes(info.endpoint_gid): f"{info.node_namespace.rstrip('/')}/{info.node_name}"
             for info in self._node.get_publishers_info_by_topic(PARAMETER_EVENTS)
-            if not info.node_name.startswith(NAMELESS)  # its name comes later than its publisher
+            if not info.node_name.startswith(NAMELESS)  # its name arrives later than its publisher
         }
         for identity in self._questions.keys() - nodes.keys():
             self._questions.pop(identity).end()

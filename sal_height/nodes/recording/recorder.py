@@ -43,7 +43,7 @@ from sal_height.nodes.transport.qos import from_profile
 
 ACCOUNTS = {DIAGNOSTICS, PROGRESS}  # accounts of these would be recorded in turn, without end
 FAILED = "internal error"  # kind of the errors that no message should cause
-QUEUE_DEPTH = 1000  # messages per topic that may wait in the middleware until the node takes them
+QUEUE_DEPTH = 1000  # messages per topic that may wait in the middleware until the node reads them
 DIAGNOSTICS_PERIOD_S = 0.5
 
 OF_DWELLS = {FRAME_TYPE, IMAGE_TYPE, HEIGHT_TYPE, ODOMETRY_TYPE}
@@ -360,7 +360,7 @@ class Recorder(Role, Node):
         self._account_publisher.publish(self._account_and_state)
 
     def _report_progress(self) -> None:
-        """Publish the counts for whoever waits for messages to be in the bag."""
+        """Publish the counts for programs that wait for messages to be in the bag."""
         self._account_publisher.publish_counts(self._counts)
 
     def _counts(self) -> Account:

@@ -20,7 +20,7 @@ PARTICIPANTS = 100
 _next = itertools.count(os.getpid())  # where to look first: each process, and each of its runs, at another place
 
 DomainChoice: TypeAlias = int | Literal["free", "environment"]
-"""A domain by its number, a free one, or the one that the environment variables of ROS say."""
+"""A domain by its number, a free one, or the one that the environment variables of ROS state."""
 
 
 def first_port(domain: int) -> int:

@@ -91,10 +91,10 @@ TEMPLATE = """<?xml version="1.0" encoding="UTF-8"?>
 """Participants send by shared memory on this machine, and by UDP to others.
 
 They announce themselves four times a second, every 3 s by default: one that starts later, or again, is found that soon.
-One that was killed is taken for running until nothing has been received of it for 5 s, 20 s by default.
+One that was killed is assumed to run until nothing has been received of it for 5 s, 20 s by default.
 And they ask five times a second, every 3 s by default, what of their messages has not arrived, to send it again.
 
-The ports of one that stands still are taken for dead after 5 s, 1 s by default, when nobody sends to it any more.
+The ports of one that stands still are assumed dead after 5 s, 1 s by default, when nobody sends to it any more.
 A sender makes the port again with each message, and one that goes on meanwhile may never be reached again (`ports`).
 Those of a process that was killed are not known to be dead as long: none that starts takes one (`leftovers`).
 """
@@ -102,7 +102,7 @@ Those of a process that was killed are not known to be dead as long: none that s
 
 LOOPBACK = "\n        <interfaceWhiteList><address>127.0.0.1</address></interfaceWhiteList>"
 """Restricts a participant to this machine. By ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST alone it sends its
-announcements nowhere else, but answers whoever addresses it."""
+announcements nowhere else, but answers programs that address it."""
 
 
 PACKETS = "\n        <maxMessageSize>{}</maxMessageSize>"

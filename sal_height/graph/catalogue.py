@@ -149,7 +149,7 @@ def consumers(estimators: list[str]) -> dict[str, dict[str, str]]:
 
 
 def placed(origin: Origin | None) -> dict[str, dict[str, float]]:
-    """Parameters of mappers that say where on the earth the map's origin is; None: it is not known."""
+    """Parameters of mappers for the position of the map's origin on the earth; None: it is not known."""
     if origin is None:
         return {}
     latitude, longitude = math.degrees(origin.latitude), math.degrees(origin.longitude)

@@ -166,7 +166,7 @@ def _process_of(member: Member, forks: bool) -> subprocess.Popen[bytes] | Forked
 
     Args:
         member: node to start.
-        forks: True if the process goes on with what this one has imported and computed; else it starts afresh.
+        forks: True if the process goes on with what this one has imported and computed; else it starts without.
 
     Raises:
         UserError: it cannot be started.

@@ -100,7 +100,7 @@ class Lockstep:
         return all(outlet.subscribers >= ours[outlet.topic] for outlet in outlets)
 
     def begin(self) -> None:
-        """Record what was published and received so far, and schedule what happens before dwells."""
+        """Record what was published and received so far, and schedule the changes before dwells."""
         ends: dict[str, Ends] = defaultdict(lambda: Ends([], []))
         for node in self._workers:
             for outlet in node.outlets:
@@ -113,7 +113,7 @@ class Lockstep:
         self._announce()
 
     def _schedule_changes(self) -> None:
-        """Let the stages and the player know what happens before which dwell."""
+        """Notify the stages and the player of the changes before dwells."""
         for stage in self._stages.values():
             for sensor, mounting in self._plan.mountings.items():
                 stage.state_mounting(sensor, mounting)
@@ -146,7 +146,7 @@ class Lockstep:
         self._announce()
 
     def finish(self, wait: Callable[[Callable[[], bool], str], None]) -> None:
-        """Let one stage after the other know that nothing more arrives, in the order of the data."""
+        """Notify one stage after the other that nothing more arrives, in the order of the data."""
         for name, stage in self._stages.items():
             stage.finish_stage()
             wait(self.is_settled, f"the last dwells to be processed by {name}")
@@ -196,7 +196,7 @@ class Lockstep:
     def final_accounts(self) -> dict[str, Account]:
         """The accounts of the source and of every stage; messages that never arrived count as received and dropped.
 
-        So is what the recorder has missed, whose account is there only then.
+        So do those that the recorder has missed; its account is included only then.
         """
         accounts = {self._plan.source: self._source.account()}
         for name, stage in self._stages.items():

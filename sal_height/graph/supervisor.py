@@ -15,7 +15,7 @@ FIRST_WAIT_S, LONGEST_WAIT_S = 0.5, 30.0
 """Time from the end of a node to its next start, s: it doubles from time to time, up to the longest."""
 
 STEADY_S = 60.0
-"""Time for which a node has run, s, after which the wait for its next start is the first one again."""
+"""Running time of a node, s, after which the wait for its next start is the shortest one again."""
 
 
 @dataclass

@@ -68,7 +68,7 @@ KNOWN = "boresight_sigma_rad", "lever_arm_sigma_m", "odometry_delay_sigma_s"
 """Settings that the compression has as well, whose values there count if they are not 0."""
 
 POSE_ERROR = "pose_error"
-"""Name in the provenance, beside the settings, of the error of the pose that was removed."""
+"""Name in the provenance, in addition to the settings, of the error of the pose that was removed."""
 
 TERRAIN, TARGETS = "terrain", "targets"
 """Names of files."""
@@ -118,9 +118,9 @@ class PlacedMounting(NamedTuple):
     """The pose of the sensor in the axes of the platform.
 
     Attributes:
-        mounting: of the sensor.
-        covariance: of its lever arm (m^2) and its rotation (rad^2) in the axes of the platform, shape (6, 6).
-        stamp_ns: of the dwell that showed it, ns.
+        mounting: mounting of the sensor.
+        covariance: covariance of lever arm (m^2) and rotation (rad^2) in the axes of the platform, shape (6, 6).
+        stamp_ns: stamp of the dwell that it was estimated with, ns.
         body_frame: name of the platform's frame.
     """
 
@@ -135,14 +135,14 @@ class AdjustedDwell:
     """Adjustment of a dwell.
 
     Attributes:
-        field: its heights where they are.
-        aperture: from which they are seen.
-        off: how far off that was.
-        states: odometry during the dwell.
-        mounting: of the sensor.
-        mounting_covariance: of its lever arm, m^2, and of its rotation, rad^2, both in the axes of the platform.
-        is_compared: whether the dwell was seen to show ground that others show, or that is known.
-        is_first: whether the flight, or what it is adjusted with, begins again with it.
+        field: adjusted heights.
+        aperture: adjusted aperture from which they are seen.
+        off: error of the pose that was removed.
+        states: adjusted odometry during the dwell.
+        mounting: adjusted mounting of the sensor.
+        mounting_covariance: covariance of lever arm (m^2) and rotation (rad^2) in the axes of the platform.
+        is_compared: True if the dwell shows ground that others show, or that is known.
+        is_first: True if the flight, or its adjustment, starts again with this dwell.
     """
 
     field: HeightField
@@ -178,10 +178,10 @@ class FlightAdjuster:
         Another description of the sensor, or other settings, start again.
 
         Args:
-            heights: of the dwell.
-            sensor: that took it.
+            heights: heights of the dwell.
+            sensor: sensor that recorded it.
             states: odometry around it, without the delay of its stamps.
-            settings: of the stage.
+            settings: settings of the stage.
 
         Raises:
             UserError: they cannot be adjusted.
@@ -304,7 +304,7 @@ class HeightAdjuster(DwellStage):
         return 0
 
     def check(self, message: Heights, sensor: Sensor) -> None:
-        """Check the geometry of a height image; the pixels are read when its turn comes."""
+        """Check the geometry of a height image; the pixels are read when it is processed."""
         check_geometry(message.grid, message.aperture, message.where)
         if not 0 < (seconds := length_s(message, sensor)) <= LONGEST_DWELL:
             raise Rejected(
@@ -316,7 +316,7 @@ class HeightAdjuster(DwellStage):
     def supplies(self, key: DwellKey, messages: list[Heights], sensor: Sensor) -> list[PlatformState]:
         """Odometry, without the delay of its stamps, from before the dwell to after it.
 
-        It begins before the end of the dwell that this one follows; a played bag that begins again is elsewhere.
+        It starts before the end of the dwell that this one follows; the first dwell of a bag played again follows none.
 
         Raises:
             Rejected: it does not cover the dwell yet.
@@ -352,17 +352,17 @@ class HeightAdjuster(DwellStage):
         return self.name
 
     def receive_other(self, port: str, item: PlatformState) -> None:  # noqa: ARG002 (it is the only one)
-        """Take odometry."""
+        """Accept odometry."""
         _, latest_ns = self._history.span_ns or (0, 0)
         arrival = self._history.add(item)
-        if arrival is Arrival.RESTARTED and item.stamp_ns < latest_ns:  # the clock began again, and so does the flight
+        if arrival is Arrival.RESTARTED and item.stamp_ns < latest_ns:  # the clock started again, and the flight too
             super().forget()
         elif arrival is not Arrival.IN_ORDER:
             self.count(f"odometry.{arrival.value}")
         if item.stamp_ns <= self._needed_ns:
             self.note_progress()  # what heights wait for is on its way
         elif self._needed_ns:
-            self._needed_ns = 0  # heights that go on waiting will say so
+            self._needed_ns = 0  # heights that still wait set it again
             self.hand_over_complete()
 
     def forget(self) -> None:
@@ -428,10 +428,10 @@ class HeightAdjuster(DwellStage):
 
 
 def _known(settings: AdjusterSettings, stage: Mapping[str, Any]) -> AdjustmentSettings:
-    """What is known beforehand: what the compression states of mounting and delay, and else the settings.
+    """Prior knowledge: values of mounting and delay that the compression states, and otherwise the settings.
 
     Raises:
-        UserError: what it states is not allowed.
+        UserError: a value that it states is not allowed.
     """
     values = {name: getattr(settings, name) for name in settings_of(AdjustmentSettings)}
     return AdjustmentSettings(**{**values, **{name: stage[name] for name in KNOWN if stage.get(name)}})
@@ -452,15 +452,15 @@ def _check_mounting(stage: Mapping[str, Any]) -> None:
 
 
 def _observed(heights: Heights, pulses: PulseTrack, sensor: Sensor) -> ObservedDwell:
-    """The heights of a dwell, or of an image of a strip, as an adjustment takes them.
+    """The heights of a dwell, or of an image of a strip, as an adjustment reads them.
 
     Args:
-        heights: of the dwell.
-        pulses: of the dwell, or of the block that completed the image.
-        sensor: that took them.
+        heights: heights of the dwell.
+        pulses: pulses of the dwell, or of the block that completed the image.
+        sensor: sensor that recorded them.
 
     Raises:
-        Rejected: there are too few, or nothing says where they lie.
+        Rejected: there are too few, or their positions are not known.
     """
     aperture, placement = heights.aperture.state, heights.provenance.placement
     if not aperture.sliding:
@@ -484,7 +484,7 @@ def _end_ns(heights: Heights, sensor: Sensor) -> int:
 
 
 def _delay_ns(heights: Heights) -> int:
-    """By which the odometry of a dwell is stamped too late, as its provenance states, ns."""
+    """Delay of the odometry's stamps that the provenance of a dwell states, ns."""
     delay_s = heights.provenance.compression.get("odometry_delay_s", 0.0)
     longest_delay_s = 100.0  # delay of the odometry's stamps up to which one that a provenance states is believed
     return round(1e9 * delay_s) if isinstance(delay_s, float) and abs(delay_s) <= longest_delay_s else 0

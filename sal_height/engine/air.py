@@ -15,24 +15,24 @@ from sal_height.sensor import Sensor
 from sal_height.settings import setting, settings_of
 
 USED_AIR = "heard_air"
-"""Beginning of the names, beside the parameters of the compression, of the air of a dwell in its provenance."""
+"""Prefix of the names of a dwell's air in its provenance, in addition to the parameters of the compression."""
 
 SAMPLES_KEPT = 1000
 """Messages of each quantity that are kept: 100 s of a probe at 10 Hz."""
 
 OTHER_CLOCK_S = 86400.0
-"""What is a day from the frames has another clock."""
+"""Difference from the frames' time beyond which the clock is another one, s."""
 
 AIR_OF_TOPICS = "topics"
 """Value of the parameter air of the compression: the air is as messages state it."""
 
 AIR_LATENCY_NS = 1_000_000_000
-"""A message on the air is used for dwells that begin so much later than it is stamped. Whatever takes less time from
-probe to node has arrived then, so that a replay uses the same messages as the flight did."""
+"""Least time from the stamp of a message on the air to a dwell that uses it, ns. A message that takes less time from
+probe to node has arrived by then, so that a replay uses the same messages as the flight did."""
 
 
 class AirSample(NamedTuple):
-    """When a quantity was measured (ns), and its value in the unit of its parameter."""
+    """Time of a measurement (ns), and its value in the unit of its parameter."""
 
     stamp_ns: int
     value: float
@@ -128,10 +128,10 @@ def air_of_dwell(
 
     Args:
         history: measurements.
-        frame: any of the dwell.
-        sensor: that took it.
+        frame: any frame of the dwell.
+        sensor: sensor that recorded it.
         states: odometry, from before its first pulse on.
-        settings: of the compression.
+        settings: settings of the compression.
 
     Raises:
         Rejected: a quantity has not arrived, or too long ago; or such air is impossible.
@@ -157,10 +157,10 @@ def may_have_air(
 
     Args:
         history: measurements.
-        none_before: earliest stamp that messages which arrive later can have, by port; absent: any.
-        key: of the dwell.
-        sensor: that took it.
-        settings: of the compression.
+        none_before: earliest stamp that messages which arrive later can have, ns, by port; absent: any.
+        key: key of the dwell.
+        sensor: sensor that records it.
+        settings: settings of the compression.
     """
     held_ns, needed = round(1e9 * settings.air_max_age_s), needed_air(sensor.wavelength)
     found = {port: history.at(port, key.stamp_ns) for port in needed}

@@ -25,9 +25,9 @@ class StatedCalibration(NamedTuple):
     """A calibration as its message states it.
 
     Attributes:
-        calibration: of receivers and beams.
-        stamp_ns: of the last dwell that it was made of, ns.
-        undetermined: a sentence for each part that could not be determined.
+        calibration: calibration of receivers and beams.
+        stamp_ns: stamp of the last dwell that it was made from, ns.
+        undetermined: warning for each part that could not be determined.
     """
 
     calibration: Calibration

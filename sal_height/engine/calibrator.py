@@ -59,10 +59,10 @@ class SensorCalibrator:
     """The calibration of a sensor that is being made.
 
     Attributes:
-        calibrator: of the dwells so far; None: none was used since the last calibration.
-        dwells: number of dwells so far, whether used or not.
-        made: whether a calibration has been made.
-        stamp_ns: of the last dwell that was used, ns.
+        calibrator: calibrator with the dwells so far; None: none was used since the last calibration.
+        dwells: number of dwells so far, used or not.
+        made: True if a calibration has been made.
+        stamp_ns: stamp of the last dwell that was used, ns.
     """
 
     def __init__(self) -> None:
@@ -172,7 +172,7 @@ class PsfCalibration(DwellStage):
 
 
 def _place(text: str) -> F64 | None:
-    """Place of the reference target in the map, m; None: there is none.
+    """Position of the reference target in the map, m; None: no target.
 
     Raises:
         UserError: the text is not three numbers.

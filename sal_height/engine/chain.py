@@ -17,9 +17,9 @@ class Made(NamedTuple):
     """A product, or something that a stage left out or reports.
 
     Attributes:
-        stage: that made it.
-        dwell: that the job was about; None: it was not a job of a dwell.
-        result: the product or report.
+        stage: stage that made it.
+        dwell: dwell of the job; None: it was not a job of a dwell.
+        result: product or report.
     """
 
     stage: Stage
@@ -34,8 +34,8 @@ class Chain:
         """Join stages.
 
         Args:
-            stages: in the order of the data.
-            settings: of each.
+            stages: stages in the order of the data.
+            settings: settings of each stage.
         """
         self.stages = list(stages)
         self._consumers: dict[str, list[Stage]] = {}
@@ -65,24 +65,24 @@ class Chain:
         self._take(stage, stage.accept(port, item))
 
     def start(self, stamp_ns: int = 0) -> Iterator[Made]:
-        """What the stages make before anything is fed."""
+        """Yield what the stages make before anything is fed."""
         for stage in self.stages:
             self._take(stage, stage.start(stamp_ns))
         yield from self._results(drain=False)
 
     def feed(self, port: str, item: Any) -> Iterator[Made]:
-        """What the stages make of an item on a port, as far as it is due."""
+        """Yield what the stages make of an item on a port, as far as it is due."""
         self._deliver(port, item)
         yield from self._results(drain=False)
 
     def nothing_before(self, port: str, stamp_ns: int) -> Iterator[Made]:
-        """What the stages make or give up as no item with an earlier stamp will be fed to a port."""
+        """Yield what the stages make or give up because no item with an earlier stamp will be fed to a port."""
         for stage in self._consumers.get(port, ()):
             self._take(stage, stage.nothing_before(port, stamp_ns))
         yield from self._results(drain=False)
 
     def finish(self) -> Iterator[Made]:
-        """What the stages make or give up as nothing more is fed: stage by stage, in the order of the data."""
+        """Yield what the stages make or give up as nothing more is fed: stage by stage, in the order of the data."""
         yield from self._results(drain=True)
         for stage in self.stages:
             self._take(stage, stage.finish())
@@ -104,7 +104,7 @@ class Chain:
                 self._deliver(one.port, one.item)
 
     def _results(self, *, drain: bool) -> Iterator[Made]:
-        """Process the jobs that are due, and give what was made."""
+        """Process the jobs that are due, and yield what was made."""
         while due := self._due(drain=drain):
             for stage, jobs in due:
                 for job, results in zip(jobs, stage.process(jobs), strict=True):

@@ -57,14 +57,14 @@ ODOMETRY_GAP, NO_AIR, NO_MOUNTING = "odometry gap", "no air", "no mounting"
 """Reasons for which a dwell waits."""
 
 USED_MOUNTING = "used_mounting"
-"""Beginning of the names, beside the parameters of the compression, of a mounting that was not that of sensor_info; and
-the port of a `UsedMounting`, on which no messages arrive."""
+"""Prefix of the names, in addition to the parameters of the compression, of a mounting other than that of sensor_info;
+and the port of a `UsedMounting`, on which no messages arrive."""
 
 NOT_TRUSTED = "autofocus found no phase error that it can trust; the image is focused with the odometry alone."
 
 
 class CompressionSettings(FrameSettings, AirSettings, ImageSettings, ChannelSettings):
-    """Settings of the images, and what the stage needs besides."""
+    """Settings of the images, and the others that the stage needs."""
 
     calibration: str = setting(
         "",
@@ -115,7 +115,7 @@ class CompressionSettings(FrameSettings, AirSettings, ImageSettings, ChannelSett
 
     @property
     def motion(self) -> Motion:
-        """What gaps in the odometry leave open."""
+        """Motion that is possible in gaps of the odometry."""
         return Motion(self.acceleration_noise, self.turning_noise, self.odometry_interval_s)
 
 
@@ -127,13 +127,13 @@ class UsedMounting(NamedTuple):
 
 
 class Supplies(NamedTuple):
-    """What a dwell is compressed with besides its frames.
+    """Data that a dwell is compressed with, in addition to its frames.
 
     Attributes:
         states: odometry from the last sample before the first pulse to the first after the last pulse.
-        calibration: of the sensor's receivers; None: none is applied.
-        mounting: of the sensor on the platform.
-        air: that was received, as values of the parameters that state a measured one; None: none is used.
+        calibration: calibration of the sensor's receivers; None: none is applied.
+        mounting: mounting of the sensor on the platform.
+        air: air data received, as values of the parameters that state measured air; None: none are used.
     """
 
     states: list[PlatformState]
@@ -166,10 +166,10 @@ class Compression(DwellStage):
         self._awaits_air = False
         self._mountings: dict[str, Mounting] = {}
         self._applied_from: dict[str, Sequence[DwellKey]] = {}
-        """Of calibrations, by identity, the dwells from which on they are applied; none once they have arrived."""
+        """Dwells from which on calibrations are applied, by their identity; empty once they have arrived."""
         # The heavy side.
         self._strips = RecentValues[Compressor](SENSORS_KEPT, Compressor)
-        """Of the blocks of each sensor in stripmap, by config_hash."""
+        """Compressors of the blocks of each sensor in stripmap, by config_hash."""
 
     @classmethod
     def inputs(cls, settings: Any) -> Sequence[Port]:
@@ -230,7 +230,7 @@ class Compression(DwellStage):
 
     @property
     def needed_ports(self) -> Sequence[str]:
-        """The air, if it is to be taken from messages."""
+        """The air, if it is to be read from messages."""
         if self._settings.air != AIR_OF_TOPICS:
             return ()
         sensors = map(self._sensors.get, self._sensors)
@@ -294,13 +294,13 @@ class Compression(DwellStage):
         return f"{self.name} strip"
 
     def receive_other(self, port: str, item: Any) -> None:
-        """Take odometry, air, a calibration, a mounting or a transform."""
+        """Accept odometry, air, a calibration, a mounting or a transform."""
         if port == ODOMETRY:
             self._receive_odometry(item)
         elif port in AIR_PARAMETERS:
             self._air.add(port, item)
             if self._awaits_air:
-                self._awaits_air = False  # dwells that go on waiting will say so
+                self._awaits_air = False  # dwells that still wait set it again
                 self.hand_over_complete()
         elif port == CALIBRATION:
             self._receive_calibration(item)
@@ -347,7 +347,7 @@ class Compression(DwellStage):
         yield Product(SLC, product)
 
     def _compressor_of(self, sensor: Sensor) -> Compressor:
-        """What has compressed the blocks of a sensor so far; a spotlight dwell depends on none before it."""
+        """Compressor of the blocks of a sensor so far; a new one for a spotlight dwell, which needs none before it."""
         if sensor.mode != "stripmap":
             return Compressor()
         compressor = self._strips.of(sensor.config_hash)
@@ -395,7 +395,7 @@ class Compression(DwellStage):
         return self._of_file or self._received.use(sensor.config_hash)
 
     def _mounting_of(self, sensor: Sensor) -> Mounting:
-        """Where the sensor is on the platform.
+        """Mounting of the sensor on the platform.
 
         Raises:
             Rejected: its frame is not known yet.
@@ -419,7 +419,7 @@ class Compression(DwellStage):
         return found
 
     def _describe_odometry(self, start_ns: int) -> str:
-        """Which odometry there is, relative to a dwell that it does not cover."""
+        """Description of the odometry received, relative to a dwell that it does not cover."""
         if self._odometry.span_ns is None:
             return "no sample was received (is its QoS compatible?)"
         first, last = ((stamp_ns - start_ns) * 1e-9 for stamp_ns in self._odometry.span_ns)
@@ -445,7 +445,7 @@ class Compression(DwellStage):
         elif arrival is not Arrival.IN_ORDER:
             self.count(f"odometry.{arrival.value}")
         if state.stamp_ns >= self._awaited_ns or arrival is not Arrival.IN_ORDER:
-            self._awaited_ns = math.inf  # dwells that go on waiting will say so
+            self._awaited_ns = math.inf  # dwells that still wait set it again
             self.hand_over_complete()
 
 

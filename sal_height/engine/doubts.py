@@ -1,4 +1,4 @@
-"""What speaks against a product, and how well the data fit what was assumed."""
+"""Reasons to distrust a product, and tests of how well the data fit what was assumed."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ class Doubt(NamedTuple):
     """A reason to distrust a product: something that nobody stated, or that the data contradict.
 
     Attributes:
-        name: a few words that do not change from dwell to dwell.
-        sentence: what is doubtful, by how much, and what to do about it.
-        channel: that it concerns; ALL_CHANNELS: the dwell.
-        size: of what was found; NaN: it has none.
-        unit: of the size.
-        p_value: probability of so much or more if nothing is wrong; NaN: not tested.
+        name: short name that does not change from dwell to dwell.
+        sentence: warning that states what is doubtful, by how much, and what to do about it.
+        channel: number of the channel that it concerns; ALL_CHANNELS: the dwell.
+        size: size of what was found; NaN: it has none.
+        unit: unit of the size.
+        p_value: probability of this size or a larger one if nothing is wrong; NaN: not tested.
     """
 
     name: str
@@ -34,13 +34,13 @@ class FitTest(NamedTuple):
     """A test of the data of a dwell or channel against what was assumed of the sensor.
 
     Attributes:
-        name: what was tested.
-        channel: that was tested; ALL_CHANNELS: the dwell.
+        name: name of what was tested.
+        channel: number of the channel that was tested; ALL_CHANNELS: the dwell.
         statistic: value of the test.
-        p_value: probability of so much or more if the assumptions hold.
+        p_value: probability of this statistic or a larger one if the assumptions are true.
         size: departure that fits best; NaN: not estimated.
-        sigma: its standard deviation.
-        unit: of both.
+        sigma: standard deviation of `size`.
+        unit: unit of `size` and `sigma`.
     """
 
     name: str

@@ -45,7 +45,7 @@ SENSOR_PORT = Port(SENSOR_INFO, Sensor, "description of the sensor, latched", la
 
 
 class _Early(NamedTuple):
-    """A message that waits for its sensor info, and when it arrived, s of the host's clock."""
+    """A message that waits for its sensor info, and the time at which it arrived, s of the host's clock."""
 
     message: Any
     arrived: float
@@ -56,9 +56,9 @@ class WholeDwell(NamedTuple):
 
     Attributes:
         key: sensor, number and stamp.
-        messages: one of each channel, in their order; or the item that is all of them.
-        sensor: that they were made with.
-        supplies: what `DwellStage.supplies` returned.
+        messages: messages of all channels, in their order; or the item that is all of them.
+        sensor: sensor that they were made with.
+        supplies: result of `DwellStage.supplies`.
     """
 
     key: DwellKey
@@ -68,14 +68,14 @@ class WholeDwell(NamedTuple):
 
 
 class DwellStage(Stage):
-    """Takes one message per channel and makes a job of each complete dwell.
+    """Accepts one message per channel and makes a job of each complete dwell.
 
     Messages that arrive before their sensor info wait for it. A dwell that stays incomplete is given up and counted,
     and the next one is not affected. Where the source announces what no longer arrives, it is given up exactly then,
     and dwells are processed in the order of their first messages. Otherwise it is given up when the stage has waited
     for timeout_s without anything to do; or when the dwell is older than timeout_s and messages arrive whose stamps are
     that far from its own. So neither a slow machine nor a source that waits for the graph makes a dwell time out. The
-    same holds for a message whose sensor info does not arrive.
+    same applies to a message whose sensor info does not arrive.
     """
 
     settings = DwellSettings
@@ -97,7 +97,7 @@ class DwellStage(Stage):
         self._to_rehearse: Sensor | None = None
         self._rehearsing = self._rehearsed = False
 
-    # What subclasses say of their dwells.
+    # Declarations of subclasses about their dwells.
 
     def channels_of(self, sensor: Sensor) -> int:
         """Number of messages that make a dwell of a sensor whole."""
@@ -115,10 +115,10 @@ class DwellStage(Stage):
         """Raise Rejected if an item that is a whole dwell cannot be processed with `sensor`."""
 
     def supplies(self, key: DwellKey, messages: Any, sensor: Sensor) -> Any:  # noqa: ARG002 (subclasses use them)
-        """What a dwell needs besides its messages, as it is now; it is part of the job.
+        """Data that a dwell needs in addition to its messages, as they are now; they are part of the job.
 
         Raises:
-            Rejected: it has not arrived yet; why the dwell is dropped if it never does.
+            Rejected: they have not arrived yet; the dwell is dropped for this reason if they never do.
         """
         return None
 
@@ -134,7 +134,7 @@ class DwellStage(Stage):
         return None
 
     def receive_other(self, port: str, item: Any) -> None:
-        """Take an item of another port than those of dwells and of sensors."""
+        """Accept an item of another port than those of dwells and of sensors."""
         raise NotImplementedError(port)
 
     def rehearse_for(self, sensor: Sensor, settings: Any) -> None:
@@ -156,7 +156,7 @@ class DwellStage(Stage):
         return self._rehearsed
 
     def receive(self, port: str, item: Any) -> None:
-        """Take a description of a sensor, a message of a dwell, or another item."""
+        """Accept a description of a sensor, a message of a dwell, or another item."""
         if port == SENSOR_INFO:
             self._receive_sensor(item)
         elif port != self._port:
@@ -295,7 +295,7 @@ class DwellStage(Stage):
         """Make a job of a dwell, with blank messages for channels that are absent, if there is all that it needs.
 
         Returns:
-            What it still waits for, or None.
+            Reason for which it still waits, or None.
         """
         messages = dwell.content
         try:
@@ -317,10 +317,10 @@ class DwellStage(Stage):
         return None
 
     def _supplied(self, key: DwellKey, messages: Any, sensor: Sensor) -> Any:
-        """What a dwell needs, after what was scheduled before it: that must not take effect while it still waits.
+        """Data that a dwell needs, after the changes scheduled before it, which must not take effect while it waits.
 
         Raises:
-            Rejected: it has not arrived yet.
+            Rejected: they have not arrived yet.
         """
         if key in self._scheduled:
             with self.as_before(key):
@@ -338,7 +338,7 @@ class DwellStage(Stage):
             self._lose(dwell, missing)
 
     def _lose(self, dwell: Dwell[Any], error: Exception) -> None:
-        """Drop a dwell; what was scheduled before it holds for those after it."""
+        """Drop a dwell; changes scheduled before it apply to those after it."""
         self._assembler.take(dwell)
         self.drop(error, dwell.count, dwell.key)
         self.apply_scheduled(dwell.key)
@@ -405,7 +405,7 @@ class DwellStage(Stage):
         self._assembler.forget_finished(config_hash)
 
     def _gather(self, message: Any, now: float) -> bool:
-        """Add a message to its dwell; whether there may be something to make a job of or to give up now."""
+        """Add a message to its dwell; True if there may be something to make a job of or to give up now."""
         try:
             sensor = self._sensors.use(message.key.sensor)
             if sensor is None:

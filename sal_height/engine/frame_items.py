@@ -37,10 +37,10 @@ class Frame:
         sample_count: samples in each pulse.
         pulse_time: time of every pulse after the stamp, s, shape (pulses,).
         reference_range: range to which each pulse's phase refers, m, shape (pulses,).
-        encoding: one of SAMPLE_BYTES.
+        encoding: name of the encoding, one of SAMPLE_BYTES.
         scale: unit of the receiver per integer step.
         samples: bytes of the samples, in the encoding.
-        size: bytes of the message.
+        size: size of the message, bytes.
     """
 
     key: DwellKey
@@ -70,7 +70,7 @@ def frames_of(history: PhaseHistory, sensor: Sensor, dwell: int, stamp_ns: int |
 
     Args:
         history: phase history of all channels.
-        sensor: that took it.
+        sensor: sensor that recorded it.
         dwell: number of the dwell.
         stamp_ns: time of the first pulse, ns; None: that of the history.
     """
@@ -97,7 +97,7 @@ def check_frame(frame: Frame, sensor: Sensor) -> None:
     """Check that a frame has the sizes that its sensor states, and values that can be processed.
 
     Raises:
-        Rejected: it has not; the sentence names the field, its value and what is allowed.
+        Rejected: it has not; the message names the field, its value and what is allowed.
     """
     where = f"ChannelFrame of dwell {frame.key.number}, channel {frame.channel}"
     check_channel(frame.channel, sensor, where)
@@ -131,7 +131,7 @@ def check_channel(channel: int, sensor: Sensor, where: str) -> None:
     """Check that the sensor has a channel of that number.
 
     Raises:
-        Rejected: it has not; the sentence begins with `where`.
+        Rejected: it has not; the message begins with `where`.
     """
     if not 0 <= channel < sensor.detector_count:
         raise Rejected("unknown channel", f"{where}: SensorInfo has channels 0 to {sensor.detector_count - 1}.")
@@ -180,7 +180,7 @@ def _are_finite(numbers: F32) -> bool:
 
 @functools.lru_cache(maxsize=2)
 def _fault_of_pulses(pulse_time: bytes, reference_range: bytes) -> tuple[str, str] | None:
-    """What is wrong with the times and ranges of a dwell's pulses, which all its frames share: reason and sentence."""
+    """Fault of the times and ranges of a dwell's pulses, which all its frames share: reason and message; or None."""
     times, ranges = np.frombuffer(pulse_time), np.frombuffer(reference_range)
     for field, numbers in (("pulse_time", times), ("reference_range", ranges)):
         if not np.isfinite(numbers).all():

@@ -28,8 +28,8 @@ class PlacedOrigin(NamedTuple):
     """Position on the earth of the origin of the map frame.
 
     Attributes:
-        origin: place of the origin.
-        stamp_ns: of the message that states it, ns.
+        origin: position of the origin.
+        stamp_ns: stamp of the message that states it, ns.
         map_frame: name of the frame of the map.
     """
 

@@ -24,12 +24,12 @@ class Dwell(Generic[Item]):
 
     Attributes:
         key: sensor, number and stamp.
-        sensor: that the messages were made with.
+        sensor: sensor that the messages were made with.
         began: time at which the first message arrived, s of the host's clock.
         channels: number of messages that make it whole.
         items: messages by channel.
-        size: bytes that they take.
-        whole: an item that is all messages at once; None: there is none.
+        size: size of the messages, bytes.
+        whole: item that is all messages at once; None: they arrive one by one.
     """
 
     key: DwellKey
@@ -101,7 +101,7 @@ class DwellAssembler(Generic[Item]):
         """Insert an item of `size` bytes that is all messages of a dwell, and return the dwell.
 
         Raises:
-            Rejected: as `add`.
+            Rejected: the reasons of `add`.
         """
         where = f"Dwell {key.number}"
         if key in self._dwells:
@@ -167,7 +167,7 @@ class DwellAssembler(Generic[Item]):
 
 
 class WaitingClock:
-    """How long a stage has been waiting without anything to do.
+    """Time for which a stage has been waiting without anything to do.
 
     It is moved on by the ticks of its host, each for a fraction of a second at most, and starts from 0 whenever there
     is work. So, unlike the clock on the wall, it does not run while a slow or loaded machine keeps the stage from its

@@ -1,4 +1,4 @@
-"""Where the pixels of images lie and from where they are seen, as messages state it, and checks of both."""
+"""The aperture from which images are seen, as messages state it, and checks of it and of the grid of pixels."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ class Aperture:
     A matrix and back gives another last bit; the numbers that a message carries are those of the quaternion.
 
     Attributes:
-        position: of the antenna in map, m, shape (3,).
-        orientation: of the sensor frame in map, quaternion x, y, z, w.
-        velocity: of the antenna in map axes, m/s, shape (3,).
-        length: of the synthetic aperture, m.
-        covariance: of position (m^2) and of rotation about x, y, z of map (rad^2), shape (6, 6); zeros: not known.
-        sliding: whether the aperture slides along the flight with the columns.
+        position: position of the antenna in map, m, shape (3,).
+        orientation: orientation of the sensor frame in map, quaternion x, y, z, w.
+        velocity: velocity of the antenna in map axes, m/s, shape (3,).
+        length: length of the synthetic aperture, m.
+        covariance: covariance of position (m^2) and rotation about x, y, z of map (rad^2), shape (6, 6); 0: not known.
+        sliding: True if the aperture slides along the flight with the columns.
     """
 
     position: F64
@@ -99,7 +99,7 @@ def check_geometry(grid: Grid, aperture: Aperture, where: str) -> None:
 
     Raises:
         Rejected: a value is not finite or beyond FARTHEST, a direction or the orientation has not the norm 1, a spacing
-            is less than FINEST, or the velocity is 0; the sentence begins with `where`.
+            is less than FINEST, or the velocity is 0; the message begins with `where`.
     """
     directions = grid.row_direction.tolist(), grid.col_direction.tolist()
     places = *grid.origin.tolist(), *aperture.position.tolist(), *aperture.velocity.tolist()

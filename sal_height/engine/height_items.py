@@ -39,14 +39,14 @@ class PackedSurface:
     """One scatterer per pixel; arrays of float32, row-major, with one number per pixel or six.
 
     Attributes:
-        height: above the sphere, m.
+        height: height above the sphere, m.
         sigma: standard deviation of the height, m.
         cnr_db: carrier-to-noise ratio, dB.
-        east: position relative to the origin of the grid, m.
-        north: the same, m.
+        east: eastward position relative to the origin of the grid, m.
+        north: northward position relative to the origin of the grid, m.
         spread: standard deviation of the surface's own heights within the pixel, m; empty: not stated.
-        covariance: of the position without the error of the pose, m^2, six numbers per pixel; empty: not stated.
-        common_covariance: the part that follows from the pose; empty: not known.
+        covariance: covariance of the position without the pose error, six numbers per pixel, m^2; empty: not stated.
+        common_covariance: part of the covariance that follows from the pose, m^2; empty: not known.
     """
 
     height: F32
@@ -89,17 +89,17 @@ class Heights:
     Attributes:
         key: sensor, number and stamp of the dwell.
         frame_id: name of the frame of the map.
-        estimator: that made them, or "tracked" or "adjusted".
+        estimator: name of the estimator that made them, or "tracked" or "adjusted".
         grid: pixels.
-        aperture: that they are seen from.
-        looks: pixels averaged in range and in azimuth.
-        validity: one of `Validity` per pixel, uint8, shape (rows * cols,).
+        aperture: aperture that they are seen from.
+        looks: numbers of pixels averaged in range and in azimuth.
+        validity: value of `Validity` per pixel, uint8, shape (rows * cols,).
         surfaces: scatterers of each pixel, the strongest first.
-        order_probability: of 0, 1, 2 or 3 scatterers or an extended surface, five numbers per pixel; empty: not
-            estimated.
-        provenance: how they were made.
+        order_probability: probabilities of 0, 1, 2 or 3 scatterers or an extended surface, five numbers per pixel;
+            empty: not estimated.
+        provenance: record of how they were made.
         order: place of the dwell in the order of processing.
-        doubts: what speaks against them.
+        doubts: reasons to distrust them.
         fit: tests of the data.
     """
 
@@ -124,7 +124,7 @@ class Heights:
 
     @property
     def where(self) -> str:
-        """Name of the message, as the beginning of a sentence."""
+        """Name of the message, as the start of a warning."""
         return f"HeightImage of dwell {self.key.number}"
 
     @cached_property
@@ -136,7 +136,7 @@ class Heights:
         `bad_pixels` counts them. Where no covariance is stated it follows from sigma and the pose.
 
         Raises:
-            Rejected: the heights cannot be used; the sentence names the field, its value and what is allowed.
+            Rejected: the heights cannot be used; the error names the field, its value and what is allowed.
         """
         if not self.surfaces:
             raise Rejected("wrong size", f"{self.where} has no surface; it must have at least one.")
@@ -251,7 +251,7 @@ def _joined(layers: Sequence[PackedSurface], grid: Grid, aperture: ApertureState
 
 
 def _is_sound(surface: Surface) -> Bool:
-    """Where surfaces can be used: place, height, sigma and the covariances are possible values, same shape."""
+    """True where surfaces can be used: position, height, sigma and covariances are possible values, same shape."""
     sound = surface.is_determined & (surface.spread >= 0) & (surface.spread <= FARTHEST)
     sound &= np.abs(surface.height) <= FARTHEST
     for covariance in (surface.own_covariance, surface.common_covariance):

@@ -72,7 +72,7 @@ class ImageStage(DwellStage):
         return self._none_before.get(CALIBRATION, 0) == FOREVER_NS
 
     def receive_other(self, port: str, item: Any) -> None:  # noqa: ARG002 (it is the only one)
-        """Take a calibration, which dwells may wait for."""
+        """Accept a calibration, which dwells may wait for."""
         self._calibrations.add(item.calibration)
         self.count(CALIBRATIONS_ARRIVED)
         self.hand_over_complete()
@@ -200,7 +200,7 @@ def height_stage(name: str) -> type[HeightStage]:
     """The stage of an estimator of `elevation.ESTIMATORS`.
 
     Args:
-        name: of the estimator.
+        name: name of the estimator.
     """
     estimator = ESTIMATORS[name]
     about = f"Estimates heights from the images of all channels of a dwell; estimator: {estimator.title}."

@@ -27,12 +27,12 @@ AIR_REMOVED, AIR_LEFT = "removed", "left"
 
 @dataclass(eq=False)
 class Place:
-    """Where the pixels of images lie and from where they are seen; the images of a dwell share it.
+    """Grid of the pixels of images, and aperture; the images of a dwell share it.
 
     Attributes:
         grid: pixels.
-        aperture: that they are seen from.
-        is_checked: whether it was found to be possible.
+        aperture: aperture that they are seen from.
+        is_checked: True if grid and aperture were found to be possible.
     """
 
     grid: Grid
@@ -52,12 +52,12 @@ class ChannelImage:
         noise_power: E|n|^2 of one pixel; 0: not known.
         saturated_share: fraction of clipped samples; NaN: not known.
         samples: real and imaginary parts in turn, float32, shape (2 * rows * cols,).
-        provenance: how it was made.
-        air_delay: one of AIR_REMOVED, AIR_LEFT; empty: not known.
+        provenance: record of how it was made.
+        air_delay: handling of the delay by the air, AIR_REMOVED or AIR_LEFT; empty: not known.
         order: place of the dwell in the order of processing.
-        doubts: what speaks against it.
+        doubts: reasons to distrust it.
         fit: tests of the data.
-        size: bytes of the message.
+        size: size of the message, bytes.
     """
 
     key: DwellKey
@@ -81,15 +81,15 @@ class ChannelImage:
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """What images were compressed from, where they have not gone through a message.
+    """Data that images were compressed from, where they have not gone through a message.
 
     Attributes:
-        frames: of all channels.
-        sensor: that took them, with its mounting in the flight.
+        frames: frames of all channels.
+        sensor: sensor that recorded them, with its mounting in the flight.
         states: odometry around the pulses.
-        calibration: that was applied; None: none.
-        slc: the images as they were formed, with what autofocus found.
-        settings: of the compression.
+        calibration: calibration that was applied; None: none.
+        slc: images as they were formed, with what autofocus found.
+        settings: settings of the compression.
     """
 
     frames: Sequence[Frame]
@@ -114,14 +114,14 @@ class Images:
     Attributes:
         key: sensor, number and stamp of the dwell.
         frame_id: name of the frame of the map.
-        slc: the images, as whoever reads their messages has them.
+        slc: images, as readers of their messages receive them.
         place: grid and aperture.
-        provenance: how they were made.
-        air_delay: one of AIR_REMOVED, AIR_LEFT; empty: not known.
+        provenance: record of how they were made.
+        air_delay: handling of the delay by the air, AIR_REMOVED or AIR_LEFT; empty: not known.
         order: place of the dwell in the order of processing.
-        doubts: what speaks against them.
+        doubts: reasons to distrust them.
         fit: tests of the data.
-        source: what they were compressed from; None: not known, as where they arrived as messages.
+        source: data that they were compressed from; None: not known, as where they arrived as messages.
     """
 
     key: DwellKey
@@ -142,8 +142,8 @@ class Images:
         Args:
             key: sensor, number and stamp of the dwell.
             frame_id: name of the frame of the map.
-            slc: the images.
-            provenance: how they were made.
+            slc: images.
+            provenance: record of how they were made.
             others: further attributes.
         """
         place = Place(slc.grid, Aperture.of(slc.aperture), is_checked=True)
@@ -238,7 +238,7 @@ def check_image(image: ChannelImage, sensor: Sensor) -> None:
     """Check that an image has the size that its grid states, and values that can be processed.
 
     Raises:
-        Rejected: it has not; the sentence names the field, its value and what is allowed.
+        Rejected: it has not; the message names the field, its value and what is allowed.
     """
     where = f"ComplexImage of dwell {image.key.number}, channel {image.channel}"
     check_channel(image.channel, sensor, where)

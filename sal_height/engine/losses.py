@@ -1,4 +1,4 @@
-"""What was left out of a flight, and what there are warnings of, counted by stage and reason."""
+"""Dwells and messages that were left out of a flight, and warnings, counted by stage and reason."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from typing import Any
 from sal_height.engine.stage import Loss, Notice
 
 WARNED = "warned by "
-"""Beginning of the kinds of sentences on dwells that are used all the same."""
+"""Prefix of the kinds of warnings on dwells that are used all the same."""
 
 
 @dataclass
 class Losses:
-    """What was left out, and what stages warn of.
+    """Dwells and messages that were left out, and warnings of stages.
 
     Attributes:
         dropped: number of dwells, or of messages that cannot be used, that a stage left out, by stage and reason.
-        messages: how many of these were messages, by stage and reason.
+        messages: number of messages among these, by stage and reason.
         warned: number of dwells that a stage warns of, which are used all the same, by stage and kind.
-        ignored: number of messages beside the dwells that could not be used, by stage and kind.
-        sentences: on the first of each kind, and of what was not used besides dwells and messages.
+        ignored: number of messages of no dwell that could not be used, by stage and kind.
+        sentences: messages to users on the first of each kind, and on anything else that was not used, by kind.
     """
 
     dropped: Counter[str] = field(default_factory=Counter)
@@ -41,7 +41,7 @@ class Losses:
         self.note(kind, result.sentence)
 
     def warn_of(self, stage: str, notice: Notice) -> None:
-        """Count a dwell that a stage warns of, or a message beside the dwells that it could not use."""
+        """Count a dwell that a stage warns of, or a message of no dwell that it could not use."""
         kind = f"{stage}: {notice.kind}"
         if notice.dwell is None:
             self.ignored[kind] += 1
@@ -51,7 +51,7 @@ class Losses:
         self.note(f"{WARNED}{kind}", notice.sentence)
 
     def note(self, kind: str, sentence: str) -> None:
-        """Keep a sentence if it is the first of its kind."""
+        """Keep a message if it is the first of its kind."""
         self.sentences.setdefault(kind, sentence)
 
     @property
@@ -60,15 +60,15 @@ class Losses:
         return self.dropped.total() - self.messages.total()
 
     def described(self, dwells: int) -> list[str]:
-        """Of each kind how many of `dwells`, and the sentence on the first one."""
+        """Number of each kind out of `dwells`, and the message on the first one."""
         return [f"{self._counted(kind, dwells)}{sentence}" for kind, sentence in self.sentences.items()]
 
     def counts(self) -> dict[str, Counter[str]]:
-        """What a report says."""
+        """Counts for a report."""
         return {"dropped": self.dropped, "warned": self.warned, "ignored": self.ignored}
 
     def _counted(self, kind: str, dwells: int) -> str:
-        """A sentence on how many of a kind there are, and a space; empty if they are not counted."""
+        """Message on the number of a kind, and a space; empty if they are not counted."""
         if kind.startswith(WARNED):
             kind = kind.removeprefix(WARNED)
             return f"There is a warning on {self.warned[kind]} of {dwells} dwells ({kind}). "
@@ -83,5 +83,5 @@ class Losses:
         return f"{' and '.join(said)} {verb} left out ({kind}). " if said else ""
 
     def as_json(self) -> dict[str, Any]:
-        """All counts and sentences."""
+        """All counts and messages."""
         return vars(self)

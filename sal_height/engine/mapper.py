@@ -52,7 +52,7 @@ ADJUSTED = "adjusted"
 """Prefix of adjusted heights."""
 
 LOCAL = "local"
-"""Name for the coordinates of a map that is not placed on the earth."""
+"""Name for the coordinates of a map that is not located on the earth."""
 
 
 ORIGIN_PORT = Port(
@@ -134,14 +134,14 @@ class PlacedRelief:
     """A map as it stands.
 
     Attributes:
-        key: of the last dwell.
+        key: key of the last dwell.
         frame_id: name of the frame of the map.
         layer: name of the layer.
-        relief: the map, in coordinates of the projection.
+        relief: map, in coordinates of the projection.
         projection: coordinate reference system; None: the coordinates are local.
         images: number of height images entered.
-        estimator: that made them.
-        provenance: of the last height image, with the parameters of this stage.
+        estimator: name of the estimator that made them.
+        provenance: provenance of the last height image, with the parameters of this stage.
     """
 
     key: DwellKey

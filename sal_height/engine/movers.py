@@ -1,4 +1,4 @@
-"""Stage mover_detection: what moves in strips or over spotlight dwells.
+"""Stage mover_detection: detects what moves in strips or over spotlight dwells.
 
 Movers of a spotlight dwell are published a few dwells later, once all overlapping dwells have arrived; the last ones
 once no other dwell has arrived for timeout_s, or at the end.
@@ -41,10 +41,10 @@ class ImageMovers:
     """Movers of a dwell.
 
     Attributes:
-        key: of the dwell, or of the block that completed the image of a strip.
+        key: key of the dwell, or of the block that completed the image of a strip.
         frame_id: name of the frame of the map.
-        images: in which it was looked for.
-        looked: what was found, and how many pixels were looked at.
+        images: images that were searched.
+        looked: movers that were found, and number of pixels that were searched.
     """
 
     key: DwellKey
@@ -88,7 +88,7 @@ class MoverDetection(ImageStage):
         return self.name
 
     def tick(self, *, busy: bool) -> None:
-        """Besides what dwells do: publish the last ones once no other has arrived for timeout_s."""
+        """Let time pass as for all dwells, and publish the last ones once no other has arrived for timeout_s."""
         super().tick(busy=busy)
         idle = not self.announced and not busy and self._waiting.waited_s > self._settings.timeout_s
         if self._unpublished and idle:
@@ -142,12 +142,12 @@ class MoverDetection(ImageStage):
             self._search, self._dwells = settings, _movers_of_sensors(settings)
 
     def _ended(self, sensors: Sequence[DwellMovers[Images]]) -> Iterator[Result]:
-        """What was found in the last dwells of sensors."""
+        """Yield the movers found in the last dwells of sensors."""
         for dwells in sensors:
             yield from self._products(dwells.end())
 
     def _products(self, found: Sequence[tuple[Images, Looked | None]]) -> Iterator[Result]:
-        """What was found in dwells."""
+        """Yield the movers found in dwells."""
         for images, looked in found:
             if looked is None:
                 yield Notice(NO_OVERLAP, ALONE.format(images.key.number), images.key)

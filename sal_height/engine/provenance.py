@@ -21,10 +21,10 @@ COMPRESSION = "sar_compression"
 """Stage whose parameters say how the images were formed."""
 
 LEFT_OUT = "channels_left_out"
-"""Name, beside the parameters of an estimator, of the channels without a signal; only if there are any."""
+"""Name, in addition to the parameters of an estimator, of the channels without a signal; only if there are any."""
 
 PLACEMENT, RESIDUAL = "placement", "residual.phase_rad"
-"""Names, or their beginnings, beside the parameters of the compression; the others are those of `Placement`."""
+"""Names, or prefixes, in addition to the parameters of the compression; the others are those of `Placement`."""
 
 CACHED = 16
 """Provenances whose successors are cached: the products of a stage share the same objects."""
@@ -96,7 +96,7 @@ class Provenance:
 
     @property
     def compression(self) -> Mapping[str, Any]:
-        """What is stated of the compression, by name; empty: nothing."""
+        """Values stated for the compression, by name; empty: none."""
         return self.stages.get(COMPRESSION, {})
 
     def window(self, axis: str) -> str:
@@ -110,7 +110,7 @@ class Provenance:
 
     @cached_property
     def placement(self) -> Placement:
-        """Where the image lies other than odometry says.
+        """Placement of the image relative to odometry.
 
         Raises:
             Rejected: a number that is stated is invalid.
@@ -139,7 +139,7 @@ class Provenance:
         Args:
             stage: name of the stage or of its node, before the first dot in the names of its parameters; what is stated
                 of a stage of this name is replaced.
-            values: of its parameters, by name. Nested mappings make names with further dots; None is left out.
+            values: values of its parameters, by name. Nested mappings make names with further dots; None is left out.
         """
         if isinstance(values, Settings):
             return _derived(Same(self), stage, Same(values))
@@ -168,8 +168,8 @@ def of_compression(
 
     Args:
         stage: name of the compression or of its node.
-        values: of its parameters.
-        slc: the images, with what autofocus found.
+        values: values of its parameters.
+        slc: images, with what autofocus found.
         config_hash: identity of the sensor's description.
         calibration_id: identity of the calibration that was applied; empty: none.
     """
@@ -178,7 +178,7 @@ def of_compression(
 
 
 def autofocus_values(slc: Slc) -> dict[str, Any]:
-    """What a provenance states of autofocus beside the parameters of the compression; empty if there was none."""
+    """Values of autofocus in a provenance, in addition to the compression's parameters; empty if there was none."""
     placed = slc.placement.centroid or slc.placement.by_beams
     return {
         **({PLACEMENT: asdict(slc.placement)} if placed else {}),

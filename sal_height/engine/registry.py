@@ -40,10 +40,10 @@ def product_of(stage: type[Stage]) -> str:
 
 
 def takes_heights(stage: type[Stage]) -> bool:
-    """True if a stage takes the heights of the estimator that its setting `estimator` names."""
+    """True if a stage processes the heights of the estimator that its setting `estimator` names."""
     return any(port.kind is Heights for port in stage.inputs(stage.settings()))
 
 
 def takes_images(stage: type[Stage]) -> bool:
-    """True if a stage takes the images of all channels."""
+    """True if a stage processes the images of all channels."""
     return any(port.name == SLC for port in stage.inputs(stage.settings()))

@@ -13,7 +13,7 @@ class Scheduling:
     """The part of a stage that keeps what was scheduled before dwells, and accepts it when their jobs are made."""
 
     changeable: ClassVar[Sequence[str]] = ()
-    """Attributes, beside the settings, that scheduled items may change; copy() copies them."""
+    """Attributes, in addition to the settings, that scheduled items may change; copy() copies them."""
 
     _settings: Any
     _decisions: list[Any]
@@ -30,12 +30,12 @@ class Scheduling:
     def schedule(self, before: Hashable, port: str, item: Any) -> None:
         """Have an item accepted right before the job of a dwell is made; port "": it is other settings.
 
-        If the dwell is lost, the item is accepted then: what changed before it holds for the dwells after it.
+        If the dwell is lost, the item is accepted then: changes before it apply to the dwells after it.
 
         Args:
             before: key of the dwell.
-            port: that the item is of.
-            item: of the kind of the port.
+            port: name of the port of the item.
+            item: item of the kind of the port.
         """
         self._scheduled[before] = (*self._scheduled.get(before, ()), (port, item))
 
@@ -53,7 +53,7 @@ class Scheduling:
 
     @contextmanager
     def as_before(self, dwell: Hashable) -> Iterator[None]:
-        """Within it, and only there, what was scheduled before a dwell has been accepted; nothing is decided in it."""
+        """Context in which what was scheduled before a dwell has been accepted; nothing is decided in it."""
         if dwell not in self._scheduled:
             yield
             return

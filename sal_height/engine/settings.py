@@ -27,7 +27,7 @@ class DwellSettings(StageSettings):
 
 
 class ChannelSettings(DwellSettings):
-    """Settings of every stage that takes one message of each channel."""
+    """Settings of every stage that accepts one message of each channel."""
 
     missing_channels: str = setting(
         "refuse",
@@ -42,7 +42,7 @@ class ChannelSettings(DwellSettings):
 
 
 class MapFrameSettings(Settings):
-    """The setting of stages that take or make what is placed in the map."""
+    """The setting of stages that read or make what is located in the map."""
 
     map_frame: str = setting(
         MAP_FRAME, "name of the frame of the map (x east, y north, z up) in headers", read_only=True
@@ -50,7 +50,7 @@ class MapFrameSettings(Settings):
 
 
 class FrameSettings(MapFrameSettings):
-    """Settings of stages that take or make states of the platform."""
+    """Settings of stages that read or make states of the platform."""
 
     body_frame: str = setting(
         BODY_FRAME, "name of the frame of the platform (x forward, y left, z up) in headers", read_only=True

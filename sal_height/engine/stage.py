@@ -1,4 +1,4 @@
-"""What a stage is: cheap decisions on what arrives, and heavy work on jobs that have all they need.
+"""Stages: cheap decisions on what arrives, and heavy work on jobs that have all they need.
 
 `accept`, `advance`, `nothing_before`, `change`, `reset` and `finish` are cheap: they decide what is complete, late or
 hopeless, and return jobs and what was left out. `process` is heavy and does nothing but compute. A host decides when
@@ -22,11 +22,11 @@ from sal_height.settings import Settings, setting
 
 
 class DwellKey(NamedTuple):
-    """What distinguishes dwells: a sensor that starts again may count them from 0 again.
+    """Key that distinguishes dwells: a sensor that starts again may count them from 0 again.
 
     Attributes:
         sensor: config_hash of its description.
-        number: of the dwell.
+        number: number of the dwell.
         stamp_ns: time of its first pulse, ns.
     """
 
@@ -39,13 +39,13 @@ class Port(NamedTuple):
     """An input or output of a stage; topics, types of messages and QoS of a node follow from it.
 
     Attributes:
-        name: of the topic, relative to the namespace.
+        name: name of the topic, relative to the namespace.
         kind: class of the items.
-        about: what is on it, for tables.
-        per_channel: whether a dwell is one message for each channel.
-        latched: whether the last item is kept for those who subscribe later.
-        optional: whether the stage can work without an item on it.
-        counted: whether its messages are what the stage works on: an account counts them as received, and an inactive
+        about: description for tables.
+        per_channel: True if a dwell is one message for each channel.
+        latched: True if the last item is kept for later subscribers.
+        optional: True if the stage can work without an item on it.
+        counted: True if its messages are what the stage works on: an account counts them as received, and an inactive
             node leaves them out.
     """
 
@@ -60,7 +60,7 @@ class Port(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Product:
-    """An item for a port; rounded as its message is, so that whoever reads the message has the same item."""
+    """An item for a port; rounded as its message is, so that readers of the message have the same item."""
 
     port: str
     item: Any
@@ -71,9 +71,9 @@ class FileProduct:
     """A product that the host writes to a file.
 
     Attributes:
-        path: of the file; an existing one is replaced.
-        item: what is written; its class says how.
-        remark: sentence for the log once it is written; empty: there is none.
+        path: path of the file; an existing one is replaced.
+        item: content; its class says how it is written.
+        remark: message for the log once it is written; empty: no message.
     """
 
     path: str
@@ -86,12 +86,12 @@ class Loss:
     """Messages that a stage left out.
 
     Attributes:
-        dwell: that they are of; None: not known, or they are of none.
-        messages: how many.
+        dwell: dwell of the messages; None: not known, or no dwell.
+        messages: number of messages.
         reason: name under which they are counted.
-        sentence: what is wrong, where, and what to do.
-        trace: of an error that no input should cause; empty otherwise.
-        is_dwell: whether the whole dwell is left out; if not, messages that could not be part of it.
+        sentence: message on what is wrong, where, and what to do.
+        trace: trace of an error that no input should cause; empty otherwise.
+        is_dwell: True if the whole dwell is left out; False: messages that could not be part of it.
     """
 
     dwell: DwellKey | None
@@ -104,13 +104,13 @@ class Loss:
 
 @dataclass(frozen=True)
 class Notice:
-    """A message beside the dwells that could not be used, or a warning about a dwell that is used all the same.
+    """A message of no dwell that could not be used, or a warning about a dwell that is used all the same.
 
     Attributes:
         kind: name under which it is counted.
-        sentence: what is wrong, where, and what to do.
-        dwell: that it is about; None: it is about none.
-        trace: of an error that no input should cause; empty otherwise.
+        sentence: message on what is wrong, where, and what to do.
+        dwell: dwell that it is about; None: no dwell.
+        trace: trace of an error that no input should cause; empty otherwise.
     """
 
     kind: str
@@ -128,14 +128,14 @@ class Event:
 
 @dataclass(frozen=True)
 class Remark:
-    """A sentence for the log that counts nothing."""
+    """A message for the log that counts nothing."""
 
     sentence: str
 
 
 @dataclass(frozen=True)
 class Answer:
-    """The result of a command, as whoever gave it is told."""
+    """The result of a command, as reported to its caller."""
 
     success: bool
     sentence: str
@@ -149,13 +149,13 @@ class Job:
     """All that `process` needs.
 
     Attributes:
-        dwell: that it is about; None: work of the stage's own, which is never left out.
-        inputs: what it works on.
-        settings: that hold for it.
+        dwell: dwell that it is about; None: work of the stage's own, which is never left out.
+        inputs: data that it works on.
+        settings: settings that apply to it.
         messages: number of messages that it consumes.
-        size: bytes that these take.
-        series: jobs of one series are processed one after the other; None: in any order, side by side.
-        complete_s: when it was complete, s of the host's clock; the latency budget counts from then.
+        size: size of these messages, bytes.
+        series: name of a series, whose jobs are processed one after the other; None: in any order, side by side.
+        complete_s: time at which it was complete, s of the host's clock; the latency budget counts from then.
         order: place of the dwell in the order in which the stage made jobs of dwells, from 0.
     """
 
@@ -227,9 +227,9 @@ class FileInput(NamedTuple):
     """A file that the host reads before the start.
 
     Attributes:
-        name: under which the stage is given its content.
-        kind: what the file has, which says how it is read: "calibration", "elevation model" or "targets".
-        path: of the file.
+        name: name under which the stage receives its content.
+        kind: kind of the content, which says how it is read: "calibration", "elevation model" or "targets".
+        path: path of the file.
     """
 
     name: str
@@ -245,24 +245,24 @@ FOREVER_NS = 2**63 - 1
 
 
 class Stage(Scheduling):
-    """Base of all stages; subclasses declare what they take and make, and override what they need.
+    """Base of all stages; subclasses declare what they accept and make, and override what they need.
 
     Attributes:
-        name: of the stage or of its node, for provenance.
-        sensor_name: of the sensor that was described last; empty: none was, or the stage needs none.
+        name: name of the stage or of its node, for provenance.
+        sensor_name: name of the sensor that was described last; empty: none was, or the stage needs none.
     """
 
     usual_name: ClassVar[str] = ""
     """Name of the stage, and of its node unless that is given another one."""
 
     about: ClassVar[str] = ""
-    """What the stage does, in one sentence."""
+    """Description of the stage, in one sentence."""
 
     settings: ClassVar[type[StageSettings]] = StageSettings
     """Its settings; those of its node are its parameters."""
 
     commands: ClassVar[Mapping[str, str]] = MappingProxyType({})
-    """What can be asked of it beside `reset`, by name, and what that does."""
+    """Commands in addition to `reset`, by name, with their descriptions."""
 
     concludes: ClassVar[bool] = False
     """True if jobs that wait when its host ends are processed, and what is due at the end is done."""
@@ -274,15 +274,15 @@ class Stage(Scheduling):
     """Jobs that it processes faster together than one by one, at most."""
 
     niceness: ClassVar[int] = 0
-    """How far its work gives way to other threads, as in nice(1)."""
+    """Degree to which its work gives way to other threads, as in nice(1)."""
 
     def __init__(self, settings: Any, files: Mapping[str, Any] = MappingProxyType({}), name: str = "") -> None:
         """Start without dwells.
 
         Args:
-            settings: an object of the class `settings`.
+            settings: object of the class `settings`.
             files: contents of the files that `files` names, by name.
-            name: of the stage, for provenance; empty: the usual one.
+            name: name of the stage, for provenance; empty: the usual one.
 
         Raises:
             UserError: the settings contradict each other or the files.
@@ -297,7 +297,7 @@ class Stage(Scheduling):
         self._none_before: dict[str, int] = {}
         self._jobs_of_dwells = 0
         self.publishers_of: Callable[[str], int] = _one_publisher
-        """How many publishers a port has, for messages; the host knows it."""
+        """Number of publishers of a port, for messages; the host knows it."""
         self.describe_sources: Callable[[], str] = str
         """Sentences, each after a space, on publishers of the inputs that are not right; else nothing."""
 
@@ -339,17 +339,17 @@ class Stage(Scheduling):
     # The cheap side.
 
     def start(self, stamp_ns: int) -> Sequence[Decision]:
-        """What is published or done before anything arrives; `stamp_ns` (ns of the host's clock) is for its stamps."""
+        """Decisions before anything arrives; `stamp_ns` (ns of the host's clock) is for the stamps of products."""
         return self._collected(lambda: self.begin(stamp_ns))
 
     def accept(self, port: str, item: Any, now_s: float = 0.0) -> Sequence[Decision]:
-        """Take an item from a port.
+        """Accept an item from a port.
 
         An item that cannot be used is a `Loss` or a `Notice` among the decisions; nothing is raised.
 
         Args:
             port: name of the port.
-            item: of the kind of the port.
+            item: item of the kind of the port.
             now_s: time of the host's clock, s.
         """
         self._now_s = now_s
@@ -360,7 +360,7 @@ class Stage(Scheduling):
 
         Args:
             now_s: time of the host's clock, s.
-            busy: whether jobs of this stage wait or run.
+            busy: True if jobs of this stage wait or run.
         """
         self._now_s = now_s
         return self._collected(lambda: self.tick(busy=busy))
@@ -446,14 +446,14 @@ class Stage(Scheduling):
         """Decide what is published or done before anything arrives."""
 
     def receive(self, port: str, item: Any) -> None:
-        """Take an item from a port; what it raises is a notice."""
+        """Accept an item from a port; what it raises is a notice."""
         raise NotImplementedError
 
     def tick(self, *, busy: bool) -> None:
         """Give up what has waited too long."""
 
     def give_up_hopeless(self) -> None:
-        """Give up what waits for items that the source has announced not to come."""
+        """Give up what waits for items that the source has announced not to arrive."""
 
     def forget(self) -> None:
         """Forget what was gathered."""

@@ -1,4 +1,4 @@
-"""Where the sensor is on the platform, as static transforms state it."""
+"""Pose of the sensor on the platform, as static transforms state it."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ MOST_FRAMES = 1000
 
 
 class StaticTransform(NamedTuple):
-    """Where a frame is in another one, for good.
+    """Constant pose of a frame in another one.
 
     Attributes:
         parent: name of the frame that it is in.
         child: name of the frame.
-        translation: of its origin, m, shape (3,).
-        quaternion: of its axes, x, y, z, w, shape (4,).
+        translation: position of its origin in the parent, m, shape (3,).
+        quaternion: orientation of its axes in the parent, x, y, z, w, shape (4,).
     """
 
     parent: str
@@ -35,10 +35,10 @@ class StaticFrames:
 
     def __init__(self) -> None:
         self._placed: dict[str, tuple[str, RigidTransform]] = {}
-        """Of each frame its parent, and where it is there."""
+        """Parent of each frame, and its pose there."""
 
     def add(self, transform: StaticTransform) -> None:
-        """Keep where a frame is in its parent, in place of what was known of it.
+        """Keep the pose of a frame in its parent, in place of what was known of it.
 
         Raises:
             UserError: a frame without a name or in itself, numbers that are no transform, or too many frames.
@@ -56,7 +56,7 @@ class StaticFrames:
         self._placed[child] = parent, RigidTransform.from_components(place, Rotation.from_quat(quaternion))
 
     def place(self, frame: str, inside: str) -> RigidTransform | None:
-        """Return where a frame is in another one; None if nothing joins the two."""
+        """Return the pose of a frame in another one; None if nothing joins the two."""
         ours, theirs = self._above(frame), self._above(inside)
         common = next((name for name in ours if name in theirs), None)
         return None if common is None else theirs[common].inv() * ours[common]

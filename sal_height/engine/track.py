@@ -20,10 +20,10 @@ MOST_STATES = 200_000
 """Greatest number of samples that are kept, 100 s at 2 kHz (20 MB), whatever time they span."""
 
 OLD = 4
-"""Samples that are too old are dropped once they are one part in so many of all: each is moved three times then."""
+"""Samples that are too old are dropped once they are the fraction 1 / OLD of all: each is moved three times then."""
 
 NUMBERS = 10
-"""Of a sample: position, orientation and velocity."""
+"""Numbers of a sample: position, orientation and velocity."""
 
 
 class Arrival(Enum):
@@ -60,7 +60,7 @@ class OdometryHistory:
 
     @property
     def span_ns(self) -> tuple[int, int] | None:
-        """Stamps of the first and the last sample; None if there is none."""
+        """Stamps of the first and the last sample, ns; None without samples."""
         return (self._stamps[0], self._stamps[-1]) if self._stamps else None
 
     def add(self, state: PlatformState) -> Arrival:
@@ -87,9 +87,9 @@ class OdometryHistory:
         """True if samples that arrive later can make these cover a time that they do not cover yet.
 
         Args:
-            start_ns: start of the time.
-            end_ns: its end.
-            none_before_ns: earliest stamp that samples which arrive later can have.
+            start_ns: start of the time, ns.
+            end_ns: end of the time, ns.
+            none_before_ns: earliest stamp that samples which arrive later can have, ns.
             gap_s: longest time between two samples that is allowed, s.
         """
         if none_before_ns <= start_ns:

@@ -31,7 +31,7 @@ SERIES_KEPT = 8
 
 
 _NOWHERE = DwellKey("", 0, 0)
-"""Of made-up heights."""
+"""Key of made-up heights."""
 
 
 class TrackerSettings(MapFrameSettings, StageSettings, TrackingSettings):
@@ -146,7 +146,7 @@ class Tracker(Stage):
 
 
 def _series_of(heights: Heights, settings: TrackerSettings) -> tuple[Hashable, ...]:
-    """What the heights of a series have in common: sensor, calibration, and how they are made and tracked.
+    """Common properties of the heights of a series: sensor, calibration, and how they are made and tracked.
 
     Which channels had to be left out, and what was found in the data, whose names have a dot, may change from dwell to
     dwell, and does not end a series.

@@ -138,7 +138,7 @@ def consumers(estimators: list[str]) -> dict[str, dict[str, str]]:
     Mappers read adjusted ones where these are made.
 
     Args:
-        estimators: the height nodes of a run.
+        estimators: height nodes of a run.
     """
     taken = {}
     if estimators and ESTIMATORS["ml"].node not in estimators:
@@ -149,7 +149,7 @@ def consumers(estimators: list[str]) -> dict[str, dict[str, str]]:
 
 
 def placed(origin: Origin | None) -> dict[str, dict[str, float]]:
-    """Parameters of mappers that say where on the earth the map's origin is; None: it is not known."""
+    """Parameters of mappers for the position of the map's origin on the earth; None: it is not known."""
     if origin is None:
         return {}
     latitude, longitude = math.degrees(origin.latitude), math.degrees(origin.longitude)

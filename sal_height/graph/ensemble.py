@@ -1,4 +1,4 @@
-"""The nodes of a run: how they are started and ended."""
+"""Start and end of the nodes of a run."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class Ensemble:
     At the end the first one is ended first.
 
     Attributes:
-        members: the nodes by name.
+        members: nodes by name.
         graph: context and executor of this process; once it is entered.
     """
 
@@ -165,8 +165,8 @@ def _process_of(member: Member, forks: bool) -> subprocess.Popen[bytes] | Forked
     """Start a node in a process of its own.
 
     Args:
-        member: the node.
-        forks: True if the process goes on with what this one has imported and computed; else it starts afresh.
+        member: node to start.
+        forks: True if the process goes on with what this one has imported and computed; else it starts without.
 
     Raises:
         UserError: it cannot be started.
@@ -185,7 +185,7 @@ def _run(kind: str, parent: int, arguments: list[str]) -> int:
     """Run a node until the process `parent`, which started this one, ends, even if it is killed.
 
     Those that complete a file are then asked to end; the others have nothing to finish. What a node waits
-    for is not said in its log, for all others of the run are coming up.
+    for is not reported in its log, for all others of the run are starting.
     """
     if not end_with_parent(parent, signal.SIGTERM if NODES[kind].completes_file else signal.SIGKILL):
         return 1

@@ -35,7 +35,7 @@ COMPANY_TIMEOUT_S = 1.0
 on an idle machine."""
 
 LOOK_PERIOD_S = 0.1
-"""Period at which signals, the bag and other publishers are looked at."""
+"""Period at which signals, the bag and other publishers are checked, s."""
 
 
 class Ends(NamedTuple):
@@ -43,7 +43,7 @@ class Ends(NamedTuple):
 
     Attributes:
         outlets: publishers, each with the number of messages before.
-        inlets: subscriptions, likewise.
+        inlets: subscriptions, each with the number of messages before.
     """
 
     outlets: list[tuple[Outlet, int]]
@@ -51,7 +51,7 @@ class Ends(NamedTuple):
 
     @property
     def published(self) -> int:
-        """Messages published since the first step began."""
+        """Number of messages published since the start of the first step."""
         return sum(outlet.published - before for outlet, before in self.outlets)
 
     @property
@@ -100,7 +100,7 @@ class Lockstep:
         return all(outlet.subscribers >= ours[outlet.topic] for outlet in outlets)
 
     def begin(self) -> None:
-        """Record what was published and received so far, and schedule what happens before dwells."""
+        """Record what was published and received so far, and schedule the changes before dwells."""
         ends: dict[str, Ends] = defaultdict(lambda: Ends([], []))
         for node in self._workers:
             for outlet in node.outlets:
@@ -113,7 +113,7 @@ class Lockstep:
         self._announce()
 
     def _schedule_changes(self) -> None:
-        """Let the stages and the player know what happens before which dwell."""
+        """Notify the stages and the player of the changes before dwells."""
         for stage in self._stages.values():
             for sensor, mounting in self._plan.mountings.items():
                 stage.state_mounting(sensor, mounting)
@@ -146,7 +146,7 @@ class Lockstep:
         self._announce()
 
     def finish(self, wait: Callable[[Callable[[], bool], str], None]) -> None:
-        """Let one stage after the other know that nothing more arrives, in the order of the data."""
+        """Notify one stage after the other that nothing more arrives, in the order of the data."""
         for name, stage in self._stages.items():
             stage.finish_stage()
             wait(self.is_settled, f"the last dwells to be processed by {name}")
@@ -194,9 +194,9 @@ class Lockstep:
         )
 
     def final_accounts(self) -> dict[str, Account]:
-        """The accounts of the source and of every stage; what never arrived is received and dropped in them.
+        """The accounts of the source and of every stage; messages that never arrived count as received and dropped.
 
-        So is what the recorder has missed, whose account is there only then.
+        So do those that the recorder has missed; its account is included only then.
         """
         accounts = {self._plan.source: self._source.account()}
         for name, stage in self._stages.items():

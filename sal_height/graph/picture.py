@@ -24,13 +24,13 @@ from sal_height.numeric import F64
 mpl.use("Agg")
 
 WIDTH, COLUMN_WIDTH = 183 / 25.4, 89 / 25.4
-"""Of pictures, inches: two columns of a journal, and one."""
+"""Widths of pictures, inches: two columns of a journal, and one."""
 
 DOTS_PER_INCH = 220
 """A picture as wide as two columns has 1585 pixels in a row."""
 
 LEAST_POINTS = 6.0
-"""Size of the smallest letters."""
+"""Size of the smallest letters, points."""
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a5c00")
 """Colours of lines, those of Okabe and Ito, Color Universal Design, 2008, and a brown instead of their yellow."""
@@ -82,7 +82,7 @@ _LOOKS = (
     Look(COLOURS[5], (0, (1, 1)), "P"),
     Look(COLOURS[6], (0, (8, 2)), "X"),
 )
-"""Of estimators in the order of ESTIMATORS."""
+"""Looks of estimators, in the order of ESTIMATORS."""
 
 
 def look_of(estimator: str) -> Look:
@@ -123,7 +123,7 @@ def colour_bar(shown: ScalarMappable, axes: Any, label: str, values: F64, **wher
 
     Args:
         shown: artist that is drawn in these colours.
-        axes: one or several panels.
+        axes: panel, or several panels.
         label: quantity with its unit.
         values: values that are drawn in these colours.
         where: keywords of Figure.colorbar.

@@ -27,7 +27,7 @@ class DwellChanges:
     """Changes before a dwell.
 
     Attributes:
-        dwell: the dwell.
+        dwell: key of the dwell.
         parameters: values that nodes get, by node and name.
         calibrations: identities of the calibrations that are published, in this order.
     """
@@ -84,7 +84,7 @@ class Execution:
 
     Attributes:
         processes: True if each node of a live graph gets a process of its own; others run in one process.
-        domain: the ROS domain of the nodes.
+        domain: ROS domain of the nodes.
         record: topics to record in addition to those that the run needs, with or without leading slash.
         timeout_s: time without a working node or a moving message after which the run is given up, s. A dwell may
             last longer, as long as a node works on it.
@@ -104,10 +104,10 @@ class Outcome:
     """Outcome of a run.
 
     Attributes:
-        stages: account of the source and of every stage, by node name; of the recorder, if it has missed messages.
+        stages: accounts of the source and of every stage, by node name; of the recorder, if it has missed messages.
         dwells: number of dwells that were played.
         interrupted: True if the user stopped the run.
-        failure: why the run ended early, unless the user stopped it.
+        failure: error that ended the run early, unless the user stopped it.
         elapsed_s: time from the first step until the last dwell was settled, or until the run ended, s.
     """
 

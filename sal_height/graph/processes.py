@@ -69,7 +69,7 @@ def end_with_parent(parent: int, number: signal.Signals) -> bool:
 
     Args:
         parent: number of the parent's process.
-        number: the signal.
+        number: signal that it gets.
 
     Returns:
         False if the parent has ended already.
@@ -79,7 +79,7 @@ def end_with_parent(parent: int, number: signal.Signals) -> bool:
 
 
 def process_age_s() -> float:
-    """Time since this process began, s, to some 10 ms (Linux)."""
+    """Time since the start of this process, s, to some 10 ms (Linux)."""
     fields = Path("/proc/self/stat").read_text(encoding="ascii").rpartition(")")[2].split()
     began_s = int(fields[19]) / os.sysconf("SC_CLK_TCK")  # field 22, starttime, proc(5)
     return time.clock_gettime(time.CLOCK_BOOTTIME) - began_s
@@ -94,14 +94,14 @@ class Forked:
 
     Attributes:
         pid: number of the process.
-        returncode: its exit status, or minus the number of the signal that ended it; None: it runs.
+        returncode: exit status, or minus the number of the signal that ended it; None: it runs.
     """
 
     def __init__(self, run: Callable[[], int], name: str) -> None:
         """Start the process.
 
         Args:
-            run: returns the exit status.
+            run: function that returns the exit status.
             name: name of the process, in lists of processes.
 
         Raises:

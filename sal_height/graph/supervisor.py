@@ -12,10 +12,10 @@ from sal_height.graph.ensemble import Ensemble
 _LOG = logging.getLogger(__name__)
 
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.5, 30.0
-"""Time from the end of a node to its next start: it doubles from time to time, up to the longest."""
+"""Time from the end of a node to its next start, s: it doubles from time to time, up to the longest."""
 
 STEADY_S = 60.0
-"""A node that has run for so long is waited for as little as the first time."""
+"""Running time of a node, s, after which the wait for its next start is the shortest one again."""
 
 
 @dataclass
@@ -28,7 +28,7 @@ class _Fate:
 
 
 class Supervisor:
-    """Starts nodes again that have ended, each after a wait, and says so."""
+    """Starts nodes again that have ended, each after a wait, and reports it."""
 
     def __init__(self, ensemble: Ensemble, now: float) -> None:
         """Watch the processes of `ensemble` from the time `now`, s of the monotonic clock."""

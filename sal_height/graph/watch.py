@@ -21,18 +21,18 @@ from sal_height.nodes.transport.message_types import subscribe
 from sal_height.nodes.transport.ports import LOOK_S, LOST, Ports
 
 SHOW_PERIOD_S = 1.0
-"""Period at which what has been seen is shown."""
+"""Period at which the accounts are shown, s."""
 
 LOOK_PERIOD_S = 0.05
-"""Period at which it is looked whether the user has interrupted."""
+"""Period at which interruptions by the user are checked, s."""
 
 
 class Watcher(Node):
     """Reads the accounts of all nodes on /diagnostics.
 
     Attributes:
-        book: their accounts.
-        is_deaf: True if nothing more can arrive, since the process has lost a port of shared memory; it is said once.
+        book: accounts of the nodes.
+        is_deaf: True if nothing more can arrive, since the process has lost a port of shared memory; reported once.
     """
 
     def __init__(self, book: AccountBook, **node_arguments: Any) -> None:
@@ -76,7 +76,7 @@ def watch(domain: DomainChoice, seconds: float, show: Callable[[AccountBook], No
     Args:
         domain: ROS domain of the nodes.
         seconds: duration, s; infinity: until it is interrupted.
-        show: called once a second with what is known.
+        show: function that is called once a second with the accounts.
     """
     book = AccountBook()
     with (

@@ -1,4 +1,4 @@
-"""No callback ends a node: what keeps errors in it from doing so."""
+"""Guard of callbacks, so that an error in one does not end the node."""
 
 from __future__ import annotations
 

@@ -50,10 +50,10 @@ from sal_height.nodes.worker import ENDED, WorkerNode
 from sal_height.stage_files import check_written, read_inputs, write_product
 
 TICK_S = 0.1
-"""Period at which the stage is told that time has passed."""
+"""Period at which the stage is notified that time has passed, s."""
 
 LAST_WORDS_S = 2.0
-"""Longest wait at the end of the node for subscribers to receive the last latched messages."""
+"""Longest wait at the end of the node for subscribers to receive the last latched messages, s."""
 
 OF_KIND: Mapping[type, QoSProfile] = {
     PlatformState: ODOMETRY_QOS,
@@ -94,7 +94,7 @@ class StageNode(WorkerNode):
         self._results: dict[int, tuple[Job, Sequence[Result]]] = {}
         self._ended = self._is_finished = False
         self.failure = ""
-        """Why a file could not be written, as a sentence; empty if there was no failure."""
+        """Message on a file that could not be written; empty if there was no failure."""
         self.stage.describe_sources = lambda: self.source_warning
         self.stage.publishers_of = lambda port: self._inlets_of[port].publishers
         for name in self.stage_class.commands:
@@ -161,7 +161,7 @@ class StageNode(WorkerNode):
 
     @property
     def is_ready(self) -> bool:
-        """Whether it works, what it needs has publishers, and what takes time before the first dwell is done."""
+        """True if it works, what it needs has publishers, and what takes time before the first dwell is done."""
         if not hasattr(self, "stage"):  # it was refused, and the node ends
             return False
         needed = all(self._inlets_of[port].is_connected for port in self.stage.needed_ports)
@@ -173,17 +173,17 @@ class StageNode(WorkerNode):
         return self.stage.unpublished
 
     def nothing_before(self, topic: str, stamp_ns: int) -> None:
-        """Let the stage know that nothing with an earlier stamp will arrive on a topic (run and replay)."""
+        """Notify the stage that nothing with an earlier stamp will arrive on a topic (run and replay)."""
         if topic in self._inlets_of:
             self._decide(lambda: self.stage.nothing_before(topic, stamp_ns))
 
     def finish_stage(self) -> None:
-        """Let the stage know that nothing more arrives (run and replay)."""
+        """Notify the stage that nothing more arrives (run and replay)."""
         self._decide(self.stage.finish)
         self._is_finished = True
 
     def set_before(self, dwell: DwellKey, values: Mapping[str, Any]) -> None:
-        """Set parameters that hold from a dwell on.
+        """Set parameters that apply from a dwell on.
 
         Raises:
             UserError: a value is not allowed.
@@ -282,7 +282,7 @@ class StageNode(WorkerNode):
         return self._results.pop(id(job))[1]
 
     def _processed(self, jobs: Sequence[Job]) -> list[tuple[Job, Sequence[Result]]]:
-        """Process jobs; each with its results, of which the stage is told."""
+        """Process jobs, and notify the stage of their results; returns each job with its results."""
         found = list(zip(jobs, self.stage.process(jobs), strict=True))
         for job, results in found:
             self._decide(lambda job=job, results=results: self.stage.note_done(job, results))  # type: ignore[misc]
@@ -367,7 +367,7 @@ def node_of(stage: type[Stage], *, settable: bool = True) -> type[StageNode]:
 
     Args:
         stage: class of the stage.
-        settable: whether users may set its parameters in a run or replay.
+        settable: True if users may set its parameters in a run or replay.
     """
     settings = stage.settings()
     inputs, outputs = stage.inputs(settings), stage.described_outputs()

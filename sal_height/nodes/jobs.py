@@ -8,17 +8,17 @@ from collections.abc import Callable, Iterator
 from typing import Any, Literal, NamedTuple
 
 QueuePolicy = Literal["oldest", "newest"]
-"""Which job is dropped when there are too many: the one that waits longest, or the one that comes."""
+"""Job that is dropped when there are too many: the one that waits longest, or the one that arrives."""
 
 
 class QueuedJob(NamedTuple):
     """Work for the worker thread.
 
     Attributes:
-        run: does the work; must not raise.
+        run: function that does the work; must not raise.
         messages: number of messages that it consumes; 0: it is work of the node's own, which is never left out.
-        size: bytes that these hold.
-        item: what is worked on, for work that looks ahead.
+        size: size of these messages, bytes.
+        item: data that is worked on, for work that looks ahead.
     """
 
     run: Callable[[], None]
@@ -38,13 +38,13 @@ class JobQueue:
         self._closed = False
 
     def put(self, job: QueuedJob, capacity: int, capacity_bytes: float, policy: QueuePolicy) -> list[QueuedJob]:
-        """Append a job, unless there is no room for it; a queue without any job takes every job.
+        """Append a job, unless there is no room for it; a queue without any job accepts every job.
 
         Args:
-            job: the job.
+            job: job to append.
             capacity: greatest number of jobs with messages that may wait, without the one that runs.
-            capacity_bytes: greatest sum of their sizes.
-            policy: which jobs are dropped to make room.
+            capacity_bytes: greatest sum of their sizes, bytes.
+            policy: choice of the jobs that are dropped to make room.
 
         Returns:
             The jobs that were dropped.
@@ -71,7 +71,7 @@ class JobQueue:
             return self._take() if self._waiting else None
 
     def close(self) -> None:
-        """Take no more jobs; those that wait are still handed out."""
+        """Accept no more jobs; those that wait are still handed out."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
@@ -85,13 +85,13 @@ class JobQueue:
             return dropped
 
     def items(self) -> list[Any]:
-        """What the jobs that wait work on, in their order."""
+        """Items of the jobs that wait, in their order."""
         with self._changed:
             return [job.item for job in self._waiting if job.item is not None]
 
     @property
     def closed(self) -> bool:
-        """Whether no more jobs are taken."""
+        """True if no more jobs are accepted."""
         return self._closed
 
     @property

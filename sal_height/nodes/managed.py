@@ -1,4 +1,4 @@
-"""A node with the life cycle of ROS (`ros2 lifecycle`), which is active from the start unless it is told otherwise."""
+"""A node with the life cycle of ROS (`ros2 lifecycle`), which is active from the start unless set otherwise."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ INACTIVE = "the node is not active; activate it, as by `ros2 lifecycle set NODE 
 
 
 class Managed(LifecycleNode):
-    """A node that is unconfigured, inactive or active; only then it takes the messages that it works on.
+    """A node that is unconfigured, inactive or active; only an active one accepts the messages that it works on.
 
-    While it is inactive it goes on to take what describes the sensor and the platform, so that it can begin at once.
+    While it is inactive it still accepts what describes the sensor and the platform, so that it can start at once.
     Cleaning it up forgets what it has gathered.
 
     Attributes:
-        is_active: whether it works.
+        is_active: True if it works.
     """
 
     def __init__(self, name: str, **node_arguments: Any) -> None:
@@ -38,7 +38,7 @@ class Managed(LifecycleNode):
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Leave out what comes from now on; what waits is still processed."""
+        """Leave out what arrives from now on; what waits is still processed."""
         self.is_active = False
         return super().on_deactivate(state)
 
@@ -48,7 +48,7 @@ class Managed(LifecycleNode):
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Leave out what comes from now on."""
+        """Leave out what arrives from now on."""
         self.is_active = False
         return super().on_shutdown(state)
 

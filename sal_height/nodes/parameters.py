@@ -26,7 +26,7 @@ class LiveParameters(Generic[SettingsT]):
     so that a thread that reads while another one sets never sees a mixture.
 
     Attributes:
-        current: values as they are now.
+        current: present values.
     """
 
     def __init__(self, node: Node, model: type[SettingsT]) -> None:
@@ -72,7 +72,7 @@ class LiveParameters(Generic[SettingsT]):
 
 
 def parameter_of(name: str, value: Any) -> Parameter:
-    """A parameter; rclpy cannot tell the type of an empty list, which is one of texts here."""
+    """A parameter; an empty list, of which rclpy cannot determine the type, is one of texts here."""
     value = list(value) if isinstance(value, tuple) else value
     return Parameter(name, Parameter.Type.STRING_ARRAY, []) if value == [] else Parameter(name, value=value)
 
@@ -90,14 +90,14 @@ def _override(node: Node, entry: Setting) -> Any:
 
 
 def _from_ros(value: Any, entry: Setting) -> Any:
-    """A value of ROS as the model takes it: lists as tuples, and the default for a list that is not given."""
+    """A value of ROS as the model accepts it: lists as tuples, and the default for a list that is not given."""
     if not isinstance(entry.default, tuple):
         return value
     return entry.default if value is None else tuple(value) if isinstance(value, list) else value
 
 
 def _to_ros(value: Any) -> Any:
-    """A value of a model as rclpy takes it; an empty list, of which rclpy cannot tell the type, is one of texts."""
+    """A value of a model as rclpy accepts it; an empty list, whose type rclpy cannot determine, is one of texts."""
     return (list(value) or Parameter.Type.STRING_ARRAY) if isinstance(value, tuple) else value
 
 

@@ -17,7 +17,7 @@ PROCESSING: Mapping[str, type[StageNode]] = {
 
 
 def main() -> int:
-    """Console script of all processing nodes; the name of the script says which node it is."""
+    """Console script of all processing nodes; the name of the script is that of the node."""
     return run_node(PROCESSING[Path(sys.argv[0]).stem])
 
 

@@ -1,4 +1,4 @@
-"""A node as a program of its own: what the console scripts run."""
+"""A node as a program of its own, which the console scripts run."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from sal_height.nodes.transport.middleware import provide_shared_memory
 from sal_height.nodes.transport.ports import LOOK_S, LOST, Ports
 
 SWITCH_INTERVAL_S = 5e-4
-"""Longest time that the worker keeps the interpreter from the thread that takes messages, 5 ms in Python otherwise: it
-asks for it several times for every message."""
+"""Longest time for which the worker keeps the interpreter from the thread that receives messages, s; 5 ms in Python
+otherwise: it asks for it several times for every message."""
 
 
 def run_node(make: type[Node], begin: Callable[[Node], None] = announce) -> int:
@@ -33,10 +33,10 @@ def run_node(make: type[Node], begin: Callable[[Node], None] = announce) -> int:
 
     Args:
         make: class of the node.
-        begin: called with the node once it is made.
+        begin: function that is called with the node once it is made.
 
     Returns:
-        The exit status: 0, 1 if the node ended with a `failure` or lost a port of shared memory, or 2 with one sentence
+        The exit status: 0, 1 if the node ended with a `failure` or lost a port of shared memory, or 2 with a message
         on stderr if the arguments cannot be used.
     """
     if {"--help", "-h"} & set(sys.argv[1:]):

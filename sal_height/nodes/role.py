@@ -1,4 +1,4 @@
-"""What runs know of a node, as attributes of its class."""
+"""Properties of a node that runs know, as attributes of its class."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 Topics = Mapping[str, str]
-"""What each topic of a node carries."""
+"""Content of each topic of a node."""
 
 
 class Role:
     """Part of a node's class; the defaults are those of a node that nothing special is known of."""
 
     inputs: ClassVar[Topics] = {}
-    """Topics that the node subscribes to, and what comes on them."""
+    """Topics that the node subscribes to, with their content."""
 
     outputs: ClassVar[Topics] = {}
-    """Topics that the node publishes, and what they are."""
+    """Topics that the node publishes, with their content."""
 
     answers: ClassVar[Topics] = {}
     """Services that the node offers, and what they do."""
@@ -28,13 +28,13 @@ class Role:
     """Service of a source of dwells that has it deliver the next one, or all of them at their pace."""
 
     takes_images: ClassVar[bool] = False
-    """Whether the node takes the images of all channels, topic slc."""
+    """True if the node processes the images of all channels, topic slc."""
 
     takes_heights: ClassVar[bool] = False
-    """Whether the node takes the heights of the estimator that its parameter `estimator` names."""
+    """True if the node processes the heights of the estimator that its parameter `estimator` names."""
 
     settable: ClassVar[bool] = False
-    """Whether users may set the node's parameters in a run or replay."""
+    """True if users may set the node's parameters in a run or replay."""
 
     completes_file: ClassVar[bool] = False
-    """Whether the node completes a file when it ends, so that it has to be asked to and waited for."""
+    """True if the node completes a file when it ends, so that it has to be asked to and waited for."""

@@ -75,12 +75,12 @@ class Simulator(WorkerNode):
         return messages.to_stamp(self._start_ns + ns_after_start)
 
     def announced(self) -> dict[str, int]:
-        """Of each topic the stamp (ns) before which nothing more will be published."""
+        """Stamps by topic, ns, before which nothing more will be published."""
         after_ns = FOREVER_NS if self._next_dwell >= self.flight.dwells else self._published_ns + 1
         return dict.fromkeys(SENSOR_TOPICS, after_ns)
 
     def step(self) -> tuple[bool, str]:
-        """Simulate and publish the next dwell, on the worker thread; whether there is one, and words for it."""
+        """Simulate and publish the next dwell, on the worker thread; returns whether there is one, and a message."""
         if not self.is_active:
             return False, INACTIVE
         dwell = self._begin_dwell()

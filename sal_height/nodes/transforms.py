@@ -1,4 +1,4 @@
-"""The topics on which ROS says where frames are, and whether their messages are installed."""
+"""The topics on which ROS states the poses of frames, and a check that their messages are installed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TF_STATIC_QOS = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCA
 
 
 def has_transforms() -> bool:
-    """Whether there is the package tf2_msgs, which a ROS installation has and PyPI has not."""
+    """True if there is the package tf2_msgs, which a ROS installation has and PyPI has not."""
     try:
         return bool(class_of(TFMessage))
     except UserError:

@@ -1,4 +1,4 @@
-"""What viewers show of products: pictures and clouds of points, made only while somebody subscribes."""
+"""Views of products: pictures and clouds of points, made only while somebody subscribes."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ class ViewPublisher(Protocol):
 
     @staticmethod
     def topics(port: Port) -> Mapping[str, str]:
-        """The topics beside that of a port, and what is on them."""
+        """The topics of the views of a port, with their content."""
 
 
 class _Points:
     """Points and a picture of a product, and the frame near them that the points are relative to.
 
-    Single precision has 4 mm at 50 km. The frame is that of the namespace and the prefix; it is another place with
-    every cloud, and is on /tf too where there is TF.
+    Single precision has 4 mm at 50 km. The frame is that of the namespace and the prefix; it is elsewhere with every
+    cloud, and is on /tf too where there is TF.
     """
 
     picture_about: str
@@ -39,7 +39,7 @@ class _Points:
     qos = FRAMES_QOS
 
     def __init__(self, node: WorkerNode, port: Port) -> None:
-        """Offer the topics of a node beside that of a port."""
+        """Offer the topics of the views of a port of a node."""
         prefix = port.name.rpartition("/")[0]
         self._name = "_".join([*node.get_namespace().split("/"), prefix, "origin"]).strip("_")
         self._picture = node.offer(Image, f"{prefix}/image", self.qos)
@@ -49,7 +49,7 @@ class _Points:
 
     @classmethod
     def topics(cls, port: Port) -> Mapping[str, str]:
-        """The topics beside that of a port, and what is on them."""
+        """The topics of the views of a port, with their content."""
         prefix = port.name.rpartition("/")[0]
         return {
             f"{prefix}/image": cls.picture_about,
@@ -120,4 +120,4 @@ class ReliefViewer(_Points):
 
 
 VIEWERS: Mapping[type, Any] = {Heights: HeightViewer, PlacedRelief: ReliefViewer}
-"""What is published beside a product, by the class of its items."""
+"""Publishers of the views of a product, by the class of its items."""

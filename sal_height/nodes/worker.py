@@ -1,4 +1,4 @@
-"""What the processing nodes share: a worker thread, accounting of every message, diagnostics."""
+"""Common parts of the processing nodes: a worker thread, accounting of every message, diagnostics."""
 
 from __future__ import annotations
 
@@ -46,16 +46,16 @@ SENSOR_TOPICS = {
     topics.ODOMETRY: "state of the platform, nav_msgs/Odometry",
     topics.PHASE_HISTORY: "samples of one channel and dwell in each message",
 }
-"""What a sensor publishes."""
+"""Topics of a sensor."""
 
 IMAGES = {topics.SLC: "complex image of one channel and dwell in each message"}
-"""What the compression publishes."""
+"""Topic of the compression's images."""
 
 CALIBRATION = {topics.CALIBRATION: "calibration of receivers and beams, latched"}
-"""What a calibration is published on."""
+"""Topic of a calibration."""
 
 ORIGIN = {MAP_ORIGIN: "position of the origin of the map frame on the earth, sensor_msgs/NavSatFix, latched"}
-"""What is published and read there."""
+"""Topic of the origin of the map."""
 
 RESET = {"~/reset": "forget what was gathered of the dwells so far"}
 """The service that every stage offers."""
@@ -65,7 +65,7 @@ ENDED = Rejected("ended", "The node is ending; waiting and new messages are left
 DIAGNOSTICS_PERIOD_S = 0.5
 
 ANSWER_S = 30.0
-"""Longest time that a service makes its caller wait for the worker."""
+"""Longest time that a service makes its caller wait for the worker, s."""
 
 
 class WorkerNode(Role, Managed):
@@ -76,8 +76,8 @@ class WorkerNode(Role, Managed):
     """The node's ROS parameters."""
 
     niceness: ClassVar[int] = 0
-    """How far the node's work gives way to other threads, as in nice(1). Under overload, early stages that do leave out
-    what later ones could not take, before work has gone into it; and messages are received while a dwell is processed.
+    """Degree to which the node's work gives way to other threads, as in nice(1). Under overload, early stages that do
+    leave out what later ones could not process, before any work on it; and messages are received during a dwell's work.
     """
 
     def __init__(self, name: str, **node_arguments: Any) -> None:
@@ -101,12 +101,12 @@ class WorkerNode(Role, Managed):
         self._lost_at = -math.inf
         self._pace = Pace()
         self._slow_numbers: dict[str, Any] = {}
-        """Fields of the account that take time to find, as they were last."""
+        """Last values of the fields of the account that take time to find."""
         self._offered: list[Outlet] = []
         self._inlets: list[Inlet] = []
         self._optional: list[Inlet] = []
         self._on_match = guarded(lambda _: self._publish_account(), self._fail)
-        """Whoever waits for a graph to be connected is told of a subscription or publisher when it comes or goes."""
+        """Publishes the account when a subscription or publisher appears or disappears, which runs wait for."""
         self._matched = PublisherEventCallbacks(matched=self._on_match)
         self._account_publisher = AccountPublisher(self, self._on_match)
         self._losses = self.offer(DwellLoss, LOSSES)
@@ -148,11 +148,11 @@ class WorkerNode(Role, Managed):
         Args:
             message_type: class of plain messages of the type.
             topic: name of the topic.
-            callback: takes a message; an error in it is counted and logged.
+            callback: callback for a message; an error in it is counted and logged.
             qos: quality of service.
-            optional: whether the node can do its work without a message on this topic.
-            read: makes what the callback takes of a serialized message, or raises BrokenMessage; None: the plain
-                message.
+            optional: True if the node can do its work without a message on this topic.
+            read: decoder of serialized messages for the callback, which may raise BrokenMessage; None: that of the
+                plain message.
         """
         read = read or SHIPPED.reader(message_type.__msgtype__)
         profile = copy.copy(qos)
@@ -207,9 +207,9 @@ class WorkerNode(Role, Managed):
 
         Args:
             messages: number of messages that it consumes.
-            work: returns the number of messages it published.
-            size: bytes that the messages hold.
-            item: what is worked on; `waiting` gives it to work that looks ahead.
+            work: function that returns the number of messages it published.
+            size: size of the messages, bytes.
+            item: data that is worked on; `waiting` gives it to work that looks ahead.
         """
         arrived = time.monotonic()
         if messages:
@@ -242,7 +242,7 @@ class WorkerNode(Role, Managed):
     def wait_for(self, work: Callable[[], str]) -> str:
         """Have `work` done on the worker thread, after what waits, and wait for what it returns.
 
-        It is for services that are called by hand: the node takes no messages meanwhile.
+        It is for services that are called by hand: the node receives no messages meanwhile.
         """
         done: Future[str] = Future()
 
@@ -265,7 +265,7 @@ class WorkerNode(Role, Managed):
         return self._jobs.items()
 
     def _check_budget(self, messages: int, waited_s: float) -> None:
-        """Leave a dwell out that has waited too long: those that came later are worth more to whoever looks on.
+        """Leave a dwell out that has waited too long: later ones are worth more to those who watch.
 
         Raises:
             Rejected: it has.
@@ -280,7 +280,7 @@ class WorkerNode(Role, Managed):
             )
 
     def takes(self) -> bool:
-        """Count a message as received; whether it is to be worked on: an inactive node drops it."""
+        """Count a message as received; True if it is to be processed: an inactive node drops it."""
         self.tally.receive()
         if not self.is_active:
             self.reject(1, Rejected("inactive", f"A message was left out: {INACTIVE}."))
@@ -300,7 +300,7 @@ class WorkerNode(Role, Managed):
 
     @property
     def is_ready(self) -> bool:
-        """Whether it works, what it needs has publishers, and what takes time before the first dwell is done."""
+        """True if it works, what it needs has publishers, and what takes time before the first dwell is done."""
         return self.is_active and all(inlet.is_connected for inlet in self._inlets)
 
     @property
@@ -309,7 +309,7 @@ class WorkerNode(Role, Managed):
         return self._jobs.unfinished
 
     def unexpected(self, error: Exception) -> Rejected:
-        """Why messages are dropped after an error; one that no input should cause is logged in full."""
+        """Reason to drop messages after an error; one that no input should cause is logged in full."""
         if isinstance(error, Rejected):
             return error
         if isinstance(error, UserError):
@@ -327,9 +327,9 @@ class WorkerNode(Role, Managed):
         """Count messages that are dropped, publish and log why.
 
         Args:
-            messages: how many.
-            error: why.
-            dwell: that they are of; None: not known, or none.
+            messages: number of messages.
+            error: reason for the loss.
+            dwell: dwell of the messages; None: not known, or no dwell.
         """
         self.last_rejection = f"{error.reason}: {error}"
         self.last_drop = str(error)  # before it is counted, so that no account has a drop without a reason
@@ -348,7 +348,7 @@ class WorkerNode(Role, Managed):
             self._losses.publish(loss)
 
     def ignore(self, what: str, error: UserError) -> None:
-        """Count a message beside the dwells (sensor info, odometry, ...) that cannot be used, and log why."""
+        """Count a message of no dwell (sensor info, odometry, ...) that cannot be used, and log why."""
         self.count_ignored(what, error)
         self.get_logger().warning(f"Ignored {what}: {error}", throttle_duration_sec=1.0)
 
@@ -379,7 +379,7 @@ class WorkerNode(Role, Managed):
 
     def _measure_pace(self) -> None:
         for inlet in (*self._inlets, *self._optional):
-            inlet.look_for_strangers()  # names of nodes come after their publishers
+            inlet.look_for_strangers()  # names of nodes arrive after their publishers
         self._pace.sample(time.monotonic(), self.tally.offered, self.tally.finished)
         self._publish_account()
 
@@ -390,13 +390,13 @@ class WorkerNode(Role, Managed):
         """The account; what changes without a piece of work is as it was last."""
         inlets = (*self._inlets, *self._optional)
         missed = {_plain(inlet.topic): inlet.missed for inlet in inlets if inlet.missed and not inlet.latched}
-        account = self.tally.account()  # before what is published, and after what has come
+        account = self.tally.account()  # before what is published, and after what was received
         published = {_plain(outlet.topic): outlet.published for outlet in self._offered if outlet.keeps_all}
         account = replace(account, jobs=self.jobs, missed=missed, published_on=published, last_drop=self.last_drop)
         return replace(account, **self._slow_numbers)
 
     def _account_and_state(self) -> tuple[Account, State]:
-        """All numbers, and how the node is."""
+        """All numbers, and the state of the node."""
         subscribers = {_plain(outlet.topic): outlet.subscribers for outlet in self._offered}
         ready = {"ready": self.is_ready, "subscribers": subscribers}
         self._slow_numbers = {**ready, **process_numbers(), **self._pace.rates()}
@@ -410,11 +410,11 @@ class WorkerNode(Role, Managed):
 
     @property
     def source_warning(self) -> str:
-        """Sentences, each after a space, on publishers that are not right; else nothing."""
+        """Warnings, each after a space, about publishers that are not right; else nothing."""
         return "".join(inlet.warning for inlet in (*self._inlets, *self._optional))
 
     def silent_topics(self) -> list[str]:
-        """The topics that the node needs and on which no message has come lately, and where they might be found."""
+        """The topics that the node needs and that had no message lately, with those of the same name elsewhere."""
         described = []
         for inlet in (inlet for inlet in self._inlets if inlet.is_silent(time.monotonic())):
             elsewhere = ", ".join(inlet.published_elsewhere())
@@ -426,7 +426,7 @@ class WorkerNode(Role, Managed):
         """Level and message of the diagnostics, as of the last seconds.
 
         WARN: messages were lost, two sources contradict each other, or one knows other messages; STALE: messages that
-        the node needs do not come; OK: none of these, or the node is not active.
+        the node needs do not arrive; OK: none of these, or the node is not active.
         """
         if warning := self.source_warning:
             return DiagnosticStatus.WARN, f"{warning.strip()} {lost} dropped or ignored in all"
@@ -439,12 +439,12 @@ class WorkerNode(Role, Managed):
         return DiagnosticStatus.OK, "processing"
 
     def finish(self) -> None:
-        """Finish all jobs that wait, and take no more; may be called twice."""
+        """Finish all jobs that wait, and accept no more; may be called twice."""
         self._jobs.close()
         self._worker.join()
 
     def destroy_node(self) -> None:
-        """Finish the job at hand, drop what still waits, tell the last account, and end the node."""
+        """Finish the job at hand, drop what still waits, publish the last account, and end the node."""
         for job in self._jobs.clear():
             if job.messages:
                 self.reject(job.messages, ENDED, _dwell_of(job.item))
@@ -462,7 +462,7 @@ class WorkerNode(Role, Managed):
 
 
 def _dwell_of(item: Any) -> DwellKey | None:
-    """The dwell of a job of a stage; None: it is none."""
+    """The dwell of a job of a stage; None: another job."""
     return getattr(item, "dwell", None)
 
 

@@ -1,1 +1,1 @@
-"""What a node did with its messages: the account that it publishes on /progress and on /diagnostics."""
+"""The account of a node: what it did with its messages, published on /progress and on /diagnostics."""

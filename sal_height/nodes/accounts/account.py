@@ -1,7 +1,7 @@
 """The account of a node: its message counts, as its messages on /progress and its status on /diagnostics carry them.
 
-Nodes write their account with `to_message` and `to_values`, and whoever watches a graph reads it with `of_message` and
-`of_status`. NodeAccount says what the numbers are; `messages.accounts` has their names on /diagnostics.
+Nodes write their account with `to_message` and `to_values`, and programs that watch a graph read it with `of_message`
+and `of_status`. NodeAccount describes the numbers; `messages.accounts` has their names on /diagnostics.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ DWELLS, CALIBRATIONS = "dwells", "calibrations"
 """Events that have fields of their own: dwells that a source has published, calibrations that a node has received."""
 
 LAST_DROP = "last_drop"
-"""Name of the sentence of an account on /diagnostics."""
+"""Name of the warning of an account on /diagnostics."""
 LOST_WITH_PROCESS = "lost with its process"
-"""Why messages that waited when the process of a node ended were dropped."""
+"""Reason for the loss of messages that waited when the process of a node ended."""
 ON_THE_WAY = "lost on the way"
-"""Why messages that were published have not come: the middleware has lost them."""
+"""Reason for which published messages have not arrived: the middleware has lost them."""
 
 STAGE, RECORDER, OTHER = "stage", "recorder", "other"
-"""What accounts are of: a node that processes messages, a recorder, and what is none of ours."""
+"""Kinds of accounts: of a node that processes messages, of a recorder, and of programs that are not ours."""
 
 ALWAYS = {STAGE: {"in", "processed", "out", "waiting", "jobs"}, RECORDER: {"unwritten"}, OTHER: set[str]()}
 """Names of numbers that are there even if they are 0."""
@@ -42,7 +42,7 @@ OF_TOPICS = ("published_on", "subscribers", "missed", "recorded")
 
 SUMMED = ("received", "processed", "published", "dwells", "calibrations", "unwritten", "cpu_s")
 SUMMED_BY_NAME = ("dropped", "ignored", EVENTS, "published_on", "recorded")
-"""Fields that count from the start of the node's process; all others say how it is now."""
+"""Fields that count from the start of the node's process; all others state its present state."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +53,8 @@ class Account:
 
     Attributes:
         unpublished: dwells that are processed and whose products follow later; None: all products follow at once.
-        last_drop: sentence that says why messages were last left out; empty if none were.
-        kind: STAGE, RECORDER or OTHER: what the account is of.
+        last_drop: warning that says why messages were last left out; empty if none were.
+        kind: kind of the account, STAGE, RECORDER or OTHER.
     """
 
     received: int = 0
@@ -95,7 +95,7 @@ class Account:
 
     @classmethod
     def of_numbers(cls, numbers: Mapping[str, float], last_drop: str = "") -> Self:
-        """The account that numbers by their names on /diagnostics say."""
+        """The account that numbers by their names on /diagnostics state."""
         values = fields_of_numbers(numbers)
         for name in OF_TOPICS:
             values[name] = {key.removeprefix("/"): count for key, count in values.get(name, {}).items()}
@@ -104,7 +104,7 @@ class Account:
 
     @classmethod
     def of_message(cls, message: NodeAccount) -> Self:
-        """Read an account; that of a recorder cannot be told from others there."""
+        """Read an account; that of a recorder cannot be distinguished from others there."""
         values = {name: getattr(message, name) for name in _MESSAGE_FIELDS}
         for name in (*COUNTED.values(), EVENTS):
             counts = {one.name: one.count for one in values[name]}
@@ -164,7 +164,7 @@ class Account:
         return {**self.dropped_last_minute, **self.ignored_last_minute}
 
     def with_losses(self, count: int) -> Self:
-        """This account, with messages that never came as received and dropped."""
+        """This account, with messages that never arrived as received and dropped."""
         if not count:
             return self
         dropped = {**self.dropped, ON_THE_WAY: self.dropped.get(ON_THE_WAY, 0) + count}

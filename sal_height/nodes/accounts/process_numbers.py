@@ -1,4 +1,4 @@
-"""What a process takes: processor time and memory, as the account of a node shows them."""
+"""Processor time and memory of a process, as the account of a node states them."""
 
 from __future__ import annotations
 

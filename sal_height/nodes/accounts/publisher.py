@@ -20,9 +20,9 @@ class State(NamedTuple):
     """State of a node in the terms of the diagnostics.
 
     Attributes:
-        level: one of those of DiagnosticStatus.
-        message: why, in a few words.
-        hardware_id: the sensor that it works for; empty: none yet.
+        level: level of DiagnosticStatus.
+        message: reason for the level, in a few words.
+        hardware_id: name of the sensor that it works for; empty: none yet.
     """
 
     level: Any

@@ -1,4 +1,4 @@
-"""Accounting: every message that comes in is processed or dropped for a reason."""
+"""Accounting: every message that is received is processed or dropped for a reason."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ PACE_SAMPLES = 5
 
 
 SHARES = 0.5, 0.95
-"""Shares of the dwells that take no longer than the latencies that are published."""
+"""Fractions of the dwells that take no longer than the latencies that are published."""
 
 OF_NODE = {"jobs", "ready"}
-"""Numbers of an account that no counts say."""
+"""Numbers of an account that do not follow from counts."""
 
 
 class Tally:
@@ -29,7 +29,7 @@ class Tally:
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        """Count; `clock` tells the time, s, for the counts of the last minute."""
+        """Count; `clock` returns the time, s, for the counts of the last minute."""
         self._clock = clock
         self._lock = threading.Lock()
         self._received = 0
@@ -46,7 +46,7 @@ class Tally:
         """Dwells that were processed."""
 
     def receive(self) -> None:
-        """A message came in."""
+        """A message was received."""
         with self._lock:
             self._received += 1
 
@@ -114,7 +114,7 @@ class Latest:
     """The latest of many numbers, in their order: their quantiles, which are asked for after each, take no time."""
 
     def __init__(self, most: int) -> None:
-        """Keep so many."""
+        """Keep up to `most` numbers."""
         self._most = most
         self._numbers: deque[float] = deque()
         self._ascending: list[float] = []
@@ -130,7 +130,7 @@ class Latest:
             del self._ascending[bisect_left(self._ascending, self._numbers.popleft())]
 
     def quantile(self, share: float) -> float:
-        """The number that this share of them are below, linear between two of them."""
+        """The number that this fraction of them are below, linear between two of them."""
         place = share * (len(self._ascending) - 1)
         low, rest = self._ascending[int(place)], place % 1.0
         return low + rest * (self._ascending[int(place) + 1] - low) if rest else low
@@ -151,7 +151,7 @@ class LastMinute:
         self._seconds[-1][1][name] += count
 
     def counts(self, now: float) -> Counter[str]:
-        """What was counted in the minute before `now`, s."""
+        """Counts of the minute before `now`, s."""
         self._forget(now)
         return sum((counts for _, counts in self._seconds), Counter())
 
@@ -161,13 +161,13 @@ class LastMinute:
 
 
 class Pace:
-    """How many dwells come and are processed in a second, over the last seconds."""
+    """Rates at which dwells arrive and are processed, over the last seconds."""
 
     def __init__(self) -> None:
         self._samples: deque[tuple[float, int, int]] = deque(maxlen=PACE_SAMPLES)
 
     def sample(self, now: float, offered: int, finished: int) -> None:
-        """Take note of the counts at the time `now`, s."""
+        """Note the counts at the time `now`, s."""
         self._samples.append((now, offered, finished))
 
     def rates(self) -> dict[str, float]:

@@ -10,7 +10,7 @@ from typing import Any
 from sal_height.nodes.accounts.account import ON_THE_WAY
 
 QUEUE_FULL, NOT_WRITTEN = "queue full", "not written"
-"""Why received messages are not in the bag: too much waited for the disk; the disk refused them."""
+"""Reasons for which received messages are not in the bag: too much waited for the disk; the disk refused them."""
 
 
 @dataclass
@@ -18,11 +18,11 @@ class TopicCounts:
     """Counts of one topic; received = written + left out for other reasons than ON_THE_WAY, once nothing waits.
 
     Attributes:
-        received: received messages.
-        written: messages that are in the bag.
-        left_out: messages that are not, by reason.
-        latched: whether the last message is kept for those who subscribe later; it may replace one that nobody has
-            taken yet, which is no loss.
+        received: number of received messages.
+        written: number of messages that are in the bag.
+        left_out: number of messages that are not, by reason.
+        latched: True if the last message is kept for later subscribers; it may replace one that nobody has read yet,
+            which is no loss.
     """
 
     latched: bool = False
@@ -35,8 +35,8 @@ class TopicCounts:
         """Count a message, and those before it that were lost.
 
         Args:
-            number: that its publisher has given it, one more than to its last one; None: not known.
-            publishers: of the topic. Several of them count each for itself, so that gaps say nothing.
+            number: number that its publisher has given it, one more than to its last one; None: not known.
+            publishers: function that counts the topic's publishers. Several number each for itself: gaps say nothing.
         """
         self.received += 1
         if number is None:
@@ -48,9 +48,9 @@ class TopicCounts:
 
     @property
     def missed(self) -> int:
-        """Messages that the publisher has numbered up to the last one, and that have not come; since its start."""
+        """Messages that the publisher has numbered up to the last one, and that have not arrived; since its start."""
         return max(0, self._number - self.received)
 
     def as_json(self) -> dict[str, Any]:
-        """The counts as the bag says them."""
+        """The counts as the bag states them."""
         return {"received": self.received, "written": self.written, "left_out": dict(self.left_out)}

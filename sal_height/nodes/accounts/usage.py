@@ -1,4 +1,4 @@
-"""What the executable of a node prints for --help, and what it says of arguments that it does not know."""
+"""Text that the executable of a node prints for --help, and refusals of arguments that it does not know."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ quality of service of a topic; POLICY is history, depth, reliability or durabili
 
 
 def usage(node: type[Any], program: str) -> str:
-    """What a node does, its topics, and its parameters with units and allowed values.
+    """Description of a node, its topics, and its parameters with units and allowed values.
 
     Args:
         node: class of the node, with attributes `inputs`, `outputs`, `answers` and `parameters`.
@@ -64,7 +64,7 @@ def usage(node: type[Any], program: str) -> str:
 
 
 def check_arguments(arguments: list[str]) -> None:
-    """Refuse arguments that are none of ROS, which would otherwise have no effect.
+    """Refuse arguments that are not those of ROS, which would otherwise have no effect.
 
     Raises:
         UserError: there is one.
@@ -91,7 +91,7 @@ def check_overrides(node: Node) -> None:
 
 
 def announce(node: Node) -> None:
-    """Say in the log what the node waits for."""
+    """Report in the log what the node waits for."""
     topics: list[str] = getattr(node, "silent_topics", list)()
     if topics:
         node.get_logger().info(f"Waiting for messages on {', '.join(topics)}.")

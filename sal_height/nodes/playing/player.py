@@ -151,7 +151,7 @@ class Player(WorkerNode):
         """State what a replay knows of the bag, before the first step.
 
         Args:
-            calibrations: identities of those that are published before dwells.
+            calibrations: identities of the calibrations that are published before each dwell.
             frames: times at which the frames of each dwell were recorded.
 
         Raises:
@@ -164,7 +164,7 @@ class Player(WorkerNode):
         self._none_before = list(accumulate((dwell.stamp_ns for dwell, _ in reversed(dwells)), min))[::-1]
 
     def announced(self) -> dict[str, int]:
-        """Of each topic the stamp (ns) before which nothing more will be published."""
+        """Stamps by topic, ns, before which nothing more will be published."""
         item = self._next
         if item is None:
             return dict.fromkeys(self._topics, FOREVER_NS)
@@ -172,7 +172,7 @@ class Player(WorkerNode):
         return {FRAMES: self._none_before[done]} if done < len(self._none_before) else {}
 
     def step(self) -> tuple[bool, str]:
-        """Publish the next messages, on the worker thread; returns whether there are any, and words for it."""
+        """Publish the next messages, on the worker thread; returns whether there are any, and a message on it."""
         if not self.is_active:
             return False, INACTIVE
         if self._next is None:
@@ -426,7 +426,7 @@ def _class_of(topic: Topic) -> type[Any]:
     """The class of the messages of a topic.
 
     Raises:
-        UserError: they are of a type that no node of ours takes.
+        UserError: they are of a type that no node of ours accepts.
     """
     if shipped_definition(topic.type_name) is None:
         raise UserError(f"Topic {topic.name} has the type {topic.type_name}, which no node takes; play others.")
@@ -434,7 +434,7 @@ def _class_of(topic: Topic) -> type[Any]:
 
 
 def main() -> int:
-    """Console script of both nodes; the name of the script says which node it is."""
+    """Console script of both nodes; the name of the script is that of the node."""
     return run_node(PacedPlayer if Path(sys.argv[0]).stem == PacedPlayer.usual_name else Player)
 
 

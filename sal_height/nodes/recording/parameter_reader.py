@@ -1,4 +1,4 @@
-"""The parameters of all nodes of a graph, as events: those that are there when it begins to look, and all changes."""
+"""The parameters of all nodes of a graph, as events: those at the start, and all changes."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from sal_height.nodes.guard import guarded
 from sal_height.nodes.transport.endpoints import NAMELESS
 
 ASK_PERIOD_S = 0.5
-"""Period at which it is looked for new nodes."""
+"""Period at which new nodes are looked for, s."""
 
 ANSWER_S = 2.0
-"""Time after which a node that has not answered is asked again: an answer is lost to a client not known there yet."""
+"""Time, s, after which a silent node is asked again: an answer is lost if it does not know its client yet."""
 
 MOST_NODES = 1000
 """Greatest number of nodes whose parameters are asked for and kept."""
 
 MOST_BYTES = 1_000_000
-"""Greatest size of the serialized parameters of a node that are kept."""
+"""Greatest size of the serialized parameters of a node that are kept, bytes."""
 
 
 class ParameterReader:
@@ -39,12 +39,12 @@ class ParameterReader:
 
         Args:
             node: node that asks.
-            tell: takes what the others answer, as a serialized event of new parameters.
-            fail: takes an error in an answer.
+            tell: callback for an answer, which is a serialized event of new parameters.
+            fail: callback for an error in an answer.
         """
         self._node, self._tell, self._fail = node, tell, fail
         self._questions: dict[bytes, _Question] = {}
-        """By the identity of the publisher of parameter events that each node has."""
+        """Questions by the identity of the publisher of parameter events that each node has."""
         self._known: dict[str, ParameterEvent] = {}
 
     def look(self) -> None:
@@ -53,7 +53,7 @@ class ParameterReader:
         nodes = {
             bytes(info.endpoint_gid): f"{info.node_namespace.rstrip('/')}/{info.node_name}"
             for info in self._node.get_publishers_info_by_topic(PARAMETER_EVENTS)
-            if not info.node_name.startswith(NAMELESS)  # its name comes later than its publisher
+            if not info.node_name.startswith(NAMELESS)  # its name arrives later than its publisher
         }
         for identity in self._questions.keys() - nodes.keys():
             self._questions.pop(identity).end()

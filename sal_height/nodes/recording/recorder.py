@@ -43,7 +43,7 @@ from sal_height.nodes.transport.qos import from_profile
 
 ACCOUNTS = {DIAGNOSTICS, PROGRESS}  # accounts of these would be recorded in turn, without end
 FAILED = "internal error"  # kind of the errors that no message should cause
-QUEUE_DEPTH = 1000  # messages per topic that may wait in the middleware until the node takes them
+QUEUE_DEPTH = 1000  # messages per topic that may wait in the middleware until the node reads them
 DIAGNOSTICS_PERIOD_S = 0.5
 
 OF_DWELLS = {FRAME_TYPE, IMAGE_TYPE, HEIGHT_TYPE, ODOMETRY_TYPE}
@@ -114,7 +114,7 @@ class Recorder(Role, Node):
         self._put_bytes, self._taken_bytes = 0, 0  # each counted by one thread; their difference waits
         self._arrival, self._ending = threading.Event(), threading.Event()
         self._process_numbers: dict[str, Any] = {}
-        """Fields of the account that say what the process takes, as they were last."""
+        """Last values of the fields of the account on processor time and memory."""
         self._account_publisher = AccountPublisher(self, guarded(lambda _: self._publish_account(), self._fail))
         self._worker = threading.Thread(target=self._work, name="recorder", daemon=True)
         self._worker.start()
@@ -160,7 +160,7 @@ class Recorder(Role, Node):
 
     @property
     def failure(self) -> str:
-        """Why messages are not in the bag; empty if all are. The program ends with status 1 then."""
+        """Reason for which messages are not in the bag (the program ends with status 1 then); empty if all are."""
         return self._last_loss or (NEVER_CAME if self._left_out[ON_THE_WAY] else "")
 
     @property
@@ -220,7 +220,7 @@ class Recorder(Role, Node):
                 self._try_to_subscribe(name, types)
 
     def _try_to_subscribe(self, name: str, types: list[str]) -> None:
-        """Subscribe to a topic, or say why it cannot be recorded."""
+        """Subscribe to a topic, or log why it cannot be recorded."""
         try:
             self._subscribe(name, types)
         except UserError as error:
@@ -248,7 +248,7 @@ class Recorder(Role, Node):
             )
 
     def _look_for_parameters(self, reader: ParameterReader) -> None:
-        """Ask nodes for their parameters, once what they say of them has a place in the bag."""
+        """Ask nodes for their parameters, once the bag has the topic of their answers."""
         if PARAMETER_EVENTS not in self._refused.union(self._subscribed):
             self._try_to_subscribe(PARAMETER_EVENTS, [PARAMETER_EVENT_TYPE])
         if PARAMETER_EVENTS in self._subscribed:
@@ -260,7 +260,7 @@ class Recorder(Role, Node):
         self._put(_Item(PARAMETER_EVENTS, cdr, (self._now_ns, self._now_ns)))
 
     def _taker_of(self, topic: str) -> Callable[[bytes, dict[str, Any]], None]:
-        """A callback that takes the messages of a topic."""
+        """A callback that receives the messages of a topic."""
 
         def take(cdr: bytes, info: dict[str, Any]) -> None:
             if not self._ending.is_set():
@@ -328,7 +328,7 @@ class Recorder(Role, Node):
 
     @property
     def _now_ns(self) -> int:
-        """The time of the node's clock, ns; 0: it has not begun, or is before 1970."""
+        """The time of the node's clock, ns; 0: it has not started, or is before 1970."""
         return max(0, self.get_clock().now().nanoseconds)
 
     def _times(self, info: dict[str, Any]) -> tuple[int, int]:
@@ -360,7 +360,7 @@ class Recorder(Role, Node):
         self._account_publisher.publish(self._account_and_state)
 
     def _report_progress(self) -> None:
-        """Publish the counts for whoever waits for messages to be in the bag."""
+        """Publish the counts for programs that wait for messages to be in the bag."""
         self._account_publisher.publish_counts(self._counts)
 
     def _counts(self) -> Account:
@@ -383,7 +383,7 @@ class Recorder(Role, Node):
         )
 
     def _account_and_state(self) -> tuple[Account, State]:
-        """All numbers, and how the recorder is."""
+        """All numbers, and the state of the recorder."""
         self._process_numbers = process_numbers()
         account, missing = self._counts(), self._left_out.total()
         if missing:
@@ -408,7 +408,7 @@ class Recorder(Role, Node):
         self.get_logger().error(f"Unexpected failure, please report it: {trace}", throttle_duration_sec=1.0)
 
     def _report(self, error: OSError) -> None:
-        """Say once that the bag can no longer be written."""
+        """Report once that the bag can no longer be written."""
         self._last_loss = (
             f"Bag {self._bag.directory} cannot be written any further, and messages are lost from now on: {error}; "
             f"'sal-height salvage {self._bag.directory} --out DIR' recovers what was written before."

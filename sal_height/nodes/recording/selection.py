@@ -1,4 +1,4 @@
-"""Which topics are recorded."""
+"""Selection of the topics that are recorded."""
 
 from __future__ import annotations
 

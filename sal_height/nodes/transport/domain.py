@@ -20,7 +20,7 @@ PARTICIPANTS = 100
 _next = itertools.count(os.getpid())  # where to look first: each process, and each of its runs, at another place
 
 DomainChoice: TypeAlias = int | Literal["free", "environment"]
-"""A domain by its number, a free one, or the one that the environment variables of ROS say."""
+"""A domain by its number, a free one, or the one that the environment variables of ROS state."""
 
 
 def first_port(domain: int) -> int:
@@ -32,8 +32,8 @@ def first_port(domain: int) -> int:
 def free_domain() -> Iterator[int]:
     """A domain that nobody on this machine uses, kept from other callers until the context ends.
 
-    What keeps it is a TCP port of the same number as the domain's first UDP port: the system frees it with the process,
-    whoever that belongs to. A domain in which somebody else has a node is recognised by the UDP port of that node's
+    It is kept by a TCP port of the same number as the domain's first UDP port: the system frees that with the process,
+    whoever it belongs to. A domain in which somebody else has a node is recognised by the UDP port of that node's
     participant: Fast DDS numbers participants through all domains of a process, so that the first of a domain may have
     any of the lower numbers.
 

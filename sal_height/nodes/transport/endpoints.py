@@ -79,8 +79,8 @@ class Inlet:
         latched: True if one message is enough for all time.
         has_one_source: True if several publishers would contradict each other.
         heard_at: arrival of the last message, s of the monotonic clock.
-        received: messages that have arrived.
-        missed: messages that the publisher has numbered up to the last one and that have not arrived; since its start.
+        received: number of messages that have arrived.
+        missed: number of messages, of those numbered since the publisher's start, that have not arrived.
         unsuited: number of times that a publisher was found whose quality of service does not suit the subscription.
         strangers: publishers that define the type of the messages otherwise, as of the last `look_for_strangers`.
         has_only_strangers: True if no other publisher is known.
@@ -103,11 +103,11 @@ class Inlet:
         Args:
             node: node that subscribes.
             message_type: class of plain messages of the type.
-            topic: its name.
-            receive: takes a serialized message.
+            topic: name of the topic.
+            receive: callback for a serialized message.
             qos: quality of service.
             matched: callback for a publisher that appears or disappears.
-            fail: takes an error in a callback.
+            fail: callback for an error in a callback.
             has_one_source: True if several publishers would contradict each other.
         """
         self.has_one_source = has_one_source
@@ -183,7 +183,7 @@ class Inlet:
 
     @property
     def warning(self) -> str:
-        """Sentences, each after a space, on publishers that are not right; else nothing."""
+        """Warnings, each after a space, about publishers that are not right; else nothing."""
         crowd = f" {self.publishers} nodes publish {self.topic}: stop all but one."
         return (crowd if self.has_one_source and self.publishers > 1 else "") + "".join(
             f" {name} publishes {self.topic} with another definition of {self._type_name}: build it with the "

@@ -41,7 +41,7 @@ class Graph:
         return node
 
     def spin_until(self, predicate: Callable[[], bool], timeout_s: float = math.inf) -> bool:
-        """Run callbacks until `predicate()` holds (returns True) or `timeout_s` has passed (returns False)."""
+        """Run callbacks until `predicate()` is true (returns True) or `timeout_s` has passed (returns False)."""
         deadline = time.monotonic() + timeout_s
         while not predicate():
             if time.monotonic() >= deadline or not self.context.ok():
@@ -50,7 +50,7 @@ class Graph:
         return True
 
     def spin_for(self, seconds: float) -> None:
-        """Run callbacks for so long, without a step in Python from one to the next.
+        """Run callbacks for `seconds`, without a step in Python from one to the next.
 
         A thread ends it: the executor looks at the time only when nothing waits, and messages may never stop.
         """

@@ -24,7 +24,7 @@ YOUNG_S = 10.0
 """A segment younger than this is never taken for one that was left."""
 
 FORGOTTEN_S = 15.0
-"""A port that was found dead so long ago is in use by nobody: others look twice, 5 s apart, before they give it up."""
+"""Time, s, after which a port found dead is used by nobody: others look twice, 5 s apart, before they give it up."""
 
 _PORT = re.compile(rf"{SEGMENT}port\d+")
 

@@ -38,7 +38,7 @@ The reserve, which nothing fills, is a 32nd of the memory: no gap can be too sma
 """
 
 SHARE = 1 / 16
-"""Of what is free in the shared memory of the machine, the part that one process may take: others want theirs."""
+"""Fraction of the machine's free shared memory that one process may use: others need theirs."""
 
 TEMPLATE = """<?xml version="1.0" encoding="UTF-8"?>
 <dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
@@ -91,18 +91,18 @@ TEMPLATE = """<?xml version="1.0" encoding="UTF-8"?>
 """Participants send by shared memory on this machine, and by UDP to others.
 
 They announce themselves four times a second, every 3 s by default: one that starts later, or again, is found that soon.
-One that was killed is taken for running until nothing has been received of it for 5 s, 20 s by default.
+One that was killed is assumed to run until nothing has been received of it for 5 s, 20 s by default.
 And they ask five times a second, every 3 s by default, what of their messages has not arrived, to send it again.
 
-The ports of one that stands still are taken for dead after 5 s, 1 s by default, when nobody sends to it any more.
-Whoever does makes the port anew with each message, and one that goes on meanwhile may never be reached again (`ports`).
+The ports of one that stands still are assumed dead after 5 s, 1 s by default, when nobody sends to it any more.
+A sender makes the port again with each message, and one that goes on meanwhile may never be reached again (`ports`).
 Those of a process that was killed are not known to be dead as long: none that starts takes one (`leftovers`).
 """
 
 
 LOOPBACK = "\n        <interfaceWhiteList><address>127.0.0.1</address></interfaceWhiteList>"
 """Restricts a participant to this machine. By ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST alone it sends its
-announcements nowhere else, but answers whoever addresses it."""
+announcements nowhere else, but answers programs that address it."""
 
 
 PACKETS = "\n        <maxMessageSize>{}</maxMessageSize>"
@@ -111,11 +111,11 @@ a part of is lost as a whole."""
 
 
 def segment_bytes(dwell_bytes: int, free_bytes: int) -> int | None:
-    """Shared memory that a process takes.
+    """Shared memory that a process uses, bytes.
 
     Args:
-        dwell_bytes: size of the samples of a dwell; 0: not known.
-        free_bytes: free bytes of the machine's shared memory.
+        dwell_bytes: size of the samples of a dwell, bytes; 0: not known.
+        free_bytes: size of the machine's free shared memory, bytes.
 
     Returns:
         A number of bytes, or None if too few are free for it to be of use.
@@ -133,9 +133,9 @@ def settings_for(dwell_bytes: int, *, local: bool = False, packet_bytes: int = 0
     """Settings of Fast DDS, as XML, with which a process publishes dwells of that size.
 
     Args:
-        dwell_bytes: size of the samples of a dwell; 0: not known.
+        dwell_bytes: size of the samples of a dwell, bytes; 0: not known.
         local: True if other machines can reach nothing of the process.
-        packet_bytes: size of the packets in which messages travel; 0: that of the pieces by shared memory.
+        packet_bytes: size of the packets in which messages travel, bytes; 0: that of the pieces by shared memory.
 
     Raises:
         UserError: too little shared memory is free.

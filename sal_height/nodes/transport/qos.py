@@ -9,7 +9,7 @@ from sal_height.bag.qos import Qos
 
 
 def to_profile(qos: Qos) -> QoSProfile:
-    """The profile of rclpy that says what a quality of service does."""
+    """The profile of rclpy for a quality of service."""
     return QoSProfile(
         history=HistoryPolicy[qos.history.upper()],
         depth=qos.depth,
@@ -24,7 +24,7 @@ def to_profile(qos: Qos) -> QoSProfile:
 
 
 def from_profile(profile: QoSProfile) -> Qos:
-    """The quality of service that a profile of rclpy says."""
+    """The quality of service that a profile of rclpy states."""
     return Qos(
         history=profile.history.short_key,
         depth=profile.depth,

@@ -1,4 +1,4 @@
-"""Quality of service of topics, by what is on them."""
+"""Quality of service of topics, by their content."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ _FIELD = re.compile(r"\s*([^\s#]+)\s+(\w+)\s*(=?)")
 
 @dataclass(frozen=True)
 class Definition:
-    """What a bag stores about a message type.
+    """Definition of a message type, as a bag stores it.
 
     Attributes:
         text: the .msg text, then the texts of all types it contains, each under a line of 80 ``=`` and ``MSG: name``.

@@ -70,8 +70,8 @@ def cut(path: Path, out_directory: Path, kept: Range) -> KeptMessages:
 
     Messages are byte for byte those of the bag, with their times, in one file. Of a dwell all messages are kept, or
     none: it is kept if all its frames are in the range. Odometry is kept from a second before the kept dwells to a
-    second after, and so is the air, with the last message that they used. Earlier latched messages, the last ones, are
-    kept at the start of the new bag; so are the parameters of nodes, those of a node in one event.
+    second after, and so is the air, with the last message that they used. Of earlier latched messages the last ones are
+    kept, at the start of the new bag; so are the parameters of nodes, those of a node in one event.
 
     Args:
         path: path of the bag.

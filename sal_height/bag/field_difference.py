@@ -56,7 +56,7 @@ class FieldDifference:
         return float(np.sqrt(self._squares / count)) if count else float("nan")
 
     def quantile(self, share: float) -> float:
-        """The difference that a fraction of the values does not exceed, up to 12 % too great; NaN if there are none."""
+        """Difference that a fraction `share` of the values does not exceed, up to 12 % too great; NaN if empty."""
         counts = np.cumsum(self._classes)
         if not counts[-1]:
             return float("nan")

@@ -37,7 +37,7 @@ def error(sentence: str, fix: str) -> Finding:
 
 
 def warning(sentence: str, fix: str) -> Finding:
-    """A finding because of which no messages are lost."""
+    """A finding that is less severe than lost messages."""
     return Finding("warning", sentence, fix)
 
 

@@ -117,7 +117,7 @@ def bag_info(path: Path) -> BagInfo:
     Raises:
         UserError: it is not a complete bag.
     """
-    bag_files(path)  # refuses a bag that is not stored as MCAP, without such an index
+    bag_files(path)  # refuses a bag that is not stored as MCAP and has no such index
     reader = BagReader(path)
     times = _log_times(reader)
     statistics = [index.statistics for index in reader.indexes if index.statistics.message_count]

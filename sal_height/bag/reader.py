@@ -105,7 +105,7 @@ class BagReader:
         """Reception and dwells of the frames on a topic, in order; broken frames are left out.
 
         Only the heads of frames are read where the index of the bag locates them, also of those that cannot be read
-        whole since the bag is damaged; else frames are read up to the damage, which is reported by later readers.
+        whole since the bag is damaged; else frames are read up to the damage, which a full reading reports.
         """
         name = self._recorded_name(topic)
         if not (self._other or self.topics[topic].is_old or any(name in one for one in self.repeated)):
@@ -125,7 +125,7 @@ class BagReader:
         return topic
 
     def decode(self, type_name: str, cdr: bytes) -> Any:
-        """Read bytes as a plain message of a type; types that are not shipped by the definition in the bag.
+        """Read bytes as a plain message of a type; a type that is not shipped is read by the definition in the bag.
 
         UserError if the bag has another definition of the type than this version, or `cdr` is damaged.
         """

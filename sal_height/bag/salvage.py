@@ -98,7 +98,7 @@ def _profile(body: bytes) -> str:
 
 
 def _custom_data(files: list[Path]) -> dict[str, str]:
-    """The custom data of the files: later files override earlier ones; in a file, a record with a checksum precedes."""
+    """The custom data of the files: later files override earlier ones; in a file, one with a checksum is preferred."""
     found: dict[str, str] = {}
     for file in files:
         texts: dict[str, dict[str, str]] = {}

@@ -103,7 +103,7 @@ class PlacedImage:
     """An image on the earth, with rows and columns as SICD has them.
 
     Attributes:
-        message: the ComplexImage.
+        message: message of the image, a ComplexImage.
         samples: samples of its pixels, complex64, shape (rows, cols), with the phases of SICD.
         grid: grid of the pixels, whose normal, row_direction x col_direction, points away from the earth.
         aperture: state of the antenna in mid-aperture.
@@ -214,8 +214,8 @@ def metadata_of(sicd: Any, image: PlacedImage, name: str) -> Any:
     """The metadata of an image, an lxml tree.
 
     Args:
-        sicd: the package `sarkit.sicd`.
-        image: the image.
+        sicd: package `sarkit.sicd`.
+        image: image with its position on the earth.
         name: name of the image (CoreName).
 
     Raises:
@@ -301,7 +301,7 @@ def _direction(image: PlacedImage, direction: F64, spacing: float, band: float, 
     resolution of a weighted band are, its edges alias into 1 / spacing, which is stated as the band of the response.
 
     Args:
-        image: the image.
+        image: image with its position on the earth.
         direction: unit vector (map) in which the index grows.
         spacing: spacing of pixels, m.
         band: band of spatial frequencies, cycles/m.
@@ -355,8 +355,8 @@ def _positions(image: PlacedImage, centre: F64) -> F64:
     """Coefficients of the positions of the antenna over time, earth-centred, earth-fixed, m: a straight track.
 
     Args:
-        image: the image.
-        centre: the scene centre point, earth-centred, earth-fixed, m.
+        image: image with its position on the earth.
+        centre: scene centre point, earth-centred, earth-fixed, m.
     """
     aperture, velocity = image.aperture, image.in_space(image.aperture.velocity)
     return np.stack(

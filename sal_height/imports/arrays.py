@@ -107,7 +107,7 @@ def _per_pulse(name: str, values: Any, shape: tuple[int, int]) -> Any:
     """Values of each pulse of each dwell.
 
     Raises:
-        UserError: their number is another one.
+        UserError: their number does not fit.
     """
     numbers = np.asarray(values, dtype=np.float64)
     if numbers.size == 1:

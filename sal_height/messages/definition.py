@@ -18,7 +18,7 @@ class Definition:
     """Definition of a message type, as a bag stores it.
 
     Attributes:
-        text: the .msg text, then the texts of all types it contains, each under a line of 80 ``=`` and ``MSG: name``.
+        text: .msg text, then the texts of all types it contains, each under a line of 80 ``=`` and ``MSG: name``.
         type_hash: ROS 2 type hash (``RIHS01_…``); empty where it is not known (bags older than ROS 2 Iron).
         encoding: language of the text, ``ros2msg`` or ``ros2idl``.
     """

@@ -220,7 +220,7 @@ class ReceivedPose(NamedTuple):
     Attributes:
         stamp_ns: stamp of the header, ns.
         frame_id: frame_id of the header.
-        child_frame_id: frame of the pose.
+        child_frame_id: name of the child frame, whose pose it is.
         position: position of the child in the frame, m.
         orientation: orientation of the child in the frame, a quaternion x, y, z, w.
         velocity: velocity of the child in its own axes, m/s.

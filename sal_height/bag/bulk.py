@@ -1,4 +1,4 @@
-"""CDR bytes of the odometry of a whole track and of the frames of a dwell: what they share is serialized once."""
+"""CDR bytes of the odometry of a whole track and of the frames of a dwell: common parts are serialized once."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from sal_height.geometry import PlatformState, rotation_matrix
 from sal_height.sensor import PhaseHistory, Sensor
 
 STAMP_BYTES = slice(4, 12)
-"""Place of the stamp of a header in the CDR bytes of a message that begins with it."""
+"""Position of the stamp of a header in the CDR bytes of a message that starts with it."""
 
 
 def odometry_of(states: Sequence[PlatformState]) -> Iterator[bytes]:
     """The odometry of states: the bytes of the first one, with the stamp and the numbers of each.
 
     The frames in the header are the same, so that all messages have one layout. It ends with pose, covariance of the
-    pose, twist (of which the turning is not known) and covariance of the twist: 85 numbers of 8 bytes.
+    pose, twist (of which the rotation is not known) and covariance of the twist: 85 numbers of 8 bytes.
     """
     first = messages.serialize(messages.state_to_message(states[0], messages.to_stamp(states[0].stamp_ns)))
     count = 7 + 36 + 6 + 36  # pose, its covariance, twist, its covariance
@@ -37,7 +37,7 @@ def odometry_of(states: Sequence[PlatformState]) -> Iterator[bytes]:
 def frames_of(history: PhaseHistory, sensor: Sensor, dwell: int) -> Iterator[bytes]:
     """The frames of a dwell, one per channel.
 
-    Samples are the last field of a frame, so they follow the bytes of one that has none, and are copied once.
+    Samples are the last field of a frame, so they follow the bytes of a frame without samples, and are copied once.
     """
     count = history.samples.shape[2]
     without = replace(history, samples=history.samples[:, :, :0])

@@ -31,10 +31,10 @@ def check_bag(path: Path, advance: Callable[[int, int], None]) -> list[Finding]:
 
     Args:
         path: path of the bag, a folder or a file.
-        advance: is called while data are read, with the bytes just read and the bytes of all data.
+        advance: function called while data are read, with the bytes just read and the bytes of all data.
 
     Raises:
-        UserError: it is no bag at all: it does not exist, or none of its files is an MCAP file.
+        UserError: it is not a bag: it does not exist, or none of its files is an MCAP file.
     """
     try:
         files = bag_files(path)
@@ -50,7 +50,7 @@ def check_bag(path: Path, advance: Callable[[int, int], None]) -> list[Finding]:
             indexes.append(read_index(file))
         except UserError as refusal:
             findings.append(of_refusal(refusal, recovery(path)))
-    if findings:  # all else would be found for want of the messages in these files
+    if findings:  # further findings would only follow from the missing messages of these files
         return findings
     try:
         reader = BagReader(path)
@@ -91,7 +91,7 @@ def _check_message_indexes(path: Path, indexes: Sequence[FileIndex]) -> Iterator
 
 
 def _check_messages(reader: BagReader, advance: Callable[[int, int], None]) -> Iterator[Finding]:
-    """Read all messages once: the checksums of their chunks, their times, and what they say."""
+    """Read all messages once: the checksums of their chunks, their times, and their content."""
     checks = [SensorCheck(reader, sensor) for sensor in sensors_in(reader.topics)]
     if not checks:
         yield error(f"Bag {reader.path} has no messages on {FRAMES} and {SENSOR_INFO} of any sensor.", RECORD_ALL)
@@ -117,7 +117,7 @@ def _check_messages(reader: BagReader, advance: Callable[[int, int], None]) -> I
 
 
 class _Clocks:
-    """Messages that say that they were published after they were received."""
+    """Messages whose publish time is later than their reception."""
 
     def __init__(self) -> None:
         self._ahead: Counter[str] = Counter()
@@ -126,7 +126,7 @@ class _Clocks:
     def add(self, message: BagMessage) -> None:
         """Look at a message."""
         ahead_ns = message.publish_time_ns - message.log_time_ns
-        if ahead_ns > 1_000_000_000:  # the clocks of two machines may differ by as much
+        if ahead_ns > 1_000_000_000:  # the clocks of two machines may differ by this
             self._ahead[message.topic] += 1
             self._furthest_ns = max(self._furthest_ns, ahead_ns)
 
@@ -149,7 +149,7 @@ def _look_at(message: BagMessage, reader: BagReader, check: SensorCheck) -> None
 
 
 def _messages_of(index: FileIndex, chunk: ChunkIndex) -> list[tuple[int, BagMessage]] | str:
-    """Messages of a chunk, each after its sequence number; if it is damaged, a sentence that says so."""
+    """Messages of a chunk, each after its sequence number; if it is damaged, a text that reports it."""
     summary = index.summary
     try:
         with index.path.open("rb") as stream:

@@ -18,7 +18,7 @@ from sal_height.bag.topics import HEIGHT_TYPE, IMAGE_TYPE, RELIEF_TYPE
 from sal_height.errors import UserError
 
 WITH_PROVENANCE = {IMAGE_TYPE, HEIGHT_TYPE, RELIEF_TYPE}
-"""Types of messages that say with which parameters they were made."""
+"""Types of messages that state the parameters with which they were made."""
 
 NO_METADATA = (
     "Write it with 'ros2 bag reindex -s mcap {path}', or a new bag with 'sal-height bag recover {path} --out DIR'."
@@ -68,7 +68,7 @@ def check_types(reader: BagReader) -> Iterator[Finding]:
 
 
 def check_accounts(reader: BagReader) -> Iterator[Finding]:
-    """Which messages the recorder says that it left out, and whether it recorded parameters."""
+    """Check for messages that the recorder reports as left out, and for recorded parameters."""
     for index in reader.indexes:
         for topic, text in index.records.get(ACCOUNT, {}).items():
             if lost := _left_out(text):
@@ -119,7 +119,7 @@ def _contradicts_hash(topic: Topic) -> bool:
         return False
     try:
         return _hash_of(topic.recorded_type, recorded.text) != recorded.type_hash
-    except Exception:  # noqa: BLE001 (rosbags reports a text that is no definition by whatever its parser stumbles over)
+    except Exception:  # noqa: BLE001 (rosbags reports an invalid definition by any exception of its parser)
         return True
 
 
@@ -133,7 +133,7 @@ def _hash_of(type_name: str, text: str) -> str:
 
 
 def _left_out(text: str) -> dict[str, int]:
-    """Messages left out by reason, as the account of a topic says; none if it cannot be read."""
+    """Messages left out by reason, by the account of a topic; empty if it cannot be read."""
     try:
         return {str(reason): int(count) for reason, count in json.loads(text)["left_out"].items() if count}
     except (ValueError, KeyError, TypeError, AttributeError):

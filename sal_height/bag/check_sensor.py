@@ -23,7 +23,7 @@ from sal_height.renamed import with_new_names
 from sal_height.sensor import Sensor
 
 GAPLESS_NS = 50_000_000
-"""Interval of odometry up to which nodes take the pose between for as good as at it (odometry_interval_s)."""
+"""Longest interval of odometry that nodes do not treat as a gap, ns (odometry_interval_s)."""
 
 RECORD_ALL = "Record it, too; the chain cannot work without."
 
@@ -41,7 +41,7 @@ class SensorCheck:
         self._first_info_ns: int | None = None
         self._sensors: dict[str, Sensor] = {}
         self._faults: dict[tuple[str, str], str] = {}
-        """Faults of messages: the first sentence by topic and reason."""
+        """Faults of messages: the first text by topic and reason."""
         self._faulty: Counter[tuple[str, str]] = Counter()
         self._read_descriptions()
 
@@ -79,7 +79,7 @@ class SensorCheck:
             yield from self._check_odometry()
 
     def _check_air(self) -> Iterator[Finding]:
-        """Check that the bag has the air that the compression was to receive."""
+        """Check that the bag has the air messages that the compression needs."""
         if not _hears_air(self._reader):
             return
         needed = {topic for sensor in self._sensors.values() for topic in messages.needed_air(sensor.wavelength)}
@@ -201,11 +201,11 @@ class SensorCheck:
 
 
 def _hears_air(reader: BagReader) -> bool:
-    """True if the compression used the air of messages, by the parameters that a bag was made with."""
+    """True if the compression used the air of messages, by the parameters with which a bag was made."""
     try:
         values = json.loads(kept_custom_data(reader).get(PARAMETERS, "{}"))
         return bool(with_new_names(values["sar_compression"])["air"] == messages.AIR_OF_TOPICS)
-    except (ValueError, TypeError, LookupError, AttributeError):  # there are none, or a replay refuses them
+    except (ValueError, TypeError, LookupError, AttributeError):  # they are absent, or a replay refuses them
         return False
 
 

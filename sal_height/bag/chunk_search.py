@@ -29,14 +29,14 @@ CHUNK = re.compile(rb"(?=%c.{%d}(?:\0{4}|\x03\0{3}lz4|\x04\0{3}zstd))" % (Opcode
 
 def is_known(opcode: int) -> bool:
     """True if there are records with this opcode."""
-    return opcode in OPCODES or opcode >= 0x80  # of private records, which may stand anywhere
+    return opcode in OPCODES or opcode >= 0x80  # of private records, which may be anywhere
 
 
 def find_chunks(stream: BinaryIO) -> dict[int, int]:
     """Offsets of the chunks of a file, and their bytes.
 
     Records follow from each other by their lengths. Where one does not lead to another, or is a chunk whose lengths
-    contradict each other, the next chunk is looked for whose lengths agree.
+    contradict each other, the next chunk whose lengths agree is searched.
     """
     with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
         return _find_chunks(data)

@@ -1,4 +1,4 @@
-"""Compare the messages of two bags field by field: the check that a replay did what the golden run had done."""
+"""Compare the messages of two bags field by field: the check that a replay equals the golden run."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ class Key(NamedTuple):
     """Key by which a message of one bag is the counterpart of one in the other.
 
     Attributes:
-        topic: the topic.
-        dwell: its dwell; without one, number of earlier messages on the topic.
-        channel: its channel; 0 without one.
+        topic: name of the topic.
+        dwell: number of its dwell; without one, number of earlier messages on the topic.
+        channel: number of its channel; 0 without one.
         repetition: number of earlier messages with the same key: a simulator may have been restarted.
     """
 
@@ -82,7 +82,7 @@ class TopicComparison:
     def hashes(self) -> tuple[str, str]:
         """Hash of the content of all messages of the topic, golden and of the other bag, in any order.
 
-        Padding does not count, nor does what is not compared. A topic that only one bag has is not read: "".
+        Padding and fields that are not compared do not count. A topic that only one bag has is not read: "".
         """
         golden, other = (
             hashlib.sha256(b"".join(sorted(digests))).hexdigest() if digests else "" for digests in self.digests
@@ -121,10 +121,10 @@ def compare_bags(
     Provenance and the order of processing are not compared.
 
     Args:
-        golden: the bag that is right.
-        other: the bag that is judged.
+        golden: bag with the expected messages.
+        other: bag to judge.
         tolerances: greatest allowed differences from the golden values.
-        topics: those to compare; None: all with height images.
+        topics: topics to compare; None: all with height images.
         counts: predicate of golden messages that count; None: all do.
         counts_too: predicate of messages of the other bag that count; None: all do.
 
@@ -155,7 +155,7 @@ def compare_bags(
             result = found[key.topic]
             result.missing += side == 0
             result.extra += side == 1
-            if len(result.lone) < 5:  # that many are named
+            if len(result.lone) < 5:  # at most five are named
                 result.lone.append(key.dwell)
             result.digests[side].append(content_hash(fields_of(message, NOT_COMPARED)))
     return found

@@ -31,7 +31,7 @@ OF_DWELLS = {FRAME_TYPE, IMAGE_TYPE, HEIGHT_TYPE}
 """Types of messages that belong to a dwell, and have its stamp."""
 
 LATCHED = {SENSOR_TYPE: 1, CALIBRATION_TYPE: 1, "tf2_msgs/msg/TFMessage": 100}
-"""Messages that are kept of latched types, where the bag does not state it; of transforms on tf_static only."""
+"""Number of kept messages of latched types, if the bag does not state it; of transforms on tf_static only."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,8 @@ class Range:
     """Range of time or of dwells that is kept of a bag.
 
     Attributes:
-        begin_ns: messages received from here on, ns; None: from the begin.
-        end_ns: and up to here, ns; None: up to the end.
+        begin_ns: earliest reception of messages, ns; None: start of the bag.
+        end_ns: latest reception of messages, ns; None: end of the bag.
         dwells: numbers of the first and the last dwell; None: all in that time.
     """
 
@@ -70,8 +70,8 @@ def cut(path: Path, out_directory: Path, kept: Range) -> KeptMessages:
 
     Messages are byte for byte those of the bag, with their times, in one file. Of a dwell all messages are kept, or
     none: it is kept if all its frames are in the range. Odometry is kept from a second before the kept dwells to a
-    second after, and so is the air, with the last message that they used. What was latched before is kept as it was
-    last, at the start of the new bag; so are the parameters of nodes, those of a node in one event.
+    second after, and so is the air, with the last message that they used. Of earlier latched messages the last ones are
+    kept, at the start of the new bag; so are the parameters of nodes, those of a node in one event.
 
     Args:
         path: path of the bag.
@@ -123,7 +123,7 @@ class _SensorPlan:
 
 
 def time_of(reader: BagReader, seconds: Decimal) -> int:
-    """A time in a bag, ns: seconds from its begin, or since 1970 if there are STAMPS_FROM_S or more."""
+    """A time in a bag, ns: seconds from its start, or since 1970 if there are STAMPS_FROM_S or more."""
     nanoseconds = int(seconds * 1_000_000_000)
     return nanoseconds if seconds >= STAMPS_FROM_S else reader.begin_ns + nanoseconds
 
@@ -157,7 +157,7 @@ def _span(reader: BagReader, topic: str, first_ns: int, last_ns: int) -> _Span |
 
 
 def _described(plans: Sequence[_SensorPlan]) -> str:
-    """Which dwells there are, in words."""
+    """The dwells of sensors, in words."""
     numbers = [dwell.number for plan in plans for dwell in plan.all_dwells]
     return f"{len(numbers)} dwells, with numbers from {min(numbers)} to {max(numbers)}" if numbers else "none at all"
 
@@ -175,7 +175,7 @@ class _Window:
         self._end_ns = last_ns if kept.end_ns is None else min(last_ns, kept.end_ns)
         spans = [(name, span) for plan in plans for name, span in plan.spans.items()]
         self._first_ns = min([self._begin_ns, *(span.log_ns for _, span in spans)])
-        """When the first of what is kept was received: what was latched then is moved here."""
+        """Reception of the first kept message, to which earlier latched messages are moved, ns."""
         self._spans: dict[str, list[_Span]] = {}
         for name, span in spans:
             self._spans.setdefault(name, []).append(span)
@@ -226,7 +226,7 @@ class _Window:
             self._parameters[event.node] = merged, message._replace(cdr=cdr)
 
     def _held_messages(self) -> Iterator[BagMessage]:
-        """The latched messages and the parameters as they were last before the range."""
+        """The last latched messages and parameters before the range."""
         latched = [message for queue in self._latched.values() for message in queue]
         for message in (*latched, *(message for _, message in self._parameters.values())):
             yield message._replace(log_time_ns=self._first_ns)

@@ -31,7 +31,7 @@ def origin_of(reader: BagReader) -> Origin | None:
 
 
 def sensors_of(reader: BagReader) -> tuple[dict[str, Sensor], list[UserError]]:
-    """The sensors that a bag describes, by their config_hash, and why other descriptions are not used."""
+    """The sensors that a bag describes, by their config_hash, and the reasons why other descriptions are not used."""
     sensors: dict[str, Sensor] = {}
     refused = []
     for recorded in reader.messages([f"/{SENSOR_INFO}"]):

@@ -12,7 +12,7 @@ from sal_height.io import or_null
 from sal_height.numeric import F64, I64
 
 EDGES: F64 = np.concatenate([[0.0], 10.0 ** (np.arange(-20 * 20, 20 * 20 + 1) / 20), [np.inf]])
-"""Limits of the classes of differences that quantiles are taken from, twenty to a decade."""
+"""Limits of the bins of differences for quantiles, twenty per decade."""
 
 
 class WorstValue(NamedTuple):
@@ -30,12 +30,12 @@ class FieldDifference:
 
     Attributes:
         values: number of values compared.
-        different: those that are not the same; NaN is the same as NaN.
-        outside: those beyond the tolerance.
-        nan_changes: those that are NaN on one side only.
-        unmatched: those without a counterpart, for a field has another number of values.
-        greatest: greatest difference of two finite numbers; NaN before there are any.
-        worst: the value that is farthest beyond its tolerance, or nearest to it.
+        different: number of values that are not the same; NaN is the same as NaN.
+        outside: number of values beyond the tolerance.
+        nan_changes: number of values that are NaN on one side only.
+        unmatched: number of values without a counterpart, since a field has another number of values.
+        greatest: greatest difference of two finite numbers; NaN if none were compared.
+        worst: value that is farthest beyond its tolerance, or nearest to it.
     """
 
     values: int = 0
@@ -56,7 +56,7 @@ class FieldDifference:
         return float(np.sqrt(self._squares / count)) if count else float("nan")
 
     def quantile(self, share: float) -> float:
-        """The difference that such a fraction of the values keeps to, up to 12 % too great; NaN if there are none."""
+        """Difference that a fraction `share` of the values does not exceed, up to 12 % too great; NaN if empty."""
         counts = np.cumsum(self._classes)
         if not counts[-1]:
             return float("nan")
@@ -67,9 +67,9 @@ class FieldDifference:
         """Add the values of a message.
 
         Args:
-            golden: those that are right, shape (n,).
-            made: those that are judged, shape (m,).
-            allowed: the greatest differences that are within the tolerance, shape (n,).
+            golden: expected values, shape (n,).
+            made: values to judge, shape (m,).
+            allowed: greatest differences that are within the tolerance, shape (n,).
             dwell: dwell of the message, or its number.
 
         Returns:

@@ -22,7 +22,7 @@ def fields_of(message: Any, without: frozenset[str] = frozenset()) -> dict[str, 
     """All values of a message, as arrays of one dimension by name.
 
     Args:
-        message: a message.
+        message: message of any type.
         without: fields of the message itself that are left out.
 
     Returns:

@@ -63,13 +63,13 @@ class FileWriter:
     def __init__(
         self, path: Path, compression: str, custom_data: Mapping[str, str], repeated: Mapping[str, int]
     ) -> None:
-        """Begin the file `path`, which must not exist.
+        """Start the file `path`, which must not exist.
 
         Args:
             path: path of the file.
             compression: compression of its chunks, one of COMPRESSIONS.
             custom_data: texts by name; they are written first, so that they outlive a killed process.
-            repeated: number of messages by topic that are going to be written first and stand in the file before, too.
+            repeated: number of messages by topic that are written first and are in the file before, too.
 
         Raises:
             OSError: it cannot be written.
@@ -98,7 +98,7 @@ class FileWriter:
     def add_topic(self, topic: WrittenTopic) -> None:
         """Prepare a topic for `write`."""
         key = (topic.type_name, topic.definition)
-        if key not in self._schema_ids:  # once however many topics carry it
+        if key not in self._schema_ids:  # once for all topics with it
             text = topic.definition.text.encode()
             self._schema_ids[key] = self._writer.register_schema(topic.type_name, topic.definition.encoding, text)
         self._channel_ids[topic.name] = self._writer.register_channel(
@@ -112,7 +112,7 @@ class FileWriter:
         )
 
     def write(self, topic: str, cdr: bytes, log_time_ns: int, publish_time_ns: int, *, repeated: bool = False) -> None:
-        """Append a serialized message; `repeated`: it stands in the file before, too."""
+        """Append a serialized message; `repeated`: True if it is in the file before, too."""
         sequence = REPEATED_SEQUENCE if repeated else 0
         self._writer.add_message(self._channel_ids[topic], log_time_ns, cdr, publish_time_ns, sequence)
         written = self.written

@@ -1,4 +1,4 @@
-"""The files of a bag, and what reader and salvage both refuse in them."""
+"""The files of a bag, and the checks that reader and salvage share."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ PARAMETERS = "parameters"
 """Name of the nodes' parameters (JSON) in the custom data of a bag."""
 
 REPEATED = "sal_height.repeated"
-"""Name of the MCAP metadata record that says how many messages of a file stand in the one before, too, by topic."""
+"""Name of the MCAP metadata record with the number of messages of a file that are in the one before, by topic."""
 
 REPEATED_SEQUENCE = 1
 """Sequence number of such messages; all others have 0."""
 
 ACCOUNT = "sal_height.account"
-"""Name of the MCAP metadata record that says what became of the messages of each topic, as JSON by topic."""
+"""Name of the MCAP metadata record with the account of the messages of each topic, as JSON by topic."""
 
 CHECKSUM = "crc32"
 """Name of the checksum in that record."""
@@ -65,7 +65,7 @@ def parameters_file(path: Path) -> Path:
 
 
 def check_start(file: Path, start: bytes) -> None:
-    """UserError unless `start` is how an MCAP file begins; part of it will do, for the file may be cut."""
+    """UserError unless `start` is the start of an MCAP file; a part is enough, for the file may be cut."""
     if not start:
         raise UserError(f"File {file} is empty; name a bag folder or an .mcap file.")
     if start != MCAP0_MAGIC[: len(start)]:
@@ -73,7 +73,7 @@ def check_start(file: Path, start: bytes) -> None:
 
 
 def check_summary_crc(stream: BinaryIO) -> None:
-    """McapError if the index is not as it was written; the mcap package does not look."""
+    """McapError if the index is not as it was written; the mcap package does not check it."""
     crc_end = stream.seek(-_FOOTER_TAIL.size, os.SEEK_END) + 2 * 8
     summary_start, _, crc, _ = _FOOTER_TAIL.unpack(stream.read())
     stream.seek(summary_start)
@@ -88,7 +88,7 @@ def check_profile(file: Path, profile: str) -> None:
 
 
 def check_encoding(file: Path, channel: Channel) -> None:
-    """UserError unless the channel holds CDR messages of a type that is described."""
+    """UserError unless the channel has CDR messages of a type that is described."""
     if channel.message_encoding != "cdr" or channel.schema_id == 0:
         raise UserError(
             f"Topic {channel.topic} of file {file} has the encoding {channel.message_encoding!r} and schema "
@@ -97,7 +97,7 @@ def check_encoding(file: Path, channel: Channel) -> None:
 
 
 def recorded_definition(channel: Channel, schema: Schema) -> Definition:
-    """Definition of a channel's type as the file has it; UserError if it is no text."""
+    """Definition of a channel's type in the file; UserError if it is not a text."""
     try:
         text = schema.data.decode()
     except UnicodeDecodeError as error:
@@ -135,7 +135,7 @@ def repeated_in(records: Mapping[str, Mapping[str, str]]) -> dict[str, int]:
 
 
 def stored_as(metadata: Path) -> tuple[str, str, list[str]]:
-    """Storage, compression mode and names of files, as the file metadata.yaml of a bag says.
+    """Storage, compression mode and names of files, by the file metadata.yaml of a bag.
 
     Raises:
         UserError: it cannot be read.
@@ -151,7 +151,7 @@ def stored_as(metadata: Path) -> tuple[str, str, list[str]]:
 
 @lru_cache(maxsize=16)
 def _content(text: str) -> Any:
-    """Plain data of a YAML text, which nobody changes: of a bag that is opened, it is asked for several times."""
+    """Plain data of a YAML text, which must not be changed; cached, since opening a bag needs it several times."""
     return read_yaml(text)
 
 

@@ -10,17 +10,17 @@ from typing import Literal
 from sal_height.errors import UserError
 
 NAMED = 3
-"""Cases that a sentence names; of more it says how many."""
+"""Number of cases that a finding names; of more it states the number."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Something that is wrong with a bag.
+    """A fault of a bag.
 
     Attributes:
-        severity: error: messages are lost to readers, or cannot be processed; warning: less than that.
-        sentence: fault, and its position.
-        fix: remedy.
+        severity: error (messages are lost to readers, or cannot be processed) or warning (less than that).
+        sentence: description of the fault, and its position.
+        fix: remedy of the fault.
     """
 
     severity: Literal["error", "warning"]
@@ -37,7 +37,7 @@ def error(sentence: str, fix: str) -> Finding:
 
 
 def warning(sentence: str, fix: str) -> Finding:
-    """A finding because of which less is lost than messages."""
+    """A finding that is less severe than lost messages."""
     return Finding("warning", sentence, fix)
 
 
@@ -48,7 +48,7 @@ def of_refusal(refusal: UserError, fix: str) -> Finding:
 
 
 def recovery(path: Path) -> str:
-    """The fix of what is damaged."""
+    """The fix of damage."""
     return f"Recover what is whole with 'sal-height bag recover {path} --out DIR'."
 
 

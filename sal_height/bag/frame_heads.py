@@ -23,7 +23,7 @@ HEAD_BYTES = 8192
 """Bytes of a frame that are read first; more follow if it has more pulses."""
 
 TEXT_BYTES = 2048
-"""Largest number of bytes that the texts and numbers of a frame take, without its pulses and samples."""
+"""Largest number of bytes of the texts and numbers of a frame, without its pulses and samples."""
 
 ZEROS_BYTES = 64
 """First bytes of a frame; if all are zero, the file is damaged there."""
@@ -33,7 +33,7 @@ PULSE_BYTES = 16
 
 
 class TimedPart(NamedTuple):
-    """When a frame was recorded, ns, and of what dwell it is."""
+    """Reception of a frame, ns, and its dwell."""
 
     log_time_ns: int
     part: DwellPart
@@ -42,10 +42,10 @@ class TimedPart(NamedTuple):
 def read_frame_parts(index: FileIndex, topic: str) -> list[TimedPart] | None:
     """The dwells of the frames on a topic of a file, in the order of their reception; broken frames are left out.
 
-    Checksums are those of whole chunks and are not looked at.
+    Checksums are those of whole chunks and are not checked.
 
     Returns:
-        None: the frames must be read whole, for they are compressed, or not where the index of the file has them.
+        The dwells; None: the frames must be read whole, for they are compressed, or not where the index states.
     """
     try:
         with index.path.open("rb", buffering=0) as stream:
@@ -58,8 +58,8 @@ def _parts(index: FileIndex, topic: str, stream: BinaryIO) -> Iterator[TimedPart
     """The dwells of the frames.
 
     Raises:
-        OSError, McapError, struct.error, ValueError, OverflowError: frames are not where the index of the file has
-            them.
+        OSError, McapError, struct.error, ValueError, OverflowError: frames are not where the index of the
+            file states.
     """
     channels = {number for number, channel in index.summary.channels.items() if channel.topic == topic}
     places = sorted(_places(index, channels, stream))
@@ -72,7 +72,7 @@ def _parts(index: FileIndex, topic: str, stream: BinaryIO) -> Iterator[TimedPart
         is_message = opcode == Opcode.MESSAGE and channel in channels and received_ns == log_time_ns
         if not is_message or not 0 <= size <= end - at - _MESSAGE.size:
             raise McapError(f"there is no message at byte {at}")
-        with suppress(RuntimeError):  # a message that is none
+        with suppress(RuntimeError):  # an invalid message
             yield TimedPart(log_time_ns, part_of_frame(_read_frame(stream, at + _MESSAGE.size, size)))
 
 
@@ -92,7 +92,7 @@ def _places(index: FileIndex, channels: set[int], stream: BinaryIO) -> Iterator[
 
 
 def _read_frame(stream: BinaryIO, at: int, size: int) -> ReceivedFrame:
-    """The frame of `size` bytes that begins at `at`, with zeros in place of its samples.
+    """The frame of `size` bytes that starts at `at`, with zeros in place of its samples.
 
     Raises:
         RuntimeError: the frame is broken.
@@ -108,6 +108,6 @@ def _read_frame(stream: BinaryIO, at: int, size: int) -> ReceivedFrame:
 
     frame = read(HEAD_BYTES)
     if not len(frame.pulse_time) or len(frame.frame_id) + len(frame.config_hash) > TEXT_BYTES // 2:
-        return read(size)  # it may be that a text is longer than what was read
+        return read(size)  # a text may be longer than the bytes read before
     needed = TEXT_BYTES + PULSE_BYTES * len(frame.pulse_time)
     return frame if needed <= HEAD_BYTES else read(needed)

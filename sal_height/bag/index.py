@@ -65,7 +65,7 @@ def read_index(file: Path) -> FileIndex:
 
 
 def read_log_times(index: FileIndex) -> dict[str, I64] | None:
-    """When the messages of each topic were received, ns, in order; topics without messages are left out.
+    """Reception of the messages of each topic, ns, in order; topics without messages are left out.
 
     Only the message indexes are read, which follow each chunk.
 
@@ -95,7 +95,7 @@ def read_message_indexes(stream: BinaryIO, chunk: ChunkIndex) -> Iterator[tuple[
     """Channel of each message index of a chunk, and its entries: fields `log_time` (ns) and `offset` (bytes).
 
     Raises:
-        McapError, struct.error, ValueError: they are absent where the index of the file has them.
+        McapError, struct.error, ValueError: they are absent where the index of the file states them.
     """
     stream.seek(chunk.chunk_start_offset + chunk.chunk_length)
     block = stream.read(chunk.message_index_length)
@@ -136,7 +136,7 @@ def _read_summary(file: Path, stream: BinaryIO) -> tuple[Summary, Statistics]:
         header = next(StreamReader(stream).records)
         stream.seek(0)
         summary = SeekingReader(stream).get_summary()
-    except Exception as error:  # mcap reports damage by whatever its parser stumbles over
+    except Exception as error:  # mcap reports damage by any exception of its parser
         raise damaged(file, error) from error
     check_profile(file, header.profile if isinstance(header, Header) else "")
     statistics = summary.statistics if summary else None
@@ -152,7 +152,7 @@ def _read_records(file: Path, stream: BinaryIO) -> dict[str, dict[str, str]]:
     """Metadata records of a complete file, by name."""
     try:
         return {record.name: record.metadata for record in SeekingReader(stream).iter_metadata()}
-    except Exception as error:  # mcap reports damage by whatever its parser stumbles over
+    except Exception as error:  # mcap reports damage by any exception of its parser
         raise damaged(file, error) from error
 
 

@@ -19,7 +19,7 @@ from sal_height.numeric import I64
 from sal_height.tables import aligned
 
 ABSENT = "-"
-"""Stands for a number that does not exist, such as the rate of a single message."""
+"""Text in place of a number that does not exist, such as the rate of a single message."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class TopicInfo:
         name: name of the topic.
         type_name: type of its messages as recorded.
         count: number of its messages.
-        rate_hz: mean rate at which they were received; None for less than two, or if their times are not known.
+        rate_hz: mean rate at which they were received; None for less than two messages, or if times are not known.
         longest_gap_s: longest time between two that follow each other; None as above.
     """
 
@@ -56,7 +56,7 @@ class FramesInfo:
 
     Attributes:
         topic: topic of the frames.
-        frames: their number.
+        frames: number of frames.
         detectors: number of detectors in the first description of the sensor; None if no description can be read.
     """
 
@@ -66,12 +66,12 @@ class FramesInfo:
 
     @property
     def lacking(self) -> int | None:
-        """Frames that are lacking of whole dwells at least; None if the number of detectors is not known."""
+        """Least number of frames missing from whole dwells; None if the number of detectors is not known."""
         return -self.frames % self.detectors if self.detectors else None
 
     @property
     def dwells(self) -> int | None:
-        """Dwells that the frames are of, at least; None if the number of detectors is not known."""
+        """Least number of dwells of the frames; None if the number of detectors is not known."""
         return -(-self.frames // self.detectors) if self.detectors else None
 
 
@@ -83,8 +83,8 @@ class BagInfo:
         path: path of the bag.
         begin_ns: time at which the first message was received, ns; None without messages.
         end_ns: reception of the last message, ns.
-        files: oldest first.
-        topics: by name.
+        files: files of the bag, oldest first.
+        topics: topics by name.
         frames: frames of each sensor.
     """
 
@@ -117,7 +117,7 @@ def bag_info(path: Path) -> BagInfo:
     Raises:
         UserError: it is not a complete bag.
     """
-    bag_files(path)  # refuses a bag that is not stored as MCAP, and has no such index
+    bag_files(path)  # refuses a bag that is not stored as MCAP and has no such index
     reader = BagReader(path)
     times = _log_times(reader)
     statistics = [index.statistics for index in reader.indexes if index.statistics.message_count]
@@ -136,7 +136,7 @@ def bag_info(path: Path) -> BagInfo:
 
 
 def info_text(info: BagInfo) -> str:
-    """Contents of a bag as lines of text: the bag, a table of its topics, and a sentence on each sensor's dwells."""
+    """Contents of a bag as lines of text: the bag, a table of its topics, and a text on each sensor's dwells."""
     compressions = sorted({file.compression for file in info.files})
     head = [
         ["bag", str(info.path)],
@@ -172,7 +172,7 @@ def _dwells_sentence(frames: FramesInfo) -> str:
 
 
 def _log_times(reader: BagReader) -> Mapping[str, I64]:
-    """Reception of messages, ns, in order, by topic; nothing if a file does not state it.
+    """Reception of messages, ns, in order, by topic; empty if a file does not state it.
 
     Those at the head of a file that are in the one before, too, are left out.
     """

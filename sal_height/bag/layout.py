@@ -29,7 +29,7 @@ class RecordSpan:
 
     Attributes:
         offset: position of its first byte in the file.
-        size: bytes of it that are in the file, opcode and length included.
+        size: number of its bytes that are in the file, opcode and length included.
         opcode: opcode of the record; None: no record can be recognized.
         whole: True if all of it is in the file.
     """
@@ -51,7 +51,7 @@ def sound_summary(stream: BinaryIO) -> Summary | None:
         check_summary_crc(stream)
         stream.seek(0)
         return SeekingReader(stream).get_summary()
-    except Exception:  # noqa: BLE001 - a cut file has none, and mcap stumbles over whatever stands there
+    except Exception:  # noqa: BLE001 - a cut file has none, and mcap may raise anything
         return None
 
 
@@ -94,7 +94,7 @@ def _span(stream: BinaryIO, place: int, limit: int, *, is_open: bool, has_chunks
 
     Args:
         stream: stream of the file.
-        place: byte in the file.
+        place: position in the file, bytes.
         limit: start of the next chunk, or end of the file.
         is_open: True if the limit is the end of the file, at which a record may be cut.
         has_chunks: True if an index names all chunks, so that none is here.

@@ -1,4 +1,4 @@
-"""YAML that programs write and read: by libyaml where PyYAML has it, which takes a tenth of the time."""
+"""YAML that programs write and read: by libyaml where PyYAML has it, which needs a tenth of the time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def read_yaml(text: str) -> Any:
     """Plain data of a text.
 
     Raises:
-        yaml.YAMLError: it is no YAML.
+        yaml.YAMLError: it is not YAML.
     """
     return yaml.load(text, _LOADER)  # noqa: S506 (a safe one)
 

@@ -1,4 +1,4 @@
-"""Bags whose topics have other names than those by which nodes know them, read as if they had these."""
+"""Bags whose topics have other names than those of the nodes, read under the names of the nodes."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from sal_height.errors import UserError
 class NamespacedReader(BagReader):
     """A bag whose topics of a namespace have their names without it; those outside keep their names.
 
-    A topic outside that is called like one of the namespace is left out. So is one that is called like another that has
-    been given its name.
+    A topic outside with the name of one in the namespace is left out. So is one whose name has been given to another
+    topic.
 
     Attributes:
         namespace: namespace with a leading slash; empty: none.
-        renamed: other names of topics by those that are recorded.
+        renamed: other names of topics by recorded names.
     """
 
     def __init__(self, path: Path, namespace: str, renamed: Mapping[str, str] = MappingProxyType({})) -> None:
@@ -28,7 +28,7 @@ class NamespacedReader(BagReader):
         Args:
             path: path of the bag.
             namespace: namespace of topics that are read without it; empty: none.
-            renamed: other names of topics by those that are recorded, both with leading slash and namespace.
+            renamed: other names of topics by recorded names, both with leading slash and namespace.
         """
         super().__init__(path)
         self.renamed = renamed
@@ -55,7 +55,7 @@ class NamespacedReader(BagReader):
     ) -> Iterator[BagMessage]:
         """Messages in order of log time, those of `topics` or all, as recorded but for the names of the topics.
 
-        UserError if a checksum or a record is found to be wrong on the way.
+        UserError if a checksum or a record is found to be wrong.
         """
         wanted = self._recorded_names if topics is None else topics
         names = [self._recorded_names[name] for name in wanted if name in self._recorded_names]
@@ -70,13 +70,13 @@ def open_bag(
 
     Args:
         path: path of the bag.
-        namespace: its name, with or without leading slash; None: none if there are such topics without one, or the only
-            one that has them.
-        needed: names of topics, of which one is enough, without leading slash.
-        renamed: other names of topics by those that are recorded, both with leading slash and namespace.
+        namespace: name of the namespace, with or without leading slash; None: the empty one if it has such topics, or
+            the only one that has them.
+        needed: names of topics without leading slash, of which one is enough.
+        renamed: other names of topics by recorded names, both with leading slash and namespace.
 
     Raises:
-        UserError: the bag cannot be used, or there are several namespaces that have them, or none of that name has.
+        UserError: the bag cannot be used, or several namespaces have them, or the named one has none of them.
     """
     endings = tuple(f"/{name}" for name in needed)
     topics = NamespacedReader(path, "", renamed).topics

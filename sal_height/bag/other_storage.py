@@ -33,8 +33,8 @@ class OtherStorage:
     """A bag that rosbags reads. Nothing stays open between calls.
 
     Attributes:
-        topics: those of the bag; of one with several publishers each, if they are counted apart.
-        custom_data: texts by name.
+        topics: topics of the bag; one for each publisher, if these are counted separately.
+        custom_data: custom texts by name.
         begin_ns: reception of the first message, ns; 0 without messages.
     """
 
@@ -53,7 +53,7 @@ class OtherStorage:
                 self.begin_ns = reader.start_time if reader.message_count else 0
         except UserError:
             raise
-        except Exception as error:  # rosbags reports damage by whatever it stumbles over
+        except Exception as error:  # rosbags reports damage by any exception
             raise self._refusal(error) from error
 
     def messages(self, topics: Collection[str] | None) -> Iterator[BagMessage]:
@@ -67,7 +67,7 @@ class OtherStorage:
                 wanted = [one for one in reader.connections if topics is None or one.topic in topics]
                 for connection, time_ns, cdr in reader.messages(wanted) if wanted else ():
                     yield BagMessage(connection.topic, connection.msgtype, bytes(cdr), time_ns, time_ns)
-        except Exception as error:  # rosbags reports damage by whatever it stumbles over
+        except Exception as error:  # rosbags reports damage by any exception
             raise self._refusal(error) from error
 
     def _reader(self) -> Any:
@@ -81,7 +81,7 @@ class OtherStorage:
 
 
 def _topic(connection: Any, profiles: dict[str, tuple[Qos, ...]]) -> Topic:
-    """A topic as `BagReader` has it; of a bag without definitions the installed ones are taken."""
+    """A topic for `BagReader`; of a bag without definitions the installed ones are used."""
     recorded = Definition(connection.msgdef.data, connection.digest or "")
     name = current_name(connection.msgtype)
     if not recorded.text:
@@ -102,7 +102,7 @@ def _topic(connection: Any, profiles: dict[str, tuple[Qos, ...]]) -> Topic:
 
 
 def _profiles(path: Path) -> dict[str, tuple[Qos, ...]]:
-    """Profiles of publishers by topic, as metadata.yaml says, in its layout or as a text of an older version."""
+    """Profiles of publishers by topic, from metadata.yaml, in its layout or as a text of an older version."""
     metadata = path / "metadata.yaml"
     if not metadata.is_file():
         return {}

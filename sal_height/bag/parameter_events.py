@@ -1,4 +1,4 @@
-"""The parameters of nodes as a bag has them: as events."""
+"""The parameters of nodes in a bag: events."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ PARAMETER_EVENTS, PARAMETER_EVENT_TYPE = "/parameter_events", "rcl_interfaces/ms
 
 
 def after(known: ParameterEvent | None, event: ParameterEvent) -> ParameterEvent:
-    """All parameters of a node after an event, as an event of new parameters; `known`: those before."""
+    """All parameters of a node after an event, as an event of new parameters; `known`: the parameters before."""
     values = {parameter.name: parameter for parameter in (known.new_parameters if known else ())}
     values |= {parameter.name: parameter for parameter in (*event.new_parameters, *event.changed_parameters)}
     for parameter in event.deleted_parameters:

@@ -1,4 +1,4 @@
-"""Messages of a bag with their content, as far as it matters for playing them, and the choice of dwells."""
+"""Messages of a bag with the content that playing needs, and the choice of dwells."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sal_height.messages.received import ReceivedFrame
 from sal_height.messages.types import Provenance
 
 MARGIN_NS = 1_000_000_000
-"""Odometry and the air are played from that time before the first pulse of a chosen dwell to that after its last,
+"""Odometry and the air are played from this time before the first pulse of a chosen dwell to that after its last,
 in addition to the last sample before and the first one after, ns."""
 
 MOST, LATEST_NS = 2**32 - 1, 2**63 - 1
@@ -33,8 +33,8 @@ class DwellPart(NamedTuple):
 
     Attributes:
         dwell: key of the dwell.
-        end_ns: stamp of the dwell's last pulse, as far as the message says, ns.
-        provenance: record of its making, which is left as it is; None: the sensor delivered it.
+        end_ns: stamp of the dwell's last pulse, as far as the message states it, ns.
+        provenance: provenance of the message, which must not be changed; None: the sensor delivered it.
     """
 
     dwell: DwellKey
@@ -111,10 +111,10 @@ def _content_of(recorded: BagMessage) -> Content:
         if recorded.type_name == ODOMETRY_TYPE:
             return Content(odometry_ns=messages.received_pose(recorded.cdr).stamp_ns)
         if recorded.type_name in messages.AIR_TYPES:
-            SHIPPED.reader(recorded.type_name)(recorded.cdr)  # refuses what is broken behind its stamp
+            SHIPPED.reader(recorded.type_name)(recorded.cdr)  # refuses messages that are broken after the stamp
             return Content(air_ns=stamp_ns_of(recorded.cdr))
         return Content(part_of(recorded))
-    except Exception as error:  # noqa: BLE001 (whatever broken bytes lead to)
+    except Exception as error:  # noqa: BLE001 (broken bytes may raise anything)
         return Content(fault=str(error))
 
 

@@ -44,14 +44,14 @@ class Qos:
 
 
 FRAMES = Qos(depth=256)
-"""Of phase histories and images: deep enough for the burst of messages that a dwell is."""
+"""Profile of phase histories and images: deep enough for the burst of messages of a dwell."""
 
 ODOMETRY = Qos(depth=5000)
-"""Of platform states: small messages, but thousands of them may arrive with a dwell. Fast DDS keeps 5000 at most; at a
-greater depth it loses the newest ones instead of the oldest."""
+"""Profile of platform states: small messages, but thousands of them may arrive with a dwell. Fast DDS keeps 5000 at
+most; at a greater depth it loses the newest ones instead of the oldest."""
 
 LATCHED = Qos(depth=1, durability=TRANSIENT_LOCAL)
-"""Of sensor info and the like: a late subscriber receives the last message."""
+"""Profile of sensor info and the like: a late subscriber receives the last message."""
 
 POLICIES = {
     "history": {0: "system_default", 1: "keep_last", 2: "keep_all", 3: "unknown"},
@@ -79,7 +79,7 @@ def to_yaml(profiles: Iterable[Qos]) -> str:
 
 
 def from_yaml(text: str) -> list[Qos]:
-    """Profiles from the text under ``offered_qos_profiles``, of any version; UserError if it is something else."""
+    """Profiles from the text under ``offered_qos_profiles``, of any version; UserError if it is invalid."""
     try:
         return [_profile(entry) for entry in _entries(text)]
     except (yaml.YAMLError, KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
@@ -90,7 +90,7 @@ def from_yaml(text: str) -> list[Qos]:
 
 @lru_cache(maxsize=64)
 def _entries(text: str) -> list[dict[str, Any]]:
-    """Profiles of a text as plain data, which nobody changes: most topics of most bags have one of a few texts."""
+    """Profiles of a text as plain data, which must not be changed: most topics of most bags have one of a few texts."""
     return read_yaml(text) or []
 
 

@@ -48,8 +48,8 @@ ALWAYS = LogTimes()
 class BagReader:
     """A bag: a folder, or one file. Nothing stays open between calls.
 
-    topics: by name. custom_data: texts by name that the recording program stored in the bag. begin_ns: when the first
-    message was received, ns; 0 without messages. indexes: of its files, oldest first; none if it is not stored as MCAP.
+    topics: topics by name. custom_data: texts by name that the recording program stored in the bag. begin_ns: reception
+    of the first message, ns; 0 without messages. indexes: indexes of its files, oldest first; empty if it is not MCAP.
     repeated: number of messages of each file that are in the one before, too, by topic.
     """
 
@@ -81,19 +81,19 @@ class BagReader:
     def messages(self, topics: Collection[str] | None = None, times: LogTimes = ALWAYS) -> Iterator[BagMessage]:
         """Messages in order of log time, those of `topics` or all; keeps a few chunks of the bag in memory.
 
-        Messages of an older version of sal_height_msgs are made into those of today on the way. Chunks outside of
-        `times` are not read.
+        Messages of an older version of sal_height_msgs are converted to those of today. Chunks outside of `times` are
+        not read.
 
-        UserError if a checksum or a record is found to be wrong on the way.
+        UserError if a checksum or a record is found to be wrong.
         """
         return map(self.as_today, self.recorded_messages(topics, times))
 
     def recorded_messages(
         self, topics: Collection[str] | None = None, times: LogTimes = ALWAYS
     ) -> Iterator[BagMessage]:
-        """Messages as `messages` gives them, but those of an older version as they were recorded.
+        """Messages as from `messages`, but those of an older version as they were recorded.
 
-        UserError if a checksum or a record is found to be wrong on the way.
+        UserError if a checksum or a record is found to be wrong.
         """
         if self._other:
             return (one for one in self._other.messages(topics) if times.first_ns <= one.log_time_ns <= times.last_ns)
@@ -102,11 +102,10 @@ class BagReader:
         return heapq.merge(*streams, key=lambda message: message.log_time_ns)
 
     def frame_parts(self, topic: str) -> list[TimedPart]:
-        """When the frames on a topic were received and of what dwells they are, in order; broken ones are left out.
+        """Reception and dwells of the frames on a topic, in order; broken frames are left out.
 
-        Only the heads of frames are read where the index of the bag says where they are, also those that cannot be
-        read whole since the bag is damaged; else frames are read up to where it is damaged. Whoever reads the frames
-        will tell that.
+        Only the heads of frames are read where the index of the bag locates them, also of those that cannot be read
+        whole since the bag is damaged; else frames are read up to the damage, which a full reading reports.
         """
         name = self._recorded_name(topic)
         if not (self._other or self.topics[topic].is_old or any(name in one for one in self.repeated)):
@@ -126,7 +125,7 @@ class BagReader:
         return topic
 
     def decode(self, type_name: str, cdr: bytes) -> Any:
-        """The plain message of a type that the bytes are; of a type that is not shipped by the definition in the bag.
+        """Read bytes as a plain message of a type; a type that is not shipped is read by the definition in the bag.
 
         UserError if the bag has another definition of the type than this version, or `cdr` is damaged.
         """
@@ -137,13 +136,13 @@ class BagReader:
             raise UserError(f"A message of type {type_name} in bag {self.path} cannot be decoded: {error}.") from error
 
     def as_today(self, message: BagMessage) -> BagMessage:
-        """The message of today's version that says what a recorded one does; UserError if that cannot be decoded."""
+        """A recorded message in today's version; UserError if it cannot be decoded."""
         topic = self.topics[message.topic]
         if not topic.is_old:
             return message
         try:
             cdr = upgraded(message.type_name, topic.definition, message.cdr)
-        except Exception as error:  # rosbags reports damage by whatever its deserializer stumbles over
+        except Exception as error:  # rosbags reports damage by any exception of its deserializer
             raise UserError(
                 f"A message on topic {topic.name} of bag {self.path}, recorded with an older definition of "
                 f"{message.type_name}, cannot be decoded: {str(error).rstrip('.')}."
@@ -164,7 +163,7 @@ class BagReader:
         self.topics[topic.name] = replace(known, count=count)
 
     def check_type(self, type_name: str) -> None:
-        """UserError if messages of a type cannot be decoded, since the bag has another definition; looked at once."""
+        """UserError if messages of a type cannot be decoded, since the bag has another definition; checked once."""
         if type_name not in self._readers:
             self._readers[type_name] = self._reader_of(type_name)
 
@@ -180,7 +179,7 @@ class BagReader:
             raise self._other_definition(type_name, other, first)
         try:
             return recorded_types(type_name, first).reader(type_name)
-        except Exception as error:  # an invalid definition fails wherever it is read
+        except Exception as error:  # an invalid definition may fail anywhere
             raise UserError(
                 f"The definition of type {type_name} in bag {self.path} cannot be read: {str(error).rstrip('.')}."
             ) from error
@@ -217,7 +216,7 @@ def _topics_of(index: FileIndex) -> list[Topic]:
 
 
 def _custom_data_of(index: FileIndex) -> dict[str, str]:
-    """Custom data of a file; none if it has none."""
+    """Custom data of a file; empty without any."""
     custom_data = (custom_data_of(name, dict(values)) for name, values in index.records.items())
     return next((texts for texts in custom_data if texts), {})
 
@@ -236,5 +235,5 @@ def _read_messages(
                     continue
                 if schema is not None:  # always so: `check_encoding` refuses channels without
                     yield BagMessage(channel.topic, schema.name, message.data, message.log_time, message.publish_time)
-    except Exception as error:  # mcap reports damage by whatever its parser stumbles over
+    except Exception as error:  # mcap reports damage by any exception of its parser
         raise damaged(file, error) from error

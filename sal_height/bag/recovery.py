@@ -10,7 +10,7 @@ from pathlib import Path
 from sal_height.tables import aligned
 
 UNKNOWN = "(unknown)"
-"""Stands for the topic of messages whose channel nothing describes any more."""
+"""Text in place of the topic of messages whose channel is no longer described."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Gap:
         offset: position of its first byte.
         size: size, bytes.
         reason: reason in words.
-        lost: messages by topic that were there, as far as the index of the chunk says; empty if it does not.
+        lost: number of lost messages by topic, as far as the index of the chunk states it; else empty.
     """
 
     file: Path
@@ -42,8 +42,8 @@ class Recovery:
     """Result of a recovery.
 
     Attributes:
-        recovered: messages in the new bag, by topic, those without messages included.
-        lost: messages that are known to be lost, by topic.
+        recovered: number of messages in the new bag by topic, topics without messages included.
+        lost: number of messages that are known to be lost, by topic.
         gaps: parts of the files that could not be read.
     """
 

@@ -1,6 +1,6 @@
-"""Make a proper bag of what is left of one: cut off by a killed process or a full disk, damaged, or without index.
+"""Make a valid bag of one that is cut off by a killed process or a full disk, damaged, or without index.
 
-Nothing is invented: of a chunk whose checksum is wrong no message is taken. Files of other programs may have no
+Nothing is invented: of a chunk whose checksum is wrong no message is copied. Files of other programs may have no
 checksums; damage to the messages themselves cannot be recognized there.
 """
 
@@ -93,12 +93,12 @@ def _profile(body: bytes) -> str:
     """The profile in a header; empty if it is damaged."""
     try:
         return Header.read(_fields(body)).profile
-    except Exception:  # noqa: BLE001 - mcap reports damage by whatever its parser stumbles over
+    except Exception:  # noqa: BLE001 - mcap reports damage by any exception of its parser
         return ""
 
 
 def _custom_data(files: list[Path]) -> dict[str, str]:
-    """The custom data of the files; what later ones say counts, and what has a checksum before what has none."""
+    """The custom data of the files: later files override earlier ones; in a file, one with a checksum is preferred."""
     found: dict[str, str] = {}
     for file in files:
         texts: dict[str, dict[str, str]] = {}
@@ -115,12 +115,12 @@ def _metadata(body: bytes) -> Metadata | None:
     """A metadata record; None if it is damaged."""
     try:
         return Metadata.read(_fields(body))
-    except Exception:  # noqa: BLE001 - mcap reports damage by whatever its parser stumbles over
+    except Exception:  # noqa: BLE001 - mcap reports damage by any exception of its parser
         return None
 
 
 class _FileCopy:
-    """Copies what is whole of a file into a bag, and keeps account of the rest."""
+    """Copies the whole messages of a file into a bag, and counts the rest."""
 
     def __init__(self, file: Path, stream: BinaryIO, bag: BagWriter) -> None:
         self._file, self._stream, self._bag = file, stream, bag
@@ -130,15 +130,15 @@ class _FileCopy:
         self._repeated: dict[str, int] = {}
         self._recovered: Counter[str] = Counter()
         self._read: Counter[int] = Counter()
-        """Messages that could be read, by channel, those that stand in the file before included."""
+        """Number of readable messages by channel, including those that are in the file before."""
         self._gaps: dict[Gap, Counter[int]] = {}
-        """Messages lost by channel, by what could not be read."""
+        """Number of lost messages by channel, by gap."""
         self._unindexed: Counter[int] | None = None
-        """Those of the damaged chunk that message indexes follow."""
+        """Number of lost messages of the damaged chunk that message indexes follow."""
         self._has_checksums = self._in_chunks = False
 
     def run(self) -> Recovery:
-        """Copy all that is whole."""
+        """Copy all whole messages."""
         self._in_chunks = any(span.opcode == Opcode.CHUNK for span in spans(self._stream, self._summary))
         for span in spans(self._stream, self._summary):
             if span.opcode != Opcode.MESSAGE_INDEX:
@@ -156,7 +156,7 @@ class _FileCopy:
         return self._account()
 
     def _copy_alone(self, span: RecordSpan, opcode: int) -> None:
-        """Copy a record that stands outside of chunks; messages do so only in files that have no chunks."""
+        """Copy a record outside of chunks; messages are there only in files without chunks."""
         if opcode == Opcode.MESSAGE_INDEX:
             self._count_lost(span)
         elif opcode == Opcode.METADATA:
@@ -194,7 +194,7 @@ class _FileCopy:
         try:
             chunk = Chunk.read(_fields(body))
             data = self._checked_data(chunk) if span.whole else chunk.data if chunk.compression == "" else b""
-        except Exception as error:  # noqa: BLE001 - mcap reports damage by whatever its parser stumbles over
+        except Exception as error:  # noqa: BLE001 - mcap reports damage by any exception of its parser
             if span.whole:
                 reason = f"a damaged chunk ({error or type(error).__name__})"
                 self._unindexed = self._lose(span.offset, span.size, reason)
@@ -213,7 +213,7 @@ class _FileCopy:
         """Uncompressed contents of a chunk.
 
         Raises:
-            ValueError: it has no checksum, as the chunks before it have, or another exception of mcap.
+            ValueError: it has no checksum, unlike the chunks before it, or another exception of mcap.
         """
         if self._has_checksums and not chunk.uncompressed_crc:
             raise ValueError("its checksum is gone")
@@ -240,7 +240,7 @@ class _FileCopy:
                 message = Message.read(_fields(body), len(body))
             else:
                 return
-        except Exception as error:  # noqa: BLE001 - mcap reports damage by whatever its parser stumbles over
+        except Exception as error:  # noqa: BLE001 - mcap reports damage by any exception of its parser
             self._lose(span.offset, span.size, f"a damaged record ({error or type(error).__name__})")
             return
         if opcode == Opcode.MESSAGE:
@@ -260,7 +260,7 @@ class _FileCopy:
         self._recovered[topic] += 1
 
     def _add_topic(self, channel: Channel) -> bool:
-        """Add a topic to the new bag; returns whether its type is known."""
+        """Add a topic to the new bag; returns True if its type is known."""
         schema = self._schemas.get(channel.schema_id)
         if schema is None:
             return False

@@ -14,7 +14,7 @@ FRAMES, IMAGES = PHASE_HISTORY, SLC
 
 @dataclass(frozen=True)
 class SensorTopics:
-    """Names of the topics of one sensor, whether or not the bag has them.
+    """Names of the topics of one sensor, also of those that the bag does not have.
 
     Attributes:
         namespace: namespace that they share, with a slash at both ends; ``/`` without one.
@@ -39,7 +39,7 @@ class SensorTopics:
 
     @property
     def images(self) -> str:
-        """Topic of its focused images, which a replay may begin with."""
+        """Topic of its focused images, with which a replay may start."""
         return self.namespace + IMAGES
 
     @property

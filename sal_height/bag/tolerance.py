@@ -25,9 +25,9 @@ class Tolerance(StrictKeys):
 
     Attributes:
         absolute: part in the unit of the field.
-        relative: times the golden value's absolute value.
-        rms: times the root mean square of the golden field in its message.
-        sigma: times the golden standard deviation beside the value (field sigma).
+        relative: factor of the golden value's absolute value.
+        rms: factor of the root mean square of the golden field in its message.
+        sigma: factor of the golden standard deviation of the value (field sigma).
     """
 
     absolute: Amount = 0.0
@@ -40,7 +40,7 @@ class Tolerance(StrictKeys):
 
         Args:
             golden: values of a field, shape (n,).
-            sigma: their standard deviations, shape (m,) with n a multiple of m; None: there are none. Where it is not
+            sigma: standard deviations of the values, shape (m,) with n a multiple of m; None: absent. Where it is not
                 finite, nothing is added.
         """
         total = np.full(golden.shape, self.absolute)
@@ -114,7 +114,7 @@ def read_tolerances(path: Path) -> Tolerances:
     """Tolerances in a YAML file, such as `surfaces.height: {sigma: 0.01, absolute: 1.0e-6}`; those of ROUNDING follow.
 
     Raises:
-        UserError: the file cannot be read, or a part of a tolerance is unknown or no number from 0.
+        UserError: the file cannot be read, or a part of a tolerance is unknown, negative or not a number.
     """
     source = f"Tolerance file {path}"
     content = read_yaml(path, source, f"{source} cannot be read; name a YAML file of tolerances by field.")

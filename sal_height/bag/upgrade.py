@@ -15,7 +15,7 @@ from sal_height.errors import UserError
 
 
 def upgrade(path: Path, out_directory: Path) -> Counter[str]:
-    """Write a bag with the messages of today that say what those of the bag at `path` do, in one file.
+    """Write the bag at `path` with its messages converted to those of today, in one file.
 
     Messages of other packages, and those of sal_height_msgs that have not changed, stay byte for byte, with their
     times; custom data stay, and parameters from a file next to an older bag are added to them.
@@ -50,6 +50,6 @@ def _definition_of(topic: Topic) -> Definition:
         return topic.definition
     try:
         known = known_definition(topic.type_name)
-    except UserError:  # a type that there is no more
+    except UserError:  # a type that no longer exists
         return topic.definition
     return known if topic.definition.same_layout(known) else topic.definition

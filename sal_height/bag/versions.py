@@ -1,13 +1,13 @@
-"""Messages of older versions of sal_height_msgs, read by the schema in their bag and made into those of today.
+"""Messages of older versions of sal_height_msgs, read by the schema in their bag and converted to those of today.
 
-Version 0 is what was recorded before messages had a SensorInfo.contract_version. It lacks some fields of version 1,
+Version 0 was recorded before messages had a SensorInfo.contract_version. It lacks some fields of version 1,
 which get these values: no mounting (the sensor frame is "base_link"), both antenna diameters are the single one that is
 given, samples are "complex_float32", and every other field is as in an empty message.
 
 Versions 1 and 2 lack some fields of version 3, which are as in an empty message. A covariance of the pose that is 0
 everywhere is not known. A relief map has one layer, which is called "ground" if it was made by ground_mapper and else
 "mean"; its frame_id is a coordinate reference system unless it is the map frame by the parameters of its provenance.
-Numbers that an account of version 2 lacks, as those that were not whole did, are 0 or NaN.
+Numbers that an account of version 2 lacks are 0 or NaN, as are those that were not whole.
 """
 
 from __future__ import annotations
@@ -46,16 +46,16 @@ def needs_upgrade(type_name: str, definition: Definition) -> bool:
 
 
 def upgraded(type_name: str, definition: Definition, cdr: bytes) -> bytes:
-    """The CDR bytes of today's message that says what an older one of version 0, 1 or 2 said.
+    """The CDR bytes of a message of version 0, 1 or 2, converted to that of today.
 
     Args:
         type_name: type as recorded.
         definition: definition as recorded.
-        cdr: the recorded message.
+        cdr: CDR bytes of the recorded message.
 
     Raises:
-        BrokenMessage, ValueError, KeyError, AttributeError: the bytes or the definition are not of a version that is
-            known.
+        BrokenMessage, ValueError, KeyError, AttributeError: the bytes or the definition are not of a known
+            version.
     """
     old = recorded_types(type_name, definition).reader(type_name)(cdr)
     name = current_name(type_name)
@@ -129,7 +129,7 @@ def _relief_map(old: Any) -> current.ReliefMap:
 
 
 def _calibration(old: Any) -> current.Calibration:
-    """Of a calibration; a standard error of 0 meant "not measured"."""
+    """Today's message of a calibration; a standard error of 0 meant "not measured"."""
     new = _copied(old, current.Calibration)
     new.response = _pairs(old.response_real, old.response_imaginary)
     for name in ("response_sigma", "gain_sigma", "phase_sigma", "width_sigma"):
@@ -154,7 +154,7 @@ UPGRADED = {*VERSION_0, f"{PACKAGE}NodeAccount"}
 
 
 def _aperture(old: Any) -> current.Aperture:
-    """Of an aperture before version 3, whose pose had a covariance; 0 everywhere meant that it is not known."""
+    """Today's message of an aperture before version 3, whose pose had a covariance; 0 everywhere: not known."""
     if not hasattr(old.pose, "pose"):
         return _copied_fields(old, current.Aperture)
     new = _copied_fields(old, current.Aperture)
@@ -164,7 +164,7 @@ def _aperture(old: Any) -> current.Aperture:
 
 
 def _layers_of_map(old: Any) -> current.ReliefMap:
-    """Of a relief map before version 3, which had one layer, and its system as frame_id."""
+    """Today's message of a relief map before version 3, which had one layer, and its system as frame_id."""
     new = _copied_fields(old, current.ReliefMap)
     if hasattr(old, "layers"):
         return new
@@ -191,7 +191,7 @@ def _stated(parameters: Sequence[Any]) -> dict[str, Any]:
 
 
 def _node_account(old: Any) -> current.NodeAccount:
-    """Of an account of version 2, which was a list of numbers and one of their names."""
+    """Today's message of an account of version 2, which had a list of numbers and one of their names."""
     new = _copied_fields(old, current.NodeAccount)
     if not hasattr(old, "names"):
         return new
@@ -227,7 +227,7 @@ def _flat(values: Mapping[str, Any], prefix: str) -> dict[str, Any]:
 
 
 def _copied(old: Any, message_type: type[Any]) -> Any:
-    """A new message that says what the old one does."""
+    """A new message with the content of the old one."""
     return CHANGED.get(message_type.__msgtype__, lambda old: _copied_fields(old, message_type))(old)
 
 

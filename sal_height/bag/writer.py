@@ -27,8 +27,8 @@ class Packing:
 
     Attributes:
         compression: compression of chunks: none, lz4 or zstd.
-        split_bytes: size of a file at which the next one is begun.
-        split_ns: time from the first message of a file at which the next one is begun.
+        split_bytes: size of a file at which the next one is started, bytes.
+        split_ns: time from the first message of a file at which the next one is started, ns.
     """
 
     compression: str = "none"
@@ -45,7 +45,7 @@ ONE_FILE = Packing()
 
 
 class _Kept(NamedTuple):
-    """A message that is to stand at the head of the next file, too."""
+    """A message that is repeated at the head of the next file."""
 
     cdr: bytes
     publish_time_ns: int
@@ -67,7 +67,7 @@ class BagWriter:
     """A bag folder that is being written; a context manager, or call `close`.
 
     Everything up to the last `flush` outlives a killed process and is recovered by `sal_height.bag.salvage`. Each file
-    can be read alone: the last messages of latched topics stand at its head.
+    can be read alone: the last messages of latched topics are at its head.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class BagWriter:
 
         Args:
             directory: new or empty folder.
-            custom_data: texts by name that travel with the bag, as those of ``ros2 bag record --custom-data``. They are
+            custom_data: texts by name that are kept in the bag, as those of ``ros2 bag record --custom-data``. They are
                 at the start of every file, so that they outlive a killed process.
             packing: division of the bag into files, and compression of its messages.
 
@@ -118,11 +118,11 @@ class BagWriter:
             name: name of the topic.
             type_name: type of its messages.
             qos: profile of every publisher, for players that want to offer the same.
-            definition: text and hash of the type; None takes that which the package or the environment has.
+            definition: text and hash of the type; None: that of the package or the environment.
 
         Raises:
             UserError: the type is not known, or the topic already has another type.
-            OSError: the file cannot take it.
+            OSError: the file cannot be written.
         """
         if name in self._topics:
             known = self._topics[name].described.type_name
@@ -141,7 +141,7 @@ class BagWriter:
         """Append one serialized message of a topic added before. Times in nanoseconds, not negative.
 
         Raises:
-            OSError: the file cannot take it (disk full): the bag is cut there, and every later `write` fails too.
+            OSError: the file cannot be written (disk full): the bag is cut there, and every later `write` fails too.
         """
         entry = self._topics[topic]
         with self._breaking():
@@ -152,7 +152,7 @@ class BagWriter:
             entry.latched.append(_Kept(cdr, publish_time_ns))
 
     def keep(self, topic: str, key: str, cdr: bytes, publish_time_ns: int) -> None:
-        """Have a message stand at the head of every later file, in place of the one kept under the same key."""
+        """Repeat a message at the head of every later file, in place of the one kept under the same key."""
         self._topics[topic].kept[key] = _Kept(cdr, publish_time_ns)
 
     def flush(self) -> None:
@@ -206,7 +206,7 @@ class BagWriter:
         )
 
     def _split(self, log_time_ns: int) -> None:
-        """Begin the next file, at the time of its first message."""
+        """Start the next file, at the time of its first message."""
         self._finish_file({})
         heads = {name: topic.head for name, topic in self._topics.items() if topic.head}
         self._file = self._begin_file({name: len(kept) for name, kept in heads.items()})
@@ -261,7 +261,7 @@ class BagWriter:
 
 
 def _span(files: Sequence[Written]) -> dict[str, Any]:
-    """Begin, duration and number of messages of files."""
+    """Start, duration and number of messages of files."""
     first_ns, last_ns = min(file.first_ns for file in files), max(file.last_ns for file in files)
     return {
         "duration": {"nanoseconds": 0 if first_ns == NO_TIME else last_ns - first_ns},

@@ -39,7 +39,7 @@ class Beams:
             last boresight.
         matrix: channels from detectors, shape (channels, detectors), square; None: the channels are the detectors
             (`combined`).
-        azimuth_beamwidth: wavelength / antenna diameter across the detector axis, rad; None: as `beamwidth`.
+        azimuth_beamwidth: wavelength / antenna diameter across the detector axis, rad; None: `beamwidth`.
         uncertainty: standard deviation of the error of a channel's complex amplitude, over the greatest amplitude of a
             beam, root mean square over channels; 0: the beams are known.
     """
@@ -115,7 +115,7 @@ class Beams:
     def combined(self, matrix: F64 | C128) -> Self:
         """Return the beams of channels that are `matrix` times these, shape (channels, channels).
 
-        If the result mixes no detectors, because the matrix is diagonal or undoes a hybrid, the beams are `scaled`.
+        If the result mixes no detectors, because the matrix is diagonal or inverts a hybrid, the beams are `scaled`.
         Entries and imaginary parts below 1e-6 (-120 dB) of the greatest one are rounding of complex64 samples: 0.
         """
         product = matrix if self.matrix is None else matrix @ self.matrix

@@ -23,7 +23,7 @@ Values = npt.NDArray[Any]
 """Float64 or complex128."""
 
 POINTS = 22
-"""Chebyshev points along a side of a square.
+"""Number of Chebyshev points along a side of a square.
 
 Spatial frequencies of up to 1/2 cycle per beamwidth are interpolated within 2 (pi / 2)^22 / 22! = 4e-17, and the
 Gaussian, the one pattern here with an unlimited spectrum, within 1e-12.

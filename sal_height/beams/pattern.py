@@ -38,7 +38,7 @@ class Pattern:
 
     Attributes:
         name: name in presets and messages.
-        amplitude: h(e, a); broadcasts. Float64, or complex128 for a measured beam.
+        amplitude: amplitude h(e, a); broadcasts. Float64, or complex128 for a measured beam.
         slope: derivative of h with respect to e, per beamwidth; broadcasts.
         azimuth_slope: derivative of h with respect to a, per beamwidth; broadcasts.
         main_lobe: half-width of the main lobe in azimuth, from boresight to the first null, beamwidths.
@@ -79,10 +79,10 @@ def aperture_pattern(
 
     Args:
         name: name in presets.
-        amplitude: h(e, a) with h(0, 0) = 1; it must broadcast.
+        amplitude: amplitude h(e, a) with h(0, 0) = 1; it must broadcast.
         main_lobe: half-width of the main lobe: the first null, or the offset from which h is negligible, beamwidths.
-        slope: dh/de; None: differences of the amplitude, within 1e-11.
-        azimuth_slope: dh/da; None: as `slope`.
+        slope: slope dh/de, per beamwidth; None: differences of the amplitude, within 1e-11.
+        azimuth_slope: slope dh/da, per beamwidth; None: differences likewise.
     """
     return Pattern(
         name,
@@ -131,11 +131,11 @@ def pattern_named(name: str) -> Pattern:
 def detector_pattern(name: str, size: tuple[float, float]) -> Pattern:
     """Return the pattern of a rectangular detector behind the aperture called `name` (SAL paper, sections 2 and 3).
 
-    Detection is coherent: the amplitude is integrated over the detector, and divided by its area, so that a small one
+    Detection is coherent: the amplitude is integrated over the detector and divided by its area, so that a small one
     has the point pattern. Values are within 1e-11.
 
     Args:
-        name: one of PATTERNS.
+        name: name of an entry of PATTERNS.
         size: widths of the detector along and across its axis, beamwidths; 0: a point.
 
     Raises:
@@ -150,7 +150,7 @@ def detector_pattern(name: str, size: tuple[float, float]) -> Pattern:
 
 @lru_cache(maxsize=16)
 def _averaged(point: Pattern, size: tuple[float, float]) -> Pattern:
-    """Return the mean of a point detector's pattern over a detector; kept, because it has been tabulated."""
+    """Return the mean of a point detector's pattern over a detector; cached, because it is tabulated."""
     amplitude, slope, azimuth_slope = (
         average_over_detector(function, size) for function in (point.amplitude, point.slope, point.azimuth_slope)
     )

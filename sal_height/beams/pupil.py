@@ -38,7 +38,7 @@ ZERNIKE: dict[str, Callable[[F64, F64], F64]] = {
 """Zernike polynomials of mean square 1 over the pupil, of radius (0 to 1) and angle from the detector axis."""
 
 RADII, ANGLES = 20, 56
-"""Nodes of the quadrature over the pupil, which is right within 1e-11 up to ten beamwidths from the boresight."""
+"""Numbers of nodes of the quadrature over the pupil, exact within 1e-11 up to ten beamwidths from the boresight."""
 
 
 def aberrated_pattern(coefficients: tuple[float, ...], size: tuple[float, float] = (0.0, 0.0)) -> Pattern:
@@ -61,7 +61,7 @@ def aberrated_pattern(coefficients: tuple[float, ...], size: tuple[float, float]
 
 @lru_cache(maxsize=32)
 def _pattern(coefficients: tuple[float, ...], size: tuple[float, float]) -> Pattern:
-    """Return the pattern; kept, because it is tabulated."""
+    """Return the pattern; cached, because it is tabulated."""
     u, v, _, _ = _pupil()
     field = _field(coefficients)
     along, beside = (_far_field(2j * np.pi * direction * field, size) for direction in (u, v))
@@ -72,8 +72,8 @@ def aberrated_derivatives(coefficients: tuple[float, ...], size: tuple[float, fl
     """Return the derivatives of `aberrated_pattern` with respect to each coefficient, per wave; they have no slopes.
 
     Args:
-        coefficients: as in `aberrated_pattern`.
-        size: as in `aberrated_pattern`.
+        coefficients: coefficients of the terms of ZERNIKE in their order, waves rms.
+        size: widths of the detector along and across its axis, beamwidths; 0: a point.
     """
     field, terms = _field(coefficients), _pupil()[3]
     point = aberrated_pattern(coefficients, size)
@@ -91,7 +91,7 @@ def _far_field(field: C128, size: tuple[float, float]) -> PatternFunction:
     u, v, _, _ = _pupil()
 
     def value(e: npt.ArrayLike, a: npt.ArrayLike) -> F64:
-        """Field at offsets of which e is a column and a a row, or both are numbers."""
+        """Field at offsets: e is a column and a is a row, or both are numbers."""
         offsets = np.asarray(e, dtype=np.float64), np.asarray(a, dtype=np.float64)
         along, across = (np.exp(2j * np.pi * np.outer(one, node)) for one, node in zip(offsets, (u, v), strict=True))
         values: Any = (along * field) @ across.T

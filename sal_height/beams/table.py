@@ -30,11 +30,11 @@ class BeamTable:
 
     Attributes:
         elevation: offsets from the detector's boresight along the detector axis, increasing, rad.
-        azimuth: offsets across it, increasing; a single one: the beam depends on elevation only; rad.
+        azimuth: offsets across that axis, increasing, rad; a single one: the beam depends on elevation only.
         real: real part of the amplitude at every elevation and, within it, every azimuth. All detectors of a sensor
             have one unit, because they are compared with each other; CNRs keep their meaning if the greatest modulus
             is near 1.
-        imaginary: imaginary part, as `real`.
+        imaginary: imaginary part, in the order and unit of `real`.
 
     Raises:
         UserError: the angles are too few or do not increase, or the values are not finite, not as many as directions,
@@ -80,10 +80,10 @@ def tabulated_pattern(table: BeamTable, beamwidth: float, azimuth_beamwidth: flo
     Args:
         table: table of one detector's beam.
         beamwidth: wavelength / antenna diameter along the detector axis, rad.
-        azimuth_beamwidth: the same across the detector axis; None: as `beamwidth`.
+        azimuth_beamwidth: beamwidth across the detector axis, rad; None: `beamwidth`.
 
     Returns:
-        Pattern: named "table", known where the table is; float64 where all amplitudes are real, otherwise complex128.
+        Pattern: named "table", known within the table; float64 where all amplitudes are real, otherwise complex128.
     """
     elevation = np.array(table.elevation) / beamwidth
     azimuth = np.array(table.azimuth) / (azimuth_beamwidth or beamwidth)

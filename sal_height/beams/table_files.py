@@ -19,13 +19,13 @@ COLUMNS = ("detector", "elevation_beamwidths", "azimuth_beamwidths", "real", "im
 def read_beam_tables(path: Path, beamwidth: float, azimuth_beamwidth: float | None = None) -> tuple[BeamTable, ...]:
     """Read measured beams from a CSV file with the columns COLUMNS, one row for every detector and direction.
 
-    Detectors are counted from 0, and each has a grid of its own; rows may come in any order. Offsets are from the
+    Detectors are counted from 0, and each has a grid of its own; rows may be in any order. Offsets are from the
     boresight of each detector, in beamwidths. Without azimuth_beamwidths all rows have azimuth 0.
 
     Args:
         path: path of the file.
         beamwidth: wavelength / antenna diameter along the detector axis, rad.
-        azimuth_beamwidth: the same across the detector axis; None: as `beamwidth`.
+        azimuth_beamwidth: beamwidth across the detector axis, rad; None: `beamwidth`.
 
     Returns:
         tuple[BeamTable, ...]: the beams of detectors 0, 1, ...

@@ -1,7 +1,7 @@
-"""What others read: the heights of a bag as point clouds, maps and labelled arrays, and its complex images.
+"""Export for other programs: the heights of a bag as point clouds, maps and labelled arrays, and its complex images.
 
-Read `heights` first (the height images of a bag, and their place on the earth), then `las` (points), `dataset` (arrays
-with names and units, as netCDF and Zarr), `cog` (a map), `film` (dwell by dwell) and `sicd` (complex images).
+Read `heights` first (the height images of a bag, located on the earth), then `las` (points), `dataset` (arrays with
+names and units, as netCDF and Zarr), `cog` (a map), `film` (dwell by dwell) and `sicd` (complex images).
 """
 
 from sal_height.exports.cog import write_map

@@ -13,9 +13,9 @@ def write_map(heights: RecordedHeights, path: Path, cell_size: float = 0.0) -> t
     """Write the map of the scatterers of all dwells, as node relief_mapper makes it; returns its rows and columns.
 
     Args:
-        heights: of a bag.
-        path: of the file.
-        cell_size: side of a cell, m; 0: as the pixels are.
+        heights: heights of a bag.
+        path: file to write.
+        cell_size: side of a cell, m; 0: that of the pixels.
 
     Raises:
         UserError: the package rasterio is not installed, there is no height, the map has too many cells, or the file

@@ -20,7 +20,7 @@ from sal_height.io import check_new_folder, unfinished, writing
 CONVENTIONS = "CF-1.11"
 
 BATCH = 64
-"""Dwells that are held at a time while files are written."""
+"""Number of dwells in memory at a time while files are written."""
 
 LAYERS = {
     "height": ("m", "height of the surface"),
@@ -40,8 +40,8 @@ def open_heights(bag: Path | str, topic: str = "", *, origin: Origin | None = No
 
     Args:
         bag: folder or file.
-        topic: of the heights, such as /ml/height; empty: that, or the first that there is.
-        origin: of the map frame on the earth; None: as the bag says, if it does.
+        topic: topic of the heights; empty: /ml/height, or the first in the bag.
+        origin: origin of the map frame on the earth; None: that in the bag, if any.
         crs: name of the coordinate reference system; "local": none.
 
     Raises:
@@ -92,7 +92,7 @@ def _joined(heights: RecordedHeights, task: str) -> Any:
     """The dataset of all dwells.
 
     Raises:
-        UserError: as `_batches`, or a package is not installed.
+        UserError: an error of `_batches`, or a package is not installed.
     """
     xarray = _xarray(heights)
     batches = list(_batches(heights, task))

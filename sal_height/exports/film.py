@@ -14,12 +14,12 @@ from sal_height.io import unfinished
 from sal_height.numeric import F32
 
 MOST_FRAMES = 500
-"""Of more dwells, so many are shown, evenly spaced."""
+"""Greatest number of frames; of more dwells, evenly spaced ones are shown."""
 
 SIZE_INCHES, DOTS_PER_INCH = (9.6, 4.8), 100
 
 SUFFIXES = {".gif": "pillow", ".mp4": "ffmpeg"}
-"""Kinds of films, and what of Matplotlib writes them."""
+"""Matplotlib's writers by the suffix of the film."""
 
 
 class _Frame(NamedTuple):
@@ -37,13 +37,13 @@ class _Frame(NamedTuple):
 
 
 def write_film(heights: RecordedHeights, path: Path) -> int:
-    """Write the strongest surface of each dwell beside its sigma as a GIF or MP4; returns the number of frames.
+    """Write the strongest surface of each dwell and its sigma as a GIF or MP4; returns the number of frames.
 
     Colours mean the same in all frames. The file appears under its name when it is complete.
 
     Args:
-        heights: of a bag.
-        path: of the file, .gif or .mp4.
+        heights: heights of a bag.
+        path: file to write, .gif or .mp4.
 
     Raises:
         UserError: another suffix, no program ffmpeg for .mp4, no valid height, or the file cannot be written.

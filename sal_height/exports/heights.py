@@ -1,4 +1,4 @@
-"""The height images of a bag, and where on the earth they are."""
+"""The height images of a bag, and their position on the earth."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ from sal_height.runs.chain.recorded_parameters import recorded_parameters
 _LOG = logging.getLogger(__name__)
 
 PREFERRED = "/ml/height"
-"""Topic of the heights that are taken if the bag has several and none is named."""
+"""Topic of the heights that are read if the bag has several and none is named."""
 
 LOCAL = "local"
-"""Name for the coordinates of the map frame, which has no place on the earth."""
+"""Name for the coordinates of the map frame, which has no position on the earth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +40,8 @@ class DwellHeights:
     """The heights of a dwell.
 
     Attributes:
-        dwell: its number.
-        stamp_ns: of its first pulse, ns since 1970.
+        dwell: number of the dwell.
+        stamp_ns: time of its first pulse, ns since 1970.
         field: heights, sigmas and reasons of all pixels.
         aperture: state of the platform in the middle of the dwell.
     """
@@ -57,9 +57,9 @@ class RecordedHeights:
     """The height images on one topic of a bag.
 
     Attributes:
-        reader: of the bag.
-        topic: of the images.
-        projection: coordinates of what is exported; None: those of the map frame.
+        reader: reader of the bag.
+        topic: topic of the images.
+        projection: coordinates of the export; None: those of the map frame.
     """
 
     reader: BagReader
@@ -72,12 +72,12 @@ class RecordedHeights:
 
         Args:
             bag: folder or file.
-            topic: of the images, such as /ml/height; empty: that, or the first that there is.
-            origin: of the map frame on the earth; None: as the bag says, if it does.
-            crs: name of the coordinate reference system of what is exported; LOCAL: the map frame.
+            topic: topic of the images; empty: /ml/height, or the first in the bag.
+            origin: origin of the map frame on the earth; None: that in the bag, if any.
+            crs: name of the coordinate reference system of the export; LOCAL: the map frame.
 
         Raises:
-            UserError: the bag cannot be read, it has no such heights, or the system does not suit the place.
+            UserError: the bag cannot be read, it has no such heights, or the system does not suit the position.
         """
         reader = open_bag(bag, None, [topic] if topic else [PREFERRED])
         held = sorted(name for name, one in reader.topics.items() if one.type_name == HEIGHT_TYPE and one.count)
@@ -95,10 +95,10 @@ class RecordedHeights:
         return self.reader.topics[self.topic].count
 
     def dwells(self, task: str) -> Iterator[DwellHeights]:
-        """The images one after the other, with a progress bar; those that cannot be used are left out and told.
+        """The images one after the other, with a progress bar; those that cannot be used are left out and logged.
 
         Args:
-            task: what is done with them, for the bar.
+            task: task that is shown in the bar.
         """
         left_out, why = 0, ""
         for recorded in tqdm(self.reader.messages([self.topic]), total=self.count, desc=task, unit="dwell", delay=1):
@@ -125,13 +125,13 @@ class RecordedHeights:
 
     @property
     def facts(self) -> dict[str, str]:
-        """What is known of their making, as texts by name."""
+        """Bag, topic and coordinate reference system, as texts by name."""
         system = self.projection.name if self.projection else LOCAL
         return {"bag": self.reader.path.name, "topic": self.topic, "crs": system}
 
 
 def origin_in(reader: BagReader) -> Origin | None:
-    """Where a bag says that the origin of its map is: on topic map_origin, or in the parameters of a mapper."""
+    """The origin of the map in a bag: on topic map_origin, or in the parameters of a mapper; None: not stated."""
     if found := origin_of(reader):
         return found
     recorded = recorded_parameters(reader)
@@ -144,12 +144,12 @@ def origin_in(reader: BagReader) -> Origin | None:
 
 
 def found_order(field: HeightField) -> U8:
-    """What was found in each pixel, as an index of `order_probability`: 0 to 3 scatterers, 4 an extended surface."""
+    """Index of `order_probability` that was found in each pixel: 0 to 3 scatterers, 4 an extended surface."""
     return np.where(field.validity == Validity.EXTENDED, ORDERS - 1, scatterer_count(field.validity)).astype(np.uint8)
 
 
 def probability_of_order(field: HeightField) -> F64:
-    """The probability that a pixel holds as many scatterers as were found in it, shape (rows, cols); NaN: not known."""
+    """Probability of the number of scatterers that was found in each pixel, shape (rows, cols); NaN: not known."""
     if field.order_probability is None:
         return np.full(field.validity.shape, np.nan)
     return np.take_along_axis(field.order_probability, found_order(field)[..., None], axis=-1)[..., 0]

@@ -19,7 +19,7 @@ from sal_height.io import writing_whole
 from sal_height.numeric import Bool
 
 POINT_FORMAT = 6
-"""That with returns, flags and GPS time, which LAS 1.4 asks for where the system is in well-known text."""
+"""Format with returns, flags and GPS time, which LAS 1.4 needs for a system in well-known text."""
 
 GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
 LEAP_SECONDS = tuple(
@@ -50,8 +50,8 @@ def write_las(heights: RecordedHeights, path: Path) -> int:
     A file with the suffix .laz is compressed. It appears under its name when it is complete.
 
     Args:
-        heights: of a bag.
-        path: of the file, .las or .laz.
+        heights: heights of a bag.
+        path: file to write, .las or .laz.
 
     Raises:
         UserError: the package laspy is not installed, the suffix is another one, there is no height, or the file cannot
@@ -86,7 +86,7 @@ def write_las(heights: RecordedHeights, path: Path) -> int:
 def gps_time(stamp_ns: int) -> float:
     """Adjusted standard GPS time, s, of a time in UTC, ns since 1970."""
     since = stamp_ns * 1e-9 - GPS_EPOCH.timestamp()
-    adjustment_s = 1_000_000_000  # adjusted standard GPS time is GPS time less so much
+    adjustment_s = 1_000_000_000  # adjusted standard GPS time is GPS time less this
     return since + bisect.bisect_right(LEAP_SECONDS, since) - adjustment_s
 
 
@@ -108,9 +108,9 @@ def _describe(points: Any, dwell: DwellHeights, there: Bool) -> None:
     """Set all of points but their coordinates.
 
     Args:
-        points: one for each surface of each pixel that is there.
-        dwell: what they are of.
-        there: which surfaces have a height, shape (surfaces, rows, cols).
+        points: points, one for each surface with a height.
+        dwell: heights of the points.
+        there: True for surfaces that have a height, shape (surfaces, rows, cols).
     """
     surfaces = dwell.field.surfaces
     number = np.broadcast_to(np.arange(1, len(surfaces) + 1)[:, None, None], there.shape)

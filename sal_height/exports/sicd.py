@@ -38,17 +38,17 @@ from sal_height.sensor import Sensor
 VERSION = "urn:SICD:1.3.0"
 
 SIGN = -1
-"""Of the exponent of the DFT from an image to its spatial frequencies: phases fall with range."""
+"""Sign of the exponent of the DFT from an image to its spatial frequencies: phases fall with range."""
 
 WINDOWS: Mapping[str, tuple[str, Mapping[str, str]]] = {
     "rectangular": ("UNIFORM", {}),
     "taylor": ("TAYLOR", {"NBAR": "5", "SLL": "-35.0"}),
     "hamming": ("HAMMING", {"COEFFICIENT": "0.54"}),
 }
-"""Names of windows in SICD, and their parameters, by ours."""
+"""Names of windows in SICD, and their parameters, by our names."""
 
 WINDOW_NODES, WEIGHTS = 1025, 129
-"""Weights of a window that is interpolated, and of its values in a file."""
+"""Number of weights of a window that is interpolated, and of its values in a file."""
 
 AXIS_TOLERANCE = 1e-3
 """Greatest sine of the angle between an axis of the image and the line of sight, or the vertical, along which it is."""
@@ -61,12 +61,12 @@ def write_sicd(bag: Path, folder: Path, origin: Origin | None = None) -> int:
 
     Args:
         bag: folder or file, with slc and sensor_info.
-        folder: new or empty.
-        origin: of the map frame on the earth; None: as the bag says.
+        folder: folder of the files, new or empty.
+        origin: origin of the map frame on the earth; None: that in the bag.
 
     Raises:
-        UserError: the package sarkit is not installed, the bag has no images or does not say where the origin of its
-            map is, two images have one dwell and channel, or a file cannot be written.
+        UserError: the package sarkit is not installed, the bag has no images or does not state the origin of its
+            map, two images have one dwell and channel, or a file cannot be written.
     """
     sicd = import_extra("sarkit.sicd", f"Writing {folder}")
     place = origin or origin_in(open_bag(bag, None, ["slc"]))
@@ -103,12 +103,12 @@ class PlacedImage:
     """An image on the earth, with rows and columns as SICD has them.
 
     Attributes:
-        message: the ComplexImage.
-        samples: of its pixels, complex64, shape (rows, cols), with the phases of SICD.
-        grid: of the pixels, whose normal, row_direction x col_direction, points away from the earth.
+        message: message of the image, a ComplexImage.
+        samples: samples of its pixels, complex64, shape (rows, cols), with the phases of SICD.
+        grid: grid of the pixels, whose normal, row_direction x col_direction, points away from the earth.
         aperture: state of the antenna in mid-aperture.
-        sensor: that took the image.
-        origin: of the map.
+        sensor: sensor of the image.
+        origin: origin of the map.
     """
 
     message: Any
@@ -164,13 +164,13 @@ class PlacedImage:
 
     @property
     def passing(self) -> F64:
-        """Time (s) for which the middle of the aperture moves on per metre of a pixel's place, (3,); 0: it stays."""
+        """Time (s) by which the middle of the aperture moves on per metre of pixel position, (3,); 0: it stays."""
         forward = self.aperture.forward
         return self.aperture.sliding * forward / (self.aperture.velocity @ forward)
 
     @cached_property
     def reference_time(self) -> float:
-        """When the antenna is where the aperture states, s after the first pulse of the image."""
+        """Time at which the antenna is at the position of the aperture, s after the first pulse of the image."""
         return self.aperture_time / 2 - float(self._delays.min())
 
     @property
@@ -180,7 +180,7 @@ class PlacedImage:
 
     @property
     def _delays(self) -> F64:
-        """Middles of the apertures of the corners, s after the time for which the state of the antenna is."""
+        """Middles of the apertures of the corners, s after the time of the antenna's state."""
         rows, cols = self.grid.shape
         corners = self.grid.points([0, 0, rows - 1, rows - 1], [0, cols - 1, 0, cols - 1])
         return np.asarray((corners - self.aperture.position) @ self.passing)
@@ -214,9 +214,9 @@ def metadata_of(sicd: Any, image: PlacedImage, name: str) -> Any:
     """The metadata of an image, an lxml tree.
 
     Args:
-        sicd: the package `sarkit.sicd`.
-        image: the image.
-        name: of the image (CoreName).
+        sicd: package `sarkit.sicd`.
+        image: image with its position on the earth.
+        name: name of the image (CoreName).
 
     Raises:
         UserError: the antenna sees no ground at a corner of the image.
@@ -287,7 +287,7 @@ def _grid(image: PlacedImage) -> dict[str, Any]:
 
 
 def _plane(image: PlacedImage) -> str:
-    """What SICD calls the plane of the image."""
+    """SICD's name of the plane of the image."""
     row, normal = image.grid.row_direction, np.cross(image.grid.row_direction, image.grid.col_direction)
     if np.linalg.norm(np.cross(row, image.sight[0])) < AXIS_TOLERANCE:
         return "SLANT"
@@ -297,15 +297,15 @@ def _plane(image: PlacedImage) -> str:
 def _direction(image: PlacedImage, direction: F64, spacing: float, band: float, name: str) -> dict[str, Any]:
     """Element Row or Col.
 
-    Pixels hold no more than the band 1 / spacing; where they are farther apart than the band asks for, as pixels at the
-    resolution of a weighted band are, its edges are folded into it, and it is stated as the band of the response.
+    Pixels contain no more than the band 1 / spacing. Where they are farther apart than the band needs, as pixels at the
+    resolution of a weighted band are, its edges alias into 1 / spacing, which is stated as the band of the response.
 
     Args:
-        image: the image.
+        image: image with its position on the earth.
         direction: unit vector (map) in which the index grows.
-        spacing: of pixels, m.
-        band: of spatial frequencies, cycles/m.
-        name: of the window over the band.
+        spacing: spacing of pixels, m.
+        band: band of spatial frequencies, cycles/m.
+        name: name of the window over the band.
     """
     held = min(band, 1 / spacing)
     weights = window(name, WINDOW_NODES)
@@ -355,8 +355,8 @@ def _positions(image: PlacedImage, centre: F64) -> F64:
     """Coefficients of the positions of the antenna over time, earth-centred, earth-fixed, m: a straight track.
 
     Args:
-        image: the image.
-        centre: the scene centre point, earth-centred, earth-fixed, m.
+        image: image with its position on the earth.
+        centre: scene centre point, earth-centred, earth-fixed, m.
     """
     aperture, velocity = image.aperture, image.in_space(image.aperture.velocity)
     return np.stack(
@@ -399,7 +399,7 @@ def _frequencies(sensor: Sensor) -> tuple[float, float]:
 
 
 def _antenna(image: PlacedImage) -> dict[str, Any]:
-    """Element Antenna: x is the forward axis, z points to the middle of all beams; gains are not told: 0 dB."""
+    """Element Antenna: x is the forward axis, z points to the middle of all beams; gains are not known: 0 dB."""
     first, last = image.sensor.beams.span
     boresight = image.aperture.rotation @ look_direction((first + last) / 2, 0.0, image.sensor.look_side)
     forward = image.aperture.forward

@@ -1,4 +1,4 @@
-"""What other programs and sensors have recorded becomes a bag that `sal-height replay` processes.
+"""Import: recordings of other programs and sensors become a bag that `sal-height replay` processes.
 
 Read `collection` first (a sensor, its track and its phase histories, and how they are written), then `description` (the
 sensor in YAML), `arrays` (files of arrays), `track` and `recorded_track` (positions from CSV, SBET and bags),

@@ -29,7 +29,7 @@ def import_arrays(description: Path, data: Path, out: Path, track: Path | None =
         description: YAML file of the sensor.
         data: .npz, .mat or .h5 file of arrays; names and shapes are in `collection_of`.
         out: folder of the bag, new or empty.
-        track: of the platform: a CSV or SBET file, or a bag; None: it is among the arrays.
+        track: track of the platform, a CSV or SBET file or a bag; None: it is among the arrays.
 
     Raises:
         UserError: a file cannot be read, parts are missing or do not fit each other, or the bag cannot be written.
@@ -57,13 +57,13 @@ def collection_of(
     """The collection of arrays.
 
     Args:
-        description: of the sensor.
+        description: description of the sensor.
         arrays: samples, complex, of the shape (dwells, channels, pulses, samples), where dwells, or dwells and
             channels, may be left out if there is one; pulse_times, s, (dwells, pulses) or (pulses,); reference_range,
-            m, of the same shape, or one number; and if there is no track: times, s, (n,), positions, m, (n, 3), and
+            m, of the same shape, or one number; and, without a track: times, s, (n,), positions, m, (n, 3), and
             maybe velocities, m/s, (n, 3), and attitudes (x, y, z, w), (n, 4), as in `PlatformTrack`. All times count
-            from the same start; start_ns, if it is there, says when that was, ns since 1970.
-        track: of the platform.
+            from the same start, which is start_ns, ns since 1970, if it is present.
+        track: track of the platform; None: it is among the arrays.
 
     Raises:
         UserError: arrays are missing, or do not fit each other or the description.
@@ -107,7 +107,7 @@ def _per_pulse(name: str, values: Any, shape: tuple[int, int]) -> Any:
     """Values of each pulse of each dwell.
 
     Raises:
-        UserError: there are not as many.
+        UserError: their number does not fit.
     """
     numbers = np.asarray(values, dtype=np.float64)
     if numbers.size == 1:

@@ -1,4 +1,4 @@
-"""What a sensor has collected on a flight, and its bag."""
+"""Recordings of a sensor on a flight, and their bag."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ SENSOR_INFO, ODOMETRY, FRAMES = (f"/{name}" for name in (topics.SENSOR_INFO, top
 
 @dataclass(frozen=True, eq=False)
 class Collection:
-    """A sensor, the dwells that it has taken, and the track of the platform meanwhile.
+    """A sensor, the dwells that it has recorded, and the track of the platform meanwhile.
 
     Attributes:
-        sensor: that took all dwells.
-        histories: of the dwells, in the order of time.
-        states: of base_link, in the order of time, from before the first pulse to after the last one.
-        origin: of the map frame on the earth; None: not known.
-        parameters: of nodes, by node and name, with which the dwells are to be processed.
+        sensor: sensor of all dwells.
+        histories: phase histories of the dwells, in the order of time.
+        states: states of base_link, in the order of time, from before the first pulse to after the last one.
+        origin: origin of the map frame on the earth; None: not known.
+        parameters: node parameters for processing the dwells, by node and name.
     """
 
     sensor: Sensor
@@ -76,7 +76,7 @@ class Collection:
 
 
 def _fault_of(history: PhaseHistory, sensor: Sensor) -> str:
-    """What makes a dwell of a sensor useless, as the end of a sentence; empty: nothing does."""
+    """The reason why a dwell of a sensor cannot be used, as the end of a sentence; empty: none."""
     expected = sensor.detector_count, sensor.pulse_count, sensor.sample_count
     if history.samples.shape != expected:
         return f"samples of shape {history.samples.shape}; the sensor has {expected} channels, pulses and samples"
@@ -95,7 +95,7 @@ def write_collection(collection: Collection, out: Path | str) -> None:
     """Write a bag, each message logged at the time at which it would have been received.
 
     Args:
-        collection: what goes into the bag.
+        collection: content of the bag.
         out: folder of the bag, new or empty.
 
     Raises:
@@ -125,7 +125,7 @@ def write_collection(collection: Collection, out: Path | str) -> None:
         for topic, (type_name, offered) in topics.items():
             bag.add_topic(topic, type_name, [offered])
         for dwell, history in enumerate(collection.histories):
-            # A dwell is complete when the odometry has come that is around its last pulse.
+            # A dwell is complete once odometry from after its last pulse has arrived.
             end_ns = history.stamp_of_last_pulse_ns + 1
             after_ns = next((s.stamp_ns for s in collection.states if s.stamp_ns >= end_ns), end_ns)
             while entry and entry[2] <= after_ns:
@@ -143,8 +143,8 @@ def level_states(stamps_ns: I64, positions: F64, velocities: F64 | None = None) 
 
     Args:
         stamps_ns: increasing times, ns since 1970, shape (n,).
-        positions: in map, m, shape (n, 3).
-        velocities: in map, m/s, shape (n, 3); None: the slope of the positions.
+        positions: positions in map, m, shape (n, 3).
+        velocities: velocities in map, m/s, shape (n, 3); None: the slope of the positions.
     """
     if velocities is None:
         velocities = np.asarray(np.gradient(positions, (stamps_ns - stamps_ns[0]) * 1e-9, axis=0), dtype=np.float64)

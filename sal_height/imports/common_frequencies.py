@@ -16,9 +16,9 @@ class Spectrum:
     """Samples over frequency: a point of amplitude A whose echo is late by d contributes A exp(-j 2 pi f d).
 
     Attributes:
-        samples: complex64, shape (pulses, frequencies).
+        samples: samples over frequency, complex64, shape (pulses, frequencies).
         first: frequency of the first sample, Hz.
-        step: between samples, Hz.
+        step: frequency step between samples, Hz.
     """
 
     samples: C64
@@ -42,16 +42,16 @@ def from_frequencies(samples: C64, first: F64, step: F64) -> Spectrum:
     The samples of a pulse are values of a trigonometric polynomial, whose coefficients are echoes at as many delays.
 
     Args:
-        samples: complex64, shape (pulses, samples).
+        samples: samples of the pulses, complex64, shape (pulses, samples).
         first: frequency of the first sample of each pulse, Hz, shape (pulses,).
-        step: between its samples, Hz, shape (pulses,).
+        step: frequency step between its samples, Hz, shape (pulses,).
 
     Raises:
         UserError: the pulses have fewer than two frequencies in common.
     """
     count = samples.shape[1]
     widest, highest = float(step.max()), float(first.max())
-    # Delays reach to half of what the samples of a pulse tell apart.
+    # Delays reach to half of the unambiguous delay of a pulse's samples.
     off = np.abs(first - highest).max() + (count - 1) * np.abs(step - widest).max()
     # Cycles of phase by which frequencies of pulses may differ at the edge of the swath before they are
     # interpolated.
@@ -71,17 +71,17 @@ def from_arrival_times(samples: C64, first: F64, step: F64, band: F64) -> Spectr
 
     With the middle f_C of the band, a point of amplitude A whose echo is late by d has a main lobe at the time d with
     the peak A exp(-j 2 pi f_C d) (NGA.STND.0068, Global/SGN of -1), which is the mean of its spectrum over the band,
-    A exp(-j 2 pi f d), times exp(j 2 pi (f - f_C) t). Undone is this by B times the sum over the samples of
+    A exp(-j 2 pi f d), times exp(j 2 pi (f - f_C) t). The inverse is B times the sum over the samples of
     s(t) exp(-j 2 pi (f - f_C) t) times their spacing, B being the width of the band.
 
     Args:
-        samples: complex64, shape (pulses, samples).
+        samples: samples of the pulses, complex64, shape (pulses, samples).
         first: time of the first sample of each pulse after the echo from the reference point, s, shape (pulses,).
-        step: between its samples, s, shape (pulses,).
+        step: time between its samples, s, shape (pulses,).
         band: least and greatest frequency of each pulse, Hz, shape (2, pulses).
 
     Returns:
-        The frequencies that all pulses have, as far apart as tells all times apart.
+        The samples at the frequencies that all pulses have, with the largest step that keeps all times unambiguous.
 
     Raises:
         UserError: the pulses have fewer than two of these frequencies in common.
@@ -101,7 +101,7 @@ def _check_common(count: int, low: float, high: float) -> None:
     """Check that pulses have frequencies in common.
 
     Raises:
-        UserError: they have not.
+        UserError: they have fewer than two.
     """
     if count < 2:
         raise UserError(
@@ -114,12 +114,12 @@ def _at(samples: C64, first: F64, spacing: F64, offset: F64, step: float, count:
     """The sums of samples at the delays t, s, times exp(-j 2 pi f t), at `count` frequencies f.
 
     Args:
-        samples: complex64, shape (pulses, samples).
+        samples: samples of the pulses, complex64, shape (pulses, samples).
         first: first delay of each pulse, s, shape (pulses,).
-        spacing: of its delays, s, shape (pulses,).
+        spacing: spacing of its delays, s, shape (pulses,).
         offset: first frequency of each pulse, Hz, shape (pulses,).
-        step: between frequencies, Hz.
-        count: of frequencies.
+        step: step between frequencies, Hz.
+        count: number of frequencies.
     """
     inputs = samples.shape[1]
     result = np.empty((len(samples), count), np.complex64)

@@ -40,12 +40,12 @@ def import_cphd(path: Path, out: Path, channel: str = "") -> int:
     sample, its boresight turned to the stabilisation reference point. The bag has the parameters that focus the scene.
 
     Args:
-        path: of the file: CPHD 1, domain FX or TOA, one platform.
+        path: CPHD 1 file, domain FX or TOA, of one platform.
         out: folder of the bag, new or empty.
-        channel: its identifier; empty: the reference channel.
+        channel: identifier of the channel; empty: the reference channel.
 
     Raises:
-        UserError: the package sarkit is not installed, the file is none that can be read, or the bag cannot be written.
+        UserError: the package sarkit is not installed, the file cannot be read, or the bag cannot be written.
     """
     _check_version(path)
     with opened(path, "cphd") as reader:
@@ -148,12 +148,12 @@ def _spectrum(domain: str, samples: C64, parameters: Any) -> Spectrum:
 
 
 def _pulses(start_ns: int, parameters: Any, origin: Origin) -> Pulses:
-    """When and from where the pulses were taken, in the axes of the map.
+    """Times and antenna positions of the pulses, in the axes of the map.
 
     Args:
-        start_ns: begin of the collection, ns since 1970.
-        parameters: of the pulses.
-        origin: of the map.
+        start_ns: start of the collection, ns since 1970.
+        parameters: parameters of the pulses.
+        origin: origin of the map.
     """
     transmitter, receiver, reference = (parameters[name] for name in ("TxPos", "RcvPos", "SRPPos"))
     way = np.linalg.norm(transmitter - reference, axis=-1) + np.linalg.norm(receiver - reference, axis=-1)

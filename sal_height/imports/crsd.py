@@ -37,20 +37,20 @@ OF_PULSES = ("TxTime", "TxPos", "TxVel", "TXmt", "PhiX0", "FxFreq0", "FxRate")
 """Parameters of each transmitted pulse that are read."""
 
 NORMAL = 1
-"""Value of SIGNAL of a vector that holds the echo of a pulse, undisturbed."""
+"""Value of SIGNAL of a vector that contains the undisturbed echo of a pulse."""
 
 
 @dataclass(frozen=True, eq=False)
 class Echoes:
-    """What a channel has received.
+    """Signals that a channel has received.
 
     Attributes:
-        channel: its identifier.
-        samples: complex64, shape (pulses, samples), at complex baseband.
+        channel: identifier of the channel.
+        samples: samples at complex baseband, complex64, shape (pulses, samples).
         vectors: parameters of each received vector, shape (pulses,).
-        pulses: parameters of the pulse that each of them is the echo of, shape (pulses,).
-        rate: of the samples, Hz.
-        noise_power: of a sample, if noise were as strong outside of the receiver's band as in it.
+        pulses: parameters of the transmitted pulse of each vector, shape (pulses,).
+        rate: sampling rate, Hz.
+        noise_power: noise power of a sample, if noise were as strong outside the receiver's band as inside.
         point: reference point, earth-centred, earth-fixed, m, shape (3,).
     """
 
@@ -79,13 +79,13 @@ def import_crsd(path: Path, out: Path, channel: str = "") -> int:
     to the reference point. The bag has the parameters that focus the scene.
 
     Args:
-        path: of the file: CRSDsar 1.0, one platform, which transmits a linear FM.
+        path: CRSDsar 1.0 file of one platform, which transmits a linear FM.
         out: folder of the bag, new or empty.
-        channel: identifier of the only one that is read; empty: all, if they are beams of one antenna, else the
+        channel: identifier of the only channel to read; empty: all, if they are beams of one antenna, else the
             reference channel.
 
     Raises:
-        UserError: the package sarkit is not installed, the file is none that can be read, or the bag cannot be written.
+        UserError: the package sarkit is not installed, the file cannot be read, or the bag cannot be written.
     """
     _check_version(path)
     with opened(path, "crsd") as reader:
@@ -232,15 +232,15 @@ def _with_beams(sensor: Sensor, beams: Sequence[Beam], noise_power: tuple[float,
 
 
 def _pulses(reference_ns: int, echoes: Echoes, origin: Origin) -> Pulses:
-    """When and from where the pulses were taken, in the axes of the map.
+    """Times and antenna positions of the pulses, in the axes of the map.
 
     Files state where the receiver was at the first sample of a vector; here it moves on until the echo from the
     reference point arrives.
 
     Args:
-        reference_ns: from which times count, ns since 1970.
-        echoes: of the pulses.
-        origin: of the map.
+        reference_ns: time from which the file counts, ns since 1970.
+        echoes: echoes of the pulses.
+        origin: origin of the map.
     """
     sent, start, point = echoes.pulses["TxTime"], echoes.vectors["RcvStart"], echoes.point
     transmitter, receiver = echoes.pulses["TxPos"], echoes.vectors["RcvPos"]
@@ -263,7 +263,7 @@ def _window(path: Path, echoes: Echoes, pulses: Pulses) -> float:
     """Slant range around the reference point from which whole echoes are in all vectors, m.
 
     Raises:
-        UserError: there is none.
+        UserError: no range has whole echoes in all vectors.
     """
     lasts = echoes.samples.shape[1] / echoes.rate - float(echoes.pulses["TXmt"][0])
     off = float(np.abs(speed_of_light / 2 * echoes.middle_delay - pulses.reference_range).max())
@@ -296,10 +296,10 @@ def _referred(spectra: C64, sensor: Sensor, echoes: Echoes, pulses: Pulses) -> C
     """Spectra whose phase refers to the middle of the vectors, referred to the reference point, in place.
 
     Args:
-        spectra: complex64, shape (channels, pulses, frequencies).
-        sensor: that describes them.
-        echoes: that they are of.
-        pulses: with the range of the reference point.
+        spectra: spectra of the echoes, complex64, shape (channels, pulses, frequencies).
+        sensor: sensor that describes the spectra.
+        echoes: echoes of the spectra.
+        pulses: pulses with the range of the reference point.
     """
     frequencies = speed_of_light / sensor.wavelength + sensor.frequency_step * (
         np.arange(sensor.sample_count) - (sensor.sample_count - 1) / 2

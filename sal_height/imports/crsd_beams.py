@@ -14,19 +14,19 @@ from sal_height.geometry import Origin
 from sal_height.numeric import F64
 
 FARTHEST = 0.5
-"""Offset from the boresight to which a pattern is looked for, rad."""
+"""Largest offset from the boresight at which a pattern is searched, rad."""
 
 DIRECTIONS = 4001
-"""Offsets at which the extent of a pattern is looked for."""
+"""Number of offsets at which the extent of a pattern is searched."""
 
 NODES = 129
-"""Offsets in the table of a beam."""
+"""Number of offsets in the table of a beam."""
 
 GRID = ("X0", "Y0", "XSS", "YSS")
 """Elements that state the first direction cosines of a pattern and the steps between them."""
 
 QUANTITIES = ("Gain", "Phase")
-"""Of an array of gains (dB) and phases (cycles)."""
+"""Quantities in an array of gains (dB) and phases (cycles)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,10 +34,10 @@ class Beam:
     """The beam of a channel.
 
     Attributes:
-        channel: its identifier.
+        channel: identifier of the channel.
         boresight: angle from nadir, rad.
-        width: between the angles of half the power, rad.
-        table: of its amplitude over elevation.
+        width: beamwidth between the angles of half the power, rad.
+        table: table of the amplitude over elevation.
     """
 
     channel: str
@@ -47,15 +47,15 @@ class Beam:
 
 
 def beams_of(reader: Any, channels: Sequence[str], origin: Origin) -> list[Beam]:
-    """The beams of channels, by increasing boresight; none if the channels are no beams of one antenna.
+    """The beams of channels, by increasing boresight; empty if the channels are not beams of one antenna.
 
-    They are if they receive the same pulses at the same times and places, with boresights at different elevations in
+    They are if they receive the same pulses at the same times and positions, with boresights at different elevations in
     their electrical steering (RcvEB) and real patterns that are known around them.
 
     Args:
-        reader: of sarkit, of the file.
-        channels: their identifiers.
-        origin: of the map.
+        reader: sarkit's reader of the file.
+        channels: identifiers of the channels.
+        origin: origin of the map.
     """
     tree, vectors = reader.metadata.xmltree, {name: reader.read_pvps(name) for name in channels}
     described = {name: tree.find(f"{{*}}Channel/{{*}}Parameters[{{*}}Identifier='{name}']") for name in channels}
@@ -70,7 +70,7 @@ def beams_of(reader: Any, channels: Sequence[str], origin: Origin) -> list[Beam]
 
 
 def _receive_together(vectors: dict[str, Any], described: dict[str, Any], name: str) -> bool:
-    """True if a channel receives the same pulses as the first one, at the same times and places, in the same band."""
+    """True if a channel receives the pulses of the first one, at the same times and positions, in the same band."""
     first = next(iter(vectors))
     same = ("RcvAPCId", "Fs", "SARImage/{*}TxId", *(f"RcvRefPoint/{{*}}ECF/{{*}}{axis}" for axis in "XYZ"))
     if any(described[name].findtext(f"{{*}}{path}") != described[first].findtext(f"{{*}}{path}") for path in same):
@@ -124,7 +124,7 @@ def _pattern(reader: Any, identifier: str, cosines: F64, steering: F64) -> tuple
 
 
 def _stated(reader: Any, name: str, quantity: str, places: F64) -> F64:
-    """A quantity of an array of gains and phases at places in it, (n, 2); NaN beyond it."""
+    """A quantity of an array of gains and phases at positions in it, (n, 2); NaN beyond it."""
     from sarkit.crsd import interpolate_support_array  # noqa: PLC0415 (an extra)
 
     described = reader.metadata.xmltree.find(f"{{*}}SupportArray/{{*}}GainPhaseArray[{{*}}Identifier='{name}']")
@@ -135,7 +135,7 @@ def _stated(reader: Any, name: str, quantity: str, places: F64) -> F64:
 
 
 def _around_middle(holds: Any) -> slice:
-    """The numbers around the middle one for which something holds without a gap."""
+    """The contiguous indices around the middle one where a condition is true."""
     middle, misses = len(holds) // 2, np.flatnonzero(~holds)
     before, after = misses[misses < middle], misses[misses >= middle]
     return slice(int(before[-1]) + 1 if before.size else 0, int(after[0]) if after.size else len(holds))

@@ -50,16 +50,16 @@ class Description(StrictKeys):
 
     @property
     def place(self) -> Origin | None:
-        """Where on the earth the map's origin is; None: not known."""
+        """The map's origin on the earth; None: not known."""
         return self.origin.place if self.origin else None
 
     def sensor(self, pulse_count: int, sample_count: int, pulse_repetition_frequency: float) -> Sensor:
         """The sensor of dwells of that size.
 
         Args:
-            pulse_count: pulses in a dwell.
-            sample_count: samples in a pulse.
-            pulse_repetition_frequency: Hz.
+            pulse_count: number of pulses in a dwell.
+            sample_count: number of samples in a pulse.
+            pulse_repetition_frequency: pulse repetition frequency, Hz.
 
         Raises:
             UserError: a value that no sensor has.

@@ -1,4 +1,4 @@
-"""One dwell of a single receiver whose beam follows a point: what files tell of a sensor that state no antenna."""
+"""One dwell of a single receiver whose beam follows a point, read from files that state no antenna."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ MOST_PIXELS = 4095
 
 @dataclass(frozen=True, eq=False)
 class Pulses:
-    """When and from where pulses were taken, in the axes of the map.
+    """Times and antenna positions of pulses, in the axes of the map.
 
     Attributes:
         stamps_ns: times at which the echo from the reference point was half-way, ns since 1970, shape (pulses,).
         antenna: positions half-way between transmitter and receiver, m, shape (pulses, 3).
-        velocity: the same, m/s.
+        velocity: velocities of these positions, m/s, shape (pulses, 3).
         reference: points that the beam follows, m, shape (pulses, 3).
-        reference_range: to which the phase of the samples refers, m, shape (pulses,).
+        reference_range: range to which the phase of the samples refers, m, shape (pulses,).
     """
 
     stamps_ns: I64
@@ -56,14 +56,14 @@ def following_sensor(name: str, pulses: Pulses, fast_time: Mapping[str, Any], wi
     """One receiver with its boresight on the reference point, seen from the middle of the track.
 
     Args:
-        name: of the sensor.
-        pulses: that it has taken.
+        name: name of the sensor.
+        pulses: pulses of the sensor.
         fast_time: fields of `Sensor` that describe the samples of a pulse: wavelength, bandwidth, sample_count and, if
             they are no frequencies, those of the waveform.
-        window: slant range that the samples of a pulse tell apart, m.
+        window: slant range that the samples of a pulse cover, m.
 
     Raises:
-        UserError: the pulses were taken at one time or place.
+        UserError: the pulses have one time or position.
     """
     antenna, reference = pulses.antenna[pulses.middle], pulses.reference[pulses.middle]
     elevation, range_ = boresight_to(antenna, reference), float(np.linalg.norm(reference - antenna))
@@ -77,7 +77,7 @@ def following_sensor(name: str, pulses: Pulses, fast_time: Mapping[str, Any], wi
     # Length of the antenna over the distance between pulses, along the track; below 2, they do not sample its
     # beam.
     steps_in_antenna = 2.1
-    # Slant range that the beam meets on level ground, in beamwidths, over that which frequencies tell apart.
+    # Slant range that the beam meets on level ground, in beamwidths, over that which the samples cover.
     share_of_window = 0.2
     return Sensor(
         name=name,
@@ -94,14 +94,14 @@ def following_sensor(name: str, pulses: Pulses, fast_time: Mapping[str, Any], wi
 
 
 def collection_of(pulses: Pulses, samples: C64, sensor: Sensor, origin: Origin, window: float) -> Collection:
-    """The collection of one dwell, with parameters that focus what the samples tell apart on the ground.
+    """The collection of one dwell, with parameters that focus the swath that the samples cover.
 
     Args:
-        pulses: of the dwell.
-        samples: complex64, shape (channels, pulses, samples).
-        sensor: that took them.
-        origin: of the map.
-        window: slant range around the reference point that the samples of a pulse tell apart, m.
+        pulses: pulses of the dwell.
+        samples: samples of the dwell, complex64, shape (channels, pulses, samples).
+        sensor: sensor of the dwell.
+        origin: origin of the map.
+        window: slant range around the reference point that the samples of a pulse cover, m.
     """
     states = states_towards(pulses.stamps_ns, pulses.antenna, pulses.velocity, pulses.reference, sensor.look_side)
     history = PhaseHistory(int(pulses.stamps_ns[0]), pulses.seconds, pulses.reference_range, samples)
@@ -116,7 +116,7 @@ def collection_of(pulses: Pulses, samples: C64, sensor: Sensor, origin: Origin, 
 
 
 def side_of(antenna: F64, velocity: F64, point: F64) -> int:
-    """The side to which a point lies: +1 right of the flight, -1 left; all of shape (3,), in map."""
+    """The side of a point: +1 right of the flight, -1 left; all of shape (3,), in map."""
     return -1 if np.cross(velocity, point - antenna)[2] > 0 else 1
 
 
@@ -132,9 +132,9 @@ def states_towards(stamps_ns: I64, antenna: F64, velocity: F64, points: F64, loo
     Args:
         stamps_ns: times, ns since 1970, shape (n,).
         antenna: positions in map, m, shape (n, 3).
-        velocity: in map, m/s, shape (n, 3).
-        points: to which the beam points, in map, m, shape (n, 3) or (3,).
-        look_side: +1 right, -1 left.
+        velocity: velocities in map, m/s, shape (n, 3).
+        points: points that the beam follows, in map, m, shape (n, 3) or (3,).
+        look_side: side of the points, +1 right, -1 left.
     """
     east, north, _ = np.moveaxis(points - antenna, -1, 0)
     yaw = np.arctan2(north, east) + look_side * np.pi / 2
@@ -151,10 +151,10 @@ def focusing(sensor: Sensor, antenna: F64, range_: float, side_m: float, widest_
     The resolution along the flight is wavelength * range / (2 * aperture length).
 
     Args:
-        sensor: wavelength.
+        sensor: sensor, of which the wavelength is used.
         antenna: positions at the pulses, m, shape (pulses, 3).
         range_: slant range of the middle, m.
-        side_m: of the square, m; it is smaller if that needs more than MOST_PIXELS pixels.
+        side_m: side of the square, m; reduced where it needs more than MOST_PIXELS pixels.
         widest_m: greatest spacing of pixels, m.
     """
     length = float(np.linalg.norm(np.diff(antenna, axis=0), axis=-1).sum())

@@ -41,15 +41,15 @@ def import_gotcha(files: list[Path], out: Path, dwells: int = 1) -> int:
     The bag has the parameters that focus the scene.
 
     Args:
-        files: of one pass and polarisation, in any order.
+        files: files of one pass and polarisation, in any order.
         out: folder of the bag.
-        dwells: into which the pulses are split.
+        dwells: number of dwells into which the pulses are split.
 
     Returns:
         The number of pulses of all dwells.
 
     Raises:
-        UserError: as of `read_gotcha`, or the bag cannot be written.
+        UserError: an error of `read_gotcha`, or the bag cannot be written.
     """
     collection = read_gotcha(files, dwells)
     write_collection(collection, out)
@@ -63,12 +63,12 @@ def read_gotcha(files: list[Path], dwells: int = 1) -> Collection:
     scene's centre, which is the map's origin. The parameters are those that focus the scene.
 
     Args:
-        files: of one pass and polarisation, in any order.
-        dwells: into which the pulses are split; fewer than that may be left over, which are left out at the end.
+        files: files of one pass and polarisation, in any order.
+        dwells: number of dwells into which the pulses are split; remaining pulses are left out at the end.
 
     Raises:
         UserError: a file is not Gotcha phase history, or the files differ in frequency or polarisation, overlap or have
-            a gap between them; or there are too few pulses for so many dwells.
+            a gap between them; or there are too few pulses for this number of dwells.
     """
     polarisation = _common_polarisation(files)
     parts = {path: _load(path) for path in files}
@@ -104,10 +104,10 @@ def read_gotcha(files: list[Path], dwells: int = 1) -> Collection:
 
 
 def _pulses_of_a_dwell(pulses: int, dwells: int) -> int:
-    """The number of pulses of each of so many dwells.
+    """The number of pulses of each dwell.
 
     Raises:
-        UserError: there are too few pulses for so many dwells, or no dwell is wanted.
+        UserError: there are too few pulses for this number of dwells, or no dwell is requested.
     """
     if not 1 <= dwells <= pulses // 2:
         raise UserError(
@@ -118,7 +118,7 @@ def _pulses_of_a_dwell(pulses: int, dwells: int) -> int:
 
 
 def _common_polarisation(files: list[Path]) -> str:
-    """The polarisation in the names of files (HH, HV, VH or VV); empty: names do not tell.
+    """The polarisation in the names of files (HH, HV, VH or VV); empty: not in the names.
 
     Raises:
         UserError: the files differ in it, or a file is named twice.

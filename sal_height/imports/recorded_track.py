@@ -25,15 +25,15 @@ IMU_TYPE = "sensor_msgs/msg/Imu"
 
 
 def read_recorded_track(bag: Path, origin: Origin | None) -> PlatformTrack:
-    """The track that a bag holds, with times counted from its first sample.
+    """The track in a bag, with times counted from its first sample.
 
-    It is taken from nav_msgs/Odometry of base_link in map, if the bag has that; else from sensor_msgs/NavSatFix, with
+    It is read from nav_msgs/Odometry of base_link in map, if the bag has that; else from sensor_msgs/NavSatFix, with
     the attitudes of sensor_msgs/Imu against east, north and up (REP 145) if there are any. One topic of each type is
-    allowed, whatever its name. Samples that cannot be used are left out and told.
+    allowed, whatever its name. Samples that cannot be used are left out and logged.
 
     Args:
         bag: folder or file, of any storage that `BagReader` reads.
-        origin: of the map; None: not known, which odometry does not need.
+        origin: origin of the map, which odometry does not need; None: not known.
 
     Raises:
         UserError: the bag cannot be read, has no such topic or several of a type, has fewer than two samples, or has
@@ -54,7 +54,7 @@ def read_recorded_track(bag: Path, origin: Origin | None) -> PlatformTrack:
 
 
 def _topic(reader: BagReader, type_name: str) -> str | None:
-    """The topic of a type, apart from that of the map's origin; None: there is none.
+    """The topic of a type, apart from that of the map's origin; None: absent.
 
     Raises:
         UserError: there are several.
@@ -70,7 +70,7 @@ def _topic(reader: BagReader, type_name: str) -> str | None:
 
 
 def _read(reader: BagReader, topic: str, read: Callable[[Any], Any]) -> list[Any]:
-    """What is read of the messages on a topic, in the order of its stamps; of several with one stamp, the first."""
+    """Samples from the messages on a topic, in the order of their stamps; of several with one stamp, the first."""
     found: dict[int, Any] = {}
     refused: list[Rejected] = []
     for recorded in reader.messages([topic]):

@@ -1,4 +1,4 @@
-"""Files of the standards CPHD (NGA.STND.0068) and CRSD (NGA.STND.0080), read by the package sarkit: what both have."""
+"""Common functions for files of the standards CPHD (NGA.STND.0068) and CRSD (NGA.STND.0080), read by sarkit."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def opened(path: Path, kind: str) -> Iterator[Any]:
     """The reader of sarkit for a file.
 
     Args:
-        path: of the file.
-        kind: "cphd" or "crsd".
+        path: file to open.
+        kind: kind of the file, "cphd" or "crsd".
 
     Raises:
         UserError: the package sarkit, which is an extra, is not installed, or the file is damaged.
@@ -40,7 +40,7 @@ def opened(path: Path, kind: str) -> Iterator[Any]:
 
 
 def first_word(path: Path) -> tuple[str, str]:
-    """What the first line of a file says: its kind, and its version.
+    """The kind and the version of a file, from its first line.
 
     Raises:
         UserError: it cannot be read.
@@ -58,17 +58,17 @@ def check_single(path: Path, tree: Any, element: str) -> None:
     """Check that a file describes one collection.
 
     Raises:
-        UserError: it has the element that describes it not once.
+        UserError: the element that describes it is missing or repeated.
     """
     if (count := len(tree.findall(f"{{*}}{element}"))) != 1:
         raise UserError(f"File {path} describes {count} collections ({element}); files of one collection are read.")
 
 
 def chosen_channel(path: Path, there: Sequence[str], reference: str | None, wanted: str) -> str:
-    """The identifier of the channel that is read: that which is wanted, else the reference channel.
+    """The identifier of the channel to read: the requested one, else the reference channel.
 
     Raises:
-        UserError: there is none of that name.
+        UserError: no channel has that name.
     """
     chosen = wanted or reference or (there[0] if there else "")
     if chosen not in there:
@@ -94,9 +94,9 @@ def time_ns(path: Path, tree: Any, *names: str) -> int:
     """A time in the metadata, ns since 1970.
 
     Args:
-        path: of the file.
-        tree: its metadata.
-        names: of the elements from the root to the time.
+        path: path of the file.
+        tree: metadata of the file.
+        names: names of the elements from the root to the time.
 
     Raises:
         UserError: it is missing or no time.
@@ -116,7 +116,7 @@ def since_1970_ns(time: datetime) -> int:
 
 
 def positive_number(path: Path, parent: Any, name: str) -> float:
-    """A number greater than 0 in the metadata, as of `number_in`.
+    """A number greater than 0 in the metadata, read by `number_in`.
 
     Raises:
         UserError: it is missing, no number, not finite or not greater than 0.
@@ -131,9 +131,9 @@ def number_in(path: Path, parent: Any, name: str) -> float:
     """A number in the metadata.
 
     Args:
-        path: of the file.
-        parent: element above it.
-        name: of its element.
+        path: path of the file.
+        parent: parent of the element.
+        name: name of the element.
 
     Raises:
         UserError: it is missing, no number or not finite.
@@ -152,13 +152,13 @@ def check_parameters(path: Path, parameters: Any, needed: Sequence[str], block: 
     """Check that the parameters of all pulses are there and finite.
 
     Args:
-        path: of the file.
+        path: path of the file.
         parameters: structured array with an entry for each pulse.
-        needed: their names.
-        block: the short name of the array in the standard.
+        needed: names of the parameters.
+        block: short name of the array in the standard.
 
     Raises:
-        UserError: they are not.
+        UserError: a parameter is missing or not finite.
     """
     if missing := [name for name in needed if name not in parameters.dtype.names]:
         raise UserError(f"File {path} lacks {', '.join(missing)} among the parameters of its pulses ({block}).")
@@ -173,7 +173,7 @@ def check_parameters(path: Path, parameters: Any, needed: Sequence[str], block: 
 
 
 def heard(parameters: Any) -> Bool:
-    """Which pulses have a signal, shape (pulses,): all, where the parameter SIGNAL does not tell."""
+    """True for pulses that have a signal, shape (pulses,); all of them if the parameter SIGNAL is absent."""
     if "SIGNAL" not in parameters.dtype.names:
         return np.ones(len(parameters), np.bool_)
     return np.asarray(parameters["SIGNAL"] > 0)
@@ -183,10 +183,10 @@ def scaled_samples(path: Path, samples: Any, parameters: Any) -> C64:
     """Samples of pulses as complex64, times the amplitude factor of each pulse (AmpSF) if there is one.
 
     Args:
-        path: of the file.
-        samples: as sarkit returns them, big-endian, complex or whole numbers in pairs, shape (pulses, samples); complex
+        path: path of the file.
+        samples: samples from sarkit, big-endian, complex or pairs of whole numbers, shape (pulses, samples); complex
             ones are swapped in place.
-        parameters: of the pulses.
+        parameters: parameters of the pulses.
 
     Raises:
         UserError: samples are NaN or infinite, which those in little-endian order look like, too.

@@ -1,4 +1,4 @@
-"""What a SICD file (NGA.STND.0024) tells of its image: pixels, grid, aperture, antenna, band and windows."""
+"""The image in a SICD file (NGA.STND.0024): pixels, grid, aperture, antenna, band and windows."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ WINDOWS: Mapping[str, str] = {"UNIFORM": "rectangular", "TAYLOR": "taylor", "HAM
 """Windows of ours by their names in SICD."""
 
 MOST_BENT = 0.5
-"""Greatest distance, in pixels, between what a file says of range and Doppler and those of a place in its plane."""
+"""Greatest difference, in pixels, between range and Doppler in a file and those of a position in its plane."""
 
 SIDES: Mapping[str, int] = {"R": 1, "L": -1}
 """Look sides by their names in SICD."""
@@ -36,7 +36,7 @@ class Antenna(NamedTuple):
     """Axes of an antenna as unit vectors, shape (3,).
 
     Attributes:
-        x, y, z: of SICD; z is the mechanical boresight.
+        x, y, z: axes of SICD; z is the mechanical boresight.
     """
 
     x: F64
@@ -49,23 +49,23 @@ class SicdImage:
     """The image of a file; vectors are earth-centred, earth-fixed, and columns grow along the flight.
 
     Attributes:
-        path: of the file.
-        centre: the scene centre point, m.
-        grid: of the pixels relative to that point.
-        is_reversed: whether columns of the file run against the flight.
-        is_conjugate: whether phases in the file grow with range.
-        position: of the antenna in the middle of the aperture of the middle pixel, relative to `centre`, m.
-        velocity: then, m/s.
-        aperture_length: of the synthetic aperture, m.
-        sliding: whether the aperture slides along the flight with the columns.
-        antenna: its axes; None: the file does not state them.
-        look_side: +1 right, -1 left.
-        frequencies: first and last of those that were processed, Hz.
-        windows: over the bandwidth and the aperture, by the keys of a description, where the file names one that is
-            known here.
-        has_gaps: whether a pixel that is exactly 0 is one without data.
-        noise_power: E|n|^2 of a pixel; None: not stated.
-        stamp_ns: begin of the collection, ns since 1970.
+        path: path of the file.
+        centre: scene centre point, m.
+        grid: grid of the pixels relative to that point.
+        is_reversed: True if columns of the file run against the flight.
+        is_conjugate: True if phases in the file grow with range.
+        position: antenna position in the middle of the aperture of the middle pixel, relative to `centre`, m.
+        velocity: velocity there, m/s.
+        aperture_length: length of the synthetic aperture, m.
+        sliding: True if the aperture slides along the flight with the columns.
+        antenna: axes of the antenna; None: the file does not state them.
+        look_side: side of the image, +1 right, -1 left.
+        frequencies: first and last processed frequency, Hz.
+        windows: windows over the bandwidth and the aperture, by the keys of a description, where the file names a known
+            one.
+        has_gaps: True if a pixel that is exactly 0 has no data.
+        noise_power: noise power E|n|^2 of a pixel; None: not stated.
+        stamp_ns: start of the collection, ns since 1970.
     """
 
     path: Path
@@ -87,7 +87,7 @@ class SicdImage:
 
     @property
     def sensor(self) -> dict[str, Any]:
-        """What a description says of the sensor."""
+        """Sensor parameters by the keys of a description."""
         first, last = self.frequencies
         return {
             "look_side": {1: "right", -1: "left"}[self.look_side],
@@ -97,7 +97,7 @@ class SicdImage:
         }
 
     def pixels(self) -> C64:
-        """The samples, complex64, shape (rows, cols), whose phases fall with range; NaN where there are none.
+        """The samples, complex64, shape (rows, cols), whose phases fall with range; NaN where there are no data.
 
         Raises:
             UserError: they cannot be read.
@@ -114,10 +114,10 @@ class SicdImage:
         return np.conj(samples) if self.is_conjugate else samples
 
     def described(self, origin: Origin, middle_of_beams: float) -> dict[str, Any]:
-        """What `imports.slc.ImagePlace` says of it.
+        """The image by the keys of `imports.slc.ImagePlace`.
 
         Args:
-            origin: of the map.
+            origin: origin of the map.
             middle_of_beams: elevation of the antenna's boresight in its own axes, rad.
         """
         place, grid, turn = origin.from_space(self.centre), self.grid, origin.axes.T
@@ -179,15 +179,15 @@ class Metadata:
     """The metadata of a file.
 
     Attributes:
-        path: of the file.
-        helper: `sarkit.sicd.XmlHelper` of them.
+        path: path of the file.
+        helper: `sarkit.sicd.XmlHelper` of the metadata.
     """
 
     path: Path
     helper: Any
 
     def stated(self, name: str) -> Any:
-        """The value of a part, by the names of its elements; None: there is none.
+        """The value of a part, by the names of its elements; None: absent.
 
         Raises:
             UserError: it cannot be read.
@@ -210,11 +210,11 @@ class Metadata:
 
 
 class Passage(NamedTuple):
-    """How the antenna passes an image.
+    """Motion of the antenna past an image.
 
     Attributes:
-        position, velocity: in the middle of the aperture of the middle pixel, m and m/s, shape (3,).
-        moved: by which the middles of the apertures of its corners differ, m.
+        position, velocity: antenna state in the middle of the aperture of the middle pixel, m and m/s, shape (3,).
+        moved: distance between the middles of the apertures of its corners, m.
     """
 
     position: F64
@@ -223,7 +223,7 @@ class Passage(NamedTuple):
 
     @property
     def speed(self) -> float:
-        """m/s."""
+        """Speed of the antenna, m/s."""
         return float(np.linalg.norm(self.velocity))
 
 
@@ -287,7 +287,7 @@ def _grid(metadata: Metadata) -> Grid:
 
 
 def _passage(metadata: Metadata, grid: Grid) -> Passage:
-    """How the antenna passes an image whose grid is that in the file."""
+    """Motion of the antenna past an image whose grid is that in the file."""
     times, track = metadata.needed("Grid/TimeCOAPoly"), metadata.needed("Position/ARPPoly")
     first, step = metadata.needed("ImageData/SCPPixel"), (grid.row_spacing, grid.col_spacing)
     down, along = (
@@ -305,7 +305,7 @@ def _passage(metadata: Metadata, grid: Grid) -> Passage:
 
 
 def _antenna(metadata: Metadata) -> Antenna | None:
-    """Axes of the antenna at the begin of the collection, of that for both ways or of the receiving one."""
+    """Axes of the antenna at the start of the collection, of the two-way or of the receiving antenna."""
     for which in ("TwoWay", "Rcv"):
         x, y = (metadata.stated(f"Antenna/{which}/{axis}AxisPoly") for axis in "XY")
         if x is not None and y is not None:
@@ -320,7 +320,7 @@ def _windows(metadata: Metadata) -> dict[str, str]:
 
 
 def _noise_power(metadata: Metadata) -> float | None:
-    """Power of noise in the scene centre point, if it is stated in units of the pixels."""
+    """Noise power at the scene centre point, if it is stated in units of the pixels."""
     if metadata.stated("Radiometric/NoiseLevel/NoiseLevelType") != "ABSOLUTE":
         return None
     return float(10 ** (metadata.stated("Radiometric/NoiseLevel/NoisePoly")[0, 0] / 10))
@@ -333,10 +333,10 @@ def _reversed(grid: Grid) -> Grid:
 
 
 def _check_plane(image: SicdImage, tree: Any) -> None:
-    """Check that corners of the image have range and Doppler of their places in its plane, as SICD projects them.
+    """Check that corners of the image have range and Doppler of their positions in its plane, as SICD projects them.
 
     Raises:
-        UserError: they have not, as in images whose aperture slides otherwise than in stripmap.
+        UserError: they differ, as in images whose aperture slides otherwise than in stripmap.
     """
     from sarkit import sicd  # noqa: PLC0415 (an extra)
     from sarkit.sicd import projection  # noqa: PLC0415

@@ -1,6 +1,6 @@
 """Focused single-look images of several channels become a bag of `sensor_info` and `slc`.
 
-Heights follow from what the channels of a pixel have to do with each other: its covariance over the looks. A phase that
+Heights follow from the covariance of the channels of a pixel over the looks. A phase that
 all channels of a pixel share cancels in it, so that heights do not depend on how an image processor counts the phase of
 range. The phase in a bag is that of `ComplexImage` nevertheless, for all that interpolates images.
 """
@@ -54,7 +54,7 @@ STATED = (
     *("images", "azimuth_axis", "phase", "mode", "look_side", "carrier_hz", "wavelength_m", "bandwidth_hz"),
     *("waveform", "chirp_rate_hz_per_s", "pulse_duration_s", "sampling_rate_hz"),
 )
-"""Keys of a description that SICD files take the place of."""
+"""Keys of a description that SICD files replace."""
 
 WINDOW_KEYS = ("range_window", "azimuth_window")
 
@@ -63,7 +63,7 @@ SENSOR_INFO, SLC = f"/{INFO}", f"/{IMAGES}"
 
 @dataclass(frozen=True)
 class ImagePlace(StrictKeys):
-    """Where the pixels of a dwell's images lie, and from where they are seen; vectors are in map."""
+    """Pixel grid and aperture of a dwell's images; vectors are in map."""
 
     origin_m: Vector
     row_direction: Vector
@@ -86,7 +86,7 @@ class ImagePlace(StrictKeys):
             raise PydanticCustomError("velocity", "velocity_mps must be that of a flight, not 0 along the ground")
 
     def grid(self, rows: int, cols: int) -> Grid:
-        """The grid of so many pixels."""
+        """The grid of rows x cols pixels."""
         directions = np.array(self.row_direction), np.array(self.col_direction)
         return Grid(np.array(self.origin_m), *directions, self.row_spacing_m, self.col_spacing_m, rows, cols)
 
@@ -100,7 +100,7 @@ class ImagePlace(StrictKeys):
 
 @dataclass(frozen=True, kw_only=True)
 class ImagesDescription(Description):
-    """A sensor and the images that it has taken; keys are in docs/import.md."""
+    """A sensor and its images; keys are in docs/import.md."""
 
     images: Annotated[tuple[ImagePlace, ...], MinLen(1)]
     range_window: WindowName = "rectangular"
@@ -110,7 +110,7 @@ class ImagesDescription(Description):
 
     @property
     def wavelength(self) -> float:
-        """Of the carrier, m."""
+        """Wavelength of the carrier, m."""
         return self.wavelength_m or speed_of_light / (self.carrier_hz or 1.0)
 
     @property
@@ -119,7 +119,7 @@ class ImagesDescription(Description):
         return len(self.elevation_boresights_rad)
 
     def sensor_of(self, rows: int, cols: int) -> Sensor:
-        """The sensor whose images have so many pixels.
+        """The sensor whose images have rows x cols pixels.
 
         Pulses and their samples are not in the images; the bag has as many as there are columns and rows.
 
@@ -139,7 +139,7 @@ class DescribedImages:
     Attributes:
         described: sensor, grids and apertures.
         loads: functions that read the images: of the channels of the first dwell, then of the next.
-        noise_power: of a pixel in each of them; 0: not known.
+        noise_power: noise power of a pixel in each image; 0: not known.
     """
 
     described: ImagesDescription
@@ -220,8 +220,8 @@ class DescribedImages:
         """The images of a dwell with the phases of `ComplexImage`.
 
         Args:
-            number: of the dwell.
-            samples: those of `dwell`.
+            number: number of the dwell.
+            samples: samples from `dwell`.
         """
         described, channels = self.described, self.described.channels
         place = described.images[number]
@@ -239,7 +239,7 @@ def import_slc(description: Path, files: Sequence[Path], out: Path) -> int:
 
     Args:
         description: YAML file of the sensor.
-        files: of the images, dwell by dwell and channel by channel: SICD, each with an image of one channel, or arrays
+        files: image files, dwell by dwell and channel by channel: SICD, each with an image of one channel, or arrays
             (`array_files`), with one or several.
         out: folder of the bag, new or empty.
 
@@ -271,7 +271,7 @@ def write_images(images: DescribedImages, out: Path) -> None:
     sensor = described.sensor_of(*first.shape[1:])
     made = {"range_window": described.range_window, "azimuth_window": described.azimuth_window}
     provenance = provenance_to_message(Provenance(config_hash=sensor.config_hash).derived("sar_compression", made))
-    # Time from an image to the next, where a description does not say when they were taken, ns.
+    # Time from an image to the next where a description does not state their times, ns.
     dwell_ns = 1_000_000_000
     stamps_ns = [
         number * dwell_ns if one.stamp_ns is None else one.stamp_ns for number, one in enumerate(described.images)
@@ -341,7 +341,7 @@ def _sensor_in(images: Sequence[SicdImage]) -> dict[str, Any]:
 
 
 def _common_place(dwell: Sequence[SicdImage], origin: Origin, middle_of_beams: float) -> dict[str, Any]:
-    """What `ImagePlace` says of the images of a dwell.
+    """The images of a dwell by the keys of `ImagePlace`.
 
     Raises:
         UserError: they differ.

@@ -36,12 +36,12 @@ class PlatformTrack:
 
     Attributes:
         seconds: increasing times, s, shape (n,).
-        positions: of base_link in map, m, shape (n, 3).
-        velocities: in map, m/s, shape (n, 3); None: the slope of the positions.
+        positions: positions of base_link in map, m, shape (n, 3).
+        velocities: velocities in map, m/s, shape (n, 3); None: the slope of the positions.
         attitudes: quaternions (x, y, z, w) that turn body (forward, left, up) into map axes, shape (n, 4); None: level,
             along the track.
-        covariances: of position (m^2) and attitude (rad^2) in map axes, shape (n, 6, 6); None: not known.
-        start_ns: time from which the seconds count, ns since 1970; None: that from which those of the pulses count.
+        covariances: covariances of position (m^2) and attitude (rad^2) in map axes, shape (n, 6, 6); None: not known.
+        start_ns: start of the seconds, ns since 1970; None: the start of the pulse times.
     """
 
     seconds: F64
@@ -52,7 +52,7 @@ class PlatformTrack:
     start_ns: int | None = None
 
     def states(self, start_ns: int) -> list[PlatformState]:
-        """The states; where the track does not say from when its seconds count, it is `start_ns`, ns since 1970.
+        """The states; the seconds count from `start_ns`, ns since 1970, unless the track states a start.
 
         Raises:
             UserError: sizes that do not fit, values that are not finite, or times that do not increase.
@@ -86,11 +86,11 @@ def read_track(path: Path, origin: Origin | None) -> PlatformTrack:
     down, nose up, from north over east). Times of SBET are seconds of the GPS week.
 
     Args:
-        path: of the file.
-        origin: of the map; None: not known.
+        path: CSV or SBET file.
+        origin: origin of the map; None: not known.
 
     Raises:
-        UserError: it cannot be read, columns are missing or hold no numbers, or places on the earth have no origin.
+        UserError: it cannot be read, columns are missing or not numeric, or positions on the earth have no origin.
     """
     if path.suffix.lower() in {".sbet", ".out"}:
         return _read_sbet(path, origin)
@@ -140,7 +140,7 @@ def _read_sbet(path: Path, origin: Origin | None) -> PlatformTrack:
 
 
 def on_earth(path: Path, origin: Origin | None) -> Origin:
-    """The origin of the map, which a track of places on the earth needs.
+    """The origin of the map, which a track of positions on the earth needs.
 
     Raises:
         UserError: it is not known.
@@ -151,7 +151,7 @@ def on_earth(path: Path, origin: Origin | None) -> Origin:
 
 
 def _attitudes(angles: F64, positions: F64, origin: Origin | None) -> F64:
-    """Quaternions of roll, pitch and heading (rad) against north, east and down where the platform is, shape (n, 4)."""
+    """Quaternions of roll, pitch and heading (rad) against north, east and down at the platform, shape (n, 4)."""
     aviation = Axes("ned", "frd")
     locally = Rotation.from_quat(
         [aviation.attitude(turn) for turn in Rotation.from_euler("ZYX", angles[:, ::-1]).as_quat()]

@@ -1,8 +1,8 @@
 """Messages as plain objects and as bytes, without ROS, and their conversion to arrays and back.
 
-`types` has the classes of messages, `codec` reads and writes their bytes. It is the only package that knows both the
-types of messages and those of the core. Samples are read without a copy (but for frames of 16-bit integers), and
-messages that are made have views of the arrays that they are made of, until they are serialized.
+`types` has the classes of messages, `codec` reads and writes their bytes. Only this package knows both the types of
+messages and those of the core. Samples are read without a copy (but for frames of 16-bit integers), and
+new messages have views of the arrays that they are made of, until they are serialized.
 """
 
 from sal_height.engine.air import AIR_LATENCY_NS, AIR_OF_TOPICS, AirSample, needed_air

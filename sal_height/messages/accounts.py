@@ -1,4 +1,4 @@
-"""Accounts of nodes from numbers by name: as /diagnostics has them, and as messages had them up to version 2."""
+"""Accounts of nodes from numbers by name, as in /diagnostics and in messages up to version 2."""
 
 from __future__ import annotations
 
@@ -43,18 +43,18 @@ COUNTED: Mapping[str, str] = MappingProxyType(
         "recorded.": "recorded",
     }
 )
-"""Fields with counts by reason, kind or topic, by what the names of the numbers begin with; all others are events."""
+"""Fields with counts by reason, kind or topic, by prefix of the names of the numbers; all others are events."""
 
 EVENTS = "events"
 
 UNKNOWN: Mapping[str, float] = MappingProxyType(
     dict.fromkeys(("offered_hz", "achieved_hz", "latency_p50_ms", "latency_p95_ms"), math.nan)
 )
-"""Fields that are not a number where nothing states them."""
+"""Fields that are NaN where they are not stated."""
 
 
 def account_of_numbers(numbers: Mapping[str, float]) -> NodeAccount:
-    """The account that numbers state; those that are not finite, or no count where one is due, are left out."""
+    """The account that numbers state; those that are not finite, or not a count where one is expected, are left out."""
     fields = fields_of_numbers(numbers)
     for name in (*COUNTED.values(), EVENTS):
         fields[name] = [Count(name=key, count=count) for key, count in fields.get(name, {}).items()]
@@ -64,7 +64,7 @@ def account_of_numbers(numbers: Mapping[str, float]) -> NodeAccount:
 def fields_of_numbers(numbers: Mapping[str, float]) -> dict[str, Any]:
     """The fields of the account that numbers state, with counts by name as dictionaries, without absent fields."""
     fields: dict[str, Any] = {}
-    most = 2**32 - 1  # greatest count that is believed
+    most = 2**32 - 1  # greatest valid count
     for name, number in numbers.items():
         if not math.isfinite(number):
             continue

@@ -1,4 +1,4 @@
-"""What is read of messages on the air: FluidPressure, Temperature and RelativeHumidity."""
+"""Conversion of messages on the air: FluidPressure, Temperature and RelativeHumidity."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ class AirQuantity(NamedTuple):
 
     Attributes:
         message_type: class of its messages.
-        field: of the message.
-        unit: of the field, after a space; empty: none.
-        parameter: that states the same.
-        offset: what is to be added to the field for the unit of the parameter.
+        field: name of the field of the message.
+        unit: unit of the field, after a space; empty: none.
+        parameter: name of the parameter of the same quantity.
+        offset: number to add to the field for the unit of the parameter.
     """
 
     message_type: type[Any]
@@ -41,7 +41,7 @@ AIR: Mapping[str, AirQuantity] = {
     "air/temperature": AirQuantity(Temperature, "temperature", " degrees Celsius", "air_temperature_k", 273.15),
     "air/humidity": AirQuantity(RelativeHumidity, "relative_humidity", "", "air_humidity"),
 }
-"""The quantities by the topic that they come on."""
+"""The quantities by their topic."""
 
 AIR_TYPES = {quantity.type_name for quantity in AIR.values()}
 
@@ -50,8 +50,8 @@ def air_to_messages(values: Mapping[str, float], stamp: Time) -> dict[str, Any]:
     """Messages on the air, by topic.
 
     Args:
-        values: of all quantities, by the names of their parameters.
-        stamp: when they were measured.
+        values: values of all quantities, by the names of their parameters.
+        stamp: time of the measurement.
     """
     return {
         topic: one.message_type(header=Header(stamp=stamp), **{one.field: values[one.parameter] - one.offset})
@@ -60,7 +60,7 @@ def air_to_messages(values: Mapping[str, float], stamp: Time) -> dict[str, Any]:
 
 
 def read_air(topic: str, message: Any) -> AirSample:
-    """A measurement of the quantity that a topic of `AIR` tells.
+    """A measurement of the quantity that is published on a topic of `AIR`.
 
     Raises:
         Rejected: the value is not one that the parameter of the quantity allows.

@@ -28,13 +28,13 @@ def to_stamp(ns: int) -> Time:
 
 
 def to_floats(samples: npt.NDArray[np.generic]) -> F32:
-    """Return the value of a float32[] field that holds `samples`, real or complex, of any shape: a view of them."""
+    """Return the value of a float32[] field with `samples`, real or complex, of any shape: a view of them."""
     single = np.ascontiguousarray(samples, dtype=np.complex64 if np.iscomplexobj(samples) else np.float32)
     return single.reshape(-1).view(np.float32)
 
 
 def complex_pairs(values: npt.NDArray[np.complexfloating]) -> F64:
-    """Return the value of a float64[] field that holds complex `values` of any shape: real, imaginary part in turn."""
+    """Return the value of a float64[] field with complex `values` of any shape: real, imaginary part in turn."""
     return np.ascontiguousarray(values, dtype=np.complex128).reshape(-1).view(np.float64)
 
 
@@ -42,7 +42,7 @@ def from_complex_pairs(pairs: Sequence[float], where: str) -> C128:
     """Read a float64[] field of real and imaginary parts in turn as complex128 numbers, shape (numbers,).
 
     Raises:
-        UserError: the number of entries is odd; the sentence begins with `where`.
+        UserError: the number of entries is odd; the text begins with `where`.
     """
     if len(pairs) % 2:
         raise UserError(f"{where} has {len(pairs)} entries; real and imaginary parts must be in pairs.")
@@ -50,7 +50,7 @@ def from_complex_pairs(pairs: Sequence[float], where: str) -> C128:
 
 
 def to_bytes(values: U8) -> U8:
-    """Return the value of a uint8[] field that holds `values`: a view of them."""
+    """Return the value of a uint8[] field with `values`: a view of them."""
     return np.ascontiguousarray(values, dtype=np.uint8).reshape(-1)
 
 
@@ -134,7 +134,7 @@ def aperture_to_message(aperture: Aperture) -> ApertureMessage:
 
 
 def xyz(vector: F64) -> dict[str, float]:
-    """Return the coordinates of a vector by name, as Point and Vector3 take them."""
+    """Return the coordinates of a vector by name, as arguments of Point and Vector3."""
     return dict(zip("xyz", map(float, vector), strict=True))
 
 
@@ -152,7 +152,7 @@ def check_finite(numbers: Iterable[float], what: str) -> None:
     """Check that all numbers of a message are finite.
 
     Raises:
-        Rejected: one is not; the sentence begins with `what`.
+        Rejected: one is not; the text begins with `what`.
     """
     if not all(map(math.isfinite, numbers)):
         raise Rejected("not finite", f"{what} has NaN or infinite values; all must be finite.")
@@ -162,7 +162,7 @@ def check_rotation(quaternion: Sequence[float], what: str) -> None:
     """Check that a quaternion is finite and of the norm 1, within a hundredth.
 
     Raises:
-        Rejected: it is not; the sentence begins with `what`.
+        Rejected: it is not; the text begins with `what`.
     """
     check_finite(quaternion, what)
     if not 0.99 < math.hypot(*quaternion) < 1.01:

@@ -17,7 +17,7 @@ from sal_height.messages.types import Header, Time
 def calibration_to_message(
     calibration: Calibration, stamp: Time, undetermined: Sequence[str] = ()
 ) -> CalibrationMessage:
-    """Return the Calibration message; `undetermined` has a sentence for each part that could not be determined."""
+    """Return the Calibration message; `undetermined` has a text for each part that could not be determined."""
     channels, frequencies = calibration.response.shape
     return CalibrationMessage(
         header=Header(stamp=stamp, frame_id=BODY_FRAME),
@@ -41,7 +41,7 @@ def calibration_to_message(
 
 
 def calibration_from_message(message: CalibrationMessage) -> Calibration:
-    """Return the calibration that a message holds.
+    """Return the calibration in a message.
 
     Raises:
         UserError: the message has no id, the number of its values contradicts its channels and frequencies, or a value

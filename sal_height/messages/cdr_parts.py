@@ -1,4 +1,4 @@
-"""Parts of messages in plain CDR: what functions that read and write messages are made of."""
+"""Parts of messages in plain CDR, from which functions that read and write messages are composed."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def read_text(cdr: bytes, at: int, unpack: Any, longest: int = 0) -> tuple[str, 
 
 
 def read_texts(cdr: bytes, at: int, count: int, unpack: Any, longest: int = 0) -> tuple[list[str], int]:
-    """As many texts, and the offset after them; errors as of `read_text`."""
+    """`count` texts, and the offset after them; errors as of `read_text`."""
     check_room(cdr, at, count, 4)
     texts = []
     for _ in range(count):
@@ -53,7 +53,7 @@ def read_texts(cdr: bytes, at: int, count: int, unpack: Any, longest: int = 0) -
 def read_messages(
     cdr: bytes, at: int, count: int, read: Callable[[bytes, int], tuple[Any, int]], least_bytes: int
 ) -> tuple[list[Any], int]:
-    """As many messages of a type, each of `least_bytes` or more, and the offset after them."""
+    """`count` messages of a type, each of `least_bytes` or more, and the offset after them."""
     check_room(cdr, at, count, least_bytes)
     found = []
     for _ in range(count):
@@ -63,7 +63,7 @@ def read_messages(
 
 
 def numbers_reader(dtype: np.dtype[Any]) -> Callable[[bytes, int, int], tuple[NDArray[Any], int]]:
-    """What reads as many numbers as it is told, one or more, at an offset, and returns the offset after them.
+    """A function that reads a given number of numbers, one or more, at an offset, and returns the offset after them.
 
     It gives a view of the bytes, but a copy of numbers of eight bytes, which are not aligned in memory there. It raises
     ValueError if the bytes are too few.
@@ -83,14 +83,14 @@ def numbers_reader(dtype: np.dtype[Any]) -> Callable[[bytes, int, int], tuple[ND
 
 
 def as_native(numbers: NDArray[Any]) -> NDArray[Any]:
-    """Numbers in the order of bytes of this machine; flags as such whatever their bytes are."""
+    """Numbers in the byte order of this machine; flags are True for any byte but 0."""
     if numbers.dtype.kind == "b":
         return numbers.view(np.uint8) != 0
     return numbers if numbers.dtype.isnative else numbers.astype(numbers.dtype.newbyteorder("="))
 
 
 def check_room(cdr: bytes, at: int, count: int, least_bytes: int) -> None:
-    """Check that as many elements of a list can be in the bytes that are left.
+    """Check that the remaining bytes can contain `count` elements of a list.
 
     Raises:
         ValueError: they cannot.

@@ -5,7 +5,7 @@ for each type that is used. Equal messages give equal bytes: padding is zero, an
 
 The layout is that of plain CDR (OMG DDS-XTypes 1.3, section 7.4.3), which ROS middlewares use. Texts are read as rclpy
 reads them: they end at their first zero byte, and bytes that are not UTF-8 are replaced. Bytes after the last field,
-which some serializers append, are passed over. Lists of numbers are views of the bytes, but for numbers of eight bytes,
+which some serializers append, are skipped. Lists of numbers are views of the bytes, but for numbers of eight bytes,
 which are copied.
 """
 
@@ -28,18 +28,18 @@ HEAD = LITTLE_ENDIAN + b"\x00\x00"
 
 
 class BrokenMessage(RuntimeError):  # noqa: N818 (not an error of the program)
-    """Bytes that are not a message of their type; the text continues a sentence."""
+    """Bytes that are not a message of their type; the text completes a message to the user."""
 
 
 class TypeStore:
-    """Types of messages, and what reads and writes them."""
+    """Types of messages, and the functions that read and write them."""
 
     def __init__(self, layout_of: Callable[[str], Layout], module: str = __name__) -> None:
-        """Know types.
+        """Create a store.
 
         Args:
-            layout_of: gives the layout of a type by its name, or raises KeyError.
-            module: where the classes can be imported from.
+            layout_of: function that returns the layout of a type by its name, or raises KeyError.
+            module: module from which the classes can be imported.
         """
         self._programs = Programs(layout_of, module)
         self._readers: dict[tuple[str, bool], Callable[[bytes], Any]] = {}
@@ -61,11 +61,11 @@ class TypeStore:
         return self._programs.message_class(type_name)
 
     def reader(self, type_name: str, *, shared: bool = False) -> Callable[[bytes], Any]:
-        """The function that makes a message of a type of its bytes, or raises BrokenMessage if they are none.
+        """The function that reads a message of a type from its bytes, or raises BrokenMessage if they are invalid.
 
         Args:
             type_name: name of the type.
-            shared: whether messages may share their provenance, which is then to be left as it is.
+            shared: True if messages may share their provenance, which must then not be changed.
 
         Raises:
             KeyError: the type is not known.
@@ -81,9 +81,9 @@ class TypeStore:
     def fields_reader(self, type_name: str, first: str, last: str) -> Read:
         """The function that reads neighbouring fields of a message of a type, from `first` to `last`.
 
-        It takes little-endian bytes and the offset where the first field may begin, and returns a tuple of values, of
-        which a provenance is shared and to be left as it is, and the offset after them. It raises ValueError or
-        struct.error if the bytes are not laid out so.
+        It reads little-endian bytes from the offset where the first field may begin, and returns a tuple of values, of
+        which a provenance is shared and must not be changed, and the offset after them. It raises ValueError or
+        struct.error if the bytes have another layout.
         """
         return self._programs.fields_reader(type_name, first, last, "<", shared=True)
 
@@ -92,7 +92,7 @@ class TypeStore:
 
         Args:
             message: message of a class of this store.
-            shared: whether its provenance is never changed, so that its bytes can be kept for further messages.
+            shared: True if its provenance is never changed, so that its bytes can be cached for further messages.
 
         Raises:
             ValueError, TypeError, OverflowError, struct.error, AttributeError: a field has a value that its type does
@@ -104,7 +104,7 @@ class TypeStore:
 
 
 def _guarded(read_little: Read, read_big: Read) -> Callable[[bytes], Any]:
-    """What reads a message by the one function or the other, and raises BrokenMessage if it cannot."""
+    """A function that reads a message in either byte order, and raises BrokenMessage if it cannot."""
 
     def read(cdr: bytes) -> Any:
         try:
@@ -136,10 +136,10 @@ def serialize(message: Any) -> bytes:
 
 
 def deserialize(cdr: bytes, kind: type[Any] | str) -> Any:
-    """The message of a shipped type that these bytes are; `kind` is its class or its name.
+    """Read bytes as a message of a shipped type; `kind` is its class or its name.
 
     Raises:
-        BrokenMessage: they are none.
+        BrokenMessage: the bytes are not such a message.
         KeyError: the type is not shipped.
     """
     return SHIPPED.reader(kind if isinstance(kind, str) else kind.__msgtype__)(cdr)
@@ -150,7 +150,7 @@ def recorded_types(type_name: str, definition: Definition) -> TypeStore:
     """The types that a definition in a bag describes, `type_name` and those that it contains.
 
     Raises:
-        ValueError: the text is no definition.
+        ValueError: the text is not a definition.
     """
     layouts: Mapping[str, Layout] = read_layouts(type_name, definition.text)
     return TypeStore(layouts.__getitem__)

@@ -15,10 +15,10 @@ _FIELD = re.compile(r"\s*([^\s#]+)\s+(\w+)\s*(=?)")
 
 @dataclass(frozen=True)
 class Definition:
-    """What a bag stores about a message type.
+    """Definition of a message type, as a bag stores it.
 
     Attributes:
-        text: the .msg text, then the texts of all types it contains, each under a line of 80 ``=`` and ``MSG: name``.
+        text: .msg text, then the texts of all types it contains, each under a line of 80 ``=`` and ``MSG: name``.
         type_hash: ROS 2 type hash (``RIHS01_…``); empty where it is not known (bags older than ROS 2 Iron).
         encoding: language of the text, ``ros2msg`` or ``ros2idl``.
     """

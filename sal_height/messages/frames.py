@@ -44,7 +44,7 @@ def state_from_message(message: Odometry) -> PlatformState:
     """Return the platform state that an Odometry describes, with the velocity in the axes of map.
 
     Raises:
-        Rejected: as `state_of_pose` does.
+        Rejected: an error of `state_of_pose`.
     """
     return state_of_pose(ReceivedPose.of(message))
 
@@ -53,8 +53,8 @@ def state_of_pose(pose: ReceivedPose, frames: Frames = USUAL) -> PlatformState:
     """Return the platform state of the pose in an Odometry, with the velocity in the axes of map, which are ROS's.
 
     Raises:
-        Rejected: the frames are others than `frames`, a value is not finite, place or speed are not those of a
-            platform, or the quaternion of the orientation has not the norm 1.
+        Rejected: the frames are others than `frames`, a value is not finite, position or speed are not those
+            of a platform, or the quaternion of the orientation has not the norm 1.
     """
     if (pose.frame_id, pose.child_frame_id) != (frames.map, frames.body):
         raise Rejected(
@@ -128,7 +128,7 @@ def check_frame(frame: ChannelFrame | ReceivedFrame, sensor: Sensor) -> None:
     """Check that a frame has the sizes that its sensor states, and values that can be processed.
 
     Raises:
-        Rejected: it has not; the sentence names the field, its value and what is allowed.
+        Rejected: it has not; the text names the field, its value and the allowed values.
     """
     frame_items.check_frame(frame_of(frame), sensor)
 

@@ -46,14 +46,14 @@ from sal_height.relief import HeightField, Surface, folded
 _LAYERS = tuple(layer.name for layer in fields(PackedSurface))
 
 _NONE = Provenance()
-"""Of heights whose provenance does not matter."""
+"""Provenance of heights for which it does not matter."""
 
 POINT_FIELDS = (
     *("x", "y", "z", "height", "sigma", "cnr_db", "spread", "surface"),
     *("cov_ee", "cov_en", "cov_eu", "cov_nn", "cov_nu", "cov_uu"),
 )
-"""Fields of the points of a height image: place in the frame of the cloud (m), the layers of Surface, the number of the
-surface, strongest first, and the covariance of the place with that from the pose, m^2."""
+"""Fields of the points of a height image: position in the frame of the cloud (m), the layers of Surface, the number of
+the surface, strongest first, and the covariance of the position with that from the pose, m^2."""
 
 
 def heights_of(message: HeightImage) -> Heights:
@@ -122,10 +122,10 @@ def height_to_message(
 
 
 def field_from_message(image: HeightImage, map_frame: str = MAP_FRAME) -> HeightField:
-    """Return the surfaces of a HeightImage; `Heights.field` says what of it is left out.
+    """Return the surfaces of a HeightImage; `Heights.field` states which parts are left out.
 
     Raises:
-        Rejected: the image cannot be used; the sentence names the field, its value and what is allowed.
+        Rejected: the image cannot be used; the text names the field, its value and the allowed values.
     """
     heights = _heights_of(image, _NONE)
     heights.check_frame(map_frame)

@@ -31,7 +31,7 @@ ImageMessage: TypeAlias = ComplexImage | ReceivedImage
 
 
 class Labelled(Protocol):
-    """What says which dwell it is of: a frame or an image, as a message or as received."""
+    """A frame or an image with the number of its dwell, as a message or as received."""
 
     @property
     def header(self) -> Header:
@@ -102,14 +102,14 @@ def slc_to_messages(
 ) -> list[ComplexImage]:
     """Return one ComplexImage for each channel, with the labels of `frame`.
 
-    They share one provenance, which is to be left as it is, and have views of the pixels.
+    They share one provenance, which must not be changed, and have views of the pixels.
 
     Args:
         slc: images of all channels.
-        frame: has the stamp and the dwell.
-        provenance: how they were made.
+        frame: frame with the stamp and the dwell.
+        provenance: provenance of the images.
         map_frame: name of the frame of positions.
-        air_delay: ComplexImage.AIR_REMOVED or AIR_LEFT; empty: not known.
+        air_delay: state of the air delay, ComplexImage.AIR_REMOVED or AIR_LEFT; empty: not known.
     """
     key, place = DwellKey("", frame.dwell, to_ns(frame.header.stamp)), Place(slc.grid, Aperture.of(slc.aperture))
     made = [image_to_message(one) for one in Images(key, map_frame, slc, place, Provenance(), air_delay).channels()]
@@ -122,7 +122,7 @@ def check_slc(image: ImageMessage, sensor: Sensor) -> None:
     """Check that an image has the size that its grid states, and values that can be processed.
 
     Raises:
-        Rejected: it has not; the sentence names the field, its value and what is allowed.
+        Rejected: it has not; the text names the field, its value and the allowed values.
     """
     check_image(image_of(image), sensor)
 
@@ -131,7 +131,7 @@ def slc_from_messages(images: Sequence[ImageMessage]) -> Slc:
     """Return the images of all channels of a dwell, in order, from messages that `check_slc` has passed.
 
     Raises:
-        Rejected: the channels differ in grid or aperture, or provenance says what cannot be.
+        Rejected: the channels differ in grid or aperture, or provenance states impossible values.
     """
     return Images.joined([image_of(image) for image in images]).slc
 
@@ -142,7 +142,7 @@ def recorded_window(provenance: ProvenanceMessage, axis: str) -> str:
     It is "rectangular" if the provenance does not name a window of `numeric.WINDOWS`.
 
     Args:
-        provenance: of the images.
-        axis: "range" or "azimuth".
+        provenance: provenance of the images.
+        axis: axis of the window, "range" or "azimuth".
     """
     return provenance_of(provenance).window(axis)

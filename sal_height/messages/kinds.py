@@ -1,6 +1,6 @@
-"""Kinds of items: how the messages on a port are read as items of the engine, and items written as messages.
+"""Kinds of items: conversion of the messages on a port to items of the engine and back.
 
-For every kind of product, reading what was written gives an item that is equal in every field.
+For every kind of product, an item that is written and read again is equal in every field.
 """
 
 from __future__ import annotations
@@ -54,13 +54,13 @@ Write = Callable[[Any, Any], Sequence[bytes]]
 
 @dataclass(frozen=True)
 class Kind:
-    """How the messages on a port are read and written.
+    """Functions that read and write the messages on a port.
 
     Attributes:
-        type_name: of the messages, such as "nav_msgs/msg/Odometry".
-        read: the items of a serialized message, with settings of the stage that takes them. Raises UserError if the
-            message cannot be used, RuntimeError if the bytes are not of its type.
-        write: the serialized messages of an item.
+        type_name: type of the messages, such as "nav_msgs/msg/Odometry".
+        read: function that returns the items of a serialized message, by the settings of the stage that receives them.
+            It raises UserError if the message cannot be used, RuntimeError if the bytes are not of its type.
+        write: function that returns the serialized messages of an item.
         trouble: name under which messages that cannot be used are counted; empty: the reason of each.
     """
 
@@ -71,7 +71,7 @@ class Kind:
 
 
 def kind_of(port: Port) -> Kind:
-    """How the messages on a port are read and written."""
+    """The kind of the messages on a port."""
     return AIR_KINDS[port.name] if port.kind is AirSample else KINDS[port.kind]
 
 
@@ -109,7 +109,7 @@ def read_image(cdr: bytes, _: Any = None) -> list[ChannelImage]:
 
 
 def write_images(images: Images, _: Any = None) -> list[bytes]:
-    """The serialized ComplexImage of each channel: those of a dwell differ in few places."""
+    """The serialized ComplexImage of each channel: those of a dwell differ in few fields."""
     return [SHIPPED.serialize(image_to_message(image), shared=True) for image in images.channels()]
 
 
@@ -127,7 +127,7 @@ def write_heights(heights: Heights, _: Any = None) -> list[bytes]:
     return [SHIPPED.serialize(heights_to_message(heights), shared=True)]
 
 
-# What is beside the dwells
+# Other items than those of dwells
 
 
 def _deserialized(cdr: bytes, type_name: str) -> Any:
@@ -219,7 +219,7 @@ def write_relief(placed: PlacedRelief, _: Any = None) -> list[bytes]:
 
 
 def write_movers(found: ImageMovers, _: Any = None) -> list[bytes]:
-    """The serialized PointCloud2 of what moves in a dwell."""
+    """The serialized PointCloud2 of the movers in a dwell."""
     return [SHIPPED.serialize(mover_points(found.looked.movers, header_of(found.key.stamp_ns, found.frame_id)))]
 
 
@@ -261,12 +261,12 @@ KINDS: Mapping[type, Kind] = {
     ImageMovers: Kind("sensor_msgs/msg/PointCloud2", _nothing_reads, write_movers),
     PlacedMounting: Kind("geometry_msgs/msg/PoseWithCovarianceStamped", _nothing_reads, write_mounting),
 }
-"""How the items of each class are read and written."""
+"""Kinds by the class of their items."""
 
 AIR_KINDS: Mapping[str, Kind] = {
     port: Kind(quantity.type_name, _air_reader(port), _nothing_writes, "air") for port, quantity in AIR.items()
 }
-"""The same of measurements of the air, by their port."""
+"""Kinds of measurements of the air, by their port."""
 
 OF_TOPICS: Mapping[str, Kind] = {
     topics.SENSOR_INFO: KINDS[Sensor],
@@ -277,13 +277,13 @@ OF_TOPICS: Mapping[str, Kind] = {
     "/tf_static": KINDS[StaticTransform],
     **AIR_KINDS,
 }
-"""The same of the topics of a flight."""
+"""Kinds by the topics of a flight."""
 
 
 def kind_of_topic(topic: str) -> Kind:
-    """How the messages on a topic of a flight are read and written.
+    """The kind of the messages on a topic of a flight.
 
     Args:
-        topic: without namespace; one of OF_TOPICS, or one that ends in /height.
+        topic: name of the topic without namespace; one of OF_TOPICS, or one that ends in /height.
     """
     return KINDS[Heights] if topic.endswith("/height") else OF_TOPICS[topic]

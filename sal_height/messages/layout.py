@@ -1,4 +1,4 @@
-"""The fields of message types, as the text of their definitions has them.
+"""The fields of message types, read from the text of their definitions.
 
 The language is that of ROS 2 interfaces (https://docs.ros.org/en/jazzy/Concepts/Basic/About-Interfaces.html).
 """
@@ -48,8 +48,8 @@ class Field:
 
     Attributes:
         name: name of the field.
-        kind: a number of CODES, TEXT, or the name of a message type.
-        form: SINGLE, ARRAY or LIST.
+        kind: type of the values: a number of CODES, TEXT, or the name of a message type.
+        form: form of the field, SINGLE, ARRAY or LIST.
         size: number of elements of an array; greatest number of elements of a list, 0: no limit.
         longest: greatest number of bytes of a text; 0: no limit.
         default: value of a single number or text in a new message.
@@ -69,16 +69,16 @@ class Field:
 
 
 NO_FIELD = Field("structure_needs_at_least_one_member", "uint8")
-"""What a message has, by ROS's rules, whose type states no field."""
+"""Field of a message whose type states no field, by ROS's rules."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """What the messages of a type consist of.
+    """Fields and constants of a message type.
 
     Attributes:
         type_name: name of the type, such as ``std_msgs/msg/Header``.
-        fields: the fields in the order of the message.
+        fields: fields in the order of the message.
         constants: values of its constants by name.
     """
 
@@ -91,7 +91,7 @@ def read_layout(type_name: str, text: str) -> Layout:
     """The layout of a type by its own text, without those of the types that it contains.
 
     Raises:
-        ValueError: a line is no part of a definition, or of a kind that is not known.
+        ValueError: a line is no part of a definition, or of an unknown kind.
     """
     package = type_name.partition("/")[0]
     fields, constants = [], {}
@@ -115,7 +115,7 @@ def read_layouts(type_name: str, text: str) -> dict[str, Layout]:
     """The layouts of a type and of those that it contains, by name, from the definition in a bag.
 
     Raises:
-        ValueError: the text is no definition.
+        ValueError: the text is not a definition.
     """
     own, *others = re.split(rf"^{SEPARATOR}\n", text, flags=re.MULTILINE)
     layouts = {type_name: read_layout(type_name, own)}

@@ -11,9 +11,9 @@ def loss_to_message(node: str, loss: Loss, stamp_ns: int) -> DwellLoss:
     """The message of a loss.
 
     Args:
-        node: that left it out, with its namespace.
-        loss: what it left out.
-        stamp_ns: when, ns.
+        node: name of the node with its namespace.
+        loss: loss of the node.
+        stamp_ns: time of the loss, ns.
     """
     key = loss.dwell or DwellKey("", 0, 0)
     return DwellLoss(

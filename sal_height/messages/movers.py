@@ -27,8 +27,8 @@ MOVER_FIELDS = (
     "cnr_db",
     "likelihood_ratio",
 )
-"""Fields of the points, float32: place in map (m), height above the sphere with its standard deviation (m), and what
-`movers.Mover` says of the rest (m/s, NaN where nothing tells it; 0 or 1 for walks; dB)."""
+"""Fields of the points, float32: position in map (m), height above the sphere with its standard deviation (m), and
+the other fields of `movers.Mover` (m/s, NaN where not known; 0 or 1 for walks; dB)."""
 
 
 def mover_points(movers: Sequence[Mover], header: Header) -> PointCloud2:

@@ -1,6 +1,6 @@
-"""What is read of the messages of instruments (PoseStamped, TwistStamped, NavSatFix and Imu), and what is told them.
+"""Conversion of the messages of instruments (PoseStamped, TwistStamped, NavSatFix and Imu), of mountings and origins.
 
-Each function that reads checks what it reads; all of them raise Rejected if a frame is another one than stated, a value
+Each function that reads a message checks it; all of them raise Rejected if a frame is another one than stated, a value
 is not finite, or a quaternion has not the norm 1.
 """
 
@@ -47,7 +47,7 @@ def read_pose(message: PoseStamped, frames: Frames) -> tuple[Sample, Sample]:
 
 
 def read_twist(message: TwistStamped, frames: Frames) -> tuple[Sample, bool]:
-    """Velocity, and whether it is in the axes of the body, either as ROS has them."""
+    """Velocity in the axes of ROS, and True if they are those of the body, False if those of map."""
     _check_frame("Twist", message.header.frame_id, (frames.map, frames.body))
     velocity = vector_of(message.twist.linear)
     check_finite(velocity, "Twist")
@@ -60,9 +60,9 @@ def mounting_to_pose(mounting: Mounting, covariance: F64, stamp: Time, body_fram
     """The pose of the sensor in the axes of the platform.
 
     Args:
-        mounting: of the sensor.
-        covariance: of its lever arm (m^2) and its rotation (rad^2) in the axes of base_link, shape (6, 6).
-        stamp: of the dwell that told it.
+        mounting: mounting of the sensor.
+        covariance: covariance of its lever arm (m^2) and rotation (rad^2) in the axes of base_link, shape (6, 6).
+        stamp: stamp of the dwell with which it was estimated.
         body_frame: name of the platform's frame.
     """
     message = PoseWithCovarianceStamped(header=Header(stamp=stamp, frame_id=body_frame))
@@ -73,7 +73,7 @@ def mounting_to_pose(mounting: Mounting, covariance: F64, stamp: Time, body_fram
 
 
 def origin_to_message(origin: Origin, stamp: Time, map_frame: str) -> NavSatFix:
-    """The message that says where on the earth the origin of the map frame is."""
+    """The message with the position of the map frame's origin on the earth."""
     return NavSatFix(
         header=Header(stamp=stamp, frame_id=map_frame),
         latitude=math.degrees(origin.latitude),
@@ -86,7 +86,7 @@ def read_origin(message: NavSatFix, map_frame: str) -> Origin:
     """Origin of the map frame; its altitude is that above the ellipsoid.
 
     Raises:
-        Rejected: also if there is no such place, or it is that of a message which nobody has filled.
+        Rejected: also if the position is impossible, or that of an empty message.
     """
     _check_frame("The origin", message.header.frame_id, (map_frame,))
     check_finite((message.latitude, message.longitude, message.altitude), "The origin")
@@ -135,7 +135,7 @@ def read_fix(message: NavSatFix, origin: Origin) -> Sample:
 
 
 def read_attitude(message: Imu, frames: Frames) -> Sample:
-    """Attitude of the body against east, north and up where it is (REP 145), or against north, east and down there."""
+    """Attitude of the body against local east, north and up (REP 145), or against local north, east and down."""
     _check_frame("Imu", message.header.frame_id, (frames.body,))
     if message.orientation_covariance[0] < 0:
         raise Rejected("no attitude", "Imu says that it has no orientation (orientation_covariance[0] < 0).")

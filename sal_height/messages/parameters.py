@@ -9,7 +9,7 @@ from sal_height.errors import UserError
 from sal_height.messages.types import Parameter, ParameterType, ParameterValue
 
 KEPT = 512
-"""Parameters that are kept, those that were used last: nearly all are the same from dwell to dwell."""
+"""Number of cached parameters, those used last: nearly all are the same from dwell to dwell."""
 
 FIELDS = {
     ParameterType.PARAMETER_NOT_SET: "",
@@ -31,7 +31,7 @@ SINGLE: tuple[tuple[type[Any], int], ...] = (
     (float, ParameterType.PARAMETER_DOUBLE),
     (str, ParameterType.PARAMETER_STRING),
 )
-"""Types of parameters by those of their values, a bool before the integers, of which it is one."""
+"""Types of parameters by those of their values; bool is before int, of which it is a subclass."""
 
 LISTS: tuple[tuple[type[Any], int], ...] = (
     (bytes, ParameterType.PARAMETER_BYTE_ARRAY),
@@ -40,7 +40,7 @@ LISTS: tuple[tuple[type[Any], int], ...] = (
     (float, ParameterType.PARAMETER_DOUBLE_ARRAY),
     (str, ParameterType.PARAMETER_STRING_ARRAY),
 )
-"""The same of lists by the type of all their elements; an empty one is of bytes."""
+"""Types of list parameters by the type of all their elements; an empty list is of bytes."""
 
 
 def parameter_of(name: str, value: Any) -> Parameter:
@@ -62,7 +62,7 @@ def _kept_parameter(name: str, value: bool | float | str) -> Parameter:
 
 
 def shared_parameter(name: str, value: Any) -> Parameter:
-    """The message of a parameter, to be left as it is: that of the same single value is the same object.
+    """The message of a parameter, which must not be changed: that of the same single value is the same object.
 
     Zeros of floats are not shared, for 0.0 and -0.0 are equal.
 
@@ -74,7 +74,7 @@ def shared_parameter(name: str, value: Any) -> Parameter:
 
 
 def value_of(message: ParameterValue) -> Any:
-    """The value of a parameter; None: it has none.
+    """The value of a parameter; None: not set.
 
     Raises:
         UserError: it is of a type that ROS does not have.

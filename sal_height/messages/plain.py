@@ -15,8 +15,8 @@ from sal_height.messages.layout import ARRAY, CODES, LIST, TEXT, Field, Layout
 class Message:
     """A message. Its class has the constants of the type; its attributes are the fields.
 
-    Lists and arrays of numbers are NumPy arrays, other lists are lists. Messages are equal if they are of one type and
-    say the same, NaN like NaN.
+    Lists and arrays of numbers are NumPy arrays, other lists are lists. Messages are equal if they have one type and
+    the same values, NaN like NaN.
 
     Attributes:
         __msgtype__: name of the type, such as ``std_msgs/msg/Header``.
@@ -44,7 +44,7 @@ def fields_of_message(message: Any) -> tuple[str, ...]:
 
 
 def is_same(one: Any, other: Any) -> bool:
-    """True if two values of a field say the same."""
+    """True if two values of a field are the same."""
     if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
         one, other = np.asarray(one), np.asarray(other)
         return bool(np.array_equal(one, other, equal_nan=one.dtype.kind == other.dtype.kind == "f"))
@@ -54,7 +54,7 @@ def is_same(one: Any, other: Any) -> bool:
 
 
 def array_of(values: Any, kind: str) -> NDArray[Any]:
-    """Values of a list of numbers as an array; an array of that kind is taken as it is."""
+    """Values of a list of numbers as an array; an array of that kind is returned as it is."""
     if isinstance(values, bytes | bytearray):
         return np.frombuffer(values, DTYPES[kind]) if values else np.empty(0, DTYPES[kind])
     return np.asarray(values, DTYPES[kind])
@@ -68,9 +68,9 @@ def message_class(layout: Layout, class_of: Callable[[str], type[Message]], modu
     """The class of the messages that have a layout.
 
     Args:
-        layout: the layout.
-        class_of: gives the classes of nested messages by the names of their types.
-        module: where the class can be imported from.
+        layout: layout of the messages.
+        class_of: function that returns the class of nested messages by the name of their type.
+        module: module from which the class can be imported.
     """
     names = {"array_of": array_of, "np": np, "class_of": class_of}
     arguments, lines = [], []
@@ -92,12 +92,12 @@ def message_class(layout: Layout, class_of: Callable[[str], type[Message]], modu
 
 
 def attribute(field_name: str) -> str:
-    """Name of the attribute of a field: with an underscore after it where Python has it as a word of its own."""
+    """Name of the attribute of a field: with an underscore after it where it is a keyword of Python."""
     return f"{field_name}_" if keyword.iskeyword(field_name) else field_name
 
 
 def _default_and_value(field: Field, name: str) -> tuple[Any, str]:
-    """Default of the argument of a field, and the source of the value that the attribute gets."""
+    """Default of the argument of a field, and the source of the attribute's value."""
     if field.form == LIST and (field.is_message or field.kind == TEXT):
         return None, f"[] if {name} is None else {name}"
     if field.form in {LIST, ARRAY}:

@@ -1,4 +1,4 @@
-"""What images and heights have in common: place, provenance and doubts, as items of the engine and as messages."""
+"""Common parts of images and heights: position, provenance and doubts, as items of the engine and as messages."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from sal_height.messages.types import FitTest as FitTestMessage
 from sal_height.messages.types import Provenance as ProvenanceMessage
 
 PLACES_KEPT = 8
-"""Grids and apertures that are kept: the images of a dwell share theirs."""
+"""Number of cached grids and apertures: the images of a dwell share theirs."""
 
 
 @lru_cache(PLACES_KEPT)
 def _place_of(grid: tuple[float, ...], aperture: tuple[float, ...], covariance: bytes) -> Place:
-    """Grid and aperture of their numbers."""
+    """Grid and aperture from their numbers."""
     origin, row, col = np.array(grid[:3]), np.array(grid[3:6]), np.array(grid[6:9])
     found = Grid(origin, row, col, grid[9], grid[10], int(grid[11]), int(grid[12]))
     position, orientation, velocity = np.array(aperture[:3]), aperture[3:7], np.array(aperture[7:10])

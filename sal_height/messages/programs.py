@@ -22,10 +22,10 @@ SHARED = {"sal_height_msgs/msg/Provenance"}
 """Types of which several messages may share an object. It must be the last field of those that have it."""
 
 KEPT = 16
-"""Shared objects that are kept, those that were used last."""
+"""Number of cached shared objects, those used last."""
 
 WRITTEN_ONCE = {"sal_height_msgs/msg/Provenance": KEPT, "rcl_interfaces/msg/Parameter": 512}
-"""Types of which the bytes of shared messages are kept, and of how many: provenances, and what is in them."""
+"""Types whose shared messages have their bytes cached, and the number of them: provenances and their parameters."""
 
 DEEPEST = 32
 """Most levels of nested messages."""
@@ -38,14 +38,14 @@ Write = Callable[[Any, parts.Put, int], int]
 
 
 class Programs:
-    """What was made of the types of a store, each when it is first asked for.
+    """Classes, readers and writers of the types of a store, each made when it is first needed.
 
     Attributes:
-        layout: gives the layout of a type by its name, or raises KeyError.
+        layout: function that returns the layout of a type by its name, or raises KeyError.
     """
 
     def __init__(self, layout: Callable[[str], Layout], module: str) -> None:
-        """Know types; `module`: where their classes can be imported from."""
+        """Start without types; `module`: module from which their classes can be imported."""
         self.layout = layout
         self._module = module
         self._classes: dict[str, type[Message]] = {}
@@ -66,7 +66,7 @@ class Programs:
         Args:
             type_name: name of the type.
             order: order of bytes, "<" or ">".
-            shared: whether messages share what is of a type of SHARED.
+            shared: True if messages share their parts of the types SHARED.
         """
         key = type_name, order, shared
         if key not in self._readers:
@@ -82,11 +82,11 @@ class Programs:
         return _ReaderSource(self, order, shared=shared).function_of_fields(type_name, first, last)
 
     def writer(self, type_name: str, *, shared: bool) -> Write:
-        """The function that hands the parts of a message on and returns the offset after it.
+        """The function that writes the parts of a message and returns the offset after it.
 
         Args:
             type_name: name of the type.
-            shared: whether what is of a type of WRITTEN_ONCE is never changed, so that its bytes can be kept.
+            shared: True if parts of the types WRITTEN_ONCE are never changed, so that their bytes can be cached.
         """
         key = type_name, shared
         if key not in self._writers:
@@ -98,21 +98,21 @@ class Programs:
         return self._writers[key]
 
     def is_inlined(self, type_name: str) -> bool:
-        """True if a nested message of a type is read and written by the function of its holder."""
+        """True if a nested message of a type is read and written by the function of its parent."""
         # Most numbers, texts and lists of a nested message that is read and written by the function of its
-        # holder.
+        # parent.
         most_inlined = 64
         return self._size(type_name)[0] <= most_inlined
 
     def least_bytes(self, type_name: str) -> int:
-        """How many bytes a message of a type has at least."""
+        """Least number of bytes of a message of a type."""
         return self._size(type_name)[1]
 
     def _size(self, type_name: str, depth: int = 0) -> tuple[int, int]:
         """Numbers, texts and lists of a message of a type, and its least bytes.
 
         Raises:
-            ValueError: it contains itself, or is of a kind that is not read.
+            ValueError: it contains itself, or has a field of a kind that is not read.
         """
         if depth > DEEPEST:
             raise ValueError(f"{type_name} contains messages at more than {DEEPEST} levels")
@@ -132,7 +132,7 @@ class Programs:
 
 
 def _shared_reader(read: Read) -> Read:
-    """What reads a message that ends the bytes, and gives the same object for the same bytes."""
+    """A function that reads a message at the end of the bytes, and returns the same object for the same bytes."""
 
     @lru_cache(KEPT)
     def kept(tail: bytes, place: int) -> tuple[Any, int]:
@@ -148,7 +148,7 @@ def _shared_reader(read: Read) -> Read:
 
 
 def _shared_writer(write: Write, kept_messages: int) -> Write:
-    """What hands the bytes of a message on that is never changed; of so many they are kept."""
+    """A function that writes a message that is never changed; caches the bytes of `kept_messages` messages."""
 
     @lru_cache(kept_messages)
     def kept(message: Same[Any], place: int) -> bytes:
@@ -165,7 +165,7 @@ def _shared_writer(write: Write, kept_messages: int) -> Write:
 
 
 class _Source:
-    """Source of a function, with what it needs.
+    """Source of a function, and the objects it needs.
 
     Numbers wait until something else follows, to be read or written at once.
     """
@@ -190,7 +190,7 @@ class _Source:
         return name
 
     def add(self, code: str, align: int, size: int, expression: str) -> None:
-        """Have numbers wait, of which the first lies at a multiple of `align` bytes."""
+        """Add numbers to those that wait; the first is at a multiple of `align` bytes."""
         padding = -self.size % align
         if align > self.known:
             self.flush()
@@ -201,7 +201,7 @@ class _Source:
         self.waiting.append(expression)
 
     def flush(self) -> None:
-        """Read or write what waits."""
+        """Read or write the numbers that wait."""
         if self.size:
             self.move()
             self.line(f"at += {self.size}")
@@ -232,11 +232,11 @@ class _ReaderSource(_Source):
     def __init__(self, programs: Programs, order: Order, *, shared: bool) -> None:
         super().__init__(programs, order, shared=shared)
         self.making: list[str] = []
-        """Lines that make the messages, once all is read."""
+        """Lines that make the messages, once all fields are read."""
         self.names |= {"unpack": struct.Struct(f"{order}I").unpack_from, "new": object.__new__}
 
     def function(self, type_name: str) -> Read:
-        self.programs.least_bytes(type_name)  # refuses what cannot be read
+        self.programs.least_bytes(type_name)  # refuses types that cannot be read
         return self.finish(self.message(type_name))
 
     def function_of_fields(self, type_name: str, first: str, last: str) -> Read:
@@ -246,13 +246,13 @@ class _ReaderSource(_Source):
         return self.finish(f"({', '.join([self.field(field) for field in wanted])},)")
 
     def finish(self, result: str) -> Read:
-        """The function that gives an expression, and the offset after what it has read."""
+        """The function that returns an expression, and the offset after the bytes that it has read."""
         self.flush()
         self.lines += self.making
         return self.compile("cdr, at", f"{result}, at")
 
     def message(self, type_name: str) -> str:
-        """Read the fields of a message; returns the variable that it is made in."""
+        """Read the fields of a message; returns its variable."""
         fields = self.programs.layout(type_name).fields
         values = [(attribute(field.name), self.field(field)) for field in fields]
         made = self.variable()
@@ -311,7 +311,7 @@ class _ReaderSource(_Source):
         return self.name(self.programs.reader(type_name, self.order, shared=self.shared), "read")
 
     def call(self, call: str) -> str:
-        """Read by a function, after what waits; returns the variable of what it gives."""
+        """Read by a function, after the numbers that wait; returns the variable of its result."""
         self.flush()
         variable = self.variable()
         self.line(f"{variable}, at = {call}")
@@ -328,13 +328,13 @@ class _ReaderSource(_Source):
 
 
 class _WriterSource(_Source):
-    """Source of a function that hands on the parts of a message."""
+    """Source of a function that writes the parts of a message."""
 
     def __init__(self, programs: Programs, *, shared: bool) -> None:
         super().__init__(programs, "<", shared=shared)
 
     def function(self, type_name: str) -> Write:
-        self.programs.least_bytes(type_name)  # refuses what cannot be written
+        self.programs.least_bytes(type_name)  # refuses types that cannot be written
         self.message("message", type_name)
         self.flush()
         return self.compile("message, put, at", "at")

@@ -18,7 +18,7 @@ def with_stage(before: Sequence[Parameter], stage: str, values: Settings | Mappi
     Args:
         before: parameters of the earlier stages; those of `stage` among them are replaced.
         stage: name of the node, which is the part before the first dot in the names of its parameters.
-        values: of the parameters, by name. Nested mappings make names with further dots; None is left out.
+        values: values of the parameters, by name. Nested mappings make names with further dots; None is left out.
     """
     kept = [parameter for parameter in before if not parameter.name.startswith(f"{stage}.")]
     return kept + [shared_parameter(name, value) for name, value in flat_values(values, f"{stage}.").items()]

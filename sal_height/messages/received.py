@@ -1,8 +1,8 @@
 """Frames, images, heights and odometry as nodes receive them: views of their bytes.
 
-Samples stay where they are, what is read most often is read by its place, and what the messages of a dwell share is
-made once. Bytes that are not laid out as expected (another byte order, too few bytes) are left to the codec, which
-reads or refuses them.
+Samples are not copied, the fields that are read most often are read at their offset, and the parts that messages of a
+dwell share are made once. Bytes of another layout than expected (another byte order, too few bytes) are left to the
+codec, which reads or refuses them.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ from sal_height.messages.types import (
 from sal_height.numeric import F32, F64, U8
 
 KEPT = 8
-"""Geometries that are kept: those that were used last."""
+"""Number of cached geometries: those used last."""
 
 STAMP, UINT, PAIR, TRIPLE = (struct.Struct(layout) for layout in ("<iI", "<I", "<II", "<III"))
 SCALE, NOISE, TAIL = struct.Struct("<dI"), struct.Struct("<df"), struct.Struct("<QII")
 
 ODOMETRY = struct.Struct("<7d288x3d312x")
-"""Pose, its covariance (passed over), velocity, and what is not used of an Odometry: rotation rate and covariance."""
+"""Pose, its covariance (skipped), velocity, and unused fields of an Odometry: rotation rate and covariance."""
 
 GRID_AND_POSE, VELOCITY, LENGTH_AND_SLIDING = 8 * 11 + 2 * 4 + 8 * 7, 8 * 3, 8 + 1
 """Bytes of parts of a geometry, after the first and the second of which a list of numbers follows."""
@@ -55,14 +55,14 @@ _read_provenance = SHIPPED.fields_reader(ComplexImage.__msgtype__, "provenance",
 
 @dataclass(slots=True, eq=False)
 class Received:
-    """What frames and images have in common.
+    """Common attributes of frames and images.
 
     Attributes:
-        stamp: of the header, s and ns.
-        frame_id: of the header.
+        stamp: stamp of the header, s and ns.
+        frame_id: frame_id of the header.
         dwell: number of the dwell.
         channel: number of the channel.
-        size: bytes of the message.
+        size: size of the message, bytes.
     """
 
     stamp: tuple[int, int]
@@ -123,12 +123,12 @@ class ReceivedFrame(Received):
 
 @dataclass(slots=True, eq=False)
 class Geometry:
-    """Where the pixels of images lie, and from where they are seen; the images of a dwell share it.
+    """Pixel grid and aperture of images; the images of a dwell share it.
 
     Attributes:
-        grid: of the pixels.
-        aperture: that they are seen from.
-        checked: whether it was found to be possible.
+        grid: grid of the pixels.
+        aperture: aperture of the images.
+        checked: True if it was found to be possible.
     """
 
     grid: ImageGrid
@@ -140,7 +140,7 @@ class Geometry:
 class ReceivedImage(Received):
     """A ComplexImage; further attributes are its fields, samples as NumPy has them.
 
-    Its geometry and provenance are to be left as they are: other images share them.
+    Its geometry and provenance must not be changed: other images share them.
     """
 
     geometry: Geometry
@@ -176,12 +176,12 @@ class ReceivedImage(Received):
 
     @property
     def grid(self) -> ImageGrid:
-        """Where its pixels lie."""
+        """Grid of its pixels."""
         return self.geometry.grid
 
     @property
     def aperture(self) -> Aperture:
-        """From where they are seen."""
+        """Aperture from which they are seen."""
         return self.geometry.aperture
 
     @property
@@ -191,10 +191,10 @@ class ReceivedImage(Received):
 
 
 def received_frame(cdr: bytes) -> ReceivedFrame:
-    """The frame that these bytes are.
+    """Read bytes as a frame.
 
     Raises:
-        BrokenMessage: they are none.
+        BrokenMessage: the bytes are not a ChannelFrame.
     """
     try:
         return _frame(cdr)
@@ -203,10 +203,10 @@ def received_frame(cdr: bytes) -> ReceivedFrame:
 
 
 def received_image(cdr: bytes) -> ReceivedImage:
-    """The image that these bytes are; images with the same bytes of geometry or provenance share these.
+    """Read bytes as an image; images with the same bytes of geometry or provenance share these.
 
     Raises:
-        BrokenMessage: they are none.
+        BrokenMessage: the bytes are not a ComplexImage.
     """
     try:
         return _image(cdr)
@@ -218,14 +218,14 @@ class ReceivedPose(NamedTuple):
     """The used fields of an Odometry.
 
     Attributes:
-        stamp_ns: of the header, ns.
-        frame_id: of the header.
-        child_frame_id: whose pose it is.
-        position: of the child in the frame.
-        orientation: of the child in the frame, a quaternion x, y, z, w.
-        velocity: of the child in its own axes.
-        covariance: of the pose, 36 numbers.
-        velocity_covariance: of the velocity, in axes of the child, shape (3, 3).
+        stamp_ns: stamp of the header, ns.
+        frame_id: frame_id of the header.
+        child_frame_id: name of the child frame, whose pose it is.
+        position: position of the child in the frame, m.
+        orientation: orientation of the child in the frame, a quaternion x, y, z, w.
+        velocity: velocity of the child in its own axes, m/s.
+        covariance: covariance of the pose, 36 numbers.
+        velocity_covariance: covariance of the velocity in axes of the child, (m/s)^2, shape (3, 3).
     """
 
     stamp_ns: int
@@ -254,10 +254,10 @@ class ReceivedPose(NamedTuple):
 
 
 def received_pose(cdr: bytes) -> ReceivedPose:
-    """The used fields of the Odometry that these bytes are.
+    """Read the used fields of an Odometry from its bytes.
 
     Raises:
-        BrokenMessage: they are none.
+        BrokenMessage: the bytes are not an Odometry.
     """
     try:
         (seconds, nanoseconds), frame_id, at = _header(cdr)
@@ -276,21 +276,21 @@ def received_pose(cdr: bytes) -> ReceivedPose:
 
 
 def received_height(cdr: bytes) -> HeightImage:
-    """The height image that these bytes are; its provenance is to be left as it is, for others share it.
+    """Read bytes as a height image; its provenance must not be changed, for others share it.
 
     Raises:
-        BrokenMessage: they are none.
+        BrokenMessage: the bytes are not a HeightImage.
     """
     return _read_height(cdr)
 
 
 class HeightOrigin(NamedTuple):
-    """What a height image was made of, and how.
+    """Dwell and provenance of a height image.
 
     Attributes:
         dwell: number of the dwell.
-        stamp_ns: of its frames, ns.
-        provenance: to be left as it is, for others share it.
+        stamp_ns: stamp of its frames, ns.
+        provenance: provenance of the image, which must not be changed, for others share it.
     """
 
     dwell: int
@@ -299,20 +299,20 @@ class HeightOrigin(NamedTuple):
 
 
 def height_origin(cdr: bytes) -> HeightOrigin:
-    """What the height image that these bytes are was made of.
+    """Read dwell and provenance of a height image from its bytes.
 
     Raises:
-        BrokenMessage: they are none.
+        BrokenMessage: the bytes are not a HeightImage.
     """
     image = _read_height(cdr)
     return HeightOrigin(image.dwell, to_ns(image.header.stamp), image.provenance)
 
 
 def _frame(cdr: bytes) -> ReceivedFrame:
-    """Read a frame by the places of its fields.
+    """Read a frame by the offsets of its fields.
 
     Raises:
-        ValueError: the bytes are not laid out so.
+        ValueError: the bytes have another layout.
         struct.error: they are too few.
     """
     stamp, frame_id, at = _header(cdr)
@@ -344,10 +344,10 @@ def _frame(cdr: bytes) -> ReceivedFrame:
 
 
 def _image(cdr: bytes) -> ReceivedImage:
-    """Read an image by the places of its fields.
+    """Read an image by the offsets of its fields.
 
     Raises:
-        ValueError: the bytes are not laid out so.
+        ValueError: the bytes have another layout.
         struct.error: they are too few.
     """
     stamp, frame_id, at = _header(cdr)
@@ -369,7 +369,7 @@ def _image(cdr: bytes) -> ReceivedImage:
 
 
 def _end_of_geometry(cdr: bytes, at: int) -> int:
-    """Where grid and aperture of an image end that begin at an offset.
+    """The offset after grid and aperture of an image that start at an offset.
 
     Raises:
         struct.error: the bytes are too few.
@@ -381,7 +381,7 @@ def _end_of_geometry(cdr: bytes, at: int) -> int:
 
 @functools.lru_cache(maxsize=KEPT)
 def _geometry_of(numbers: bytes) -> Geometry:
-    """Grid and aperture of their bytes."""
+    """Grid and aperture from their bytes."""
     (grid, aperture), _ = _read_geometry(bytes(ENCAPSULATION) + numbers, ENCAPSULATION)
     return Geometry(grid, aperture)
 
@@ -404,12 +404,12 @@ def _text(cdr: bytes, at: int) -> tuple[str, int]:
 
 
 def _doubles(cdr: bytes, at: int, count: int) -> tuple[F64, int]:
-    """As many numbers of eight bytes at the next offset that these may have, and the offset after them."""
+    """`count` numbers of eight bytes at the next aligned offset, and the offset after them."""
     start = _aligned(at)
     end = start + 8 * count
     if count == 0 or end > len(cdr):
         raise ValueError("no numbers")
-    return np.frombuffer(cdr[start:end]), end  # a copy: in place they are not aligned in memory
+    return np.frombuffer(cdr[start:end]), end  # a copy: without it they are not aligned in memory
 
 
 def _aligned(at: int) -> int:

@@ -15,7 +15,7 @@ from sal_height.numeric import F64
 from sal_height.relief import Relief
 
 Place = Callable[..., F64]
-"""Makes positions in the map frame, m, of two coordinates of a map and heights, m, as `geometry.sphere_point`."""
+"""Positions in the map frame, m, from two coordinates of a map and heights, m, as `geometry.sphere_point`."""
 
 
 def relief_to_message(placed: PlacedRelief) -> ReliefMap:
@@ -47,7 +47,7 @@ def relief_to_message(placed: PlacedRelief) -> ReliefMap:
 
 
 RELIEF_POINT_FIELDS = ("x", "y", "z", "height", "sigma")
-"""Fields of the points of a map: place in the frame of the cloud, height and its standard deviation, m."""
+"""Fields of the points of a map: position in the frame of the cloud, height and its standard deviation, m."""
 
 
 def relief_points(relief: Relief, place: Place, frame: TransformStamped) -> PointCloud2:

@@ -116,7 +116,7 @@ def sensor_from_message(message: SensorInfo) -> Sensor:
 
 
 def _numbers(values: npt.ArrayLike) -> tuple[float, ...]:
-    """Numbers of a list as Python has them, by whose texts sensors are told apart."""
+    """Numbers of a list as floats of Python, whose texts distinguish sensors."""
     return tuple(np.asarray(values, np.float64).tolist())
 
 

@@ -1,7 +1,7 @@
 """The classes of shipped message types by their names without the package, such as ``Header``.
 
-They are made when they are first asked for, and have keyword arguments for all fields: numbers are 0, texts and lists
-empty, and nested messages new ones where nothing is given.
+They are made when they are first needed, and have keyword arguments for all fields. The defaults are 0 for numbers,
+empty texts and lists, and new nested messages.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What viewers show of products: pictures, and points with the frame near them that they are relative to."""
+"""Products for viewers: pictures, and points relative to a frame near them."""
 
 from __future__ import annotations
 

@@ -91,7 +91,7 @@ class CellMap(ABC):
         """The rectangle around all that was seen and the rectangle `seen`.
 
         Raises:
-            Rejected: it has more than `max_cells` cells.
+            Rejected: the rectangle has more than `max_cells` cells.
         """
         corners = seen if self._corners is None else hull(self._corners, seen)
         rows, cols = (corners[1] - corners[0] + 1).tolist()

@@ -29,7 +29,7 @@ class Layers:
         place: arc distances east and north from the map's origin, and height above the sphere, shape (n, 3).
         own: covariance of their errors that no other layer shares, m^2, shape (n, 3, 3).
         common: covariance of those that all pixels of a dwell share, shape (n, 3, 3).
-        towards: how far east and north the line of sight goes towards the sensor per metre that it rises, shape (n, 2).
+        towards: distance east and north along the line of sight to the sensor per metre of rise, m/m, shape (n, 2).
         dwells: number of dwells that have measured them, shape (n,).
     """
 
@@ -104,10 +104,10 @@ def merged(layers: Layers, cell_size: float, gate: float, *, same_dwell: bool) -
     sum w C / sum w, those of different dwells, too: no message says how alike they are, and a mean cannot err more.
 
     Args:
-        layers: in any order.
-        cell_size: m.
-        gate: standard deviations.
-        same_dwell: whether all layers are of one dwell, or of several.
+        layers: layers in any order.
+        cell_size: side of a cell, m.
+        gate: greatest difference of layers that are merged, standard deviations.
+        same_dwell: True if all layers are of one dwell, False if of several.
     """
     if not len(layers):
         return layers
@@ -141,10 +141,10 @@ class Neighbours:
 
     Attributes:
         first: number of the first layer of each pair, shape (pairs,).
-        second: of the second.
-        distance: on the ground, m.
+        second: number of the second layer, shape (pairs,).
+        distance: distance on the ground, m.
         rise: height of the second less that of the first, m.
-        error: `gate` standard deviations of that, m.
+        error: standard deviation of the rise, times `gate`, m.
     """
 
     first: Index

@@ -25,7 +25,7 @@ class ProjectedAxes:
     less than 30 urad.
 
     Attributes:
-        projection: of the coordinates.
+        projection: projection of the coordinates.
         false_origin: easting and northing of the origin of these axes, m, shape (2,).
     """
 

@@ -35,7 +35,7 @@ def joined_rows(parts: Sequence[tuple[Bool, HeightField]]) -> HeightField:
 
 
 def _joined(rows: Sequence[Bool], arrays: Sequence[F64 | None]) -> Any:
-    """An array with the rows of each array that exists, and NaN elsewhere; None if there is none."""
+    """An array with the rows of each array that exists, and NaN elsewhere; None if no array exists."""
     known = [(some, array) for some, array in zip(rows, arrays, strict=True) if array is not None]
     if not known:
         return None

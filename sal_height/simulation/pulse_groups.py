@@ -127,7 +127,7 @@ def pulse_groups(count: int, group_of: Callable[[slice], PulseGroup | None]) -> 
 
 
 def outermost(positions: F64) -> F64:
-    """Those of points (3, n) that lie farthest along the axes and the diagonals of the box around all, shape (m, 3)."""
+    """The points of (3, n) that lie farthest along the axes and diagonals of the box around all, shape (m, 3)."""
     x, y, z = (row / max(np.ptp(row), 1e-9) for row in positions)
     directions = (x, y, z, x + y + z, x + y - z, x - y + z, y + z - x)
     extremes = [find(along) for along in directions for find in (np.argmin, np.argmax)]

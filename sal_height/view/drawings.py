@@ -57,9 +57,9 @@ class Cloud:
 
     Attributes:
         path: name in the viewer.
-        places: shape (points, 3), m from the origin of the drawing.
+        places: positions from the origin of the drawing, m, shape (points, 3).
         colours: red, green and blue, shape (points, 3).
-        height: above the sphere, m, shape (points,).
+        height: height above the sphere, m, shape (points,).
         sigma: standard deviation of height, m, shape (points,).
         radius: radius of the points, m.
     """

@@ -62,7 +62,7 @@ REMEMBERED = 64
 """Images that decide which power is white."""
 
 RADIUS = 0.4
-"""Of points, in diagonals of a pixel: those of a closed surface nearly touch."""
+"""Radius of points, in diagonals of a pixel: those of a closed surface nearly touch."""
 
 DECIBELS = 10.0
 LEAST_POWER = 1e-30
@@ -324,7 +324,7 @@ class Painter:
         """Remember the names of drawings.
 
         Raises:
-            Rejected: with them, there are more than MOST_PATHS.
+            Rejected: there are more than MOST_PATHS names, including these.
         """
         paths = self._paths.union(drawing.path for drawing in drawings)
         if len(paths) > MOST_PATHS:

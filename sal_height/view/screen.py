@@ -21,7 +21,7 @@ from sal_height.view.painter import Subject
 from sal_height.view.viewer import Viewer, open_window, serve_page
 
 VERSION = "0.41"
-"""Of Rerun, whose interface changes from one to the next."""
+"""Version of Rerun, whose interface changes from one version to the next."""
 
 STAMP, CLOCK = "stamp", "clock"
 """Timelines: the time of the sensor, and that at which messages arrived."""

@@ -138,9 +138,9 @@ def show_live(listener: Listener, screen: Screen, is_over: Callable[[], bool], m
     """Show what a live graph publishes, until it is over or the user interrupts.
 
     Args:
-        listener: to the graph, entered.
-        screen: on which it is shown.
-        is_over: asked again and again.
+        listener: listener to the graph, entered as a context.
+        screen: screen on which the messages are shown.
+        is_over: function that is called repeatedly; True ends the display.
         map_frame: name of the frame that all positions are in.
     """
     artist = Artist(Painter(map_frame), screen, Subject())

@@ -178,7 +178,7 @@ def attempt(function: Callable[..., Any], *arguments: Any) -> tuple[Any, str]:
 
 
 def _lost(future: Any) -> str:
-    """Why a task has no result."""
+    """Reason for which a task has no result."""
     return f"A worker ended while it worked on it: {future.exception()}"
 
 

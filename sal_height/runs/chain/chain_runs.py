@@ -214,7 +214,7 @@ class BagRun:
         return self._reader.begin_ns
 
     def time_of(self, dwell: DwellKey) -> int:
-        """When the last frame of a dwell was recorded, ns."""
+        """Time at which the last frame of a dwell was recorded, ns."""
         return self.scheme.frames[dwell].last_ns
 
     def _joined(self, stack: ExitStack) -> Chain:

@@ -205,7 +205,7 @@ def _is_unmade(parameter: Parameter, value: Any, made: Collection[str]) -> bool:
 
 
 def _unlike(stated: NodeParameters, others: NodeParameters) -> dict[str, dict[str, Any]]:
-    """Those values that are not the same in `others`."""
+    """Values that are not the same in `others`."""
     return {
         node: {name: value for name, value in values.items() if others.get(node, {}).get(name, _NOTHING) != value}
         for node, values in stated.items()

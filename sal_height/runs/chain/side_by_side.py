@@ -207,7 +207,7 @@ class SideBySide(Chain):
         return self._remote[self.stages.index(stage)]
 
     def _deliver(self, port: str, item: Any) -> None:
-        """In addition to a chain: send controls to workers, and do not deliver what they process to stages here."""
+        """Deliver as a chain does; also send controls to workers, and leave out stages whose jobs they process."""
         super()._deliver(port, item)
         if port in CONTROLS and any(map(self._is_remote, self._consumers.get(port, ()))):
             for worker in self._workers:

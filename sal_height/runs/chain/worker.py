@@ -173,7 +173,7 @@ class WorkerChain:
 
     Attributes:
         stages: all stages of the chain, in the order of the data.
-        remote: for each of them, whether workers process its jobs.
+        remote: True for each of these stages whose jobs workers process.
         consumers: stages that accept the products of each port.
         kept: ports whose products are returned.
     """

@@ -272,7 +272,7 @@ def _keeper(topic: str, clock: DwellClock, watched: Watched) -> Callable[[bytes]
 
 @dataclass
 class DwellClock:
-    """When the sensor has delivered a dwell, by the stamp of its products.
+    """Time at which the sensor has delivered a dwell, by the stamp of its products.
 
     Attributes:
         rate: seconds of the sensor in a second.

@@ -43,7 +43,7 @@ TARGETS, SPECKLE, ONE_TARGET = "#0072b2", "#d55e00", "0.6"
 """Colours of what is measured on all targets, on speckle and on a single target."""
 
 DIRECTIONS = {"R": "range", "A": "azimuth"}
-"""Of which axis the responses R and A are."""
+"""Axes of the responses R and A."""
 
 Panel = Callable[[Axes], None]
 """Draws on a panel."""

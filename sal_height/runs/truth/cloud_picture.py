@@ -18,7 +18,7 @@ from sal_height.simulation import Preset
 AZIMUTH, TILT = np.radians(35.0), np.radians(38.0)
 """Direction from which the cloud is seen: clockwise from the sensor's side, and above the horizon, rad."""
 VIEW_WIDTH = 0.48 * WIDTH
-"""Of each of the two views, inches."""
+"""Width of each of the two views, inches."""
 
 
 def cloud_of(judgements: Mapping[str, Judged]) -> tuple[str, PublishedErrors]:

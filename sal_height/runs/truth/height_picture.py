@@ -58,8 +58,8 @@ class GroundPicture:
         height: height of the surface nearest to the middle of the cell, m.
         error: error of that surface, m.
         sigma: predicted standard deviation of that surface, m.
-        ghost: 1 where that surface is where nothing is lit.
-        silent: 1 where a height is absent because nothing was found but noise, 0 where it is absent for another reason.
+        ghost: mask, 1 where that surface is at a position at which nothing is lit.
+        silent: mask of absent heights, 1 where only noise was found, 0 where there is another reason.
     """
 
     extent: tuple[float, float, float, float]

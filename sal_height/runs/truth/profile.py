@@ -23,7 +23,7 @@ MOST_SIGMAS = 6.0
 
 FILL = ("full", "none", "none")
 MARKERS = ("o", "s", "D")
-"""Of the strongest surface of a pixel and of the others."""
+"""Markers, and their fill, of the strongest surface of a pixel and of the others."""
 
 
 def draw_profile(images: Mapping[str, Sequence[HeightImage]], source: str, flight: SimulatedFlight, path: Path) -> bool:
@@ -88,8 +88,8 @@ class _Profile:
         number: number of the surface in its pixel, from 0.
         row: row of its pixel.
         place: position east and north, m, shape (surfaces, 2).
-        height: m.
-        sigma: m.
+        height: height above the sphere, m.
+        sigma: standard deviation of the height, m.
         error: height minus that of the nearest true surface in the pixel, m; NaN where nothing is lit.
         sight: direction of growing range on the ground, east and north, of length 1.
     """

@@ -60,11 +60,11 @@ class _Pixels:
     """Valid pixels of height images, one entry each.
 
     Attributes:
-        east: arc distance from the map origin, m.
-        north: m.
-        height: estimate, m.
-        sigma: predicted, m.
-        common: part of it that pose and beams leave, which is common to pixels and dwells, m.
+        east: arc distance east of the map origin, m.
+        north: arc distance north of the map origin, m.
+        height: estimated height, m.
+        sigma: predicted standard deviation of the height, m.
+        common: part of sigma due to pose and beams, which is common to pixels and dwells, m.
         truth: true height, m; NaN where there is no scatterer.
         bound: Cramer-Rao bound for two looks averaged over speckle, m: 1 / sqrt(information of one look).
         single: True where the pixel has a single scatterer.

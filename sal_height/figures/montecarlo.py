@@ -67,8 +67,8 @@ class Experiment:
         beams: beams of the detectors, around 0, of a beamwidth of 1 rad.
         theta: elevation of the target above the middle of the detectors.
         cnr_db: CNR of one look, as each function defines it, dB.
-        looks: K.
-        target: one of TARGETS.
+        looks: number K of looks.
+        target: name of the target, one of TARGETS.
         trials: number of estimates.
         seed: seed of all random numbers.
 
@@ -264,7 +264,7 @@ def _elevations(experiment: Experiment, power: float, objective: str, guard: flo
 def _registered_elevations(
     experiment: Experiment, power: float, estimator: ElevationEstimator, settings: HeightSettings
 ) -> F64:
-    """Elevations as the node of an estimator gives them, shape (trials,); NaN where there is none."""
+    """Elevations as the node of an estimator gives them, shape (trials,); NaN where invalid."""
 
     def elevations(matrices: Covariance) -> F64:
         looks = Looks.of(matrices[:, None], experiment.looks)

@@ -68,8 +68,8 @@ def cloud_ratio(energy: F64, powers: F64, axis: int | tuple[int, ...]) -> F64:
     """Logarithm of the likelihood ratio of a cloud against noise and clutter, equation (1).
 
     Args:
-        energy: s, power of the amplitudes along each eigenvector, background 1; broadcasts with `powers`.
-        powers: q, expected powers of the cloud along these.
+        energy: power s of the amplitudes along each eigenvector, background 1; broadcasts with `powers`.
+        powers: expected powers q of the cloud along these.
         axis: axes of the eigenvectors, over which the sum is taken.
     """
     return np.asarray(np.sum(energy * (powers / (1 + powers)) - np.log1p(powers), axis=axis))
@@ -191,7 +191,7 @@ class LagLikelihood:
         That term, the energy of the spectrum, makes it the ratio of equation (1).
 
         Args:
-            spectra: m of targets about their centres, background 1, for each lag, shape (targets, lags, bins).
+            spectra: spectra m of targets about their centres, background 1, for each lag, shape (targets, lags, bins).
         """
         modes, _, weights, volumes = self._modes
         both = np.concatenate([spectra.real, spectra.imag]).astype(np.float32)
@@ -208,7 +208,7 @@ class LagLikelihood:
         """Logarithm of the likelihood ratio of clouds that are spread over range, equation (1), its greatest.
 
         Args:
-            spectra: m of rows about the centre of a target, background 1, shape (bins, rows).
+            spectra: spectra m of rows about the centre of a target, background 1, shape (bins, rows).
             lag: number of the lag.
             covariances: covariances of rows for some spreads of clouds of power 1, shape (spreads, rows, rows).
         """

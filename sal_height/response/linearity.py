@@ -73,7 +73,7 @@ class ShapedNoise:
 
     @classmethod
     def pooled(cls, noises: Sequence[ShapedNoise]) -> ShapedNoise:
-        """That of images which are measured together: the mean of their covariances."""
+        """Noise of images that are measured together: the mean of their covariances."""
         return cls(*(np.mean([getattr(one, axis) for one in noises], axis=0) for axis in ("range", "azimuth")))
 
 
@@ -108,9 +108,9 @@ class _Lines:
 
     Attributes:
         power: P_s at the frequencies of a sub-image of the same number of pixels.
-        apart: s, lines between the two of a product.
+        apart: number s of lines between the two of a product.
         signal: cross-spectrum of a line that responds as the targets do, at 2 M frequencies, M the rows of a tile.
-        noise: contribution of noise to it.
+        noise: contribution of noise to `signal`.
         across: covariances along azimuth of speckle and of noise at lags from 0 up, shape (2, columns of a tile).
         count: number of lines.
     """
@@ -124,7 +124,7 @@ class _Lines:
 
     @property
     def covariance(self) -> F64:
-        """Of P_s."""
+        """Covariance of P_s."""
         cols, more = self.across.shape[1], self.apart
         lags = np.pad(np.concatenate([self.across[:, :0:-1].conj(), self.across], axis=1), ((0, 0), (more, more)))
         ahead, middle, behind = (lags[:, first:][:, : 2 * cols - 1] for first in (2 * more, more, 0))

@@ -46,8 +46,8 @@ class PointSpread:
     Attributes:
         pixels: complex128, FINENESS samples per pixel, 1 in the middle, at row rows * FINENESS / 2 and the column
             alike; shape (rows * FINENESS, cols * FINENESS).
-        range: along range.
-        azimuth: along azimuth.
+        range: figures along range.
+        azimuth: figures along azimuth.
     """
 
     pixels: C128

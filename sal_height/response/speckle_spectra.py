@@ -54,7 +54,7 @@ class AxisSpectrum:
 
     @property
     def standard_error(self) -> F64:
-        """Of `power`, shape (M,): its own size over the root of the independent lines, as periodograms have it."""
+        """Standard error of `power`, shape (M,): `power` over the root of `independent`, as of periodograms."""
         return self.power / np.sqrt(self.independent)
 
     def unfolded(self, count: int) -> tuple[F64, F64]:
@@ -107,12 +107,12 @@ class SpeckleSpectra:
     """The response as estimated from speckle.
 
     Attributes:
-        range: along axis 0, of |R|^2.
+        range: spectrum |R|^2 along axis 0.
         neighbours: covariance at lags 0 to M - 1 in range between pixels of neighbouring columns, in units of the mean
             power, the Doppler centroid taken out: that of |R|^2 alone, as noise that is white along azimuth averages
             out; a spur remains. M is the number of pixels of a sub-image.
-        azimuth: along axis 1, of |A|^2, averaged after the pointing's changes along the track have been taken out.
-        pointing: None if the azimuth response is too flat to have a centre.
+        azimuth: spectrum |A|^2 along axis 1, averaged after the along-track changes of the pointing were removed.
+        pointing: pointing of the antenna; None: the azimuth response is too flat to have a centre.
     """
 
     range: AxisSpectrum

@@ -122,10 +122,10 @@ def _axis_response(mean: C128, responses: C128, shares: F64, variance: F64) -> A
     """A mean response with its standard errors, and the targets' disagreement on it (the ratio of Birge 1932).
 
     Args:
-        mean: shape (bins,).
-        responses: of each target, shape (targets, bins).
-        shares: of the targets in the mean.
-        variance: of the bins of the mean that clutter explains, shape (bins,).
+        mean: mean response, shape (bins,).
+        responses: response of each target, shape (targets, bins).
+        shares: weights of the targets in the mean, shape (targets,).
+        variance: variance of the bins of the mean due to clutter, shape (bins,).
     """
     disagreement = float("nan")
     if len(responses) > 1:

@@ -42,16 +42,16 @@ EXPECTED = {
     "int_parsing": "a whole number",
     "int_from_float": "a whole number",
 }
-"""What a value must be, by the type of the error that pydantic reports for another one."""
+"""Description of a valid value, by the type of the error that pydantic reports for an invalid one."""
 
 
 def read_yaml(path: Path, source: str, unreadable: str) -> Any:
     """The content of a YAML file.
 
     Args:
-        path: of the file.
-        source: what to call it in messages.
-        unreadable: what to say if it cannot be read.
+        path: path of the file.
+        source: name of the file in messages.
+        unreadable: message if the file cannot be read.
 
     Raises:
         UserError: it cannot be read, or is no YAML.

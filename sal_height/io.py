@@ -49,7 +49,7 @@ def free_folder(base: Path) -> Path:
     """`base`, or else the first of base_2, base_3, … that does not exist or is empty.
 
     Raises:
-        UserError: it cannot be told.
+        UserError: a folder cannot be read.
     """
     names = (base if number == 1 else base.with_name(f"{base.name}_{number}") for number in itertools.count(1))
     try:
@@ -79,7 +79,7 @@ def write_text(path: Path, text: str) -> None:
 
 @contextmanager
 def unfinished(path: Path) -> Iterator[Path]:
-    """Where to write a file, which gets its name when the block ends; what was there stays until then.
+    """Path to write a file to, which gets its name when the block ends; an older file stays until then.
 
     The suffix is that of `path`, by which libraries choose a format.
 

@@ -45,13 +45,13 @@ def setting(
 
     Args:
         default: value of the field if none is given.
-        description: what the setting does, without its unit.
-        unit: of the value, for example "dB" or "m/s"; empty if it has none.
+        description: effect of the setting, without its unit.
+        unit: unit of the value, for example "dB" or "m/s"; empty if it has none.
         minimum: least value allowed.
         maximum: greatest value allowed.
-        choices: the texts that are allowed; empty: every text is.
-        read_only: whether a node takes the value only when it starts.
-        names_file: whether the value is the path of a file.
+        choices: texts that are allowed; empty: every text.
+        read_only: True if a node reads the value only when it starts.
+        names_file: True if the value is the path of a file.
     """
     extra: Any = {"unit": unit, "choices": list(choices), "read_only": read_only, "names_file": names_file}
     return Field(default, description=description, ge=minimum, le=maximum, json_schema_extra=extra)
@@ -138,12 +138,12 @@ def settings_of(model: type[Settings]) -> Mapping[str, Setting]:
 
 
 def unknown_name(name: str, known: Iterable[str], owner: str = "") -> str:
-    """A sentence that says that there is no parameter `name`, names the closest one, and lists all.
+    """A message that there is no parameter `name`, with the closest one and a list of all.
 
     Args:
-        name: what was asked for.
-        known: the names that exist.
-        owner: whose parameter it is, for example "Node ml_height"; empty: not said.
+        name: name that does not exist.
+        known: names that exist.
+        owner: owner of the parameter, for example "Node ml_height"; empty: not stated.
     """
     names = list(known)
     if (new := PARAMETERS.get(name)) in names:

@@ -4,7 +4,7 @@ The surfaces of all pixels are points with the covariance of their place, most o
 a few that do not exist. From them follows the highest surface of each cell of a grid on the ground:
 
 1. Points of the same piece of surface are merged (`layers`), which is all that is kept of dwells.
-2. Points that hang together with hardly any others, although there are others around them, are ghosts; so is what could
+2. Points that are connected to hardly any others, although there are others around them, are ghosts; so is what could
    not have been seen behind what stands in front of it, unless it is what stands in front that contradicts more.
 3. Points with others steeply above and below them are on walls.
 4. The highest that is left in each cell is its measured height. The ground between them is a membrane that tears at

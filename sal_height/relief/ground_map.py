@@ -25,7 +25,7 @@ MARGIN = 4
 """Cells around what a dwell has seen in which the estimate may change, and as many more that are taken into account."""
 
 LEAST_CELLS = 2**14
-"""Cells that are worth an estimate, if nobody asks for it: ten dwells of sal_spotlight, 50 ms."""
+"""Cells that are worth an estimate before one is requested: ten dwells of sal_spotlight, 50 ms."""
 
 ARRAYS = ("height", "sigma", "kind", "count")
 """Names of the arrays of an estimate."""
@@ -39,7 +39,7 @@ def fine_cell_size(grid: Grid) -> float:
 
 
 class GroundMap(CellMap):
-    """The highest surface of all ground that was seen, estimated whenever it is asked for."""
+    """The highest surface of all ground that was seen, estimated whenever it is requested."""
 
     def __init__(
         self, cell_size: float, spacing: float, max_cells: int, settings: GroundSettings = DEFAULT_GROUND
@@ -61,7 +61,7 @@ class GroundMap(CellMap):
         self._stale: I64 | None = None  # the rectangle around cells seen since they were estimated
 
     def add(self, field: HeightField, aperture: ApertureState) -> None:
-        """Enter all surfaces of a dwell, and estimate what is worth it by now. See `CellMap.add`."""
+        """Enter all surfaces of a dwell; estimate once there are LEAST_CELLS new cells. See `CellMap.add`."""
         seen = self.enter(field, aperture)
         if seen is None:
             return

@@ -127,7 +127,7 @@ class HeightField:
         grid: pixels of the height image.
         validity: `Validity` of each pixel, uint8, shape (rows, cols).
         surfaces: the strongest scatterer of the pixels that have a height, with the `cnr_db` of all pixels that have a
-            signal; then as many weaker ones as were looked for.
+            signal; then as many weaker ones as were searched for.
         order_probability: probability of each order, as in `ElevationEstimate`; None: not estimated.
     """
 
@@ -157,8 +157,8 @@ def height_field(
     Range and Doppler are those of the looks' power-weighted centre; the elevation selects the point on their circle.
     The errors of elevation, of range and of Doppler are independent (`position_error.measured_covariance`); those
     of range and Doppler are there because the centre of the speckle within its cell is unknown, which limits the
-    height at high CNR. What the platform's pose adds (`position_error.pose_covariance`) is common to all pixels of
-    the dwell, and what uncertain beams add (`beam_error.common_deviation`) to those of one elevation. The variance
+    height at high CNR. The error of the platform's pose (`position_error.pose_covariance`) is common to all pixels of
+    the dwell, and that of uncertain beams (`beam_error.common_deviation`) to those of one elevation. The variance
     of height is that of both parts along the vertical.
 
     Args:

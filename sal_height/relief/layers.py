@@ -1,7 +1,7 @@
 """Layers: the pieces of surface that dwells have measured, each in one cell of a grid on the ground.
 
-A cell has several layers where surfaces lie above each other, as at a wall. What dwells measure of the same piece is
-merged with the weights of its errors, so that the memory of a map grows with the ground that was seen, not with the
+A cell has several layers where surfaces are above each other, as at a wall. Measurements of the same piece are
+merged with the weights of their errors, so that the memory of a map grows with the ground that was seen, not with the
 dwells.
 """
 
@@ -72,7 +72,7 @@ def _layers_of_surface(surface: Surface, aperture: ApertureState) -> Layers:
     """One layer for each pixel.
 
     Errors along its circle add to the covariance: all of sigma if no covariance is known, and the spread of an extended
-    surface, any part of which may be what is seen at a place. Pixels whose circle does not rise at all, right ahead of
+    surface, of which any part may be seen at a position. Pixels whose circle does not rise at all, right ahead of
     the platform, are left out: their heights say nothing.
     """
     seen = surface.is_determined & np.isfinite(surface.height)
@@ -170,10 +170,10 @@ def neighbours(layers: Layers, reach: float, gate: float) -> Neighbours:
 
 
 def supported(layers: Layers, pairs: Neighbours, reach: float, least: int) -> Bool:
-    """Layers that hang together with `least` or more in space, shape (n,): surfaces, and not ghosts among surfaces.
+    """Layers that are connected to `least` or more in space, shape (n,): surfaces, and not ghosts among surfaces.
 
-    Two layers hang together if their distance, but for their errors, is at most `reach` (m). What has fewer than
-    `least` layers around it on the ground has nothing that speaks against it, and counts as supported.
+    Two layers are connected if their distance, but for their errors, is at most `reach` (m). A layer with fewer than
+    `least` layers around it on the ground is not contradicted, and counts as supported.
     """
     beyond = np.maximum(np.abs(pairs.rise) - pairs.error, 0.0)
     together = pairs.distance**2 + beyond**2 <= reach**2

@@ -183,7 +183,7 @@ def _stiffness(joined: Joints, steps: list[F64]) -> Links:
 def _beliefs(weight: F64, measured: F64, stiffness: Links, rises: Links) -> tuple[F64, F64]:
     """Precision (1/m^2) and mean (m) of each cell after the messages of SWEEPS sweeps.
 
-    A cell that knows its height with the precision p, but for what the receiver sent, sends through a link of the
+    A cell whose height has the precision p, without the receiver's message, sends through a link of the
     stiffness k the precision k p / (k + p), as of conductors in series.
     """
     precision, moment = np.zeros((4, *weight.shape)), np.zeros((4, *weight.shape))
@@ -207,7 +207,7 @@ def _unresolved(height: F64, noise: F64, joined: Joints, spacing: float) -> F64:
 
 def _bent_both_ways(height: F64, limit: F64, joined: Bool, spacing: float) -> F64:
     """Lesser of the bends upwards and downwards along columns that reach to each cell, squared, m^2."""
-    bend_pixels = (1, 2, 3)  # distances in pixels over which bends are looked for
+    bend_pixels = (1, 2, 3)  # distances in pixels over which bends are searched for
     lags = np.rint(np.array(bend_pixels) * spacing).astype(np.int64)
     bends = np.zeros((2, *height.shape))
     there = np.ascontiguousarray(joined)

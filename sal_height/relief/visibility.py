@@ -1,7 +1,7 @@
 """Visibility: parts of the ground that hide others from the sensor.
 
-A line of sight rises from the ground towards the sensor, and is followed cell by cell. A surface that was measured
-bounds the height of all that it is seen over, and what was not measured behind a high surface may be in its shadow.
+A line of sight rises from the ground towards the sensor, and is followed cell by cell. A measured surface bounds the
+height of all that it is seen over, and unmeasured ground behind a high surface may be in its shadow.
 Pixels without a signal show a shadow that is too short for that.
 """
 
@@ -17,7 +17,7 @@ from sal_height.relief.heights import HeightField
 
 
 def blocking_cells(place: F64, height: F64, towards: F64, top: F64, cell_size: float) -> tuple[Index, Index]:
-    """Find the cells whose surface stands in the way of lines of sight.
+    """Find the cells whose surface blocks lines of sight.
 
     Args:
         place: row and column of the points where the lines begin, in cells, shape (n, 2); whole numbers are middles.
@@ -27,7 +27,7 @@ def blocking_cells(place: F64, height: F64, towards: F64, top: F64, cell_size: f
         cell_size: side of a cell, m. A surface that rises above a line by less does not block it.
 
     Returns:
-        Number of a line and flat number of a cell in its way, for every such pair, each of shape (pairs,).
+        Number of a line and flat number of a cell that blocks it, for every such pair, each of shape (pairs,).
     """
     level = np.hypot(towards[:, 0], towards[:, 1])
     with np.errstate(invalid="ignore", divide="ignore"):

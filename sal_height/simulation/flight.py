@@ -348,7 +348,7 @@ class SimulatedFlight:
     def probed_air(self, dwell: int) -> list[ProbedAir]:
         """Measurements of a probe on the platform, each second, starting with one before the first dwell.
 
-        They are published with a dwell for the next one, which so has them whatever arrives first. Stamps count
+        They are published with a dwell for the next one, which has them in any order of arrival. Stamps count
         from the start. None: no air.
         """
         if not (air := self.preset.impairments.air):
@@ -472,7 +472,7 @@ def swings_little(preset: Preset, sensor: Sensor) -> bool:
 
 
 def describe_beam_misfits(preset: Preset, sensor: Sensor) -> Iterator[str]:
-    """Sentences on pulses and beams with which a flight refuses a preset."""
+    """Messages on pulses and beams with which a flight refuses a preset."""
     track_beamwidth, speed = sensor.beams.track_beamwidth, preset.flight.speed_mps
     if not samples_doppler(preset, sensor):
         length, doppler_band = sensor.wavelength / track_beamwidth, lit_doppler(sensor, speed)

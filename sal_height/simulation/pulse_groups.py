@@ -103,7 +103,7 @@ class PulseGroup:
 def pulse_groups(count: int, group_of: Callable[[slice], PulseGroup | None]) -> list[PulseGroup]:
     """All pulses in the groups with the least computation; empty if groups of LEAST_PULSES are too long.
 
-    Work is counted in the beams that scatterers are spread with; transforms of what migrates are half as much again.
+    Work is counted in the beams that scatterers are spread with; transforms of migrating ones take half as much again.
 
     Args:
         count: number of pulses.

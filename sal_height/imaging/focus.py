@@ -224,7 +224,7 @@ def _find_beams(
 
 
 def describe_distrust(focus: Focus, prior: NavigationPrior, settings: AutofocusSettings) -> str:
-    """Sentences on a dwell whose phase error is not known, although navigation is not enough."""
+    """Messages on a dwell whose phase error is not known, although navigation is not enough."""
     if not np.isfinite(focus.standard_error):
         why = "finds nothing above the noise"
     elif focus.standard_error > settings.autofocus_max_error_rad:

@@ -178,7 +178,7 @@ def file_screen(path: Path, name: str, history_s: float) -> Iterator[Screen]:
     unfinished = path.with_name(f".{path.name}.part")
     with writing(path):
         unfinished.parent.mkdir(parents=True, exist_ok=True)
-        unfinished.touch()  # the viewer's package would not say what is wrong
+        unfinished.touch()  # the viewer's package would not report the reason
     try:
         screen.recording.save(unfinished)
         screen.begin()

@@ -20,7 +20,7 @@ DRAWN_PLACES = 32
 """Places of a piece that are drawn, about; it is short, and a platform is inert."""
 
 FARTHEST_M, LONGEST_NS = 5.0, 5_000_000_000
-"""Two places are joined if the second is where the velocity at the first leads to, but for half the way and this
+"""Two places are joined if the second is where the velocity at the first leads to, but for half the distance and this
 distance, and if they are no further apart in time."""
 
 

@@ -192,8 +192,8 @@ class BagRun:
         """Products that the stages make of the dwells, and their losses, which are counted, too.
 
         Args:
-            doing: words on what is done, for a progress bar; empty: no progress bar.
-            fed: callback that receives what is fed.
+            doing: label of a progress bar; empty: no progress bar.
+            fed: callback that receives each item that is fed.
 
         Raises:
             UserError: the bag is damaged, or a worker has ended.

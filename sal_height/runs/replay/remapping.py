@@ -114,7 +114,7 @@ def remapping_of(rules: Sequence[str], bag: Path, entry: str) -> Remapping:
 
 
 def _played_types(entry: str) -> set[str]:
-    """Types of what is played from an entry on."""
+    """Message types that are played from an entry on."""
     if entry == FROM_HEIGHTS:
         return {HEIGHT_TYPE}
     return {SENSOR_TYPE, IMAGE_TYPE} if entry == IMAGES else {SENSOR_TYPE, ODOMETRY_TYPE, FRAME_TYPE, *AIR_TYPES}

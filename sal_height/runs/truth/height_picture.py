@@ -1,4 +1,4 @@
-"""Picture of the heights of a run: what was found on the ground, its errors and sigmas, and how many surfaces."""
+"""Picture of the heights of a run: surfaces found on the ground, their errors, sigmas and number."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from sal_height.runs.truth.surface_report import CELL_PIXELS, Judged
 from sal_height.simulation import Preset
 
 SHADOW, NO_ANSWER = "0.35", "0.8"
-"""Greys of cells without a height: where nothing was found but noise, and where what was found gave no height."""
+"""Greys of cells without a height: where only noise was found, and where the signal gave no height."""
 
 COLUMNS = 4
 """Height, surfaces in a pixel, error and sigma."""
@@ -240,7 +240,7 @@ def _name_axes(axes: npt.NDArray[Any], unit: str) -> None:
 
 
 def _explain(figure: Figure) -> None:
-    """Say what the colours of cells without a height, or without an error, mean."""
+    """Explain the colours of cells without a height, or without an error."""
     patches = [
         Patch(color=SHADOW, label="no signal, as in shadow"),
         Patch(color=NO_ANSWER, label="a signal, but no height certain enough"),

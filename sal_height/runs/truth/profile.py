@@ -104,7 +104,7 @@ class _Profile:
 
 
 def _profile(image: HeightImage, col: int, flight: SimulatedFlight) -> _Profile:
-    """Read a column of a height image, and compare it with what was lit."""
+    """Read a column of a height image, and compare it with the lit surfaces."""
     field = messages.field_from_message(image)
     errors = judged([image], flight, {image.dwell: flight.surface(image.dwell)}).comparison.errors
     # In the order in which surfaces are compared: one after the other, each over all pixels.

@@ -100,7 +100,7 @@ def as_flown(
 ) -> tuple[HeightField, ApertureState]:
     """Positions of the pixels of a height image and of its points, seen from where the platform was.
 
-    Range and Doppler count from there, not from where the odometry says; a pixel is compared with what it saw. Heights
+    Range and Doppler count from there, not from the odometry's position; a pixel is compared with what it saw. Heights
     and covariances stay as they were published. In stripmap the error of the odometry is that in the middle of the last
     block.
 

@@ -1,4 +1,4 @@
-"""Likelihood of what the channels receive of a target, from its amplitudes in Doppler bins, or in dwells.
+"""Likelihood of a target's echoes in the channels, from its amplitudes in Doppler bins, or in dwells.
 
 A target is received n = 1, 2, ... times, each time by the beam in another direction: in the Doppler bins of a strip, or
 in spotlight dwells that overlap. With g_n the amplitude of the beam in the direction of the target and m_n the channels
@@ -32,7 +32,7 @@ A point that is as bright in every dwell, but for errors of the beam, has amplit
     ln L = sum over n of |m_n|^2 - (|m_n|^2 + q_n) / v_n + ln I_0(2 sqrt(q_n) |m_n| / v_n) - ln v_n,                 (2)
     q_n = P g_n^2,  v_n = 1 + MODEL_ERROR q_n.
 
-The likelihood is the greatest over P, w and these kinds, so that interference and fading are not taken for motion.
+The likelihood is the greatest over P, w and these kinds, so that interference and fading are not mistaken for motion.
 Beyond its main lobe a beam is not known well: there each bin is by itself, or the antenna sees nothing.
 """
 
@@ -52,7 +52,7 @@ MODEL_ERROR = 0.01
 HYPOTHESES = 10.0
 """Number of lags, or squints, that can be separated.
 
-Measured with pairs of points in one cell, which stand still and are most often taken for movers."""
+Measured with pairs of points in one cell, which are at rest and are most often mistaken for movers."""
 
 WIDTHS = np.array([0.0, 0.15, 0.3, 0.6, 1.2, 2.4, 4.8, 9.6, 1e3])
 """Rms widths of clouds in resolution cells; the widest makes all bins incoherent."""
@@ -95,8 +95,8 @@ def point_ratio(amplitude: F64, powers: F64) -> F64:
 def ratio_in_dwells(matched: F64, gains: F64, powers: F64 = POWERS_IN_DWELLS, points: bool = True) -> F64:
     """Logarithm of the likelihood ratio of a target in dwells, its greatest over powers and kinds.
 
-    What is to be published as moving must be likelier as speckle: bright speckle has among many points one that fits it
-    by chance.
+    A target published as moving must be likelier even as speckle: bright speckle has among many points one that fits
+    it by chance.
 
     Args:
         matched: |m_n|, shape (..., dwells).

@@ -152,7 +152,7 @@ def _common_shape(images: Sequence[Complex]) -> tuple[int, int]:
 
 
 def _part(name: str, undetermined: dict[str, str], measure: Callable[[], Part]) -> Part | None:
-    """The measured part, or None, with the reason entered."""
+    """The measured part, or None, with the reason recorded."""
     try:
         return measure()
     except NotDetermined as reason:

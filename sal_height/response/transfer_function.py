@@ -42,7 +42,7 @@ class AxisTransfer:
         """The response with clutter removed from its point-spread function, pixel by pixel; shape (count,).
 
         Each pixel h counts by 1 - s^2 / |h|^2, or not at all where that is below 0, with s its standard error (Wiener's
-        filter, with the power that is there for that which is expected). It takes most of the error out of a response
+        filter, with the measured power in place of the expected one). It removes most of the error of a response
         that is short in pixels; what is left errs alike in neighbouring bins, and sidelobes below s are gone.
         """
         pixels = scipy.fft.ifft(self.response)

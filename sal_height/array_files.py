@@ -128,7 +128,7 @@ def _datasets_at_the_top(file: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _complex_datasets(file: Any) -> Iterator[tuple[str, Any]]:
-    """Datasets of two or three dimensions and complex numbers, in whatever group."""
+    """Datasets of two or three dimensions and complex numbers, in any group."""
     found: list[tuple[str, Any]] = []
 
     def look(name: str, entry: Any) -> None:
@@ -144,7 +144,7 @@ def _is_compound(kind: Any) -> bool:
 
 
 def _as_complex(values: Any) -> Any:
-    """Complex numbers of a compound of their parts, of whatever precision; others as they are."""
+    """Complex numbers of a compound of their parts, of any precision; others as they are."""
     kind = getattr(values, "dtype", None)
     if kind is None or not _is_compound(kind):
         return values

@@ -1,4 +1,4 @@
-"""YAML files as frozen dataclasses; what is wrong with one is said in a sentence."""
+"""YAML files as frozen dataclasses; an error in one is reported as a message."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def _adapter(kind: type[Any]) -> TypeAdapter[Any]:
 
 
 def _refusal(error: ValidationError) -> str:
-    """The first thing that a validation error says: where, what is wrong, what is allowed."""
+    """The first problem of a validation error: where, what is wrong, what is allowed."""
     first = error.errors()[0]
     key = " ".join(".".join(str(part) for part in first["loc"]).split()) or "the top level"
     if first["type"] == "missing":

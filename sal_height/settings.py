@@ -63,7 +63,7 @@ class Settings(BaseModel):
     A whole number is accepted for a float. Unknown names, NaN, infinities and values of another type are refused.
 
     Raises:
-        UserError: a name or value is not allowed; the sentence says which, and what is allowed.
+        UserError: a name or value is not allowed; the message states which, and what is allowed.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True, validate_default=True)
@@ -112,7 +112,7 @@ class Setting:
 
     @property
     def allowed(self) -> str:
-        """The values that are allowed, as the end of a sentence."""
+        """The values that are allowed, as the end of a message."""
         if self.choices:
             return f"allowed are {', '.join(self.choices)}"
         kind = KINDS.get(self.kind, "a list of texts" if self.kind == tuple[str, ...] else f"of type {self.kind}")
@@ -125,7 +125,7 @@ class Setting:
         return f"it must be {kind}"
 
     def refusal(self, value: Any) -> str:
-        """A sentence that says that `value` is not allowed, and what is."""
+        """A message that `value` is not allowed, and which values are."""
         if isinstance(value, (bool, str)) and (new := VALUES.get(self.name, {}).get(value)):
             return f"Parameter {self.name} is {value!r}, which is named {new!r} now."
         return f"Parameter {self.name} {'has no value' if value is None else f'is {value!r}'}; {self.allowed}."
@@ -171,7 +171,7 @@ def _entry(name: str, field: FieldInfo) -> Setting:
 
 
 def _sentence(model: type[Settings], error: ValidationError) -> str:
-    """The first thing that a validation error says, as one sentence."""
+    """The first problem of a validation error, as one message."""
     first = error.errors(include_url=False)[0]
     if isinstance(cause := first.get("ctx", {}).get("error"), UserError):
         return str(cause)

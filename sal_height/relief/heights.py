@@ -167,8 +167,8 @@ def height_field(
         slc_grid: pixels of the SLC.
         grid: pixels of the height image (`look_grid`).
         aperture: state of the platform.
-        look_side: +1 right, -1 left.
-        radial_velocity: v_r of the targets, m/s, positive if they recede. It displaces them in the image by
+        look_side: look side, +1 right, -1 left.
+        radial_velocity: velocity v_r of the targets, positive if they recede, m/s. It displaces them in the image by
             -range v_r / speed along-track (SAL paper, section 4), which is corrected.
         beams: beams whose uncertainty is in the estimate's sigmas, and becomes common; None: they are known.
     """

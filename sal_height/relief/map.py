@@ -119,7 +119,7 @@ class _Pixels:
         slope: slope of the ground towards east and north, m/m, shape (2, pixels); 0 where it is not known.
         slope_error: standard deviation of the slope, m/m, shape (pixels,); NaN where it is not known.
         own: variance of the height at that place, m^2, shape (pixels,).
-        common: its part that the pixels of the dwell share, m^2.
+        common: part of that variance that the pixels of the dwell share, m^2.
     """
 
     place: F64

@@ -74,9 +74,9 @@ class Membrane:
         beyond: distance from the footprint of that cell, cells; 0 within.
         noise: standard deviation of the nearest measurement, m.
         filled: height of that measurement, moved to the cell along the slope, m.
-        weight: w of each cell, 1/m^2.
-        stiffness: k between neighbours, 1/m^2.
-        rises: r between neighbours, m.
+        weight: weight w of each cell, 1/m^2.
+        stiffness: stiffness k between neighbours, 1/m^2.
+        rises: rise r between neighbours, m.
     """
 
     height: F64
@@ -107,7 +107,7 @@ def fitted_membrane(
 
     Args:
         measured: heights z, m, shape (rows, cols); NaN where not measured.
-        sigma: their standard deviations s, m, same shape.
+        sigma: standard deviations s of these heights, m, same shape.
         spacing: spacing of the measurements, cells.
         gate: greatest difference of joined neighbours, standard deviations of the difference.
         slope: slope of the ground along rows and along columns, m per cell, shape (rows, cols, 2); None: level.

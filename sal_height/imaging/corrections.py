@@ -153,7 +153,7 @@ def correct_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, sett
         history: phase history of all detectors, as fast-time frequencies.
         track: track of the platform.
         sensor: sensor with waveform "spectrum".
-        settings: known errors.
+        settings: settings that state known errors.
 
     Raises:
         UserError: the air is unknown for this wavelength or height.

@@ -103,7 +103,7 @@ class Slc:
     """Single-look complex images of all detectors.
 
     Attributes:
-        images: complex64, shape (detectors, rows, cols).
+        images: pixels, complex64, shape (detectors, rows, cols).
         grid: grid of the pixels.
         aperture: state of the platform in the middle of the aperture, or of the strip's image.
         noise_power: E|n|^2 of a pixel of each channel, shape (channels,).

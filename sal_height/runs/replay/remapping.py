@@ -83,9 +83,9 @@ def remapping_of(rules: Sequence[str], bag: Path, entry: str) -> Remapping:
     or nodes do not know OLD.
 
     Args:
-        rules: each OLD:=NEW, as in ROS: the topic OLD gets the name NEW.
+        rules: rules of the form OLD:=NEW, as in ROS: the topic OLD gets the name NEW.
         bag: bag that is replayed.
-        entry: one of `entry.ENTRIES`, the topic that the replay starts with.
+        entry: topic that the replay starts with, one of `entry.ENTRIES`.
 
     Raises:
         UserError: the bag cannot be read, a rule has another form, a topic of the bag another type than its new name

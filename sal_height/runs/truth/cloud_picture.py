@@ -58,7 +58,7 @@ def projected(place: F64, side: float) -> tuple[F64, F64, F64]:
 
     Args:
         place: positions, m, shape (points, 3).
-        side: +1 if the sensor looks to the right of its flight eastwards, and is in the north; -1 in the south.
+        side: look side on a flight eastwards: +1 right, with the sensor in the north; -1 left, in the south.
     """
     east, north, height = place.T * np.array([[side], [side], [1.0]])
     right = -np.cos(AZIMUTH) * east + np.sin(AZIMUTH) * north

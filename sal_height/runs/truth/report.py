@@ -29,9 +29,9 @@ class Mosaic:
     """Height images of a run in ground cells, each the mean of its pixels weighted by 1 / sigma^2; NaN where unseen.
 
     Attributes:
-        east: centres of the cells, arc distance from the map origin, m, shape (cols,).
-        north: centres of the cells, m, shape (rows,).
-        height: estimate, m, shape (rows, cols).
+        east: centres of the cells, arc distance east of the map origin, m, shape (cols,).
+        north: centres of the cells, arc distance north, m, shape (rows,).
+        height: estimated height, m, shape (rows, cols).
         error: estimate minus true height of the same pixels with the same weights, m; without pixels that have no
             scatterer.
         sigma: predicted standard deviation, m, with the mean of those that pose and beams leave, which no average

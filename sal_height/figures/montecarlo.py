@@ -102,13 +102,13 @@ def array_with(pattern: str, pitch: float, detectors: int | None, size: tuple[fl
     """The beams of an array around 0.
 
     Args:
-        pattern: one of PATTERNS, or the path of a CSV file of measured beams (`read_beam_tables`).
+        pattern: name of a pattern, one of PATTERNS, or the path of a CSV file of measured beams (`read_beam_tables`).
         pitch: pitch of the detectors, beamwidths.
         detectors: number of detectors; None: as many as the file has beams, or 16. A single beam is that of all.
         size: size of a detector along and across the axis, beamwidths; 0 with measured beams, which include it.
 
     Raises:
-        UserError: one of them cannot be used.
+        UserError: an argument cannot be used.
     """
     _require("The pitch", pitch, 1e-3, 10, " beamwidths")
     count = DETECTORS if detectors is None else detectors
@@ -150,7 +150,7 @@ def array_statistics(experiment: Experiment, estimator: str, objective: str, dom
 
     Args:
         experiment: experiment whose `cnr` is that of one detector looking straight at the target.
-        estimator: one of ARRAY_ESTIMATORS, with its node's default settings; or one of DISCRIMINANTS: that of the
+        estimator: name in ARRAY_ESTIMATORS, with its node's default settings; or in DISCRIMINANTS: that of the
             strongest pair.
         objective: objective of "ml", one of OBJECTIVES.
         domain: half width of the search of "ml", beamwidths; None: M pitch / 2.
@@ -195,7 +195,7 @@ def pair_statistics(experiment: Experiment, estimator: str, objective: str, doma
 
     Args:
         experiment: experiment whose `cnr` is that of the sum channel at the target.
-        estimator: one of DISCRIMINANTS, or "ml": the discriminant at the maximum-likelihood elevation.
+        estimator: name in DISCRIMINANTS, or "ml": the discriminant at the maximum-likelihood elevation.
         objective: objective of "ml", one of OBJECTIVES.
         domain: half width of the search of "ml", beamwidths; None: the pitch.
 

@@ -79,8 +79,8 @@ def point_ratio(amplitude: F64, powers: F64) -> F64:
     """Logarithm of the likelihood ratio of a point of unknown phases against noise and clutter, equation (2).
 
     Args:
-        amplitude: |m_n|, background 1, shape (..., dwells).
-        powers: q_n, broadcasts with that.
+        amplitude: amplitudes |m_n|, background 1, shape (..., dwells).
+        powers: expected powers q_n; broadcasts with that.
 
     Returns:
         Sum over dwells, shape (...).
@@ -99,9 +99,9 @@ def ratio_in_dwells(matched: F64, gains: F64, powers: F64 = POWERS_IN_DWELLS, po
     it by chance.
 
     Args:
-        matched: |m_n|, shape (..., dwells).
-        gains: g_n, amplitude of the beam over the background's, broadcasts to that shape.
-        powers: P, of which the best counts.
+        matched: amplitudes |m_n|, shape (..., dwells).
+        gains: amplitude g_n of the beam over the background's; broadcasts to that shape.
+        powers: powers P, of which the best counts.
         points: True if points count, too, and not only speckle.
 
     Returns:
@@ -117,8 +117,8 @@ def ratio_over_rows(matched: F64, gains: F64, fractions: F64) -> float:
     """Logarithm of the likelihood ratio of speckle in dwells that is spread over rows, its greatest over spreads.
 
     Args:
-        matched: |m_n| in each row, shape (dwells, rows).
-        gains: g_n, shape (dwells,).
+        matched: amplitudes |m_n| in each row, shape (dwells, rows).
+        gains: amplitude g_n of the beam over the background's, shape (dwells,).
         fractions: fractions of the power in each row, shape (spreads, rows) or (spreads, dwells, rows).
     """
     square = matched**2

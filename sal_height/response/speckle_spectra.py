@@ -187,8 +187,8 @@ def periodogram_covariance(covariance: C128, count: int) -> F64:
     neighbours correlate as far as the kernel reaches. The diagonal is the square of the periodogram's mean.
 
     Args:
-        covariance: c at lags 0 to M - 1.
-        count: frequencies from -1/2 up.
+        covariance: covariance c at lags 0 to M - 1.
+        count: number of frequencies from -1/2 up.
     """
     return np.abs(cross_spectrum(covariance, count)) ** 2
 
@@ -278,7 +278,7 @@ def _pointing_error(coherence: float, tiles: SpeckleTiles) -> float:
     and E d^2 = sum rho(m, l + 1) rho(m, l - 1)* / pixels (Bartlett); its imaginary part over c(1) is that of the phase.
 
     Args:
-        coherence: |c(1)| along azimuth, without bias.
+        coherence: coherence |c(1)| along azimuth, without bias.
         tiles: tiles with the correlation rho.
     """
     rho = tiles.correlation

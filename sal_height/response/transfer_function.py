@@ -28,7 +28,7 @@ class AxisTransfer:
     the response over its bins is 1. The phase therefore has no linear part.
 
     Attributes:
-        response: R or A from -1/2 cycle per pixel on, complex128, shape (count,).
+        response: response R or A from -1/2 cycle per pixel on, complex128, shape (count,).
         sigma: standard error of each bin (of the whole complex number), float64, shape (count,).
         disagreement: root of the mean square of the targets' deviations over what their clutter explains; 1 for targets
             that agree, NaN for fewer than two. Where it is greater, the sigma is greater by as much.
@@ -99,10 +99,10 @@ def estimate_transfer_function(targets: Sequence[PointTarget]) -> TransferFuncti
 def centred(response: C128) -> C128:
     """A response whose point has its peak, of the value 1, in pixel 0, from one whose peak is not far from there.
 
-    To the first order of the phase that takes a linear fit of it, with the weights |response|, away.
+    To the first order of the phase that removes a linear fit of it, with the weights |response|.
 
     Args:
-        response: shape (count,).
+        response: response whose peak is near pixel 0, shape (count,).
     """
     bins = band_frequencies(np.abs(scipy.fft.ifftshift(response)) ** 2)
     frequencies = scipy.fft.fftshift(bins) / len(bins)

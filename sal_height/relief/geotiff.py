@@ -39,7 +39,7 @@ SPHERE = "the sphere of 6371008.8 m that touches the earth at the map's origin"
 """Reference surface of the heights of such a map."""
 
 VERTICAL_KEY, MEAN_SEA_LEVEL = 4096, 5714
-"""Key of GeoTIFF that has the code of the vertical system, and that of EPSG:5714, in whose place another is put."""
+"""Key of GeoTIFF that has the code of the vertical system, and the code of EPSG:5714, which is replaced."""
 
 
 def check_geotiff(path: Path) -> None:

@@ -1,7 +1,7 @@
 """The ground from all surfaces that dwells have measured: the height, sigma and kind of each cell.
 
-The surfaces of all pixels are points with the covariance of their place, most of them on the ground, some on walls, and
-a few that do not exist. From them follows the highest surface of each cell of a grid on the ground:
+The surfaces of all pixels are points with the covariance of their position, most of them on the ground, some on walls,
+and a few that do not exist. From them follows the highest surface of each cell of a grid on the ground:
 
 1. Points of the same piece of surface are merged (`layers`), which is all that is kept of dwells.
 2. Points that are connected to hardly any others, although there are others around them, are ghosts; so is what could
@@ -203,7 +203,7 @@ def _highest(layers: Layers, grid: GroundGrid) -> I64:
 def _settled(tops: Layers, number: I64, grid: GroundGrid, settings: GroundSettings) -> tuple[Membrane, F64, F64]:
     """The membrane through the tops, taken along its own slopes to the middles of their cells.
 
-    A plane of the slope g turns an error e of a place into one of height at a given place, (-g, 1) e. Returns the
+    A plane of the slope g turns an error e of a position into one of height at a fixed one, (-g, 1) e. Returns the
     membrane, its slope (m per cell, shape (rows, cols, 2)) and the variance (m^2) from the common errors of each top.
     """
     offset = grid.places(tops) - np.rint(grid.places(tops))

@@ -137,7 +137,7 @@ def merged(layers: Layers, cell_size: float, gate: float, *, same_dwell: bool) -
 
 @dataclass(frozen=True, eq=False)
 class Neighbours:
-    """Pairs of layers whose places on the ground are near each other.
+    """Pairs of layers whose positions on the ground are near each other.
 
     Attributes:
         first: number of the first layer of each pair, shape (pairs,).

@@ -6,7 +6,7 @@ of a pixel must stay out; and it must not miss a kerb or a car whose brighter ne
 Estimators that state no probability give their strongest scatterers only; the others stay in the points of dwells.
 
 The height of a cell is that of the ground at its centre: heights are moved there along the slope of the ground
-(`slope.ground_slope`). Sigma is that of a height at a fixed place, on ground of that slope
+(`slope.ground_slope`). Sigma is that of a height at a fixed position, on ground of that slope
 (`position_error.variance_at_place`). Where the slope is not known, heights are not moved, sigma is that of the worst
 slope up to STEEPEST, and that slope times the distance to the centre is added.
 
@@ -118,7 +118,7 @@ class _Pixels:
         height: height above the sphere, m, shape (pixels,).
         slope: slope of the ground towards east and north, m/m, shape (2, pixels); 0 where it is not known.
         slope_error: standard deviation of the slope, m/m, shape (pixels,); NaN where it is not known.
-        own: variance of the height at that place, m^2, shape (pixels,).
+        own: variance of the height at that position, m^2, shape (pixels,).
         common: part of that variance that the pixels of the dwell share, m^2.
     """
 

@@ -51,7 +51,7 @@ WEIGHT_STEP = 1e-3
 FAR = 2.0
 """Standard deviations beyond which a measurement is called far from the line between its neighbours.
 
-The share of those that are far gives the scale of all, which a step along a line of pixels hardly changes.
+The fraction of those that are far gives the scale of all, which a step along a line of pixels hardly changes.
 """
 
 Joints = tuple[Bool, Bool]
@@ -238,6 +238,6 @@ def _roughness(height: F64, noise: F64, covered: Bool, lag: int) -> F64:
     neighbourhood = 19  # side in cells of the square in which kappa is estimated: some hundred pixels
     far, count = (uniform_filter(values, neighbourhood) for values in (far, count))
     share = np.clip(far / np.maximum(count, 1e-6), 1e-3, 0.99)
-    scale = FAR / ndtri(1 - share / 2)  # of a normal distribution with that share beyond FAR
+    scale = FAR / ndtri(1 - share / 2)  # of a normal distribution with that fraction beyond FAR
     greatest_roughness = 100.0  # greatest kappa: the ground's steps are ten times as large as those of the prior
     return np.clip((scale**2 - 1) * 6 / (2 * FREEDOM**2), 0.0, greatest_roughness)

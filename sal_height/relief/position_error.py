@@ -35,7 +35,7 @@ LEAST_POINTS = 2**14
 """Points that are worth a thread."""
 
 LEAST_OWN_SHARE = 0.01
-"""Least share of a height's variance that is not due to the pose; sigma may have been rounded to float32."""
+"""Least fraction of a height's variance that is not due to the pose; sigma may have been rounded to float32."""
 
 
 def position_jacobian(positions: F64, aperture: ApertureState) -> F64:
@@ -132,8 +132,8 @@ def circle_covariance(height_sigma: F64, positions: F64, aperture: ApertureState
 def covariances_from_sigma(height_sigma: F64, positions: F64, aperture: ApertureState) -> tuple[F64, F64 | None]:
     """Own and common covariance (m^2) of positions of which only the standard deviation of height is known.
 
-    The common part is that of the pose; the rest of the variance of height, at least LEAST_OWN_SHARE of it, is taken to
-    come from errors of elevation. Arguments as of `circle_covariance`, results as of it and of `pose_covariance`.
+    The common part is that of the pose; the rest of the variance of height, at least LEAST_OWN_SHARE of it, is assumed
+    to come from errors of elevation. Arguments as of `circle_covariance`, results as of it and of `pose_covariance`.
     """
     with np.errstate(invalid="ignore", over="ignore"):  # values that are not finite stay so
         common = pose_covariance(positions, aperture)

@@ -1,8 +1,8 @@
 """Slope of the ground at each pixel of a height image, from the pixels around it.
 
 Positions are averaged, not only heights, because errors of elevation move a point to the side as much as upwards: a
-plane fitted to heights over displaced places would be too flat or too steep. The mean of points of a plane lies on the
-plane, whichever of them are missing, so that the differences of a few means fix its slope.
+plane fitted to heights over displaced positions would be too flat or too steep. The mean of points of a plane lies on
+the plane, whichever of them are missing, so that the differences of a few means fix its slope.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from sal_height.numeric import F64, in_parallel
 from sal_height.relief import _kernels as kernels
 
 SLOPE_ERROR = 0.03
-"""Standard deviation of slopes (m/m) that windows are made wide enough for; sigma at a place is then good to 3 %."""
+"""Standard deviation of slopes (m/m) that windows are wide enough for; sigma at a position is then good to 3 %."""
 
 KNOWN = 0.2
 """Greatest standard deviation (m/m) of a slope that is used; beyond it the ground's slope counts as not known."""
@@ -70,7 +70,7 @@ def _planes(centred: F64, covariance: F64, half: int) -> tuple[F64, F64]:
         half: half-width of the windows, pixels.
     """
     shape = centred.shape[1:]
-    # Least share of the pixels of a window that must have a height; a window in a corner of the image has 4 of 9.
+    # Least fraction of the pixels of a window that must have a height; a window in a corner of the image has 4 of 9.
     least_share = 0.25
     least, limits = LEAST_PIXELS // shape[1] + 1, (least_share, MISFIT**2)
     means = _window_means(centred, half)

@@ -91,7 +91,7 @@ class ReliefPrior:
         length: correlation length on the ground, m: the correlation of heights falls to 1 / e.
         sigma: standard deviation of heights, m.
         mean: mean of heights, m.
-        mean_sigma: standard deviation of the mean, m; 0: it is known. Tracks along range take it as known.
+        mean_sigma: standard deviation of the mean, m; 0: it is known. Tracks along range assume that it is known.
 
     Raises:
         UserError: length or sigma is not greater than 0, the mean's sigma is less than 0, or a value is not finite.

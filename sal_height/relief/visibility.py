@@ -20,7 +20,7 @@ def blocking_cells(place: F64, height: F64, towards: F64, top: F64, cell_size: f
     """Find the cells whose surface blocks lines of sight.
 
     Args:
-        place: row and column of the points where the lines begin, in cells, shape (n, 2); whole numbers are middles.
+        place: row and column of the points where the lines start, in cells, shape (n, 2); whole numbers are middles.
         height: height of the points, m, shape (n,).
         towards: distance east and north along each line per metre of rise, m/m, shape (n, 2).
         top: height of the highest surface of each cell, m, shape (rows, cols); NaN where none is known.

@@ -74,7 +74,7 @@ class Cloud:
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """A line through places.
+    """A line through positions.
 
     Attributes:
         path: name in the viewer.

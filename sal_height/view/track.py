@@ -55,7 +55,7 @@ class Track:
     def pieces(self) -> list[Piece]:
         """Positions that wait, cut where the platform, or its clock, cannot have gone from one to the next.
 
-        The last place is kept as the first of the next piece.
+        The last position is kept as the first of the next piece.
         """
         states = self._states
         cuts = [i + 1 for i, (one, other) in enumerate(pairwise(states)) if not _joined(one, other)]

@@ -11,7 +11,7 @@ __all__ = ["__version__", "open_heights"]
 
 
 def __getattr__(name: str) -> Any:
-    """`open_heights`, which needs ROS and extras, is imported when it is asked for."""
+    """`open_heights`, which needs ROS and extras, is imported on first use."""
     if name != "open_heights":
         raise AttributeError(f"Module {__name__} has no attribute {name!r}.")
     return import_module("sal_height.exports").open_heights

@@ -1,6 +1,6 @@
 """Arrays in files of other programs: NumPy, MATLAB, HDF5, GeoTIFF and SICD.
 
-What is read beside NumPy's own formats is imported when it is needed; parts that are extras are named with the command
+Packages for formats other than NumPy's own are imported when needed; those that are extras are named with the command
 that installs them.
 """
 
@@ -24,7 +24,7 @@ NAMED = (".npz", MATLAB, *HDF5)
 """Suffixes of files of arrays with names."""
 
 IMAGES = (".npy", *NAMED, *TIFF, *NITF)
-"""Suffixes of files that may hold complex images."""
+"""Suffixes of files that may contain complex images."""
 
 COMPLEX_PARTS = ({"real", "imag"}, {"r", "i"})
 """Names of the parts of complex numbers in HDF5: of MATLAB, and of h5py and NISAR."""
@@ -128,7 +128,7 @@ def _datasets_at_the_top(file: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _complex_datasets(file: Any) -> Iterator[tuple[str, Any]]:
-    """Datasets of two or three dimensions and complex numbers, in whatever group."""
+    """Datasets of two or three dimensions and complex numbers, in any group."""
     found: list[tuple[str, Any]] = []
 
     def look(name: str, entry: Any) -> None:
@@ -144,7 +144,7 @@ def _is_compound(kind: Any) -> bool:
 
 
 def _as_complex(values: Any) -> Any:
-    """Complex numbers of a compound of their parts, of whatever precision; others as they are."""
+    """Complex numbers of a compound of their parts, of any precision; others as they are."""
     kind = getattr(values, "dtype", None)
     if kind is None or not _is_compound(kind):
         return values

@@ -1,4 +1,4 @@
-"""YAML files as frozen dataclasses; what is wrong with one is said in a sentence."""
+"""YAML files as frozen dataclasses; an error in one is reported as a message."""
 
 from __future__ import annotations
 
@@ -42,16 +42,16 @@ EXPECTED = {
     "int_parsing": "a whole number",
     "int_from_float": "a whole number",
 }
-"""What a value must be, by the type of the error that pydantic reports for another one."""
+"""Description of a valid value, by the type of the error that pydantic reports for an invalid one."""
 
 
 def read_yaml(path: Path, source: str, unreadable: str) -> Any:
     """The content of a YAML file.
 
     Args:
-        path: of the file.
-        source: what to call it in messages.
-        unreadable: what to say if it cannot be read.
+        path: path of the file.
+        source: name of the file in messages.
+        unreadable: message if the file cannot be read.
 
     Raises:
         UserError: it cannot be read, or is no YAML.
@@ -88,7 +88,7 @@ def _adapter(kind: type[Any]) -> TypeAdapter[Any]:
 
 
 def _refusal(error: ValidationError) -> str:
-    """The first thing that a validation error says: where, what is wrong, what is allowed."""
+    """The first problem of a validation error: where, what is wrong, what is allowed."""
     first = error.errors()[0]
     key = " ".join(".".join(str(part) for part in first["loc"]).split()) or "the top level"
     if first["type"] == "missing":

@@ -3,14 +3,14 @@
 from typing import Self
 
 LONGEST, LONGEST_END = 1000, 300
-"""Characters that a sentence may have, and those that are left of the end of a longer one."""
+"""Characters that a message may have, and those that are left of the end of a longer one."""
 
 
 class UserError(ValueError):
     """Something from outside (file, parameter, message) cannot be used.
 
-    The text is one sentence: what is wrong, where, and what is allowed. The command line prints it and exits with
-    status 2; nodes count it and carry on. A sentence may quote what came from outside, of any length: of a long one the
+    The text is one message: what is wrong, where, and what is allowed. The command line prints it and exits with
+    status 2; nodes count it and carry on. A message may quote input of any length: of a long one the
     middle is left out, for nodes publish it with their diagnostics again and again.
     """
 
@@ -39,5 +39,5 @@ class Rejected(UserError):  # noqa: N818 (not an error of the program)
 class NotDetermined(UserError):  # noqa: N818 (not an error of the program)
     """The data do not determine what was to be estimated.
 
-    The sentence says what is missing, and what would be needed.
+    The message states what is missing, and what would be needed.
     """

@@ -12,8 +12,8 @@ def import_extra(module: str, doing: str, extra: str = "formats") -> Any:
     """Return a module of a package that is an extra.
 
     Args:
-        module: its name, such as "sarkit.sicd".
-        doing: what it is needed for, as the begin of a sentence, such as "Reading a.nitf".
+        module: name of the module, such as "sarkit.sicd".
+        doing: purpose of the module, as the start of a message, such as "Reading a.nitf".
         extra: name of the extra.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Output folders and the files in them; a refusal by the file system becomes one sentence."""
+"""Output folders and the files in them; a refusal by the file system becomes one message."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def free_folder(base: Path) -> Path:
     """`base`, or else the first of base_2, base_3, … that does not exist or is empty.
 
     Raises:
-        UserError: it cannot be told.
+        UserError: a folder cannot be read.
     """
     names = (base if number == 1 else base.with_name(f"{base.name}_{number}") for number in itertools.count(1))
     try:
@@ -60,7 +60,7 @@ def free_folder(base: Path) -> Path:
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """While it is entered, what the disk refuses becomes a UserError that names the file."""
+    """Context in which a refusal of the disk becomes a UserError that names the file."""
     try:
         yield
     except OSError as error:
@@ -79,7 +79,7 @@ def write_text(path: Path, text: str) -> None:
 
 @contextmanager
 def unfinished(path: Path) -> Iterator[Path]:
-    """Where to write a file, which gets its name when the block ends; what was there stays until then.
+    """Path to write a file to, which gets its name when the block ends; an older file stays until then.
 
     The suffix is that of `path`, by which libraries choose a format.
 
@@ -99,7 +99,7 @@ def unfinished(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def writing_whole(path: Path) -> Iterator[BinaryIO]:
-    """A file to write to, which appears under its name when the block ends; what was there stays until then.
+    """A file to write to, which appears under its name when the block ends; an older file stays until then.
 
     Raises:
         UserError: it cannot be written.
@@ -111,7 +111,7 @@ def writing_whole(path: Path) -> Iterator[BinaryIO]:
 
 
 def write_whole(path: Path, content: bytes | memoryview) -> None:
-    """Write a file that appears under its name when it is complete; what was there stays until then.
+    """Write a file that appears under its name when it is complete; an older file stays until then.
 
     Raises:
         UserError: it cannot be written.
@@ -126,7 +126,7 @@ def or_null(value: float) -> float | None:
 
 
 def bag_name(bag: Path) -> str:
-    """Name for what is made from a bag: that of its folder, or of the folder around one that is called just "bag"."""
+    """Name of results made from a bag: that of its folder, or of the folder around one that is called just "bag"."""
     path = bag.resolve()
     folder = path.parent if path.suffix == ".mcap" and not path.is_dir() else path
     return folder.parent.name if folder.name == "bag" else folder.name

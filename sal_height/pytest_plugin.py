@@ -3,7 +3,7 @@
     def test_the_flight_of_may_is_as_it_was(assert_replay_matches):
         assert_replay_matches("bags/may", golden="bags/may_golden")
 
-pytest finds it by itself where sal_height is installed. docs/replay.md says what is compared, and how tolerances are
+pytest finds it by itself where sal_height is installed. docs/replay.md states what is compared, and how tolerances are
 written.
 """
 

@@ -21,13 +21,13 @@ MOST_BLOCKS = 16
 """Blocks of a strip after which it has an image, or is given up."""
 
 SHARES = (0.1, 0.3, 0.3, 0.3)
-"""Of the rows of made-up images: those with no, one, two and three scatterers."""
+"""Fractions of the rows of made-up images with no, one, two and three scatterers."""
 
 POWER = 1000.0
-"""Of each scatterer over the noise."""
+"""Power of each scatterer over the noise."""
 
 MOST_REMEMBERED = 16
-"""Rehearsals of a process that are known to have been: more might have thrown their tables away."""
+"""Number of rehearsals that a process remembers: tables of older ones may have been dropped."""
 
 _LATEST: dict[Hashable, None] = {}
 _LOCK = Lock()
@@ -37,8 +37,8 @@ def once(rehearsal: Hashable, rehearse: Callable[[], object]) -> None:
     """Rehearse, unless this process has done it lately, as where a run follows another one in a notebook.
 
     Args:
-        rehearsal: what it depends on.
-        rehearse: does it; what it raises is raised, and then it was none.
+        rehearsal: key of the rehearsal: all that it depends on.
+        rehearse: function that does it; if it raises an error, the rehearsal is not remembered.
     """
     with _LOCK:
         if rehearsal in _LATEST:
@@ -56,10 +56,10 @@ def rehearsed_slc(
     """Images of noise, compressed from a level flight past a scene that fills the range window.
 
     Args:
-        sensor: whose dwells will come.
-        settings: of the images.
-        compressor: that will process them, or a new one.
-        rng: of the noise.
+        sensor: sensor whose dwells will arrive.
+        settings: settings of the images.
+        compressor: compressor that will process the dwells, or a new one.
+        rng: random generator of the noise.
 
     Returns:
         The images; None if a strip of MOST_BLOCKS blocks has none.
@@ -90,12 +90,12 @@ def rehearsed_slc(
 
 
 def with_scatterers(slc: Slc, sensor: Sensor, rng: np.random.Generator) -> Slc:
-    """Images in whose rows lie no, one, two or three scatterers, at random elevations and with speckle, in noise.
+    """Images whose rows contain no, one, two or three scatterers, at random elevations and with speckle, in noise.
 
     Args:
         slc: images, of any content.
-        sensor: that they are of.
-        rng: of the scatterers and the noise.
+        sensor: sensor of the images.
+        rng: random generator of the scatterers and the noise.
     """
     beams, shape = image_beams(sensor, slc.azimuth_window), slc.grid.shape
     count = rng.choice(len(SHARES), (shape[0], 1), p=SHARES)
@@ -117,10 +117,10 @@ def rehearse_heights(
     """Compress a made-up dwell, and estimate the heights of scatterers in its images.
 
     Args:
-        sensor: whose dwells will come.
-        images: their settings.
-        estimators: that are used, and their settings.
-        rng: of noise and scatterers.
+        sensor: sensor whose dwells will arrive.
+        images: settings of the images.
+        estimators: estimators in use, and their settings.
+        rng: random generator of noise and scatterers.
 
     Raises:
         UserError: images or heights cannot be made with these settings.
@@ -136,8 +136,8 @@ def rehearse_adjustment(sensor: Sensor, rng: np.random.Generator) -> None:
     """Adjust a made-up dwell to one before it of the same ground, and correct its heights.
 
     Args:
-        sensor: whose dwells will come.
-        rng: of errors of the heights.
+        sensor: sensor whose dwells will arrive.
+        rng: random generator of errors of the heights.
     """
     settings = AdjustmentSettings(boresight_sigma_rad=0.0, lever_arm_sigma_m=0.0)  # so that little has to be searched
     window, known = AdjustmentWindow(sensor.mounting, settings, 1), 1e-10 * np.eye(6)
@@ -152,7 +152,7 @@ def made_up_heights(rng: np.random.Generator) -> tuple[HeightField, ApertureStat
     """A height image of level ground and the state of the platform that has seen it.
 
     Args:
-        rng: of the errors.
+        rng: random generator of the errors.
     """
     height, sigma, angle = 3000.0, 0.1, np.pi / 4
     sight, along = look_direction(angle, 0.0, 1), np.array([1.0, 0.0, 0.0])

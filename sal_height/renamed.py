@@ -1,4 +1,4 @@
-"""Parameters and values that had other names: whatever is recorded or written with the old ones is read with the new.
+"""Parameters and values that had other names: what is recorded or written with the old ones is read with the new.
 
 `with_new_names` serves custom data of bags, parameters.yaml, provenance, parameter events, presets, `--param` and
 campaigns. A node declares the new names only; its refusal of an old one, as from a launch file, names the new one.

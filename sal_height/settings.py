@@ -45,13 +45,13 @@ def setting(
 
     Args:
         default: value of the field if none is given.
-        description: what the setting does, without its unit.
-        unit: of the value, for example "dB" or "m/s"; empty if it has none.
+        description: effect of the setting, without its unit.
+        unit: unit of the value, for example "dB" or "m/s"; empty if it has none.
         minimum: least value allowed.
         maximum: greatest value allowed.
-        choices: the texts that are allowed; empty: every text is.
-        read_only: whether a node takes the value only when it starts.
-        names_file: whether the value is the path of a file.
+        choices: texts that are allowed; empty: every text.
+        read_only: True if a node reads the value only when it starts.
+        names_file: True if the value is the path of a file.
     """
     extra: Any = {"unit": unit, "choices": list(choices), "read_only": read_only, "names_file": names_file}
     return Field(default, description=description, ge=minimum, le=maximum, json_schema_extra=extra)
@@ -63,7 +63,7 @@ class Settings(BaseModel):
     A whole number is accepted for a float. Unknown names, NaN, infinities and values of another type are refused.
 
     Raises:
-        UserError: a name or value is not allowed; the sentence says which, and what is allowed.
+        UserError: a name or value is not allowed; the message states which, and what is allowed.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True, validate_default=True)
@@ -112,7 +112,7 @@ class Setting:
 
     @property
     def allowed(self) -> str:
-        """The values that are allowed, as the end of a sentence."""
+        """The values that are allowed, as the end of a message."""
         if self.choices:
             return f"allowed are {', '.join(self.choices)}"
         kind = KINDS.get(self.kind, "a list of texts" if self.kind == tuple[str, ...] else f"of type {self.kind}")
@@ -125,7 +125,7 @@ class Setting:
         return f"it must be {kind}"
 
     def refusal(self, value: Any) -> str:
-        """A sentence that says that `value` is not allowed, and what is."""
+        """A message that `value` is not allowed, and which values are."""
         if isinstance(value, (bool, str)) and (new := VALUES.get(self.name, {}).get(value)) in self.choices:
             return f"Parameter {self.name} is {value!r}, which is named {new!r} now."
         return f"Parameter {self.name} {'has no value' if value is None else f'is {value!r}'}; {self.allowed}."
@@ -138,12 +138,12 @@ def settings_of(model: type[Settings]) -> Mapping[str, Setting]:
 
 
 def unknown_name(name: str, known: Iterable[str], owner: str = "") -> str:
-    """A sentence that says that there is no parameter `name`, names the closest one, and lists all.
+    """A message that there is no parameter `name`, with the closest one and a list of all.
 
     Args:
-        name: what was asked for.
-        known: the names that exist.
-        owner: whose parameter it is, for example "Node ml_height"; empty: not said.
+        name: name that does not exist.
+        known: names that exist.
+        owner: owner of the parameter, for example "Node ml_height"; empty: not stated.
     """
     names = list(known)
     if (new := PARAMETERS.get(name)) in names:
@@ -171,7 +171,7 @@ def _entry(name: str, field: FieldInfo) -> Setting:
 
 
 def _sentence(model: type[Settings], error: ValidationError) -> str:
-    """The first thing that a validation error says, as one sentence."""
+    """The first problem of a validation error, as one message."""
     first = error.errors(include_url=False)[0]
     if isinstance(cause := first.get("ctx", {}).get("error"), UserError):
         return str(cause)

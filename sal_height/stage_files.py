@@ -19,7 +19,7 @@ READERS: Mapping[str, Callable[[Path], Any]] = {
     "elevation model": lambda path: read_elevation_model(path).heights,
     "targets": read_targets,
 }
-"""What reads a file, by what it has (`engine.stage.FileInput.kind`)."""
+"""Functions that read a file, by its content (`engine.stage.FileInput.kind`)."""
 
 
 def read_inputs(stage: type[Stage], settings: Any) -> dict[str, Any]:

@@ -69,7 +69,7 @@ def exact_curve(
 
 
 def rows_of(figure: str, curve: Curve) -> list[dict[str, Any]]:
-    """The points of a curve: figure, curve, x, value, standard_error, closed_form (NaN: none)."""
+    """The points of a curve: figure, curve, x, value, standard_error, closed_form (NaN: absent)."""
     names = ("x", "value", "standard_error", "closed_form")
     return [
         {"figure": figure, "curve": curve.name} | dict(zip(names, numbers, strict=True))

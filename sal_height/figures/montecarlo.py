@@ -67,8 +67,8 @@ class Experiment:
         beams: beams of the detectors, around 0, of a beamwidth of 1 rad.
         theta: elevation of the target above the middle of the detectors.
         cnr_db: CNR of one look, as each function defines it, dB.
-        looks: K.
-        target: one of TARGETS.
+        looks: number K of looks.
+        target: name of the target, one of TARGETS.
         trials: number of estimates.
         seed: seed of all random numbers.
 
@@ -102,13 +102,13 @@ def array_with(pattern: str, pitch: float, detectors: int | None, size: tuple[fl
     """The beams of an array around 0.
 
     Args:
-        pattern: one of PATTERNS, or the path of a CSV file of measured beams (`read_beam_tables`).
+        pattern: name of a pattern, one of PATTERNS, or the path of a CSV file of measured beams (`read_beam_tables`).
         pitch: pitch of the detectors, beamwidths.
         detectors: number of detectors; None: as many as the file has beams, or 16. A single beam is that of all.
         size: size of a detector along and across the axis, beamwidths; 0 with measured beams, which include it.
 
     Raises:
-        UserError: one of them cannot be used.
+        UserError: an argument cannot be used.
     """
     _require("The pitch", pitch, 1e-3, 10, " beamwidths")
     count = DETECTORS if detectors is None else detectors
@@ -150,7 +150,7 @@ def array_statistics(experiment: Experiment, estimator: str, objective: str, dom
 
     Args:
         experiment: experiment whose `cnr` is that of one detector looking straight at the target.
-        estimator: one of ARRAY_ESTIMATORS, with its node's default settings; or one of DISCRIMINANTS: that of the
+        estimator: name in ARRAY_ESTIMATORS, with its node's default settings; or in DISCRIMINANTS: that of the
             strongest pair.
         objective: objective of "ml", one of OBJECTIVES.
         domain: half width of the search of "ml", beamwidths; None: M pitch / 2.
@@ -195,7 +195,7 @@ def pair_statistics(experiment: Experiment, estimator: str, objective: str, doma
 
     Args:
         experiment: experiment whose `cnr` is that of the sum channel at the target.
-        estimator: one of DISCRIMINANTS, or "ml": the discriminant at the maximum-likelihood elevation.
+        estimator: name in DISCRIMINANTS, or "ml": the discriminant at the maximum-likelihood elevation.
         objective: objective of "ml", one of OBJECTIVES.
         domain: half width of the search of "ml", beamwidths; None: the pitch.
 
@@ -264,7 +264,7 @@ def _elevations(experiment: Experiment, power: float, objective: str, guard: flo
 def _registered_elevations(
     experiment: Experiment, power: float, estimator: ElevationEstimator, settings: HeightSettings
 ) -> F64:
-    """Elevations as the node of an estimator gives them, shape (trials,); NaN where there is none."""
+    """Elevations as the node of an estimator gives them, shape (trials,); NaN where invalid."""
 
     def elevations(matrices: Covariance) -> F64:
         looks = Looks.of(matrices[:, None], experiment.looks)

@@ -77,7 +77,7 @@ def depth_and_pedestal(power: F64, teeth: float) -> tuple[float, float]:
     its greatest; the pedestal is the mean |R| of the quietest quarter of the frequencies over the greatest.
 
     Args:
-        power: |R|^2 at frequencies from -1/2 up; of speckle, its mean periodogram.
+        power: power |R|^2 at frequencies from -1/2 up; of speckle, its mean periodogram.
         teeth: number of teeth of the sawtooth in all frequencies.
     """
     modulus = np.sqrt(np.maximum(power, 0))

@@ -119,7 +119,7 @@ class TapeResponses:
     """Targets and speckle of one tape.
 
     Attributes:
-        response: R of its targets at BINS frequencies, 1 at the peak.
+        response: response R of its targets at BINS frequencies, 1 at the peak.
         error: standard error of each, as a complex number.
         speckle: spectra of its speckle.
     """

@@ -110,7 +110,7 @@ def make_tape(
         azimuth_fault: azimuth response; None: a flat band.
         noise: rms of the noise, over that of the speckle.
         nyquist_spur: amplitude of a wave of half a cycle per row, over the rms of the speckle.
-        saturation: None: the system is linear.
+        saturation: saturation of the system; None: it is linear.
         noise_response: weights of the processor that the noise has passed, at `rows` frequencies from -1/2 cycles per
             pixel; None: it is white.
 

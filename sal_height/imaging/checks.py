@@ -168,10 +168,10 @@ def check_doppler_centroid(
     Outside, the lit ground is not where attitude and boresights point.
 
     Returns:
-        A message on a centroid that is off the middle of the beams by more than OFF_MIDDLE; empty: it is not.
+        A message if the centroid is more than OFF_MIDDLE from the middle of the beams; else empty.
 
     Raises:
-        Rejected: it is outside.
+        Rejected: the centroid is outside.
     """
     aim = aim_point(sensor, aperture, float(np.mean(history.reference_range)))
     delay = np.linalg.norm(aim - antenna, axis=-1) - history.reference_range

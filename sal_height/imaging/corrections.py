@@ -33,7 +33,7 @@ from sal_height.sensor import PhaseHistory, Sensor
 from sal_height.settings import Settings, setting
 
 MEASURED_AIR = "air_temperature_k", "air_pressure_pa", "air_humidity", "air_height_m"
-"""Settings that say what was measured of the air, and where."""
+"""Settings that state the measurements of the air, and their height."""
 
 
 class Corrected(NamedTuple):
@@ -153,7 +153,7 @@ def correct_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, sett
         history: phase history of all detectors, as fast-time frequencies.
         track: track of the platform.
         sensor: sensor with waveform "spectrum".
-        settings: known errors.
+        settings: settings that state known errors.
 
     Raises:
         UserError: the air is unknown for this wavelength or height.
@@ -222,7 +222,7 @@ def _air(history: PhaseHistory, track: Trajectory, sensor: Sensor, settings: Cor
 
 
 def _way_from(antenna: F64, aim: F64, sensor: Sensor, map_height: float, atmosphere: Atmosphere) -> AirPath:
-    """The way from the antenna to a point of the ground (m, map axes)."""
+    """Path in the air from the antenna to a point of the ground (m, map axes)."""
     above, ground = (map_height + float(height_of(point)) for point in (antenna, aim))
     off_nadir = math.acos(min(1.0, (above - ground) / float(np.linalg.norm(aim - antenna))))
     return path_through_air(sensor.wavelength, above, ground, off_nadir, atmosphere)

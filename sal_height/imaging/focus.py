@@ -103,7 +103,7 @@ class Slc:
     """Single-look complex images of all detectors.
 
     Attributes:
-        images: complex64, shape (detectors, rows, cols).
+        images: pixels, complex64, shape (detectors, rows, cols).
         grid: grid of the pixels.
         aperture: state of the platform in the middle of the aperture, or of the strip's image.
         noise_power: E|n|^2 of a pixel of each channel, shape (channels,).
@@ -224,7 +224,7 @@ def _find_beams(
 
 
 def describe_distrust(focus: Focus, prior: NavigationPrior, settings: AutofocusSettings) -> str:
-    """Sentences on a dwell whose phase error is not known, although navigation is not enough."""
+    """Messages on a dwell whose phase error is not known, although navigation is not enough."""
     if not np.isfinite(focus.standard_error):
         why = "finds nothing above the noise"
     elif focus.standard_error > settings.autofocus_max_error_rad:

@@ -67,7 +67,7 @@ def slant_plane_grid(
 
     So spaced, looks are nearly independent: the powers of neighbouring range looks correlate by .11 (Taylor window).
 
-    Rows grow along the line of sight, in range alone; columns across it, the way of the flight, in Doppler alone. On a
+    Rows grow along the line of sight, in range alone; columns across it, along-track, in Doppler alone. On a
     straight track every scatterer focuses in this plane at its own range and Doppler, whatever its elevation.
 
     Args:

@@ -67,7 +67,7 @@ class Drives:
 
     Attributes:
         search: search with spectra of whole rows.
-        cells: n, see above.
+        cells: number n of cells, see above.
         speed: speed of the platform, m/s.
         blur: standard deviation of the smear of targets at rest, cells.
     """

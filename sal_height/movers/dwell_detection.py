@@ -89,7 +89,7 @@ class MoverTrack:
     seconds: float
 
     def covers(self, other: MoverTrack, dwells: Sequence[DwellImage]) -> bool:
-        """Whether another is less sure, and is this one or in its pixel in one of the dwells."""
+        """True if another is less sure, and is this one or in its pixel in one of the dwells."""
         if other.mover.likelihood_ratio >= self.mover.likelihood_ratio:
             return False
         if len(without_ambiguities([self.mover, other.mover])) == 1:
@@ -97,7 +97,7 @@ class MoverTrack:
         return any(self._shares_pixel(other, dwell) for dwell in dwells)
 
     def _shares_pixel(self, other: MoverTrack, dwell: DwellImage) -> bool:
-        """Whether the pixels of two tracks in a dwell are those of one target."""
+        """True if the pixels of two tracks in a dwell are those of one target."""
         (row, col), (other_row, other_col) = self._pixel(dwell), other._pixel(dwell)
         cols, adjacent = dwell.steps // COLUMN_STEPS, abs(col - other_col)
         return abs(row - other_row) <= 3 and min(adjacent, cols - adjacent) <= MARGIN
@@ -194,7 +194,7 @@ class DwellMovers(Generic[Of]):
         return find_over_dwells(images, group.index(number), shown, self._settings)
 
     def _is_covered(self, track: MoverTrack, number: int) -> bool:
-        """Whether what was found in another dwell covers a track of this one."""
+        """True if a track found in another dwell covers a track of this one."""
         for other, each in enumerate(self._found):
             between = [cached.image for cached in self._dwells[min(other, number) : max(other, number) + 1]]
             if other != number and any(rival.covers(track, between) for rival in each.tracks):
@@ -219,7 +219,7 @@ def find_over_dwells(
     Args:
         dwells: successive dwells, whose beams overlap.
         middle: number of the dwell that sees the movers best.
-        shown: that dwell.
+        shown: images, sensor and beams of that dwell.
         settings: settings of the search.
     """
     slc, sensor, dwell = shown.slc, shown.sensor, dwells[middle]

@@ -1,4 +1,4 @@
-"""Amplitudes of the channels in dwells that follow each other, in all directions in which targets are looked for."""
+"""Amplitudes of the channels in dwells that follow each other, in all directions in which targets are searched for."""
 
 from __future__ import annotations
 

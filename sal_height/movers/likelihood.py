@@ -1,4 +1,4 @@
-"""Likelihood of what the channels receive of a target, from its amplitudes in Doppler bins, or in dwells.
+"""Likelihood of a target's echoes in the channels, from its amplitudes in Doppler bins, or in dwells.
 
 A target is received n = 1, 2, ... times, each time by the beam in another direction: in the Doppler bins of a strip, or
 in spotlight dwells that overlap. With g_n the amplitude of the beam in the direction of the target and m_n the channels
@@ -32,7 +32,7 @@ A point that is as bright in every dwell, but for errors of the beam, has amplit
     ln L = sum over n of |m_n|^2 - (|m_n|^2 + q_n) / v_n + ln I_0(2 sqrt(q_n) |m_n| / v_n) - ln v_n,                 (2)
     q_n = P g_n^2,  v_n = 1 + MODEL_ERROR q_n.
 
-The likelihood is the greatest over P, w and these kinds, so that interference and fading are not taken for motion.
+The likelihood is the greatest over P, w and these kinds, so that interference and fading are not mistaken for motion.
 Beyond its main lobe a beam is not known well: there each bin is by itself, or the antenna sees nothing.
 """
 
@@ -52,7 +52,7 @@ MODEL_ERROR = 0.01
 HYPOTHESES = 10.0
 """Number of lags, or squints, that can be separated.
 
-Measured with pairs of points in one cell, which stand still and are most often taken for movers."""
+Measured with pairs of points in one cell, which are at rest and are most often mistaken for movers."""
 
 WIDTHS = np.array([0.0, 0.15, 0.3, 0.6, 1.2, 2.4, 4.8, 9.6, 1e3])
 """Rms widths of clouds in resolution cells; the widest makes all bins incoherent."""
@@ -68,8 +68,8 @@ def cloud_ratio(energy: F64, powers: F64, axis: int | tuple[int, ...]) -> F64:
     """Logarithm of the likelihood ratio of a cloud against noise and clutter, equation (1).
 
     Args:
-        energy: s, power of the amplitudes along each eigenvector, background 1; broadcasts with `powers`.
-        powers: q, expected powers of the cloud along these.
+        energy: power s of the amplitudes along each eigenvector, background 1; broadcasts with `powers`.
+        powers: expected powers q of the cloud along these.
         axis: axes of the eigenvectors, over which the sum is taken.
     """
     return np.asarray(np.sum(energy * (powers / (1 + powers)) - np.log1p(powers), axis=axis))
@@ -79,8 +79,8 @@ def point_ratio(amplitude: F64, powers: F64) -> F64:
     """Logarithm of the likelihood ratio of a point of unknown phases against noise and clutter, equation (2).
 
     Args:
-        amplitude: |m_n|, background 1, shape (..., dwells).
-        powers: q_n, broadcasts with that.
+        amplitude: amplitudes |m_n|, background 1, shape (..., dwells).
+        powers: expected powers q_n; broadcasts with that.
 
     Returns:
         Sum over dwells, shape (...).
@@ -95,13 +95,13 @@ def point_ratio(amplitude: F64, powers: F64) -> F64:
 def ratio_in_dwells(matched: F64, gains: F64, powers: F64 = POWERS_IN_DWELLS, points: bool = True) -> F64:
     """Logarithm of the likelihood ratio of a target in dwells, its greatest over powers and kinds.
 
-    What is to be published as moving must be likelier as speckle: bright speckle has among many points one that fits it
-    by chance.
+    A target published as moving must be likelier even as speckle: bright speckle has among many points one that fits
+    it by chance.
 
     Args:
-        matched: |m_n|, shape (..., dwells).
-        gains: g_n, amplitude of the beam over the background's, broadcasts to that shape.
-        powers: P, of which the best counts.
+        matched: amplitudes |m_n|, shape (..., dwells).
+        gains: amplitude g_n of the beam over the background's; broadcasts to that shape.
+        powers: powers P, of which the best counts.
         points: True if points count, too, and not only speckle.
 
     Returns:
@@ -117,8 +117,8 @@ def ratio_over_rows(matched: F64, gains: F64, fractions: F64) -> float:
     """Logarithm of the likelihood ratio of speckle in dwells that is spread over rows, its greatest over spreads.
 
     Args:
-        matched: |m_n| in each row, shape (dwells, rows).
-        gains: g_n, shape (dwells,).
+        matched: amplitudes |m_n| in each row, shape (dwells, rows).
+        gains: amplitude g_n of the beam over the background's, shape (dwells,).
         fractions: fractions of the power in each row, shape (spreads, rows) or (spreads, dwells, rows).
     """
     square = matched**2
@@ -191,7 +191,7 @@ class LagLikelihood:
         That term, the energy of the spectrum, makes it the ratio of equation (1).
 
         Args:
-            spectra: m of targets about their centres, background 1, for each lag, shape (targets, lags, bins).
+            spectra: spectra m of targets about their centres, background 1, for each lag, shape (targets, lags, bins).
         """
         modes, _, weights, volumes = self._modes
         both = np.concatenate([spectra.real, spectra.imag]).astype(np.float32)
@@ -208,7 +208,7 @@ class LagLikelihood:
         """Logarithm of the likelihood ratio of clouds that are spread over range, equation (1), its greatest.
 
         Args:
-            spectra: m of rows about the centre of a target, background 1, shape (bins, rows).
+            spectra: spectra m of rows about the centre of a target, background 1, shape (bins, rows).
             lag: number of the lag.
             covariances: covariances of rows for some spreads of clouds of power 1, shape (spreads, rows, rows).
         """

@@ -179,11 +179,11 @@ class Search:
 
     @cached_property
     def _elevation_beams(self) -> F64 | C128:
-        """Of what stands still at each of the elevations, shape (elevations, bins, channels)."""
+        """Beams for a target at rest at each of the elevations, shape (elevations, bins, channels)."""
         return self.beams.response(self._elevation_grid[:, None], self.bins.aspects)
 
     def elevations(self, spectra: C128) -> F64:
-        """The most likely elevations of what stands still, shape (targets,); NaN: that of an outer beam."""
+        """The most likely elevations of targets at rest, shape (targets,); NaN: that of an outer beam."""
         grid, amplitudes = self._elevation_grid, self._elevation_beams
         gains = np.mean(np.sum(np.abs(amplitudes) ** 2, axis=-1), axis=-1)
         in_bins = np.einsum("ebc,tbc->etb", amplitudes.conj(), spectra, optimize=True)

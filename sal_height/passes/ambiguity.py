@@ -15,7 +15,7 @@ from sal_height.numeric import F64
 from sal_height.passes.array import Steering
 
 FALSE_PEAK = 0.5
-"""Least fraction of the power of a sidelobe that may be taken for the height of a point."""
+"""Least fraction of the power of a sidelobe that may be mistaken for the height of a point."""
 
 
 @dataclass(frozen=True, eq=False)

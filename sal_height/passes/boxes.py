@@ -213,7 +213,7 @@ def background(images: Sequence[C64]) -> F64:
 def brightest(power: F64, box: Box, least: float) -> tuple[F64, F64]:
     """Rows and columns, with fractions, of the peaks of power in a box above a level; arrays of shape (peaks,).
 
-    A parabola through the logarithms of three pixels finds the place in its pixel.
+    A parabola through the logarithms of three pixels gives the position in its pixel.
     """
     rows, cols = box.inner
     around = [

@@ -1,12 +1,12 @@
 """From elevation to heights on the ground, tracked over pixels and gathered from many dwells.
 
-Read `heights` first (elevation, range and Doppler to height, place and sigma) with `position_error` (covariance of the
-place; error of height at a place), `slope` (of the ground, from neighbours) and `rows` (those estimated apart), then
-`smoothing` (Gauss-Markov smoothing along range and along-track, with the `settings`),
-`prior` (of that, estimated from many dwells), `tracked` (the smoothed heights, placed), `ground` (the
-ground from all surfaces of all dwells, with `layers`, `membrane` and `visibility`), `cell_map` (a map that grows with
-the ground seen), `map` (one of the mean of all dwells), `ground_map` (one of the ground), `projected`
-(a map in UTM or the like) and `geotiff` (a map as a file).
+Read `heights` first (elevation, range and Doppler to height, position and sigma) with `position_error` (covariance of
+the position; error of height at a fixed position), `slope` (slope of the ground, from neighbours) and `rows` (rows
+estimated apart), then `smoothing` (Gauss-Markov smoothing along range and along-track, with the `settings`), `prior`
+(prior of the smoothing, from many dwells), `tracked` (positions of the smoothed heights), `ground` (ground from all
+surfaces of all dwells, with `layers`, `membrane` and `visibility`), `cell_map` (a map that grows with the ground seen),
+`map` (mean of all dwells), `ground_map` (map of the ground), `projected` (map in UTM or the like) and `geotiff` (map as
+a file).
 """
 
 from sal_height.relief.cell_map import CellMap, Relief

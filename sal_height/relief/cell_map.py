@@ -1,8 +1,8 @@
 """Maps of ground: cells of one grid in which the heights of successive dwells are combined.
 
 The grid lies along the arc distances east and north of `geometry.sphere_coordinates`; the edges of its cells are at
-multiples of the cell size, so that maps of different flights fit. What is kept of a cell, and how the heights of dwells
-are combined in it, is up to the layer of the map: the mean of all dwells (`map.ReliefMap`) or the highest surface
+multiples of the cell size, so that maps of different flights fit. The layer of the map decides which data of a cell are
+kept and how heights of dwells are combined: the mean of all dwells (`map.ReliefMap`) or the highest surface
 (`ground_map.GroundMap`).
 """
 
@@ -91,7 +91,7 @@ class CellMap(ABC):
         """The rectangle around all that was seen and the rectangle `seen`.
 
         Raises:
-            Rejected: it has more than `max_cells` cells.
+            Rejected: the rectangle has more than `max_cells` cells.
         """
         corners = seen if self._corners is None else hull(self._corners, seen)
         rows, cols = (corners[1] - corners[0] + 1).tolist()

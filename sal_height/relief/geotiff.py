@@ -36,10 +36,10 @@ UNPLACED = (
 """Engineering coordinate system (OGC WKT 1) of a map whose origin is not known."""
 
 SPHERE = "the sphere of 6371008.8 m that touches the earth at the map's origin"
-"""What the heights of such a map are above."""
+"""Reference surface of the heights of such a map."""
 
 VERTICAL_KEY, MEAN_SEA_LEVEL = 4096, 5714
-"""Key of GeoTIFF that has the code of the vertical system, and that of EPSG:5714, in whose place another is put."""
+"""Key of GeoTIFF that has the code of the vertical system, and the code of EPSG:5714, which is replaced."""
 
 
 def check_geotiff(path: Path) -> None:
@@ -64,7 +64,7 @@ def write_geotiff(
     under its name when it is complete, in place of one that was there.
 
     Args:
-        path: of the file.
+        path: path of the file.
         relief: the map, in coordinates of the projection.
         projection: the coordinate reference system; None: the origin is not known, the file has local coordinates.
         stamp_ns: time of the last dwell in the map, ns since 1970.
@@ -119,7 +119,7 @@ def write_geotiff(
 
 
 def _datum(projection: Projection | None) -> str:
-    """Name of the surface that heights are above."""
+    """Name of the surface to which heights refer."""
     if projection is None:
         return SPHERE
     if projection.has_geoid:
@@ -153,10 +153,10 @@ def _system(projection: Projection | None) -> str:
 
 
 def _state_ellipsoidal_heights(written: bytearray) -> None:
-    """Put into a GeoTIFF, in place of heights above the sea, that they are above the ellipsoid of WGS 84.
+    """Replace, in a GeoTIFF, the code of heights above the sea by that of heights above the ellipsoid of WGS 84.
 
-    A GeoTIFF says so with the code 4979 (OGC 19-008r4, 7.5.5). GDAL 3.10 reads that, but writes it only into a file
-    beside the GeoTIFF. Of other ellipsoids it does not read it either: those are in words in the tags.
+    The code is 4979 (OGC 19-008r4, 7.5.5). GDAL 3.10 reads it, but writes it only into a separate file next to the
+    GeoTIFF. Codes of other ellipsoids it does not read either: the tags name those in words.
     """
     old = struct.pack("<4H", VERTICAL_KEY, 0, 1, MEAN_SEA_LEVEL)
     at = written.index(old)

@@ -1,17 +1,17 @@
-"""The ground from all surfaces that dwells have measured: one height per cell, its sigma, and how it is known.
+"""The ground from all surfaces that dwells have measured: the height, sigma and kind of each cell.
 
-The surfaces of all pixels are points with the covariance of their place, most of them on the ground, some on walls, and
-a few that do not exist. From them follows the highest surface of each cell of a grid on the ground:
+The surfaces of all pixels are points with the covariance of their position, most of them on the ground, some on walls,
+and a few that do not exist. From them follows the highest surface of each cell of a grid on the ground:
 
 1. Points of the same piece of surface are merged (`layers`), which is all that is kept of dwells.
-2. Points that hang together with hardly any others, although there are others around them, are ghosts; so is what could
+2. Points that are connected to hardly any others, although there are others around them, are ghosts; so is what could
    not have been seen behind what stands in front of it, unless it is what stands in front that contradicts more.
 3. Points with others steeply above and below them are on walls.
 4. The highest that is left in each cell is its measured height. The ground between them is a membrane that tears at
    steps (`membrane`), to which every measurement is taken along its slope to the middle of its cell.
 5. A cell within the footprint of a measurement is MEASURED. Another one is SHADOW if the ground in front hides it, as
    is one without a measurement of its own that pixels without a signal show to be hidden. Another one is INTERPOLATED
-   if it lies in a small gap of ground that is the same on both sides, and else has no height. Beside a tear a height
+   if it lies in a small gap of ground that is the same on both sides, and else has no height. Next to a tear a height
    may be that of the other side: half of the step is added to its sigma.
 """
 
@@ -46,11 +46,11 @@ class GroundEstimate:
     """Heights of the highest surface of the cells of a grid; arrays of shape (rows, cols), row 0 the southernmost.
 
     Attributes:
-        east: arc distance of the centre of cell (0, 0) from the map's origin, m.
-        north: the same, m.
-        cell_size: m.
-        height: above the sphere, m; NaN where the kind is UNSEEN or SHADOW.
-        sigma: standard deviation of that height at the centre of the cell, m; NaN there.
+        east: arc distance east of the centre of cell (0, 0) from the map's origin, m.
+        north: arc distance north of the same, m.
+        cell_size: side of a cell, m.
+        height: height above the sphere, m; NaN where the kind is UNSEEN or SHADOW.
+        sigma: standard deviation of that height at the centre of the cell, m; NaN for the same kinds.
         kind: `GroundKind` of each cell, uint8.
         count: number of dwells that have measured the height, uint32; 0 where it is not measured.
     """
@@ -71,8 +71,8 @@ class GroundGrid:
     Attributes:
         first: row (north) and column (east) of the first cell, counted from the map's origin.
         shape: number of rows and columns.
-        cell_size: m.
-        spacing: of the pixels that are measured, on level ground, m: the greater of along range and along track.
+        cell_size: side of a cell, m.
+        spacing: spacing of the measured pixels on level ground, the greater of along range and along track, m.
     """
 
     first: tuple[int, int]
@@ -101,10 +101,10 @@ def estimated_ground(layers: Layers, silent: Bool, grid: GroundGrid, settings: G
     """Estimate the ground in all cells of `grid` from the layers that lie in them.
 
     Args:
-        layers: what was measured.
+        layers: measured pieces of surface.
         silent: cells in shadow by the pixels without a signal (`visibility.silent_cells`), shape of the grid.
-        grid: cells.
-        settings: of the estimate.
+        grid: cells of the estimate.
+        settings: settings of the estimate.
     """
     east, north = ((index + 0.5) * grid.cell_size for index in grid.first[::-1])
     tops = highest_surfaces(layers, grid, settings)
@@ -161,7 +161,7 @@ def highest_surfaces(layers: Layers, grid: GroundGrid, settings: GroundSettings)
 def _scattered(layers: Layers, pairs: Neighbours, reach: float, grid: GroundGrid) -> Bool:
     """Layers around which half of all neighbours, or more, differ by over four times their distance, shape (n,).
 
-    There is no ground that heights like those in a canopy could tell of; beside a wall they are fewer.
+    Such heights, as in a canopy, do not determine any ground; next to a wall they are fewer.
     """
     steep = np.abs(pairs.rise) > np.maximum(4 * reach, pairs.error)
     size, first, second = len(layers), pairs.first, pairs.second
@@ -203,7 +203,7 @@ def _highest(layers: Layers, grid: GroundGrid) -> I64:
 def _settled(tops: Layers, number: I64, grid: GroundGrid, settings: GroundSettings) -> tuple[Membrane, F64, F64]:
     """The membrane through the tops, taken along its own slopes to the middles of their cells.
 
-    A plane of the slope g turns an error e of a place into one of height at a given place, (-g, 1) e. Returns the
+    A plane of the slope g turns an error e of a position into one of height at a fixed one, (-g, 1) e. Returns the
     membrane, its slope (m per cell, shape (rows, cols, 2)) and the variance (m^2) from the common errors of each top.
     """
     offset = grid.places(tops) - np.rint(grid.places(tops))
@@ -239,7 +239,7 @@ def _slopes(membrane: Membrane) -> F64:
 
 
 def _jumps_beside(membrane: Membrane) -> F64:
-    """Greatest step between each cell and the four beside it where the membrane is torn, m; 0 where it is whole."""
+    """Greatest step between each cell and its four neighbours where the membrane is torn, m; 0 where it is whole."""
     jump = np.zeros(membrane.height.shape)
     for axis, joint in enumerate(membrane.joined):
         step = np.where(joint, 0.0, np.abs(np.diff(membrane.height, axis=axis)))
@@ -252,10 +252,10 @@ def _jumps_beside(membrane: Membrane) -> F64:
 def _between_sides(sides: list[Sides], slope: F64, grid: GroundGrid, settings: GroundSettings) -> tuple[Bool, F64]:
     """Cells in a gap whose nearest measured cells on both sides have the same height, and half their difference, m.
 
-    What the slope (m per cell, shape (rows, cols, 2)) makes of the difference is no part of it.
+    The difference due to the slope (m per cell, shape (rows, cols, 2)) is subtracted.
 
-    The gap is looked at along rows and along columns, each up to `interpolation_pixels` away; one must show the same
-    height on both sides, and none a step.
+    The gap is examined along rows and along columns, each up to `interpolation_pixels` away; one must show the same
+    height on both sides, and neither a step.
     """
     reach = settings.interpolation_pixels * grid.spacing / grid.cell_size
     same, step, half = np.zeros(grid.shape, bool), np.zeros(grid.shape, bool), np.zeros(grid.shape)
@@ -271,7 +271,7 @@ def _between_sides(sides: list[Sides], slope: F64, grid: GroundGrid, settings: G
 
 
 Sides = tuple[tuple[F64, F64], tuple[F64, F64]]
-"""Distance (cells) and height (m) of what is before each cell along an axis, and of what is after it."""
+"""Distance (cells) and height (m) of the cell before each one along an axis, and of the one after it."""
 
 
 def _sides(height: F64, covered: Bool, axis: int) -> Sides:
@@ -292,8 +292,8 @@ def _hidden(
 ) -> tuple[Bool, F64]:
     """Cells that the covered ones would hide from the sensor at the lowest of the known heights nearest to them.
 
-    Looked at are the cells that are not covered, and those beside them that are not measured: their heights are known
-    from others. Returns these lowest heights, m, too.
+    Examined are the cells that are not covered, and adjacent ones that are not measured: their heights are known from
+    others. Returns these lowest heights, m, too.
     """
     beside = [_sides(height, measured, axis) for axis in (0, 1)]
     outside, inside = (np.fmin.reduce([side for pair in both for _, side in pair]) for both in (sides, beside))

@@ -1,6 +1,6 @@
-"""Map of the ground: what dwells have measured of it so far, and the estimate that follows.
+"""Map of the ground: the measurements of all dwells so far, and the estimate from them.
 
-What is kept of the dwells are merged layers (`layers`), in square tiles. A new dwell changes the estimate on the ground
+The map keeps merged layers of the dwells (`layers`), in square tiles. A new dwell changes the estimate on the ground
 that it has seen and a little around it, which is estimated again; `settle` estimates all of it at once. Small dwells
 side by side are estimated together, for an estimate of few cells takes as long as one of many.
 """
@@ -25,7 +25,7 @@ MARGIN = 4
 """Cells around what a dwell has seen in which the estimate may change, and as many more that are taken into account."""
 
 LEAST_CELLS = 2**14
-"""Cells that are worth an estimate, if nobody asks for it: ten dwells of sal_spotlight, 50 ms."""
+"""Cells that are worth an estimate before one is requested: ten dwells of sal_spotlight, 50 ms."""
 
 ARRAYS = ("height", "sigma", "kind", "count")
 """Names of the arrays of an estimate."""
@@ -39,7 +39,7 @@ def fine_cell_size(grid: Grid) -> float:
 
 
 class GroundMap(CellMap):
-    """The highest surface of all ground that was seen, estimated whenever it is asked for."""
+    """The highest surface of all ground that was seen, estimated whenever it is requested."""
 
     def __init__(
         self, cell_size: float, spacing: float, max_cells: int, settings: GroundSettings = DEFAULT_GROUND
@@ -47,10 +47,10 @@ class GroundMap(CellMap):
         """An empty map.
 
         Args:
-            cell_size: m.
-            spacing: of pixels on level ground, m: the greater of along range and along track.
+            cell_size: side of a cell, m.
+            spacing: spacing of pixels on level ground, the greater of along range and along track, m.
             max_cells: greatest number of cells of the rectangle around all that was seen.
-            settings: of the estimate.
+            settings: settings of the estimate.
         """
         super().__init__(cell_size, max_cells)
         self.spacing = spacing
@@ -61,7 +61,7 @@ class GroundMap(CellMap):
         self._stale: I64 | None = None  # the rectangle around cells seen since they were estimated
 
     def add(self, field: HeightField, aperture: ApertureState) -> None:
-        """Enter all surfaces of a dwell, and estimate what is worth it by now. See `CellMap.add`."""
+        """Enter all surfaces of a dwell; estimate once there are LEAST_CELLS new cells. See `CellMap.add`."""
         seen = self.enter(field, aperture)
         if seen is None:
             return
@@ -78,7 +78,7 @@ class GroundMap(CellMap):
         """Enter all surfaces that a dwell saw from `aperture`; the estimate is not brought up to date.
 
         Returns:
-            Row and column of the first and of the last cell that holds a surface, shape (2, 2); None: none does.
+            Row and column of the first and of the last cell that has a surface, shape (2, 2); None: no such cell.
 
         Raises:
             Rejected: the map would have more than `max_cells` cells; it does not change.
@@ -163,7 +163,7 @@ class GroundMap(CellMap):
         return layers.where(((cells >= corners[0]) & (cells <= corners[1])).all(axis=1))
 
     def _silent_within(self, corners: I64) -> Bool:
-        """Which cells from corners[0] to corners[1] pixels without a signal show in shadow."""
+        """True for cells from corners[0] to corners[1] that pixels without a signal show to be in shadow."""
         first, last = corners // TILE
         none = np.zeros((TILE, TILE), bool)
         tiles = [
@@ -204,7 +204,7 @@ def _part(estimate: GroundEstimate, corners: I64) -> GroundEstimate:
 
 
 def _paste(part: GroundEstimate, whole: GroundEstimate) -> None:
-    """Copy the cells of a part into an estimate that holds them all."""
+    """Copy the cells of a part into an estimate that contains all of them."""
     there = _part(whole, _corners_of(part))
     for name in ARRAYS:
         getattr(there, name)[...] = getattr(part, name)

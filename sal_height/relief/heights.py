@@ -26,17 +26,17 @@ from sal_height.relief.position_error import (
 
 @dataclass(frozen=True)
 class Surface:
-    """One scatterer of each pixel; arrays of the shape (rows, cols) of the height image, NaN where there is none.
+    """One scatterer of each pixel; arrays of the shape (rows, cols) of the height image, NaN where it is absent.
 
     Attributes:
-        height: above the sphere, m.
+        height: height above the sphere, m.
         sigma: standard deviation of height, m, including that from the platform's pose.
         cnr_db: carrier-to-noise ratio of one look, dB.
-        positions: in map, m, shape (rows, cols, 3).
+        positions: position in map, m, shape (rows, cols, 3).
         spread: standard deviation of the surface's own heights within the pixel, m; 0: a single point.
-        own_covariance: of the position without the errors that pixels share, m^2, shape (rows, cols, 3, 3).
-        common_covariance: what the platform's pose adds, an error that all pixels of a dwell share, and what beams add
-            that are not exactly known, which those of one elevation share; None: neither is known.
+        own_covariance: covariance of the position without the errors that pixels share, m^2, shape (rows, cols, 3, 3).
+        common_covariance: covariance from the platform's pose, whose error all pixels of a dwell share, and from beams
+            that are not exactly known, whose error those of one elevation share, m^2; None: neither is known.
     """
 
     height: F64
@@ -62,7 +62,7 @@ class Surface:
         spread: F64 | None = None,
         beam_covariance: F64 | None = None,
     ) -> Self:
-        """A surface with what the pose of the aperture adds to its covariance; arguments as the attributes.
+        """A surface with the covariance from the pose of the aperture added; arguments as the attributes.
 
         Spread None: a surface of single points. Beam covariance None: the beams are known.
         """
@@ -81,7 +81,7 @@ class Surface:
 
     @property
     def is_determined(self) -> Bool:
-        """Pixels with finite place and height, and finite sigma in the single precision of messages, (rows, cols)."""
+        """Pixels with finite position, height and, in the single precision of messages, sigma, shape (rows, cols)."""
         with np.errstate(over="ignore"):
             sigma = self.sigma.astype(np.float32)
         east, north, up = np.moveaxis(self.positions, -1, 0)
@@ -127,8 +127,8 @@ class HeightField:
         grid: pixels of the height image.
         validity: `Validity` of each pixel, uint8, shape (rows, cols).
         surfaces: the strongest scatterer of the pixels that have a height, with the `cnr_db` of all pixels that have a
-            signal; then as many weaker ones as were looked for.
-        order_probability: as in `ElevationEstimate`; None: not estimated.
+            signal; then as many weaker ones as were searched for.
+        order_probability: probability of each order, as in `ElevationEstimate`; None: not estimated.
     """
 
     grid: Grid
@@ -157,27 +157,27 @@ def height_field(
     Range and Doppler are those of the looks' power-weighted centre; the elevation selects the point on their circle.
     The errors of elevation, of range and of Doppler are independent (`position_error.measured_covariance`); those
     of range and Doppler are there because the centre of the speckle within its cell is unknown, which limits the
-    height at high CNR. What the platform's pose adds (`position_error.pose_covariance`) is common to all pixels of
-    the dwell, and what uncertain beams add (`beam_error.common_deviation`) to those of one elevation. The variance
+    height at high CNR. The error of the platform's pose (`position_error.pose_covariance`) is common to all pixels of
+    the dwell, and that of uncertain beams (`beam_error.common_deviation`) to those of one elevation. The variance
     of height is that of both parts along the vertical.
 
     Args:
-        estimate: elevations.
-        looks: where in the SLC each pixel's power lies.
+        estimate: elevations of the pixels.
+        looks: position in the SLC of each pixel's power.
         slc_grid: pixels of the SLC.
         grid: pixels of the height image (`look_grid`).
         aperture: state of the platform.
-        look_side: +1 right, -1 left.
-        radial_velocity: v_r of the targets, m/s, positive if they recede. It displaces them in the image by
+        look_side: look side, +1 right, -1 left.
+        radial_velocity: velocity v_r of the targets, positive if they recede, m/s. It displaces them in the image by
             -range v_r / speed along-track (SAL paper, section 4), which is corrected.
-        beams: whose uncertainty is in the estimate's sigmas, and becomes common; None: they are known.
+        beams: beams whose uncertainty is in the estimate's sigmas, and becomes common; None: they are known.
     """
     points = slc_grid.points(looks.row, looks.col)
     aperture = aperture_at(points, aperture)
     sight = points - aperture.position
     slant_range = np.sqrt(np.einsum("...i,...i", sight, sight))
     along = sight @ aperture.direction + slant_range * radial_velocity / np.linalg.norm(aperture.velocity)
-    # The centre of the speckle is somewhere in its cell, in each look at another place.
+    # The centre of the speckle is somewhere in its cell, in each look at another position.
     depth = slc_grid.row_spacing * np.abs(sight @ slc_grid.row_direction) / slant_range
     width = slc_grid.col_spacing * np.abs(slc_grid.col_direction @ aperture.direction)
     range_sigma, along_sigma = depth * np.sqrt(looks.row_variance), width * np.sqrt(looks.col_variance)
@@ -205,19 +205,19 @@ def height_field(
 
 
 def _holding(validity: U8, surfaces: int) -> Bool:
-    """Which pixels have a scatterer in each of so many surfaces, by their validity, shape (surfaces, rows, cols)."""
+    """True for pixels with a scatterer in each of N surfaces, by their validity, shape (surfaces, rows, cols)."""
     return scatterer_count(validity) > np.arange(surfaces)[:, None, None]
 
 
 def _checked_validity(validity: U8, surfaces: Surface) -> U8:
     """The validity with a reason where measurements could be used, but a height or its sigma is not determined.
 
-    OUTSIDE_ARRAY: no place on the ground has that range, Doppler and elevation. LOW_CNR: sigma is infinite, as without
-    a signal. NOT_ONE_SCATTERER: one or more of several scatterers are not determined.
+    OUTSIDE_ARRAY: no position on the ground has that range, Doppler and elevation. LOW_CNR: sigma is infinite, as
+    without a signal. NOT_ONE_SCATTERER: one or more of several scatterers are not determined.
 
     Args:
-        validity: by the elevations, shape (rows, cols).
-        surfaces: all of them, arrays of shape (surfaces, rows, cols, ...).
+        validity: validity by the elevations, shape (rows, cols).
+        surfaces: all surfaces, arrays of shape (surfaces, rows, cols, ...).
     """
     lacking = _holding(validity, len(surfaces.height)) & ~surfaces.is_determined
     if not lacking.any():

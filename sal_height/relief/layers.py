@@ -1,7 +1,7 @@
 """Layers: the pieces of surface that dwells have measured, each in one cell of a grid on the ground.
 
-A cell has several layers where surfaces lie above each other, as at a wall. What dwells measure of the same piece is
-merged with the weights of its errors, so that the memory of a map grows with the ground that was seen, not with the
+A cell has several layers where surfaces are above each other, as at a wall. Measurements of the same piece are
+merged with the weights of their errors, so that the memory of a map grows with the ground that was seen, not with the
 dwells.
 """
 
@@ -29,7 +29,7 @@ class Layers:
         place: arc distances east and north from the map's origin, and height above the sphere, shape (n, 3).
         own: covariance of their errors that no other layer shares, m^2, shape (n, 3, 3).
         common: covariance of those that all pixels of a dwell share, shape (n, 3, 3).
-        towards: how far east and north the line of sight goes towards the sensor per metre that it rises, shape (n, 2).
+        towards: distance east and north along the line of sight to the sensor per metre of rise, m/m, shape (n, 2).
         dwells: number of dwells that have measured them, shape (n,).
     """
 
@@ -72,7 +72,7 @@ def _layers_of_surface(surface: Surface, aperture: ApertureState) -> Layers:
     """One layer for each pixel.
 
     Errors along its circle add to the covariance: all of sigma if no covariance is known, and the spread of an extended
-    surface, any part of which may be what is seen at a place. Pixels whose circle does not rise at all, right ahead of
+    surface, of which any part may be seen at a position. Pixels whose circle does not rise at all, right ahead of
     the platform, are left out: their heights say nothing.
     """
     seen = surface.is_determined & np.isfinite(surface.height)
@@ -104,10 +104,10 @@ def merged(layers: Layers, cell_size: float, gate: float, *, same_dwell: bool) -
     sum w C / sum w, those of different dwells, too: no message says how alike they are, and a mean cannot err more.
 
     Args:
-        layers: in any order.
-        cell_size: m.
-        gate: standard deviations.
-        same_dwell: whether all layers are of one dwell, or of several.
+        layers: layers in any order.
+        cell_size: side of a cell, m.
+        gate: greatest difference of layers that are merged, standard deviations.
+        same_dwell: True if all layers are of one dwell, False if of several.
     """
     if not len(layers):
         return layers
@@ -137,14 +137,14 @@ def merged(layers: Layers, cell_size: float, gate: float, *, same_dwell: bool) -
 
 @dataclass(frozen=True, eq=False)
 class Neighbours:
-    """Pairs of layers whose places on the ground are near each other.
+    """Pairs of layers whose positions on the ground are near each other.
 
     Attributes:
         first: number of the first layer of each pair, shape (pairs,).
-        second: of the second.
-        distance: on the ground, m.
+        second: number of the second layer, shape (pairs,).
+        distance: distance on the ground, m.
         rise: height of the second less that of the first, m.
-        error: `gate` standard deviations of that, m.
+        error: standard deviation of the rise, times `gate`, m.
     """
 
     first: Index
@@ -170,10 +170,10 @@ def neighbours(layers: Layers, reach: float, gate: float) -> Neighbours:
 
 
 def supported(layers: Layers, pairs: Neighbours, reach: float, least: int) -> Bool:
-    """Layers that hang together with `least` or more in space, shape (n,): surfaces, and not ghosts among surfaces.
+    """Layers that are connected to `least` or more in space, shape (n,): surfaces, and not ghosts among surfaces.
 
-    Two layers hang together if their distance, but for their errors, is at most `reach` (m). What has fewer than
-    `least` layers around it on the ground has nothing that speaks against it, and counts as supported.
+    Two layers are connected if their distance, but for their errors, is at most `reach` (m). A layer with fewer than
+    `least` layers around it on the ground is not contradicted, and counts as supported.
     """
     beyond = np.maximum(np.abs(pairs.rise) - pairs.error, 0.0)
     together = pairs.distance**2 + beyond**2 <= reach**2

@@ -1,14 +1,14 @@
 """Relief map: the heights of successive dwells, averaged in the cells of one grid on the ground.
 
-The map takes the strongest scatterer of each pixel, and a weaker one if it is all but certain to be there
-(LEAST_SUPPORT): a map used for navigation must not hold obstacles that do not exist, so a false alarm of the order of a
-pixel must stay out; and it must not miss a kerb or a car whose brighter neighbour in layover is the road. Estimators
-that state no probability give their strongest scatterers only; the others stay in the points of dwells.
+The map uses the strongest scatterer of each pixel, and a weaker one if it is all but certain to be there
+(LEAST_SUPPORT): a map used for navigation must not contain obstacles that do not exist, so a false alarm of the order
+of a pixel must stay out; and it must not miss a kerb or a car whose brighter neighbour in layover is the road.
+Estimators that state no probability give their strongest scatterers only; the others stay in the points of dwells.
 
 The height of a cell is that of the ground at its centre: heights are moved there along the slope of the ground
-(`slope.ground_slope`). Sigma is that of a height at a fixed place, on ground of that slope
+(`slope.ground_slope`). Sigma is that of a height at a fixed position, on ground of that slope
 (`position_error.variance_at_place`). Where the slope is not known, heights are not moved, sigma is that of the worst
-slope up to STEEPEST, and what such a slope makes of the distance to the centre is added.
+slope up to STEEPEST, and that slope times the distance to the centre is added.
 
 The errors of pixels are independent, except for the part caused by the platform's pose and by uncertain beams, which
 all pixels of a dwell share. No message says how alike these are in different dwells: a pose that drifts, a boresight
@@ -35,10 +35,10 @@ from sal_height.relief.slope import LEAST_PIXELS, ground_slope
 from sal_height.relief.tracked import ground_spacings
 
 LEAST_SUPPORT = 0.99
-"""Least probability that a pixel holds a weaker scatterer, with which that enters a map."""
+"""Least probability of a weaker scatterer in a pixel with which it enters a map."""
 
 STEP = 2.5
-"""Spread of heights in a cell, over what their errors let expect, beyond which the cell holds a step."""
+"""Spread of heights in a cell, over that expected from their errors, beyond which the cell contains a step."""
 
 
 class ReliefMap(CellMap):
@@ -94,7 +94,7 @@ class ReliefMap(CellMap):
 
 
 def fitting_cell_size(grid: Grid, aperture: ApertureState) -> float:
-    """Return the smallest 1, 2 or 5 times a power of ten (m) that holds a pixel of `grid` on level ground.
+    """Return the smallest 1, 2 or 5 times a power of ten (m) that covers a pixel of `grid` on level ground.
 
     Raises:
         Rejected: the grid is seen from straight above, where a pixel has no length across.
@@ -115,11 +115,11 @@ class _Pixels:
 
     Attributes:
         place: arc distances east and north of the map's origin, m, shape (2, pixels).
-        height: m, shape (pixels,).
-        slope: of the ground towards east and north, m/m, shape (2, pixels); 0 where it is not known.
+        height: height above the sphere, m, shape (pixels,).
+        slope: slope of the ground towards east and north, m/m, shape (2, pixels); 0 where it is not known.
         slope_error: standard deviation of the slope, m/m, shape (pixels,); NaN where it is not known.
-        own: variance of the height at that place, m^2, shape (pixels,).
-        common: its part that the pixels of the dwell share, m^2.
+        own: variance of the height at that position, m^2, shape (pixels,).
+        common: part of that variance that the pixels of the dwell share, m^2.
     """
 
     place: F64
@@ -135,9 +135,9 @@ class _Cells:
     """Mean heights of a dwell in the cells that it has seen, shape (cells,) each, in the order of rows.
 
     Attributes:
-        row: of the cell.
-        col: of the cell.
-        height: at the centre of the cell, m.
+        row: row of the cell, counted from the map's origin.
+        col: column of the cell, counted from the map's origin.
+        height: height at the centre of the cell, m.
         own: variance of its independent errors, m^2.
         common: standard deviation of the error that it shares with others, m.
     """
@@ -150,7 +150,7 @@ class _Cells:
 
 
 def _supported(field: HeightField) -> list[Bool]:
-    """Which pixels of each surface enter a map."""
+    """Pixels of each surface that enter a map."""
     always, never = np.ones(field.grid.shape, np.bool_), np.zeros(field.grid.shape, np.bool_)
     probability = field.order_probability
     if probability is None:
@@ -175,7 +175,7 @@ def _pixels_of(field: HeightField) -> _Pixels:
 def _gather(surface: Surface, there: Bool, spacing: float, table: F64, start: int) -> int:
     """Fill the columns of a table from `start` on with the scatterers of a surface `there`, see `gather_pixels`.
 
-    The `spacing` of pixels is that on the ground, m.
+    `spacing` is that of pixels on the ground, m.
 
     Returns:
         The column after the last one filled.
@@ -196,14 +196,14 @@ def _averaged(pixels: _Pixels, cells: I64, cell_size: float) -> _Cells:
     """Height at the centre of each cell that was seen: the mean of its pixels, moved along their mean slope.
 
     The weights are w = 1 / variance; own parts add up to sum w^2 own / (sum w)^2, and of the common part, which is one
-    error, the mean sigma is taken. Added is what the error of the slope makes of the distance of the pixels' mean place
-    from the centre; where slopes are not known, what STEEPEST makes of the pixels' distances; and where the heights in
-    the cell spread by more than STEP times their errors, that spread: the cell holds a step.
+    error, the mean sigma is taken. Added are the slope's error times the distance of the pixels' mean position from the
+    centre; where slopes are not known, STEEPEST times the pixels' distances; and where the heights in the cell spread
+    by more than STEP times their errors, that spread: the cell contains a step.
 
     Args:
-        pixels: of a dwell.
+        pixels: heights of a dwell.
         cells: row and column of each pixel's cell, shape (2, pixels).
-        cell_size: m.
+        cell_size: side of a cell, m.
     """
     first, last = cells.min(axis=1), cells.max(axis=1)
     rows, cols = (last - first + 1).tolist()

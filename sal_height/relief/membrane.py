@@ -21,7 +21,7 @@ on level ground that of the averaged noise alone. kappa is estimated around each
 the line between their neighbours. Where nothing was measured, kappa times the variance of a step is added for each cell
 from there to the nearest footprint: the tree says less.
 
-A step lower than what can be told apart in elevation, as of a kerb, is measured as a ramp of several pixels, on which
+A step below the resolution in elevation, as of a kerb, is measured as a ramp of several pixels, on which
 heights are wrong by up to half the step. Every ramp as short as that therefore has a sigma that allows for a step.
 """
 
@@ -51,11 +51,11 @@ WEIGHT_STEP = 1e-3
 FAR = 2.0
 """Standard deviations beyond which a measurement is called far from the line between its neighbours.
 
-The share of those that are far gives the scale of all, which a step along a line of pixels hardly changes.
+The fraction of those that are far gives the scale of all, which a step along a line of pixels hardly changes.
 """
 
 Joints = tuple[Bool, Bool]
-"""Whether each cell and the next along rows are joined, shape (rows - 1, cols), and along columns, (rows, cols - 1)."""
+"""True if a cell and the next along rows are joined, shape (rows - 1, cols), and along columns, (rows, cols - 1)."""
 
 Links = tuple[F64, F64]
 """Numbers of the same pairs of neighbours."""
@@ -66,17 +66,17 @@ class Membrane:
     """Heights of all cells that minimise the energy; arrays of shape (rows, cols).
 
     Attributes:
-        height: m; NaN where no measurement reaches.
-        precision: of that height in the posterior, 1/m^2.
-        joined: which neighbours are on the same side of all steps.
+        height: posterior mean of the height, m; NaN where no measurement reaches.
+        precision: posterior precision of that height, 1/m^2.
+        joined: neighbours on the same side of all steps.
         covered: cells in the footprint of a measurement.
         nearest: row and column of the measured cell nearest to each, shape (2, rows, cols).
-        beyond: distance from its footprint, cells; 0 within.
-        noise: standard deviation of its measurement, m.
-        filled: that measurement taken to the cell along the slope, m.
-        weight: w of each cell, 1/m^2.
-        stiffness: k between neighbours, 1/m^2.
-        rises: r between neighbours, m.
+        beyond: distance from the footprint of that cell, cells; 0 within.
+        noise: standard deviation of the nearest measurement, m.
+        filled: height of that measurement, moved to the cell along the slope, m.
+        weight: weight w of each cell, 1/m^2.
+        stiffness: stiffness k between neighbours, 1/m^2.
+        rises: rise r between neighbours, m.
     """
 
     height: F64
@@ -106,12 +106,12 @@ def fitted_membrane(
     """Fit the membrane to measured heights, of which there must be one at least; `deviation` gives its sigma.
 
     Args:
-        measured: heights z, m, shape (rows, cols); NaN where there is none.
-        sigma: their standard deviations s, m, same shape.
-        spacing: of the measurements, in cells.
-        gate: neighbours that differ by more than this many standard deviations of their difference are not joined.
-        slope: of the ground along rows and along columns, m per cell, shape (rows, cols, 2); None: level.
-        steepest: slope that is not a step where `slope` does not tell it, m per cell.
+        measured: heights z, m, shape (rows, cols); NaN where not measured.
+        sigma: standard deviations s of these heights, m, same shape.
+        spacing: spacing of the measurements, cells.
+        gate: greatest difference of joined neighbours, standard deviations of the difference.
+        slope: slope of the ground along rows and along columns, m per cell, shape (rows, cols, 2); None: level.
+        steepest: greatest slope that is not a step, in addition to `slope`, m per cell.
     """
     slope = np.zeros((*measured.shape, 2)) if slope is None else slope
     distance, nearest = distance_transform_edt(np.isnan(measured), return_indices=True)
@@ -144,9 +144,9 @@ def deviation(membrane: Membrane, spacing: float) -> F64:
     """Standard deviation of the heights of a membrane, m, shape (rows, cols); infinite where there is no height.
 
     Args:
-        membrane: fitted.
-        spacing: of the measurements, in cells. Above 3 cells sigma becomes too small, because cells of one footprint
-            share their error.
+        membrane: fitted membrane.
+        spacing: spacing of the measurements, cells. Above 3 cells sigma becomes too small, because cells of one
+            footprint share their error.
     """
     noise, posterior = membrane.noise, 1 / membrane.precision
     heavier = (1 + WEIGHT_STEP) * membrane.weight
@@ -155,7 +155,7 @@ def deviation(membrane: Membrane, spacing: float) -> F64:
     roughness = _roughness(membrane.filled, noise, membrane.covered, max(1, round(spacing)))
     smooth = averaged + roughness * (posterior - averaged)
     unresolved = _unresolved(membrane.height, np.sqrt(smooth), membrane.joined, spacing)
-    least_roughness = 0.1  # what is added to kappa in gaps, where a step may hide that no measurement near it shows
+    least_roughness = 0.1  # added to kappa in gaps, where a step may hide that no measurement near it shows
     step = (roughness + least_roughness) * (FREEDOM * noise) ** 2 + unresolved[tuple(membrane.nearest)]
     variance = smooth + membrane.beyond * step + unresolved
     return np.where(np.isnan(membrane.height), np.inf, np.sqrt(variance))
@@ -183,7 +183,7 @@ def _stiffness(joined: Joints, steps: list[F64]) -> Links:
 def _beliefs(weight: F64, measured: F64, stiffness: Links, rises: Links) -> tuple[F64, F64]:
     """Precision (1/m^2) and mean (m) of each cell after the messages of SWEEPS sweeps.
 
-    A cell that knows its height with the precision p, but for what the receiver sent, sends through a link of the
+    A cell whose height has the precision p, without the receiver's message, sends through a link of the
     stiffness k the precision k p / (k + p), as of conductors in series.
     """
     precision, moment = np.zeros((4, *weight.shape)), np.zeros((4, *weight.shape))
@@ -207,7 +207,7 @@ def _unresolved(height: F64, noise: F64, joined: Joints, spacing: float) -> F64:
 
 def _bent_both_ways(height: F64, limit: F64, joined: Bool, spacing: float) -> F64:
     """Lesser of the bends upwards and downwards along columns that reach to each cell, squared, m^2."""
-    bend_pixels = (1, 2, 3)  # distances in pixels over which bends are looked for
+    bend_pixels = (1, 2, 3)  # distances in pixels over which bends are searched for
     lags = np.rint(np.array(bend_pixels) * spacing).astype(np.int64)
     bends = np.zeros((2, *height.shape))
     there = np.ascontiguousarray(joined)
@@ -238,6 +238,6 @@ def _roughness(height: F64, noise: F64, covered: Bool, lag: int) -> F64:
     neighbourhood = 19  # side in cells of the square in which kappa is estimated: some hundred pixels
     far, count = (uniform_filter(values, neighbourhood) for values in (far, count))
     share = np.clip(far / np.maximum(count, 1e-6), 1e-3, 0.99)
-    scale = FAR / ndtri(1 - share / 2)  # of a normal distribution with that share beyond FAR
+    scale = FAR / ndtri(1 - share / 2)  # of a normal distribution with that fraction beyond FAR
     greatest_roughness = 100.0  # greatest kappa: the ground's steps are ten times as large as those of the prior
     return np.clip((scale**2 - 1) * 6 / (2 * FREEDOM**2), 0.0, greatest_roughness)

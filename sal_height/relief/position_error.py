@@ -1,4 +1,4 @@
-"""Covariance of a scatterer's position, and the error of height at a place that follows from it.
+"""Covariance of a scatterer's position, and the resulting error of height at a fixed position.
 
 A pixel measures the slant range R, the component L of the line of sight s along the flight v (from Doppler), and the
 elevation: s lies in a plane through the body's forward axis f with the normal m = f x s. Moved along with each other,
@@ -12,8 +12,8 @@ and the solution for ds is the Jacobian of the position, exact to first order. W
 On their circle of range and Doppler positions move along c, outwards when up, so that an error of elevation does not
 only raise a point but shifts it. A rotation e of the body moves them by c (w e), w = (s x m) / |m|^2.
 
-At a fixed place (east, north) on ground of slope g = (d height / d east, d height / d north), a point that is off by e
-is too high by e_up - g e_horizontal. That is the error that a map of heights has.
+At a fixed position (east, north) on ground of slope g = (d height / d east, d height / d north), a point with the error
+e is too high by e_up - g e_horizontal. That is the error that a map of heights has.
 """
 
 from __future__ import annotations
@@ -35,17 +35,17 @@ LEAST_POINTS = 2**14
 """Points that are worth a thread."""
 
 LEAST_OWN_SHARE = 0.01
-"""Least share of a height's variance that is not due to the pose; sigma may have been rounded to float32."""
+"""Least fraction of a height's variance that is not due to the pose; sigma may have been rounded to float32."""
 
 
 def position_jacobian(positions: F64, aperture: ApertureState) -> F64:
-    """Derivative of positions by elevation (m/rad), by slant range and by distance along the flight (m/m).
+    """Derivative of positions by elevation (m/rad), by slant range and by along-track distance (m/m).
 
     The sign of elevation is that of a right-handed rotation about the body's forward axis.
 
     Args:
-        positions: of scatterers in map, m, shape (..., 3).
-        aperture: from which they were seen.
+        positions: positions of scatterers in map, m, shape (..., 3).
+        aperture: aperture from which they were seen.
 
     Returns:
         Matrices whose columns are the three derivatives, shape (..., 3, 3).
@@ -59,8 +59,8 @@ def turn_jacobian(positions: F64, aperture: ApertureState) -> F64:
     """Derivative of positions by a small turn of the body about the axes of map, m/rad: c w^T.
 
     Args:
-        positions: of scatterers in map, m, shape (..., 3).
-        aperture: from which they were seen.
+        positions: positions of scatterers in map, m, shape (..., 3).
+        aperture: aperture from which they were seen.
 
     Returns:
         Matrices of shape (..., 3, 3).
@@ -75,10 +75,10 @@ def level_turn(elevation: float, grid: Grid, aperture: ApertureState, look_side:
     """Elevation (rad) that level ground gains from row to row of an image, in its middle.
 
     Args:
-        elevation: under which the ground is seen, rad.
+        elevation: elevation under which the ground is seen, rad.
         grid: pixels of the image in the slant plane.
-        aperture: from which it was seen.
-        look_side: +1 right, -1 left.
+        aperture: aperture from which the image was seen.
+        look_side: look side, +1 right, -1 left.
     """
     point = grid.middle
     aperture = aperture_at(point, aperture)
@@ -93,14 +93,14 @@ def level_turn(elevation: float, grid: Grid, aperture: ApertureState, look_side:
 def measured_covariance(
     positions: F64, aperture: ApertureState, sigma: F64, range_sigma: F64 | float, along_sigma: F64 | float
 ) -> tuple[F64, F64]:
-    """Covariance (m^2) of positions from the independent errors of what is measured.
+    """Covariance (m^2) of positions from the independent errors of the measured quantities.
 
     Args:
-        positions: of scatterers in map, m, shape (..., 3).
-        aperture: from which they were seen.
+        positions: positions of scatterers in map, m, shape (..., 3).
+        aperture: aperture from which they were seen.
         sigma: standard deviation of elevation, rad, shape (...) or one that broadcasts to it.
-        range_sigma: of the slant range, m, same shapes.
-        along_sigma: of the distance along the flight, m, same shapes.
+        range_sigma: standard deviation of the slant range, m, same shapes.
+        along_sigma: standard deviation of the along-track distance, m, same shapes.
 
     Returns:
         The covariance in map axes, shape (..., 3, 3), not finite where a sigma is not; and the derivative of height by
@@ -114,12 +114,12 @@ def measured_covariance(
 
 
 def circle_covariance(height_sigma: F64, positions: F64, aperture: ApertureState) -> F64:
-    """Covariance (m^2) of positions that are off only along their circles of range and Doppler.
+    """Covariance (m^2) of positions with errors only along their circles of range and Doppler.
 
     Args:
         height_sigma: standard deviation of their heights, m, shape (...).
-        positions: in map, m, shape (..., 3).
-        aperture: from which they were seen.
+        positions: positions in map, m, shape (..., 3).
+        aperture: aperture from which they were seen.
 
     Returns:
         In map axes, shape (..., 3, 3).
@@ -132,10 +132,10 @@ def circle_covariance(height_sigma: F64, positions: F64, aperture: ApertureState
 def covariances_from_sigma(height_sigma: F64, positions: F64, aperture: ApertureState) -> tuple[F64, F64 | None]:
     """Own and common covariance (m^2) of positions of which only the standard deviation of height is known.
 
-    The common part is that of the pose; the rest of the variance of height, at least LEAST_OWN_SHARE of it, is taken to
-    come from errors of elevation. Arguments as of `circle_covariance`, results as of it and of `pose_covariance`.
+    The common part is that of the pose; the rest of the variance of height, at least LEAST_OWN_SHARE of it, is assumed
+    to come from errors of elevation. Arguments as of `circle_covariance`, results as of it and of `pose_covariance`.
     """
-    with np.errstate(invalid="ignore", over="ignore"):  # what is not finite stays so
+    with np.errstate(invalid="ignore", over="ignore"):  # values that are not finite stay so
         common = pose_covariance(positions, aperture)
         variance = height_sigma**2
         own = variance if common is None else variance - height_variance(common, positions)
@@ -152,9 +152,9 @@ def pose_covariance(positions: F64, aperture: ApertureState) -> F64 | None:
         C = C_pp + a c^T + c a^T.
 
     Args:
-        positions: of scatterers in map, m, shape (..., 3).
-        aperture: from which they were seen; its covariance is of position and of rotation about the axes of map, as in
-            nav_msgs/Odometry.
+        positions: positions of scatterers in map, m, shape (..., 3).
+        aperture: aperture from which they were seen; its covariance is of position and of rotation about the axes of
+            map, as in nav_msgs/Odometry.
 
     Returns:
         In map axes, shape (..., 3, 3); NaN where a position is NaN. None: the covariance of the pose is 0 or not
@@ -169,11 +169,11 @@ def pose_covariance(positions: F64, aperture: ApertureState) -> F64 | None:
 
 
 def height_variance(covariance: F64, positions: F64) -> F64:
-    """Variance of height (m^2) of points whose positions have these covariances: that along their vertical.
+    """Variance of height (m^2) of points with these covariances of position: that along their vertical.
 
     Args:
-        covariance: m^2, in map axes, shape (..., 3, 3).
-        positions: m, in map, shape (..., 3).
+        covariance: covariances of the positions in map axes, m^2, shape (..., 3, 3).
+        positions: positions in map, m, shape (..., 3).
     """
     variance = np.empty(positions.shape[:-1])
     flat = (
@@ -188,7 +188,7 @@ def height_variance(covariance: F64, positions: F64) -> F64:
 
 
 def is_covariance(matrices: F64) -> Bool:
-    """Where symmetric matrices, shape (..., 3, 3), are finite and positive semidefinite but for rounding in float32.
+    """True for symmetric matrices, shape (..., 3, 3), finite and positive semidefinite but for rounding in float32.
 
     All principal minors must be 0 or greater (Sylvester).
     """
@@ -221,14 +221,14 @@ def vertical(positions: F64) -> F64:
 
 
 def variance_at_place(covariance: F64, slope: F64) -> F64:
-    """Variance (m^2) of the height that points state for their places (east, north): that across the ground.
+    """Variance (m^2) of the height of points at their positions (east, north): that across the ground.
 
     With the normal n = (-g, 1) of the ground it is n C n.
 
     Args:
-        covariance: of the points, m^2, axes east, north, up, shape (..., 3, 3).
-        slope: of the ground, towards east and north, m/m, shape (..., 2); NaN: not known. Then it is a bound of the
-            variance on all ground up to STEEPEST: (sigma of height + STEEPEST x greatest horizontal sigma)^2.
+        covariance: covariance of the points, m^2, axes east, north, up, shape (..., 3, 3).
+        slope: slope of the ground towards east and north, m/m, shape (..., 2); NaN: not known. Then the result bounds
+            the variance on all ground up to STEEPEST: (sigma of height + STEEPEST x greatest horizontal sigma)^2.
     """
     shape = np.broadcast_shapes(covariance.shape[:-2], slope.shape[:-1])
     matrices, slopes = np.broadcast_to(covariance, (*shape, 3, 3)), np.broadcast_to(slope, (*shape, 2))
@@ -244,10 +244,10 @@ def _fill(loop: Callable[..., None], aperture: ApertureState, positions: F64, *a
     """Run a compiled loop over points that were seen from an aperture; it fills some of the arrays.
 
     Args:
-        loop: of `_error_kernels`.
-        aperture: from which they were seen.
-        positions: of the points in map, m, shape (..., 3).
-        arrays: those that the loop takes after the positions, shapes (...) with any further axes.
+        loop: loop of `_error_kernels`.
+        aperture: aperture from which they were seen.
+        positions: positions of the points in map, m, shape (..., 3).
+        arrays: arguments of the loop after the positions, shapes (...) with any further axes.
     """
     shape = positions.shape[:-1]
     antenna = antennas_of(aperture_at(positions, aperture), shape)

@@ -1,21 +1,21 @@
 """The prior of tracked heights, estimated from many dwells: each brings the estimate up to date.
 
-What a dwell says of correlation length l and standard deviation s of the relief is the likelihood of its heights, the
-product of those of the filter's innovations (Schweppe, IEEE Trans. Information Theory 11, 1965). Outliers would make
-the relief look rough. Therefore a measurement is taken to be an outlier with the probability `outlier_fraction`, and
-then to have any height between the least and the greatest; the filter weighs it by the probability that it is none
-(probabilistic data association, Bar-Shalom and Tse, Automatica 11, 1975).
+The likelihood of the correlation length l and standard deviation s of the relief, given a dwell, is that of its
+heights: the product of those of the filter's innovations (Schweppe, IEEE Trans. Information Theory 11, 1965). Outliers
+would make the relief look rough. Therefore a measurement is assumed to be an outlier with the probability
+`outlier_fraction`, and then to have any height between the least and the greatest; the filter weighs it by the
+probability that it is not one (probabilistic data association, Bar-Shalom and Tse, Automatica 11, 1975).
 
-What the dwells before say of x = (log l, log s) is kept as a Gaussian, that is, as its information I and moment I x.
-With each dwell both lose 1 / `prior_dwells` of their weight (exponential forgetting) and gain what the dwell says: the
-most likely x, given it and those before, and the information of its likelihood there. Until dwells have said enough, a
-Gaussian so wide that it hardly matters (`_Heights.vague`) holds its place. Ground that is quite another than before
-(`SURPRISE`) makes the estimate start again.
+The estimate of x = (log l, log s) from earlier dwells is a Gaussian, kept as its information I and moment I x. With
+each dwell both lose 1 / `prior_dwells` of their weight (exponential forgetting) and gain those of the dwell: the most
+likely x, given it and those before, and the information of its likelihood there. Until there is enough data, a Gaussian
+so wide that it hardly matters (`_Heights.vague`) replaces it. Ground very different from that before (`SURPRISE`) makes
+the estimate start again.
 
 The mean of the relief is that of each dwell alone: Gaussian, with the standard deviation of the heights about their
 median.
 
-Tracked heights are stated with the sigma that they have under the most likely prior. What its uncertainty adds was
+Tracked heights are stated with the sigma that they have under the most likely prior. The effect of its uncertainty was
 measured on drawn reliefs, by the mean over priors as uncertain as stated: where the relief is smoother than its
 measurements it is up to four points of coverage within one sigma in the first dwell, elsewhere half a point, and from
 the tenth dwell on less than half a point everywhere. It is therefore left out.
@@ -50,21 +50,21 @@ DIFFERENCE = 0.05
 """Difference of logarithms from which slopes of the likelihood are computed, to a part in a thousand."""
 
 AROUND = DIFFERENCE * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-"""Where the likelihood is evaluated for its slopes, from the place where they are sought."""
+"""Offsets in the logarithms at which the likelihood is evaluated for its slopes."""
 
 LONGEST_STEP = 1.5
 """Longest step of the search in either logarithm; farther away the likelihood is another."""
 
 TOLERANCE = 0.2
-"""Length of the last step of the search, in standard deviations of what is sought; its square is the error left."""
+"""Length of the last step of the search, in standard deviations of the estimate; its square is the error left."""
 
 
 @dataclass(frozen=True, eq=False)
 class PriorEstimate:
-    """Estimate from the dwells so far of the prior of their relief; nothing, to begin with.
+    """Estimate from the dwells so far of the prior of their relief; empty at the start.
 
     Attributes:
-        information: of log(length / m) and log(sigma / m), the inverse of their covariance, shape (2, 2).
+        information: information on log(length / m) and log(sigma / m), the inverse of their covariance, shape (2, 2).
         moment: the information times the most likely values, shape (2,).
     """
 
@@ -74,7 +74,7 @@ class PriorEstimate:
     def after(
         self, measured: MeasuredHeights, settings: TrackingSettings = DEFAULT_TRACKING
     ) -> tuple[ReliefPrior, PriorEstimate]:
-        """The most likely prior of one more dwell, and what is known of it after that.
+        """The most likely prior of one more dwell, and the estimate of it after that dwell.
 
         Length and sigma are those that `settings` give, unless they are 0. Up to `prior_columns` columns are used, in
         windows of `window_columns`, or each as a track of its own if heights are not smoothed along track; the mean is
@@ -101,15 +101,15 @@ class _Heights:
     """The heights of a dwell from which a prior is estimated.
 
     Attributes:
-        deviation: of windows of the image from the mean, m, shape (windows, rows, size).
-        precision: 1/m^2, same shape; 0: not measured.
+        deviation: deviation of windows of the image from the mean, m, shape (windows, rows, size).
+        precision: precision of each measurement, 1/m^2, same shape; 0: not measured.
         spacings: ground spacing between rows and between columns, m.
         swath: length of a column of the image, m.
         mean: median of all heights, m.
         mean_sigma: standard deviation of the mean of the relief about it, m.
         spread: half the distance between 16th and 84th percentile of the heights, m, at least the error.
         error: median standard deviation of a measurement, m.
-        outliers: their expected share, and the density of their heights, 1/m.
+        outliers: expected fraction of outliers, and the density of their heights, 1/m.
         flattest: least standard deviation of a relief that can be distinguished from level ground, m.
     """
 
@@ -126,7 +126,7 @@ class _Heights:
 
     @classmethod
     def of(cls, measured: MeasuredHeights, settings: TrackingSettings, least_steps: int) -> _Heights:
-        """Those of a dwell with `least_steps` pairs of consecutive measured cells of a column or more."""
+        """Heights of a dwell with `least_steps` pairs or more of consecutive measured cells of a column."""
         deviation, precision = measured.deviations(0.0)
         seen = precision > 0
         steps = int(np.maximum(np.count_nonzero(seen, axis=0) - 1, 0).sum())
@@ -140,7 +140,7 @@ class _Heights:
         spread = max((high - low) / 2, error)
         windows = _windows(seen, settings)
         # Least standard deviation of an estimated relief over that of the mean of all measurements. A smaller
-        # one cannot be told from level ground.
+        # one cannot be distinguished from level ground.
         flattest = 2.0
         return cls(
             deviation=np.stack([np.where(seen, deviation - middle, 0.0)[window] for window in windows]),
@@ -163,7 +163,7 @@ class _Heights:
         return PriorEstimate(np.diag(deviation**-2), middle * deviation**-2)
 
     def starts(self) -> list[F64]:
-        """Starts of the search for the most likely logarithms, whatever is known."""
+        """Starts of the search for the most likely logarithms, independent of earlier dwells."""
         length = math.sqrt(self.spacings[0] * self.swath)
         return [np.log([length, share * self.spread]) for share in (0.1, 0.4, 1.0)]
 
@@ -177,7 +177,7 @@ class _Heights:
         """Likelihood of each measurement given those before it, under priors of these logarithms.
 
         Args:
-            logs: of each prior, shape (priors, 2).
+            logs: logarithms of length and sigma of each prior, shape (priors, 2).
 
         Returns:
             1/m, shape (priors, measurements), with 1 where nothing was measured.
@@ -229,7 +229,7 @@ def _most_likely(heights: _Heights, expected: F64, known: F64, settings: Trackin
     lowest, highest = heights.bounds(settings)
 
     def doubt(logs: F64) -> float:
-        """Negative logarithm of what is known of these logarithms."""
+        """Negative log-density of these logarithms in the estimate before the dwell, but for a constant."""
         away = logs - expected
         return float(away @ known @ away) / 2
 

@@ -20,12 +20,12 @@ class ProjectedAxes:
     """Map axes in which arc distances east and north of the origin are coordinates of a projection.
 
     A map is made in them as it is in those of the flight: `Relief` and everything before it knows nothing of a
-    projection. Easting, northing and height of a place are exact. Directions and covariances of a dwell are turned as
+    projection. Easting, northing and height of a point are exact. Directions and covariances of a dwell are turned as
     one, by the mean turn around its middle; over the 5 km of a large dwell it changes by
     less than 30 urad.
 
     Attributes:
-        projection: of the coordinates.
+        projection: projection of the coordinates.
         false_origin: easting and northing of the origin of these axes, m, shape (2,).
     """
 
@@ -44,7 +44,7 @@ class ProjectedAxes:
         return sphere_point(easting - self.false_origin[0], northing - self.false_origin[1], height)
 
     def turn(self, position: F64) -> F64:
-        """The rotation from map axes to these at a place, shape (3, 3): that nearest to the derivative of positions."""
+        """The rotation from map axes to these at a point, shape (3, 3): that nearest to the derivative of positions."""
         step = 100.0  # m
         ends = self.positions(position + step * np.concatenate([np.eye(3), -np.eye(3)]))
         left, _, right = np.linalg.svd((ends[:3] - ends[3:]).T / (2 * step))

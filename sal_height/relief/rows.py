@@ -14,9 +14,9 @@ from sal_height.relief.heights import HeightField, Surface
 
 
 def joined_rows(parts: Sequence[tuple[Bool, HeightField]]) -> HeightField:
-    """A field in which each part has the rows of pixels that go with it, shape (rows,); the rest is MISSING_DATA.
+    """A field in which each part has the rows of pixels that belong to it, shape (rows,); the rest is MISSING_DATA.
 
-    Surfaces that a part has not looked for, and probabilities that it has not estimated, are NaN in its rows.
+    Surfaces that a part has not searched for, and probabilities that it has not estimated, are NaN in its rows.
     """
     if len(parts) == 1 and parts[0][0].all():
         return parts[0][1]
@@ -35,7 +35,7 @@ def joined_rows(parts: Sequence[tuple[Bool, HeightField]]) -> HeightField:
 
 
 def _joined(rows: Sequence[Bool], arrays: Sequence[F64 | None]) -> Any:
-    """An array with the rows of each array that exists, and NaN elsewhere; None if there is none."""
+    """An array with the rows of each array that exists, and NaN elsewhere; None if no array exists."""
     known = [(some, array) for some, array in zip(rows, arrays, strict=True) if array is not None]
     if not known:
         return None

@@ -1,8 +1,8 @@
 """Slope of the ground at each pixel of a height image, from the pixels around it.
 
 Positions are averaged, not only heights, because errors of elevation move a point to the side as much as upwards: a
-plane fitted to heights over displaced places would be too flat or too steep. The mean of points of a plane lies on the
-plane, whichever of them are missing, so that the differences of a few means fix its slope.
+plane fitted to heights over displaced positions would be too flat or too steep. The mean of points of a plane lies on
+the plane, whichever of them are missing, so that the differences of a few means fix its slope.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from sal_height.numeric import F64, in_parallel
 from sal_height.relief import _kernels as kernels
 
 SLOPE_ERROR = 0.03
-"""Standard deviation of slopes (m/m) that windows are made wide enough for; sigma at a place is then good to 3 %."""
+"""Standard deviation of slopes (m/m) that windows are wide enough for; sigma at a position is then good to 3 %."""
 
 KNOWN = 0.2
 """Greatest standard deviation (m/m) of a slope that is used; beyond it the ground's slope counts as not known."""
 
 MISFIT = 2.5
-"""Greatest spread of pixels about their plane, over what their errors let expect; beyond it there is no plane."""
+"""Greatest spread of pixels about their plane, over that expected from their errors; beyond it there is no plane."""
 
 WIDEST = 32
 """Greatest half-width of a window in pixels."""
@@ -32,14 +32,14 @@ def ground_slope(points: F64, covariance: F64, spacing: float) -> tuple[F64, F64
     """Slope of the ground at each pixel, and its standard deviation.
 
     Points are averaged in square windows; the slope is that of the plane through the means half a window before and
-    behind, left and right of the pixel. At a step, on rubble and beside a false height the pixels spread about their
+    behind, left and right of the pixel. At a step, on rubble and next to a false height the pixels spread about their
     planes by more than their errors (MISFIT), and the slope is not known. All windows of an image are equal, as narrow
     as gives slopes of SLOPE_ERROR in the median: first on level ground, then on the slopes that were found.
 
     Args:
-        points: east, north and height of the scatterers, m, shape (3, rows, cols); NaN where there is none.
-        covariance: of their own errors, m^2, shape (rows, cols, 3, 3).
-        spacing: of pixels on the ground, the smaller of both axes, m.
+        points: east, north and height of the scatterers, m, shape (3, rows, cols); NaN where absent.
+        covariance: covariance of their own errors, m^2, shape (rows, cols, 3, 3).
+        spacing: spacing of pixels on the ground, the smaller of both axes, m.
 
     Returns:
         Slope towards east and north, m/m, shape (rows, cols, 2), and the root of the sum of both variances, shape
@@ -66,11 +66,11 @@ def _planes(centred: F64, covariance: F64, half: int) -> tuple[F64, F64]:
 
     Args:
         centred: points and whether they count, as filled by `centre_points`, shape (4, rows, cols).
-        covariance: of their own errors, m^2, shape (rows, cols, 3, 3).
-        half: half-width of the windows in pixels.
+        covariance: covariance of their own errors, m^2, shape (rows, cols, 3, 3).
+        half: half-width of the windows, pixels.
     """
     shape = centred.shape[1:]
-    # Least share of the pixels of a window that must have a height; a window in a corner of the image has 4 of 9.
+    # Least fraction of the pixels of a window that must have a height; a window in a corner of the image has 4 of 9.
     least_share = 0.25
     least, limits = LEAST_PIXELS // shape[1] + 1, (least_share, MISFIT**2)
     means = _window_means(centred, half)

@@ -50,7 +50,7 @@ class MeasuredHeights:
     """Measured heights of the cells of an image, rows in the order of range.
 
     Attributes:
-        height: m, float32 or float64, shape (rows, cols).
+        height: height of each cell, m, float32 or float64, shape (rows, cols).
         sigma: standard deviation of height, m, same shape. A cell is not measured where either is not finite or sigma
             is not greater than 0.
         spacings: ground spacing between rows and between columns, m.
@@ -90,8 +90,8 @@ class ReliefPrior:
     Attributes:
         length: correlation length on the ground, m: the correlation of heights falls to 1 / e.
         sigma: standard deviation of heights, m.
-        mean: of heights, m.
-        mean_sigma: standard deviation of the mean, m; 0: it is known. Tracks along range take it as known.
+        mean: mean of heights, m.
+        mean_sigma: standard deviation of the mean, m; 0: it is known. Tracks along range assume that it is known.
 
     Raises:
         UserError: length or sigma is not greater than 0, the mean's sigma is less than 0, or a value is not finite.

@@ -45,11 +45,11 @@ def track(
     Args:
         field: measured heights.
         aperture: state of the platform.
-        before: what dwells before say of the prior; `PriorEstimate()`: there are none.
-        settings: of the tracking.
+        before: estimate of the prior from earlier dwells; `PriorEstimate()`: no earlier dwells.
+        settings: settings of the tracking.
 
     Returns:
-        The tracked height image, the prior with which it was tracked, and what is known of that after it.
+        The tracked height image, the prior with which it was tracked, and the estimate of the prior after this dwell.
 
     Raises:
         UserError: the prior cannot be estimated (`PriorEstimate.after`).
@@ -78,7 +78,7 @@ def tracked_field(
         field: measured heights.
         relief: heights tracked from them with `own_sigma`, shape of the image.
         aperture: state of the platform.
-        greatest_sigma: of an interpolated height, m.
+        greatest_sigma: greatest standard deviation of an interpolated height, m.
     """
     measured = np.isfinite(field.first.height)
     # The circle about the track is the same from every position of a sliding aperture.
@@ -105,7 +105,7 @@ def tracked_field(
 
 
 UNKNOWN = (Validity.LOW_CNR, Validity.AMBIGUOUS, Validity.MISSING_DATA, Validity.SATURATED, Validity.IMPRECISE)
-"""Reasons that say nothing of the ground; the others say that it is not one surface, or not there."""
+"""Reasons that do not concern the ground; the others state that it is not one surface, or not there."""
 
 
 _UNKNOWN = np.zeros(256, np.bool_)

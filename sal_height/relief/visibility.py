@@ -1,7 +1,7 @@
-"""Visibility: what of the ground hides what else from the sensor.
+"""Visibility: parts of the ground that hide others from the sensor.
 
-A line of sight rises from the ground towards the sensor, and is followed cell by cell. A surface that was measured
-bounds the height of all that it is seen over, and what was not measured behind a high surface may be in its shadow.
+A line of sight rises from the ground towards the sensor, and is followed cell by cell. A measured surface bounds the
+height of all that it is seen over, and unmeasured ground behind a high surface may be in its shadow.
 Pixels without a signal show a shadow that is too short for that.
 """
 
@@ -17,24 +17,24 @@ from sal_height.relief.heights import HeightField
 
 
 def blocking_cells(place: F64, height: F64, towards: F64, top: F64, cell_size: float) -> tuple[Index, Index]:
-    """Find the cells whose surface stands in the way of lines of sight.
+    """Find the cells whose surface blocks lines of sight.
 
     Args:
-        place: row and column of the points where the lines begin, in cells, shape (n, 2); whole numbers are middles.
-        height: of the points, m, shape (n,).
-        towards: how far east and north each line goes per metre that it rises, shape (n, 2).
+        place: row and column of the points where the lines start, in cells, shape (n, 2); whole numbers are middles.
+        height: height of the points, m, shape (n,).
+        towards: distance east and north along each line per metre of rise, m/m, shape (n, 2).
         top: height of the highest surface of each cell, m, shape (rows, cols); NaN where none is known.
-        cell_size: m. What rises above a line by less is not in its way.
+        cell_size: side of a cell, m. A surface that rises above a line by less does not block it.
 
     Returns:
-        Number of a line and flat number of a cell in its way, for every such pair, each of shape (pairs,).
+        Number of a line and flat number of a cell that blocks it, for every such pair, each of shape (pairs,).
     """
     level = np.hypot(towards[:, 0], towards[:, 1])
     with np.errstate(invalid="ignore", divide="ignore"):
         direction, rise = towards[:, ::-1] / level[:, None], cell_size / level
     walls = np.nan_to_num(top, nan=-np.inf) - cell_size
-    # Distance in cells from one place of a line of sight to the next, and to the first. Footprints are wider, and
-    # the cells beside a wall are as uncertain in their place as the wall.
+    # Distance in cells from one point of a line of sight to the next, and to the first. Footprints are wider, and
+    # the cells next to a wall are as uncertain in their position as the wall.
     stride = 2
     lines = place, height, direction, rise, walls, stride
     found = np.empty((kernels.follow_lines(*lines, np.empty((0, 2), np.int64)), 2), np.int64)
@@ -43,7 +43,7 @@ def blocking_cells(place: F64, height: F64, towards: F64, top: F64, cell_size: f
 
 
 def contradicted(lines: Index, cells: Index, measured: int, size: int) -> tuple[Bool, Bool]:
-    """Decide what is wrong where measured points are hidden behind measured surfaces: the fewer give way.
+    """Decide which ones are wrong where measured points are hidden behind measured surfaces: the fewer give way.
 
     A high ghost hides many points that were measured all the same; a roof hides few ghosts with each of its cells.
 
@@ -54,7 +54,7 @@ def contradicted(lines: Index, cells: Index, measured: int, size: int) -> tuple[
         size: number of cells.
 
     Returns:
-        Whether the surface of each cell is wrong, shape (size,), and whether each point is, shape (measured,).
+        True if the surface of each cell is wrong, shape (size,), and True if each point is, shape (measured,).
     """
     share = 1 / np.maximum(np.bincount(lines, minlength=measured), 1)
     surface_wrong = np.bincount(cells, share[lines], size) > 1
@@ -68,14 +68,14 @@ def silent_cells(field: HeightField, aperture: ApertureState, gate: float, cell_
 
     Where nothing but pixels of NO_SIGNAL is between two measured pixels of a column, and the farther one is lower, the
     nearer one hides the ground from its edge to where the line of sight over it meets the height of the other. The
-    middle of what is hidden is in the middle between both: neither lies at its end, but up to a pixel beside it. Found
-    are cells that are hidden as a whole.
+    middle of the hidden part is in the middle between both: neither is at its end, but up to a pixel away. Found are
+    cells that are hidden as a whole.
 
     Args:
         field: height image.
-        aperture: from which it was seen.
+        aperture: aperture from which it was seen.
         gate: standard deviations by which the farther one must be lower.
-        cell_size: m.
+        cell_size: side of a cell, m.
 
     Returns:
         Row (north) and column (east) of the cells, counted from the map's origin, shape (n, 2).

@@ -46,6 +46,6 @@ class Image:
 
 
 def image_name(path: str, topic: str | None, dwell: int | None, channel: int | None) -> str:
-    """Name of an image for people, from whatever is known about it."""
+    """Name of an image in messages, from all that is known about it."""
     parts = {"topic": topic, "dwell": dwell, "channel": channel}
     return ", ".join([path, *(f"{key} {value}" for key, value in parts.items() if value is not None)])

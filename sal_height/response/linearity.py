@@ -73,7 +73,7 @@ class ShapedNoise:
 
     @classmethod
     def pooled(cls, noises: Sequence[ShapedNoise]) -> ShapedNoise:
-        """That of images which are measured together: the mean of their covariances."""
+        """Noise of images that are measured together: the mean of their covariances."""
         return cls(*(np.mean([getattr(one, axis) for one in noises], axis=0) for axis in ("range", "azimuth")))
 
 
@@ -93,7 +93,7 @@ class Superposition:
         p_value: probability of this residual or a larger one, if the system is linear.
         chi_square: square of the residual over its covariance.
         freedom: degrees of freedom of chi_square.
-        share: c, over the mean power of speckle: that of lines and their like, or of lines and their neighbours.
+        share: factor c over the mean power of speckle: that of lines and their like, or of lines and their neighbours.
     """
 
     p_value: float
@@ -107,10 +107,10 @@ class _Lines:
     """Products P_s of lines of speckle, without noise.
 
     Attributes:
-        power: P_s at the frequencies of a sub-image of the same number of pixels.
-        apart: s, lines between the two of a product.
+        power: product P_s at the frequencies of a sub-image of the same number of pixels.
+        apart: number s of lines between the two of a product.
         signal: cross-spectrum of a line that responds as the targets do, at 2 M frequencies, M the rows of a tile.
-        noise: contribution of noise to it.
+        noise: contribution of noise to `signal`.
         across: covariances along azimuth of speckle and of noise at lags from 0 up, shape (2, columns of a tile).
         count: number of lines.
     """
@@ -124,7 +124,7 @@ class _Lines:
 
     @property
     def covariance(self) -> F64:
-        """Of P_s."""
+        """Covariance of P_s."""
         cols, more = self.across.shape[1], self.apart
         lags = np.pad(np.concatenate([self.across[:, :0:-1].conj(), self.across], axis=1), ((0, 0), (more, more)))
         ahead, middle, behind = (lags[:, first:][:, : 2 * cols - 1] for first in (2 * more, more, 0))
@@ -142,7 +142,7 @@ def superposition(
     """Compare the range response to targets with that to speckle.
 
     Args:
-        target: R of targets at N frequencies from -1/2 up, from chips of N pixels. The spectra are compared at the
+        target: response R of targets at N frequencies from -1/2 up, from chips of N pixels. Spectra are compared at the
             resolution of N / 2 pixels, or of the M of a sub-image if they are fewer.
         target_error: standard error of each, as a complex number: the root of the mean |error|^2; the error's real and
             imaginary parts alike, and independent between bins.

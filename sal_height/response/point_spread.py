@@ -44,10 +44,10 @@ class PointSpread:
     """The response to a point, and its figures along range and azimuth.
 
     Attributes:
-        pixels: complex128, FINENESS samples per pixel, 1 in the middle, at row rows * FINENESS / 2 and the column
-            alike; shape (rows * FINENESS, cols * FINENESS).
-        range: along range.
-        azimuth: along azimuth.
+        pixels: response, complex128, FINENESS samples per pixel, 1 in the middle, at row rows * FINENESS / 2 and column
+            cols * FINENESS / 2; shape (rows * FINENESS, cols * FINENESS).
+        range: figures along range.
+        azimuth: figures along azimuth.
     """
 
     pixels: C128

@@ -27,7 +27,7 @@ CORE = (2, 1)  # pixels to each side of the peak, in range and azimuth, where a 
 
 
 class PointTargetSettings(Settings):
-    """Which bright pixels are taken for point targets. Powers are ratios in dB."""
+    """Criteria for bright pixels that count as point targets. Powers are ratios in dB."""
 
     point_over_clutter_db: float = setting(
         20.0,

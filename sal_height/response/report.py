@@ -35,7 +35,7 @@ NOISE_UNKNOWN = (
 
 
 class PsfSettings(PointTargetSettings, SpeckleSettings):
-    """Which pixels of an image are taken for point targets, and which tiles for speckle."""
+    """Criteria for pixels of an image that count as point targets, and for tiles that count as speckle."""
 
 
 DEFAULTS = PsfSettings()
@@ -55,7 +55,7 @@ class PsfReport:
         pointing: pointing of the antenna along each image; empty where unknown.
         linearity: comparison of the responses to targets and to speckle, that of tiles away from bright points.
         linearity_rows: rows of the chips of the targets compared; 0: not compared.
-        undetermined: message on each part that is None ("targets", "speckle", "pointing", "superposition"): why,
+        undetermined: reason for each part that is None ("targets", "speckle", "pointing", "superposition"),
             and what would be needed.
     """
 
@@ -72,7 +72,7 @@ class PsfReport:
 
     @property
     def targets(self) -> tuple[PointTarget, ...]:
-        """Of all images."""
+        """Targets of all images."""
         return TargetSurvey.pooled(self.surveys).targets
 
 
@@ -152,7 +152,7 @@ def _common_shape(images: Sequence[Complex]) -> tuple[int, int]:
 
 
 def _part(name: str, undetermined: dict[str, str], measure: Callable[[], Part]) -> Part | None:
-    """The measured part, or None, with the reason entered."""
+    """The measured part, or None, with the reason recorded."""
     try:
         return measure()
     except NotDetermined as reason:
@@ -204,7 +204,7 @@ def _compared(
         mosaic: images side by side, of the noise power 1 if the noise's shape is known.
         tiles: tiles of the mosaic; those that a bright point touches are not pure.
         cols: columns of a chip.
-        settings: which pixels are taken for point targets.
+        settings: criteria for pixels that count as point targets.
         noise: covariance of the noise by the processor; None: unknown.
     """
     least, rows = tiles.tile[0], images[0].shape[0]

@@ -54,7 +54,7 @@ class AxisSpectrum:
 
     @property
     def standard_error(self) -> F64:
-        """Of `power`, shape (M,): its own size over the root of the independent lines, as periodograms have it."""
+        """Standard error of `power`, shape (M,): `power` over the root of `independent`, as of periodograms."""
         return self.power / np.sqrt(self.independent)
 
     def unfolded(self, count: int) -> tuple[F64, F64]:
@@ -107,12 +107,12 @@ class SpeckleSpectra:
     """The response as estimated from speckle.
 
     Attributes:
-        range: along axis 0, of |R|^2.
+        range: spectrum |R|^2 along axis 0.
         neighbours: covariance at lags 0 to M - 1 in range between pixels of neighbouring columns, in units of the mean
             power, the Doppler centroid taken out: that of |R|^2 alone, as noise that is white along azimuth averages
             out; a spur remains. M is the number of pixels of a sub-image.
-        azimuth: along axis 1, of |A|^2, averaged after the pointing's changes along the track have been taken out.
-        pointing: None if the azimuth response is too flat to have a centre.
+        azimuth: spectrum |A|^2 along axis 1, averaged after the along-track changes of the pointing were removed.
+        pointing: pointing of the antenna; None: the azimuth response is too flat to have a centre.
     """
 
     range: AxisSpectrum
@@ -187,8 +187,8 @@ def periodogram_covariance(covariance: C128, count: int) -> F64:
     neighbours correlate as far as the kernel reaches. The diagonal is the square of the periodogram's mean.
 
     Args:
-        covariance: c at lags 0 to M - 1.
-        count: frequencies from -1/2 up.
+        covariance: covariance c at lags 0 to M - 1.
+        count: number of frequencies from -1/2 up.
     """
     return np.abs(cross_spectrum(covariance, count)) ** 2
 
@@ -278,7 +278,7 @@ def _pointing_error(coherence: float, tiles: SpeckleTiles) -> float:
     and E d^2 = sum rho(m, l + 1) rho(m, l - 1)* / pixels (Bartlett); its imaginary part over c(1) is that of the phase.
 
     Args:
-        coherence: |c(1)| along azimuth, without bias.
+        coherence: coherence |c(1)| along azimuth, without bias.
         tiles: tiles with the correlation rho.
     """
     rho = tiles.correlation

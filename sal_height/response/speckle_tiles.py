@@ -38,7 +38,7 @@ REASONS = ("pure", "not finite", "zero", "real", "clipped", "like noise", "momen
 
 
 class SpeckleSettings(Settings):
-    """Which tiles of an image are taken for pure speckle."""
+    """Criteria for tiles of an image that count as pure speckle."""
 
     speckle_significance: float = setting(
         0.001,

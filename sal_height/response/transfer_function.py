@@ -28,7 +28,7 @@ class AxisTransfer:
     the response over its bins is 1. The phase therefore has no linear part.
 
     Attributes:
-        response: R or A from -1/2 cycle per pixel on, complex128, shape (count,).
+        response: response R or A from -1/2 cycle per pixel on, complex128, shape (count,).
         sigma: standard error of each bin (of the whole complex number), float64, shape (count,).
         disagreement: root of the mean square of the targets' deviations over what their clutter explains; 1 for targets
             that agree, NaN for fewer than two. Where it is greater, the sigma is greater by as much.
@@ -42,7 +42,7 @@ class AxisTransfer:
         """The response with clutter removed from its point-spread function, pixel by pixel; shape (count,).
 
         Each pixel h counts by 1 - s^2 / |h|^2, or not at all where that is below 0, with s its standard error (Wiener's
-        filter, with the power that is there for that which is expected). It takes most of the error out of a response
+        filter, with the measured power in place of the expected one). It removes most of the error of a response
         that is short in pixels; what is left errs alike in neighbouring bins, and sidelobes below s are gone.
         """
         pixels = scipy.fft.ifft(self.response)
@@ -99,10 +99,10 @@ def estimate_transfer_function(targets: Sequence[PointTarget]) -> TransferFuncti
 def centred(response: C128) -> C128:
     """A response whose point has its peak, of the value 1, in pixel 0, from one whose peak is not far from there.
 
-    To the first order of the phase that takes a linear fit of it, with the weights |response|, away.
+    To the first order of the phase that removes a linear fit of it, with the weights |response|.
 
     Args:
-        response: shape (count,).
+        response: response whose peak is near pixel 0, shape (count,).
     """
     bins = band_frequencies(np.abs(scipy.fft.ifftshift(response)) ** 2)
     frequencies = scipy.fft.fftshift(bins) / len(bins)
@@ -122,10 +122,10 @@ def _axis_response(mean: C128, responses: C128, shares: F64, variance: F64) -> A
     """A mean response with its standard errors, and the targets' disagreement on it (the ratio of Birge 1932).
 
     Args:
-        mean: shape (bins,).
-        responses: of each target, shape (targets, bins).
-        shares: of the targets in the mean.
-        variance: of the bins of the mean that clutter explains, shape (bins,).
+        mean: mean response, shape (bins,).
+        responses: response of each target, shape (targets, bins).
+        shares: weights of the targets in the mean, shape (targets,).
+        variance: variance of the bins of the mean due to clutter, shape (bins,).
     """
     disagreement = float("nan")
     if len(responses) > 1:

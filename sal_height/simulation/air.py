@@ -33,10 +33,10 @@ class SimulatedAir(StrictKeys):
     """Air in hydrostatic equilibrium, by its values at one height; by default those of the standard atmosphere.
 
     Attributes:
-        temperature_k: temperature at that height, K.
-        pressure_pa: pressure at that height, Pa.
-        humidity: relative humidity at that height.
-        height_m: that height above sea level, m.
+        temperature_k: temperature at `height_m`, K.
+        pressure_pa: pressure at `height_m`, Pa.
+        humidity: relative humidity at `height_m`.
+        height_m: height of these values above sea level, m.
         map_height_m: height of the origin of map above sea level, m.
     """
 

@@ -59,7 +59,7 @@ class Canopy:
 
         Args:
             north: arc distances of the scene's nodes, m; outside of them there is no canopy.
-            east: alike.
+            east: arc distances east, m, likewise.
             ground: height of the terrain on the nodes, m, shape (n_north, n_east).
             points: arc distances east and north, and height, m, shape (3, points).
             sight: unit vectors from the points to the antenna, east, north and up, shape (3, points).

@@ -165,7 +165,7 @@ class SimulatedFlight:
     def pulse_phase(self, dwell: int) -> F64:
         """Phase (rad) of the echoes of each pulse of a dwell by vibration, laser and air, shape (pulses,).
 
-        That of a laser that walks within pulses is left out: see `sample_phase`.
+        That of a laser whose phase drifts within pulses is left out: see `sample_phase`.
         """
         times = self.dwell_start_ns(dwell) * 1e-9 + self.pulse_times
         farther = self._vibration.displacement(times)[:, 0]
@@ -174,7 +174,7 @@ class SimulatedFlight:
         return np.asarray(walk + air - 4 * np.pi / self.sensor.wavelength * farther)
 
     def sample_phase(self, dwell: int) -> F64:
-        """Phase (rad) of the raw samples of a dwell by a laser that walks within pulses, shape (pulses, samples)."""
+        """Phase (rad) of the raw samples of a dwell by a laser that drifts within pulses, shape (pulses, samples)."""
         numbers = np.arange(self.sensor.sample_count) - (self.sensor.sample_count - 1) / 2
         return self._laser_phase(dwell, self.pulse_times[:, None] + numbers / self.sensor.sampling_rate)
 
@@ -348,7 +348,7 @@ class SimulatedFlight:
     def probed_air(self, dwell: int) -> list[ProbedAir]:
         """Measurements of a probe on the platform, each second, starting with one before the first dwell.
 
-        They are published with a dwell for the next one, which so has them whatever arrives first. Stamps count
+        They are published with a dwell for the next one, which has them in any order of arrival. Stamps count
         from the start. None: no air.
         """
         if not (air := self.preset.impairments.air):
@@ -472,7 +472,7 @@ def swings_little(preset: Preset, sensor: Sensor) -> bool:
 
 
 def describe_beam_misfits(preset: Preset, sensor: Sensor) -> Iterator[str]:
-    """Sentences on pulses and beams with which a flight refuses a preset."""
+    """Messages on pulses and beams with which a flight refuses a preset."""
     track_beamwidth, speed = sensor.beams.track_beamwidth, preset.flight.speed_mps
     if not samples_doppler(preset, sensor):
         length, doppler_band = sensor.wavelength / track_beamwidth, lit_doppler(sensor, speed)

@@ -29,7 +29,7 @@ class Harmonics:
         return self._sum(seconds, -1, -np.pi / 2)
 
     def velocity(self, seconds: npt.ArrayLike) -> F64:
-        """In each axis, at times in s, shape (..., axes)."""
+        """Velocity in each axis, at times in s, shape (..., axes)."""
         return self._sum(seconds, 0, 0.0)
 
     def acceleration(self, seconds: npt.ArrayLike) -> F64:

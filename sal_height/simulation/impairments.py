@@ -68,11 +68,11 @@ class ChirpRipple(StrictKeys):
 
     It puts paired echoes `cycles` range cells before and behind a target, of the amplitude J_1(a) / J_0(a) over the
     target's, and weaker ones at multiples of that (Klauder et al., Bell Syst. Tech. J. 39, 1960, section 4). In a
-    deramped record it is that which a reference of the same delay has not taken out.
+    deramped record it is the part that a reference of the same delay has not removed.
 
     Attributes:
-        amplitude_rad: a.
-        cycles: over the band; at most half the number of frequencies.
+        amplitude_rad: amplitude a of the phase, rad.
+        cycles: cycles of the sine over the band; at most half the number of frequencies.
     """
 
     amplitude_rad: Annotated[Float, Ge(0), Le(3)]
@@ -164,7 +164,7 @@ class PupilAberrations(StrictKeys):
 
     @property
     def coefficients(self) -> tuple[float, ...]:
-        """In the order of `beams.ZERNIKE`."""
+        """Coefficients in the order of `beams.ZERNIKE`, waves rms."""
         return tuple(getattr(self, name) for name in ZERNIKE)
 
 
@@ -298,7 +298,7 @@ def through_receivers(clean: Complex, sensor: Sensor, impairments: Impairments) 
     difference from s is added, if there is one.
 
     Args:
-        clean: s, noise-free samples of `echo_sensor(sensor)`, shape (detectors, pulses, frequencies); not changed.
+        clean: noise-free samples s of `echo_sensor(sensor)`, shape (detectors, pulses, frequencies); not changed.
         sensor: sensor as it is described.
         impairments: impairments of its receivers.
 

@@ -49,7 +49,7 @@ def ground_cells(
         aperture: aperture from which range and Doppler are measured.
         grid: pixels of the image.
         beams: beams of the detectors.
-        look_side: +1 right, -1 left.
+        look_side: look side, +1 right, -1 left.
         size: side of a cell, m.
     """
     east, north, _ = sphere_coordinates(surface.positions)

@@ -159,7 +159,7 @@ def _plane(off: F64, higher: F64, weight: F64, label: Index) -> tuple[F64, F64]:
 
     Args:
         off: row and column of scatterers from the middle of their surface, (scatterers, 2).
-        higher: their height above its mean, m, (scatterers,).
+        higher: height of scatterers above the mean of their surface, m, (scatterers,).
         weight: weight of the scatterers, (scatterers,).
         label: number of their surface, (scatterers,).
     """

@@ -311,7 +311,7 @@ def parse_preset(content: Any, source: str) -> Preset:
 
 
 def _channel_misfits(preset: Preset) -> Iterator[str]:
-    """Of looks and image, and of the channels and the number of detectors."""
+    """Contradictions of looks and image, and of the channels and the number of detectors."""
     sensor, impairments = preset.sensor, preset.impairments
     size = (preset.image.rows, preset.image.cols)
     if preset.looks[0] > size[0] or preset.looks[1] > size[1]:
@@ -329,7 +329,7 @@ def _channel_misfits(preset: Preset) -> Iterator[str]:
 
 
 def _blanking_misfits(preset: Preset) -> Iterator[str]:
-    """Of blanked ranges and the channels and samples that exist."""
+    """Contradictions of blanked ranges and the channels and samples that exist."""
     sensor = preset.sensor
     for one in sensor.blanked_ranges:
         if one.channel >= sensor.detectors:
@@ -344,7 +344,7 @@ def _blanking_misfits(preset: Preset) -> Iterator[str]:
 
 
 def _impairment_misfits(preset: Preset) -> Iterator[str]:
-    """Of impairments and the receivers and frequencies that exist."""
+    """Contradictions of impairments and the receivers and frequencies that exist."""
     sensor, impairments = preset.sensor, preset.impairments
     if sawtooth := impairments.range_sawtooth:
         if (named := max(sawtooth.receivers, default=0)) >= sensor.detectors:
@@ -380,7 +380,7 @@ def _impairment_misfits(preset: Preset) -> Iterator[str]:
 
 
 def _nature_misfits(preset: Preset) -> Iterator[str]:
-    """Of a laser in a radar, and of a pressure that air does not have."""
+    """Contradictions: a laser in a radar, a pressure that air does not have."""
     impairments, wavelength = preset.impairments, preset.sensor.wavelength_m
     if impairments.laser_linewidth_hz and wavelength > LONGEST_LIGHT_M:
         yield (
@@ -394,7 +394,7 @@ def _nature_misfits(preset: Preset) -> Iterator[str]:
 
 
 def _spacing_misfits(preset: Preset) -> Iterator[str]:
-    """Of spotlight dwells that overlap, and of stripmap dwells with a spacing of their own."""
+    """Contradictions: spotlight dwells that overlap, stripmap dwells with a spacing of their own."""
     sensor, flight = preset.sensor, preset.flight
     spacing, duration = flight.dwell_spacing_m, sensor.pulse_count / sensor.pulse_repetition_frequency_hz
     if sensor.mode == "stripmap":
@@ -417,7 +417,7 @@ PAUSE_S = 1.0
 
 
 def _pass_misfits(preset: Preset) -> Iterator[str]:
-    """Of passes that do not follow each other."""
+    """Contradictions: passes that do not follow each other."""
     passes = preset.flight.passes
     if passes.count == 1:
         return

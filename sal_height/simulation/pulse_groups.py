@@ -103,7 +103,7 @@ class PulseGroup:
 def pulse_groups(count: int, group_of: Callable[[slice], PulseGroup | None]) -> list[PulseGroup]:
     """All pulses in the groups with the least computation; empty if groups of LEAST_PULSES are too long.
 
-    Work is counted in the beams that scatterers are spread with; transforms of what migrates are half as much again.
+    Work is counted in the beams that scatterers are spread with; transforms of migrating ones take half as much again.
 
     Args:
         count: number of pulses.
@@ -127,7 +127,7 @@ def pulse_groups(count: int, group_of: Callable[[slice], PulseGroup | None]) -> 
 
 
 def outermost(positions: F64) -> F64:
-    """Those of points (3, n) that lie farthest along the axes and the diagonals of the box around all, shape (m, 3)."""
+    """The points of (3, n) that lie farthest along the axes and diagonals of the box around all, shape (m, 3)."""
     x, y, z = (row / max(np.ptp(row), 1e-9) for row in positions)
     directions = (x, y, z, x + y + z, x + y - z, x - y + z, y + z - x)
     extremes = [find(along) for along in directions for find in (np.argmin, np.argmax)]

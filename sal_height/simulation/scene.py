@@ -227,7 +227,7 @@ def visible_surface(
     Args:
         scene: scene with the ground.
         aperture: aperture flying east or west (the strips are perpendicular to the flight).
-        look_side: +1 right, -1 left.
+        look_side: look side, +1 right, -1 left.
         cell: resolution in slant range and azimuth, m.
         east_extent: first arc distance east, and that where the next extent starts, m.
         range_extent: least and greatest slant range from the middle of the aperture, m.

@@ -47,7 +47,7 @@ def street(length: float = 60.0) -> Scene:
     """A street seen from the north: road with kerbs, steps, parked cars and a wall; heights 0 to 2 m, nodes 2 cm.
 
     Args:
-        length: along the street (east), m.
+        length: length of the street (east), m.
     """
     spacing = 0.02
     east = np.arange(-length / 2, length / 2 + spacing / 2, spacing)

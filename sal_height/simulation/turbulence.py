@@ -32,7 +32,7 @@ class Turbulence(StrictKeys):
     """The air below and around the platform.
 
     Attributes:
-        ground_cn2: C_n^2 at the ground, m^(-2/3): 1.7e-14 is the usual day, 0 is calm.
+        ground_cn2: structure constant C_n^2 at the ground, m^(-2/3): 1.7e-14 on a usual day, 0 is calm.
         wind_mps: rms wind at 5 to 20 km; 21 is usual.
     """
 

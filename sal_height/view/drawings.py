@@ -31,7 +31,7 @@ class Picture:
 
     Attributes:
         path: name in the viewer.
-        pixels: red, green and blue, shape (rows, columns, 3).
+        pixels: colours (red, green, blue), shape (rows, columns, 3).
     """
 
     path: str
@@ -44,7 +44,7 @@ class Classes:
 
     Attributes:
         path: name in the viewer.
-        values: shape (rows, columns).
+        values: values of `Validity`, shape (rows, columns).
     """
 
     path: str
@@ -57,9 +57,9 @@ class Cloud:
 
     Attributes:
         path: name in the viewer.
-        places: shape (points, 3), m from the origin of the drawing.
-        colours: red, green and blue, shape (points, 3).
-        height: above the sphere, m, shape (points,).
+        places: positions from the origin of the drawing, m, shape (points, 3).
+        colours: colours (red, green, blue), shape (points, 3).
+        height: height above the sphere, m, shape (points,).
         sigma: standard deviation of height, m, shape (points,).
         radius: radius of the points, m.
     """
@@ -74,11 +74,11 @@ class Cloud:
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """A line through places.
+    """A line through positions.
 
     Attributes:
         path: name in the viewer.
-        places: shape (places, 3), m from the origin of the drawing.
+        places: positions from the origin of the drawing, m, shape (places, 3).
     """
 
     path: str

@@ -1,4 +1,4 @@
-"""The messages of a live graph, which never waits for whoever shows them."""
+"""The messages of a live graph, which never waits for the viewer."""
 
 from __future__ import annotations
 

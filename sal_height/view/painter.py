@@ -33,7 +33,7 @@ HEIGHT_IMAGE, COMPLEX_IMAGE = "sal_height_msgs/msg/HeightImage", "sal_height_msg
 ODOMETRY, DIAGNOSTICS = "nav_msgs/msg/Odometry", "diagnostic_msgs/msg/DiagnosticArray"
 
 WORLD = "map"
-"""Path under which everything lies that has a place."""
+"""Path under which everything with a position is."""
 
 SERIES = {
     "offered_hz": "rates/{}/offered",
@@ -47,10 +47,10 @@ LOST = "drops/{}"
 """Path of the number of messages that a node has left out so far."""
 
 TOLD = "messages/{}"
-"""Path of the sentences in which a node says why."""
+"""Path of the messages in which a node states its reasons."""
 
 ORIGIN = "messages/origin"
-"""Path of the sentence that says where the origin of the points is."""
+"""Path of the message that states the origin of the points."""
 
 UNSETTLED_NS = 5_000_000_000
 """A track is not drawn before the first height image, near which the origin is then, unless it is that long, ns."""
@@ -62,7 +62,7 @@ REMEMBERED = 64
 """Images that decide which power is white."""
 
 RADIUS = 0.4
-"""Of points, in diagonals of a pixel: those of a closed surface nearly touch."""
+"""Radius of points, in diagonals of a pixel: those of a closed surface nearly touch."""
 
 DECIBELS = 10.0
 LEAST_POWER = 1e-30
@@ -324,7 +324,7 @@ class Painter:
         """Remember the names of drawings.
 
         Raises:
-            Rejected: with them, there are more than MOST_PATHS.
+            Rejected: there are more than MOST_PATHS names, including these.
         """
         paths = self._paths.union(drawing.path for drawing in drawings)
         if len(paths) > MOST_PATHS:

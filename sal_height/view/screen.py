@@ -21,7 +21,7 @@ from sal_height.view.painter import Subject
 from sal_height.view.viewer import Viewer, open_window, serve_page
 
 VERSION = "0.41"
-"""Of Rerun, whose interface changes from one to the next."""
+"""Version of Rerun, whose interface changes from one version to the next."""
 
 STAMP, CLOCK = "stamp", "clock"
 """Timelines: the time of the sensor, and that at which messages arrived."""
@@ -178,7 +178,7 @@ def file_screen(path: Path, name: str, history_s: float) -> Iterator[Screen]:
     unfinished = path.with_name(f".{path.name}.part")
     with writing(path):
         unfinished.parent.mkdir(parents=True, exist_ok=True)
-        unfinished.touch()  # the viewer's package would not say what is wrong
+        unfinished.touch()  # the viewer's package would not report the reason
     try:
         screen.recording.save(unfinished)
         screen.begin()

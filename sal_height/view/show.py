@@ -19,12 +19,12 @@ from sal_height.view.recorded import Recorded
 from sal_height.view.screen import Screen
 
 SKIPPED = "messages/view"
-"""Path of the log that says what was left out here."""
+"""Path of the log of what was left out here."""
 
 UNREADABLE, UNEXPECTED = "unreadable", "unexpected"
 
 MOST_SURFACES = 10_000
-"""Surfaces of a bag that decide which heights the colours stand for: all that are looked at beforehand."""
+"""Surfaces of a bag that decide which heights the colours stand for: all that are read beforehand."""
 
 TELL_PERIOD_S, LOOK_PERIOD_S = 1.0, 0.1
 
@@ -44,7 +44,7 @@ class Shown:
     sentences: dict[tuple[str, str], str] = field(default_factory=dict)
 
     def complaints(self) -> list[str]:
-        """A sentence for each topic and reason why messages were not drawn."""
+        """A message for each topic and reason for which messages were not drawn."""
         return [
             f"{count} {'message' if count == 1 else 'messages'} on {topic} not shown ({reason})"
             + (f": {self.sentences[topic, reason]}" if (topic, reason) in self.sentences else ".")
@@ -138,9 +138,9 @@ def show_live(listener: Listener, screen: Screen, is_over: Callable[[], bool], m
     """Show what a live graph publishes, until it is over or the user interrupts.
 
     Args:
-        listener: to the graph, entered.
-        screen: on which it is shown.
-        is_over: asked again and again.
+        listener: listener to the graph, entered as a context.
+        screen: screen on which the messages are shown.
+        is_over: function that is called repeatedly; True ends the display.
         map_frame: name of the frame that all positions are in.
     """
     artist = Artist(Painter(map_frame), screen, Subject())
@@ -161,7 +161,7 @@ def show_live(listener: Listener, screen: Screen, is_over: Callable[[], bool], m
 
 
 def wait_for_interrupt(screen: Screen) -> None:
-    """Wait until the user interrupts, or nobody can look at the screen any more."""
+    """Wait until the user interrupts, or the screen is closed."""
     with Interruption() as interruption, suppress(KeyboardInterrupt):
         while screen.is_open():
             interruption.check()

@@ -11,17 +11,17 @@ from sal_height.geometry import PlatformState
 from sal_height.numeric import F64
 
 PIECE_NS = 200_000_000
-"""A piece is drawn once it is that long, ns."""
+"""Least length of a piece that is drawn, ns."""
 
 MOST_PLACES = 4096
-"""Places that wait at most; of more, the oldest are forgotten."""
+"""Greatest number of positions that wait; of more, the oldest are dropped."""
 
 DRAWN_PLACES = 32
-"""Places of a piece that are drawn, about; it is short, and a platform is inert."""
+"""Approximate number of positions drawn per piece; it is short, and a platform is inert."""
 
 FARTHEST_M, LONGEST_NS = 5.0, 5_000_000_000
-"""Two places are joined if the second is where the velocity at the first leads to, but for half the way and this
-distance, and if they are no further apart in time."""
+"""Greatest distance (m), in addition to half the path, of a position from the one before moved on by its velocity, and
+greatest time between both (ns) at which they are joined."""
 
 
 class Piece(NamedTuple):
@@ -55,7 +55,7 @@ class Track:
     def pieces(self) -> list[Piece]:
         """Positions that wait, cut where the platform, or its clock, cannot have gone from one to the next.
 
-        The last place is kept as the first of the next piece.
+        The last position is kept as the first of the next piece.
         """
         states = self._states
         cuts = [i + 1 for i, (one, other) in enumerate(pairwise(states)) if not _joined(one, other)]

@@ -59,7 +59,7 @@ class Coherence:
         return values, vectors
 
     def covariance(self, snr: float) -> C128:
-        """Of an echo of power `snr` with noise of power 1."""
+        """Covariance of an echo of power `snr` with noise of power 1."""
         return snr * self.matrix + np.eye(len(self.matrix))
 
     def inverse_covariance(self, snr: float) -> C128:

@@ -201,7 +201,7 @@ def cell_responses(history: PhaseHistory, antenna: F64, sensor: Sensor, centre: 
     window.
 
     Args:
-        history: of all detectors in a dwell.
+        history: phase history of all detectors in a dwell.
         antenna: position at each pulse, m, shape (pulses, 3).
         sensor: wavelength and frequencies.
         centre: point, m, shape (3,); or one for each pulse, shape (pulses, 3).
@@ -221,7 +221,7 @@ def pulse_responses(history: PhaseHistory, antenna: F64, sensor: Sensor, weights
     response(p, t) = sum over frequencies of w(f) samples(t, f) exp(+j 4 pi f (|p - antenna| - reference) / c)
 
     Args:
-        history: of all detectors in a dwell.
+        history: phase history of all detectors in a dwell.
         antenna: position at each pulse, m, shape (pulses, 3).
         sensor: wavelength and frequencies.
         weights: range window w of mean 1, shape (frequencies,).

@@ -34,8 +34,8 @@ class PhaseInformation:
 
     Attributes:
         factor: Cholesky factor of A, banded.
-        known: C, orthonormal, shape (pulses, 2).
-        multipliers: Y (C^T Y)^-1, shape (pulses, 2).
+        known: mean and trend C, orthonormal, shape (pulses, 2).
+        multipliers: product Y (C^T Y)^-1, shape (pulses, 2).
     """
 
     factor: F64
@@ -44,7 +44,7 @@ class PhaseInformation:
 
     @classmethod
     def of(cls, information: F64) -> Self:
-        """Of the information on phases, rad^-2, between pulses that are compared (`lower_band`)."""
+        """The solver for the information on all phases, rad^-2, between pulses that are compared (`lower_band`)."""
         lags, pulses = len(information) - 1, information.shape[-1]
         # A common phase of all pulses changes nothing; pairs that are not compared must not make it look known.
         on_all = scipy.linalg.blas.dsbmv(lags, 1.0, information, np.ones(pulses), lower=1)

@@ -99,7 +99,7 @@ class Likelihood:
     """Logarithm of the likelihood of phases: sum over t, s of turn_t weighted(t, s) conj(turn_s), turn = exp(j phase).
 
     Attributes:
-        weighted: Hermitian, between pulses that are compared (`lower_band`).
+        weighted: Hermitian matrix of the sum, between pulses that are compared (`lower_band`).
         information: Fisher information on the phases.
     """
 
@@ -108,7 +108,7 @@ class Likelihood:
 
     @classmethod
     def of(cls, classes: list[Speckle], coherence: Coherence) -> Self:
-        """Of responses (`speckle_classes`) whose echo has this coherence between every two pulses."""
+        """The likelihood for responses (`speckle_classes`) whose echo has this coherence between every two pulses."""
         information = sum(speckle.count * coherence.information(speckle.snr) for speckle in classes)
         return cls(_weighted(classes, coherence), PhaseInformation.of(np.asarray(information)))
 

@@ -224,10 +224,10 @@ def place_image(focus: Focus, pulse_times: F64, wavelength: float, prior: Naviga
     is in the middle of the beams, which only their angle determines.
 
     Args:
-        focus: what autofocus has found, to be trusted.
-        pulse_times: s, shape (pulses,).
-        wavelength: m.
-        prior: what navigation knows.
+        focus: result of autofocus that is trusted.
+        pulse_times: times of the pulses, s, shape (pulses,).
+        wavelength: wavelength of the carrier, m.
+        prior: prior from navigation.
 
     Raises:
         Rejected: the Doppler centroid contradicts navigation.
@@ -250,10 +250,10 @@ def centroid_of(focus: Focus, pulse_times: F64, wavelength: float, prior: Naviga
     """The Doppler centroid by the trend of a phase that is smooth.
 
     Args:
-        focus: what autofocus has found, to be trusted.
-        pulse_times: s, shape (pulses,).
-        wavelength: m.
-        prior: what navigation knows.
+        focus: result of autofocus that is trusted.
+        pulse_times: times of the pulses, s, shape (pulses,).
+        wavelength: wavelength of the carrier, m.
+        prior: prior from navigation.
 
     Raises:
         Rejected: the Doppler centroid contradicts navigation.

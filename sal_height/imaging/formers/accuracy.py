@@ -17,7 +17,7 @@ def check_expected_error(former: str, error: float) -> None:
     """Refuse an image that would differ too much from backprojection's.
 
     Args:
-        former: name for the sentence.
+        former: name of the former in the message.
         error: expected power of the difference over that of the image.
 
     Raises:

@@ -63,10 +63,10 @@ class Filters:
         compensation: compensation of motion, with the range window, a factor of shape (pulses, frequencies).
         resampling: matrix from pulses to even steps; None: they are even.
         range: transform from frequency to rows, for each Doppler or one for all.
-        compensated: that transform with the compensation, if all Dopplers have one and pulses are even; None:
-            otherwise.
+        compensated: product of that transform and the compensation, if all Dopplers share one and pulses are even;
+            else None.
         azimuth: matched filter of each row over Doppler, (rows, length).
-        fold: number of Doppler spectra that coincide, which is that of steps between columns.
+        fold: number of Doppler spectra that coincide, equal to that of steps between columns.
     """
 
     compensation: C64

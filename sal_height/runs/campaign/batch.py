@@ -27,10 +27,10 @@ from sal_height.numeric import available_processors
 from sal_height.runs.campaign.campaign import Case, is_done, known, process_case
 
 CAMPAIGN, SUMMARY, PICTURE = "campaign.json", "summary.parquet", "comparison.png"
-"""Files in the output folder: what was asked for, a row for each bag and setting, and the settings compared."""
+"""Files in the output folder: the request, a row for each bag and setting, and the settings compared."""
 
 CONNECT_S = 10.0
-"""Time for which a scheduler is looked for."""
+"""Time for which a scheduler is searched for."""
 
 EXTRA = "A campaign needs the package {}, which is not installed; run: pip install 'sal_height[batch]'."
 
@@ -87,7 +87,7 @@ class Workers:
 
 
 def run_campaign(campaign: Campaign, out: Path, workers: Workers) -> list[dict[str, Any]]:
-    """Process bags, or go on with what is done of them, and write the summary; returns its rows.
+    """Process bags, or continue after an interruption, and write the summary; returns its rows.
 
     A bag that cannot be processed has a row with its failure, and does not stop the others.
 
@@ -129,7 +129,7 @@ class _Progress:
     """Parts of a campaign that are done, and those that remain to be done."""
 
     def __init__(self, cases: Sequence[Case]) -> None:
-        """Find out what is done already."""
+        """Find the tasks that are done already."""
         self._cases = cases
         self._rows = {number: known(case.folder) for number, case in enumerate(cases) if is_done(case.folder)}
 
@@ -168,7 +168,7 @@ class _Progress:
 
 
 def attempt(function: Callable[..., Any], *arguments: Any) -> tuple[Any, str]:
-    """Call a function, and return what it does and an empty text, or None and why it failed."""
+    """Call a function, and return its result and an empty text, or None and the reason of its failure."""
     try:
         return function(*arguments), ""
     except UserError as error:
@@ -178,7 +178,7 @@ def attempt(function: Callable[..., Any], *arguments: Any) -> tuple[Any, str]:
 
 
 def _lost(future: Any) -> str:
-    """Why a task has no result."""
+    """Reason for which a task has no result."""
     return f"A worker ended while it worked on it: {future.exception()}"
 
 

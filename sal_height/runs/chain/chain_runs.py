@@ -192,8 +192,8 @@ class BagRun:
         """Products that the stages make of the dwells, and their losses, which are counted, too.
 
         Args:
-            doing: words on what is done, for a progress bar; empty: no progress bar.
-            fed: callback that receives what is fed.
+            doing: label of a progress bar; empty: no progress bar.
+            fed: callback that receives each item that is fed.
 
         Raises:
             UserError: the bag is damaged, or a worker has ended.
@@ -214,7 +214,7 @@ class BagRun:
         return self._reader.begin_ns
 
     def time_of(self, dwell: DwellKey) -> int:
-        """When the last frame of a dwell was recorded, ns."""
+        """Time at which the last frame of a dwell was recorded, ns."""
         return self.scheme.frames[dwell].last_ns
 
     def _joined(self, stack: ExitStack) -> Chain:

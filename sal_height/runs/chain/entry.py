@@ -47,12 +47,12 @@ class Part:
     """Part of a bag that is replayed.
 
     Attributes:
-        entry: one of ENTRIES.
+        entry: name of the entry, one of ENTRIES.
         first: number of the first dwell.
         last: number of the last dwell.
         start_s: earliest start of a dwell, s after that of the first one in the bag.
         end_s: latest start of a dwell, likewise.
-        namespace: namespace of the topics in the bag; None: the one that has what is played, or no namespace.
+        namespace: namespace of the topics in the bag; None: the one with the topics that are played, or no namespace.
     """
 
     entry: str = FRAMES
@@ -106,7 +106,7 @@ class ReplayNodes:
     """The nodes of a replay.
 
     Attributes:
-        entry: one of ENTRIES.
+        entry: name of the entry, one of ENTRIES.
         makers: nodes whose heights there are, made here or in the bag.
         stages: nodes that process, in their order.
         dwells: number of dwells in the bag.
@@ -141,9 +141,9 @@ def chain_of(reader: BagReader, entry: str, estimators: Collection[str]) -> Repl
 
     Args:
         reader: reader of the bag.
-        entry: one of ENTRIES.
+        entry: name of the entry, one of ENTRIES.
         estimators: names of those whose heights are made, as of `suited`; empty: those whose heights the bag has, or
-            else all that suit the sensor and need not be asked for.
+            else all that suit the sensor and need not be requested.
 
     Raises:
         UserError: the bag lacks what is to be played, an estimator does not suit it, or there is nothing to make.

@@ -33,13 +33,13 @@ def states_processing(reader: BagReader) -> bool:
 
 
 class Said(NamedTuple):
-    """A node said that parameters have these values.
+    """A node published that parameters have these values.
 
     Attributes:
         time_ns: time when it was recorded, ns since the epoch.
         node: name of the node, without its namespace.
         values: values by name.
-        is_change: True if they had other values before; if not, the node was asked for them, or has just started.
+        is_change: True if they had other values before; else the values were requested, or the node has just started.
     """
 
     time_ns: int

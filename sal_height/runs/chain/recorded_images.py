@@ -44,7 +44,7 @@ def recorded_slc(bag: Path, jobs: int = 1) -> Iterator[tuple[str, Any, Complex, 
     Of a bag with phase history and without images these are made as in flight, by calls.
 
     Args:
-        bag: its path.
+        bag: path of the bag.
         jobs: number of dwells of which images are made side by side, if the bag has no images.
 
     Raises:

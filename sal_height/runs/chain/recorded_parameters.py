@@ -12,7 +12,7 @@ the parameter events of the nodes. Three kinds of values are exceptions:
   height; but a latency budget leaves out the dwells that a slower machine is late with, and nodes that wait to be
   activated stop a replay. They are used from custom data only: `sal-height live` stores its latency budget there, and
   in lockstep no dwell waits for another one.
-- The heights that a node uses (`estimator`). If these are not made, as where other estimators are asked for, neither
+- The heights that a node uses (`estimator`). If these are not made, as where other estimators are requested, neither
   provenance nor parameter events count, with a warning.
 
 A value that is not allowed today is refused with a message that says where it is stated and how to replace it. With
@@ -205,7 +205,7 @@ def _is_unmade(parameter: Parameter, value: Any, made: Collection[str]) -> bool:
 
 
 def _unlike(stated: NodeParameters, others: NodeParameters) -> dict[str, dict[str, Any]]:
-    """Those values that are not the same in `others`."""
+    """Values that are not the same in `others`."""
     return {
         node: {name: value for name, value in values.items() if others.get(node, {}).get(name, _NOTHING) != value}
         for node, values in stated.items()

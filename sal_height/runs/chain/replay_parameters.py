@@ -67,7 +67,7 @@ class ReplayPlan:
 
     @property
     def first(self) -> DwellKey | None:
-        """The first of the dwells that are played, if it was looked for."""
+        """The first of the dwells that are played, if it was searched for."""
         return next(iter(self.frames), None)
 
     @property
@@ -115,7 +115,7 @@ def processing_of(
         reader: reader of the bag.
         chain: the nodes at work.
         part: part of the bag that is replayed.
-        chosen: values where neither the bag nor the user says anything.
+        chosen: values where neither the bag nor the user states any.
         given: values of the user's, which apply to all dwells.
 
     Raises:

@@ -28,7 +28,7 @@ from sal_height.runs.chain.worker import Control, Pickler, Remote, Ring, Schedul
 from sal_height.topics import CALIBRATION, SENSOR_INFO
 
 CONTROLS = (SENSOR_INFO, CALIBRATION)
-"""Ports of what is no dwell, which all workers must know."""
+"""Ports of controls, which are not dwells and which all workers must receive."""
 
 TOGETHER = 8
 """Jobs that a worker is sent at a time, at most: heights are estimated together."""
@@ -43,7 +43,7 @@ LEAST_RING_BYTES, MOST_RING_BYTES = 64_000_000, 256_000_000
 """Shared memory of a worker, bytes; arrays beyond it are sent as other objects are."""
 
 BYTES_TOGETHER = 32_000_000
-"""Largest size of a batch of more than one job: what is made of the jobs is of about the same size."""
+"""Largest size of a batch of more than one job: results have about the same size as their jobs."""
 
 
 @dataclass
@@ -170,7 +170,7 @@ class SideBySide(Chain):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         for worker in self._workers:
-            if kind is not None:  # nobody waits for what it does
+            if kind is not None:  # no other process waits for its result
                 worker.process.kill()
             with suppress(OSError):  # it may have ended
                 worker.pipe.send_bytes(b"")
@@ -207,14 +207,14 @@ class SideBySide(Chain):
         return self._remote[self.stages.index(stage)]
 
     def _deliver(self, port: str, item: Any) -> None:
-        """In addition to a chain: send controls to workers, and do not deliver what they process to stages here."""
+        """Deliver as a chain does; also send controls to workers, and leave out stages whose jobs they process."""
         super()._deliver(port, item)
         if port in CONTROLS and any(map(self._is_remote, self._consumers.get(port, ()))):
             for worker in self._workers:
                 worker.send(Control(port, item))
 
     def _results(self, *, drain: bool) -> Iterator[Made]:
-        """Send jobs to workers, process the others here, and give what was made."""
+        """Send jobs to workers, process the others here, and yield the results."""
         while True:
             yield from super()._results(drain=drain)
             sent = self._send_jobs(drain=drain)

@@ -143,7 +143,7 @@ def _mounting_in(stage: Mapping[str, Any]) -> Mounting | None:
 
 
 def _until(time_ns: int, recorded: deque[Recorded]) -> Iterator[Recorded]:
-    """Remove and yield what was recorded up to a time, ns."""
+    """Remove and yield the items recorded up to a time, ns."""
     while recorded and recorded[0].time_ns <= time_ns:
         yield recorded.popleft()
 
@@ -198,7 +198,7 @@ class _Parameters:
         self._now[parameter] = value.value
 
     def _known(self, node: str, values: Mapping[str, Any], source: str) -> Iterator[tuple[Parameter, Any]]:
-        """The values of parameters that can be set today; others are entered as forgotten, and paths as files."""
+        """The values of parameters that can be set today; others are recorded as forgotten, and paths as files."""
         today = settings_of(STAGES[node].settings) if node in SETTABLE else {}
         for name, value in values.items():
             parameter = Parameter(node, name)

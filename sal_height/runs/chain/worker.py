@@ -1,4 +1,4 @@
-"""A worker process of the chain: what it is sent, how, and what its stages make of it."""
+"""A worker process of the chain: its jobs, their transport, and the results of its stages."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Scheduled(NamedTuple):
 
 @dataclass(frozen=True)
 class Unsent:
-    """Stands for an item of a product that nobody outside the worker needs.
+    """Stands for an item of a product that is not needed outside the worker.
 
     Attributes:
         messages: number of messages that it would be.
@@ -80,12 +80,12 @@ class Control(NamedTuple):
 
 
 Sent: TypeAlias = tuple[int, DwellKey | None, Result]
-"""Number of a stage, the dwell that a job was about, and what it made or left out."""
+"""Number of a stage, the dwell of a job, and its products or loss."""
 
 
 @dataclass
 class Ring:
-    """Memory shared by two processes; what is written is released in the order in which it was written."""
+    """Memory shared by two processes; it is released in the order in which it was written."""
 
     memory: mmap.mmap
     size: int
@@ -173,7 +173,7 @@ class WorkerChain:
 
     Attributes:
         stages: all stages of the chain, in the order of the data.
-        remote: for each of them, whether workers process its jobs.
+        remote: True for each of these stages whose jobs workers process.
         consumers: stages that accept the products of each port.
         kept: ports whose products are returned.
     """
@@ -187,7 +187,7 @@ class WorkerChain:
         return self.remote[self.stages.index(stage)]
 
     def serve(self, pipe: Connection, others: Sequence[Connection], ring: Ring | None) -> None:
-        """Process what the parent sends until it closes its end."""
+        """Process the jobs that the parent sends until it closes its end."""
         for other in others:
             other.close()
         known: dict[int, Any] = {}

@@ -49,7 +49,7 @@ def attend(
         execution: domain; whether each node has a process of its own.
         seconds: duration, s; infinity: until it is interrupted.
         supervised: True if nodes that have ended are started again.
-        show: called once a second with what has been seen.
+        show: function called once a second with the accounts received so far.
 
     Raises:
         UserError: a node refuses its parameters, or ends and is not to be started again.

@@ -150,7 +150,7 @@ def live(
         parameters: values that replace those that the bag was made with.
         how: pace, duration and latency budget.
         execution: execution of the nodes, and topics to record in addition to heights and diagnostics.
-        show: called once a second with what has been seen.
+        show: function called once a second with the accounts received so far.
 
     Raises:
         UserError: the bag or a parameter cannot be used, nodes do not come up, or one ends.
@@ -272,7 +272,7 @@ def _keeper(topic: str, clock: DwellClock, watched: Watched) -> Callable[[bytes]
 
 @dataclass
 class DwellClock:
-    """When the sensor has delivered a dwell, by the stamp of its products.
+    """Time at which the sensor has delivered a dwell, by the stamp of its products.
 
     Attributes:
         rate: seconds of the sensor in a second.

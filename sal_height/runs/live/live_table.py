@@ -25,7 +25,7 @@ COLOURS = {"ok": "green", "warning": "yellow", "error": "red", GONE: "red"}
 
 @contextmanager
 def showing(draw: Callable[[Any], RenderableType]) -> Iterator[Callable[[Any], None]]:
-    """A function that shows what `draw` makes of what it is given.
+    """A function that shows what `draw` returns for its argument.
 
     A terminal shows each as it arrives; else only the last is shown, at the end, since a log cannot change.
     """
@@ -40,7 +40,7 @@ def showing(draw: Callable[[Any], RenderableType]) -> Iterator[Callable[[Any], N
 
 
 def node_table(book: AccountBook, now: float, title: str, without: Collection[str] = ()) -> Group:
-    """A line for each node that publishes on /diagnostics; below, what was left out and what is wrong.
+    """A line for each node that publishes on /diagnostics; below, the losses and the warnings.
 
     Args:
         book: states of the nodes.
@@ -80,7 +80,7 @@ def _numbers(entry: NodeAccount) -> list[str]:
 
 
 def _sentences(entry: NodeAccount, state: str) -> Iterator[str]:
-    """Messages on a node, without its name: starts, messages left out by reason, what is wrong."""
+    """Messages on a node, without its name: starts, messages left out by reason, warnings."""
     if entry.lives > 1:
         yield f"was started {entry.lives} times."
     lost, lately = {**entry.account.dropped, **entry.account.ignored}, entry.account.lost_last_minute

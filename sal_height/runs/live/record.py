@@ -1,4 +1,4 @@
-"""`sal-height record`: write what is published to a bag, and show the account of each topic."""
+"""`sal-height record`: write published messages to a bag, and show the account of each topic."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class RecordingProgress:
 
     @property
     def received(self) -> int:
-        """Messages in the bag of topics that somebody asked for."""
+        """Number of messages in the bag on the requested topics."""
         return self.written - self.topic_counts.get(PARAMETER_EVENTS, TopicCounts()).written
 
     @property
@@ -68,7 +68,7 @@ def record(
         parameters: parameters of node recorder, without its directory.
         domain: ROS domain of the nodes that publish.
         seconds: duration, s; infinity: until it is interrupted.
-        show: called once a second with what has been recorded, and at the end.
+        show: function called once a second, and at the end, with the counts of recorded messages.
 
     Raises:
         UserError: the folder or a parameter cannot be used.

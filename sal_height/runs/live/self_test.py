@@ -100,5 +100,5 @@ def _track_of(states: list[PlatformState], begin_ns: int, end_ns: int) -> Trajec
 
 
 def _estimators(stages: list[str]) -> dict[str, ElevationEstimator]:
-    """Those of the stages that estimate heights, by the name of the stage."""
+    """Estimators of the stages that estimate heights, by the name of the stage."""
     return {name: stage.estimator for name in stages if issubclass(stage := STAGES[name], HeightStage)}

@@ -146,10 +146,10 @@ def _adjusted(
 ) -> _Found:
     """Adjust the dwells of a bag by their heights.
 
-    How many there are, and what was left out, is in the report even if they cannot be adjusted.
+    The number of dwells, and of those left out, is in the report even if they cannot be adjusted.
 
     Raises:
-        UserError: there is none.
+        UserError: no dwell can be adjusted.
     """
     run = BagRun(scheme, [COMPRESSION, ESTIMATORS[estimator].node], jobs=jobs, wanted=[SLC, f"{estimator}/height"])
     dwells, sensor, losses = _in_order(run, _observe(run, estimator, run.losses), report)
@@ -185,10 +185,10 @@ def _track_of(source: Source) -> Trajectory:
 def _in_order(
     run: BagRun, observed: Iterator[ObservedDwell], report: dict[str, Any]
 ) -> tuple[list[ObservedDwell], Sensor, Losses]:
-    """The dwells of a bag in the order of time, their sensor, and what was left out, which the report has then.
+    """The dwells of a bag in the order of time, their sensor, and the losses; the report is updated.
 
     Raises:
-        UserError: there is none, or the bag describes several sensors.
+        UserError: no dwell can be adjusted, or the bag describes several sensors.
     """
     sensor, dwells, losses = only_sensor(run), list(observed), run.losses
     report |= {"dwells": len(dwells), **losses.counts()}

@@ -44,7 +44,7 @@ def calibrate(
         jobs: dwells that are compressed side by side.
 
     Returns:
-        What was done, and the calibration; None if the user has interrupted.
+        The report, and the calibration; None if the user has interrupted.
 
     Raises:
         UserError: the bag cannot be used, or too many dwells of it were dropped for a calibration.
@@ -84,7 +84,7 @@ def calibrate(
 
 
 def calibration_table(calibration: Calibration) -> str:
-    """The calibration as a table; a dash stands for what was not measured."""
+    """The calibration as a table; a dash stands for a value that was not measured."""
     summary = _summary(calibration)
     keys = ("gain_db", "gain_sigma_db", "phase_rad", "phase_sigma_rad", "ripple_db", "ripple_sigma_db")
     heading = f"{'channel':>8}{'gain dB':>10}{'+-':>7}{'phase deg':>11}{'+-':>7}{'ripple dB rms':>15}{'+-':>7}"

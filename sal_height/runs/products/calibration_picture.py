@@ -14,7 +14,7 @@ from sal_height.graph.picture import page
 from sal_height.numeric import C128, F64, Bool
 
 DECIBELS = 20 / np.log(10)
-"""Of a change of ln amplitude."""
+"""Decibels of a change of ln amplitude by 1."""
 
 SIGNIFICANT = 2.0
 """Standard errors from the described value beyond which a value is marked as a finding."""

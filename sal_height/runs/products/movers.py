@@ -79,11 +79,11 @@ class BagMovers:
 
     Attributes:
         movers: movers in the order of time.
-        candidates: number of pixels that were looked at.
+        candidates: number of pixels that were examined.
         images: number of images.
         dwells: number of dwells in the bag.
         left_out: number of dwells in which nothing could be searched.
-        warnings: warnings on what could not be used, and on what is used in spite of them.
+        warnings: warnings on data that were not used, and on data used with reservations.
     """
 
     movers: Sequence[SeenMover]

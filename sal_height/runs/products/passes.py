@@ -54,7 +54,7 @@ class FromPasses:
     Attributes:
         summary: numbers of the report.
         comparisons: comparisons with reference points.
-        warnings: warnings on what was left out.
+        warnings: warnings on data left out.
     """
 
     summary: dict[str, Any]

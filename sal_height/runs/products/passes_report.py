@@ -56,7 +56,7 @@ class ReferenceComparison:
 
 
 def compared(reference: ReferencePoint, result: PassHeights, settings: PassSettings) -> ReferenceComparison:
-    """The point that is seen nearest to a reference point, within `reference_radius_m`, whatever its height."""
+    """The point that is seen nearest to a reference point, within `reference_radius_m`, at any height."""
     points, array = result.found.points, result.array
     if not len(points.height):
         return ReferenceComparison(reference)
@@ -75,7 +75,7 @@ def compared(reference: ReferencePoint, result: PassHeights, settings: PassSetti
 
 
 def warnings_of(result: PassHeights, comparisons: Sequence[ReferenceComparison], settings: PassSettings) -> list[str]:
-    """Warnings on what was left out, and on what the heights cannot show."""
+    """Warnings on data left out, and on the limits of the heights."""
     found = list(result.warnings)
     if not result.tie.references:
         found.append(FREE_GAUGE)

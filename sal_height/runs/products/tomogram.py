@@ -46,7 +46,7 @@ class TomogramCut:
         positions: positions of the nodes in map, m, shape (cols, nodes, 3).
         profiles: values of each estimator of a profile by its title, shape (cols, nodes).
         ground: estimated height of the ground, m, NaN where it cannot be estimated, shape (cols,).
-        sigma: its standard deviation, m, (cols,).
+        sigma: standard deviation of that height, m, shape (cols,).
     """
 
     along: F64
@@ -58,7 +58,7 @@ class TomogramCut:
 
     @property
     def heights(self) -> F64:
-        """Of the nodes above the sphere, m, shape (cols, nodes)."""
+        """Heights of the nodes above the sphere, m, shape (cols, nodes)."""
         return height_of(self.positions)
 
 

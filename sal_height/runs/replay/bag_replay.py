@@ -113,7 +113,7 @@ def replay(
         execution: execution of the replay.
         against: tolerances and folder of the comparison.
         estimators: names of those whose heights are made; empty: those whose heights the bag has, or else all that
-            suit the sensor and need not be asked for.
+            suit the sensor and need not be requested.
         part: part of the bag that is played, if not all of its phase history.
         playing: time, rate and repetitions of the playback. Of several passes the first one is compared.
         remap: other names of topics of the bag and of nodes, each OLD:=NEW.
@@ -220,7 +220,7 @@ def _perform(
 
 
 def jobs_without_ros(asked: int | None) -> int | None:
-    """Jobs of a replay: as asked for; 1 where nodes are asked for and ROS is not installed, which is said."""
+    """Jobs of a replay: as requested; 1 with a message if nodes are requested and ROS is not installed."""
     if asked is None and find_spec("rclpy") is None:
         _LOG.warning("ROS is not installed here: the dwells are processed without nodes, as with --jobs 1.")
         return 1

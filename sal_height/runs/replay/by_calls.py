@@ -34,7 +34,7 @@ LOSS_TYPE = "sal_height_msgs/msg/DwellLoss"
 
 
 def perform_by_calls(plan: Plan, scheme: Scheme, execution: Execution, jobs: int) -> Outcome:
-    """Process the dwells of a bag by calls, and write what was played and made to a new one.
+    """Process the dwells of a bag by calls, and write inputs and products to a new one.
 
     Args:
         plan: plan of the same replay through nodes.

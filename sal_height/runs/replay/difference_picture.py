@@ -1,4 +1,4 @@
-"""Picture of the worst dwell of a comparison: the golden heights, those that are judged, and the difference."""
+"""Picture of the worst dwell of a comparison: the golden heights, the compared ones, and the difference."""
 
 from __future__ import annotations
 

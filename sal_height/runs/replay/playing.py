@@ -15,7 +15,7 @@ class Playing:
     """Start, rate and repetitions of the playback of a bag.
 
     Attributes:
-        clock: one of `player.CLOCKS`.
+        clock: name of the clock, one of `player.CLOCKS`.
         rate: seconds of the sensor in a second; None: 1, if the clock has a rate at all.
         loops: number of times that the bag is played.
     """
@@ -25,10 +25,10 @@ class Playing:
     loops: int = 1
 
     def __post_init__(self) -> None:
-        """Refuse what contradicts the clock.
+        """Refuse values that contradict the clock.
 
         Raises:
-            UserError: something does.
+            UserError: a value contradicts the clock.
         """
         if self.rate is not None and self.clock != PACED:
             raise UserError(f"Option --rate has no meaning with --clock {self.clock}; give it with --clock {PACED}.")

@@ -83,9 +83,9 @@ def remapping_of(rules: Sequence[str], bag: Path, entry: str) -> Remapping:
     or nodes do not know OLD.
 
     Args:
-        rules: each OLD:=NEW, as in ROS: the topic OLD gets the name NEW.
+        rules: rules of the form OLD:=NEW, as in ROS: the topic OLD gets the name NEW.
         bag: bag that is replayed.
-        entry: one of `entry.ENTRIES`, the topic that the replay starts with.
+        entry: topic that the replay starts with, one of `entry.ENTRIES`.
 
     Raises:
         UserError: the bag cannot be read, a rule has another form, a topic of the bag another type than its new name
@@ -114,7 +114,7 @@ def remapping_of(rules: Sequence[str], bag: Path, entry: str) -> Remapping:
 
 
 def _played_types(entry: str) -> set[str]:
-    """Types of what is played from an entry on."""
+    """Message types that are played from an entry on."""
     if entry == FROM_HEIGHTS:
         return {HEIGHT_TYPE}
     return {SENSOR_TYPE, IMAGE_TYPE} if entry == IMAGES else {SENSOR_TYPE, ODOMETRY_TYPE, FRAME_TYPE, *AIR_TYPES}

@@ -28,7 +28,7 @@ class DrawnTarget:
         title: name of its image.
         axes: names of the directions of rows and of columns, for example range and azimuth.
         chip: the pixels around the target.
-        response: its measured impulse response.
+        response: measured impulse response of the target.
     """
 
     title: str

@@ -60,7 +60,7 @@ def psf(
         jobs: dwells of a bag without images of which these are made side by side.
 
     Returns:
-        The entries of psf.json, one per channel. What could not be estimated is None, and "undetermined" says why.
+        The entries of psf.json, one per channel. An undetermined part is None, with a reason in "undetermined".
 
     Raises:
         UserError: something cannot be read, pooled or written.

@@ -1,4 +1,4 @@
-"""The picture of `sal-height psf`: the panels of the PSF paper, and the reasons for what is not determined."""
+"""The picture of `sal-height psf`: the panels of the PSF paper, and the reasons for missing ones."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ COLUMNS = 4
 """Panels side by side."""
 
 TARGETS, SPECKLE, ONE_TARGET = "#0072b2", "#d55e00", "0.6"
-"""Colours of what is measured on all targets, on speckle and on a single target."""
+"""Colours of measurements on all targets, on speckle and on a single target."""
 
 DIRECTIONS = {"R": "range", "A": "azimuth"}
-"""Of which axis the responses R and A are."""
+"""Axes of the responses R and A."""
 
 Panel = Callable[[Axes], None]
 """Draws on a panel."""
@@ -52,7 +52,7 @@ Panel = Callable[[Axes], None]
 def draw_psf(report: PsfReport, title: str, reasons: Sequence[str], path: Path) -> None:
     """Write a PNG: chips, responses of targets and of speckle, point-spread function, pointing, and text.
 
-    What is not determined has no panel, but its reason in the text.
+    A quantity that is not determined has no panel, but its reason in the text.
 
     Args:
         report: report of the measurement.
@@ -193,7 +193,7 @@ def _draw_pointing(axes: Axes, pointing: Sequence[Pointing]) -> None:
 
 
 def _text(report: PsfReport, reasons: Sequence[str]) -> str:
-    """The result of the test of superposition, and the reasons for what is not determined."""
+    """The result of the test of superposition, and the reasons for undetermined quantities."""
     lines = [f"Not determined: {reason}" for reason in reasons]
     if report.linearity:
         found = report.linearity

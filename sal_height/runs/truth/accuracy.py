@@ -80,7 +80,7 @@ def read_accuracy(bag: Path, flight: SimulatedFlight, stages: Sequence[str]) -> 
             grounds[prefix] = estimate, true_ground(estimate, images[prefix], flight, surfaces)
     numbers = {}
     for prefix in wanted:
-        # As readers see them: what is published with a sigma beyond all bounds is not valid to them.
+        # As subscribers see them: a height published with a sigma beyond all bounds is not valid.
         single = any(np.any(field_from_message(one).validity == HeightImage.OK) for one in images.get(prefix, ()))
         numbers[prefix] = statistics(mosaic(images[prefix], flight, surfaces) if single else None)
         if prefix in heights:

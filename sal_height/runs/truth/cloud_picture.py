@@ -18,7 +18,7 @@ from sal_height.simulation import Preset
 AZIMUTH, TILT = np.radians(35.0), np.radians(38.0)
 """Direction from which the cloud is seen: clockwise from the sensor's side, and above the horizon, rad."""
 VIEW_WIDTH = 0.48 * WIDTH
-"""Of each of the two views, inches."""
+"""Width of each of the two views, inches."""
 
 
 def cloud_of(judgements: Mapping[str, Judged]) -> tuple[str, PublishedErrors]:
@@ -58,7 +58,7 @@ def projected(place: F64, side: float) -> tuple[F64, F64, F64]:
 
     Args:
         place: positions, m, shape (points, 3).
-        side: +1 if the sensor looks to the right of its flight eastwards, and is in the north; -1 in the south.
+        side: look side on a flight eastwards: +1 right, with the sensor in the north; -1 left, in the south.
     """
     east, north, height = place.T * np.array([[side], [side], [1.0]])
     right = -np.cos(AZIMUTH) * east + np.sin(AZIMUTH) * north

@@ -42,12 +42,12 @@ class PublishedErrors:
         place: arc distances east and north from the map's origin and height above the sphere, m, shape (surfaces, 3).
         validity: validity of its pixel.
         sigma: predicted standard deviation of the error, m: of height, and of along-track position times the rise of
-            the true surface, because a pixel is compared with what lies at its range and Doppler.
+            the true surface, because a pixel is compared with the surfaces at its range and Doppler.
         nearest: height minus that of the nearest true surface in the pixel, m; in a pixel without scatterers, of the
             surfaces in the eight pixels around it; NaN if these have no surface either. An extended surface stands for
             all of its pixel: its height minus the mean of all surfaces, weighted by their power.
         own: height minus that of the true surface it should be, m: the strongest chooses the nearest, the others the
-            nearest of what is left; NaN where nothing is left.
+            nearest of the rest; NaN where nothing is left.
         ghost: True where neither the pixel nor a neighbour has a lit surface.
         true_order: number in TRUE_ORDERS of the pixel's contents; -1: a pixel without scatterers next to one with some.
     """
@@ -166,7 +166,7 @@ def true_order(truth: LitSurfaces, beamwidth: float) -> I64:
 
 
 def _confusion(order: I64, validity: U8) -> I64:
-    """Pixels by their contents and what was found."""
+    """Pixels by their contents and by the estimate."""
     found = np.array([_FOUND.get(value, _REFUSED) for value in Validity])[validity]
     shape = len(TRUE_ORDERS), len(FOUND_ORDERS)
     return np.bincount(order * shape[1] + found, minlength=shape[0] * shape[1]).reshape(shape).astype(np.int64)

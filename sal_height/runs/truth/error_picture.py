@@ -16,7 +16,7 @@ from sal_height.runs.truth.comparison import PublishedErrors
 from sal_height.runs.truth.surface_report import Judged
 
 EDGES = np.linspace(-8.0, 8.0, 65)
-"""Of the bins, in sigmas; whatever is beyond is counted in the outermost ones."""
+"""Edges of the bins, in sigmas; errors beyond them are counted in the outermost bins."""
 
 
 @dataclass(frozen=True, eq=False)

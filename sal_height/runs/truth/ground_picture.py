@@ -18,7 +18,7 @@ from sal_height.runs.truth.ground_report import TrueGround
 from sal_height.runs.truth.height_picture import height_limits
 
 KIND_COLOURS = ("#1b7837", "#f0a830", "0.25", "0.9")
-"""Of the kinds in the order of their values."""
+"""Colours of the kinds in the order of their values."""
 
 
 def draw_ground(estimate: GroundEstimate, truth: TrueGround, path: Path) -> None:

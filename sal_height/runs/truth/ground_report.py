@@ -42,7 +42,7 @@ class TrueGround:
     """The terrain in the cells of an estimate; arrays of its shape (rows, cols).
 
     Attributes:
-        height: m; NaN outside the scene and the images.
+        height: height of the terrain, m; NaN outside the scene and the images.
         lit: cells that are lit and inside the array in some dwell.
         shadow: cells that are inside the array in some dwell, and lit in none.
     """

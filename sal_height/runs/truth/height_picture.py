@@ -1,4 +1,4 @@
-"""Picture of the heights of a run: what was found on the ground, its errors and sigmas, and how many surfaces."""
+"""Picture of the heights of a run: surfaces found on the ground, their errors, sigmas and number."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from sal_height.runs.truth.surface_report import CELL_PIXELS, Judged
 from sal_height.simulation import Preset
 
 SHADOW, NO_ANSWER = "0.35", "0.8"
-"""Greys of cells without a height: where nothing was found but noise, and where what was found gave no height."""
+"""Greys of cells without a height: where only noise was found, and where the signal gave no height."""
 
 COLUMNS = 4
 """Height, surfaces in a pixel, error and sigma."""
@@ -58,8 +58,8 @@ class GroundPicture:
         height: height of the surface nearest to the middle of the cell, m.
         error: error of that surface, m.
         sigma: predicted standard deviation of that surface, m.
-        ghost: 1 where that surface is where nothing is lit.
-        silent: 1 where a height is absent because nothing was found but noise, 0 where it is absent for another reason.
+        ghost: mask, 1 where that surface is at a position at which nothing is lit.
+        silent: mask of absent heights, 1 where only noise was found, 0 where there is another reason.
     """
 
     extent: tuple[float, float, float, float]
@@ -240,7 +240,7 @@ def _name_axes(axes: npt.NDArray[Any], unit: str) -> None:
 
 
 def _explain(figure: Figure) -> None:
-    """Say what the colours of cells without a height, or without an error, mean."""
+    """Explain the colours of cells without a height, or without an error."""
     patches = [
         Patch(color=SHADOW, label="no signal, as in shadow"),
         Patch(color=NO_ANSWER, label="a signal, but no height certain enough"),

@@ -23,7 +23,7 @@ MOST_SIGMAS = 6.0
 
 FILL = ("full", "none", "none")
 MARKERS = ("o", "s", "D")
-"""Of the strongest surface of a pixel and of the others."""
+"""Markers, and their fill, of the strongest surface of a pixel and of the others."""
 
 
 def draw_profile(images: Mapping[str, Sequence[HeightImage]], source: str, flight: SimulatedFlight, path: Path) -> bool:
@@ -88,8 +88,8 @@ class _Profile:
         number: number of the surface in its pixel, from 0.
         row: row of its pixel.
         place: position east and north, m, shape (surfaces, 2).
-        height: m.
-        sigma: m.
+        height: height above the sphere, m.
+        sigma: standard deviation of the height, m.
         error: height minus that of the nearest true surface in the pixel, m; NaN where nothing is lit.
         sight: direction of growing range on the ground, east and north, of length 1.
     """
@@ -104,7 +104,7 @@ class _Profile:
 
 
 def _profile(image: HeightImage, col: int, flight: SimulatedFlight) -> _Profile:
-    """Read a column of a height image, and compare it with what was lit."""
+    """Read a column of a height image, and compare it with the lit surfaces."""
     field = messages.field_from_message(image)
     errors = judged([image], flight, {image.dwell: flight.surface(image.dwell)}).comparison.errors
     # In the order in which surfaces are compared: one after the other, each over all pixels.

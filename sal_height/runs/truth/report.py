@@ -29,9 +29,9 @@ class Mosaic:
     """Height images of a run in ground cells, each the mean of its pixels weighted by 1 / sigma^2; NaN where unseen.
 
     Attributes:
-        east: centres of the cells, arc distance from the map origin, m, shape (cols,).
-        north: centres of the cells, m, shape (rows,).
-        height: estimate, m, shape (rows, cols).
+        east: centres of the cells, arc distance east of the map origin, m, shape (cols,).
+        north: centres of the cells, arc distance north, m, shape (rows,).
+        height: estimated height, m, shape (rows, cols).
         error: estimate minus true height of the same pixels with the same weights, m; without pixels that have no
             scatterer.
         sigma: predicted standard deviation, m, with the mean of those that pose and beams leave, which no average
@@ -60,11 +60,11 @@ class _Pixels:
     """Valid pixels of height images, one entry each.
 
     Attributes:
-        east: arc distance from the map origin, m.
-        north: m.
-        height: estimate, m.
-        sigma: predicted, m.
-        common: part of it that pose and beams leave, which is common to pixels and dwells, m.
+        east: arc distance east of the map origin, m.
+        north: arc distance north of the map origin, m.
+        height: estimated height, m.
+        sigma: predicted standard deviation of the height, m.
+        common: part of sigma due to pose and beams, which is common to pixels and dwells, m.
         truth: true height, m; NaN where there is no scatterer.
         bound: Cramer-Rao bound for two looks averaged over speckle, m: 1 / sqrt(information of one look).
         single: True where the pixel has a single scatterer.

@@ -58,7 +58,7 @@ def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
     """Do what `fly` does, and leave pictures with it in `out`; without any valid height there are no pictures.
 
     Raises:
-        UserError: as `fly`, or a picture cannot be written.
+        UserError: errors of `fly`, or a picture cannot be written.
     """
     flown = fly(preset, seed, out, parameters, execution)
     _draw(flown, preset, out)

@@ -70,7 +70,7 @@ class GroundCoverage:
 
     @property
     def shares(self) -> dict[str, float | None]:
-        """Of the cells inside the array, the lit ones and the others; of the lit ones, those that are right."""
+        """Fractions of lit cells and of shadow inside the array; and of right ones among the lit."""
         inside, lit, right = (int(np.count_nonzero(chosen)) for chosen in (self.inside, self.lit, self.right))
         parts = {"lit": (lit, inside), "shadow": (inside - lit, inside), "right": (right, lit)}
         return {name: or_null(fraction_of(*counts)) for name, counts in parts.items()}
@@ -100,7 +100,7 @@ def as_flown(
 ) -> tuple[HeightField, ApertureState]:
     """Positions of the pixels of a height image and of its points, seen from where the platform was.
 
-    Range and Doppler count from there, not from where the odometry says; a pixel is compared with what it saw. Heights
+    Range and Doppler count from there, not from the odometry's position; a pixel is compared with what it saw. Heights
     and covariances stay as they were published. In stripmap the error of the odometry is that in the middle of the last
     block.
 

@@ -45,6 +45,29 @@ def test_documents_use_no_private_words() -> None:
     assert not [(path.name, number, line) for path, number, line in lines if PRIVATE.search(line)]
 
 
+def classes_and_docstrings() -> Iterator[tuple[str, str, str]]:
+    """Module, name (empty if it is no class) and docstring of each module, class and function."""
+    for path in MODULES:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)):
+                name = node.name if isinstance(node, ast.ClassDef) else ""
+                yield str(path.relative_to(ROOT)), name, ast.get_docstring(node) or ""
+
+
+def test_no_two_classes_have_one_name() -> None:
+    modules: dict[str, list[str]] = {}
+    for module, name, _ in classes_and_docstrings():
+        if name and not name.startswith("_"):
+            modules.setdefault(name, []).append(module)
+    assert not {name: places for name, places in modules.items() if len(places) > 1}
+
+
+def test_docstrings_say_what_a_thing_is() -> None:
+    """Not: what it does, who does it, or whether something is so."""
+    question = re.compile(r"(What|Who|Where|Whether|How)\b")
+    assert not [(module, text[:80]) for module, _, text in classes_and_docstrings() if question.match(text)]
+
+
 def test_private_words_are_found_and_docstrings_are_left_out() -> None:
     source = (
         'def f():\n    """What is told."""\n    return f"Nobody tells {f}; {f} is none of these, and {f} is none."\n'

@@ -24,7 +24,7 @@ def rise_in_canopy(
     steps: int,
     result: F64,
 ) -> None:
-    """How far straight paths upwards rise inside a canopy, m, followed in equal steps in height up to its ceiling.
+    """Height that straight paths upwards rise inside a canopy, m, followed in equal steps in height up to its ceiling.
 
     Args:
         rows: arc distances north of the nodes, m, increasing.

@@ -304,7 +304,7 @@ def keep_filled(starts: F64, step: F64, ends: F64, direction: F64, angle: float,
 
 @compiled
 def _is_filled(start: F64, step: F64, count: float, ends: F64, direction: F64, angle: float) -> bool:
-    """Whether the pulses fill the processed angle of the pixel a number of steps after the start of its row."""
+    """True if the pulses fill the processed angle of the pixel a number of steps after the start of its row."""
     x, y, z = _point(start, step, count)
     first, last = _sine(x, y, z, ends[0], direction), _sine(x, y, z, ends[1], direction)
     return bool((min(first, last) <= -angle / 2) and (max(first, last) >= angle / 2))
@@ -347,7 +347,7 @@ def keep_reached(
 def row_is_reached(
     start: F64, step: F64, direction: F64, track: F64, half_window: float, angle: float, spacing: float, valid: Bool
 ) -> bool:
-    """Whether all pixels of a row are reached; set `valid` False where they are not. Arguments as of `keep_reached`."""
+    """True if all pixels of a row are reached; sets `valid` False where they are not. Arguments as of `keep_reached`."""
     all_reached, last = True, valid.size - 1.0
     square = step[0] * step[0] + step[1] * step[1] + step[2] * step[2]
     for pulse in range(track.shape[0]):

@@ -347,7 +347,7 @@ def keep_reached(
 def row_is_reached(
     start: F64, step: F64, direction: F64, track: F64, half_window: float, angle: float, spacing: float, valid: Bool
 ) -> bool:
-    """True if all pixels of a row are reached; sets `valid` False where they are not. Arguments as of `keep_reached`."""
+    """True if all pixels of a row are reached; sets `valid` False elsewhere. Arguments as of `keep_reached`."""
     all_reached, last = True, valid.size - 1.0
     square = step[0] * step[0] + step[1] * step[1] + step[2] * step[2]
     for pulse in range(track.shape[0]):

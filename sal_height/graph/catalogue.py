@@ -79,7 +79,7 @@ def parameters_of(node: str, values: Mapping[str, Any]) -> Any:
     Raises:
         UserError: a value is not allowed.
     """
-    return _settings_with(STAGES[node].settings, values)
+    return _settings_with(STAGES[node].settings, with_new_names(values))
 
 
 def _settings_with(model: type[Settings], values: Mapping[str, Any]) -> Any:

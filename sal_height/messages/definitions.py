@@ -311,7 +311,7 @@ float64[] azimuth
 float64[] amplitude
 """,
         "sal_height_msgs/msg/Calibration": r"""# What was measured of a sensor, relative to what its SensorInfo says. Latched (transient local): the last one reaches
-# those who come late. Whoever applies it to a product says so by the id in its Provenance.
+# late subscribers. Whoever applies it to a product says so by the id in its Provenance.
 
 # stamp: that of the last dwell it was made of. frame_id: "base_link".
 std_msgs/Header header
@@ -360,7 +360,7 @@ float64 pupil_p_value
 # What could not be determined, one sentence each: why, and what would be needed.
 string[] undetermined
 """,
-        "sal_height_msgs/msg/ChannelFrame": r"""# Complex phase history of one channel in one dwell. SensorInfo.waveform tells what the samples of a pulse are, with R
+        "sal_height_msgs/msg/ChannelFrame": r"""# Complex phase history of one channel in one dwell. SensorInfo.waveform states what the samples of a pulse are, with R
 # the distance of a point of amplitude A from the antenna, tau = 2 R / c its delay, tau_r = 2 reference_range / c:
 #
 # "spectrum"  A exp(-j 4 pi f (R - reference_range) / c) at fast-time frequency f: deramped or matched-filtered,
@@ -538,7 +538,7 @@ float64 size
 float64 sigma
 string unit
 """,
-        "sal_height_msgs/msg/HeightImage": r"""# Height of up to three scatterers in every pixel, with their uncertainty and the reason where there is none.
+        "sal_height_msgs/msg/HeightImage": r"""# Height of up to three scatterers in every pixel, with their uncertainty and the reason where one is missing.
 
 # Values of validity.
 uint8 OK = 0                      # the first surface can be used
@@ -555,7 +555,7 @@ uint8 THREE_SCATTERERS = 10       # layover of three, each in a surface of its o
 uint8 EXTENDED = 11               # one surface that spreads over elevation, as a slope or a hedge; its middle is given
 uint8 NO_SIGNAL = 12              # nothing stands out from noise and sidelobes, as in shadow
 uint8 IMPRECISE = 13              # a scatterer is there, but its sigma is above the limit of the estimator
-uint8 NO_GROUND = 14              # canopy_ground: ground and the canopy above it cannot be told apart, or one is missing
+uint8 NO_GROUND = 14              # canopy_ground: ground and the canopy above it cannot be separated, or one is missing
 
 # Radius [m] of the sphere that heights refer to, the mean earth radius (IUGG); the sphere touches the origin of the map
 # frame from below. A constant of the contract: it is the same in every height image and relief map.

@@ -33,7 +33,7 @@ TILE = (64, 64)  # rows and columns of the sub-images of the PSF paper
 LEAST_TILE = 8  # fewer rows or columns than this make no tile
 REACH = 16  # greatest lag, in pixels, at which the field's correlation is measured
 
-REASONS = ("pure", "not finite", "zero", "real", "clipped", "like noise", "moment", "texture", "beside a bright point")
+REASONS = ("pure", "not finite", "zero", "real", "clipped", "like noise", "moment", "texture", "next to a bright point")
 """Verdicts on a tile, in the order of the tests; the last is for callers that know the positions of bright points."""
 
 

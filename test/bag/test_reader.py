@@ -216,7 +216,7 @@ def test_a_cut_message_is_refused(bag: Path) -> None:
 def test_what_is_not_a_bag_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="does not exist"):
         BagReader(tmp_path / "nowhere")
-    with pytest.raises(UserError, match=r"is not a bag; it must hold an \.mcap file"):
+    with pytest.raises(UserError, match=r"is not a bag; it must contain an \.mcap file"):
         BagReader(tmp_path)
     empty, text = tmp_path / "empty.mcap", tmp_path / "text.mcap"
     empty.touch()

@@ -119,7 +119,7 @@ def test_a_damaged_chunk_is_left_out_and_accounted_for(tmp_path: Path) -> None:
     assert (gap.file, gap.offset, gap.size) == (file, chunk.chunk_start_offset, chunk.chunk_length)
     assert gap.lost == recovery.lost == {"/greeting": 30 - recovery.count}
     assert "a damaged chunk (crc" in gap.reason
-    assert str(gap).endswith(f"they held {30 - recovery.count} messages on /greeting.")
+    assert str(gap).endswith(f"they contained {30 - recovery.count} messages on /greeting.")
     file.write_bytes(damaged[:-1])  # without the index nothing describes the topic
     recovery = recover(file, tmp_path / "cut")
     assert recovery.count == 0

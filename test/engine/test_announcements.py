@@ -203,7 +203,7 @@ def test_odometry_that_never_arrives_costs_all_dwells_at_its_end_and_not_before(
     assert not driven.losses
     driven.do(nothing_before(ODOMETRY, FOREVER_NS))
     assert driven.lost() == {"odometry gap": 24}
-    assert_one_sentence(driven.losses[0].sentence, "no sample has come")
+    assert_one_sentence(driven.losses[0].sentence, "no sample was received")
 
 
 def test_odometry_that_starts_after_a_dwell_gives_it_up_at_once() -> None:

@@ -22,6 +22,7 @@ from sal_height.imaging.formers.choice import FEW_PIXELS, FORMERS
 from sal_height.imaging.pixels import slc_noise_power
 from sal_height.imaging.weighting import Processing
 from sal_height.numeric.windows import broadening, window
+from sal_height.renamed import with_new_names
 from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
@@ -314,5 +315,5 @@ def test_detectors_that_see_the_same_in_proportion_are_imaged_in_proportion(
 
 @pytest.mark.parametrize(("recorded", "today"), [(True, "always"), (False, "never"), ("auto", "auto")])
 def test_bags_of_before_autofocus_chose_by_itself_are_understood(recorded: object, today: str) -> None:
-    assert ImageSettings(autofocus=recorded).autofocus == today
+    assert ImageSettings(**with_new_names({"autofocus": recorded})).autofocus == today
     assert check_parameters({"sar_compression": {"autofocus": recorded}}) == {"sar_compression": {"autofocus": today}}

@@ -446,7 +446,7 @@ def of_no_side(tree: Any, pixels: np.ndarray) -> np.ndarray:
         (without("SCPCOA"), "SCPCOA/SideOfTrack"),
         (at_sea, "latitude and longitude 0"),
         (of_two_platforms, "two platforms (BISTATIC)"),
-        (between_modes, "pixels beside those of a plane"),
+        (between_modes, "pixels from those of a plane"),
         (of_amplitude_and_phase, "RE32F_IM32F and RE16I_IM16I are read"),
         (without_frequencies, "processed frequencies"),
         (of_no_side, "SideOfTrack 'B'"),

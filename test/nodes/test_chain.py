@@ -268,7 +268,7 @@ def test_two_sources_of_one_channel_are_named(chain: Chain, graph: Graph, refere
     publisher.publish(frames[2])
     chain.await_drops("sar_compression", "duplicate", 1)
     said = chain.stages["sar_compression"].last_drop
-    assert "Dwell 0, channel 2: the same message came twice." in said
+    assert "Dwell 0, channel 2: the same message was received twice." in said
     assert "2 nodes publish phase_history: each must have channels of its own." in said
     chain.publish(*frames[4:])
     next_dwell_is_exact(chain, reference)

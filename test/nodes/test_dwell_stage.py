@@ -175,7 +175,7 @@ def test_an_incomplete_dwell_is_dropped_after_an_idle_wait(graph: Graph) -> None
     gate = overdue_gate(graph)
     gate.hear(0, 0, 2)
     gate.await_counts(**{"in": 2, "dropped.incomplete dwell": 2})
-    assert "channels [1] did not come" in gate.last_drop
+    assert "channels [1] did not arrive" in gate.last_drop
 
 
 def test_a_dwell_does_not_time_out_while_the_node_is_working(graph: Graph) -> None:

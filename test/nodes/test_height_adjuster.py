@@ -330,7 +330,7 @@ def test_an_error_within_begins_anew(
 
     with monkeypatch.context() as broken:
         broken.setattr(AdjustmentWindow, "add", fail)
-        adjusting.heights.publish(flown.images[2])
+        adjusting.graph.publish("ml/height", flown.images[2])
         for state in flown.odometry[2]:
             adjusting.graph.publish("platform/odometry", state)
         adjusting.wait(lambda: sum(adjusting.stage.counted("dropped.").values()) == 1, "a drop")

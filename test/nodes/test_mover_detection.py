@@ -112,7 +112,7 @@ def test_dwells_that_a_reset_leaves_untold_are_counted(graph: Graph) -> None:
     assert untold > 0
     fed.node.forget()
     fed.wait(lambda: fed.node.tally.summary().get("ignored.reset") == untold)
-    assert_one_sentence(fed.node.last_rejection.partition(": ")[2], "reset before the movers of a dwell were told")
+    assert_one_sentence(fed.node.last_rejection.partition(": ")[2], "reset before the movers of a dwell were published")
 
 
 def shifted(image: ComplexImage) -> ComplexImage:

@@ -216,7 +216,7 @@ def test_images_wait_for_their_calibration_and_go_without_it(
     for image in images:
         publisher.publish(image)
     assert graph.spin_until(lambda: late.tally.summary().get("dropped.no calibration") == DETECTORS, TIMEOUT_S)
-    assert "has not come on topic calibration" in late.last_rejection
+    assert "was not received on topic calibration" in late.last_rejection
 
 
 def _listen(graph: Graph, kind: type, into: list[Any]) -> None:

@@ -511,7 +511,7 @@ def test_an_origin_that_comes_after_the_map_has_begun_places_the_next_one() -> N
     mapped.feed(height_image(0))
     mapped.set_origin(MUNICH)
     assert mapped.mapper.counted("ignored.") == {"origin after the begin": 1}
-    assert "until service ~/reset begins a new one" in mapped.mapper.last_rejection
+    assert "until service ~/reset starts a new one" in mapped.mapper.last_rejection
     mapped.feed(height_image(1))
     assert mapped.map_of(2).crs == ""
     mapped.mapper.forget()

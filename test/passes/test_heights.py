@@ -197,4 +197,4 @@ def test_a_reference_that_cannot_tell_two_heights_of_all_points_apart_is_not_use
     assert result.tie.references == 0
     assert abs(result.tie.elsewhere) == pytest.approx(result.ambiguity.at, rel=0.15)
     (sentence,) = result.warnings
-    assert "reference points are not used: for all that they tell, every point may as well be" in sentence
+    assert "reference points are not used: from what they state, every point may as well be" in sentence

@@ -124,7 +124,7 @@ def test_an_elevation_model_gives_the_origin_and_contradicts_another(two_dwells:
 @pytest.mark.parametrize(
     ("origin", "words"),
     [
-        ({"latitude_deg": 0.0, "longitude_deg": 0.0}, "a place at sea"),
+        ({"latitude_deg": 0.0, "longitude_deg": 0.0}, "a position at sea"),
         ({"latitude_deg": 91.0, "longitude_deg": 0.0}, "latitude_deg"),
         ({"latitude_deg": 1.0}, "longitude_deg"),
     ],

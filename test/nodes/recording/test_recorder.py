@@ -320,7 +320,7 @@ def test_messages_that_wait_for_the_disk_are_bounded_by_memory(graph: Graph, sou
     [
         ("", "get_topic_names_and_types"),
         ("", "_times"),
-        ("_account_publisher", "tell"),
+        ("_account_publisher", "publish"),
         ("_bag", "flush"),
         ("_bag", "write"),
     ],

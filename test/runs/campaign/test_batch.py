@@ -156,7 +156,7 @@ def test_what_is_in_the_way_is_refused(recorded: Path, tmp_path: Path, monkeypat
     assert_one_sentence(str(error.value), str(out), "--out")
     (out / "file").unlink()
     (out / CAMPAIGN).write_text(json.dumps({**campaign.as_json(), "estimators": ["ml"]}))
-    with pytest.raises(UserError, match="holds another campaign"):
+    with pytest.raises(UserError, match="contains another campaign"):
         run_campaign(campaign, out, Workers())
     wrong = Campaign([recorded / "bag"], varied={"ml_height.range_looks": [1, -1]})
     with pytest.raises(UserError, match="range_looks"):

@@ -24,6 +24,7 @@ from sal_height.errors import UserError
 from sal_height.geometry import Origin
 from sal_height.graph.catalogue import SETTABLE, consumers, parameters_of
 from sal_height.graph.plan import DwellChanges
+from sal_height.renamed import with_new_names
 from sal_height.runs.chain.chain_runs import plan
 from sal_height.runs.chain.entry import FROM_HEIGHTS, WHOLE, Part, ReplayNodes, chain_of
 from sal_height.runs.chain.recorded_parameters import recorded_parameters
@@ -71,7 +72,7 @@ def stated_in(bag: Path) -> dict[str, dict[str, Any]]:
         image = reader.decode(recorded.type_name, recorded.cdr)
         for node, values in messages.stages_of(image.provenance.parameters).items():
             known = settings_of(KINDS[node].settings).keys() - OF_MACHINE
-            stated[node] = {name: value for name, value in values.items() if name in known}
+            stated[node] = {name: value for name, value in with_new_names(values).items() if name in known}
     return stated
 
 

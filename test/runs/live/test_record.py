@@ -62,7 +62,7 @@ def test_what_is_published_is_recorded_until_ctrl_c(graph: Graph, domain_id: int
 def test_if_nothing_comes_that_is_said(domain_id: int, tmp_path: Path) -> None:
     status, _, err = ended(start(domain_id, tmp_path / "bag", "/nowhere", "--seconds", "0.5"))
     assert status == 1
-    assert_one_sentence(err.strip().removeprefix("sal-height: "), "No message came", "domain")
+    assert_one_sentence(err.strip().removeprefix("sal-height: "), "No message was received", "domain")
     assert BagReader(tmp_path / "bag").message_count == 0
 
 

@@ -288,7 +288,7 @@ def test_faults_together_cost_a_dwell_and_a_sample(flight: Path, tmp_path: Path)
     assert report["dwells"] == 14
     assert report["dropped"] == {"sar_compression: incomplete dwell": 1}
     assert report["ignored"] == {"sar_compression: odometry": 1}
-    assert any("channels [3] did not come" in sentence for sentence in report["warnings"])
+    assert any("channels [3] did not arrive" in sentence for sentence in report["warnings"])
     assert report["comparisons"] > 15
     after = BagReader(tmp_path / "out" / "bag")
     assert after.topics["/platform/odometry"].count == reader.topics["/platform/odometry"].count - 1

@@ -116,7 +116,9 @@ def test_how_many_dwells_were_left_out_is_said(tmp_path: Path) -> None:
     found = find_in_bag(bag, tmp_path / "out")
     assert found.table().splitlines()[0].endswith(" of 4 images were looked at; 2 of 6 dwells were left out")
     told = " ".join(found.warnings)
-    assert "2 of 6 dwells were left out (sar_compression: incomplete dwell). Dwell 0: channels [1] did not come" in told
+    assert (
+        "2 of 6 dwells were left out (sar_compression: incomplete dwell). Dwell 0: channels [1] did not arrive" in told
+    )
     assert (
         "1 message was left out (sar_compression: broken message). A message on phase_history cannot be decoded" in told
     )

@@ -55,7 +55,7 @@ def test_bags_become_heights(bags: list[Path], points: np.ndarray, tmp_path: Pat
     assert report["passes_given"] == 5
     assert [one["name"] for one in report["passes"]] == ["pass_1", "pass_3", "pass_5", "pass_6"]
     assert any("Pass pass_8 is left out: the middle of the scene is" in sentence for sentence in made.warnings)
-    assert any("reference point at 2, 7.5, 30 m is to be seen" in sentence for sentence in made.warnings)
+    assert any("reference point at 2, 7.5, 30 m is visible" in sentence for sentence in made.warnings)
     assert report["tie"]["common_offset"] == "reference points"
     compared = [one for one in report["references"] if one["found"]]
     assert len(compared) >= 7

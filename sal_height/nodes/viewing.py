@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any
 
 from sal_height.engine.height_items import Heights
 from sal_height.engine.mapper import PlacedRelief
@@ -13,17 +13,6 @@ from sal_height.messages.types import Image, PointCloud2, TFMessage, TransformSt
 from sal_height.nodes.transforms import TF, TF_QOS, has_transforms
 from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS
 from sal_height.nodes.worker import WorkerNode
-
-
-class ViewPublisher(Protocol):
-    """Publishes what viewers show of a product."""
-
-    def publish(self, item: Any) -> None:
-        """Publish what viewers show of an item."""
-
-    @staticmethod
-    def topics(port: Port) -> Mapping[str, str]:
-        """The topics of the views of a port, with their content."""
 
 
 class _Points:

@@ -25,7 +25,7 @@ from sal_height.messages.types import ChannelFrame, ComplexImage, HeightImage, O
 from sal_height.nodes.transport.endpoints import Outlet
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import class_of, subscribe
-from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
+from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.settings import settings_of
 
 TOPICS: dict[str, tuple[type, QoSProfile]] = {

@@ -35,13 +35,11 @@ from sal_height.pipeline import Compressor, heights
 from sal_height.runs.truth.comparison import SurfaceComparison, compare, joined_comparisons
 from sal_height.runs.truth.surface_report import as_flown, true_surfaces
 from sal_height.simulation import Preset, Scene, SimulatedFlight, flight_of, load_preset
-from sal_height.simulation.impairments import Impairments, PointingJitter
+from sal_height.simulation.impairments import Impairments, PointingJitter, Turbulence, VegetationWind
 from sal_height.simulation.odometry_errors import OdometryErrors
 from sal_height.simulation.phase_errors import Vibration, VibrationBand, VibrationLine
 from sal_height.simulation.scene import PointScatterer
 from sal_height.simulation.scenes import load_scene
-from sal_height.simulation.turbulence import Turbulence
-from sal_height.simulation.vegetation_wind import VegetationWind
 
 PRESET = "sal_spotlight"
 FLIGHTS = sized(96, 1)

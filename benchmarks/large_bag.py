@@ -11,8 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from benchmarks.row import Row, sized
+from sal_height.bag.described import FRAMES
 from sal_height.bag.reader import BagReader
-from sal_height.bag.sensor_topics import FRAMES
 from sal_height.bag.stamps import stamp_ns_of
 from sal_height.bag.writer import BagWriter
 from sal_height.nodes.playing.playlist import restamped

@@ -18,8 +18,8 @@ import numpy as np
 from benchmarks.core_limit import CoreRate, core_rate
 from benchmarks.live_runs import Nodes, Seen, highest_rate, watch
 from benchmarks.row import Row, load, sized
+from sal_height.bag.described import FRAMES
 from sal_height.bag.reader import BagReader
-from sal_height.bag.sensor_topics import FRAMES
 from sal_height.nodes.playing.playlist import Playlist
 from sal_height.nodes.processing import PROCESSING
 from sal_height.numeric import WORKERS

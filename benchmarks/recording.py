@@ -29,7 +29,7 @@ from sal_height.bag.writer import BagWriter
 from sal_height.nodes.recording.recorder import Recorder
 from sal_height.nodes.transport.domain import free_domain
 from sal_height.nodes.transport.graph import Graph
-from sal_height.nodes.transport.quality import FRAMES_QOS
+from sal_height.nodes.transport.qos import FRAMES_QOS
 
 TOPIC, TYPE = "/frames", "std_msgs/msg/UInt8MultiArray"
 

@@ -16,7 +16,7 @@ from sal_height.elevation import OBJECTIVES, AxisResponse
 from sal_height.elevation.array.response_spread import sidelobe_fractions, squared_pull
 from sal_height.elevation.array.search import SEARCHES_KEPT, SQUINTS_AT_ONCE, PeakSearches, _searches
 from sal_height.elevation.looks.look_windows import Window, axis_looks
-from sal_height.elevation.looks.noise_floor import _speckle_contrast
+from sal_height.elevation.looks.looks import _speckle_contrast
 from sal_height.elevation.monopulse.inverse_table import inverse_table
 from sal_height.elevation.monopulse.sum_difference import _slope_table
 from sal_height.engine.frame_items import _fault_of_pulses

@@ -20,7 +20,7 @@ from sal_height import messages
 from sal_height.messages.types import ChannelFrame, ComplexImage, Header, HeightImage, Provenance, SensorInfo
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
-from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS
+from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS
 
 OFFERED_HZ, SECONDS = 80.0, 20.0
 

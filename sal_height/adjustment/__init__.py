@@ -20,9 +20,9 @@ from sal_height.adjustment.observed import (
     PITCH,
     ObservedDwell,
     placement_in_strip,
+    read_targets,
     stated_sigmas,
 )
-from sal_height.adjustment.targets import read_targets
 from sal_height.adjustment.window import MOST_POINTS, AdjustmentWindow, PoseError
 
 __all__ = [

@@ -2,26 +2,192 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 from mcap.data_stream import ReadDataStream
 from mcap.records import Chunk, ChunkIndex, Message
 from mcap.stream_reader import breakup_chunk
 
-from sal_height.bag.check_files import check_accounts, check_metadata, check_types
-from sal_height.bag.check_sensor import RECORD_ALL, SensorCheck
-from sal_height.bag.chunk_search import HEAD
-from sal_height.bag.files import REPEATED_SEQUENCE, bag_files, check_start
-from sal_height.bag.findings import Finding, error, of_refusal, recovery, warning
+from sal_height.bag.check_sensor import RECORD_ALL, Finding, SensorCheck, error, of_refusal, recovery, some, warning
+from sal_height.bag.definitions import known_definition
+from sal_height.bag.described import FRAMES, PARAMETER_EVENTS, sensors_in
+from sal_height.bag.files import ACCOUNT, PARAMETERS, REPEATED_SEQUENCE, bag_files, check_start, parameters_file
 from sal_height.bag.index import FileIndex, read_index, read_log_times
-from sal_height.bag.reader import BagMessage, BagReader
-from sal_height.bag.sensor_topics import FRAMES, sensors_in
+from sal_height.bag.metadata_text import read_yaml
+from sal_height.bag.reader import BagMessage, BagReader, Topic
+from sal_height.bag.salvage import HEAD
+from sal_height.bag.topics import HEIGHT_TYPE, IMAGE_TYPE, RELIEF_TYPE
 from sal_height.errors import UserError
 from sal_height.topics import SENSOR_INFO
+
+WITH_PROVENANCE = {IMAGE_TYPE, HEIGHT_TYPE, RELIEF_TYPE}
+"""Types of messages that state the parameters with which they were made."""
+
+NO_METADATA = (
+    "Write it with 'ros2 bag reindex -s mcap {path}', or a new bag with 'sal-height bag recover {path} --out DIR'."
+)
+
+
+def check_metadata(path: Path, indexes: list[FileIndex]) -> Iterator[Finding]:
+    """Check metadata.yaml of a bag folder against its files; nothing for a file alone."""
+    if not path.is_dir():
+        return
+    fix = NO_METADATA.format(path=path)
+    if not (path / "metadata.yaml").is_file():
+        yield warning(f"Bag {path} has no metadata.yaml, without which rosbag2 does not open it.", fix)
+        return
+    unlisted = sorted({file.name for file in path.glob("*.mcap")} - {index.path.name for index in indexes})
+    if unlisted:
+        yield warning(
+            f"File metadata.yaml of bag {path} does not list {some(unlisted)}, which are in the same folder.", fix
+        )
+    information = read_yaml((path / "metadata.yaml").read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+    try:
+        stated, found = _stated(information), _found(indexes)
+    except (KeyError, TypeError, AttributeError) as wrong:
+        yield error(f"File metadata.yaml of bag {path} is not laid out as rosbag2 does it ({wrong!r}).", fix)
+        return
+    different = [
+        f"{what} is {stated[what]} and not {found.get(what, 0)}"
+        for what in stated
+        if stated[what] != found.get(what, 0) and not _are_near(what, stated[what], found.get(what, 0))
+    ]
+    different += [f"{what} is not listed" for what in found.keys() - stated.keys() if what.startswith("count of ")]
+    if different:
+        yield warning(f"File metadata.yaml of bag {path} contradicts the files: {some(different)}.", fix)
+
+
+def check_types(reader: BagReader) -> Iterator[Finding]:
+    """Check the types of all topics against the installed ones, by their schemas and by their hashes."""
+    old = sorted(topic.name for topic in reader.topics.values() if topic.is_old)
+    if old:
+        yield warning(
+            f"Bag {reader.path} was recorded with an older version of sal_height_msgs (topics {', '.join(old)}).",
+            f"It is read as it is; 'sal-height bag upgrade {reader.path} --out DIR' writes a bag of today's version.",
+        )
+    for topic in reader.topics.values():
+        if not topic.is_old:
+            yield from _check_type(topic)
+
+
+def check_accounts(reader: BagReader) -> Iterator[Finding]:
+    """Check for messages that the recorder reports as left out, and for recorded parameters."""
+    for index in reader.indexes:
+        for topic, text in index.records.get(ACCOUNT, {}).items():
+            if lost := _left_out(text):
+                reasons = ", ".join(f"{count} {reason}" for reason, count in lost.items())
+                yield warning(
+                    f"Messages of topic {topic} are not in the bag, as its recorder says: {reasons}.",
+                    "Record to a faster disk, or with more memory (max_memory_mb of node recorder).",
+                )
+    told = any(topic.type_name in WITH_PROVENANCE and topic.count for topic in reader.topics.values())
+    events = reader.topics.get(PARAMETER_EVENTS)
+    stated = PARAMETERS in reader.custom_data or parameters_file(reader.path).is_file()
+    if not (told or stated or (events and events.count)):
+        yield warning(
+            f"Bag {reader.path} does not contain the parameters of nodes: neither custom data, nor {PARAMETER_EVENTS}, "
+            "nor the provenance of products.",
+            "A replay takes the defaults, and --param sets others; 'sal-height record' records them, too.",
+        )
+
+
+def _check_type(topic: Topic) -> Iterator[Finding]:
+    name, package, recorded = topic.recorded_type, topic.recorded_type.partition("/")[0], topic.definition
+    if _contradicts_hash(topic):
+        yield error(
+            f"The schema of topic {topic.name} is not that of the type hash recorded with it.",
+            f"Record it with the package {package} that the publisher was built with.",
+        )
+        return
+    try:
+        known = known_definition(topic.type_name)
+    except UserError:
+        yield warning(
+            f"Type {name} of topic {topic.name} is not installed, so that its messages cannot be played.",
+            f"Install or source package {package}.",
+        )
+        return
+    if not recorded.same_layout(known):
+        yield error(
+            f"Topic {topic.name} was recorded with another definition of {name} "
+            f"({recorded.type_hash or 'no hash'}) than the one known here ({known.type_hash}).",
+            f"Install the version of package {package} that it was recorded with.",
+        )
+
+
+def _contradicts_hash(topic: Topic) -> bool:
+    """True if the text of a type has another hash than the recorded one; False where that is unknown."""
+    recorded = topic.definition
+    if not recorded.type_hash or recorded.encoding != "ros2msg":
+        return False
+    try:
+        return _hash_of(topic.recorded_type, recorded.text) != recorded.type_hash
+    except Exception:  # noqa: BLE001 (rosbags reports an invalid definition by any exception of its parser)
+        return True
+
+
+def _hash_of(type_name: str, text: str) -> str:
+    """The type hash of a definition by its text."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: PLC0415 (a third of a second)
+
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(text, type_name))
+    return store.hash_rihs01(type_name)
+
+
+def _left_out(text: str) -> dict[str, int]:
+    """Messages left out by reason, by the account of a topic; empty if it cannot be read."""
+    try:
+        return {str(reason): int(count) for reason, count in json.loads(text)["left_out"].items() if count}
+    except (ValueError, KeyError, TypeError, AttributeError):
+        return {}
+
+
+def _stated(information: Mapping[str, Any]) -> dict[str, Any]:
+    """Counts and times in metadata.yaml, by name; absent ones are left out."""
+    stated = {
+        "count of messages": information.get("message_count"),
+        "duration in ns": (information.get("duration") or {}).get("nanoseconds"),
+        "start in ns": (information.get("starting_time") or {}).get("nanoseconds_since_epoch"),
+    }
+    for entry in information.get("topics_with_message_count") or []:
+        stated[f"count of {entry['topic_metadata']['name']}"] = entry["message_count"]
+        stated[f"type of {entry['topic_metadata']['name']}"] = entry["topic_metadata"]["type"]
+    for entry in information.get("files") or []:
+        stated[f"count in {Path(entry['path']).name}"] = entry.get("message_count")
+    if not stated["count of messages"]:  # a bag without messages has no times
+        stated["duration in ns"] = stated["start in ns"] = None
+    return {name: value for name, value in stated.items() if value is not None}
+
+
+def _found(indexes: list[FileIndex]) -> dict[str, Any]:
+    """The same counts and times of the files; messages in several files count in each."""
+    statistics = [index.statistics for index in indexes if index.statistics.message_count]
+    begin_ns = min((one.message_start_time for one in statistics), default=0)
+    found: dict[str, Any] = {
+        "count of messages": sum(one.message_count for one in statistics),
+        "duration in ns": max((one.message_end_time for one in statistics), default=0) - begin_ns,
+        "start in ns": begin_ns,
+    }
+    for index in indexes:
+        found[f"count in {index.path.name}"] = index.statistics.message_count
+        for channel in index.summary.channels.values():
+            name = f"count of {channel.topic}"
+            found[name] = found.get(name, 0) + index.statistics.channel_message_counts.get(channel.id, 0)
+            found[f"type of {channel.topic}"] = index.summary.schemas[channel.schema_id].name
+    return found
+
+
+def _are_near(what: str, stated: Any, found: Any) -> bool:
+    """True if two times are equal but for the last nanosecond, which writers count differently."""
+    return what.endswith(" in ns") and abs(int(stated) - int(found)) <= 1
+
 
 MAGIC_BYTES = 8
 

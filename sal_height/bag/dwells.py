@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 from sal_height import messages
+from sal_height.bag.described import SensorTopics
 from sal_height.bag.reader import BagReader
-from sal_height.bag.sensor_topics import SensorTopics
 from sal_height.bag.topics import FRAME_TYPE
 from sal_height.errors import UserError
 

@@ -19,8 +19,8 @@ from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
-from sal_height.bag.chunk_search import HEAD
 from sal_height.bag.files import check_profile, check_start, check_summary_crc
+from sal_height.bag.salvage import HEAD
 from sal_height.errors import UserError
 from sal_height.numeric import I64
 

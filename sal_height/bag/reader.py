@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import heapq
+import struct
 from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 
+from sal_height import messages
+from sal_height.bag import qos
 from sal_height.bag.definitions import Definition, known_definition
 from sal_height.bag.files import (
     REPEATED_SEQUENCE,
@@ -20,17 +25,217 @@ from sal_height.bag.files import (
     recorded_definition,
     recorded_qos,
     repeated_in,
+    stored_as,
 )
-from sal_height.bag.frame_heads import TimedPart, read_frame_parts
-from sal_height.bag.index import FileIndex, damaged, read_index
-from sal_height.bag.other_storage import OtherStorage, is_stored_otherwise
-from sal_height.bag.played import part_of
+from sal_height.bag.index import FileIndex, damaged, read_index, read_message_indexes
+from sal_height.bag.metadata_text import read_yaml, yaml_text
+from sal_height.bag.played import DwellPart, part_of, part_of_frame
+from sal_height.bag.qos import Qos
+from sal_height.bag.salvage import CHUNK_FIELDS, HEAD
 from sal_height.bag.topics import BagMessage, Topic
 from sal_height.bag.versions import current_name, needs_upgrade, upgraded
 from sal_height.errors import UserError
 from sal_height.messages import BrokenMessage
 from sal_height.messages.codec import SHIPPED, recorded_types
 from sal_height.messages.definition import shipped_definition
+from sal_height.messages.received import ReceivedFrame
+
+
+def is_stored_otherwise(path: Path) -> bool:
+    """True if a bag, a folder or a file, is stored in another way than as plain MCAP files.
+
+    Raises:
+        UserError: its metadata.yaml cannot be read.
+    """
+    metadata = path / "metadata.yaml"
+    if not metadata.is_file():
+        return path.is_file() and path.suffix == ".db3"
+    storage, compression, _ = stored_as(metadata)
+    return storage != "mcap" or compression != "none"
+
+
+class OtherStorage:
+    """A bag that rosbags reads. Nothing stays open between calls.
+
+    Attributes:
+        topics: topics of the bag; one for each publisher, if these are counted separately.
+        custom_data: custom texts by name.
+        begin_ns: reception of the first message, ns; 0 without messages.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Read the topics of the bag at `path`.
+
+        Raises:
+            UserError: it is damaged, or stored in a way that rosbags does not know.
+        """
+        self._path = path
+        try:
+            with self._reader() as reader:
+                profiles = _profiles(path)
+                self.topics = [_topic(connection, profiles) for connection in reader.connections]
+                self.custom_data = {str(k): str(v) for k, v in (reader.storage.metadata.custom or {}).items()}
+                self.begin_ns = reader.start_time if reader.message_count else 0
+        except UserError:
+            raise
+        except Exception as error:  # rosbags reports damage by any exception
+            raise self._refusal(error) from error
+
+    def messages(self, topics: Collection[str] | None) -> Iterator[BagMessage]:
+        """Messages in the order of their reception, those of `topics` or all; their publish times are not known.
+
+        Raises:
+            UserError: the bag is damaged.
+        """
+        try:
+            with self._reader() as reader:
+                wanted = [one for one in reader.connections if topics is None or one.topic in topics]
+                for connection, time_ns, cdr in reader.messages(wanted) if wanted else ():
+                    yield BagMessage(connection.topic, connection.msgtype, bytes(cdr), time_ns, time_ns)
+        except Exception as error:  # rosbags reports damage by any exception
+            raise self._refusal(error) from error
+
+    def _reader(self) -> Any:
+        from rosbags.rosbag2 import Reader  # noqa: PLC0415 (bags of MCAP are read without)
+
+        return Reader(self._path)
+
+    def _refusal(self, error: Exception) -> UserError:
+        said = " ".join(str(error).split()).rstrip(".") or type(error).__name__
+        return UserError(f"Bag {self._path} cannot be read ({said}); rosbag2 may be able to ('ros2 bag convert').")
+
+
+def _topic(connection: Any, profiles: dict[str, tuple[Qos, ...]]) -> Topic:
+    """A topic for `BagReader`; of a bag without definitions the installed ones are used."""
+    recorded = Definition(connection.msgdef.data, connection.digest or "")
+    name = current_name(connection.msgtype)
+    if not recorded.text:
+        try:
+            installed = known_definition(name)
+        except UserError:
+            installed = recorded
+        recorded = Definition(installed.text, recorded.type_hash or installed.type_hash)
+    return Topic(
+        name=connection.topic,
+        type_name=name,
+        count=connection.msgcount,
+        offered_qos=profiles.get(connection.topic, ()),
+        definition=recorded,
+        is_old=needs_upgrade(connection.msgtype, recorded),
+        recorded_type=connection.msgtype,
+    )
+
+
+def _profiles(path: Path) -> dict[str, tuple[Qos, ...]]:
+    """Profiles of publishers by topic, from metadata.yaml, in its layout or as a text of an older version."""
+    metadata = path / "metadata.yaml"
+    if not metadata.is_file():
+        return {}
+    information = read_yaml(metadata.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+    found = {}
+    for entry in information["topics_with_message_count"]:
+        profiles = entry["topic_metadata"].get("offered_qos_profiles") or ""
+        text = profiles if isinstance(profiles, str) else yaml_text(profiles)
+        found[entry["topic_metadata"]["name"]] = tuple(qos.from_yaml(text))
+    return found
+
+
+_MESSAGE = struct.Struct("<BQHIQQ")
+"""Opcode and length of a message, its channel, number, and times of reception and publication, ns."""
+
+HEAD_BYTES = 8192
+"""Bytes of a frame that are read first; more follow if it has more pulses."""
+
+TEXT_BYTES = 2048
+"""Largest number of bytes of the texts and numbers of a frame, without its pulses and samples."""
+
+ZEROS_BYTES = 64
+"""First bytes of a frame; if all are zero, the file is damaged there."""
+
+PULSE_BYTES = 16
+"""Bytes of the time and reference range of a pulse."""
+
+
+class TimedPart(NamedTuple):
+    """Reception of a frame, ns, and its dwell."""
+
+    log_time_ns: int
+    part: DwellPart
+
+
+def read_frame_parts(index: FileIndex, topic: str) -> list[TimedPart] | None:
+    """The dwells of the frames on a topic of a file, in the order of their reception; broken frames are left out.
+
+    Checksums are those of whole chunks and are not checked.
+
+    Returns:
+        The dwells; None: the frames must be read whole, for they are compressed, or not where the index states.
+    """
+    try:
+        with index.path.open("rb", buffering=0) as stream:
+            return list(_parts(index, topic, stream))
+    except (OSError, McapError, struct.error, ValueError, OverflowError):
+        return None
+
+
+def _parts(index: FileIndex, topic: str, stream: BinaryIO) -> Iterator[TimedPart]:
+    """The dwells of the frames.
+
+    Raises:
+        OSError, McapError, struct.error, ValueError, OverflowError: frames are not where the index of the
+            file states.
+    """
+    channels = {number for number, channel in index.summary.channels.items() if channel.topic == topic}
+    places = sorted(_places(index, channels, stream))
+    if len(places) != sum(index.statistics.channel_message_counts.get(number, 0) for number in channels):
+        raise McapError("the index does not have all messages")
+    for log_time_ns, at, end in places:
+        stream.seek(at)
+        opcode, length, channel, _, received_ns, _ = _MESSAGE.unpack(stream.read(_MESSAGE.size))
+        size = length - (_MESSAGE.size - HEAD.size)
+        is_message = opcode == Opcode.MESSAGE and channel in channels and received_ns == log_time_ns
+        if not is_message or not 0 <= size <= end - at - _MESSAGE.size:
+            raise McapError(f"there is no message at byte {at}")
+        with suppress(RuntimeError):  # an invalid message
+            yield TimedPart(log_time_ns, part_of_frame(_read_frame(stream, at + _MESSAGE.size, size)))
+
+
+def _places(index: FileIndex, channels: set[int], stream: BinaryIO) -> Iterator[tuple[int, int, int]]:
+    """Log time (ns) of each message of the channels, its first byte in the file, and the end of its chunk."""
+    for chunk in index.summary.chunk_indexes:
+        if not channels & chunk.message_index_offsets.keys():
+            continue
+        if chunk.compression:
+            raise McapError("messages are compressed")
+        start = chunk.chunk_start_offset
+        begin, end = start + HEAD.size + CHUNK_FIELDS, start + chunk.chunk_length
+        for channel, entries in read_message_indexes(stream, chunk):
+            if channel in channels:
+                for log_time_ns, offset in entries.tolist():
+                    yield log_time_ns, begin + offset, end
+
+
+def _read_frame(stream: BinaryIO, at: int, size: int) -> ReceivedFrame:
+    """The frame of `size` bytes that starts at `at`, with zeros in place of its samples.
+
+    Raises:
+        RuntimeError: the frame is broken.
+        McapError: there are zeros instead.
+    """
+
+    def read(count: int) -> ReceivedFrame:
+        stream.seek(at)
+        head = stream.read(min(count, size))
+        if not any(head[:ZEROS_BYTES]):
+            raise McapError(f"there are zeros at byte {at}")
+        return messages.received_frame(head.ljust(size, b"\0"))
+
+    frame = read(HEAD_BYTES)
+    if not len(frame.pulse_time) or len(frame.frame_id) + len(frame.config_hash) > TEXT_BYTES // 2:
+        return read(size)  # a text may be longer than the bytes read before
+    needed = TEXT_BYTES + PULSE_BYTES * len(frame.pulse_time)
+    return frame if needed <= HEAD_BYTES else read(needed)
+
 
 __all__ = ["BagMessage", "BagReader", "Topic"]
 

@@ -6,21 +6,26 @@ checksums; damage to the messages themselves cannot be recognized there.
 
 from __future__ import annotations
 
+import bisect
+import mmap
+import os
+import re
+import struct
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
 from mcap.records import Channel, Chunk, Header, Message, Metadata, Schema
 from mcap.stream_reader import get_chunk_data_stream
 from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 
-from sal_height.bag.chunk_search import CHUNK_FIELDS, HEAD
 from sal_height.bag.files import (
     CUSTOM_DATA,
     REPEATED_SEQUENCE,
@@ -28,15 +33,181 @@ from sal_height.bag.files import (
     check_encoding,
     check_profile,
     check_start,
+    check_summary_crc,
     custom_data_of,
     recorded_definition,
     recorded_qos,
     repeated_in,
 )
-from sal_height.bag.layout import RecordSpan, counts_of_index, sound_summary, spans
 from sal_height.bag.recovery import UNKNOWN, Gap, Recovery
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
+
+INDEX_HEAD = struct.Struct("<HI")
+"""Channel of a message index, and bytes of its entries, of INDEX_ENTRY bytes each."""
+
+INDEX_ENTRY = 16
+
+
+@dataclass(frozen=True)
+class RecordSpan:
+    """A record of a file, or a part of it that is no record.
+
+    Attributes:
+        offset: position of its first byte in the file.
+        size: number of its bytes that are in the file, opcode and length included.
+        opcode: opcode of the record; None: no record can be recognized.
+        whole: True if all of it is in the file.
+    """
+
+    offset: int
+    size: int
+    opcode: int | None
+    whole: bool = True
+
+    def read(self, stream: BinaryIO) -> bytes:
+        """The body of the record, as far as it is in the file."""
+        stream.seek(self.offset + HEAD.size)
+        return stream.read(self.size - HEAD.size)
+
+
+def sound_summary(stream: BinaryIO) -> Summary | None:
+    """The index at the end of a complete file, where damage to a chunk does not reach; None if it is not sound."""
+    try:
+        check_summary_crc(stream)
+        stream.seek(0)
+        return SeekingReader(stream).get_summary()
+    except Exception:  # noqa: BLE001 - a cut file has none, and mcap may raise anything
+        return None
+
+
+def spans(stream: BinaryIO, summary: Summary | None) -> Iterator[RecordSpan]:
+    """The records of a file, up to its index, its end or its cut.
+
+    Records are found by the lengths of those before them. Where a length or an opcode is damaged, the next chunk is
+    found by the index, or, if there is no sound one, by its own lengths. A file without chunks is lost from there on.
+    """
+    indexed = {chunk.chunk_start_offset: chunk.chunk_length for chunk in summary.chunk_indexes} if summary else {}
+    chunks = indexed or find_chunks(stream)
+    starts = sorted(chunks)
+    end = stream.seek(0, os.SEEK_END)
+    place = len(MCAP0_MAGIC)
+    while place < end:
+        if place in chunks and place + chunks[place] <= end:
+            yield RecordSpan(place, chunks[place], Opcode.CHUNK)
+            place += chunks[place]
+            continue
+        after = bisect.bisect_right(starts, place)
+        limit = starts[after] if after < len(starts) else end
+        span = _span(stream, place, limit, is_open=limit == end, has_chunks=bool(indexed))
+        yield span
+        if span.opcode == Opcode.DATA_END and span.whole:
+            return
+        place += span.size
+
+
+def counts_of_index(span: RecordSpan, stream: BinaryIO) -> tuple[int, int] | None:
+    """Channel and number of messages of a message index; None if its lengths contradict each other."""
+    body = span.read(stream)
+    if len(body) < INDEX_HEAD.size:
+        return None
+    channel_id, size = INDEX_HEAD.unpack_from(body)
+    return (channel_id, size // INDEX_ENTRY) if size == len(body) - INDEX_HEAD.size else None
+
+
+def _span(stream: BinaryIO, place: int, limit: int, *, is_open: bool, has_chunks: bool) -> RecordSpan:
+    """The record at `place`, or all up to `limit`, if it is no record.
+
+    Args:
+        stream: stream of the file.
+        place: position in the file, bytes.
+        limit: start of the next chunk, or end of the file.
+        is_open: True if the limit is the end of the file, at which a record may be cut.
+        has_chunks: True if an index names all chunks, so that none is here.
+    """
+    stream.seek(place)
+    head = stream.read(HEAD.size)
+    lost = RecordSpan(place, limit - place, None)
+    if len(head) < HEAD.size:
+        return lost
+    opcode, length = HEAD.unpack(head)
+    if not is_known(opcode) or (has_chunks and opcode in (Opcode.CHUNK, Opcode.MESSAGE)):
+        return lost
+    following = place + HEAD.size + length
+    if following <= limit:
+        return RecordSpan(place, HEAD.size + length, opcode)
+    return RecordSpan(place, limit - place, opcode, whole=False) if is_open and not has_chunks else lost
+
+
+HEAD = struct.Struct("<BQ")
+"""Opcode and length of a record."""
+
+OPCODES = frozenset(Opcode)
+
+COMPRESSION = HEAD.size + 28
+"""Position of the name of the compression in a chunk: after times, size and checksum."""
+
+CHUNK_FIELDS = 40
+"""Bytes before the data of a chunk that is not compressed, after opcode and length."""
+
+LENGTH = struct.Struct("<Q")
+
+CHUNK = re.compile(rb"(?=%c.{%d}(?:\0{4}|\x03\0{3}lz4|\x04\0{3}zstd))" % (Opcode.CHUNK, COMPRESSION - 1), re.DOTALL)
+"""Start of a chunk, at every position."""
+
+
+def is_known(opcode: int) -> bool:
+    """True if there are records with this opcode."""
+    return opcode in OPCODES or opcode >= 0x80  # of private records, which may be anywhere
+
+
+def find_chunks(stream: BinaryIO) -> dict[int, int]:
+    """Offsets of the chunks of a file, and their bytes.
+
+    Records follow from each other by their lengths. Where one does not lead to another, or is a chunk whose lengths
+    contradict each other, the next chunk whose lengths agree is searched.
+    """
+    with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        return _find_chunks(data)
+
+
+def _find_chunks(data: mmap.mmap) -> dict[int, int]:
+    chunks, place = {}, len(MCAP0_MAGIC)
+    while place < len(data):
+        following = _following(data, place)
+        leads_on = following == len(data) or _following(data, following) > 0
+        is_chunk = data[place] == Opcode.CHUNK
+        if (is_chunk and _is_sound_chunk(data, place)) or (is_chunk and following and leads_on):
+            chunks[place] = following - place
+        elif not (following and leads_on):
+            following = min(following or len(data), _next_chunk(data, place + 1))
+        place = following
+    return chunks
+
+
+def _following(data: mmap.mmap, place: int) -> int:
+    """End of a record that may start at a position; 0: no record that ends in the file."""
+    if not 0 < place <= len(data) - HEAD.size:
+        return 0
+    opcode, length = HEAD.unpack_from(data, place)
+    end = place + HEAD.size + length
+    return end if is_known(opcode) and end <= len(data) else 0
+
+
+def _is_sound_chunk(data: mmap.mmap, place: int) -> bool:
+    """True if a whole chunk starts at a position: its length and those of its parts agree."""
+    end = _following(data, place)
+    if not end or end - place < COMPRESSION + 4 + LENGTH.size:
+        return False
+    (name,) = struct.unpack_from("<I", data, place + COMPRESSION)
+    records = place + COMPRESSION + 4 + name + LENGTH.size
+    return records <= end and records + LENGTH.unpack_from(data, records - LENGTH.size)[0] == end
+
+
+def _next_chunk(data: mmap.mmap, place: int) -> int:
+    """Start of the next sound chunk; the end of the file if there are no more."""
+    found = (match.start() for match in CHUNK.finditer(data, place))
+    return next((start for start in found if _is_sound_chunk(data, start)), len(data))
 
 
 def salvage(path: Path, out_directory: Path) -> int:

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 from scipy.constants import speed_of_light
 
-from sal_height.budget.budget_entry import BudgetEntry
-from sal_height.budget.budget_errors import Situation, describe_autofocus, error_entries, image_settings
+from sal_height.budget.budget_errors import BudgetEntry, Situation, describe_autofocus, error_entries, image_settings
 from sal_height.budget.budget_picture import draw_budget
 from sal_height.elevation import stochastic_crb
 from sal_height.errors import UserError

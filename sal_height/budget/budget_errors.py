@@ -6,15 +6,14 @@ their size, random ones by their standard deviation.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, groupby
 
 import numpy as np
 from scipy.special import jv
 
 from sal_height.beams import Beams
-from sal_height.budget.budget_entry import BudgetEntry
 from sal_height.elevation import information
 from sal_height.geometry import ApertureState
 from sal_height.imaging import (
@@ -30,7 +29,46 @@ from sal_height.numeric import F64
 from sal_height.renamed import with_new_names
 from sal_height.sensor import Sensor, spectrum_sensor
 from sal_height.simulation import Preset, laser_structure, swings_little
+from sal_height.tables import aligned
 from sal_height.theory import AperturePhase, phase_of_line, phase_of_structure, sum_of_phases
+
+
+@dataclass(frozen=True)
+class BudgetEntry:
+    """A number of the budget.
+
+    Attributes:
+        group: heading.
+        key: name in the JSON file, with its unit.
+        title: name in words.
+        value: number in `unit`.
+        unit: unit as printed.
+        remark: printed behind it; empty: none.
+    """
+
+    group: str
+    key: str
+    title: str
+    value: float
+    unit: str
+    remark: str = ""
+
+
+def budget_table(entries: Sequence[BudgetEntry]) -> str:
+    """The numbers as lines of text, under their headings."""
+    cells = [(f"  {one.title}", _number(one.value), f"{one.unit.ljust(4)} {one.remark}".rstrip()) for one in entries]
+    width = max(len(unit) for *_, unit in cells)
+    rows = aligned([(title, number, unit.ljust(width)) for title, number, unit in cells]).splitlines()
+    lines: list[str] = []
+    for group, members in groupby(zip(entries, rows, strict=True), key=lambda pair: pair[0].group):
+        lines += [group, *(row.rstrip() for _, row in members)]
+    return "\n".join(lines)
+
+
+def _number(value: float) -> str:
+    """A number with four digits that count, and without an exponent."""
+    return np.format_float_positional(value, precision=4, unique=False, fractional=False, trim="-").rstrip(".")
+
 
 GROUP = "errors of this preset"
 

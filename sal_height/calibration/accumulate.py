@@ -5,29 +5,73 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import scipy.fft
 
 from sal_height.beams import Beams, column_squint
 from sal_height.calibration.beam_calibration import BeamCalibration, calibrate_beams, calibrate_on_target
-from sal_height.calibration.calibration import Calibration
-from sal_height.calibration.calibration_settings import DEFAULTS, CalibrationSettings
+from sal_height.calibration.calibration import DEFAULTS, Calibration, CalibrationSettings
 from sal_height.calibration.pupil import PupilCalibration, calibrate_pupil
 from sal_height.calibration.receiver_responses import CrossSpectra, differential_response, remove_range_phase
-from sal_height.calibration.reference_target import Sighting, find_reference_target
 from sal_height.elevation import Looks, Window, windowed_looks
 from sal_height.errors import NotDetermined, Rejected, UserError
+from sal_height.geometry import ApertureState, Grid, angles_of, aperture_at, pixels_at
 from sal_height.imaging import Slc, image_beams
 from sal_height.numeric import C64, C128, F64, WORKERS, window
-from sal_height.response import (
-    CHIP,
-    PointTarget,
-    PointTargetSettings,
-    estimate_transfer_function,
-    find_targets,
-)
+from sal_height.response import CHIP, PointTarget, PointTargetSettings, estimate_transfer_function, find_targets
 from sal_height.sensor import Channels, Sensor, spectrum_sensor, whitened_channels, with_powers
+
+
+class Sighting(NamedTuple):
+    """A reference target in the images of a dwell.
+
+    Attributes:
+        samples: pixel of the target in each channel, complex128, shape (channels,).
+        elevation: elevation of the line of sight, rad from nadir.
+        squint: squint of the line of sight, rad.
+    """
+
+    samples: C128
+    elevation: float
+    squint: float
+
+
+def find_reference_target(
+    pixels: C64,
+    grid: Grid,
+    aperture: ApertureState,
+    look_side: int,
+    target: F64,
+    settings: CalibrationSettings = DEFAULTS,
+) -> Sighting | None:
+    """Find the reference target in the images of a dwell; None: it is not in them, or does not stand out.
+
+    Args:
+        pixels: pixels of all channels, shape (channels, rows, cols).
+        grid: positions of the pixels, in the slant plane.
+        aperture: aperture of the images.
+        look_side: +1 looking right, -1 left.
+        target: position in the map, m, shape (3,).
+        settings: search distance, and least brightness.
+    """
+    sight = target - aperture.position
+    along = sight @ aperture.direction
+    across = np.sqrt(np.maximum(sight @ sight - along**2, 0.0))
+    row, col = (int(np.rint(index)) for index in pixels_at(across, along, aperture, grid))
+    (rows, cols), reach = pixels.shape[1:], settings.target_reach
+    if not (reach <= row < rows - reach and reach <= col < cols - reach):
+        return None
+    power = np.sum(pixels.real**2 + pixels.imag**2, axis=0)
+    near = power[row - reach : row + reach + 1, col - reach : col + reach + 1]
+    if not near.max() > 10 ** (settings.target_over_image_db / 10) * np.median(power):
+        return None
+    down, right = np.unravel_index(np.argmax(near), near.shape)
+    _, elevation, squint = angles_of(target, aperture_at(target, aperture), look_side)
+    samples = pixels[:, row - reach + int(down), col - reach + int(right)].astype(np.complex128)
+    return Sighting(samples, float(elevation), float(squint))
+
 
 TARGET_MEMORY = 2**27
 """Bytes of the chips of point targets that are kept: 2048 of 64 x 64 pixels, where 25 per dwell would be 1.6 MB."""

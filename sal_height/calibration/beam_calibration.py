@@ -28,7 +28,7 @@ from sal_height.calibration.beam_likelihood import (
     with_known_angles,
     with_unknown_angles,
 )
-from sal_height.calibration.calibration_settings import DEFAULTS, CalibrationSettings
+from sal_height.calibration.calibration import DEFAULTS, CalibrationSettings
 from sal_height.elevation import (
     OBJECTIVES,
     Fit,

@@ -1,18 +1,25 @@
-"""The measured responses and beams of a sensor, and the correction of its phase history and its beams by them."""
+"""The measured responses and beams of a sensor: how they correct its data, their settings and their files."""
 
 from __future__ import annotations
 
 import hashlib
+import io
+import zipfile
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from sal_height.beams import ZERNIKE, Beams
+from sal_height.elevation import MISFIT_FRACTION
 from sal_height.errors import UserError
+from sal_height.io import write_whole
 from sal_height.numeric import C64, C128, F64, window
-from sal_height.sensor import PhaseHistory, Sensor
+from sal_height.response import PointTargetSettings
+from sal_height.sensor import MAX_SHARE, PhaseHistory, Sensor
+from sal_height.settings import setting
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,3 +193,129 @@ def _restored(value: Any) -> Any:
 def _calibration_of(*values: Any) -> Calibration:
     """The calibration with these values of its fields; the same object for the same values."""
     return Calibration(*map(_restored, values))
+
+
+def save_calibration(path: Path, calibration: Calibration) -> None:
+    """Write a calibration to an .npz file, whole or not at all.
+
+    Raises:
+        UserError: it cannot be written.
+    """
+    stream = io.BytesIO()
+    np.savez(stream, **{one.name: getattr(calibration, one.name) for one in fields(calibration)})
+    write_whole(path, stream.getvalue())
+
+
+def load_calibration(path: Path) -> Calibration:
+    """Read what `save_calibration` wrote.
+
+    Raises:
+        UserError: it cannot be read, or is no calibration.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            return Calibration(
+                config_hash=str(stored["config_hash"]),
+                response=np.asarray(stored["response"], dtype=np.complex128),
+                response_sigma=_measured(stored["response_sigma"]),
+                gain_sigma=_measured(stored["gain_sigma"]),
+                phase_sigma=_measured(stored["phase_sigma"]),
+                width_factor=float(stored["width_factor"]),
+                width_sigma=float(_measured(stored["width_sigma"])),
+                pupil=np.asarray(stored.get("pupil", np.zeros(0))),
+                pupil_sigma=np.asarray(stored.get("pupil_sigma", np.zeros(0))),
+                pupil_misfit=float(stored.get("pupil_misfit", np.nan)),
+                pupil_p_value=float(stored.get("pupil_p_value", np.nan)),
+                dwells=int(stored["dwells"]),
+                id=str(stored["id"]) if "id" in stored else "",
+            )
+    except OSError as error:
+        raise UserError(f"Calibration {path} cannot be read: {error.strerror or error}.") from error
+    except UserError as error:
+        raise UserError(f"File {path}: {error}") from error
+    except (ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile) as error:
+        reason = " ".join(str(error).split())
+        raise UserError(f"File {path} is no calibration that psf_calibration wrote: {reason}.") from error
+
+
+def _measured(sigma: F64) -> F64:
+    """Return standard errors with NaN for 0, which meant "not measured" before version 1 of the messages."""
+    return np.where(sigma > 0, sigma, np.nan).astype(np.float64)
+
+
+class CalibrationSettings(PointTargetSettings):
+    """Criteria for the data that a calibration is measured from, and its greatest error."""
+
+    azimuth_looks: int = setting(
+        4,
+        "columns averaged to a pixel for gains and width of the beams; rows are not averaged, because on slopes they "
+        "differ in elevation",
+        minimum=1,
+        maximum=64,
+    )
+    pixels_per_dwell: int = setting(
+        256,
+        "least number of pixels kept of each dwell for gains and width; 8000 of 15 dB give the width within 0.1 %",
+        minimum=1,
+        maximum=65_536,
+    )
+    min_energy: float = setting(
+        50.0,
+        "lowest energy of a pixel that is used for gains and width, summed over its looks and all detectors, over the "
+        "noise power of one sample",
+        minimum=1.0,
+        maximum=1e9,
+    )
+    misfit_fraction: float = setting(
+        MISFIT_FRACTION,
+        "fraction of a pixel's power that one scatterer may leave beyond the noise; pixels with more are not used",
+        minimum=0.0,
+        maximum=1.0,
+    )
+    first_misfit_fraction: float = setting(
+        0.15, "misfit_fraction of the first two steps, while gains and width are not known", minimum=0.0, maximum=1.0
+    )
+    pixels_per_parameter: int = setting(
+        20, "least number of usable pixels for each gain, phase and width", minimum=1, maximum=1_000_000
+    )
+    max_uncertainty: float = setting(
+        0.05,
+        "greatest standard deviation of ln width, ln gain or phase, or of any combination of them (a unit vector); "
+        "above it, gains and width stay as described",
+        minimum=1e-6,
+        maximum=1.0,
+    )
+    pupil_prior_waves: float = setting(
+        0.0,
+        "standard deviation that aberrations of the pupil are assumed to have, each Zernike term; such as 0.1; 0: the "
+        "pupil is as described, and not measured",
+        unit="waves rms",
+        minimum=0.0,
+        maximum=1.0,
+    )
+    echo_significance: float = setting(
+        3.5,
+        "standard errors above which an echo in the response of a receiver counts as real; of Gaussian noise one echo "
+        "in exp(3.5^2) = 200000 is",
+        minimum=0.0,
+        maximum=100.0,
+    )
+    target_reach: int = setting(
+        2, "pixels around its expected position in which the reference target is searched", minimum=0, maximum=1000
+    )
+    target_over_image_db: float = setting(
+        20.0,
+        "lowest power of the reference target, all channels together, over the median of the image",
+        unit="dB",
+        minimum=0.0,
+        maximum=200.0,
+    )
+    max_saturated_fraction: float = setting(
+        MAX_SHARE,
+        "highest fraction of clipped samples in a channel of a dwell that is used",
+        minimum=0.0,
+        maximum=1.0,
+    )
+
+
+DEFAULTS = CalibrationSettings()

@@ -20,7 +20,7 @@ from scipy.special import chdtrc
 
 from sal_height.beams import ZERNIKE, Beams, aberrated_derivatives
 from sal_height.calibration.beam_likelihood import DIFFERENCE, curve_of
-from sal_height.calibration.calibration_settings import DEFAULTS, CalibrationSettings
+from sal_height.calibration.calibration import DEFAULTS, CalibrationSettings
 from sal_height.elevation import (
     OBJECTIVES,
     Covariance,

@@ -116,9 +116,9 @@ def info(bag: Bag, /, *, dwells: Flag = False, json_: Json = False) -> int:
 
 
 def _dwell_reports(bag: Path) -> list[DwellReport]:
+    from sal_height.bag.described import sensors_in
     from sal_height.bag.dwells import dwell_report
     from sal_height.bag.reader import BagReader
-    from sal_height.bag.sensor_topics import sensors_in
 
     reader = BagReader(bag)
     return [dwell_report(reader, sensor) for sensor in sensors_in(reader.topics)]

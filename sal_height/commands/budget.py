@@ -77,7 +77,7 @@ def budget(
     """
     from sal_height.budget.budget import BUDGET, PICTURE, Assumptions
     from sal_height.budget.budget import budget as draw_up
-    from sal_height.budget.budget_entry import budget_table
+    from sal_height.budget.budget_errors import budget_table
     from sal_height.simulation import load_preset
 
     folder = output_folder(out, "budget")

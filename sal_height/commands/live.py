@@ -180,9 +180,8 @@ def _attend(config: Path, one_process: bool, supervise: bool, seconds: float, gr
         use_one_thread()
 
     with importing():
-        from sal_height.runs.live.attend import attend
-        from sal_height.runs.live.deployed_nodes import members_of
-        from sal_height.runs.live.live_table import node_table, showing
+        from sal_height.runs.live.deployment import members_of
+        from sal_height.runs.live.live_table import attend, node_table, showing
 
     try:
         members = members_of(deployment)

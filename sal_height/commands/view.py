@@ -71,9 +71,8 @@ def view(
         from sal_height.bag.reader import BagReader
         from sal_height.nodes.transport.domain import ros_domain
         from sal_height.view.listener import Listener
-        from sal_height.view.recorded import Recorded
         from sal_height.view.screen import file_screen, page_screen, window_screen
-        from sal_height.view.show import show_bag, show_live, wait_for_interrupt
+        from sal_height.view.show import Recorded, show_bag, show_live, wait_for_interrupt
 
     if bag is None:
         os.nice(10)  # the viewer, too, yields to the nodes

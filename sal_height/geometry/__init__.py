@@ -9,7 +9,6 @@ the antenna at each pulse), `motion` (uncertainty in its gaps), `geodesy` (the o
 `refraction` (delay and bending by the atmosphere). Angles are in rad, lengths in m, times in s.
 """
 
-from sal_height.geometry.conventions import BODY_AXES, MAP_AXES, ROS_AXES, Axes
 from sal_height.geometry.earth import EARTH_RADIUS, above_place, height_of, sphere_coordinates, sphere_point
 from sal_height.geometry.frames import (
     ApertureState,
@@ -20,14 +19,12 @@ from sal_height.geometry.frames import (
     shift_along,
     squint_on_cone,
 )
-from sal_height.geometry.geodesy import Origin
+from sal_height.geometry.geodesy import BODY_AXES, MAP_AXES, ROS_AXES, Axes, Origin
 from sal_height.geometry.grid import Grid, pixels_at, ranges_of_phase, without_range_phase
-from sal_height.geometry.locate import locate_at_elevation, locate_at_height
-from sal_height.geometry.motion import Motion
+from sal_height.geometry.motion import Motion, quaternion_of, rotation_matrix
 from sal_height.geometry.mounting import AT_BASE_LINK, Mounting
 from sal_height.geometry.navigation import REORDERED_NS, Navigation, Sample
 from sal_height.geometry.projection import UTM, WGS_84, Projection, find_system
-from sal_height.geometry.quaternion import quaternion_of, rotation_matrix
 from sal_height.geometry.refraction import (
     PRESSURES_PA,
     RADIO_M,
@@ -46,6 +43,8 @@ from sal_height.geometry.trajectory import (
     Trajectory,
     is_finite_covariance,
     known_covariance,
+    locate_at_elevation,
+    locate_at_height,
 )
 
 __all__ = [

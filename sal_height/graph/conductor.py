@@ -18,7 +18,7 @@ from sal_height.graph.node_classes import NODES
 from sal_height.graph.plan import RECORDER, UNCOUNTED, Plan
 from sal_height.nodes.accounts.account import DIAGNOSTICS, OTHER, Account
 from sal_height.nodes.transport.message_types import class_of
-from sal_height.nodes.transport.quality import FRAMES_QOS
+from sal_height.nodes.transport.qos import FRAMES_QOS
 from sal_height.topics import ODOMETRY
 
 

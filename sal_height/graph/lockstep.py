@@ -19,8 +19,8 @@ from sal_height.engine.stage import DwellKey
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import stage_inputs
 from sal_height.graph.ensemble import Ensemble, members_of
-from sal_height.graph.interruption import Interruption
 from sal_height.graph.plan import DEFAULT, RECORDER, UNCOUNTED, Execution, Outcome, Plan
+from sal_height.graph.processes import Interruption
 from sal_height.nodes.accounts.account import Account
 from sal_height.nodes.host import StageNode
 from sal_height.nodes.playing.player import Player

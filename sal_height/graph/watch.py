@@ -12,13 +12,12 @@ from rclpy.clock_type import ClockType
 from rclpy.node import Node
 
 from sal_height.graph.account_book import AccountBook
-from sal_height.graph.interruption import Interruption
+from sal_height.graph.processes import Interruption
 from sal_height.messages.types import DiagnosticArray
 from sal_height.nodes.accounts.account import DIAGNOSTICS
-from sal_height.nodes.transport.domain import DomainChoice, ros_domain
+from sal_height.nodes.transport.domain import LOOK_S, LOST, DomainChoice, Ports, ros_domain
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
-from sal_height.nodes.transport.ports import LOOK_S, LOST, Ports
 
 SHOW_PERIOD_S = 1.0
 """Period at which the accounts are shown, s."""

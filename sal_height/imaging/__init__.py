@@ -9,7 +9,6 @@ refused), `formers` (backprojection and the fast ones), `autofocus` (phase error
 from sal_height.imaging.autofocus.gradient import apply_phase, is_for_speckle
 from sal_height.imaging.autofocus.placement import Centroid, NavigationPrior, Placement
 from sal_height.imaging.autofocus.strip_phase import stays_in_range_cell
-from sal_height.imaging.beams_in_images import image_beams
 from sal_height.imaging.corrections import (
     Corrected,
     CorrectionSettings,
@@ -21,9 +20,8 @@ from sal_height.imaging.corrections import (
 from sal_height.imaging.focus import ImageSettings, Slc, cell_response, focus_dwell
 from sal_height.imaging.formers.backprojection import backproject, backproject_points
 from sal_height.imaging.formers.choice import FORMERS, FormImages
-from sal_height.imaging.pixels import azimuth_resolution, line_of_sight
+from sal_height.imaging.pixels import Processing, azimuth_resolution, image_beams, line_of_sight
 from sal_height.imaging.strip_focus import StripFocuser
-from sal_height.imaging.weighting import Processing
 
 __all__ = [
     "FORMERS",

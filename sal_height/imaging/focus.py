@@ -33,6 +33,7 @@ from sal_height.imaging.checks import (
 from sal_height.imaging.corrections import MEASURED_AIR, CorrectionSettings, with_known_errors
 from sal_height.imaging.formers.choice import FORMERS, choose_former
 from sal_height.imaging.pixels import (
+    Processing,
     azimuth_resolution,
     ground_plane_grid,
     line_of_sight,
@@ -40,7 +41,6 @@ from sal_height.imaging.pixels import (
     slant_plane_size,
     slc_noise_power,
 )
-from sal_height.imaging.weighting import Processing
 from sal_height.numeric import C64, F64, WINDOWS, broadening
 from sal_height.sensor import PhaseHistory, Sensor
 from sal_height.settings import setting

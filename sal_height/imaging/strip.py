@@ -14,8 +14,7 @@ from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Grid, Trajectory
 from sal_height.imaging.autofocus.placement import Placement
 from sal_height.imaging.formers.backprojection import filled_apertures
-from sal_height.imaging.pixels import line_of_sight, strip_grid
-from sal_height.imaging.weighting import Processing
+from sal_height.imaging.pixels import Processing, line_of_sight, strip_grid
 from sal_height.numeric import F64, broadening
 from sal_height.sensor import PhaseHistory, Sensor
 

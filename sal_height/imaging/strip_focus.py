@@ -29,9 +29,8 @@ from sal_height.imaging.checks import (
 from sal_height.imaging.corrections import with_known_errors
 from sal_height.imaging.focus import ImageSettings, Slc, describe_distrust
 from sal_height.imaging.formers.choice import choose_former
-from sal_height.imaging.pixels import line_of_sight, slc_noise_power
+from sal_height.imaging.pixels import Processing, line_of_sight, slc_noise_power
 from sal_height.imaging.strip import CLOCK_STEP, WIDEST_GAP, Strip, lay_lattice
-from sal_height.imaging.weighting import Processing
 from sal_height.numeric import F64
 from sal_height.sensor import PhaseHistory, Sensor, aperture_length, processed_angle
 

@@ -9,10 +9,9 @@ antenna); and for focused images `sicd` (a file) and `slc` (those of all channel
 """
 
 from sal_height.imports.arrays import import_arrays
-from sal_height.imports.collection import Collection, level_states, write_collection
+from sal_height.imports.collection import Collection, Description, level_states, read_description, write_collection
 from sal_height.imports.cphd import import_cphd
 from sal_height.imports.crsd import import_crsd
-from sal_height.imports.description import Description, read_description
 from sal_height.imports.gotcha import import_gotcha, read_gotcha
 from sal_height.imports.recorded_track import read_recorded_track
 from sal_height.imports.slc import import_slc

@@ -26,8 +26,8 @@ from sal_height import messages
 from sal_height.array_files import IMAGES as IMAGE_FILES
 from sal_height.array_files import NITF
 from sal_height.bag import qos
+from sal_height.bag.described import IMAGES
 from sal_height.bag.files import PARAMETERS
-from sal_height.bag.sensor_topics import IMAGES
 from sal_height.bag.topics import FIX_TYPE, IMAGE_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.configuration import Float, Int, StrictKeys, read_yaml, validated
@@ -35,7 +35,7 @@ from sal_height.engine.provenance import Provenance
 from sal_height.errors import UserError
 from sal_height.geometry import ApertureState, Grid, Origin, ranges_of_phase
 from sal_height.imaging import Slc
-from sal_height.imports.description import Description, Positive
+from sal_height.imports.collection import Description, Positive
 from sal_height.imports.sicd import SicdImage, read_sicd
 from sal_height.messages.products import provenance_to_message
 from sal_height.messages.types import ComplexImage, Header

@@ -38,6 +38,8 @@ from sal_height.messages.heights import (
     frame_near,
     height_points,
     height_to_message,
+    stages_of,
+    with_stage,
 )
 from sal_height.messages.images import check_slc, recorded_window, slc_from_messages, slc_to_messages
 from sal_height.messages.movers import MOVER_FIELDS, mover_points
@@ -50,7 +52,6 @@ from sal_height.messages.navigation import (
     read_pose,
     read_twist,
 )
-from sal_height.messages.provenance import stages_of, with_stage
 from sal_height.messages.received import (
     HeightOrigin,
     ReceivedFrame,

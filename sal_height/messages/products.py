@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from sal_height.engine.doubts import Doubt, FitTest
 from sal_height.engine.geometry_items import Aperture
 from sal_height.engine.height_items import Heights
 from sal_height.engine.image_items import ChannelImage, Images, Place
+from sal_height.engine.losses import Doubt, FitTest
 from sal_height.engine.provenance import Provenance, Same
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Grid

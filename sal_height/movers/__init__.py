@@ -4,11 +4,10 @@ Read `likelihood` first, which both searches share. For strips read `detection`,
 `migration`; for dwells read `dwell_detection`, then `dwell_search`, `dwell_paths` and `dwell_images`.
 """
 
-from sal_height.movers.detection import check_sensor, find_movers
+from sal_height.movers.detection import MoverSettings, check_sensor, find_movers
 from sal_height.movers.dwell_detection import ALONE, DwellMovers, ShownDwell
 from sal_height.movers.dwell_images import DwellImage
 from sal_height.movers.mover import Looked, Mover
-from sal_height.movers.settings import MoverSettings
 
 __all__ = [
     "ALONE",

@@ -17,13 +17,12 @@ from scipy.ndimage import maximum_filter, median_filter
 
 from sal_height.beams import Beams
 from sal_height.imaging import Slc
-from sal_height.movers.detection import MARGIN, SIDELOBES
+from sal_height.movers.detection import MARGIN, SIDELOBES, MoverSettings
 from sal_height.movers.dwell_images import COLUMN_STEPS, DwellImage
 from sal_height.movers.dwell_lobes import FARTHEST
 from sal_height.movers.dwell_paths import DwellPaths
 from sal_height.movers.dwell_search import COLUMN_ERROR, DwellDetection, DwellSearch
 from sal_height.movers.mover import Looked, Mover, MoverMeasurement, mover_of, without_ambiguities
-from sal_height.movers.settings import MoverSettings
 from sal_height.numeric import F64, Index, vertex
 from sal_height.sensor import Sensor
 

@@ -28,7 +28,7 @@ from sal_height.movers.dwell_lobes import Lobes
 from sal_height.movers.ground import ground_lag
 from sal_height.movers.likelihood import MODEL_ERROR, POWERS_IN_DWELLS, ratio_in_dwells
 from sal_height.movers.migration import LEAST_PART, REACH
-from sal_height.movers.response import point_response
+from sal_height.movers.spectrum import point_response
 from sal_height.numeric import C64, C128, F64, Bool, Index
 from sal_height.sensor import Sensor
 

@@ -9,14 +9,137 @@ Statistical Signal Processing I, 1993, section 4.5). The remainder is the offset
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sal_height.movers.dwell_course import Course
 from sal_height.movers.dwell_images import COLUMN_STEPS
-from sal_height.movers.dwell_paths import DwellPaths
-from sal_height.numeric import F64, Bool, Index
+from sal_height.movers.dwell_paths import DwellPaths, Sight
+from sal_height.movers.likelihood import MODEL_ERROR, ratio_in_dwells, ratio_over_rows
+from sal_height.movers.migration import DEPTHS, FINE_STEP, LEAST_PART, NEIGHBOURS
+from sal_height.numeric import C128, F64, Bool, Index
+
+APART = 0.75
+"""Least distance of the positions of images that may show different targets, columns."""
+
+
+def standing_instead(
+    paths: DwellPaths, driving: DwellPaths, bright: tuple[F64, int], row: float, speed: float
+) -> list[float]:
+    """Logarithms of the likelihoods of targets at rest at the positions of one that moves along the flight.
+
+    There is one at each position, that of the middle dwell first, as shown by the dwell that has the moving one there.
+    In the other dwells the response of bright targets there is removed from these columns.
+
+    Args:
+        paths: paths of targets that do not move along the flight.
+        driving: paths of those that do.
+        bright: position (m) in the middle dwell, and number of its elevation.
+        row: row in the middle dwell over that of a target at rest.
+        speed: velocity of the migration, m/s.
+    """
+    column = paths.dwells[paths.middle].grid.col_spacing
+    places, taken, likelihoods = driving.places(bright[0]), list[int](), list[float]()
+    for dwell in np.argsort(np.abs(paths.seconds), kind="stable").tolist():
+        apart = np.abs(driving.drifts - driving.drifts[dwell]) / column
+        sight = paths.sight(places[dwell], bright[1])
+        if np.all(apart[taken] >= APART) and np.isfinite(sight.backgrounds[dwell]):
+            sight, shares = _cleared(paths, sight, places, np.where(apart >= APART, apart, np.inf))
+            there = row + speed * float(paths.seconds[dwell]) / paths.depth
+            likelihoods.append(_standing(paths, sight, dwell, there, shares))
+            taken.append(dwell)
+    return likelihoods
+
+
+def _cleared(paths: DwellPaths, sight: Sight, places: F64, apart: F64) -> tuple[Sight, F64]:
+    """Pixels without the response of targets at distances of columns, at positions (m) in each dwell.
+
+    Returns:
+        The pixels, with noise of the same power; the fraction of the amplitude of a target there that they have.
+    """
+    near = np.isfinite(apart)
+    shared = np.where(near, paths.response_along(np.where(near, apart, 0.0)), 0.0)
+    shares = np.sqrt(1 - shared**2)
+    adjacent = np.array(
+        [
+            one.column(rows, one.shows(place)[1])[0]
+            for one, rows, place in zip(paths.dwells, sight.numbers, places, strict=True)
+        ]
+    )
+    spectra = (sight.spectra - shared[:, None, None] * adjacent) / shares[:, None, None]
+    return replace(sight, spectra=spectra.astype(np.complex64)), shares
+
+
+def _standing(paths: DwellPaths, sight: Sight, dwell: int, row: float, shares: F64) -> float:
+    """Logarithm of the likelihood of a target at rest at a position, as a dwell shows it in a row.
+
+    Args:
+        paths: paths of targets that do not move along the flight.
+        sight: pixels around the position.
+        dwell: number of the dwell that shows it.
+        row: row over that of a target at rest at the position.
+        shares: fractions of the amplitude of a target there that the pixels have, shape (dwells,).
+    """
+    squints = paths.ambiguous(sight)
+    matched, gains = paths.matched_each(sight, squints, dwell, row)
+    path = paths.path(sight, row, np.zeros(1))
+    likelihoods = paths.ratios(matched, shares * gains, path, squints)
+    return max(float(likelihoods.max()), glinting(paths, sight, path, squints, shares))
+
+
+def glinting(paths: DwellPaths, sight: Sight, path: tuple[F64, F64], still: Index, shares: F64 | float = 1.0) -> float:
+    """Logarithm of the likelihood of a target at rest with its centre at another elevation in each dwell.
+
+    Several scatterers in one cell are such a target, as speckle.
+    """
+    along = np.einsum("nr,nrc->nc", path[0][0], sight.spectra)
+    amplitudes = paths.lobes.amplitudes[still]
+    squares = np.sum(np.abs(amplitudes) ** 2, axis=-1)
+    floor = MODEL_ERROR * squares.max()
+    seen = np.abs(np.sum(amplitudes.conj() * along[:, None], axis=-1)) ** 2 / (squares + floor)
+    best = seen.argmax(axis=-1)[..., None]
+    matched, gains = (np.take_along_axis(one, best, -1)[..., 0] for one in (seen, squares + floor))
+    strengths, gains = np.sqrt(matched / sight.backgrounds), np.sqrt(gains / sight.backgrounds)
+    return float(ratio_in_dwells(strengths, shares * path[1][0] * gains).max())
+
+
+def several(
+    paths: DwellPaths, sight: Sight, standing: C128, gains: F64, still: Index, row: float, speed: float
+) -> float:
+    """Logarithm of the likelihood of targets at rest in different rows of the migration."""
+    adjacent = abs(speed) * float(np.abs(paths.seconds).max()) / abs(paths.depth) + 1.0
+    places: F64 = row + np.arange(-adjacent, adjacent + FINE_STEP / 2, 2 * FINE_STEP, dtype=np.float64)
+    return max(_greedy(paths, sight, standing[[one]], gains[[one]], still[[one]], places) for one in range(len(still)))
+
+
+def _greedy(paths: DwellPaths, sight: Sight, standing: C128, gains: F64, still: Index, places: F64) -> float:
+    """The same for one squint: the brightest first, each without the response of those before it."""
+    weights, parts = paths.path(sight, places, np.zeros(1))
+    found = np.zeros((len(paths.dwells), 0, weights.shape[-1]))
+    total = best = 0.0
+    for _ in range(NEIGHBOURS):
+        left = weights - np.einsum("wnk,nkr->wnr", np.einsum("wnr,nkr->wnk", weights, found), found)
+        norms = np.linalg.norm(left, axis=-1)
+        left = np.where((norms > LEAST_PART)[..., None], left / np.maximum(norms, 1e-12)[..., None], 0.0)
+        energy = np.sum(np.abs(paths.on_path(standing, left)[:, 0]) ** 2, axis=-1)
+        one = int(energy.argmax())
+        if not energy[one] > 0:
+            break
+        shown = parts * np.where(norms > LEAST_PART, norms, 0.0)
+        total += float(paths.ratios(standing, gains, (left[[one]], shown[[one]]), still)[0, 0])
+        best = max(best, total)
+        found = np.concatenate([found, left[one][:, None]], axis=1)
+    return best
+
+
+def deep(sight: Sight, standing: C128, gains: F64, row: float) -> float:
+    """Logarithm of the likelihood of a cloud at rest that is spread over range."""
+    there = sight.numbers - (sight.still + row)[:, None]
+    shares = np.exp(-(there**2) / (2 * np.square(DEPTHS)[:, None, None])) * sight.inside
+    shares = shares / np.maximum(shares.sum(axis=-1, keepdims=True), 1e-12)
+    return max(ratio_over_rows(np.abs(one), gain, shares) for one, gain in zip(standing, gains, strict=True))
+
 
 LEAST_POWER = 0.1
 """Least power of a target in a dwell over that in the middle one for its position to count: ground is less bright."""

@@ -27,9 +27,8 @@ import scipy.fft
 from sal_height.geometry import aperture_at
 from sal_height.imaging import Slc
 from sal_height.movers.likelihood import MODEL_ERROR
-from sal_height.movers.response import point_response
 from sal_height.movers.search import Search, centres_of
-from sal_height.movers.spectrum import column_aspects
+from sal_height.movers.spectrum import column_aspects, point_response
 from sal_height.numeric import C64, C128, F64, Index, fast_length, vertex
 from sal_height.sensor import Sensor
 

@@ -1,8 +1,9 @@
-"""Spectra along the flight of pieces of a strip's image, bin by bin with the aspect under which each was seen."""
+"""Range response of a point, and along-track spectra of pieces of a strip by the aspect of each bin."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Self
 
 import numpy as np
@@ -11,8 +12,31 @@ import numpy.typing as npt
 from sal_height.beams import Beams
 from sal_height.geometry import aperture_at
 from sal_height.imaging import Processing, Slc
-from sal_height.numeric import C64, C128, F64, Index
+from sal_height.numeric import C64, C128, F64, Index, window
 from sal_height.sensor import Sensor, processed_angle
+
+PLACES = np.linspace(-24, 24, 1921)
+"""Distances from a target for which its response is tabulated, rows."""
+
+
+def point_response(name: str, spacing: float, rows: F64) -> F64:
+    """Amplitude of a point at distances from it, 1 in the middle.
+
+    Args:
+        name: name of the window over the band, of `windows.WINDOWS`.
+        spacing: spacing of rows, range resolutions.
+        rows: distances from the point, any shape, rows.
+    """
+    return np.interp(rows, PLACES, _tabulated(name, round(spacing, 3)))
+
+
+@lru_cache(maxsize=8)
+def _tabulated(name: str, spacing: float) -> F64:
+    """The response at PLACES."""
+    samples = 256  # of the band
+    weights = window(name, samples)
+    turns = (np.arange(samples) - (samples - 1) / 2) / samples * spacing
+    return np.asarray(np.cos(2 * np.pi * PLACES[:, None] * turns) @ weights / np.sum(weights))
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,10 +41,10 @@ from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Mounting, PlatformState
 from sal_height.messages.codec import SHIPPED
 from sal_height.messages.kinds import kind_of
+from sal_height.nodes.managed import Topics
 from sal_height.nodes.parameters import parameter_of
-from sal_height.nodes.role import Topics
 from sal_height.nodes.transforms import TF_STATIC_QOS, has_transforms
-from sal_height.nodes.transport.quality import FRAMES_QOS, INSTRUMENT_QOS, LATCHED_QOS, ODOMETRY_QOS
+from sal_height.nodes.transport.qos import FRAMES_QOS, INSTRUMENT_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.nodes.viewing import VIEWERS
 from sal_height.nodes.worker import ENDED, WorkerNode
 from sal_height.stage_files import check_written, read_inputs, write_product

@@ -17,9 +17,9 @@ from rclpy.signals import SignalHandlerOptions
 
 from sal_height.errors import UserError
 from sal_height.nodes.accounts.usage import announce, check_arguments, check_overrides, program_name, usage
+from sal_height.nodes.transport.domain import LOOK_S, LOST, Ports
 from sal_height.nodes.transport.executors import executor_for
 from sal_height.nodes.transport.middleware import provide_shared_memory
-from sal_height.nodes.transport.ports import LOOK_S, LOST, Ports
 
 SWITCH_INTERVAL_S = 5e-4
 """Longest time for which the worker keeps the interpreter from the thread that receives messages, s; 5 ms in Python

@@ -28,17 +28,15 @@ from sal_height.messages.codec import SHIPPED, BrokenMessage
 from sal_height.messages.losses import loss_to_message
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, DwellLoss
 from sal_height.nodes.accounts.account import Account
-from sal_height.nodes.accounts.process_numbers import process_numbers
 from sal_height.nodes.accounts.publisher import AccountPublisher, State
-from sal_height.nodes.accounts.tally import Pace, Tally
+from sal_height.nodes.accounts.tally import Pace, Tally, process_numbers
 from sal_height.nodes.guard import guarded
 from sal_height.nodes.jobs import JobQueue, QueuedJob
-from sal_height.nodes.managed import INACTIVE, Managed
+from sal_height.nodes.managed import INACTIVE, Managed, Role, Topics
 from sal_height.nodes.parameters import LiveParameters
-from sal_height.nodes.role import Role, Topics
 from sal_height.nodes.transport.endpoints import QOS_OVERRIDES, RECENT_S, Inlet, Outlet
 from sal_height.nodes.transport.message_types import class_of
-from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_KEPT, LATCHED_QOS, ODOMETRY_QOS
+from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_KEPT, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.topics import LOSSES, MAP_ORIGIN
 
 SENSOR_TOPICS = {

@@ -9,12 +9,11 @@ within compiled loops). Nothing here knows of sensors or images.
 """
 
 from sal_height.numeric._kernels import cosine_and_sine, cosine_and_sine_of_part, tap_weights
-from sal_height.numeric.arrays import C64, C128, F32, F64, I32, I64, U8, Bool, Complex, Index
+from sal_height.numeric.arrays import C64, C128, F32, F64, I32, I64, U8, Bool, Complex, Index, vertex
 from sal_height.numeric.bilinear import between_nodes, bilinear, node_before
 from sal_height.numeric.blas_threads import one_blas_thread
-from sal_height.numeric.centred_sums import LARGEST, CentredSums
-from sal_height.numeric.chirp_z import ChirpZ, chirp_z
 from sal_height.numeric.error_statistics import (
+    MEDIAN_ERROR,
     ErrorStatistics,
     error_statistics,
     fraction_of,
@@ -22,10 +21,7 @@ from sal_height.numeric.error_statistics import (
     mean_of,
     root_mean_square,
 )
-from sal_height.numeric.fft import blocks, fast_length, frequencies, rows_at_once
 from sal_height.numeric.jit import compiled, compiled_with_nan, inlined, squared
-from sal_height.numeric.medians import MEDIAN_ERROR
-from sal_height.numeric.parabola import vertex
 from sal_height.numeric.phasors import outer_phasors, unit_phasors
 from sal_height.numeric.range_profiles import (
     OVERSAMPLING,
@@ -36,6 +32,16 @@ from sal_height.numeric.range_profiles import (
     tap_polynomials,
 )
 from sal_height.numeric.threads import WORKERS, available_processors, in_parallel, in_threads
+from sal_height.numeric.transforms import (
+    LARGEST,
+    CentredSums,
+    ChirpZ,
+    blocks,
+    chirp_z,
+    fast_length,
+    frequencies,
+    rows_at_once,
+)
 from sal_height.numeric.vectors import Vector, cross, dot, total, vector
 from sal_height.numeric.windows import WINDOWS, broadening, noise_gain, taylor, window
 

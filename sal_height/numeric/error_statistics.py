@@ -90,3 +90,7 @@ def mean_of(values: F64 | Bool) -> float:
 def fraction_of(part: int, whole: int) -> float:
     """Fraction that a part is of a whole; NaN if the whole is empty."""
     return part / whole if whole else math.nan
+
+
+MEDIAN_ERROR = float(np.sqrt(np.pi / 2))
+"""Standard error of a median of many normal numbers over that of their mean."""

@@ -14,7 +14,7 @@ from sal_height.relief.geotiff import check_geotiff, write_geotiff
 from sal_height.relief.ground import GroundEstimate, GroundGrid, GroundKind, estimated_ground
 from sal_height.relief.ground_map import GroundMap, fine_cell_size
 from sal_height.relief.heights import HeightField, Surface, height_field
-from sal_height.relief.layers import Layers, layers_of, merged
+from sal_height.relief.layers import Layers, joined_rows, layers_of, merged
 from sal_height.relief.map import ReliefMap, fitting_cell_size
 from sal_height.relief.position_error import (
     circle_covariance,
@@ -33,7 +33,6 @@ from sal_height.relief.position_error import (
 )
 from sal_height.relief.prior import PriorEstimate
 from sal_height.relief.projected import ProjectedAxes
-from sal_height.relief.rows import joined_rows
 from sal_height.relief.settings import GroundSettings, TrackingSettings
 from sal_height.relief.slope import ground_slope
 from sal_height.relief.smoothing import (

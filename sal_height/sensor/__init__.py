@@ -7,9 +7,19 @@ over frequency), `waveform` (raw chirp or deramped echoes to phase history), `re
 
 from sal_height.sensor.channels import Channels, sum_difference_channels, whitened_channels, with_powers
 from sal_height.sensor.phase_history import NUFFT_TOLERANCE, PhaseHistory
-from sal_height.sensor.receivers import MAX_SHARE, clipped, count_saturated
-from sal_height.sensor.sensor import MAX_DETECTORS, MODES, Sensor
-from sal_height.sensor.stripmap import aperture_length, lit_angle, lit_doppler, look_ahead_angle, processed_angle
+from sal_height.sensor.sensor import (
+    MAX_DETECTORS,
+    MAX_SHARE,
+    MODES,
+    Sensor,
+    aperture_length,
+    clipped,
+    count_saturated,
+    lit_angle,
+    lit_doppler,
+    look_ahead_angle,
+    processed_angle,
+)
 from sal_height.sensor.waveform import echo_sensor, from_spectrum, range_compressed, spectrum_sensor
 
 __all__ = [

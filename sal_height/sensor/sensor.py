@@ -1,9 +1,10 @@
-"""The sensor: the description that is needed to process its frames."""
+"""The sensor: the description that is needed to process its frames, its synthetic aperture and its receivers."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property, lru_cache
 from typing import Any
@@ -14,7 +15,90 @@ from scipy.constants import speed_of_light
 from sal_height.beams import Beams, BeamTable, detector_pattern, tabulated_pattern
 from sal_height.errors import UserError
 from sal_height.geometry import AT_BASE_LINK, Mounting
-from sal_height.numeric import C128, F64, Bool
+from sal_height.numeric import C64, C128, F64, Bool
+from sal_height.sensor.phase_history import PhaseHistory
+
+
+def lit_angle(beams: Beams) -> float:
+    """Return the angle along the flight, to each side of the middle of all beams, that main lobes illuminate, rad.
+
+    It is the half-width of the widest main lobe and the `look_ahead_angle`. The pulse repetition frequency that presets
+    require samples the Doppler of this angle; echoes from beyond would appear as ambiguities.
+    """
+    return max(pattern.main_lobe for pattern in beams.patterns) * beams.track_beamwidth + look_ahead_angle(beams)
+
+
+def lit_doppler(sensor: Sensor, speed: float) -> float:
+    """Return the band of Doppler frequencies (Hz) of the main lobes at a speed (m/s); pulses must sample it."""
+    return 4 * lit_angle(sensor.beams) * speed / sensor.wavelength
+
+
+def look_ahead_angle(beams: Beams) -> float:
+    """Return the angle by which the beams at the ends of a turned detector axis look ahead and back, rad.
+
+    That is sin(psi) times half the length of the axis, which is turned by psi.
+    """
+    first, last = beams.span
+    return (last - first) / 2 * abs(math.sin(beams.rotation))
+
+
+def processed_angle(sensor: Sensor) -> float:
+    """Return the angle over which a target is processed, rad.
+
+    It is one beamwidth along the flight, for a resolution of half the antenna's size in that direction.
+    """
+    return sensor.beams.track_beamwidth
+
+
+def aperture_length(sensor: Sensor, slant_range: float) -> float:
+    """Return the length of the synthetic aperture of a target at `slant_range` (m), in m."""
+    return processed_angle(sensor) * slant_range
+
+
+MAX_SHARE = 8e-4
+"""Greatest fraction of clipped real and imaginary parts: the distortion of Gaussian samples is then -40 dB.
+
+By Bussgang's theorem, which the tests evaluate."""
+
+
+def clipped(samples: C64, full_scale: float) -> C64:
+    """Clip the real and imaginary parts of samples at `full_scale`; return them unchanged if it is not known (0)."""
+    if not full_scale:
+        return samples
+    limit = np.float32(full_scale)
+    return np.clip(np.ascontiguousarray(samples).view(np.float32), -limit, limit).view(np.complex64)
+
+
+def saturated_shares(samples: C64, sensor: Sensor) -> F64:
+    """Fraction of real and imaginary parts at or beyond full scale in the receivers of each channel, shape (channels,).
+
+    With receivers before the channel matrix, that is inverted first; a channel has the greatest fraction of its
+    receivers. NaN where the full scale is not known.
+
+    Args:
+        samples: samples of all channels as the sensor delivers them, shape (channels, pulses, samples).
+        sensor: sensor that delivers them.
+    """
+    if not sensor.full_scale:
+        return np.full(len(samples), np.nan)
+    # A clipped number has this relative error after a channel matrix was inverted in single precision.
+    limit = np.float32(sensor.full_scale * (1 - 1e-5))
+    if sensor.matrix_in_antenna or not sensor.channel_matrix:
+        return _shares(samples, limit)
+    receivers = np.tensordot(np.linalg.inv(sensor.mixing).astype(np.complex64), samples, axes=1)
+    return np.max(_shares(receivers, limit) * (sensor.mixing != 0), axis=1)
+
+
+def count_saturated(history: PhaseHistory, sensor: Sensor) -> PhaseHistory:
+    """The phase history of a dwell, as the sensor delivers it, with its `saturated_share`."""
+    shares = saturated_shares(history.samples, sensor)
+    return replace(history, saturated_share=np.repeat(shares[:, None], len(history.pulse_times), axis=1))
+
+
+def _shares(samples: C64, limit: np.float32) -> F64:
+    parts = (np.ascontiguousarray(frame).view(np.float32) for frame in samples)
+    return np.array([np.mean(np.abs(part) >= limit) for part in parts])
+
 
 MAX_DETECTORS = 128
 """Greatest number of detectors: estimators keep M x M numbers per pixel and direction."""

@@ -19,8 +19,15 @@ from sal_height.theory.discriminator_noise import (
     steady_mean,
     straight_power,
 )
-from sal_height.theory.link_budget import Link, diffuse_backscatter, effective_area, noise_density
-from sal_height.theory.relief_radar import crossover_slope, hybrid_gain, synthesise
+from sal_height.theory.link_budget import (
+    Link,
+    crossover_slope,
+    diffuse_backscatter,
+    effective_area,
+    hybrid_gain,
+    noise_density,
+    synthesise,
+)
 
 __all__ = [
     "NORMAL_SHARES",

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from helpers import thorough
 
+from sal_height.adjustment.comparing import SURE, Rarity, evidence
 from sal_height.adjustment.matching import Points
-from sal_height.adjustment.recognising import SURE, Rarity, evidence
 
 SPACING = 0.1
 

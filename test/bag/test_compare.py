@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sal_height.bag.compare import CHANGED, EQUAL, WITHIN, TopicComparison, compare_bags
-from sal_height.bag.fields import content_hash, fields_of
+from sal_height.bag.compare import CHANGED, EQUAL, WITHIN, TopicComparison, compare_bags, content_hash, fields_of
 from sal_height.bag.reader import BagReader
 from sal_height.bag.tolerance import EXACT, ROUNDING, Tolerance, Tolerances, read_tolerances
 from sal_height.bag.topics import HEIGHT_TYPE

@@ -10,12 +10,11 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
-from sal_height.bag.frame_heads import HEAD_BYTES, PULSE_BYTES, ZEROS_BYTES, TimedPart, read_frame_parts
 from sal_height.bag.index import read_index
 from sal_height.bag.namespace import NamespacedReader
 from sal_height.bag.played import part_of
 from sal_height.bag.qos import TRANSIENT_LOCAL, Qos
-from sal_height.bag.reader import BagReader
+from sal_height.bag.reader import HEAD_BYTES, PULSE_BYTES, ZEROS_BYTES, BagReader, TimedPart, read_frame_parts
 from sal_height.bag.topics import FRAME_TYPE
 from sal_height.bag.writer import ONE_FILE, BagWriter, Packing
 from sal_height.messages import serialize

@@ -16,8 +16,7 @@ from PIL import Image
 from scipy.constants import speed_of_light
 
 from sal_height.budget.budget import SENSITIVITY, Assumptions, Budget
-from sal_height.budget.budget_entry import budget_table
-from sal_height.budget.budget_errors import GROUP
+from sal_height.budget.budget_errors import GROUP, budget_table
 from sal_height.commands import main
 from sal_height.elevation import Looks, MlSettings, ml_elevation
 from sal_height.errors import UserError

@@ -13,7 +13,7 @@ from helpers import assert_one_sentence, multilook
 from sal_height.beams.array import Beams, column_squint
 from sal_height.calibration.accumulate import Calibrator, brightest, common_response, targets_in
 from sal_height.calibration.beam_calibration import BeamCalibration
-from sal_height.calibration.calibration_settings import CalibrationSettings
+from sal_height.calibration.calibration import CalibrationSettings
 from sal_height.elevation.estimators.maximum_likelihood import MlSettings, ml_elevation
 from sal_height.elevation.looks.looks import Looks
 from sal_height.errors import NotDetermined, Rejected

@@ -8,7 +8,7 @@ from helpers import BEAMWIDTH, assert_one_sentence, circular, make_beams
 
 from sal_height.beams.array import Beams
 from sal_height.beams.pupil import ZERNIKE
-from sal_height.calibration.calibration_settings import CalibrationSettings
+from sal_height.calibration.calibration import CalibrationSettings
 from sal_height.calibration.pupil import calibrate_pupil
 from sal_height.elevation.array.estimate import Validity
 from sal_height.elevation.estimators.maximum_likelihood import MlSettings, ml_elevation

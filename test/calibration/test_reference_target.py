@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers import circular
 
-from sal_height.calibration.reference_target import Sighting, find_reference_target
+from sal_height.calibration.accumulate import Sighting, find_reference_target
 from sal_height.geometry.frames import ApertureState, angles_of
 from sal_height.geometry.grid import Grid
 from sal_height.simulation.flight import flight_of

@@ -33,7 +33,7 @@ from sal_height.figures.psf_theory import (
     tied,
 )
 from sal_height.figures.synthetic_tape import RangeFault
-from sal_height.numeric.fft import frequencies
+from sal_height.numeric.transforms import frequencies
 from sal_height.response.impulse import OVERSAMPLING, cut_response
 from sal_height.response.linearity import superposition
 from sal_height.response.point_spread import cut_through

@@ -11,7 +11,7 @@ from helpers import make_aperture
 from sal_height.geometry.earth import EARTH_RADIUS, above_place, height_of, sphere_coordinates, sphere_point
 from sal_height.geometry.frames import angles_of, look_direction, shift_along, squint_on_cone
 from sal_height.geometry.grid import Grid
-from sal_height.geometry.locate import locate_at_elevation
+from sal_height.geometry.trajectory import locate_at_elevation
 
 SIDES = pytest.mark.parametrize("side", [1, -1], ids=["right", "left"])
 ATTITUDES = pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from sal_height.geometry.quaternion import attitude_between, quaternion_of, rotation_matrix
+from sal_height.geometry.motion import attitude_between, quaternion_of, rotation_matrix
 
 
 def test_matrices_are_those_of_scipy_whatever_the_norm() -> None:

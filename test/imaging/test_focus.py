@@ -19,8 +19,7 @@ from sal_height.imaging.autofocus.gradient import AutofocusSettings, apply_phase
 from sal_height.imaging.focus import ImageSettings, Slc, cell_response, focus_dwell
 from sal_height.imaging.formers.backprojection import backproject
 from sal_height.imaging.formers.choice import FEW_PIXELS, FORMERS
-from sal_height.imaging.pixels import slc_noise_power
-from sal_height.imaging.weighting import Processing
+from sal_height.imaging.pixels import Processing, slc_noise_power
 from sal_height.numeric.windows import broadening, window
 from sal_height.renamed import with_new_names
 from sal_height.sensor.phase_history import PhaseHistory

@@ -10,6 +10,7 @@ from scipy.constants import speed_of_light
 from sal_height.errors import UserError
 from sal_height.geometry.frames import angles_of
 from sal_height.imaging.pixels import (
+    Processing,
     aim_point,
     azimuth_resolution,
     ground_plane_grid,
@@ -17,7 +18,6 @@ from sal_height.imaging.pixels import (
     slant_plane_size,
     slc_noise_power,
 )
-from sal_height.imaging.weighting import Processing
 from sal_height.numeric.windows import window
 
 SENSOR = make_sensor()

@@ -17,12 +17,11 @@ from sal_height.geometry.grid import Grid, without_range_phase
 from sal_height.geometry.trajectory import PlatformState, Trajectory
 from sal_height.imaging.focus import ImageSettings, Slc
 from sal_height.imaging.formers.backprojection import backproject
+from sal_height.imaging.pixels import Processing
 from sal_height.imaging.strip import GREATEST_DRIFT, SPARE_PULSES, SPARE_SHARE
 from sal_height.imaging.strip_focus import StripFocuser
-from sal_height.imaging.weighting import Processing
 from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.sensor import Sensor
-from sal_height.sensor.stripmap import processed_angle
+from sal_height.sensor.sensor import Sensor, processed_angle
 from sal_height.settings import setting
 from sal_height.simulation.gust import gust_motion
 from sal_height.simulation.stripmap import simulate_block

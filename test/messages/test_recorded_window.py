@@ -9,7 +9,7 @@ import pytest
 from helpers import elevation_at, make_sensor
 
 from sal_height import messages
-from sal_height.imaging.beams_in_images import image_beams
+from sal_height.imaging.pixels import image_beams
 from sal_height.messages.types import Parameter, Provenance
 
 ELEVATION = elevation_at(np.linspace(-1, 1, 5))

@@ -13,7 +13,7 @@ from sal_height.errors import UserError
 from sal_height.geometry import PlatformState, Trajectory
 from sal_height.imaging import ImageSettings, Slc
 from sal_height.movers import Looked, Mover, MoverSettings, find_movers
-from sal_height.movers.drive import Drives, is_in_focus
+from sal_height.movers.detection import Drives, is_in_focus
 from sal_height.movers.likelihood import _cached
 from sal_height.movers.mover import without_ambiguities
 from sal_height.movers.search import Search

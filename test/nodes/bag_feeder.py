@@ -23,7 +23,7 @@ from sal_height.messages.types import ChannelFrame, DiagnosticArray, HeightImage
 from sal_height.nodes.accounts.account import DIAGNOSTICS, Account
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
-from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
+from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 
 BAG = Path(__file__).parents[2] / "bags" / "version_3"
 TIMEOUT_S = 120.0

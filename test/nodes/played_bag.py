@@ -21,7 +21,7 @@ from sal_height.nodes.accounts.account import CALIBRATIONS
 from sal_height.nodes.playing.player import Player
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
-from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS
+from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS
 
 TIMEOUT_S = 20.0
 TOPICS = {SensorInfo: "/sensor_info", Odometry: "/platform/odometry", ChannelFrame: "/phase_history"}

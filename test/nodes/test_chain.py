@@ -25,7 +25,7 @@ from sal_height.messages.types import ChannelFrame, DiagnosticArray, HeightImage
 from sal_height.nodes.processing import PROCESSING
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
-from sal_height.nodes.transport.quality import FRAMES_QOS
+from sal_height.nodes.transport.qos import FRAMES_QOS
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.truth import truth_image
 

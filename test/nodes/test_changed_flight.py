@@ -22,7 +22,7 @@ from sal_height.errors import UserError
 from sal_height.messages.types import Calibration as CalibrationMessage
 from sal_height.nodes.recording.recorder import Recorder
 from sal_height.nodes.transport.graph import Graph
-from sal_height.nodes.transport.quality import LATCHED_QOS
+from sal_height.nodes.transport.qos import LATCHED_QOS
 from sal_height.runs.chain import replay_parameters
 from sal_height.runs.chain.entry import Part
 from sal_height.runs.chain.timeline import Timeline, timeline_of

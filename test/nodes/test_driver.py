@@ -16,7 +16,7 @@ from sal_height.messages.types import HeightImage
 from sal_height.nodes.processing import PROCESSING
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
-from sal_height.nodes.transport.quality import FRAMES_QOS
+from sal_height.nodes.transport.qos import FRAMES_QOS
 
 FOLDER = Path(__file__).parents[2] / "examples" / "driver"
 TIMEOUT_S = 120.0

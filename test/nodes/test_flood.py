@@ -30,7 +30,7 @@ from sal_height.nodes.playing.playlist import restamped
 from sal_height.nodes.processing import PROCESSING
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
-from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS
+from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS
 from sal_height.pipeline import Compressor, heights_of_dwells
 from sal_height.relief import HeightField
 from sal_height.simulation.flight import SimulatedFlight

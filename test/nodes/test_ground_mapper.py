@@ -23,7 +23,7 @@ from sal_height.nodes.host import StageNode
 from sal_height.nodes.processing import PROCESSING
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
-from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS
+from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS
 from sal_height.relief.heights import HeightField, Surface
 
 TIMEOUT_S = 120.0

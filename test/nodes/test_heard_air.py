@@ -14,7 +14,7 @@ from sal_height import messages
 from sal_height.messages.types import ChannelFrame, FluidPressure, Odometry, SensorInfo, Temperature
 from sal_height.nodes.processing import PROCESSING
 from sal_height.nodes.transport.graph import Graph
-from sal_height.nodes.transport.quality import LATCHED_QOS
+from sal_height.nodes.transport.qos import LATCHED_QOS
 from sal_height.simulation.flight import SimulatedFlight
 
 SECOND = 1_000_000_000

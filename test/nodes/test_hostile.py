@@ -26,7 +26,7 @@ from sal_height.nodes.recording.recorder import Recorder
 from sal_height.nodes.transport.domain import free_domain
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
-from sal_height.nodes.transport.quality import FRAMES_QOS
+from sal_height.nodes.transport.qos import FRAMES_QOS
 from sal_height.nodes.worker import WorkerNode
 from sal_height.simulation import SimulatedFlight
 

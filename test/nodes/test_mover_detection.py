@@ -19,7 +19,7 @@ from sal_height.messages.types import ComplexImage, PointCloud2, Provenance, Sen
 from sal_height.nodes.processing import PROCESSING
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
-from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS
+from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS
 from sal_height.pipeline import Compressor
 from sal_height.sensor import Sensor
 from sal_height.simulation.flight import flight_of

@@ -21,7 +21,7 @@ from sal_height.messages.types import Header, Imu, NavSatFix, Odometry, PoseStam
 from sal_height.nodes.processing import PROCESSING
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
-from sal_height.nodes.transport.quality import LATCHED_QOS, ODOMETRY_QOS
+from sal_height.nodes.transport.qos import LATCHED_QOS, ODOMETRY_QOS
 from sal_height.simulation.flight import SimulatedFlight
 
 TIMEOUT_S = 120.0

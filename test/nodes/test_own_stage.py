@@ -20,7 +20,7 @@ from sal_height.nodes.host import node_of
 from sal_height.nodes.recording.recorder import Recorder
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import class_of
-from sal_height.nodes.transport.quality import FRAMES_QOS
+from sal_height.nodes.transport.qos import FRAMES_QOS
 
 ROOT = Path(__file__).parents[2]
 sys.path.append(str(ROOT / "test" / "engine"))

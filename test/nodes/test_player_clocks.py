@@ -17,11 +17,11 @@ from sal_height import messages
 from sal_height.bag.reader import BagMessage
 from sal_height.graph.plan import DwellChanges
 from sal_height.messages.types import ChannelFrame, Clock
-from sal_height.nodes.playing.clocks import PERIOD_S, SimulatedClock
 from sal_height.nodes.playing.player import PacedPlayer, Player
+from sal_height.nodes.playing.playlist import PERIOD_S, SimulatedClock
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
-from sal_height.nodes.transport.quality import FRAMES_QOS
+from sal_height.nodes.transport.qos import FRAMES_QOS
 
 LEAST_CLOCK_HZ = 40.0
 """Messages on /clock in a second that docs/replay.md promises."""

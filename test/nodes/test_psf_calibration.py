@@ -14,8 +14,7 @@ from helpers import assert_one_sentence, publisher_of
 from rclpy.parameter import Parameter
 
 from sal_height import messages
-from sal_height.calibration.calibration import Calibration
-from sal_height.calibration.files import load_calibration, save_calibration
+from sal_height.calibration.calibration import Calibration, load_calibration, save_calibration
 from sal_height.engine.stage import DwellKey
 from sal_height.errors import UserError
 from sal_height.messages.types import Calibration as CalibrationMessage
@@ -24,7 +23,7 @@ from sal_height.nodes.host import StageNode
 from sal_height.nodes.processing import PROCESSING
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
-from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS
+from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS
 from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.simulation.flight import SimulatedFlight
 

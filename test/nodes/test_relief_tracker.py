@@ -18,7 +18,7 @@ from sal_height.errors import UserError
 from sal_height.geometry.earth import height_of
 from sal_height.geometry.frames import ApertureState
 from sal_height.geometry.grid import Grid
-from sal_height.geometry.locate import locate_at_height
+from sal_height.geometry.trajectory import locate_at_height
 from sal_height.messages.types import HeightImage, Provenance
 from sal_height.relief.heights import HeightField, Surface
 

@@ -22,7 +22,7 @@ from sal_height.nodes.accounts.account import DIAGNOSTICS, PROGRESS, Account
 from sal_height.nodes.processing import PROCESSING
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
-from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
+from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.nodes.worker import WorkerNode
 from sal_height.topics import CALIBRATION
 

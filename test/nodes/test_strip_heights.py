@@ -16,12 +16,11 @@ from sal_height.geometry.earth import sphere_point
 from sal_height.geometry.frames import ApertureState, angles_of, aperture_at
 from sal_height.geometry.grid import Grid, pixels_at
 from sal_height.imaging.formers.backprojection import backproject_points
-from sal_height.imaging.pixels import azimuth_resolution, slant_plane_grid, slc_noise_power
-from sal_height.imaging.weighting import Processing
+from sal_height.imaging.pixels import Processing, azimuth_resolution, slant_plane_grid, slc_noise_power
 from sal_height.numeric.windows import broadening
 from sal_height.relief.heights import height_field
 from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.stripmap import processed_angle
+from sal_height.sensor.sensor import processed_angle
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
 from sal_height.simulation.scene import visible_surface

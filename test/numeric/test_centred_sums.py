@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers import circular
 
-from sal_height.numeric.centred_sums import PRODUCT, CentredSums
+from sal_height.numeric.transforms import PRODUCT, CentredSums
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from helpers import circular
 
-from sal_height.numeric.chirp_z import chirp_z
-from sal_height.numeric.fft import BUFFER, rows_at_once
+from sal_height.numeric.transforms import BUFFER, chirp_z, rows_at_once
 
 
 @pytest.mark.parametrize(

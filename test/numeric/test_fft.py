@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sal_height.numeric.fft import BUFFER, blocks, fast_length, rows_at_once
+from sal_height.numeric.transforms import BUFFER, blocks, fast_length, rows_at_once
 
 
 @pytest.mark.parametrize("least", [1, 16, 17, 1000, 4097])

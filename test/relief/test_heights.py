@@ -17,10 +17,9 @@ from sal_height.elevation.looks.looks import Looks, look_grid
 from sal_height.geometry.earth import EARTH_RADIUS, height_of, sphere_point
 from sal_height.geometry.frames import ApertureState, angles_of, aperture_at
 from sal_height.geometry.grid import Grid, pixels_at
-from sal_height.geometry.locate import locate_at_elevation
+from sal_height.geometry.trajectory import locate_at_elevation
 from sal_height.imaging.formers.backprojection import backproject
-from sal_height.imaging.pixels import slant_plane_grid
-from sal_height.imaging.weighting import Processing
+from sal_height.imaging.pixels import Processing, slant_plane_grid
 from sal_height.numeric.windows import broadening, noise_gain, window
 from sal_height.relief.heights import HeightField, height_field
 from sal_height.sensor.phase_history import PhaseHistory

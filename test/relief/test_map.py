@@ -16,7 +16,7 @@ from sal_height.errors import Rejected
 from sal_height.geometry.earth import height_of, sphere_point
 from sal_height.geometry.frames import ApertureState
 from sal_height.geometry.grid import Grid
-from sal_height.geometry.locate import locate_at_elevation
+from sal_height.geometry.trajectory import locate_at_elevation
 from sal_height.imaging.pixels import slant_plane_grid
 from sal_height.relief.cell_map import TILE, Relief
 from sal_height.relief.heights import HeightField, Surface, height_field

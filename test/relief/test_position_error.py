@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from sal_height.geometry.earth import height_of
 from sal_height.geometry.frames import ApertureState, angles_of, aperture_at, shift_along
 from sal_height.geometry.grid import Grid
-from sal_height.geometry.locate import locate_at_elevation, locate_at_height
+from sal_height.geometry.trajectory import locate_at_elevation, locate_at_height
 from sal_height.relief.position_error import (
     height_variance,
     level_turn,

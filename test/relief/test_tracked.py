@@ -13,7 +13,7 @@ from sal_height.elevation.array.estimate import Validity
 from sal_height.geometry.earth import EARTH_RADIUS, above_place, height_of, sphere_point
 from sal_height.geometry.frames import ApertureState, aperture_at
 from sal_height.geometry.grid import Grid
-from sal_height.geometry.locate import locate_at_elevation, locate_at_height
+from sal_height.geometry.trajectory import locate_at_elevation, locate_at_height
 from sal_height.relief.heights import HeightField, Surface
 from sal_height.relief.position_error import circle_covariance, height_variance, pose_covariance
 from sal_height.relief.smoothing import TrackedRelief

@@ -18,8 +18,7 @@ from scipy.optimize import brentq, minimize_scalar
 from sal_height.errors import UserError
 from sal_height.geometry.grid import Grid, without_range_phase
 from sal_height.imaging.formers.backprojection import backproject
-from sal_height.imaging.pixels import ground_plane_grid
-from sal_height.imaging.weighting import Processing
+from sal_height.imaging.pixels import Processing, ground_plane_grid
 from sal_height.numeric.windows import window
 from sal_height.response.impulse import REACH, CutResponse, ImpulseResponse, measure_brightest, measure_windows
 from sal_height.sensor.phase_history import PhaseHistory

@@ -13,7 +13,7 @@ from sal_height.errors import NotDetermined
 from sal_height.figures.psf_estimators import depth_and_pedestal
 from sal_height.figures.psf_speckle import noise_weights
 from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Saturation, TapeTarget, make_tape
-from sal_height.numeric.fft import frequencies
+from sal_height.numeric.transforms import frequencies
 from sal_height.numeric.windows import window
 from sal_height.response.linearity import KnownNoise, ShapedNoise, Superposition, _target_covariance, superposition
 from sal_height.response.speckle_spectra import SpeckleSpectra, estimate_speckle_spectra, fejer_power, transform

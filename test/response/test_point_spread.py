@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 
 from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, TapeTarget, make_tape
-from sal_height.numeric.fft import frequencies
+from sal_height.numeric.transforms import frequencies
 from sal_height.response.impulse import measure_brightest
 from sal_height.response.point_spread import FINENESS, anomalous_sidelobes, cut_through, estimate_point_spread
 from sal_height.response.point_targets import find_targets

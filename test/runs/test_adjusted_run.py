@@ -16,7 +16,7 @@ from sal_height.errors import UserError
 from sal_height.graph.plan import Execution
 from sal_height.runs.chain.chain_runs import plan
 from sal_height.runs.chain.entry import FROM_HEIGHTS, IMAGES, Part
-from sal_height.runs.truth.accuracy import read_images
+from sal_height.runs.truth.report import read_images
 from sal_height.runs.truth.simulate import Flown, fly
 from sal_height.simulation import load_preset
 from sal_height.simulation.preset import Passes

@@ -20,13 +20,11 @@ from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, KeyValu
 from sal_height.relief import GroundEstimate, HeightField, Surface
 from sal_height.runs.campaign.campaign_picture import _style
 from sal_height.runs.live.latency_picture import draw_run, published_latencies
-from sal_height.runs.products.calibration_picture import beyond_error
-from sal_height.runs.responses.image_picture import corners, draw_image, ground_steps
-from sal_height.runs.truth.cloud_picture import projected
+from sal_height.runs.products.pictures import beyond_error
+from sal_height.runs.responses.pictures import corners, draw_image, ground_steps
 from sal_height.runs.truth.comparison import PublishedErrors, SurfaceComparison
-from sal_height.runs.truth.error_picture import _normal, counted
-from sal_height.runs.truth.ground_picture import kind_shares
 from sal_height.runs.truth.height_picture import ground_picture, height_limits, percent_text
+from sal_height.runs.truth.pictures import _normal, counted, kind_shares, projected
 from sal_height.runs.truth.profile import column_of_greatest_relief
 from sal_height.runs.truth.surface_report import GroundCoverage, Judged
 

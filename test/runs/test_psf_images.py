@@ -25,7 +25,7 @@ from sal_height.imaging.focus import Slc
 from sal_height.imaging.pixels import azimuth_resolution
 from sal_height.messages import serialize
 from sal_height.messages.types import ChannelFrame, Provenance
-from sal_height.numeric.fft import frequencies
+from sal_height.numeric.transforms import frequencies
 from sal_height.numeric.windows import window
 from sal_height.response.impulse import measure_brightest
 from sal_height.response.report import PsfSettings, report_on

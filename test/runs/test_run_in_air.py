@@ -15,7 +15,7 @@ from sal_height.bag.check import check_bag
 from sal_height.bag.compare import EQUAL
 from sal_height.bag.reader import BagReader
 from sal_height.runs.live.sensor_bag import record_sensor
-from sal_height.runs.truth.accuracy import read_images
+from sal_height.runs.truth.report import read_images
 from sal_height.runs.truth.simulate import Flown, fly
 from sal_height.simulation import load_preset
 from sal_height.simulation.air import SimulatedAir

@@ -12,7 +12,7 @@ from sal_height import messages
 from sal_height.elevation.looks.looks import look_grid
 from sal_height.errors import UserError
 from sal_height.geometry.frames import aperture_at
-from sal_height.geometry.locate import locate_at_elevation
+from sal_height.geometry.trajectory import locate_at_elevation
 from sal_height.imaging.pixels import azimuth_resolution, slant_plane_grid
 from sal_height.messages import to_floats
 from sal_height.messages.types import ComplexImage, HeightImage, Provenance

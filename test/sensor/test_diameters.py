@@ -20,9 +20,8 @@ from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Trajectory
 from sal_height.imaging import ImageSettings
 from sal_height.imaging.checks import check_pulses
-from sal_height.imaging.pixels import slant_plane_size
+from sal_height.imaging.pixels import Processing, slant_plane_size
 from sal_height.imaging.strip import lay_lattice
-from sal_height.imaging.weighting import Processing
 from sal_height.pipeline import Compressor, heights
 from sal_height.sensor import Sensor, aperture_length, lit_angle, processed_angle
 from sal_height.simulation import flight_of, load_preset

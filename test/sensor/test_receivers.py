@@ -10,7 +10,7 @@ from helpers import circular, make_sensor
 from scipy.stats import norm
 
 from sal_height.elevation.array.estimate import MEASURED, ElevationEstimate, Scatterer, Validity, without_saturated
-from sal_height.sensor.receivers import MAX_SHARE, clipped, saturated_shares
+from sal_height.sensor.sensor import MAX_SHARE, clipped, saturated_shares
 from sal_height.simulation.receiver_noise import received
 
 MIXTURE = ((0.6, 0.8, 0.0), (-0.8, 0.6, 0.0), (0.0, 0.0, 1j))

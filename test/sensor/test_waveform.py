@@ -22,8 +22,7 @@ from helpers import (
 from scipy.constants import speed_of_light
 
 from sal_height.imaging.formers.backprojection import backproject, backproject_points
-from sal_height.imaging.pixels import slant_plane_grid, slc_noise_power
-from sal_height.imaging.weighting import Processing
+from sal_height.imaging.pixels import Processing, slant_plane_grid, slc_noise_power
 from sal_height.numeric.windows import broadening, window
 from sal_height.sensor import waveform
 from sal_height.sensor.phase_history import PhaseHistory

@@ -10,9 +10,8 @@ import pytest
 from sal_height.errors import UserError
 from sal_height.simulation import flight_of, load_preset
 from sal_height.simulation.canopy import Canopy
-from sal_height.simulation.double_bounce import find_walls
 from sal_height.simulation.flight import SimulatedFlight
-from sal_height.simulation.scene import Scene, VisibleSurface
+from sal_height.simulation.scene import Scene, VisibleSurface, find_walls
 
 
 def over(height: np.ndarray, north: np.ndarray, db: float | None = 3.0) -> SimulatedFlight:

@@ -9,7 +9,7 @@ import pytest
 from helpers import direct_history
 
 from sal_height.geometry.frames import angles_of
-from sal_height.sensor.stripmap import lit_angle
+from sal_height.sensor.sensor import lit_angle
 from sal_height.sensor.waveform import echo_sensor
 from sal_height.simulation.flight import SimulatedFlight, flight_of
 from sal_height.simulation.preset import load_preset

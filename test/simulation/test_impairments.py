@@ -19,11 +19,9 @@ from sal_height.beams.pattern import pattern_named
 from sal_height.beams.pupil import aberrated_pattern
 from sal_height.geometry.frames import angles_of, look_direction
 from sal_height.imaging.formers.backprojection import backproject, backproject_points
-from sal_height.imaging.pixels import slant_plane_grid
-from sal_height.imaging.weighting import Processing
+from sal_height.imaging.pixels import Processing, slant_plane_grid
 from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.sensor import Sensor
-from sal_height.sensor.stripmap import processed_angle
+from sal_height.sensor.sensor import Sensor, processed_angle
 from sal_height.sensor.waveform import echo_sensor, from_spectrum, spectrum_sensor, to_spectrum
 from sal_height.simulation.flight import SimulatedFlight, flight_of
 from sal_height.simulation.impairments import (

@@ -8,7 +8,7 @@ from helpers import make_aperture, make_beams, make_sensor
 
 from sal_height.geometry.earth import sphere_point
 from sal_height.imaging.pixels import azimuth_resolution, slant_plane_grid
-from sal_height.simulation.lit_ground import GroundCells, ground_cells
+from sal_height.simulation.lit_surfaces import GroundCells, ground_cells
 from sal_height.simulation.scene import Scene, visible_surface
 
 SENSOR, APERTURE, BEAMS = make_sensor(), make_aperture(), make_beams("jinc", count=16)

@@ -21,8 +21,7 @@ from sal_height.geometry.frames import angles_of, look_direction
 from sal_height.geometry.grid import Grid
 from sal_height.geometry.trajectory import Trajectory
 from sal_height.imaging.formers.backprojection import backproject
-from sal_height.imaging.pixels import aim_point, azimuth_resolution, slant_plane_grid
-from sal_height.imaging.weighting import Processing
+from sal_height.imaging.pixels import Processing, aim_point, azimuth_resolution, slant_plane_grid
 from sal_height.numeric.windows import noise_gain, window
 from sal_height.sensor.phase_history import PhaseHistory
 from sal_height.sensor.sensor import Sensor

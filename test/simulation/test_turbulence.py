@@ -9,8 +9,7 @@ import pytest
 from scipy.integrate import quad
 
 from sal_height.simulation import flight_of, load_preset
-from sal_height.simulation.impairments import Impairments
-from sal_height.simulation.turbulence import Turbulence
+from sal_height.simulation.impairments import Impairments, Turbulence
 
 
 def test_hufnagel_valley_5_7_is_what_its_name_says() -> None:

@@ -11,10 +11,9 @@ from sal_height.configuration import validated
 from sal_height.errors import UserError
 from sal_height.simulation import flight_of, load_preset
 from sal_height.simulation.flight import SimulatedFlight
-from sal_height.simulation.impairments import Impairments
+from sal_height.simulation.impairments import Impairments, VegetationWind
 from sal_height.simulation.preset import TargetSettings
 from sal_height.simulation.scene import Scene
-from sal_height.simulation.vegetation_wind import VegetationWind
 
 HALF_WIDTH = 0.03
 """Of the strip of ground along the flight, m: less than a resolution cell, so that pulses see the same."""

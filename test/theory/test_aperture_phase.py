@@ -8,8 +8,8 @@ from scipy.constants import speed_of_light
 
 from sal_height.numeric import F64
 from sal_height.simulation import laser_structure
+from sal_height.simulation.impairments import Turbulence
 from sal_height.simulation.phase_errors import Vibration, VibrationLine, laser_phase
-from sal_height.simulation.turbulence import Turbulence
 from sal_height.theory import AperturePhase, phase_of_line, phase_of_structure, sum_of_phases
 
 APERTURES = 1500

@@ -19,7 +19,7 @@ from sal_height.elevation.monopulse.estimators import (
     total_least_squares,
 )
 from sal_height.theory.discriminator_noise import SteadyLaw, SteadyMlLaw, s68_of
-from sal_height.theory.relief_radar import hybrid_gain, synthesise
+from sal_height.theory.link_budget import hybrid_gain, synthesise
 
 Array = np.ndarray
 EQUAL: NoisePowers = (1.0, 1.0)

@@ -29,7 +29,7 @@ from sal_height.errors import UserError
 from sal_height.messages import field_from_message, to_ns
 from sal_height.messages.types import HeightImage, Odometry
 from sal_height.nodes.transport.graph import Graph
-from sal_height.nodes.transport.quality import FRAMES_QOS
+from sal_height.nodes.transport.qos import FRAMES_QOS
 from sal_height.view.drawings import Picture, ReceivedMessage, Sheet
 from sal_height.view.listener import Listener
 from sal_height.view.painter import HEIGHT_IMAGE

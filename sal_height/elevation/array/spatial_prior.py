@@ -23,8 +23,7 @@ from sal_height.beams import Beams
 from sal_height.elevation.array._kernels import send_along
 from sal_height.elevation.array.likelihood import OBJECTIVES, peak_elevation, search_guard
 from sal_height.elevation.array.search import PeakSearch, PeakSearches, Pixels
-from sal_height.elevation.looks.dwell_columns import DwellColumns
-from sal_height.elevation.looks.looks import Looks
+from sal_height.elevation.looks.looks import DwellColumns, Looks
 from sal_height.numeric import F32, F64, Bool, Index, in_parallel
 
 RECOMMENDED_STRENGTH = 0.75

@@ -6,7 +6,7 @@ from sal_height.beams import Beams
 from sal_height.elevation.array.estimate import ElevationEstimate
 from sal_height.elevation.array.likelihood import OBJECTIVES, estimate_of, highest_peaks, highest_peaks_of, peaks_at
 from sal_height.elevation.array.spatial_prior import RECOMMENDED_STRENGTH, smoothed_peaks
-from sal_height.elevation.layover.layover import resolve
+from sal_height.elevation.layover.models import resolve
 from sal_height.elevation.layover.single import LayoverSettings
 from sal_height.elevation.layover.two_channels import in_two_channels
 from sal_height.elevation.looks.looks import Looks

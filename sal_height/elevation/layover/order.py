@@ -25,7 +25,7 @@ from sal_height.elevation.array.estimate import ORDERS
 from sal_height.elevation.layover._order_kernels import learn_from_neighbours, weigh_priors
 from sal_height.elevation.layover.extended import GREATEST_SPREAD, LEAST_SPREAD, free_looks, log_prior
 from sal_height.elevation.layover.several import CNR_RANGE, SeveralScatterers, fit_powers, power_of
-from sal_height.elevation.looks.dwell_columns import DwellColumns
+from sal_height.elevation.looks.looks import DwellColumns
 from sal_height.numeric import F64, Index
 
 NONE, ONE, TWO, THREE, SPREAD = range(5)

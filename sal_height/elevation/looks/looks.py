@@ -3,21 +3,140 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, Self, TypeAlias
+from functools import lru_cache
+from typing import Any, Protocol, Self, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import uniform_filter
+from scipy.special import fdtri
 
-from sal_height.elevation.looks._look_kernels import sum_covariances, sum_powers, sum_samples
+from sal_height.elevation.looks._look_kernels import find_edges, sum_covariances, sum_powers, sum_samples
 from sal_height.elevation.looks.cell_response import CellResponse
-from sal_height.elevation.looks.dwell_columns import DwellColumns
-from sal_height.elevation.looks.look_windows import EVEN_VARIANCE, Window, axis_looks
-from sal_height.elevation.looks.noise_floor import foreign_power
+from sal_height.elevation.looks.look_windows import EVEN_VARIANCE, AxisLooks, Bands, Window, axis_looks
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Grid
 from sal_height.numeric import C64, F32, F64, Bool, Index, in_parallel
 from sal_height.sensor import Channels
+
+SPECKLE_RATE = 0.003
+"""Fraction of pairs of pixels of level ground whose speckle differs as much as a shadow and its surroundings.
+
+A pixel has 12 ordered pairs of neighbours; of the pixels between such a pair only the weak ones are affected.
+"""
+
+
+def foreign_power(power: F64, mean_power: F64, noise: float, down: AxisLooks, across: AxisLooks, deviation: F64) -> F64:
+    """Expected power of scatterers elsewhere in each pixel, mean of its looks, shape of `mean_power`.
+
+    Args:
+        power: power of each sample over all channels, shape (rows, cols) of samples.
+        mean_power: power of each pixel, mean of its looks, shape (rows, cols) of pixels.
+        noise: expected power of the noise in it.
+        down: looks along range.
+        across: looks along azimuth.
+        deviation: standard deviation of each pixel's noise power, mean of its looks and sum over channels.
+    """
+    if not (down.leakage and across.leakage):
+        return np.zeros_like(deviation)
+    sums = np.multiply.outer(down.looks.sums, across.looks.sums)
+
+    def mean(samples: F64, along_range: Bands, along_azimuth: Bands) -> F64:
+        return along_range.down(along_azimuth.across(samples)) / sums
+
+    signal = np.maximum(power - noise, 0.0)
+    near = mean(signal, down.leakage.near, across.leakage.near)
+    of_neighbours = near - mean(signal, down.leakage.own, across.leakage.own)
+    sidelobes = mean(signal, down.leakage.whole, across.leakage.whole) - near
+    edge = is_edge_of_shadow(mean_power - noise, down, across, deviation)
+    return np.maximum(sidelobes, 0.0) + np.where(edge, np.maximum(of_neighbours, 0.0), 0.0)
+
+
+def is_edge_of_shadow(power: F64, down: AxisLooks, across: AxisLooks, deviation: F64) -> Bool:
+    """Pixels with a dark and a bright neighbour whose powers differ more than by speckle and noise; shape of `power`.
+
+    Noise counts with one standard deviation on either side.
+
+    Args:
+        power: power of the pixels less that of noise, shape (rows, cols).
+        down: looks along range.
+        across: looks along azimuth.
+        deviation: standard deviation of the noise power, same shape as `power`.
+    """
+    edge = np.empty(power.shape, np.bool_)
+    find_edges(power, _speckle_contrast(down, across), deviation, (down.apart, across.apart), edge)
+    return edge
+
+
+@lru_cache(maxsize=4)
+def _speckle_contrast(down: AxisLooks, across: AxisLooks) -> F64:
+    """Ratio of the powers of two pixels that speckle exceeds at SPECKLE_RATE, shape (rows, cols).
+
+    The ratio of the powers of two pixels of K looks of speckle has the F distribution of 2 K and 2 K degrees.
+    """
+    (rows, row_of), (cols, col_of) = (np.unique(axis.count, return_inverse=True) for axis in (down, across))
+    degrees = 2 * np.multiply.outer(rows, cols)
+    return np.asarray(fdtri(degrees, degrees, 1 - SPECKLE_RATE)[row_of[:, None], col_of])
+
+
+Values = npt.NDArray[Any]
+
+
+@dataclass(frozen=True)
+class DwellColumns:
+    """Dwells of equal width, side by side in one image; pixels of different dwells are not neighbours.
+
+    Attributes:
+        dwells: number of dwells.
+        cols: number of columns of a dwell.
+    """
+
+    dwells: int
+    cols: int
+
+    @property
+    def slices(self) -> list[slice]:
+        """The columns of each dwell."""
+        return [slice(dwell * self.cols, (dwell + 1) * self.cols) for dwell in range(self.dwells)]
+
+    def split(self, values: Values) -> list[Values]:
+        """The values of each dwell, contiguous.
+
+        Args:
+            values: array whose last axis is the columns, or the second one in (rows, cols, ...).
+        """
+        if self.dwells == 1:
+            return [values]
+        if values.ndim == 1:
+            return [values[part] for part in self.slices]
+        return [np.ascontiguousarray(values[:, part]) for part in self.slices]
+
+    def each(self, function: Callable[..., Values], *values: Values) -> Values:
+        """Apply a function to the values of each dwell alone, and put its results side by side.
+
+        For results that depend on the other pixels of a dwell, and for matrix products over pixels, whose rounding in
+        BLAS depends on their number.
+
+        Args:
+            function: function of arrays of one dwell that returns an array whose last axis is the columns.
+            values: arrays as in `split`.
+        """
+        found = [function(*one) for one in zip(*map(self.split, values), strict=True)]
+        return found[0] if self.dwells == 1 else np.concatenate(found, axis=-1)
+
+    def mean_of_neighbours(self, values: F64, size: int) -> F64:
+        """Mean over `size` x `size` pixels around each pixel; a dwell is continued beyond its border by its edge.
+
+        Args:
+            values: n images, shape (n, rows, cols).
+            size: side of the square, odd, pixels.
+        """
+        by_dwell = values.reshape(*values.shape[:2], self.dwells, self.cols)
+        mean: F64 = uniform_filter(by_dwell, size, axes=(1, 3), mode="nearest")
+        return mean.reshape(values.shape)
+
 
 Indices = slice | Index
 Covariance: TypeAlias = F32 | C64

@@ -16,7 +16,7 @@ from functools import lru_cache
 import numpy as np
 
 from sal_height.beams import Beams
-from sal_height.elevation.looks.dwell_columns import DwellColumns
+from sal_height.elevation.looks.looks import DwellColumns
 from sal_height.elevation.monopulse._kernels import INSIDE, NO_DOMAIN, NOT_FINITE, UNKNOWN, look_up
 from sal_height.elevation.monopulse.discriminant import (
     FARTHEST,

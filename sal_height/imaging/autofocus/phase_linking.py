@@ -28,8 +28,47 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from sal_height.imaging.autofocus.coherence import Coherence, lower_band, periodograms
 from sal_height.imaging.autofocus.phase_error import PhaseInformation, phase_gradient
-from sal_height.imaging.autofocus.unevenness import uneven_trend
-from sal_height.numeric import C128, F64, Bool, Complex
+from sal_height.numeric import C128, F32, F64, Bool, Complex
+
+MAIN_LOBE = 0.03  # least power of the beam over its greatest where the spectrum is evaluated
+ORDERS = np.arange(1, 7)  # of the polynomials
+
+
+def uneven_trend(modes: Complex, snr: F64, coherence: Coherence) -> float:
+    """Standard deviation of the trend from pulse to pulse by uneven ground, rad.
+
+    Args:
+        modes: responses without the phases of the pulses, in the middle of the beam, shape (responses, pulses), in the
+            order of their range cells.
+        snr: signal-to-noise ratio of each response, shape (responses,).
+        coherence: coherence of the echo of even ground.
+    """
+    found, even = periodograms(modes), 1 + np.outer(snr, coherence.spectrum)
+    share = 1 - 1 / even  # of the echo in the power
+    slope = share * np.gradient(np.log(coherence.spectrum))
+    information = np.sum(slope**2)
+    # Uneven in some: by the shift of the beam by each (Huber's sandwich; periodograms are independent, Whittle 1953).
+    scores = np.sum((found / even - 1) * slope, axis=-1)
+    blocks = 12  # of neighbouring range cells, each of which is assumed to be uneven in its own way
+    by_blocks = np.sqrt(np.sum(np.bincount(np.arange(len(snr)) * blocks // len(snr), scores, blocks) ** 2))
+    # Uneven in all alike: by the shift by ground that grows brighter along the flight.
+    lobe = np.flatnonzero(coherence.profile >= MAIN_LOBE * coherence.profile.max())
+    u = np.interp(np.arange(len(coherence.profile)), lobe[[0, -1]], [-1.0, 1.0])
+    by_all = _brighter_by(found[:, lobe], snr, coherence.spectrum[lobe], u[lobe]) * np.sum(share * slope * u)
+    return float(np.hypot(by_blocks, by_all) / information * 2 * np.pi / len(u))
+
+
+def _brighter_by(found: F32, snr: F64, spectrum: F64, u: F64) -> float:
+    """Standard deviation of c_1, by the higher orders."""
+    # Responses far above noise count alike.
+    weight = 1 / (1 + snr)
+    brightness = (weight @ found - weight.sum()) / ((weight @ snr) * spectrum)
+    shapes, by_power = np.polynomial.legendre.legvander(u, ORDERS[-1]), np.sqrt(spectrum)
+    logarithm = np.log(np.maximum(brightness, 0.01))  # a spectrum does not show darker ground
+    of_orders = np.linalg.lstsq(shapes * by_power[:, None], logarithm * by_power)[0][1:]
+    of_step = (1 / (2 * ORDERS - 1) + 1 / (2 * ORDERS + 3)) / 4
+    return float(np.sqrt(of_step[0] * np.mean(of_orders[1:] ** 2 / of_step[1:])))
+
 
 WEAKEST_MODE = 0.1  # least signal-to-noise ratio of a mode over that of the strongest one in a range cell
 LIKE_ROWS = 5  # range cells over which channels are correlated: terrain takes more to cross a beam

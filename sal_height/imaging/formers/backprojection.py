@@ -8,7 +8,7 @@ import numpy as np
 
 from sal_height.geometry import Grid
 from sal_height.imaging.formers._kernels import add_pulses, keep_filled, keep_reached
-from sal_height.imaging.weighting import Processing
+from sal_height.imaging.pixels import Processing
 from sal_height.numeric import (
     C64,
     F32,

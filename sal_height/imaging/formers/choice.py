@@ -9,7 +9,7 @@ from sal_height.errors import UserError
 from sal_height.geometry import Grid
 from sal_height.imaging.formers import accuracy, range_doppler, row_sums, specan
 from sal_height.imaging.formers.backprojection import backproject
-from sal_height.imaging.weighting import Processing
+from sal_height.imaging.pixels import Processing
 from sal_height.numeric import C64, F64
 from sal_height.sensor import MODES, PhaseHistory, Sensor
 

@@ -21,7 +21,7 @@ from sal_height.geometry import Grid
 from sal_height.imaging.formers._kernels import fill_folded, fill_replica
 from sal_height.imaging.formers.backprojection import blank_invalid
 from sal_height.imaging.formers.straight_track import StraightTrack, resampling, straight_track
-from sal_height.imaging.weighting import Processing
+from sal_height.imaging.pixels import Processing
 from sal_height.numeric import (
     C64,
     F64,

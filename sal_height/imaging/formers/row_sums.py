@@ -13,7 +13,7 @@ from scipy.spatial.distance import cdist
 from sal_height.geometry import Grid
 from sal_height.imaging.formers._kernels import fill_turns, read_profiles
 from sal_height.imaging.formers.backprojection import blank_invalid
-from sal_height.imaging.weighting import Processing
+from sal_height.imaging.pixels import Processing
 from sal_height.numeric import C64, F64, OVERSAMPLING, blocks, dense_profiles, in_parallel, tap_polynomials
 from sal_height.sensor import PhaseHistory, Sensor
 

@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 from rclpy.qos import QoSProfile
 
 from sal_height import messages
+from sal_height.bag.described import FRAMES
 from sal_height.bag.namespace import NamespacedReader
 from sal_height.bag.played import (
     CLOCKS,
@@ -27,7 +28,6 @@ from sal_height.bag.played import (
     read_contents,
 )
 from sal_height.bag.reader import BagMessage, BagReader, LogTimes
-from sal_height.bag.sensor_topics import FRAMES
 from sal_height.bag.topics import HEIGHT_TYPE, SENSOR_TYPE, Topic
 from sal_height.engine.air import AIR_PORTS
 from sal_height.engine.compression import SENSOR
@@ -38,13 +38,11 @@ from sal_height.messages.definition import shipped_definition
 from sal_height.messages.types import Calibration as CalibrationMessage
 from sal_height.messages.types import ChannelFrame, Odometry, SensorInfo
 from sal_height.nodes.accounts.account import CALIBRATIONS, DWELLS
-from sal_height.nodes.managed import INACTIVE
-from sal_height.nodes.playing.clocks import CLOCK, PacedClock, SimulatedClock
-from sal_height.nodes.playing.playlist import Playlist, delivered
+from sal_height.nodes.managed import INACTIVE, Topics
+from sal_height.nodes.playing.playlist import CLOCK, PacedClock, Playlist, SimulatedClock, delivered
 from sal_height.nodes.program import run_node
-from sal_height.nodes.role import Topics
 from sal_height.nodes.transport.endpoints import Outlet
-from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
+from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.nodes.worker import RESET, SENSOR_TOPICS, WorkerNode
 from sal_height.settings import setting
 from sal_height.topics import CALIBRATION, ODOMETRY, SENSOR_INFO

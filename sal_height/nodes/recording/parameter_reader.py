@@ -12,7 +12,7 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from rclpy.task import Future
 
-from sal_height.bag.parameter_events import PARAMETER_EVENTS, after
+from sal_height.bag.described import PARAMETER_EVENTS, after
 from sal_height.messages import BrokenMessage, deserialize, serialize, to_stamp
 from sal_height.messages.types import Parameter, ParameterEvent, ParameterValue
 from sal_height.nodes.guard import guarded

@@ -19,24 +19,23 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
+from sal_height.bag.described import PARAMETER_EVENT_TYPE, PARAMETER_EVENTS
 from sal_height.bag.files import ACCOUNT
-from sal_height.bag.parameter_events import PARAMETER_EVENT_TYPE, PARAMETER_EVENTS
 from sal_height.bag.topics import FRAME_TYPE, HEIGHT_TYPE, IMAGE_TYPE, ODOMETRY_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.io import free_folder
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus
 from sal_height.nodes.accounts.account import DIAGNOSTICS, ON_THE_WAY, PROGRESS, RECORDER, Account
-from sal_height.nodes.accounts.process_numbers import process_numbers
 from sal_height.nodes.accounts.publisher import AccountPublisher, State
+from sal_height.nodes.accounts.tally import process_numbers
 from sal_height.nodes.accounts.topic_counts import NOT_WRITTEN, QUEUE_FULL, TopicCounts
 from sal_height.nodes.guard import guarded
+from sal_height.nodes.managed import Role, Topics
 from sal_height.nodes.parameters import LiveParameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.recording.parameter_reader import ASK_PERIOD_S, ParameterReader
-from sal_height.nodes.recording.recorder_parameters import RecorderParameters
-from sal_height.nodes.recording.selection import Selection
-from sal_height.nodes.role import Role, Topics
+from sal_height.nodes.recording.recorder_parameters import RecorderParameters, Selection
 from sal_height.nodes.transport.executors import with_times
 from sal_height.nodes.transport.message_types import message_class
 from sal_height.nodes.transport.qos import from_profile

@@ -1,10 +1,11 @@
-"""Quality of service as rclpy has it."""
+"""Quality of service: the profiles of rclpy, and the quality of each topic by its content."""
 
 from __future__ import annotations
 
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 
+from sal_height.bag import qos
 from sal_height.bag.qos import Qos
 
 
@@ -36,3 +37,13 @@ def from_profile(profile: QoSProfile) -> Qos:
         liveliness_lease_ns=profile.liveliness_lease_duration.nanoseconds,
         avoid_ros_namespace_conventions=profile.avoid_ros_namespace_conventions,
     )
+
+
+FRAMES_QOS, ODOMETRY_QOS, LATCHED_QOS = map(to_profile, (qos.FRAMES, qos.ODOMETRY, qos.LATCHED))
+"""Phase histories and images, platform states, and sensor info and the like."""
+
+INSTRUMENT_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Instruments: a best-effort subscription receives from any publisher."""
+
+LATCHED_KEPT = 8
+"""Messages of a latched topic that wait until a node takes them; with fewer, one overwrites another in the meantime."""

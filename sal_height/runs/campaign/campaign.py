@@ -29,7 +29,7 @@ from sal_height.messages.kinds import write_heights
 from sal_height.runs.chain.chain_runs import BagRun, Scheme, plan
 from sal_height.runs.chain.entry import Part
 from sal_height.runs.replay.judge import verdict_of
-from sal_height.runs.truth.accuracy import read_accuracy, read_images, recorded_flight
+from sal_height.runs.truth.report import read_accuracy, read_images, recorded_flight
 
 DONE = "done.json"
 """File in the folder of a part, or of a bag, with its result; it is written last."""

@@ -10,10 +10,10 @@ from pathlib import Path
 from types import MappingProxyType
 
 from sal_height import messages
+from sal_height.bag.described import FRAMES, IMAGES
 from sal_height.bag.namespace import NamespacedReader, open_bag
 from sal_height.bag.played import ALL, LATEST_NS, MOST, DwellRange
 from sal_height.bag.reader import BagReader
-from sal_height.bag.sensor_topics import FRAMES, IMAGES
 from sal_height.elevation import ESTIMATORS
 from sal_height.engine.compression import SENSOR
 from sal_height.engine.movers import MOVERS

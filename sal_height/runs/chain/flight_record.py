@@ -7,11 +7,10 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple
 
+from sal_height.bag.described import IMAGES, PARAMETER_EVENTS
 from sal_height.bag.namespace import NamespacedReader
-from sal_height.bag.parameter_events import PARAMETER_EVENTS
 from sal_height.bag.played import DwellPart, part_of
 from sal_height.bag.reader import BagMessage, BagReader, LogTimes
-from sal_height.bag.sensor_topics import IMAGES
 from sal_height.bag.topics import FRAME_TYPE
 from sal_height.engine.stage import DwellKey
 from sal_height.errors import UserError

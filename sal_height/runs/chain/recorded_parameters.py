@@ -32,10 +32,9 @@ from typing import Any
 
 import yaml
 
-from sal_height.bag.described import origin_of
+from sal_height.bag.described import FRAMES, origin_of
 from sal_height.bag.files import parameters_file
 from sal_height.bag.reader import BagReader
-from sal_height.bag.sensor_topics import FRAMES
 from sal_height.engine.registry import STAGES, takes_heights
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import HEIGHTS, SETTABLE, TRACKER, NodeParameters, check_parameters, placed

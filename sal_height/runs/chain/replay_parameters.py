@@ -8,10 +8,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from sal_height.bag.described import sensors_of
+from sal_height.bag.described import FRAMES, IMAGES, sensors_of
 from sal_height.bag.played import DwellRange
 from sal_height.bag.reader import BagReader, LogTimes
-from sal_height.bag.sensor_topics import FRAMES, IMAGES
 from sal_height.engine.compression import HEARD
 from sal_height.engine.registry import STAGES
 from sal_height.engine.stage import DwellKey

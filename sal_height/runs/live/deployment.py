@@ -1,17 +1,22 @@
-"""Nodes that are started for a sensor, with their parameters and names, as stated in a YAML file.
-
-Nothing here brings NumPy with it: how many threads that may use depends on the file.
-"""
+"""Nodes that are started for a sensor, with parameters and names from a YAML file, and the check of both."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator
 
 from sal_height.configuration import StrictKeys, read_yaml, validated
+from sal_height.errors import UserError
+from sal_height.graph.catalogue import check_values
+from sal_height.graph.ensemble import Member
+from sal_height.graph.node_classes import NODES
+from sal_height.nodes.accounts.account import DIAGNOSTICS, PROGRESS
 
 
 def _nothing_is_empty(value: Any) -> Any:
@@ -62,3 +67,73 @@ def load_deployment(path: Path) -> Deployment:
     """
     unreadable = f"Configuration {path} cannot be read; it must be a YAML file that lists nodes (see docs/live.md)."
     return validated(Deployment, read_yaml(path, f"Configuration {path}", unreadable), f"Configuration {path}")
+
+
+NAME = r"[A-Za-z_]\w*"
+
+OF_ROS: Mapping[str, type] = {"use_sim_time": bool, "start_type_description_service": bool}
+"""Parameters that every node of ROS has, and the type of their values."""
+
+
+def members_of(deployment: Deployment) -> list[Member]:
+    """The nodes of a deployment as an ensemble starts them: those that complete files end first.
+
+    Raises:
+        UserError: the deployment is empty, or a node, parameter, topic or name is not allowed.
+    """
+    if not deployment.nodes:
+        raise UserError(f"There are no nodes; list at least one of {', '.join(NODES)}.")
+    members = [_member(name, entry, deployment.namespace) for name, entry in deployment.nodes.items()]
+    return sorted(members, key=lambda member: not member.node.completes_file)
+
+
+def _member(name: str, entry: NodeEntry, common: str) -> Member:
+    """A node; `common` is the namespace of nodes that have none of their own.
+
+    Raises:
+        UserError: a name, parameter or topic is not allowed.
+    """
+    kind = entry.node or name
+    if kind not in NODES:
+        raise UserError(f"There is no node {kind!r}{_hint(kind, NODES)}; allowed are {', '.join(NODES)}.")
+    if not re.fullmatch(NAME, name):
+        raise UserError(f"Node name {name!r} is not allowed; it must be of letters, digits and underscores.")
+    namespace = common if entry.namespace is None else entry.namespace
+    if namespace and not re.fullmatch(rf"/?{NAME}(/{NAME})*", namespace):
+        raise UserError(f"Node {name}: namespace is {namespace!r}; it must be of the form /aircraft/lidar.")
+    for topic in entry.remap:
+        _check_topic(name, topic, NODES[kind])
+    absolute = f"/{namespace.removeprefix('/')}" if namespace else ""
+    return Member(name, kind, _checked(name, kind, entry.parameters), entry.remap, absolute)
+
+
+def _checked(name: str, kind: str, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Parameter values of the declared types.
+
+    Raises:
+        UserError: a parameter does not exist, or its value is not allowed.
+    """
+    of_ros = {key: value for key, value in values.items() if key in OF_ROS or key.startswith("qos_overrides.")}
+    for key, value in of_ros.items():
+        if not isinstance(value, OF_ROS.get(key, (str, int))):
+            allowed = "true or false" if key in OF_ROS else "a text or a whole number"
+            raise UserError(f"Node {name}: parameter {key} is {value!r}; it must be {allowed}.")
+    own = {key: value for key, value in values.items() if key not in of_ros}
+    return {**check_values(name, NODES[kind].parameters, own), **of_ros}
+
+
+def _check_topic(name: str, topic: str, node: type[Any]) -> None:
+    """Refuse to rename a topic that a node does not have, which would have no effect.
+
+    Raises:
+        UserError: it has no such topic.
+    """
+    topics = [*node.inputs, *node.outputs, DIAGNOSTICS, PROGRESS]
+    known = [re.sub(r"<\w+>", ".+", re.escape(entry)) for entry in topics]
+    if not any(re.fullmatch(f"(/.*)?{pattern}", topic) for pattern in known):
+        raise UserError(f"Node {name} has no topic {topic!r}{_hint(topic, topics)}; allowed are {', '.join(topics)}.")
+
+
+def _hint(name: str, known: Iterable[str]) -> str:
+    closest = get_close_matches(name, list(known), n=1)
+    return f" (did you mean {closest[0]!r}?)" if closest else ""

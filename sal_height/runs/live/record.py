@@ -12,8 +12,8 @@ from rclpy.parameter import Parameter
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from sal_height.bag.parameter_events import PARAMETER_EVENTS
-from sal_height.graph.interruption import Interruption
+from sal_height.bag.described import PARAMETER_EVENTS
+from sal_height.graph.processes import Interruption
 from sal_height.graph.watch import looks
 from sal_height.io import check_new_folder, free_folder
 from sal_height.nodes.accounts.topic_counts import TopicCounts

@@ -15,9 +15,9 @@ from tqdm import tqdm
 
 from sal_height import messages
 from sal_height.bag import qos
+from sal_height.bag.described import FRAMES
 from sal_height.bag.qos import Qos
 from sal_height.bag.reader import BagReader
-from sal_height.bag.sensor_topics import FRAMES
 from sal_height.bag.topics import FIX_TYPE, FRAME_TYPE, ODOMETRY_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError

@@ -37,8 +37,8 @@ from sal_height.imaging import correct_track
 from sal_height.io import bag_name, new_folder, writing
 from sal_height.runs.chain.chain_runs import COMPRESSION, BagRun, Scheme, only_sensor, plan
 from sal_height.runs.chain.entry import Part
-from sal_height.runs.products.adjustment_picture import draw_adjustment
 from sal_height.runs.products.adjustment_report import summary_of
+from sal_height.runs.products.pictures import draw_adjustment
 from sal_height.sensor import Sensor
 from sal_height.topics import ODOMETRY, SLC
 

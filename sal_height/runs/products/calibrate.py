@@ -18,7 +18,7 @@ from sal_height.graph.reporting import PARAMETERS, conclude, merged, reporting
 from sal_height.io import new_folder, or_null, writing
 from sal_height.runs.chain.chain_runs import COMPRESSION, plan
 from sal_height.runs.chain.entry import Part, contents
-from sal_height.runs.products.calibration_picture import beam_width, draw_calibration
+from sal_height.runs.products.pictures import beam_width, draw_calibration
 from sal_height.runs.replay.by_calls import perform_by_calls
 from sal_height.topics import LOSSES, SENSOR_INFO
 

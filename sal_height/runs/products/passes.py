@@ -41,8 +41,8 @@ from sal_height.passes import (
 from sal_height.pipeline import corrected_spectrum
 from sal_height.relief import HeightField, Surface
 from sal_height.runs.chain.chain_runs import COMPRESSION, BagRun, plan
-from sal_height.runs.products.passes_picture import draw_passes
 from sal_height.runs.products.passes_report import ReferenceComparison, compared, summary_of, warnings_of
+from sal_height.runs.products.pictures import draw_passes
 from sal_height.settings import Settings
 from sal_height.topics import SLC
 

@@ -18,8 +18,8 @@ from sal_height.engine.air import AIR_PARAMETERS
 from sal_height.engine.chain import Made
 from sal_height.engine.stage import DwellKey, Event, Loss, Notice, Port, Product
 from sal_height.errors import UserError
-from sal_height.graph.interruption import Interruption
 from sal_height.graph.plan import UNCOUNTED, Execution, Outcome, Plan
+from sal_height.graph.processes import Interruption
 from sal_height.messages.codec import SHIPPED
 from sal_height.messages.kinds import kind_of, kind_of_topic
 from sal_height.messages.losses import loss_to_message

@@ -14,7 +14,7 @@ from sal_height.io import check_new_folder, new_folder, or_null, write_text, wri
 from sal_height.response import CutResponse, ImpulseResponse, chip_around, measure_brightest, measure_windows
 from sal_height.response.image import AXES, Image, image_name
 from sal_height.runs.responses.images import images_of
-from sal_height.runs.responses.irf_picture import DrawnTarget, draw_responses
+from sal_height.runs.responses.pictures import DrawnTarget, draw_responses
 
 MOST_DRAWN = 8
 """Greatest number of targets in the picture: the first ones. More would make it unreadable."""

@@ -16,7 +16,7 @@ from sal_height.numeric import F64, Bool, error_statistics, mean_of
 from sal_height.relief import GroundEstimate, GroundKind, GroundMap, fine_cell_size, ground_spacings
 from sal_height.runs.truth.surface_report import COVERAGE
 from sal_height.simulation import SimulatedFlight, VisibleSurface
-from sal_height.simulation.lit_ground import ground_cells
+from sal_height.simulation.lit_surfaces import ground_cells
 
 MAX_CELLS = 4_000_000
 """Greatest number of cells of an estimate, as of the parameter of ground_mapper."""

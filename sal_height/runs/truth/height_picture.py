@@ -17,7 +17,7 @@ from matplotlib.image import AxesImage
 from matplotlib.patches import Patch
 from scipy.spatial import cKDTree
 
-from sal_height.budget.power_picture import draw_powers
+from sal_height.budget.budget_picture import draw_powers
 from sal_height.engine.tracker import PREFIX
 from sal_height.graph.picture import (
     ERRORS,

@@ -30,7 +30,7 @@ from sal_height.graph.plan import DEFAULT, Execution, Outcome, Plan
 from sal_height.graph.reporting import PARAMETERS, PRESET, RELIEF_MAP, SEED, conclude, merged, reporting
 from sal_height.io import new_folder, write_text, writing
 from sal_height.messages import AIR
-from sal_height.runs.truth.accuracy import Accuracy, read_accuracy, read_images
+from sal_height.runs.truth.report import Accuracy, read_accuracy, read_images
 from sal_height.simulation import Preset, SimulatedFlight, flight_of
 from sal_height.topics import MAP_ORIGIN
 
@@ -132,10 +132,13 @@ def _draw(flown: Flown, preset: Preset, folder: Path) -> None:
     Raises:
         UserError: a picture cannot be written, or none of the images lies on the scene.
     """
-    from sal_height.runs.truth.cloud_picture import cloud_of, draw_cloud  # noqa: PLC0415 (brings Matplotlib)
-    from sal_height.runs.truth.error_picture import draw_errors  # noqa: PLC0415
-    from sal_height.runs.truth.ground_picture import draw_ground  # noqa: PLC0415
     from sal_height.runs.truth.height_picture import draw_heights  # noqa: PLC0415
+    from sal_height.runs.truth.pictures import (  # noqa: PLC0415 (brings Matplotlib)
+        cloud_of,
+        draw_cloud,
+        draw_errors,
+        draw_ground,
+    )
     from sal_height.runs.truth.profile import draw_profile  # noqa: PLC0415
 
     accuracy, source = flown.accuracy, flown.source

@@ -29,8 +29,7 @@ from sal_height.runs.truth.comparison import (
     joined_comparisons,
 )
 from sal_height.simulation import SimulatedFlight, VisibleSurface
-from sal_height.simulation.lit_ground import GroundCells, ground_cells
-from sal_height.simulation.lit_surfaces import CONNECTED, LitSurfaces, lit_surfaces
+from sal_height.simulation.lit_surfaces import CONNECTED, GroundCells, LitSurfaces, ground_cells, lit_surfaces
 
 TOLERANCE_BEAMWIDTHS = 0.11
 """Error, across the line of sight, up to which a height is called right: 6 cm of height in sal_spotlight."""

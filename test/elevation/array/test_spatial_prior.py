@@ -18,8 +18,7 @@ from sal_height.elevation.array.likelihood import GUARD, OBJECTIVES, estimate_of
 from sal_height.elevation.array.search import PeakSearches
 from sal_height.elevation.array.spatial_prior import RECOMMENDED_STRENGTH, smoothed_peaks
 from sal_height.elevation.estimators.maximum_likelihood import MlSettings, ml_elevation
-from sal_height.elevation.looks.dwell_columns import DwellColumns
-from sal_height.elevation.looks.looks import Looks
+from sal_height.elevation.looks.looks import DwellColumns, Looks
 from sal_height.errors import UserError
 
 NORMALISED = OBJECTIVES["normalised"]

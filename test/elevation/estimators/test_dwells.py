@@ -11,10 +11,9 @@ from scipy.ndimage import uniform_filter
 
 from sal_height.beams import Beams
 from sal_height.elevation.array.estimate import ElevationEstimate, Validity
-from sal_height.elevation.estimators.dwells import estimate_dwells, side_by_side
 from sal_height.elevation.estimators.maximum_likelihood import MlSettings, ml_elevation
-from sal_height.elevation.looks.dwell_columns import DwellColumns
-from sal_height.elevation.looks.looks import Looks, SlcCovariance
+from sal_height.elevation.estimators.registry import estimate_dwells, side_by_side
+from sal_height.elevation.looks.looks import DwellColumns, Looks, SlcCovariance
 
 BEAMS = make_beams(count=6)
 

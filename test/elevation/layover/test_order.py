@@ -24,8 +24,7 @@ from sal_height.elevation.layover.order import (
     log_probabilities,
     path_length,
 )
-from sal_height.elevation.looks.dwell_columns import DwellColumns
-from sal_height.elevation.looks.looks import Looks
+from sal_height.elevation.looks.looks import DwellColumns, Looks
 
 ONE_PERCENT = 0.01
 NOWHERE = np.zeros(0, np.intp), np.zeros(0, np.intp)

@@ -9,7 +9,7 @@ from scipy.special import fdtri
 
 from sal_height.elevation import AxisResponse, CellResponse, Looks, Window, axis_looks, windowed_looks
 from sal_height.elevation.looks.cell_response import REACH
-from sal_height.elevation.looks.noise_floor import SPECKLE_RATE, is_edge_of_shadow
+from sal_height.elevation.looks.looks import SPECKLE_RATE, is_edge_of_shadow
 from sal_height.numeric import C64, C128, F64, window
 from sal_height.sensor import Channels
 

@@ -9,8 +9,7 @@ import pytest
 from helpers import BEAMWIDTH, circular, make_beams
 
 from sal_height.beams import PATTERNS, Beams, detector_pattern
-from sal_height.elevation.looks.dwell_columns import DwellColumns
-from sal_height.elevation.looks.looks import Looks
+from sal_height.elevation.looks.looks import DwellColumns, Looks
 from sal_height.elevation.monopulse._kernels import INSIDE, NO_DOMAIN, UNKNOWN
 from sal_height.elevation.monopulse.inverse_table import (
     ALLOWED_ERROR,

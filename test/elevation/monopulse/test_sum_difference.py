@@ -41,12 +41,11 @@ from sal_height.elevation.monopulse.estimators import (
 )
 from sal_height.elevation.monopulse.inversion import Reason, invert, invert_linear
 from sal_height.elevation.monopulse.pairs import MonopulseSettings, monopulse_elevation
-from sal_height.elevation.monopulse.slope_table import SlopeTable
-from sal_height.elevation.monopulse.sum_difference import SumDifferenceSettings, sum_difference_elevation
+from sal_height.elevation.monopulse.sum_difference import SlopeTable, SumDifferenceSettings, sum_difference_elevation
 from sal_height.errors import UserError
 from sal_height.sensor.channels import separated_gains, sum_difference_channels
 from sal_height.theory.discriminator_noise import steady_looks_mean, steady_mean
-from sal_height.theory.relief_radar import crossover_slope, synthesise
+from sal_height.theory.link_budget import crossover_slope, synthesise
 
 Array = np.ndarray
 EQUAL: NoisePowers = (1.0, 1.0)

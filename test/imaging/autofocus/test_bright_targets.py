@@ -7,7 +7,7 @@ import pytest
 from helpers import circular
 from phase_errors import power_law_phase, residual_phase, white_phase
 
-from sal_height.imaging.autofocus.bright_targets import focus_targets, sharpness
+from sal_height.imaging.autofocus.gradient import focus_targets, sharpness
 from sal_height.imaging.autofocus.phase_error import detrended
 from sal_height.numeric import Complex
 

@@ -35,8 +35,7 @@ from sal_height.imaging.autofocus.phase_linking import (
     with_fitted_profile,
 )
 from sal_height.imaging.formers.backprojection import backproject
-from sal_height.imaging.pixels import slant_plane_grid
-from sal_height.imaging.weighting import Processing
+from sal_height.imaging.pixels import Processing, slant_plane_grid
 from sal_height.imports import gotcha
 from sal_height.numeric.windows import broadening, window
 from sal_height.sensor.phase_history import PhaseHistory

@@ -10,8 +10,7 @@ from helpers import circular
 
 from sal_height.geometry.trajectory import Trajectory
 from sal_height.imaging.autofocus.coherence import Coherence, beam_coherence
-from sal_height.imaging.autofocus.phase_linking import Likelihood, find_trend, speckle_classes
-from sal_height.imaging.autofocus.unevenness import MAIN_LOBE, uneven_trend
+from sal_height.imaging.autofocus.phase_linking import MAIN_LOBE, Likelihood, find_trend, speckle_classes, uneven_trend
 from sal_height.imaging.focus import ImageSettings, focus_dwell
 from sal_height.simulation.flight import SimulatedFlight, flight_of
 from sal_height.simulation.preset import load_preset

@@ -11,8 +11,7 @@ from sal_height.geometry.frames import look_direction
 from sal_height.geometry.grid import Grid
 from sal_height.imaging.formers import _kernels, backprojection
 from sal_height.imaging.formers.backprojection import backproject, backproject_points, valid_pixels
-from sal_height.imaging.pixels import slant_plane_grid, slc_noise_power
-from sal_height.imaging.weighting import Processing
+from sal_height.imaging.pixels import Processing, slant_plane_grid, slc_noise_power
 from sal_height.numeric.range_profiles import TAPS, dense_profiles
 from sal_height.numeric.windows import window
 from sal_height.sensor.phase_history import PhaseHistory

@@ -17,8 +17,7 @@ from sal_height.imaging.formers.choice import FEW_OF_STRIP, FEW_PIXELS, FORMERS,
 from sal_height.imaging.formers.range_doppler import focus_stripmap
 from sal_height.imaging.formers.row_sums import focus_rows
 from sal_height.imaging.formers.specan import focus_spotlight
-from sal_height.imaging.pixels import ground_plane_grid
-from sal_height.imaging.weighting import Processing
+from sal_height.imaging.pixels import Processing, ground_plane_grid
 from sal_height.sensor.sensor import MODES
 
 FORMERS_OF = {"spotlight": "specan", "stripmap": "range_doppler"}

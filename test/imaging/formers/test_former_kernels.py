@@ -16,7 +16,7 @@ from sal_height.imaging.formers._kernels import (
     read_profiles,
     row_is_reached,
 )
-from sal_height.imaging.weighting import Processing
+from sal_height.imaging.pixels import Processing
 from sal_height.numeric import OVERSAMPLING, TAPS, dense_profiles, tap_polynomials, tap_weights
 
 COUNT, WINDOW, WAVENUMBER, SPACING = 32, 4.0, 80.0, 0.02

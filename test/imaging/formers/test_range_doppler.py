@@ -19,7 +19,7 @@ from sal_height.imaging.formers.range_doppler import (
     filters_of,
     focus_stripmap,
 )
-from sal_height.imaging.weighting import Processing
+from sal_height.imaging.pixels import Processing
 
 RADAR = {**XBAND, "pulses": 1000, "targets": 30}
 

@@ -13,8 +13,7 @@ from sal_height.errors import UserError
 from sal_height.geometry.frames import ApertureState
 from sal_height.imaging.formers.accuracy import ALLOWED_ERROR
 from sal_height.imaging.formers.row_sums import PHASES_OF_THREAD, expected_error, focus_rows
-from sal_height.imaging.pixels import ground_plane_grid
-from sal_height.imaging.weighting import Processing
+from sal_height.imaging.pixels import Processing, ground_plane_grid
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from multiprocessing.shared_memory import SharedMemory
 
 import pytest
 
-from sal_height.nodes.accounts.process_numbers import process_numbers
+from sal_height.nodes.accounts.tally import process_numbers
 
 SIZE_MB = 50
 

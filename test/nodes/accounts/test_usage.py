@@ -21,7 +21,7 @@ from sal_height.nodes.recording.recorder import Recorder
 from sal_height.nodes.simulator import Simulator
 from sal_height.nodes.transforms import has_transforms
 from sal_height.nodes.transport.graph import Graph
-from sal_height.nodes.transport.quality import FRAMES_QOS
+from sal_height.nodes.transport.qos import FRAMES_QOS
 from sal_height.nodes.worker import WorkerNode
 from sal_height.settings import settings_of
 from sal_height.topics import TF_STATIC

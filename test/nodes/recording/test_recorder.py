@@ -51,7 +51,7 @@ from sal_height.nodes.recording.parameter_reader import ParameterReader
 from sal_height.nodes.recording.recorder import Recorder, _replaces
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
-from sal_height.nodes.transport.quality import LATCHED_QOS
+from sal_height.nodes.transport.qos import LATCHED_QOS
 
 TIMEOUT_S = 120.0
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

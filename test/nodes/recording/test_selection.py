@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from sal_height.errors import UserError
-from sal_height.nodes.recording.selection import Selection
+from sal_height.nodes.recording.recorder_parameters import Selection
 
 ODOMETRY, HEIGHT = ["nav_msgs/msg/Odometry"], ["sal_height_msgs/msg/HeightImage"]
 TOPICS = {

@@ -10,7 +10,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sal_height.messages.types import KeyValue
 from sal_height.nodes.accounts.account import Account
 from sal_height.nodes.transport.graph import Graph
-from sal_height.nodes.transport.quality import FRAMES_QOS, LATCHED_QOS
+from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS
 from sal_height.nodes.worker import WorkerNode
 
 TIMEOUT_S = 120.0

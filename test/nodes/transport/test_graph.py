@@ -8,7 +8,7 @@ from rclpy.node import Node
 from std_msgs.msg import String
 
 from sal_height.nodes.transport.graph import Graph
-from sal_height.nodes.transport.quality import FRAMES_QOS
+from sal_height.nodes.transport.qos import FRAMES_QOS
 
 ENDED_S = 10.0
 """When the messages stop after all, so that a failure ends."""

@@ -12,11 +12,10 @@ import pytest
 from rclpy.node import Node
 
 from sal_height.nodes.transport import leftovers
-from sal_height.nodes.transport.domain import free_domain
+from sal_height.nodes.transport.domain import LOOKS, Ports, free_domain, ports_read
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.leftovers import LOCK, SHARED_MEMORY, avoid_dead_ports, remove_orphans
 from sal_height.nodes.transport.middleware import ENOUGH
-from sal_height.nodes.transport.ports import LOOKS, Ports, ports_read
 
 PROGRAM = """
 from rclpy.node import Node

@@ -16,10 +16,10 @@ from rclpy.node import Node
 from sal_height.graph.account_book import AccountBook
 from sal_height.graph.watch import Watcher
 from sal_height.messages.types import DiagnosticArray
+from sal_height.nodes.transport.domain import LOOK_S, LOOKS, Ports, ports_read
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.leftovers import SHARED_MEMORY
 from sal_height.nodes.transport.message_types import subscribe
-from sal_height.nodes.transport.ports import LOOK_S, LOOKS, Ports, ports_read
 
 STANDS_STILL_S = 3.0
 """Longer than two of the looks after which Fast DDS takes a process for dead by default."""

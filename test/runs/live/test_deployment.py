@@ -10,8 +10,7 @@ from rclpy.parameter import Parameter
 
 from sal_height.commands import main
 from sal_height.nodes.transport.graph import Graph
-from sal_height.runs.live.deployed_nodes import members_of
-from sal_height.runs.live.deployment import load_deployment
+from sal_height.runs.live.deployment import load_deployment, members_of
 
 WHOLE = """
 namespace: aircraft/lidar

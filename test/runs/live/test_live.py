@@ -15,8 +15,7 @@ import pytest
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
 from sal_height.graph.plan import Execution
-from sal_height.runs.live.live import Live, Watched, live, warn_of_overload
-from sal_height.runs.live.self_test import core_rate_hz
+from sal_height.runs.live.live import Live, Watched, core_rate_hz, live, warn_of_overload
 from sal_height.runs.live.sensor_bag import Feed, record_sensor
 from sal_height.runs.replay.bag_replay import replay
 from sal_height.simulation import load_preset

@@ -13,15 +13,15 @@ from helpers import assert_one_sentence
 from rosbags.highlevel import AnyReader
 
 from sal_height.bag.reader import BagReader
-from sal_height.calibration.files import load_calibration
+from sal_height.calibration.calibration import load_calibration
 from sal_height.commands import main
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import HEIGHTS
 from sal_height.runs.chain.entry import Part
 from sal_height.runs.live.sensor_bag import record_sensor
 from sal_height.runs.products.calibrate import CALIBRATION, calibrate
-from sal_height.runs.products.calibration_picture import beam_width
-from sal_height.runs.truth.accuracy import read_accuracy
+from sal_height.runs.products.pictures import beam_width
+from sal_height.runs.truth.report import read_accuracy
 from sal_height.runs.truth.simulate import fly
 from sal_height.simulation.flight import flight_of
 from sal_height.simulation.impairments import Impairments

@@ -36,7 +36,7 @@ from sal_height.messages.types import SensorInfo
 from sal_height.nodes.playing.player import Player
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
-from sal_height.nodes.transport.quality import LATCHED_QOS
+from sal_height.nodes.transport.qos import LATCHED_QOS
 from sal_height.runs.chain.recorded_parameters import recorded_parameters
 from sal_height.runs.replay.bag_replay import replay
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from sal_height.relief import GroundEstimate, GroundKind
-from sal_height.runs.truth.accuracy import read_accuracy
-from sal_height.runs.truth.ground_picture import draw_ground
 from sal_height.runs.truth.ground_report import TrueGround, ground_statistics
+from sal_height.runs.truth.pictures import draw_ground
+from sal_height.runs.truth.report import read_accuracy
 from sal_height.simulation.flight import flight_of
 from sal_height.simulation.preset import Preset
 

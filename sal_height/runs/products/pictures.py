@@ -1,4 +1,4 @@
-"""Picture of a calibration: gain of each channel with its standard error, and how receivers differ over the band."""
+"""Pictures of products: an adjustment, heights from several passes, and a calibration."""
 
 from __future__ import annotations
 
@@ -6,12 +6,88 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
+from sal_height.adjustment import Adjustment
 from sal_height.calibration import Calibration
-from sal_height.graph.picture import page
+from sal_height.graph.picture import HEIGHTS, colour_bar, page
 from sal_height.numeric import C128, F64, Bool
+from sal_height.passes import PassHeights
+from sal_height.runs.products.passes_report import ReferenceComparison
+
+mpl.use("Agg")
+
+AXES = ("east", "north", "up")
+
+
+def draw_adjustment(adjustment: Adjustment, path: Path) -> None:
+    """Write a PNG: shifts of the dwells with their sigmas, and differences of comparisons before and after."""
+    shifts, covariance = adjustment.shifts
+    sigmas = np.sqrt([one.diagonal() for one in covariance])
+    before, after = adjustment.differences
+    figure = Figure(figsize=(13, 8), layout="constrained")
+    for column, (axis, name) in enumerate(zip(figure.subplots(2, 3).T, AXES, strict=True)):
+        top, below = axis
+        top.errorbar(np.arange(len(shifts)), shifts[:, column], sigmas[:, column], fmt=".", ms=3, lw=0.8)
+        top.set(title=f"How far {name} dwells were misaligned", xlabel="dwell", ylabel="m")
+        top.axhline(0.0, color="k", lw=0.5)
+        for values, label in ((before, "before"), (after, "after")):
+            if len(values):
+                size = np.sort(np.abs(values[:, column]))
+                below.step(np.maximum(size, 1e-4), (np.arange(len(size)) + 1) / len(size), label=label, where="post")
+        below.set(
+            title=f"Differences {name} between dwells that overlap", xlabel="m", ylabel="share below", xscale="log"
+        )
+        if len(after):
+            below.legend(loc="lower right")
+    figure.savefig(path, dpi=110)
+
+
+def draw_passes(result: PassHeights, comparisons: Sequence[ReferenceComparison], path: Path) -> None:
+    """Write a PNG: the map of the points on the left; on the right heights over range, and the array response."""
+    with page(path, 5.6) as figure:
+        panels = figure.subplot_mosaic([["plan", "profile"], ["plan", "response"]], width_ratios=[1.2, 1.0])
+        _draw_plan(panels["plan"], result, comparisons)
+        _draw_profile(panels["profile"], result, comparisons)
+        _draw_response(panels["response"], result)
+
+
+def _draw_plan(axis: Axes, result: PassHeights, comparisons: Sequence[ReferenceComparison]) -> None:
+    points = result.found.points
+    east, north, height = points.positions.T
+    limits = np.percentile(height, [1, 99]) if len(height) else (0.0, 1.0)
+    size = 4 + 20 * np.clip(np.log10(np.maximum(points.power, 1.0)) / 4, 0, 1)
+    drawn = axis.scatter(east, north, c=height, s=size, cmap=HEIGHTS, vmin=limits[0], vmax=limits[1], linewidths=0)
+    for one in comparisons:
+        axis.plot(*one.reference.position[:2], marker="+", color="k", ms=9)
+    colour_bar(drawn, axis, "height (m)", height, orientation="horizontal", aspect=40, pad=0.02)
+    axis.set(aspect="equal", xlabel="east (m)", ylabel="north (m)", title=f"{len(height)} points, + reference points")
+
+
+def _draw_profile(axis: Axes, result: PassHeights, comparisons: Sequence[ReferenceComparison]) -> None:
+    points, array = result.found.points, result.array
+    sight = array.axes[0] * np.array([1.0, 1.0, 0.0])
+    sight /= np.linalg.norm(sight)
+    away = (points.positions - array.centre) @ sight
+    axis.errorbar(away, points.height, 2 * points.total_sigma, fmt=".", ms=3, lw=0.6)
+    for one in comparisons:
+        axis.plot((one.reference.position - array.centre) @ sight, one.reference.position[2], "k+", ms=9)
+    axis.set(xlabel="ground range (m)", ylabel="height (m), 2 sigma")
+
+
+def _draw_response(axis: Axes, result: PassHeights) -> None:
+    ambiguity = result.ambiguity
+    axis.plot(ambiguity.offsets, ambiguity.response, lw=1.0)
+    axis.set(
+        xlabel="error of height (m)",
+        ylabel="fraction of power",
+        ylim=(0, 1),
+        title=f"{len(result.array.passes)} passes: greatest sidelobe {ambiguity.sidelobe:.2g}",
+    )
+
 
 DECIBELS = 20 / np.log(10)
 """Decibels of a change of ln amplitude by 1."""

@@ -1,4 +1,4 @@
-"""Chirp z-transform: a discrete Fourier transform onto any even spacing, by FFTs (Bluestein; Rabiner et al. 1969)."""
+"""Fourier transforms of many rows: lengths of FFTs, chirp z-transform, and few numbers onto any even spacing."""
 
 from __future__ import annotations
 
@@ -8,11 +8,32 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.fft
 
-from sal_height.numeric._kernels import fill_columns, fill_products, multiply_lines
-from sal_height.numeric.arrays import C64, F64
-from sal_height.numeric.fft import blocks, fast_length, rows_at_once
+from sal_height.numeric._kernels import fill_columns, fill_even_and_odd, fill_from_halves, fill_products, multiply_lines
+from sal_height.numeric.arrays import C64, F32, F64
 from sal_height.numeric.phasors import outer_phasors
 from sal_height.numeric.threads import WORKERS
+
+BUFFER = 2**16  # numbers that fit into a processor's cache: half a megabyte
+
+
+def fast_length(least: int) -> int:
+    """Smallest length of `least` or more that is fast: a multiple of 16, with factors 2, 3 and 5."""
+    return 16 * int(scipy.fft.next_fast_len(-(-least // 16), real=True))
+
+
+def rows_at_once(length: int) -> int:
+    """Rows of that length that fit into a processor's cache together."""
+    return max(1, BUFFER // length)
+
+
+def blocks(count: int, size: int) -> list[slice]:
+    """`count` rows in blocks of `size`, the last of which may be smaller."""
+    return [slice(first, min(first + size, count)) for first in range(0, count, size)]
+
+
+def frequencies(count: int) -> F64:
+    """Frequencies of `count` bins, cycles per pixel: from -1/2 up, in the order of `numpy.fft.fftshift`."""
+    return np.asarray((np.arange(count) - count // 2) / count, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,3 +122,63 @@ def chirp_z(steps: F64, inputs: int, n0: float, outputs: int, m0: float) -> Chir
         spectrum,
         outer_phasors(half, (np.arange(outputs, dtype=np.float64) - m0) ** 2),
     )
+
+
+LARGEST = 2**14
+"""Inputs times outputs up to which this is faster than two FFTs (measured: 0.15 against 0.6 us a line for 2944)."""
+
+PRODUCT = 2**18
+"""Greatest number of multiplications of one product of real matrices: for more, OpenBLAS starts threads, which spin."""
+
+
+@dataclass(frozen=True, eq=False)
+class CentredSums:
+    """The sums y[m] = sum over n of x[n] exp(j step (n - n0) (m - m0)) of lines of numbers.
+
+    n0 is inputs // 2 and m0 is (outputs - 1) / 2.
+
+    Attributes:
+        cosines: cosines, float32, shape (half of the outputs, inputs // 2 + 1).
+        sines: sines, same shape.
+        outputs: number of sums of a line.
+        before: factors of the numbers, complex64, shape (lines or 1, inputs).
+    """
+
+    cosines: F32
+    sines: F32
+    outputs: int
+    before: C64
+
+    @classmethod
+    def of(cls, step: float, inputs: int, outputs: int) -> CentredSums:
+        """Sums of `inputs` to `outputs` numbers; step: phase (rad) per input and output index."""
+        after = np.arange(outputs // 2, outputs) - (outputs - 1) / 2
+        turns = step * np.outer(after, np.arange(inputs // 2 + 1))
+        cosines, sines = np.cos(turns), np.sin(turns)
+        cosines[:, 0] /= 2  # the number in the middle is its own counterpart
+        return cls(cosines.astype(np.float32), sines.astype(np.float32), outputs, np.ones((1, inputs), np.complex64))
+
+    @property
+    def is_common(self) -> bool:
+        """True: all lines have the same factors."""
+        return True
+
+    def times(self, factors: C64) -> CentredSums:
+        """The sums of numbers that are multiplied by factors before, (lines, inputs)."""
+        return replace(self, before=self.before * factors)
+
+    def fill_columns(self, values: C64, result: C64) -> None:
+        """The sums of some lines as the columns of a matrix.
+
+        Args:
+            values: numbers, complex64, shape (lines, inputs).
+            result: array to fill, shape (outputs, lines or more).
+        """
+        halves, count = self.cosines.shape
+        even, odd = np.empty((2, 2 * len(values), count), np.float32)
+        fill_even_and_odd(values, self.before, even, odd)
+        in_phase, across = np.empty((2, halves, 2 * len(values)), np.float32)
+        for part in blocks(2 * len(values), max(1, PRODUCT // self.cosines.size)):
+            np.matmul(self.cosines, even[part].T, out=in_phase[:, part])
+            np.matmul(self.sines, odd[part].T, out=across[:, part])
+        fill_from_halves(in_phase, across, result)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import resource
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -297,3 +297,9 @@ def thorough(*cases: Any) -> list[Any]:
     """Cases of a parametrised test that only `make thorough` runs; tuples hold one value for each parameter."""
     values = [case if isinstance(case, tuple) else (case,) for case in cases]
     return [pytest.param(*one, marks=pytest.mark.thorough) for one in values]
+
+
+def few(count: int, cases: Iterable[Any]) -> list[Any]:
+    """The cases of a parametrised test, of which `make test` runs the first `count` and `make thorough` all."""
+    cases = list(cases)
+    return [*cases[:count], *thorough(*cases[count:])]

@@ -7,6 +7,8 @@ import subprocess
 import sys
 from collections import Counter
 
+import pytest
+
 from benchmarks.soak import AFTERWARDS_S, RECOVERY_S, Fault, Moment, Soak, verdict
 
 
@@ -91,6 +93,7 @@ print(json.dumps({
 """
 
 
+@pytest.mark.thorough
 def test_a_real_graph_keeps_its_promises_after_one_fault_of_each_kind() -> None:
     """Messages that are left out meanwhile would break a promise if no fault were known.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -22,9 +23,13 @@ MODULES = sorted(path for path in (ROOT / "sal_height").rglob("*.py") if path.na
 PAGES = sorted([*(ROOT / "docs").rglob("*.md"), ROOT / "README.md", *(ROOT / "msg_defs" / "msg").glob("*.msg")])
 
 
-def texts_of(source: str) -> Iterator[tuple[int, str]]:
+@cache
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text())
+
+
+def texts_of(tree: ast.Module) -> Iterator[tuple[int, str]]:
     """Line and text of each literal with a space that is no docstring: messages, help, labels of pictures."""
-    tree = ast.parse(source)
     documentation = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
     for node in ast.walk(tree):
         is_text = isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in documentation
@@ -34,7 +39,7 @@ def texts_of(source: str) -> Iterator[tuple[int, str]]:
 
 def test_messages_and_help_use_no_private_words() -> None:
     found = [
-        (path.name, line, text) for path in MODULES for line, text in texts_of(path.read_text()) if PRIVATE.search(text)
+        (path.name, line, text) for path in MODULES for line, text in texts_of(tree_of(path)) if PRIVATE.search(text)
     ]
     assert not found
 
@@ -48,7 +53,7 @@ def test_documents_use_no_private_words() -> None:
 def classes_and_docstrings() -> Iterator[tuple[str, str, str]]:
     """Module, name (empty if it is no class) and docstring of each module, class and function."""
     for path in MODULES:
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in ast.walk(tree_of(path)):
             if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)):
                 name = node.name if isinstance(node, ast.ClassDef) else ""
                 yield str(path.relative_to(ROOT)), name, ast.get_docstring(node) or ""
@@ -72,4 +77,4 @@ def test_private_words_are_found_and_docstrings_are_left_out() -> None:
     source = (
         'def f():\n    """What is told."""\n    return f"Nobody tells {f}; {f} is none of these, and {f} is none."\n'
     )
-    assert [text for _, text in texts_of(source) if PRIVATE.search(text)] == ["Nobody tells ", " is none."]
+    assert [text for _, text in texts_of(ast.parse(source)) if PRIVATE.search(text)] == ["Nobody tells ", " is none."]

@@ -86,6 +86,7 @@ def test_the_last_adjustment_is_that_of_all_dwells_at_once() -> None:
     assert len(window.adjustment.comparisons) > 0.5 * len(whole.comparisons)
 
 
+@pytest.mark.thorough
 def test_dwells_that_left_have_told_what_they_knew() -> None:
     """With half of the dwells held, the last ones of passes lie where they do with all; else they would not."""
     passes = flown()

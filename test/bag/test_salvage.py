@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import few
 from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 from rclpy.serialization import serialize_message
@@ -288,7 +289,7 @@ def saved_by_command(data: bytes, tmp_path: Path) -> tuple[int, set[tuple[str, b
     return status, set(found), len(found)
 
 
-@pytest.mark.parametrize("compression", ["none", "zstd"])
+@pytest.mark.parametrize("compression", few(1, ["none", "zstd"]))
 def test_wherever_a_file_is_cut_what_precedes_the_cut_is_recovered(compression: str, tmp_path: Path) -> None:
     """Status 2 where there is no beginning of a bag, 1 where a record is cut, 0 if what lacks is the index alone."""
     data, messages = mixed_bag(tmp_path / "bag", compression)
@@ -313,7 +314,7 @@ def test_wherever_a_file_is_cut_what_precedes_the_cut_is_recovered(compression: 
     assert statuses == {0, 1, 2}
 
 
-@pytest.mark.parametrize("compression", ["none", "lz4"])
+@pytest.mark.parametrize("compression", few(1, ["none", "lz4"]))
 def test_whatever_byte_is_damaged_no_message_is_changed_and_the_account_is_right(
     compression: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -91,12 +91,14 @@ def trials() -> tuple[Array, Array]:
     return np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
 
 
+@pytest.mark.thorough
 def test_errors_are_as_large_as_stated() -> None:
     """15 free parameters in 20 trials: the standard error of their rms is 4 % (independent) to 16 % (all alike)."""
     error, sigma = trials()
     assert np.sqrt(np.mean((error / sigma) ** 2)) == pytest.approx(1, abs=0.12)
 
 
+@pytest.mark.thorough
 def test_stated_errors_know_what_rows_have_in_common() -> None:
     """Every pixel four times in its column, as where layover or sidelobes fill neighbours: errors are twice as great.
 

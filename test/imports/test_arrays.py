@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 import pytest
 import yaml
-from helpers import assert_one_sentence
+from helpers import assert_one_sentence, few
 from pyproj import Geod
 from scipy.io import savemat
 
@@ -120,7 +120,7 @@ def expected(flight: SimulatedFlight, tmp_path_factory: pytest.TempPathFactory) 
     return heights_of(folder / "out" / "bag")
 
 
-@pytest.mark.parametrize("kind", WRITERS)
+@pytest.mark.parametrize("kind", few(2, WRITERS))
 def test_arrays_give_the_heights_of_the_flight(
     kind: str, flight: SimulatedFlight, expected: list[Any], tmp_path: Path
 ) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import few
 from phase_errors import residual_phase
 from scipy.io import loadmat, savemat
 
@@ -163,18 +164,18 @@ def assert_comes_off(files: tuple[Path, ...], error: str) -> None:
     assert contrast(focused) > contrast(own) - 0.4
 
 
-@pytest.mark.parametrize(("files", "error"), in_files(SMOOTH_PHASES), indirect=["files"])
+@pytest.mark.parametrize(("files", "error"), few(2, in_files(SMOOTH_PHASES)), indirect=["files"])
 def test_phase_errors_come_off(files: tuple[Path, ...], error: str) -> None:
     assert_comes_off(files, error)
 
 
-@pytest.mark.parametrize("error", HARD_PHASES)
+@pytest.mark.parametrize("error", few(1, HARD_PHASES))
 def test_phase_errors_wider_than_a_picture_come_off(shared_data: Callable[[str], Path], error: str) -> None:
     """Three files: a blur over more cells than stay in a range cell, and echoes 40 cells off, that first look right."""
     assert_comes_off(tuple(sorted(shared_data("afrl_gotcha").glob("*.mat"))), error)
 
 
-@pytest.mark.parametrize(("files", "error"), in_files(POSITIONS), indirect=["files"])
+@pytest.mark.parametrize(("files", "error"), few(2, in_files(POSITIONS)), indirect=["files"])
 def test_errors_of_the_antenna_position_come_off(files: tuple[Path, ...], error: str) -> None:
     own, focused = image(files), image(files, position=error)
     assert focused.focus

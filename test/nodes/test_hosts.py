@@ -15,6 +15,7 @@ from typing import Any
 import bag_feeder
 import pytest
 from bag_feeder import BAG, assert_same, read_heights
+from helpers import few
 from hosts import Hosts, UnavailableError
 
 from sal_height.messages.types import HeightImage
@@ -112,6 +113,7 @@ def test_reliable_topics_lose_nothing_on_a_network_that_does(
     assert_nothing_is_lost(accounts)
 
 
+@pytest.mark.thorough
 def test_small_packets_bring_all_over_a_network_that_loses_every_tenth(
     hosts: Hosts, start: Start, bag_heights: dict[int, HeightImage], tmp_path: Path
 ) -> None:
@@ -126,7 +128,7 @@ def test_small_packets_bring_all_over_a_network_that_loses_every_tenth(
     assert_nothing_is_lost(accounts)
 
 
-@pytest.mark.parametrize("way", ["peers", "server"])
+@pytest.mark.parametrize("way", few(1, ["peers", "server"]))
 def test_hosts_find_each_other_without_multicast(
     way: str, hosts: Hosts, start: Start, bag_heights: dict[int, HeightImage], tmp_path: Path
 ) -> None:
@@ -142,6 +144,7 @@ def test_hosts_find_each_other_without_multicast(
     assert_same(read_heights(tmp_path), bag_heights)
 
 
+@pytest.mark.thorough
 def test_frames_that_are_lost_for_good_are_accounted_for(hosts: Hosts, start: Start, tmp_path: Path) -> None:
     hosts.loss, hosts.delay_s = 0.04, 0.02
     start_both(start)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from helpers import few
 from pass_scenes import SETTINGS, SMALL, amplitudes, reflectors, shown
 from scipy.spatial import cKDTree
 
@@ -30,7 +31,7 @@ def flown_over(rng: np.random.Generator, points: np.ndarray, turns: np.ndarray, 
     return heights_from_passes(passes, np.zeros(3), ml, ml.settings(**OF_POINTS), SETTINGS, known)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 4])
+@pytest.mark.parametrize("seed", few(1, [1, 2, 4]))
 def test_passes_whose_points_have_all_changed_are_refused(seed: int) -> None:
     """A tie by chance gave 16 to 19 of the 40 points heights that were wrong by metres."""
     rng = np.random.default_rng(seed)

@@ -53,6 +53,7 @@ def bright_points(real: Pass) -> tuple[np.ndarray, np.ndarray, float]:
     return grid.points(row, col), image[row, col], level
 
 
+@pytest.mark.thorough
 def test_a_real_pass_goes_with_simulated_ones(real: Pass) -> None:
     """The others see the bright points at heights given to them, on circles that the real pass cannot tell apart."""
     rng = np.random.default_rng(3)

@@ -85,6 +85,7 @@ def test_without_references_only_a_common_height_is_open() -> None:
     assert np.abs(np.median(moved[:, 2])) < 0.2  # most are on the ground
 
 
+@pytest.mark.thorough
 def test_capon_agrees_with_maximum_likelihood() -> None:
     points, passes, references = scene(12)
     errors = errors_of(made(list(passes), list(references), name="capon"), points)
@@ -121,6 +122,7 @@ def test_points_that_differ_from_pass_to_pass_are_less_certain() -> None:
     assert np.nanstd(ratios) < 1.6
 
 
+@pytest.mark.thorough
 def test_pairs_in_a_cell_do_not_spoil_the_tie() -> None:
     """Five of thirteen bright pixels hold two reflectors, some of them nearly in phase as one."""
     rng = np.random.default_rng(100)
@@ -177,6 +179,7 @@ def clustered(rng: np.random.Generator, spread: float, errors: float) -> tuple[n
     return points, simulated_passes(circle, points, each, 1.0, rng)
 
 
+@pytest.mark.thorough
 def test_heights_that_clustered_passes_confuse_are_not_given() -> None:
     """Errors of amplitude count as noise where sidelobes of 0.9 are told apart; else 3 of 74 heights would be wrong."""
     rng = np.random.default_rng(17)

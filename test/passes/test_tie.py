@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from helpers import few
 from pass_scenes import SETTINGS, array_of, flown, reflectors
 
 from sal_height.errors import UserError
@@ -49,7 +50,7 @@ def without_gauge(errors: np.ndarray, seen: Registered) -> np.ndarray:
     return np.asarray(np.angle(turned[best] / mean))
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", few(1, [0, 1, 2]))
 def test_phases_are_found_but_for_a_height(seed: int) -> None:
     """Without reference points; within .1 rad, the sum of tilts at 3 cm of position and of noise."""
     seen, tie, phases, offsets = tied(seed, SETTINGS)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import assert_one_sentence, blocks, make_aperture, make_sensor
+from helpers import assert_one_sentence, blocks, few, make_aperture, make_sensor
 from scipy.spatial.transform import Rotation
 
 from sal_height.elevation.array.estimate import ElevationEstimate, Validity
@@ -220,7 +220,7 @@ def astray(aperture: ApertureState, rng: np.random.Generator) -> ApertureState:
     )
 
 
-@pytest.mark.parametrize("alike", [False, True])
+@pytest.mark.parametrize("alike", few(1, [False, True]))
 def test_overlapping_dwells_agree_within_their_sigmas(alike: bool) -> None:
     """Errors of two dwells over their sigma have the mean square 1; so have differences, if poses err independently.
 

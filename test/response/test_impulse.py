@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import assert_one_sentence, circular, direct_history, make_aperture, make_sensor
+from helpers import assert_one_sentence, circular, direct_history, few, make_aperture, make_sensor
 from numpy.testing import assert_allclose
 from scipy.constants import speed_of_light
 from scipy.integrate import quad
@@ -147,7 +147,7 @@ def parking_lot(shared_data: Callable[[str], Path]) -> tuple[np.ndarray, float]:
     return profiles * np.exp(-2j * np.pi * np.arange(456) * 211.5 / 456)[:, None], 424 / 456
 
 
-@pytest.mark.parametrize("scene", [forest, parking_lot])
+@pytest.mark.parametrize("scene", few(1, [forest, parking_lot]))
 def test_a_point_in_real_clutter(
     scene: Callable[..., tuple[np.ndarray, float]], shared_data: Callable[[str], Path]
 ) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import assert_one_sentence, circular
+from helpers import assert_one_sentence, circular, few
 
 from sal_height.errors import NotDetermined
 from sal_height.figures.psf_estimators import depth_and_pedestal
@@ -73,7 +73,7 @@ NOMINAL = np.array([0.05, 0.25, 0.5])
 
 @pytest.mark.parametrize(
     ("bins", "noise", "weights"),
-    [(128, 0.6, "taylor"), (64, 0.3, "hamming"), (256, 0.6, "calibrated")],
+    few(1, [(128, 0.6, "taylor"), (64, 0.3, "hamming"), (256, 0.6, "calibrated")]),
 )
 def test_linear_system_passes_whatever_its_noise_has_passed(bins: int, noise: float, weights: str | None) -> None:
     """Residuals are as large as expected, of 24 tapes with a standard error of 0.06 (0.08 in chips of 64).
@@ -151,6 +151,7 @@ def test_depth_and_pedestal_of_a_response_known() -> None:
     assert pedestal == pytest.approx(0.05 / 1.1, rel=0.02)
 
 
+@pytest.mark.thorough
 def test_errors_of_the_target_are_those_of_its_convolved_spectrum() -> None:
     """1000 draws: standard error 4.5 % of a variance."""
     rng = np.random.default_rng(15)

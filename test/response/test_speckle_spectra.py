@@ -61,6 +61,7 @@ def test_eight_images_tell_the_response(noise: float) -> None:
     assert spectra.range.spur == 0
 
 
+@pytest.mark.thorough
 def test_standard_errors_are_the_scatter_of_images() -> None:
     """40 images: a standard deviation is known to 11 %, the mean of its ratio over 28 bins far better."""
     rng = np.random.default_rng(2)

@@ -25,6 +25,8 @@ from sal_height.simulation.impairments import Impairments
 from sal_height.simulation.preset import Passes
 from sal_height.simulation.scenes import street
 
+pytestmark = pytest.mark.thorough  # what it joins is in nodes/test_height_adjuster.py and products/test_adjust.py
+
 STRIPS, BLOCKS, IMAGES = 3, 5, 3
 KNOWN = ["--set", "boresight_sigma_rad=3e-5", "--set", "lever_arm_sigma_m=0.01"]
 

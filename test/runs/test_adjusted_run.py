@@ -21,6 +21,8 @@ from sal_height.runs.truth.simulate import Flown, fly
 from sal_height.simulation import load_preset
 from sal_height.simulation.preset import Passes
 
+pytestmark = pytest.mark.thorough  # what it joins is in nodes/test_height_adjuster.py and products/test_adjust.py
+
 PASSES, DWELLS = 2, 10
 
 
@@ -101,7 +103,6 @@ def test_sigma_holds_the_errors_of_adjusted_heights(folder: Path, flown: Flown) 
     assert abs(flown.accuracy.statistics["adjusted"]["bias_m"]) < 3 * sigmas["adjusted"]
 
 
-@pytest.mark.thorough
 def test_strips_of_a_run_come_together_and_a_replay_repeats_them_to_the_bit(replay: Any, tmp_path: Path) -> None:
     """Of three strips of three images, the last one is recognised while it grows: sigma falls from 53 to 31 cm."""
     preset = load_preset("sal_strips")

@@ -15,7 +15,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from helpers import publisher_of
+from helpers import few, publisher_of
 from rclpy.node import Node
 
 from sal_height.bag.writer import BagWriter
@@ -276,7 +276,7 @@ def test_a_full_disk_ends_the_run_at_once(long: Preset, tmp_path: Path, monkeypa
     assert "sar_compression" in report["stages"]
 
 
-@pytest.mark.parametrize("name", ["preset.yaml", "report.json", "height.png"])
+@pytest.mark.parametrize("name", few(1, ["preset.yaml", "report.json", "height.png"]))
 def test_a_file_that_cannot_be_written_is_named(
     name: str, two_dwells: Preset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

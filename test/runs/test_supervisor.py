@@ -289,6 +289,7 @@ def test_at_the_end_files_are_whole_and_restarts_are_told(program: Program) -> N
     assert (program.folder / "map.tif").is_file()
 
 
+@pytest.mark.thorough
 def test_a_played_sensor_begins_anew_after_its_node_was_killed(recorded: Path, tmp_path: Path) -> None:
     """`live` asks it to, and says in the report how many processes each node has had."""
     heights = tmp_path / "out" / "run" / "bag" / "bag_0.mcap"
@@ -313,6 +314,7 @@ def test_a_played_sensor_begins_anew_after_its_node_was_killed(recorded: Path, t
     assert report["heights"]["tracked/height"] >= 5
 
 
+@pytest.mark.thorough
 def test_a_node_that_is_killed_before_it_has_come_up_is_started_again(tmp_path: Path) -> None:
     file = tmp_path / "flight.yaml"
     file.write_text("nodes: {ml_height: , monopulse: }")

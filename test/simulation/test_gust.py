@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import bare_scatterers, blocks, direct_history, flat_scene, multilook
+from helpers import bare_scatterers, blocks, direct_history, few, flat_scene, multilook
 from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
 
@@ -79,7 +79,7 @@ def track_of(flight: SimulatedFlight, dwells: range) -> Trajectory:
     return Trajectory([state for dwell in dwells for state in flight.platform_states(dwell)])
 
 
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", few(2, PRESETS))
 def test_odometry_gives_positions_to_a_twentieth_of_a_wavelength_and_velocities_of_the_track(name: str) -> None:
     """In the strongest gusts that a preset may have."""
     flight = gusty(name, 20.0)
@@ -141,7 +141,7 @@ def peak_sidelobe_db(power: np.ndarray) -> float:
     return float(10 * np.log10(max(power[:left].max(), power[right:].max()) / power[middle]))
 
 
-@pytest.mark.parametrize("former", ["backprojection", "fast"])
+@pytest.mark.parametrize("former", few(2, ["backprojection", "fast"]))
 @pytest.mark.parametrize("name", PRESETS)
 def test_point_focuses_in_gusts_as_on_a_straight_track(name: str, former: str) -> None:
     steps = np.arange(-96, 97) / 32

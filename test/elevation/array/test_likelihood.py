@@ -13,6 +13,7 @@ from helpers import (
     assert_one_sentence,
     circular,
     elevation_at,
+    few,
     make_beams,
     multilook,
     noise_free_looks,
@@ -109,7 +110,7 @@ def dense_peaks(covariance: np.ndarray, beams: Beams, objective: str, half: floa
     return fine[top] + step * np.where(inside, vertex, 0), second < 0.999 * middle
 
 
-@pytest.mark.parametrize("objective", sorted(OBJECTIVES))
+@pytest.mark.parametrize("objective", few(4, sorted(OBJECTIVES)))
 @pytest.mark.parametrize("pattern", ["sinc", "jinc"])
 @pytest.mark.parametrize("looks", [1, 4, 16])
 def test_estimate_is_the_highest_point_of_the_objective(pattern: str, looks: int, objective: str) -> None:

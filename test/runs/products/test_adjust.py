@@ -90,6 +90,7 @@ def test_new_bag_has_what_the_sensor_delivered_and_better_odometry(flight: Path,
     assert np.sqrt(covariances[0][3, 3]) < 3e-5
 
 
+@pytest.mark.thorough
 def test_a_second_adjustment_finds_the_dwells_together(adjusted: Path, tmp_path: Path) -> None:
     """They lay 50 cm apart; what is left is below a pixel, and 1 cm in height."""
     exact = ["--set", "boresight_sigma_rad=0", "--set", "lever_arm_sigma_m=0"]
@@ -236,6 +237,7 @@ def test_what_stays_as_it_was_has_no_value(tmp_path: Path, capsys: pytest.Captur
         assert (out / "bag").is_dir()
 
 
+@pytest.mark.thorough
 def test_known_ground_is_enough_where_no_two_dwells_overlap(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     preset = preset_of(1, 4)
     bag = record_sensor(replace(preset, flight=replace(preset.flight, dwell_spacing_m=3.0)), 1, tmp_path / "bag")

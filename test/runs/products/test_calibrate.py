@@ -70,6 +70,7 @@ def test_beams_and_gains_are_found(calibrated: Path) -> None:
     assert (calibrated / "calibration.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.thorough
 def test_heights_are_better_with_it(
     impaired: Preset, flown: Path, calibrated: Path, tmp_path: Path, replay: Any
 ) -> None:

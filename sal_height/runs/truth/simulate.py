@@ -34,8 +34,6 @@ from sal_height.runs.truth.report import Accuracy, read_accuracy, read_images
 from sal_height.simulation import Preset, SimulatedFlight, flight_of
 from sal_height.topics import MAP_ORIGIN
 
-"""File of the relief map in the folder of a run."""
-
 
 @dataclass(frozen=True)
 class Flown:

@@ -28,8 +28,16 @@ VALUES: Mapping[str, Mapping[Any, str]] = MappingProxyType(
 """New values by the old ones, by the new name of the parameter."""
 
 
+ENDED: Mapping[str, Any] = MappingProxyType({"prior_strength": 0.0})
+"""Parameters that have ended, with the value that changed nothing."""
+
+
 def with_new_names(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Parameters of one node with new names and values; where both names are given, the new one counts."""
+    """Parameters of one node with new names and values; where both names are given, the new one counts.
+
+    Parameters that have ended are left out where they changed nothing.
+    """
+    values = {name: value for name, value in values.items() if name not in ENDED or value != ENDED[name]}
     found = {PARAMETERS.get(name, name): value for name, value in values.items() if name in PARAMETERS}
     found |= {name: value for name, value in values.items() if name not in PARAMETERS}
     return {name: new_value(name, value) for name, value in found.items()}

@@ -96,6 +96,18 @@ def test_bags_that_state_old_names_are_read_with_new_ones(as_file: bool, tmp_pat
     assert not PARAMETERS.keys() & values["sar_compression"].keys()
 
 
+@pytest.mark.parametrize(("strength", "warnings"), [(0.0, 0), (0.75, 1)])
+def test_a_parameter_that_has_ended_is_left_out_and_reported_where_it_changed_heights(
+    strength: float, warnings: int, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    bag = shutil.copytree(BAG, tmp_path / "bag")
+    reader = BagReader(bag)
+    reader.custom_data = {CUSTOM: json.dumps({"ml_height": {"prior_strength": strength}})}
+    assert "prior_strength" not in recorded_parameters(reader)["ml_height"]
+    assert len(caplog.messages) == warnings
+    assert all("prior_strength=0.75" in message for message in caplog.messages)
+
+
 def test_a_node_refuses_old_names_and_values_and_names_the_new(graph: Graph) -> None:
     sentence = unknown_name("odometry_held_s", settings_of(STAGES["sar_compression"].settings), "Node x")
     assert sentence == "Parameter 'odometry_held_s' of node x is named 'odometry_buffer_s' now."

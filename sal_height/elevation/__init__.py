@@ -3,7 +3,7 @@
 Every estimator is a function `estimate(looks, beams, settings)` that returns an `ElevationEstimate`. Read `looks` first
 (the covariance of the channels in each pixel; `cell_response`: the part of it that neighbouring pixels contribute),
 then `estimate` (the result and the reasons for an invalid pixel), `likelihood` with `search` (one scatterer, by the
-whole array), `spatial_prior` (smoothness between neighbours), `several` (two and three scatterers in a pixel),
+whole array), `several` (two and three scatterers in a pixel),
 `extended` (one surface that is spread over elevation), `order` (probability of each of these models), `layover` (choice
 of the model of each pixel) and `maximum_likelihood`, which joins these; `capon` and `music` (the two spectra known from
 tomography, on the same search), `monopulse` (pairs; sum and difference), `bounds` (the Cramér-Rao bounds), `registry`

@@ -59,21 +59,3 @@ def test_ground_and_roof_have_their_heights(roofed: SimulatedFlight, layover: bo
         error = np.concatenate(heights) - [0.0, ROOF]
         assert np.all(np.abs(error.mean(axis=0)) < 4 * error.std(axis=0) / np.sqrt(len(error)))
         assert np.all(np.std(error / np.concatenate(sigmas), axis=0) < 2)  # four looks: tails beyond the bound's
-
-
-def test_neighbours_have_a_say_where_they_are_asked(roofed: SimulatedFlight) -> None:
-    """From dwell to dwell, on the record; at 20 dB the heights stay those of ground and roof."""
-    chain = StageChain(roofed, own={"ml": {"layover": False}})
-    chain.publish(chain.sensor_info())
-    images = []
-    for dwell, strength in enumerate((0.0, 0.75)):
-        chain.stages["ml_height"].set(prior_strength=strength)
-        chain.publish(*chain.odometry(dwell), *chain.frames(dwell))
-        chain.await_heights(dwell)
-        images.append(chain.heights["ml", dwell])
-        assert messages.stages_of(images[-1].provenance.parameters)["ml_height"]["prior_strength"] == strength
-    plain, smoothed = (np.count_nonzero(np.array(image.validity) == HeightImage.OK) for image in images)
-    assert smoothed > 0.8 * plain > 0
-    height = np.array(images[1].surfaces[0].height)[np.array(images[1].validity) == HeightImage.OK]
-    off = np.abs(height[:, None] - [0.0, ROOF]).min(axis=1)
-    assert off.max() < 0.25

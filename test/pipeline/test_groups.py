@@ -68,7 +68,7 @@ CASES = {
 }
 
 CHANGES: dict[tuple[str, str], list[dict[str, Any]]] = {
-    ("sal_spotlight", "ml"): [{}, {"prior_strength": 0.75}, {"objective": "numerator"}],
+    ("sal_spotlight", "ml"): [{}, {"objective": "numerator"}],
     ("xband_sumdiff", "sum_difference"): [{}, {"inverse": "linear"}],
 }
 """Settings that are tried; elsewhere the defaults are."""

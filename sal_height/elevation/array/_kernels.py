@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from sal_height.numeric import F32, F64, Bool, Index, compiled, inlined
+from sal_height.numeric import F32, F64, Index, compiled, inlined
 
 GRID_STEP = 0.2  # spacing of the coarse search, beamwidths: a fifth of the shortest period of the objective
 TABLE_STEPS = 6  # steps of the table of weights in each step of the grid
 TILE = 4  # pixels, and entries of their matrices, that are multiplied at a time
 NO_PEAK = -1e300  # height of a peak that does not exist: less than any objective, and finite
-LOWEST = np.float32(-1e30)  # less than any log-likelihood, and finite
 
 NEAR_HIGHEST = float(np.cos(1.5 * np.pi * GRID_STEP / 2) ** 2)
 """Least fraction of the greatest value on the grid that a node needs for a climb to start from it.
@@ -28,13 +27,6 @@ highest node alone would have missed 0.8 %.
 BETWEEN_NODES = 1 / (2 * NEAR_HIGHEST - 1)
 """Greatest range of an objective over its range on the grid: a function between 0 and 1 has values of NEAR_HIGHEST or
 more and of 1 - NEAR_HIGHEST or less at nodes. This bounds an objective that is negative somewhere from below."""
-
-FREE_NODES = 2
-"""Nodes of the grid (0.2 beamwidths) by which elevation may change from pixel to pixel without cost.
-
-Level ground and slopes change it from row to row. Where it changes by 0.4 beamwidths a row, the looks of a pixel differ
-by as much and count as several scatterers (`estimate.is_explained`).
-"""
 
 
 @compiled
@@ -224,40 +216,3 @@ def fit_scatterer(
         found[0, i] = value / norm if norm > 0 else 0.0
         found[1, i] = square_piece[0] + t * (square_piece[1] + t * (square_piece[2] + t * square_piece[3]))
         found[2, i] = (square - (along * along + across * across) / norm) / norm if norm > 0 else 0.0
-
-
-@compiled
-def send_along(
-    own: F32, has_data: Bool, strength: np.float32, starts: Index, step: tuple[int, int], messages: F32
-) -> None:
-    """Add to `messages` those of the previous pixels along lines (Viterbi's recursion, less its maximum)."""
-    rows, cols, count = own.shape
-    path = np.full(count + 2 * FREE_NODES, LOWEST, np.float32)
-    inner, message = path[FREE_NODES : FREE_NODES + count], np.zeros(count, np.float32)
-    for line in range(len(starts)):
-        r, c = starts[line]
-        message[:] = 0
-        while 0 <= r < rows and 0 <= c < cols:
-            if has_data[r, c]:
-                pixel, total = own[r, c], messages[r, c]
-                for g in range(count):
-                    total[g] += message[g]
-                    inner[g] = pixel[g] + message[g]
-                pass_on(path, strength, message)
-            else:
-                message[:] = 0
-            r, c = r + step[0], c + step[1]
-
-
-@compiled
-def pass_on(path: F32, strength: np.float32, message: F32) -> None:
-    """Message to the next pixel: the best of nearby nodes, or of all for a jump, less the greatest."""
-    highest = LOWEST
-    for g in range(path.size):
-        highest = max(highest, path[g])
-    message[:] = path[: message.size]
-    for k in range(1, 2 * FREE_NODES + 1):
-        for g in range(message.size):
-            message[g] = max(message[g], path[g + k])
-    for g in range(message.size):
-        message[g] = max(message[g] - highest, -strength)

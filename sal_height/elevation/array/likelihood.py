@@ -143,17 +143,6 @@ class SinglePeaks:
         return replace(self, **powers)
 
 
-def peaks_at(elevation: F64, looks: Looks, beams: Beams) -> SinglePeaks:
-    """Scatterers whose likelihood peaks at known elevations (rad, (rows, cols)); other peaks are not searched for."""
-
-    def find(search: PeakSearch, pixels: Covariance, here: Pixels) -> F64:
-        found = elevation[here]
-        beside = search.gain_beside(pixels, search.on_grid(pixels), found)
-        return np.vstack([found, np.full_like(found, np.inf), search.fit(pixels, found), beside])
-
-    return SinglePeaks.found_by(find, OBJECTIVES["normalised"], looks, beams)
-
-
 def highest_peaks(looks: Looks, beams: Beams, settings: ArraySettings) -> SinglePeaks:
     """The highest peak of the likelihood over the array and the guard beyond.
 

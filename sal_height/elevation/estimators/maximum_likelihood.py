@@ -1,11 +1,10 @@
-"""Maximum likelihood over the whole array: the estimator `ml`, from the likelihood, its prior and two scatterers."""
+"""Maximum likelihood over the whole array: the estimator `ml`, with several scatterers where the looks require them."""
 
 from __future__ import annotations
 
 from sal_height.beams import Beams
 from sal_height.elevation.array.estimate import ElevationEstimate
-from sal_height.elevation.array.likelihood import OBJECTIVES, estimate_of, highest_peaks, highest_peaks_of, peaks_at
-from sal_height.elevation.array.spatial_prior import RECOMMENDED_STRENGTH, smoothed_peaks
+from sal_height.elevation.array.likelihood import OBJECTIVES, estimate_of, highest_peaks, highest_peaks_of
 from sal_height.elevation.layover.models import resolve
 from sal_height.elevation.layover.single import LayoverSettings
 from sal_height.elevation.layover.two_channels import in_two_channels
@@ -21,13 +20,6 @@ class MlSettings(LayoverSettings):
         "function that is maximised: normalised (exact) or numerator (as published; biased near the ends of the array)",
         choices=tuple(OBJECTIVES),
     )
-    prior_strength: float = setting(
-        0.0,
-        f"weight of the spatial smoothness prior; 0: none; {RECOMMENDED_STRENGTH:g} is recommended at low CNR; "
-        "small features may vanish",
-        minimum=0.0,
-        maximum=100.0,
-    )
 
 
 def ml_elevation(looks: Looks, beams: Beams, settings: MlSettings) -> ElevationEstimate:
@@ -36,15 +28,12 @@ def ml_elevation(looks: Looks, beams: Beams, settings: MlSettings) -> ElevationE
     Args:
         looks: covariance of M channels of equal noise in each pixel.
         beams: beams of the M detectors.
-        settings: settings of the estimator; with a prior, the objective is always the exact one.
+        settings: settings of the estimator.
 
     Raises:
         UserError: a real covariance of complex beams.
     """
-    if settings.prior_strength:
-        # The peak that fits the neighbours best.
-        peaks = peaks_at(smoothed_peaks(looks, beams, settings.prior_strength), looks, beams)
-    elif settings.objective == "normalised" and settings.layover:
+    if settings.objective == "normalised" and settings.layover:
         peaks = highest_peaks(looks, beams, settings)
     else:
         # Without layover the gain of one more scatterer is not needed.

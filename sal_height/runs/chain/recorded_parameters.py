@@ -39,7 +39,7 @@ from sal_height.engine.registry import STAGES, takes_heights
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import HEIGHTS, SETTABLE, TRACKER, NodeParameters, check_parameters, placed
 from sal_height.graph.reporting import PARAMETERS, merged
-from sal_height.renamed import with_new_names
+from sal_height.renamed import ENDED, with_new_names
 from sal_height.runs.chain.flight_record import products_of
 from sal_height.runs.chain.timeline import EVENT, PROVENANCE, Change, Parameter, Timeline, Value, timeline_of
 from sal_height.settings import settings_of
@@ -242,7 +242,13 @@ def _custom_data(reader: BagReader) -> dict[str, dict[str, Any]] | None:
     values = values or {}
     if not (isinstance(values, dict) and all(isinstance(entry, dict) for entry in values.values())):
         raise UserError(f"The parameters of bag {reader.path} must map node names to mappings of names to values.")
-    return {node: with_new_names(entry) for node, entry in values.items()}
+    renamed = {node: with_new_names(entry) for node, entry in values.items()}
+    for node, name in [(node, name) for node, entry in renamed.items() for name in ENDED.keys() & entry.keys()]:
+        _LOG.warning(
+            "Bag %s: node %s had %s=%r in flight (%s), a parameter that has ended; heights may differ.",
+            *(reader.path, node, name, renamed[node].pop(name), CUSTOM_DATA),
+        )
+    return renamed
 
 
 def _read(text: str) -> Any:

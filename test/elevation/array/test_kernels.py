@@ -137,26 +137,6 @@ def test_uphill_ends_at_the_peak_beside_the_highest_node_reached() -> None:
         assert abs(place / kernels.TABLE_STEPS - top) <= 1
 
 
-@pytest.mark.parametrize("free", [kernels.FREE_NODES])
-def test_messages_are_those_of_the_recursion_of_viterbi(free: int) -> None:
-    rng, strength = np.random.default_rng(RNG_SEED), 0.8
-    own = rng.standard_normal((1, 9, 12)).astype(np.float32)
-    has_data, messages = np.ones((1, 9), np.bool_), np.zeros_like(own)
-    has_data[0, 4] = False
-    kernels.send_along(own, has_data, np.float32(strength), np.array([[0, 0]]), (0, 1), messages)
-    nodes = np.arange(12)
-    near = np.abs(nodes[:, None] - nodes) <= free
-    message, expected = np.zeros(12), np.zeros((9, 12))
-    for col in range(9):
-        if has_data[0, col]:
-            expected[col] = message
-            path = own[0, col] + message
-            message = np.maximum(np.where(near, path, -np.inf).max(axis=1), path.max() - strength) - path.max()
-        else:
-            message = np.zeros(12)
-    np.testing.assert_allclose(messages[0], expected, atol=1e-5)
-
-
 def images(channels: int) -> tuple[Array, Array]:
     """Images (channels, rows, cols), complex64, and the view of their real and imaginary parts."""
     slc = circular(np.random.default_rng([RNG_SEED, channels]), (channels, 7, 9)).astype(np.complex64)

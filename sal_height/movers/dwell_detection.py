@@ -19,8 +19,7 @@ from sal_height.beams import Beams
 from sal_height.imaging import Slc
 from sal_height.movers.detection import MARGIN, MoverSettings, bright_pixels
 from sal_height.movers.dwell_images import COLUMN_STEPS, DwellImage
-from sal_height.movers.dwell_lobes import FARTHEST
-from sal_height.movers.dwell_paths import DwellPaths
+from sal_height.movers.dwell_paths import FARTHEST, DwellPaths
 from sal_height.movers.dwell_search import COLUMN_ERROR, DwellDetection, DwellSearch
 from sal_height.movers.mover import Looked, Mover, MoverMeasurement, mover_of, without_ambiguities
 from sal_height.numeric import F64, Index, vertex

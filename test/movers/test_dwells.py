@@ -15,8 +15,7 @@ from sal_height.imaging import ImageSettings, Slc
 from sal_height.movers import DwellMovers, Looked, Mover, MoverSettings, dwell_detection
 from sal_height.movers.dwell_detection import MoverTrack, ShownDwell
 from sal_height.movers.dwell_images import COLUMN_STEPS, DwellImage
-from sal_height.movers.dwell_lobes import Lobes
-from sal_height.movers.dwell_paths import DwellPaths
+from sal_height.movers.dwell_paths import DwellPaths, Lobes
 from sal_height.movers.likelihood import MODEL_ERROR, ratio_in_dwells, ratio_over_rows
 from sal_height.pipeline import Compressor, dwell_with_movers
 from sal_height.simulation.flight import SimulatedFlight, flight_of

@@ -11,7 +11,7 @@ from helpers import assert_one_sentence, circular
 
 from sal_height.errors import UserError
 from sal_height.geometry.grid import Grid
-from sal_height.imaging.formers.accuracy import ALLOWED_ERROR
+from sal_height.imaging.formers.choice import ALLOWED_ERROR
 from sal_height.imaging.formers.range_doppler import (
     _doppler_first,
     _range_first,

@@ -11,7 +11,7 @@ from helpers import assert_one_sentence
 
 from sal_height.errors import UserError
 from sal_height.geometry.frames import ApertureState
-from sal_height.imaging.formers.accuracy import ALLOWED_ERROR
+from sal_height.imaging.formers.choice import ALLOWED_ERROR
 from sal_height.imaging.formers.row_sums import PHASES_OF_THREAD, expected_error, focus_rows
 from sal_height.imaging.pixels import Processing, ground_plane_grid
 

@@ -12,7 +12,7 @@ from scipy.constants import speed_of_light
 
 from sal_height.errors import UserError
 from sal_height.geometry.frames import ApertureState
-from sal_height.imaging.formers.accuracy import ALLOWED_ERROR
+from sal_height.imaging.formers.choice import ALLOWED_ERROR
 from sal_height.imaging.formers.specan import expected_error, focus_spotlight
 from sal_height.imaging.pixels import Processing, ground_plane_grid, slant_plane_grid
 from sal_height.simulation.flight import SimulatedFlight

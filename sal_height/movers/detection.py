@@ -201,9 +201,6 @@ def _places(bins: Bins) -> tuple[F64, C128]:
     return places, np.exp(2j * np.pi * bins.frequencies[:, None] * places)
 
 
-SIDELOBES = 10**-2.5
-"""Largest power of a sidelobe over that of the brightest pixel in the same rows or columns."""
-
 COARSE_STEP = 0.08
 """Step between the lags of the first search, beamwidths."""
 
@@ -273,7 +270,8 @@ def bright_pixels(power: F64, background: F64, prominence_db: float, mode: Liter
     bright &= power > 10 ** (prominence_db / 10) * background
     columns = maximum_filter(power.max(axis=0), size=2 * MARGIN + 1, mode=mode)
     rows = maximum_filter(power.max(axis=1), size=3)
-    bright &= power > SIDELOBES * np.maximum(columns, rows[:, None])
+    # A sidelobe has up to -25 dB of the brightest pixel in the same rows or columns.
+    bright &= power > 10**-2.5 * np.maximum(columns, rows[:, None])
     return np.asarray(bright)
 
 

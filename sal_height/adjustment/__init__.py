@@ -20,9 +20,6 @@ from sal_height.adjustment.known_ground import UNKNOWN_GROUND, References, Targe
 from sal_height.adjustment.matching import LEAST_POINTS, Points
 from sal_height.adjustment.observed import (
     BORESIGHT,
-    DELAY,
-    LEVER_ARM,
-    PITCH,
     ObservedDwell,
     placement_in_strip,
     stated_sigmas,
@@ -31,11 +28,8 @@ from sal_height.adjustment.window import MOST_POINTS, AdjustmentWindow, PoseErro
 
 __all__ = [
     "BORESIGHT",
-    "DELAY",
     "LEAST_POINTS",
-    "LEVER_ARM",
     "MOST_POINTS",
-    "PITCH",
     "UNKNOWN_GROUND",
     "Adjustment",
     "AdjustmentSettings",

@@ -48,7 +48,7 @@ class Strip:
     placement: Placement | None = None
 
     @classmethod
-    def begun(
+    def started(
         cls,
         history: PhaseHistory,
         antenna: F64,
@@ -125,15 +125,10 @@ class Strip:
         needed -= (1 + 2 * SPARE_SHARE) * self._reach(lattice, self.antenna[-1])
         first = int(np.searchsorted(self.antenna @ lattice.col_direction, needed)) - SPARE_PULSES
         kept = slice(max(0, first), None)
-        dropped_ns = int(self.history.pulse_times[kept][0] * 1e9)
-        history = replace(
-            self.history,
-            stamp_ns=self.history.stamp_ns + dropped_ns,
-            pulse_times=self.history.pulse_times[kept] - dropped_ns * 1e-9,
-            reference_range=self.history.reference_range[kept],
-            samples=self.history.samples[:, kept],
-            saturated_share=self.history.shares[:, kept],
-        )
+        history = self.history.pulses(kept)
+        dropped_ns = int(history.pulse_times[0] * 1e9)
+        times = history.pulse_times - dropped_ns * 1e-9
+        history = replace(history, stamp_ns=history.stamp_ns + dropped_ns, pulse_times=times)
         return replace(self, history=history, antenna=self.antenna[kept], lattice=lattice)
 
     def abeam_time(self, grid: Grid) -> float:

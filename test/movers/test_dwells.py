@@ -73,7 +73,7 @@ def target(radial: float, power_db: float = 30.0, east: float = 0.1, along: floa
     ("radial", "east"), [(-12.003, 0.1), (-2.5, -0.3), (4.008, 0.29), (9.011, 0.0)], ids=lambda value: f"{value:g}"
 )
 def test_a_car_gets_place_height_and_speed(radial: float, east: float) -> None:
-    """From dwell to dwell, 11.6 ms, it walks by 0.29 to 1.4 rows of 10 cm; where two dwells see it alike, once."""
+    """From dwell to dwell, 11.6 ms, it migrates by 0.29 to 1.4 rows of 10 cm; where two dwells see it alike, once."""
     (one,) = movers_of(0, target(radial, east=east))
     assert one.walks
     assert abs(one.walk_velocity - radial) < 4 * one.walk_sigma < 1.0
@@ -194,7 +194,7 @@ def test_slow_ones_are_not_told() -> None:
     assert not movers_of(2, target(0.2e-3))
 
 
-def test_speeds_that_are_not_looked_for_do_not_walk() -> None:
+def test_speeds_that_are_not_searched_for_do_not_migrate() -> None:
     flight, images = flown(0, target(9.011, east=0.0))
     found = found_in(flight, images, MoverSettings(fastest_mps=0.0))
     assert [one.fastest for one in found if one] == [0.0] * DWELLS

@@ -61,7 +61,7 @@ class NavigationPrior:
         """Standard deviation of the sum of both as a velocity along the line of sight, m/s."""
         return float(np.hypot(self.speed, self.flight_speed * self.pointing))
 
-    def beside(self, vibration: float) -> NavigationPrior:
+    def with_vibration(self, vibration: float) -> NavigationPrior:
         """With a vibration of this standard deviation (m/s) that odometry does not contain."""
         return replace(self, speed=float(np.hypot(self.speed, vibration)))
 
@@ -155,7 +155,7 @@ def placed_by_centroid(centroid: Centroid, prior: NavigationPrior, ambiguity: fl
     found, error = centroid.speed, centroid.error
     if not prior.spread:
         return Placement(0.0, found / prior.flight_speed, 0.0, centroid)
-    prior = prior.beside(centroid.vibration)
+    prior = prior.with_vibration(centroid.vibration)
     variance = prior.spread**2 + error**2
     of_speed, of_pointing = prior.speed**2 / variance, (prior.flight_speed * prior.pointing) ** 2 / variance
     # Multiples of the ambiguity within six standard deviations of navigation are weighed against each other.
@@ -259,7 +259,7 @@ def centroid_of(focus: Focus, pulse_times: F64, wavelength: float, prior: Naviga
     of_a_radian = speed_of_a_radian(pulse_times, wavelength)
     found, error = of_a_radian * focus.trend, of_a_radian * focus.trend_error
     vibration = vibration_speed(focus.phase, pulse_times, wavelength) if prior.spread else 0.0
-    known = prior.beside(vibration)
+    known = prior.with_vibration(vibration)
     if not known.allows(found, error):
         raise Rejected(
             "Doppler centroid contradicts navigation",

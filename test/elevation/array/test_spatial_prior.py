@@ -7,10 +7,9 @@ from itertools import product
 
 import numpy as np
 import pytest
-from helpers import BEAMWIDTH, make_beams, multilook, offset_of, target_slc
+from helpers import BEAMWIDTH, make_beams, multilook, offset_of, phased, target_slc
 
 from sal_height.beams.array import Beams
-from sal_height.beams.pattern import Pattern
 from sal_height.elevation.array import spatial_prior
 from sal_height.elevation.array._kernels import FREE_NODES
 from sal_height.elevation.array.estimate import explained_power
@@ -236,21 +235,10 @@ def test_tiles_agree_with_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_array_equal(together(seen, beams), whole)
 
 
-def with_phase(pattern: Pattern, phase: float) -> Pattern:
-    factor = np.exp(1j * phase)
-    return Pattern(
-        "turned",
-        lambda e, a: factor * pattern.amplitude(e, a),
-        lambda e, a: factor * pattern.slope(e, a),
-        lambda e, a: factor * pattern.azimuth_slope(e, a),
-        pattern.main_lobe,
-    )
-
-
 def test_phases_of_detectors_make_no_difference_to_complex_beams() -> None:
     """Each detector has its own; the covariance, too."""
     real, phases = make_beams("jinc"), np.random.default_rng(14).uniform(0, 2 * np.pi, 16)
-    beams = replace(real, patterns=tuple(with_phase(real.patterns[0], phase) for phase in phases))
+    beams = replace(real, patterns=tuple(phased(real.patterns[0], np.exp(1j * phase)) for phase in phases))
     turned = image(beams, SURFACES["level"], 4, 5.0, seed=14)
     factors = np.exp(1j * (phases - phases[:, None])).astype(np.complex64)
     plain = Looks.of((turned.covariance * factors).real, 4)

@@ -2,8 +2,8 @@
 
 Read `adjustment` first (the way through), then `observed` (how errors move what a dwell shows), `comparing` and
 `matching` (which images of the same ground are compared, and how far they lie apart), `drift` (how errors of navigation
-develop), `network` and `equations` (least squares), `known_ground` and `corrected` (the trajectory and the heights
-that result). `window` does the same for a flight in progress.
+develop), `network` and `equations` (least squares), `known_ground` and `targets` (known ground) and `corrected` (the
+trajectory and the heights that result). `window` does the same for a flight in progress.
 """
 
 from sal_height.adjustment.adjustment import Adjustment, adjust, describe_ground
@@ -16,7 +16,7 @@ from sal_height.adjustment.corrected import (
     mounting_covariance,
 )
 from sal_height.adjustment.drift import PulseTrack, Stated
-from sal_height.adjustment.known_ground import UNKNOWN_GROUND, References, Target, Terrain, read_targets
+from sal_height.adjustment.known_ground import UNKNOWN_GROUND, References, Target, Terrain
 from sal_height.adjustment.matching import LEAST_POINTS, Points
 from sal_height.adjustment.observed import (
     BORESIGHT,
@@ -24,6 +24,7 @@ from sal_height.adjustment.observed import (
     placement_in_strip,
     stated_sigmas,
 )
+from sal_height.adjustment.targets import read_targets
 from sal_height.adjustment.window import MOST_POINTS, AdjustmentWindow, PoseError
 
 __all__ = [

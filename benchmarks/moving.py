@@ -111,7 +111,7 @@ def flown(seed: int, kind: str, settings: MoverSettings, impairments: Impairment
 
 
 def sigmas_of(one: Mover) -> np.ndarray:
-    """What is stated of place along the flight, height, radial velocity, and those by the walk and along the flight."""
+    """Stated sigmas of the position along the flight, height, and velocities: by lag, by range migration, along it."""
     place = np.sqrt(one.covariance[0, 0])
     return np.array([place, one.sigma, one.velocity_sigma, one.walk_sigma, one.along_sigma])
 
@@ -241,7 +241,7 @@ def rows_of(kind: str, text: str, moving: Sequence[Flown]) -> Iterator[Row]:
     yield Row(f"{kind} movers that were found", share, "1", least, text)
     yield Row(f"{kind}: error of the place along the flight", 1e3 * rms[0], "mm", "<= 50", f"{text}; rms")
     yield Row(f"{kind}: error of the radial velocity", 1e3 * rms[2], "mm/s", "<= 0.5", f"{text}, but periods; rms")
-    yield Row(f"{kind}: error of the velocity by walk", rms[3], "m/s", "<= 1", f"{text}; rms")
+    yield Row(f"{kind}: error of the velocity by range migration", rms[3], "m/s", "<= 1", f"{text}; rms")
     median = float(np.median(np.abs(errors[:, 1]))) if len(errors) else np.nan
     yield Row(f"{kind}: error of the height", 1e3 * median, "mm", "<= 20", f"{text}; median")
     if errors.shape[1] > 4:
@@ -252,7 +252,7 @@ def rows_of(kind: str, text: str, moving: Sequence[Flown]) -> Iterator[Row]:
 def rows_of_sigmas(kind: str, text: str, moving: Sequence[Flown]) -> Iterator[Row]:
     """Rows of what is stated of movers of a kind: the share of what is told that is beyond 5 of its sigmas."""
     over = np.abs(np.array([one for each in moving for one in each.over] or np.zeros((0, 5))))
-    names = ("place", "height", "velocity", "velocity by walk", "velocity along the flight")
+    names = ("place", "height", "velocity", "velocity by range migration", "velocity along the flight")
     for name, each in zip(names[: over.shape[1]], over.T, strict=True):
         beyond = np.sum(each > 5) / max(1, np.sum(np.isfinite(each))) if len(over) else np.nan
         yield Row(f"{kind}: {name} beyond 5 sigma", float(beyond), "1", "<= 0.01", text)

@@ -43,25 +43,29 @@ def make_beams(pattern: str = "sinc", count: int = 16, pitch: float = 0.5) -> Be
     return Beams((pattern_named(pattern),), np.pi / 4 + steps * BEAMWIDTH, BEAMWIDTH)
 
 
-def bent(pattern: Pattern) -> Pattern:
-    """A complex pattern, whose phase grows with the square of the angle."""
+def phased(pattern: Pattern, gain: complex = 1.0, tilt: float = 0.0, bend: float = 0.0) -> Pattern:
+    """A complex pattern: another one times gain exp(j (tilt e + bend e^2))."""
 
-    def phasor(e: np.ndarray) -> np.ndarray:
-        return np.exp(0.3j * np.asarray(e) ** 2)
+    def phasor(e: npt.ArrayLike) -> npt.NDArray[np.complex128]:
+        return np.asarray(gain * np.exp(1j * (tilt * np.asarray(e) + bend * np.asarray(e) ** 2)))
 
-    return Pattern(
-        "bent",
-        lambda e, a: pattern.amplitude(e, a) * phasor(e),
-        lambda e, a: (pattern.slope(e, a) + 0.6j * np.asarray(e) * pattern.amplitude(e, a)) * phasor(e),
-        lambda e, a: pattern.azimuth_slope(e, a) * phasor(e),
-        pattern.main_lobe,
+    def slope(e: npt.ArrayLike, a: npt.ArrayLike) -> npt.NDArray[np.complex128]:
+        turning = 1j * (tilt + 2 * bend * np.asarray(e))
+        return np.asarray((pattern.slope(e, a) + turning * pattern.amplitude(e, a)) * phasor(e))
+
+    return replace(
+        pattern,
+        name="phased",
+        amplitude=lambda e, a: pattern.amplitude(e, a) * phasor(e),
+        slope=slope,
+        azimuth_slope=lambda e, a: pattern.azimuth_slope(e, a) * phasor(e),
     )
 
 
 def beams_named(name: str) -> Beams:
     if name != "complex":
         return make_beams(name)
-    patterns = tuple(bent(PATTERNS["jinc"]) if i % 3 else PATTERNS["jinc"] for i in range(16))
+    patterns = tuple(phased(PATTERNS["jinc"], bend=0.3) if i % 3 else PATTERNS["jinc"] for i in range(16))
     return replace(make_beams(), patterns=patterns)
 
 
@@ -258,6 +262,16 @@ def assert_one_sentence(text: str, *parts: str) -> None:
     assert text.endswith(".")
     for part in parts:
         assert part in text
+
+
+def refused(kind: type[Exception], *parts: str, reason: str = "") -> pytest.RaisesExc[Exception]:
+    """Expect an error of a class whose message is one sentence with all `parts`, and of a `Rejected` its reason."""
+
+    def fits(error: Exception) -> bool:
+        assert_one_sentence(str(error), *parts)
+        return not reason or getattr(error, "reason", "") == reason
+
+    return pytest.RaisesExc(kind, check=fits)
 
 
 @contextmanager

@@ -20,12 +20,9 @@ no velocity moves them. The Doppler centroid of the first block is in q, and giv
 
 from __future__ import annotations
 
-import csv
-import math
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Self
 
 import numpy as np
@@ -33,74 +30,13 @@ import numpy as np
 from sal_height.adjustment.adjustment_settings import AdjustmentSettings
 from sal_height.adjustment.drift import EXACT_M, STATE, Drift, Knot, PulseTrack, Stated
 from sal_height.adjustment.equations import Equation, Form, Solution
-from sal_height.adjustment.known_ground import Target
 from sal_height.adjustment.matching import LEAST_POINTS, Points
-from sal_height.errors import Rejected, UserError
+from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Mounting, Trajectory, angles_of, shift_along, sphere_point
 from sal_height.imaging import Placement, Slc
 from sal_height.numeric import F64, Index
 from sal_height.relief import HeightField, position_jacobian, turn_jacobian
 from sal_height.sensor import PhaseHistory, Sensor
-
-COLUMNS = ("east_m", "north_m", "height_m")
-"""Columns that a file must have."""
-
-SIGMA = "sigma_m"
-"""Column that it may have: standard deviation of each of the three."""
-
-LEAST_SIGMA_M, FARTHEST_M = 1e-4, 1e6
-
-
-def read_targets(path: Path) -> tuple[Target, ...]:
-    """The targets of a CSV file with the columns east_m, north_m, height_m, and sigma_m if it is not 0.01 (all in m).
-
-    Raises:
-        UserError: it cannot be read, a column is missing or unknown, a value is not allowed, or there is no target.
-    """
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            targets = tuple(_targets(csv.reader(file), path))
-    except UserError:
-        raise
-    except (OSError, ValueError, csv.Error) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise UserError(f"Cannot read {path} with targets: {reason}.") from error
-    if not targets:
-        raise UserError(f"File {path} has no targets; each is a line with {', '.join(COLUMNS)}.")
-    return targets
-
-
-def _targets(lines: Iterator[list[str]], path: Path) -> Iterator[Target]:
-    """Parses the lines of a file, of which the first names the columns."""
-    names = [name.strip() for name in next(lines, [])]
-    if sorted(names) not in (sorted(COLUMNS), sorted([*COLUMNS, SIGMA])):
-        raise UserError(
-            f"File {path}: the columns are {', '.join(names) or 'none'}; they must be {', '.join(COLUMNS)}, and may be "
-            f"{SIGMA}."
-        )
-    for number, line in enumerate(lines, 2):
-        if not "".join(line).strip():
-            continue
-        where = f"File {path}, line {number}"
-        if len(line) != len(names):
-            raise UserError(f"{where}, has {len(line)} values; there must be {len(names)}, as columns.")
-        values = {name: _number(text, f"{where}: {name}") for name, text in zip(names, line, strict=True)}
-        sigma = values.pop(SIGMA, Target.sigma)
-        if not LEAST_SIGMA_M <= sigma <= FARTHEST_M:
-            raise UserError(f"{where}: {SIGMA} is {sigma:g}; it must be {LEAST_SIGMA_M:g} to {FARTHEST_M:g} m.")
-        yield Target(values["east_m"], values["north_m"], values["height_m"], sigma)
-
-
-def _number(text: str, what: str) -> float:
-    """Parses the number in a field of a file."""
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
-    if not abs(number) <= FARTHEST_M:  # NaN is refused, too
-        raise UserError(f"{what} is {text.strip()!r}; it must be a number of at most {FARTHEST_M:g} m.")
-    return number
-
 
 BORESIGHT, LEVER_ARM, DELAY, PITCH, EDGES, GROUND, COMMON = slice(0, 3), slice(3, 6), 6, 7, 8, slice(9, 12), 12
 """Columns of the unknowns that all dwells have in common; EDGES is the apparent shift of edges (`by_edges`), and GROUND

@@ -162,7 +162,7 @@ def check_near(token: Token, numbers: Sequence[float]) -> None:
     Raises:
         UserError: a number is too great.
     """
-    from sal_height.adjustment.observed import FARTHEST_M
+    from sal_height.adjustment.targets import FARTHEST_M
 
     if not all(abs(number) <= FARTHEST_M for number in numbers):  # NaN is refused, too
         raise UserError(f"Option {token.keyword} is {token.value!r}; numbers must be at most {FARTHEST_M:g} m.")

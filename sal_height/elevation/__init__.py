@@ -16,11 +16,9 @@ from sal_height.elevation.array.bounds import conditional_crb, information, spec
 from sal_height.elevation.array.estimate import (
     MEASURED,
     ORDERS,
-    SCATTERERS,
     USABLE,
     ElevationEstimate,
     Fit,
-    Scatterer,
     Validity,
     is_explained,
     scatterer_count,
@@ -61,7 +59,7 @@ from sal_height.elevation.monopulse.estimators import (
     total_least_squares,
 )
 from sal_height.elevation.monopulse.inversion import invert
-from sal_height.elevation.vegetation.profile import PROFILES, ElevationProfile
+from sal_height.elevation.vegetation.profile import PROFILES
 
 __all__ = [
     "AMBIGUOUS_RATIO",
@@ -72,14 +70,12 @@ __all__ = [
     "OBJECTIVES",
     "ORDERS",
     "PROFILES",
-    "SCATTERERS",
     "USABLE",
     "AxisResponse",
     "CellResponse",
     "Covariance",
     "ElevationEstimate",
     "ElevationEstimator",
-    "ElevationProfile",
     "Estimator",
     "Fit",
     "HeightSettings",
@@ -90,7 +86,6 @@ __all__ = [
     "PeakSearch",
     "PeakSearches",
     "Pixels",
-    "Scatterer",
     "Validity",
     "Window",
     "axis_looks",

@@ -24,7 +24,6 @@ CLOCK_STEP = 1.0  # greatest delay of a block, s; an older one is of a clock tha
 SPARE_PULSES = 16  # kept beyond the aperture of the next column, from which others are interpolated
 SPARE_SHARE = 0.25  # of an aperture, kept beyond those for a new lattice in another direction
 GREATEST_CRAB = np.pi / 3  # angle between the flight and the body's forward axis, along which columns lie, rad
-ROUNDING = 1e-6  # columns added to an aperture so that rounding does not leave its ends unfilled
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +48,7 @@ class Strip:
     placement: Placement | None = None
 
     @classmethod
-    def begun(
+    def started(
         cls,
         history: PhaseHistory,
         antenna: F64,
@@ -126,15 +125,10 @@ class Strip:
         needed -= (1 + 2 * SPARE_SHARE) * self._reach(lattice, self.antenna[-1])
         first = int(np.searchsorted(self.antenna @ lattice.col_direction, needed)) - SPARE_PULSES
         kept = slice(max(0, first), None)
-        dropped_ns = int(self.history.pulse_times[kept][0] * 1e9)
-        history = replace(
-            self.history,
-            stamp_ns=self.history.stamp_ns + dropped_ns,
-            pulse_times=self.history.pulse_times[kept] - dropped_ns * 1e-9,
-            reference_range=self.history.reference_range[kept],
-            samples=self.history.samples[:, kept],
-            saturated_share=self.history.shares[:, kept],
-        )
+        history = self.history.pulses(kept)
+        dropped_ns = int(history.pulse_times[0] * 1e9)
+        times = history.pulse_times - dropped_ns * 1e-9
+        history = replace(history, stamp_ns=history.stamp_ns + dropped_ns, pulse_times=times)
         return replace(self, history=history, antenna=self.antenna[kept], lattice=lattice)
 
     def abeam_time(self, grid: Grid) -> float:
@@ -145,7 +139,8 @@ class Strip:
     def _first_column(self, lattice: Grid) -> float:
         """Fractional column from which on the first pulse is not too late for the aperture of any row."""
         place = float((self.antenna[0] - lattice.origin) @ lattice.col_direction)
-        return (place + self._reach(lattice, self.antenna[0])) / lattice.col_spacing + ROUNDING
+        rounding = 1e-6  # columns added so that rounding does not leave the ends of an aperture unfilled
+        return (place + self._reach(lattice, self.antenna[0])) / lattice.col_spacing + rounding
 
     def _reach(self, lattice: Grid, position: F64) -> float:
         """Half the aperture of the farthest row, m, as `filled_apertures` measures it: between sines."""

@@ -97,7 +97,7 @@ class StripFocuser:
         if continued:
             strip = continued.followed_by(history, antenna, track)
         else:
-            strip = Strip.begun(history, antenna, track, lattice, processing.angle, placement)
+            strip = Strip.started(history, antenna, track, lattice, processing.angle, placement)
         if strip.has_left_lattice(sensor, aperture):
             strip = strip.on(lattice)
         self._strip, self._settings = strip, settings

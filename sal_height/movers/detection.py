@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 from scipy.ndimage import maximum_filter
@@ -201,9 +201,6 @@ def _places(bins: Bins) -> tuple[F64, C128]:
     return places, np.exp(2j * np.pi * bins.frequencies[:, None] * places)
 
 
-SIDELOBES = 10**-2.5
-"""Largest power of a sidelobe over that of the brightest pixel in the same rows or columns."""
-
 COARSE_STEP = 0.08
 """Step between the lags of the first search, beamwidths."""
 
@@ -260,16 +257,29 @@ def find_movers(images: C64 | C128, beams: Beams, slc: Slc, sensor: Sensor, sett
     return Looked(without_ambiguities([*migrating, *apart]), looked_at + candidates, ground, fastest)
 
 
-def _bright(power: F64, prominence_db: float) -> Bool:
-    """Pixels brighter than all around them, than most of their row, and than sidelobes of brighter ones."""
-    around = maximum_filter(power, size=(3, 2 * MARGIN + 1))
-    bright = (power == around) & (power > 10 ** (prominence_db / 10) * np.median(power, axis=1, keepdims=True))
-    brightest = np.maximum(
-        maximum_filter(power.max(axis=0), size=2 * MARGIN + 1), maximum_filter(power.max(axis=1), size=3)[:, None]
-    )
-    bright &= power > SIDELOBES * brightest
-    bright[:, :MARGIN] = bright[:, power.shape[1] - MARGIN :] = False
+def bright_pixels(power: F64, background: F64, prominence_db: float, mode: Literal["reflect", "wrap"]) -> Bool:
+    """Pixels brighter than all around them, than their background, and than sidelobes of brighter ones.
+
+    Args:
+        power: power of the image, shape (rows, cols).
+        background: power of the ground; broadcasts to that shape.
+        prominence_db: least power over the background, dB.
+        mode: continuation of the image beyond its edges, as of `scipy.ndimage.maximum_filter`.
+    """
+    bright = power == maximum_filter(power, size=(3, 2 * MARGIN + 1), mode=mode)
+    bright &= power > 10 ** (prominence_db / 10) * background
+    columns = maximum_filter(power.max(axis=0), size=2 * MARGIN + 1, mode=mode)
+    rows = maximum_filter(power.max(axis=1), size=3)
+    # A sidelobe has up to -25 dB of the brightest pixel in the same rows or columns.
+    bright &= power > 10**-2.5 * np.maximum(columns, rows[:, None])
     return np.asarray(bright)
+
+
+def _candidates(power: F64, prominence_db: float) -> Index:
+    """Rows and columns of bright pixels of a strip over the median of their row, shape (pixels, 2)."""
+    bright = bright_pixels(power, np.median(power, axis=1, keepdims=True), prominence_db, "reflect")
+    bright[:, :MARGIN] = bright[:, power.shape[1] - MARGIN :] = False
+    return np.argwhere(bright)
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,7 +296,7 @@ class _Looking:
 
     def for_lags(self, settings: MoverSettings) -> tuple[list[Mover], int]:
         """Movers that the beam sees under another aspect than the ground, and the number of candidate pixels."""
-        candidates = np.argwhere(_bright(np.sum(np.abs(self.search.images) ** 2, axis=0), settings.prominence_db))
+        candidates = _candidates(np.sum(np.abs(self.search.images) ** 2, axis=0), settings.prominence_db)
         threshold = 2 * np.log(HYPOTHESES / settings.false_alarm_rate)
         found = []
         for seen in self.search.at(self._screened(candidates, threshold)):
@@ -323,7 +333,7 @@ class _Looking:
         if settings.fastest_mps == 0:
             return [], 0
         powers = np.array(list(self.migrations.powers()))
-        candidates = np.argwhere(_bright(powers.max(axis=0), settings.prominence_db))
+        candidates = _candidates(powers.max(axis=0), settings.prominence_db)
         threshold = 2 * np.log(HYPOTHESES * len(powers) / settings.false_alarm_rate)
         found = []
         for row, col in candidates.tolist():

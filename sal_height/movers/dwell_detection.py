@@ -13,14 +13,13 @@ from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
 import numpy as np
-from scipy.ndimage import maximum_filter, median_filter
+from scipy.ndimage import median_filter
 
 from sal_height.beams import Beams
 from sal_height.imaging import Slc
-from sal_height.movers.detection import MARGIN, SIDELOBES, MoverSettings
+from sal_height.movers.detection import MARGIN, MoverSettings, bright_pixels
 from sal_height.movers.dwell_images import COLUMN_STEPS, DwellImage
-from sal_height.movers.dwell_lobes import FARTHEST
-from sal_height.movers.dwell_paths import DwellPaths
+from sal_height.movers.dwell_paths import FARTHEST, DwellPaths
 from sal_height.movers.dwell_search import COLUMN_ERROR, DwellDetection, DwellSearch
 from sal_height.movers.mover import Looked, Mover, MoverMeasurement, mover_of, without_ambiguities
 from sal_height.numeric import F64, Index, vertex
@@ -271,15 +270,6 @@ def _sighting(seen: DwellDetection, col: float, off: float, paths: DwellPaths) -
 
 
 def _bright(dwell: DwellImage, prominence_db: float) -> Index:
-    """Pixels brighter than all around them, than the median of 17 by 5 pixels, and than sidelobes of brighter ones.
-
-    Returns:
-        Rows and columns, shape (pixels, 2).
-    """
+    """Rows and columns of bright pixels over the median of 17 by 5 pixels, shape (pixels, 2)."""
     power = dwell.power
-    bright = power == maximum_filter(power, size=(3, 2 * MARGIN + 1), mode="wrap")
-    bright &= power > 10 ** (prominence_db / 10) * median_filter(power, (17, 5), mode="wrap")
-    columns = maximum_filter(power.max(axis=0), size=2 * MARGIN + 1, mode="wrap")
-    rows = maximum_filter(power.max(axis=1), size=3)
-    bright &= power > SIDELOBES * np.maximum(columns, rows[:, None])
-    return np.argwhere(bright)
+    return np.argwhere(bright_pixels(power, median_filter(power, (17, 5), mode="wrap"), prominence_db, "wrap"))

@@ -1,4 +1,4 @@
-"""Pixels of successive dwells along the path of a target, and their likelihood.
+"""Pixels of successive dwells along the path of a target, amplitudes of the beams there, and the likelihood of both.
 
 Dwell n, at the time t_n after the one in whose image the target is bright, has it in the row r + w t_n, if it recedes
 with the velocity w over that of its image, and under the squint s + s_n, s_n being the difference for a position at
@@ -24,13 +24,73 @@ from sal_height.beams import Beams, column_squint
 from sal_height.geometry import locate_at_elevation
 from sal_height.imaging import Slc
 from sal_height.movers.dwell_images import DwellImage
-from sal_height.movers.dwell_lobes import Lobes
 from sal_height.movers.ground import ground_lag
 from sal_height.movers.likelihood import MODEL_ERROR, POWERS_IN_DWELLS, ratio_in_dwells
 from sal_height.movers.migration import LEAST_PART, REACH
+from sal_height.movers.search import ELEVATION_STEP
 from sal_height.movers.spectrum import point_response
 from sal_height.numeric import C64, C128, F64, Bool, Index
 from sal_height.sensor import Sensor
+
+FARTHEST = 3.2
+"""Largest squint in the middle dwell, beamwidths along the flight."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lobes:
+    """Amplitudes of the channels in each dwell for targets in all directions.
+
+    Attributes:
+        squints: squints in the middle dwell, shape (squints,), rad.
+        elevations: elevations in the middle dwell, shape (elevations,), rad.
+        amplitudes: amplitudes of the channels, shape (squints, dwells, elevations, channels).
+        ahead: squint of a position in each dwell less that in the middle one, shape (dwells,), rad.
+        higher: difference of the elevation likewise, rad.
+        known: True where the squint in a dwell is in the main lobe, shape (squints, dwells).
+        near: numbers of the squints that a mover of the middle dwell may have.
+    """
+
+    squints: F64
+    elevations: F64
+    amplitudes: F64 | C128
+    ahead: F64
+    higher: F64
+    known: Bool
+    near: Index
+
+    @classmethod
+    def of(cls, beams: Beams, ahead: F64, higher: F64) -> Self:
+        """Amplitudes by the differences of squint and elevation of a position between dwells, rad."""
+        width = beams.track_beamwidth
+        step = 0.05  # beamwidths
+        count = round(FARTHEST / step)
+        squints = width * step * np.arange(-count, count + 1, dtype=np.float64)
+        elevations = np.arange(*beams.domain(0.0), ELEVATION_STEP * beams.beamwidth, dtype=np.float64)
+        under = squints[:, None, None] + ahead[:, None]
+        amplitudes = beams.response(elevations + higher[:, None], under)
+        lobe = max(pattern.main_lobe for pattern in beams.patterns) * width
+        others = np.abs(ahead[ahead != 0])
+        # Half way to the next dwell, and 0.15 beamwidths more.
+        reach = (others.min() / 2 if len(others) else 0.0) + 0.15 * width
+        known, near = np.abs(under[..., 0]) < lobe, np.flatnonzero(np.abs(squints) <= reach)
+        return cls(squints, elevations, amplitudes, ahead, higher, known, near)
+
+    def turned(self, ahead: F64) -> Self:
+        """Amplitudes for targets that each dwell sees farther ahead, by angles of shape (dwells,), rad.
+
+        Angles are rounded to steps; beyond the outermost squints, amplitudes are those of the outermost.
+        """
+        step, last = self.squints[1] - self.squints[0], len(self.squints) - 1
+        numbers = np.arange(len(self.squints))[:, None] + np.rint(ahead / step).astype(np.intp)
+        numbers = np.clip(numbers, 0, last)
+        dwells = np.arange(len(ahead))
+        amplitudes, known = self.amplitudes[numbers, dwells], self.known[numbers, dwells]
+        return replace(self, amplitudes=amplitudes, known=known, ahead=self.ahead + ahead)
+
+    def nearest(self, squints: F64) -> Index:
+        """Numbers of the squints nearest to some, without those that are beyond all."""
+        numbers = np.rint((squints - self.squints[0]) / (self.squints[1] - self.squints[0])).astype(np.intp)
+        return numbers[(numbers >= 0) & (numbers < len(self.squints))]
 
 
 @dataclass(frozen=True, eq=False)
@@ -328,3 +388,62 @@ class DwellPaths:
         if np.all(known):
             return both
         return np.maximum(both, ratio_in_dwells(along, np.where(known, strength, 0.0), powers, points))
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """Pixels along the path of a target.
+
+    Attributes:
+        paths: paths of targets with the same velocity along the flight.
+        sight: pixels around the target.
+        moving: amplitudes matched to targets under the near squints (`DwellPaths.matched`).
+        gains: gains of the beam (see there).
+        row: row in the middle dwell over that of a target at rest.
+        speed: velocity of the migration, m/s.
+        likelihood: logarithm of the likelihood ratio of speckle, the best of the squints.
+    """
+
+    paths: DwellPaths
+    sight: Sight
+    moving: C128
+    gains: F64
+    row: float
+    speed: float
+    likelihood: float
+
+    @classmethod
+    def of(cls, paths: DwellPaths, sight: Sight, row: float, speeds: F64) -> Self:
+        """The course with the likeliest of several migrations (m/s) from a row."""
+        return cls.matched_by(paths, sight, paths.matched(sight, paths.lobes.near), row, speeds)
+
+    @classmethod
+    def matched_by(cls, paths: DwellPaths, sight: Sight, matched: tuple[C128, F64], row: float, speeds: F64) -> Self:
+        """The same by the amplitudes and gains of the near squints; every second one decides between migrations."""
+        near, (moving, gains), speed = paths.lobes.near, matched, float(speeds[0])
+        if len(speeds) > 1:
+            each_path = paths.path(sight, row, speeds)
+            each = paths.ratios(moving[1::2], gains[1::2], each_path, near[1::2], POWERS_IN_DWELLS[::2], points=False)
+            speed = float(speeds[each.max(axis=-1).argmax()])
+        path = paths.path(sight, row, np.array([speed]))
+        likelihood = float(paths.ratios(moving, gains, path, near, points=False).max())
+        return cls(paths, sight, moving, gains, row, speed, likelihood)
+
+    @property
+    def powers(self) -> F64:
+        """Power of the target in each dwell, under the squint that is best there, shape (dwells,)."""
+        along = self.paths.on_path(self.moving, self.path[0])[0]
+        return np.asarray((np.abs(along) ** 2).max(axis=0) * self.sight.backgrounds)
+
+    @property
+    def likelihood_of_others(self) -> float:
+        """Logarithm of the likelihood by all dwells but the middle one."""
+        weights, parts = self.path
+        others = np.arange(len(self.paths.seconds)) != self.paths.middle
+        path = weights * others[:, None], parts * others
+        return float(self.paths.ratios(self.moving, self.gains, path, self.paths.lobes.near, points=False).max())
+
+    @property
+    def path(self) -> tuple[F64, F64]:
+        """Weights of the rows, and parts that are in the image (`DwellPaths.path`)."""
+        return self.paths.path(self.sight, self.row, np.array([self.speed]))

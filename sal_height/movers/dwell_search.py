@@ -13,9 +13,8 @@ from functools import cached_property
 import numpy as np
 from scipy.special import logsumexp
 
-from sal_height.movers.dwell_course import Course
 from sal_height.movers.dwell_images import COLUMN_STEPS
-from sal_height.movers.dwell_paths import DwellPaths, Sight
+from sal_height.movers.dwell_paths import Course, DwellPaths, Sight
 from sal_height.movers.dwell_places import Placed, deep, glinting, in_place, several, standing_instead
 from sal_height.movers.likelihood import HYPOTHESES, MODEL_ERROR, ratio_in_dwells
 from sal_height.movers.migration import FINE_STEP

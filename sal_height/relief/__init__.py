@@ -11,10 +11,10 @@ a file).
 
 from sal_height.relief.cell_map import CellMap, Relief
 from sal_height.relief.geotiff import check_geotiff, write_geotiff
-from sal_height.relief.ground import GroundEstimate, GroundGrid, GroundKind, estimated_ground
+from sal_height.relief.ground import GroundEstimate, GroundKind
 from sal_height.relief.ground_map import GroundMap, fine_cell_size
 from sal_height.relief.heights import HeightField, Surface, height_field
-from sal_height.relief.layers import Layers, joined_rows, layers_of, merged
+from sal_height.relief.layers import joined_rows
 from sal_height.relief.map import ReliefMap, fitting_cell_size
 from sal_height.relief.position_error import (
     circle_covariance,
@@ -34,7 +34,6 @@ from sal_height.relief.position_error import (
 from sal_height.relief.prior import PriorEstimate
 from sal_height.relief.projected import ProjectedAxes
 from sal_height.relief.settings import GroundSettings, TrackingSettings
-from sal_height.relief.slope import ground_slope
 from sal_height.relief.smoothing import (
     MeasuredHeights,
     ReliefPrior,
@@ -49,12 +48,10 @@ from sal_height.relief.tracked import ground_spacings, track
 __all__ = [
     "CellMap",
     "GroundEstimate",
-    "GroundGrid",
     "GroundKind",
     "GroundMap",
     "GroundSettings",
     "HeightField",
-    "Layers",
     "MeasuredHeights",
     "PriorEstimate",
     "ProjectedAxes",
@@ -67,21 +64,17 @@ __all__ = [
     "check_geotiff",
     "circle_covariance",
     "covariances_from_sigma",
-    "estimated_ground",
     "filtered",
     "fine_cell_size",
     "fitting_cell_size",
     "folded",
-    "ground_slope",
     "ground_spacings",
     "height_field",
     "height_variance",
     "is_covariance",
     "joined_rows",
-    "layers_of",
     "level_turn",
     "measured_covariance",
-    "merged",
     "pose_covariance",
     "position_jacobian",
     "smoothed",

@@ -199,12 +199,12 @@ def height_field(
         cnr_db = 10 * np.log10(np.where(cnr > 0, cnr, np.nan))
     surfaces = Surface.seen_from(aperture, positions, own, cnr_db, spread * climb, by_beams)
     validity = _checked_validity(estimate.validity, surfaces)
-    held = _holding(validity, len(elevation))
-    cnr_db[1:][~held[1:]] = np.nan
-    return HeightField(grid, validity, surfaces.where(held).each(), estimate.order_probability)
+    filled = _has_scatterers(validity, len(elevation))
+    cnr_db[1:][~filled[1:]] = np.nan
+    return HeightField(grid, validity, surfaces.where(filled).each(), estimate.order_probability)
 
 
-def _holding(validity: U8, surfaces: int) -> Bool:
+def _has_scatterers(validity: U8, surfaces: int) -> Bool:
     """True for pixels with a scatterer in each of N surfaces, by their validity, shape (surfaces, rows, cols)."""
     return scatterer_count(validity) > np.arange(surfaces)[:, None, None]
 
@@ -219,7 +219,7 @@ def _checked_validity(validity: U8, surfaces: Surface) -> U8:
         validity: validity by the elevations, shape (rows, cols).
         surfaces: all surfaces, arrays of shape (surfaces, rows, cols, ...).
     """
-    lacking = _holding(validity, len(surfaces.height)) & ~surfaces.is_determined
+    lacking = _has_scatterers(validity, len(surfaces.height)) & ~surfaces.is_determined
     if not lacking.any():
         return validity
     placed = np.isfinite(surfaces.positions[0]).all(axis=-1)

@@ -1,8 +1,8 @@
 """Relief map: the heights of successive dwells, averaged in the cells of one grid on the ground.
 
-The map uses the strongest scatterer of each pixel, and a weaker one if it is all but certain to be there
-(LEAST_SUPPORT): a map used for navigation must not contain obstacles that do not exist, so a false alarm of the order
-of a pixel must stay out; and it must not miss a kerb or a car whose brighter neighbour in layover is the road.
+The map uses the strongest scatterer of each pixel, and a weaker one if it is all but certain to be there (0.99): a map
+used for navigation must not contain obstacles that do not exist, so a false alarm of the order of a pixel must stay
+out; and it must not miss a kerb or a car whose brighter neighbour in layover is the road.
 Estimators that state no probability give their strongest scatterers only; the others stay in the points of dwells.
 
 The height of a cell is that of the ground at its centre: heights are moved there along the slope of the ground
@@ -33,12 +33,6 @@ from sal_height.relief.heights import HeightField, Surface
 from sal_height.relief.position_error import STEEPEST
 from sal_height.relief.slope import LEAST_PIXELS, ground_slope
 from sal_height.relief.tracked import ground_spacings
-
-LEAST_SUPPORT = 0.99
-"""Least probability of a weaker scatterer in a pixel with which it enters a map."""
-
-STEP = 2.5
-"""Spread of heights in a cell, over that expected from their errors, beyond which the cell contains a step."""
 
 
 class ReliefMap(CellMap):
@@ -156,7 +150,7 @@ def _supported(field: HeightField) -> list[Bool]:
     if probability is None:
         return [always] + [never] * (len(field.surfaces) - 1)
     points = probability[..., : ORDERS - 1]  # of 0, 1, 2, 3 scatterers
-    weaker = [points[..., number + 1 :].sum(axis=-1) >= LEAST_SUPPORT for number in range(1, len(field.surfaces))]
+    weaker = [points[..., number + 1 :].sum(axis=-1) >= 0.99 for number in range(1, len(field.surfaces))]
     return [always, *weaker]
 
 
@@ -198,7 +192,7 @@ def _averaged(pixels: _Pixels, cells: I64, cell_size: float) -> _Cells:
     The weights are w = 1 / variance; own parts add up to sum w^2 own / (sum w)^2, and of the common part, which is one
     error, the mean sigma is taken. Added are the slope's error times the distance of the pixels' mean position from the
     centre; where slopes are not known, STEEPEST times the pixels' distances; and where the heights in the cell spread
-    by more than STEP times their errors, that spread: the cell contains a step.
+    by more than 2.5 times their errors, that spread: the cell contains a step.
 
     Args:
         pixels: heights of a dwell.
@@ -228,5 +222,5 @@ def _averaged(pixels: _Pixels, cells: I64, cell_size: float) -> _Cells:
     )
     _, _, _, height, slope_error, east, north, unmoved, own, own_of_mean, common, spread = sums.T
     moved = slope_error * np.hypot(east, north)
-    step = np.where(spread > STEP**2 * own, spread, 0.0)
+    step = np.where(spread > 2.5**2 * own, spread, 0.0)
     return _Cells(row, col, height, own_of_mean + moved**2 + unmoved**2 + step, common)

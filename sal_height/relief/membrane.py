@@ -42,9 +42,6 @@ FREEDOM = 2.0
 Softer than most ground, so that a step below the gate moves a height by little more than its sigma.
 """
 
-SWEEPS = 4
-"""Number of sweeps of messages: heights are those of the minimum to a thousandth of their sigma."""
-
 WEIGHT_STEP = 1e-3
 """Relative change of the weights for the derivative of the variances, -diag(A^-1 W A^-1)."""
 
@@ -181,13 +178,15 @@ def _stiffness(joined: Joints, steps: list[F64]) -> Links:
 
 
 def _beliefs(weight: F64, measured: F64, stiffness: Links, rises: Links) -> tuple[F64, F64]:
-    """Precision (1/m^2) and mean (m) of each cell after the messages of SWEEPS sweeps.
+    """Precision (1/m^2) and mean (m) of each cell after four sweeps of messages.
+
+    Heights are then those of the minimum to a thousandth of their sigma.
 
     A cell whose height has the precision p, without the receiver's message, sends through a link of the
     stiffness k the precision k p / (k + p), as of conductors in series.
     """
     precision, moment = np.zeros((4, *weight.shape)), np.zeros((4, *weight.shape))
-    kernels.propagate(weight, weight * measured, stiffness, rises, SWEEPS, precision, moment)
+    kernels.propagate(weight, weight * measured, stiffness, rises, 4, precision, moment)
     total = np.maximum(weight + precision.sum(axis=0), kernels.LEAST_PRECISION)
     return total, (weight * measured + moment.sum(axis=0)) / total
 

@@ -34,9 +34,6 @@ STEEPEST = 1.0
 LEAST_POINTS = 2**14
 """Points that are worth a thread."""
 
-LEAST_OWN_SHARE = 0.01
-"""Least fraction of a height's variance that is not due to the pose; sigma may have been rounded to float32."""
-
 
 def position_jacobian(positions: F64, aperture: ApertureState) -> F64:
     """Derivative of positions by elevation (m/rad), by slant range and by along-track distance (m/m).
@@ -132,14 +129,15 @@ def circle_covariance(height_sigma: F64, positions: F64, aperture: ApertureState
 def covariances_from_sigma(height_sigma: F64, positions: F64, aperture: ApertureState) -> tuple[F64, F64 | None]:
     """Own and common covariance (m^2) of positions of which only the standard deviation of height is known.
 
-    The common part is that of the pose; the rest of the variance of height, at least LEAST_OWN_SHARE of it, is assumed
-    to come from errors of elevation. Arguments as of `circle_covariance`, results as of it and of `pose_covariance`.
+    The common part is that of the pose; the rest of the variance of height, at least 0.01 of it as sigma may have been
+    rounded to float32, is assumed to be caused by errors of elevation. Arguments as of `circle_covariance`, results as
+    of it and of `pose_covariance`.
     """
     with np.errstate(invalid="ignore", over="ignore"):  # values that are not finite stay so
         common = pose_covariance(positions, aperture)
         variance = height_sigma**2
         own = variance if common is None else variance - height_variance(common, positions)
-        return circle_covariance(np.sqrt(np.maximum(own, LEAST_OWN_SHARE * variance)), positions, aperture), common
+        return circle_covariance(np.sqrt(np.maximum(own, 0.01 * variance)), positions, aperture), common
 
 
 def pose_covariance(positions: F64, aperture: ApertureState) -> F64 | None:

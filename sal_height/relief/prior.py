@@ -9,8 +9,8 @@ probability that it is not one (probabilistic data association, Bar-Shalom and T
 The estimate of x = (log l, log s) from earlier dwells is a Gaussian, kept as its information I and moment I x. With
 each dwell both lose 1 / `prior_dwells` of their weight (exponential forgetting) and gain those of the dwell: the most
 likely x, given it and those before, and the information of its likelihood there. Until there is enough data, a Gaussian
-so wide that it hardly matters (`_Heights.vague`) replaces it. Ground very different from that before (`SURPRISE`) makes
-the estimate start again.
+so wide that it hardly matters (`_Heights.vague`) replaces it. Ground very different from that before makes the estimate
+start again.
 
 The mean of the relief is that of each dwell alone: Gaussian, with the standard deviation of the heights about their
 median.
@@ -36,12 +36,6 @@ from sal_height.relief.smoothing import MeasuredHeights, ReliefPrior
 
 LEAST_STEPS = 20
 """Least number of pairs of consecutive measured cells of a column from which a prior can be estimated, to a third."""
-
-RELIEF_OVER_ERROR = 30.0
-"""Factor, of one standard deviation, by which the relief may be rougher or smoother than measurements are precise."""
-
-SURPRISE = 10.0
-"""Log-likelihood that a prior far from that of the dwells before must gain in a dwell for these to be forgotten."""
 
 ROWS_OF_PRIOR = 256
 """Number of rows in the middle of the image from which a prior is estimated."""
@@ -89,7 +83,7 @@ class PriorEstimate:
         known = kept * self.information + vague.information
         expected = _solved(known, kept * self.moment + vague.moment)
         logs, gained, surprise = _most_likely(heights, expected, known, settings)
-        if surprise > SURPRISE and self.information.any():
+        if surprise > 10.0 and self.information.any():  # log-likelihood: the ground is another
             return PriorEstimate().after(measured, settings)
         length, sigma = np.exp(logs).tolist()
         prior = ReliefPrior(length, sigma, heights.mean, heights.mean_sigma)
@@ -156,10 +150,10 @@ class _Heights:
         )
 
     def vague(self) -> PriorEstimate:
-        """Estimate before any dwell: lengths from the spacing to the swath, and RELIEF_OVER_ERROR."""
+        """Estimate before any dwell: lengths from the spacing to the swath, sigma a 30th to 30 times the error."""
         spacing = self.spacings[0]
         middle = np.array([math.log(spacing * self.swath) / 2, math.log(self.error)])
-        deviation = np.array([max(math.log(self.swath / spacing) / 2, 1.0), math.log(RELIEF_OVER_ERROR)])
+        deviation = np.array([max(math.log(self.swath / spacing) / 2, 1.0), math.log(30.0)])
         return PriorEstimate(np.diag(deviation**-2), middle * deviation**-2)
 
     def starts(self) -> list[F64]:

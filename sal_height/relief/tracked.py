@@ -119,16 +119,12 @@ def _between(tracked: Bool, measured: Bool) -> Bool:
     return between
 
 
-COMPANY = 3
-"""Least number of the eight pixels around an outlier that must be outliers of the same height."""
-
-
 def in_company(surface: Surface, outlier: Bool) -> Bool:
-    """Outliers that have COMPANY or more of the same height around them, shape (rows, cols)."""
+    """Outliers that have three or more of the same height among the eight pixels around them, shape (rows, cols)."""
     company = np.empty(outlier.shape, np.bool_)
     height, variance = np.ascontiguousarray(surface.height), np.ascontiguousarray(surface.sigma**2)
     same = 3.0  # standard deviations of their difference up to which two heights count as the same
-    mark_company(height, variance, outlier, same, COMPANY, company)
+    mark_company(height, variance, outlier, same, 3, company)
     return company
 
 

@@ -16,12 +16,11 @@ from sal_height.response.impulse import (
     measure_brightest,
     measure_windows,
 )
-from sal_height.response.linearity import KnownNoise, ShapedNoise, superposition
+from sal_height.response.linearity import ShapedNoise, superposition
 from sal_height.response.point_spread import (
     FINENESS,
     AxisSpread,
     PointSpread,
-    Sidelobe,
     cut_through,
     estimate_point_spread,
 )
@@ -57,7 +56,6 @@ __all__ = [
     "Chip",
     "CutResponse",
     "ImpulseResponse",
-    "KnownNoise",
     "PointSpread",
     "PointTarget",
     "PointTargetSettings",
@@ -65,7 +63,6 @@ __all__ = [
     "PsfReport",
     "PsfSettings",
     "ShapedNoise",
-    "Sidelobe",
     "SpeckleSpectra",
     "TransferFunction",
     "chip_around",

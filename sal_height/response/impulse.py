@@ -198,9 +198,9 @@ class WindowFigures:
     noise_gain: float
 
 
-def measure_windows(count: int = 1024) -> dict[str, WindowFigures]:
-    """Measure the response of each of `windows.WINDOWS` over a band of `count` samples."""
-    figures = {}
+def measure_windows() -> dict[str, WindowFigures]:
+    """Measure the response of each of `windows.WINDOWS` over a band of 1024 samples."""
+    figures, count = {}, 1024
     for name in WINDOWS:
         weights = window(name, count)
         response = np.fft.fftshift(np.fft.fft(weights, OVERSAMPLING * count))

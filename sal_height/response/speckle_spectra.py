@@ -27,8 +27,6 @@ from scipy.linalg import toeplitz
 from sal_height.numeric import C64, C128, F32, F64, Index, blocks, frequencies, in_parallel
 from sal_height.response.speckle_tiles import SpeckleTiles, checked_image, sum_of_powers
 
-BLOCK = 2**15  # pixels transformed at a time: they and their spectra stay in a processor's cache
-
 
 @dataclass(frozen=True)
 class AxisSpectrum:
@@ -219,7 +217,8 @@ def _periodograms(image: C64, tiles: SpeckleTiles) -> tuple[F64, F64, F64, C128]
         for row in range(part.start, part.stop):
             strip = image[row * rows : (row + 1) * rows, : tiles.pure.shape[1] * cols].reshape(rows, -1, cols)
             chosen = np.flatnonzero(tiles.pure[row])
-            for some in blocks(len(chosen), max(1, BLOCK // (rows * cols))):
+            # 2^15 pixels at a time and their spectra stay in a processor's cache.
+            for some in blocks(len(chosen), max(1, 2**15 // (rows * cols))):
                 pixels = np.take(strip, chosen[some], axis=1)
                 own = slice(first[row] + some.start, first[row] + some.stop)
                 spectra = scipy.fft.fft(pixels.reshape(rows, -1), 2 * rows, axis=0).reshape(2 * rows, -1, cols)

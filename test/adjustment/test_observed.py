@@ -16,7 +16,7 @@ from sal_height.adjustment.observed import BORESIGHT, COMMON, DELAY, EDGES, GROU
 from sal_height.elevation import ESTIMATORS
 from sal_height.geometry import Trajectory, locate_at_elevation, look_direction, sphere_coordinates
 from sal_height.imaging import ImageSettings, Slc
-from sal_height.numeric import F64
+from sal_height.numeric import F64, vertex
 from sal_height.pipeline import Compressor, heights
 from sal_height.relief import HeightField, turn_jacobian
 from sal_height.sensor import Sensor
@@ -124,11 +124,7 @@ def peak_of(slc: Slc) -> F64:
     power = np.log(np.sum(np.abs(slc.images) ** 2, axis=0))
     row, col = np.unravel_index(np.argmax(power[1:-1, 1:-1]), (power.shape[0] - 2, power.shape[1] - 2))
     row, col = row + 1, col + 1
-
-    def top(before: float, middle: float, after: float) -> float:
-        return (before - after) / (2 * (before - 2 * middle + after))
-
-    down, right = top(*power[row - 1 : row + 2, col]), top(*power[row, col - 1 : col + 2])
+    (down, _), (right, _) = vertex(*power[row - 1 : row + 2, col]), vertex(*power[row, col - 1 : col + 2])
     return slc.grid.points(row + down, col + right)
 
 

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 from helpers import few, thorough
 from made_up_strips import SENSOR, Strips, strips
+from window_runs import WindowRun, run_through
 
 from sal_height.adjustment import Adjustment, AdjustmentSettings, AdjustmentWindow, adjust
-from sal_height.adjustment.observed import pose_jacobian
 from sal_height.numeric import F64
 
 SETTINGS = AdjustmentSettings(boresight_sigma_rad=0.0, lever_arm_sigma_m=0.0, jitter_rad=1e-7)
@@ -54,31 +52,16 @@ def test_short_strips_that_show_enough_come_together_and_others_stay_where_navig
     assert np.sqrt(np.mean(covariances[:, 2, 2])) < 0.01
 
 
-@dataclass(frozen=True)
-class Told:
-    """Errors of the images as they come, m, shape (images, 3), their covariances, and the most images held."""
-
-    errors: F64
-    covariances: F64
-    held: int
-
-
-def told(flown: Strips, most: int = 1000) -> Told:
-    window = AdjustmentWindow(SENSOR.mounting, SETTINGS, most)
-    errors, covariances, held = [], [], 0
-    for image, shift in zip(flown.images, flown.shifts, strict=True):
-        off, jacobian = window.add(image), pose_jacobian(image.middle, image)
-        errors.append(jacobian @ off.error - shift)
-        covariances.append(jacobian @ off.covariance @ jacobian.T)
-        held = max(held, window.dwells)
-    return Told(np.array(errors), np.array(covariances), held)
+def told(flown: Strips, most: int = 1000) -> WindowRun:
+    return run_through(AdjustmentWindow(SENSOR.mounting, SETTINGS, most), flown.images)
 
 
 @pytest.mark.parametrize(("each", "west_m", "seed"), few(2, ANYWHERE))
 def test_images_are_within_what_is_stated_as_they_come(each: int, west_m: float, seed: int) -> None:
     """From the first image on, whether or not enough of its strip has come."""
-    found = told(strips(4, each, west_m, seed))
-    assert np.all(over(found.errors, found.covariances) < MOST)
+    flown = strips(4, each, west_m, seed)
+    found = told(flown)
+    assert np.all(over(found.shifts - flown.shifts, found.covariances) < MOST)
 
 
 @pytest.mark.parametrize("seed", [1, *thorough(2)])
@@ -86,7 +69,8 @@ def test_images_come_together_once_enough_of_their_strip_has_come(seed: int) -> 
     """The first images with the error of odometry, 1 m and more, and its sigma; from the fourth on within 3 mm."""
     flown = strips(4, 8, 0.3, seed)
     found = told(flown)
-    errors, sigmas = (one.reshape(4, 8) for one in (found.errors[:, 2], np.sqrt(found.covariances[:, 2, 2])))
+    off, sigma = found.shifts - flown.shifts, np.sqrt(found.covariances[:, 2, 2])
+    errors, sigmas = off[:, 2].reshape(4, 8), sigma.reshape(4, 8)
     assert np.ptp(flown.shifts[:, 2]) > 1.0
     assert np.ptp(errors[:, 3:]) < 0.003, errors
     assert np.all(sigmas[:, 3:] < 0.11)
@@ -110,6 +94,6 @@ def test_strips_that_are_held_no_more_have_told_what_they_knew() -> None:
     """With one strip held and one that grows, heights are the same within 3 mm; twice gives the same bits."""
     flown = strips(6, 4, 0.3, 1)
     short, again, whole = told(flown, 4), told(flown, 4), told(flown)
-    assert short.held <= 8
-    np.testing.assert_array_equal(short.errors, again.errors)
-    np.testing.assert_allclose(short.errors[-2:, 2], whole.errors[-2:, 2], atol=0.003)
+    assert short.kept <= 8
+    np.testing.assert_array_equal(short.shifts, again.shifts)
+    np.testing.assert_allclose(short.shifts[-2:, 2], whole.shifts[-2:, 2], atol=0.003)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from flown_passes import flown, flown_as, preset_of
 from helpers import thorough
+from window_runs import WindowRun, run_through
 
 from benchmarks.passes import FlownPasses
 from sal_height.adjustment import AdjustmentSettings, AdjustmentWindow, References, Target, Terrain, adjust
@@ -15,7 +16,6 @@ from sal_height.adjustment.comparing import FINE_POINTS, DwellChain, compared, j
 from sal_height.adjustment.equations import Solution
 from sal_height.adjustment.known_ground import UNKNOWN_GROUND
 from sal_height.adjustment.network import Network
-from sal_height.adjustment.observed import pose_jacobian
 from sal_height.numeric import F64
 from sal_height.simulation.preset import TargetSettings
 
@@ -25,27 +25,12 @@ RECOGNISED_M = 0.2
 .14 m."""
 
 
-@dataclass(frozen=True)
-class Told:
-    """How far each dwell lay off when it came, m, shape (dwells, 3), its covariance, and the most dwells held."""
-
-    shifts: F64
-    covariances: F64
-    held: int
-
-
-def told_of(passes: FlownPasses, most_dwells: int, references: References = UNKNOWN_GROUND) -> Told:
+def told_of(passes: FlownPasses, most_dwells: int, references: References = UNKNOWN_GROUND) -> WindowRun:
     window = AdjustmentWindow(passes.flight.sensor.mounting, SETTINGS, most_dwells, references=references)
-    shifts, covariances, held = [], [], 0
-    for dwell in passes.dwells:
-        off, jacobian = window.add(dwell), pose_jacobian(dwell.middle, dwell)
-        shifts.append(jacobian @ off.error)
-        covariances.append(jacobian @ off.covariance @ jacobian.T)
-        held = max(held, window.dwells)
-    return Told(np.array(shifts), np.array(covariances), held)
+    return run_through(window, passes.dwells)
 
 
-def over(told: Told, truth: F64) -> F64:
+def over(told: WindowRun, truth: F64) -> F64:
     """Mean square of the errors over what is stated, shape (dwells,)."""
     errors = told.shifts - truth
     return np.array([e @ np.linalg.solve(c, e) / 3 for e, c in zip(errors, told.covariances, strict=True)])
@@ -59,7 +44,7 @@ def test_dwells_are_brought_together_as_they_come(seed: int) -> None:
     """
     passes = flown(seed)
     told = told_of(passes, 1000)
-    assert told.held == len(passes.dwells)
+    assert told.kept == len(passes.dwells)
     before = passes.shifts - passes.shifts.mean(axis=0)
     assert np.all(np.sqrt(np.mean(before**2, axis=0)) > 0.1)
     late = slice(3, None)  # The first pass has nothing to be compared with.
@@ -91,7 +76,7 @@ def test_dwells_that_left_have_told_what_they_knew() -> None:
     """With half of the dwells held, the last ones of passes lie where they do with all; else they would not."""
     passes = flown()
     whole, short = told_of(passes, 1000), told_of(passes, 6)
-    assert short.held <= 9, "six, and a chain that begins"
+    assert short.kept <= 9, "six, and a chain that begins"
     sigmas = np.sqrt([one.diagonal() for one in whole.covariances])
     apart = (np.abs(short.shifts - whole.shifts) / sigmas)[2::3]
     assert np.sqrt(np.mean(apart**2)) < 0.5

@@ -7,7 +7,16 @@ from functools import cache
 
 import numpy as np
 import pytest
-from helpers import BEAMWIDTH, assert_one_sentence, circular, elevation_at, flat_scene, make_aperture, make_sensor
+from helpers import (
+    BEAMWIDTH,
+    assert_one_sentence,
+    circular,
+    elevation_at,
+    flat_scene,
+    make_aperture,
+    make_sensor,
+    refused,
+)
 from phase_errors import white_phase
 from scipy.spatial.transform import Rotation
 
@@ -41,14 +50,9 @@ def antenna_of(pulses: int, way: float) -> np.ndarray:
     return make_aperture().position + np.linspace(-way / 2, way / 2, pulses)[:, None] * np.array([1.0, 0.0, 0.0])
 
 
-def refusal(reason: str, *parts: str) -> pytest.RaisesExc:
+def refusal(reason: str, *parts: str) -> pytest.RaisesExc[Exception]:
     """A `Rejected` of that reason whose sentence holds the parts."""
-
-    def fits(error: Rejected) -> bool:
-        assert_one_sentence(str(error), *parts)
-        return error.reason == reason
-
-    return pytest.RaisesExc(Rejected, check=fits)
+    return refused(Rejected, *parts, reason=reason)
 
 
 def test_pulses_may_be_half_the_antenna_apart_and_no_farther() -> None:

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from helpers import assert_one_sentence, direct_history
+from helpers import direct_history, refused
 from phase_errors import ATMOSPHERE, power_law_phase, residual_phase, white_phase
 from scipy.spatial.transform import Rotation
 
@@ -126,9 +126,8 @@ def test_point_comes_to_lie_in_its_pixel_with_its_amplitudes() -> None:
 
 def test_ground_plane_needs_a_size() -> None:
     for size in ({"rows": 0, "cols": 8}, {"rows": 8, "cols": 0}):
-        with pytest.raises(UserError) as caught:
+        with refused(UserError, "rows", "cols", "ground"):
             focused("small", image_plane="ground", **size)
-        assert_one_sentence(str(caught.value), "rows", "cols", "ground")
 
 
 def test_auto_takes_the_fast_former_where_it_pays_and_is_as_good(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -150,9 +149,8 @@ def test_auto_takes_the_fast_former_where_it_pays_and_is_as_good(monkeypatch: py
 
 
 def test_former_of_the_other_mode_is_refused() -> None:
-    with pytest.raises(UserError) as caught:
+    with refused(UserError, "range_doppler", "spotlight", "specan", "backprojection"):
         focused("small", former="range_doppler", rows=8, cols=8)
-    assert_one_sentence(str(caught.value), "range_doppler", "spotlight", "specan", "backprojection")
 
 
 @pytest.mark.parametrize("former", SPOTLIGHT_FORMERS)

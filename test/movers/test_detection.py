@@ -261,7 +261,7 @@ def test_what_cannot_be_used_is_refused() -> None:
 
 @pytest.mark.parametrize(("radial", "along"), few(1, [(5e-3, 2.0), (-6e-3, -3.0), (8.003, 4.0)]))
 def test_what_drives_along_the_flight_is_focused(radial: float, along: float) -> None:
-    """Its image is smeared over 13 to 27 cells; unfocused, velocities were off by up to 1 mm/s, and walks by 3 m/s."""
+    """Its image is smeared over 13 to 27 cells; unfocused, velocities err by up to 1 mm/s, migrations by 3 m/s."""
     period = 15.5e-3
     remainder = radial - period * round(radial / period)
     point = PointScatterer(EAST + 100 * remainder, NORTH, HEIGHT, 10**3.4, radial, along)
@@ -320,8 +320,8 @@ def test_the_smear_of_a_point_is_found(smear: float) -> None:
     speed = 50.0 * (1 - (1 + smear / drives.cells) ** -0.5)
     assert found.along[0] == pytest.approx(speed, abs=0.05)
     assert found.share == pytest.approx((1 + smear / drives.cells) ** -0.5, abs=1e-3)
-    walk, sigma = found.slowed((10.0, 0.1))
-    assert walk == pytest.approx(10.0 / (1 + smear / drives.cells), abs=0.02)
+    migration, sigma = found.slowed((10.0, 0.1))
+    assert migration == pytest.approx(10.0 / (1 + smear / drives.cells), abs=0.02)
     assert sigma == pytest.approx(np.hypot(0.1 * found.share**2, 20.0 * found.share * found.along[1] / 50.0))
     assert found.col == bins.pixels // 2 + round(9 * bins.cell)
     power = np.sum(np.abs(found.row) ** 2, axis=0)

@@ -16,8 +16,7 @@ from sal_height.imaging import ImageSettings, Slc
 from sal_height.movers import DwellMovers, Looked, Mover, MoverSettings, dwell_detection
 from sal_height.movers.dwell_detection import MoverTrack, ShownDwell
 from sal_height.movers.dwell_images import COLUMN_STEPS, DwellImage
-from sal_height.movers.dwell_lobes import Lobes
-from sal_height.movers.dwell_paths import DwellPaths
+from sal_height.movers.dwell_paths import DwellPaths, Lobes
 from sal_height.movers.likelihood import MODEL_ERROR, ratio_in_dwells, ratio_over_rows
 from sal_height.pipeline import Compressor, dwell_with_movers
 from sal_height.simulation.flight import SimulatedFlight, flight_of
@@ -77,7 +76,7 @@ def target(radial: float, power_db: float = 30.0, east: float = 0.1, along: floa
     ids=lambda value: f"{value:g}",
 )
 def test_a_car_gets_place_height_and_speed(radial: float, east: float) -> None:
-    """From dwell to dwell, 11.6 ms, it walks by 0.29 to 1.4 rows of 10 cm; where two dwells see it alike, once."""
+    """From dwell to dwell, 11.6 ms, it migrates by 0.29 to 1.4 rows of 10 cm; where two dwells see it alike, once."""
     (one,) = movers_of(0, target(radial, east=east))
     assert one.walks
     assert abs(one.walk_velocity - radial) < 4 * one.walk_sigma < 1.0
@@ -199,7 +198,7 @@ def test_slow_ones_are_not_told() -> None:
     assert not movers_of(2, target(0.2e-3))
 
 
-def test_speeds_that_are_not_looked_for_do_not_walk() -> None:
+def test_speeds_that_are_not_searched_for_do_not_migrate() -> None:
     flight, images = flown(0, target(9.011, east=0.0))
     found = found_in(flight, images, MoverSettings(fastest_mps=0.0))
     assert [one.fastest for one in found if one] == [0.0] * DWELLS

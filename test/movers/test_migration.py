@@ -65,7 +65,7 @@ def test_errors_of_cars_are_those_that_are_stated() -> None:
     assert np.all(np.abs(over) < 5)
 
 
-def test_the_walk_is_as_unsure_as_the_rate_of_the_doppler() -> None:
+def test_the_migration_is_as_unsure_as_the_rate_of_the_doppler() -> None:
     """Blocks that autofocus has placed to 15 mm each smear the image by 8.5 of 155 cells: 5.5 % of 14 m/s."""
     radial = -14.0
     flight, images = strip(0, PointScatterer(0.0, 0.0, 0.8, 1e3, radial_velocity=radial))
@@ -79,7 +79,7 @@ def test_the_walk_is_as_unsure_as_the_rate_of_the_doppler() -> None:
     assert sigmas[1] == pytest.approx(np.hypot(sigmas[0], 0.055 * abs(radial)), rel=0.03)
 
 
-def test_what_stands_still_does_not_walk() -> None:
+def test_what_stands_still_does_not_migrate() -> None:
     """Pairs of points in neighbouring cells; of 200 to 300 bright pixels 5 % may be taken for movers."""
     rng = np.random.default_rng([77, 3])
     points = []
@@ -98,7 +98,7 @@ def test_what_stands_still_does_not_walk() -> None:
     assert sum(len(each.movers) for each in seen) <= 0.05 * candidates
 
 
-def test_slow_ones_do_not_walk() -> None:
+def test_slow_ones_do_not_migrate() -> None:
     flight, images = strip(0, mover(5e-3, 30.0, 0.5))
     seen = [movers(slc, flight.sensor, MoverSettings(false_alarm_rate=1e-2)) for slc in images]
     (one,) = [one for each in seen for one in each.movers]
@@ -114,7 +114,7 @@ def test_speeds_that_are_not_looked_for() -> None:
     assert fastest[2] == pytest.approx(56.6, abs=0.5)
 
 
-def test_the_walk_resolves_an_ambiguity_that_is_longer_than_its_error() -> None:
+def test_the_migration_resolves_an_ambiguity_that_is_longer_than_its_error() -> None:
     at = Mover(np.zeros(3), np.eye(3), 0.0, 0.01, 2.0, 0.1, 15.0, 33.0, 1.0, 0.0, 1.0, True, 50.0, 20.0, 1, 1)
     assert at.resolved
     assert at.without_ambiguity().radial_velocity == pytest.approx(32.0)

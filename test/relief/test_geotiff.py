@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
-from helpers import assert_one_sentence
+from helpers import refused
 from pyproj import CRS
 from rasterio.warp import transform
 from rio_cogeo.cogeo import cog_validate
@@ -111,9 +111,8 @@ def test_without_an_origin_the_file_claims_no_place_on_the_earth(tmp_path: Path)
 
 def test_a_file_that_cannot_be_written_is_told_before_the_flight(tmp_path: Path) -> None:
     for path, words in ((tmp_path, "it is a folder"), (tmp_path / "no" / "map.tif", "does not exist")):
-        with pytest.raises(UserError) as refused:
+        with refused(UserError, f"File {path} cannot be written", words):
             check_geotiff(path)
-        assert_one_sentence(str(refused.value), f"File {path} cannot be written", words)
 
 
 def geo_keys(path: Path) -> dict[int, int]:

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from sal_height.numeric import F64, Bool
-from sal_height.relief import GroundEstimate, GroundGrid, GroundKind, GroundSettings, Layers, estimated_ground, merged
+from sal_height.relief import GroundEstimate, GroundKind, GroundSettings
+from sal_height.relief.ground import GroundGrid, estimated_ground
+from sal_height.relief.layers import Layers, merged
 
 CELL, SPACING, SIGMA, SIDE = 0.05, 0.09, 0.01, 80
 SETTINGS = GroundSettings()

@@ -12,7 +12,8 @@ from sal_height.geometry import sphere_coordinates
 from sal_height.imaging import ImageSettings
 from sal_height.numeric import F64
 from sal_height.pipeline import Compressor, heights
-from sal_height.relief import ReliefMap, ground_slope, ground_spacings, variance_at_place
+from sal_height.relief import ReliefMap, ground_spacings, variance_at_place
+from sal_height.relief.slope import ground_slope
 from sal_height.simulation import flight_of, load_preset
 from sal_height.simulation.scene import Scene
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from alos import forest
 from helpers import circular
-from scipy.constants import speed_of_light
 
 from sal_height.figures.psf_estimators import mean_modulus
 from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, make_tape
@@ -160,24 +160,13 @@ def test_real_echoes_show_the_band_of_their_chirp(shared_data: Callable[[str], P
 
     At the ends of a chirp's band its amplitude is a half (Fresnel), with its matched filter a quarter.
     """
-    h5py = pytest.importorskip("h5py")
-    (path,) = shared_data("alos_palsar").glob("ALPSRP*.h5")
-    with h5py.File(path) as file:
-        swath = file["science/LSAR/RRSD/swaths/frequencyA/txH"]
-        table, codes = swath["rxH/BFPQLUT"][:], swath["rxH/HH"][:]
-        slope, duration = float(swath["chirpSlope"][()]), float(swath["chirpDuration"][()])
-        rate = speed_of_light / (2 * float(swath["slantRangeSpacing"][()]))
-    raw = (table[codes["r"]] + 1j * table[codes["i"]]).astype(np.complex64)
-    samples = round(duration * rate)
-    chirp = np.exp(1j * np.pi * slope * ((np.arange(samples) - (samples - 1) / 2) / rate) ** 2)
-    size = raw.shape[1]
-    image = np.fft.ifft(np.fft.fft(raw, axis=1) * np.fft.fft(chirp, size).conj(), axis=1)[:, : size - samples]
-    found = find_pure_speckle(image.T.astype(np.complex64))
+    image, band = forest(shared_data)
+    found = find_pure_speckle(image.astype(np.complex64))
     assert found.pure.mean() > 0.5
-    power, _ = estimate_speckle_spectra(image.T.astype(np.complex64), found).range.unfolded(64)
+    power, _ = estimate_speckle_spectra(image.astype(np.complex64), found).range.unfolded(64)
     inside = np.abs(frequencies(64)) < 0.4
     level = np.median(power[inside])
     occupied = np.flatnonzero(power > level / 16)
-    assert len(occupied) / 64 == pytest.approx(abs(slope) * duration / rate, abs=1.5 / 64)
+    assert len(occupied) / 64 == pytest.approx(band, abs=1.5 / 64)
     assert abs(frequencies(64)[occupied].mean()) < 1 / 64
     assert np.std(power[inside]) < 0.2 * level

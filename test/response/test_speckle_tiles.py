@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import assert_one_sentence, circular
+from helpers import assert_one_sentence, circular, refused
 
 from sal_height.errors import NotDetermined, UserError
 from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, TapeTarget, make_tape
@@ -179,18 +179,15 @@ def test_small_images_have_small_tiles() -> None:
 def test_an_image_of_targets_has_no_pure_speckle() -> None:
     targets = tuple(TapeTarget(32 + 64 * i, 32 + 64 * j, 40) for i in range(2) for j in range(2))
     image = make_tape((128, 128), np.random.default_rng(10), targets, RangeFault(), AzimuthFault())
-    with pytest.raises(NotDetermined) as error:
+    with refused(NotDetermined, "4 tiles", "4 moment", "needed"):
         find_pure_speckle(image)
-    assert_one_sentence(str(error.value), "4 tiles", "4 moment", "needed")
     with pytest.raises(NotDetermined, match="4 not finite"):
         find_pure_speckle(np.full((128, 128), np.nan, dtype=np.complex64))
 
 
 def test_images_that_are_none_are_refused() -> None:
     for wrong in (np.ones((64, 64), np.float32), np.ones((2, 64, 64), np.complex64)):
-        with pytest.raises(UserError) as error:
+        with refused(UserError, "complex"):
             find_pure_speckle(wrong)
-        assert_one_sentence(str(error.value), "complex")
-    with pytest.raises(NotDetermined) as few:
+    with refused(NotDetermined, "4 x 200", "8 pixels"):
         find_pure_speckle(np.ones((4, 200), np.complex64))
-    assert_one_sentence(str(few.value), "4 x 200", "8 pixels")

@@ -448,7 +448,7 @@ def _searches(beams: Beams, objective: Objective, guard: float) -> PeakSearches:
 def _grid_beyond(tables: SearchTables, first: float, last: float) -> F32:
     """The part of `tables.grid` at the nodes that are nearest to elevations below `first` or above `last` (rad).
 
-    Zeros make their number a multiple of 8, as processors multiply so many at a time.
+    Zeros make their number a multiple of 8, as processors multiply eight at a time.
     """
     half = 0.5 * TABLE_STEPS * tables.step
     near = (tables.grid_nodes < first + half) | (tables.grid_nodes > last - half)

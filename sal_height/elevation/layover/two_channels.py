@@ -123,9 +123,8 @@ def sidelobe_power(beams: Beams) -> float:
     for end, limit in ((first, max(lowest, first - reach)), (last, min(highest, last + reach))):
         outside = np.linspace(end, limit, max(2, round(abs(limit - end) / step) + 1))
         response = beams.response(outside, 0.0)
-        alike = (np.abs(unit_vectors(response) @ units.conj().T) ** 2).max(
-            axis=1
-        ) >= 0.99  # of its power is explained by one inside
+        explained = (np.abs(unit_vectors(response) @ units.conj().T) ** 2).max(axis=1)  # by one inside
+        alike = explained >= 0.99
         alike &= np.maximum.accumulate(~alike)
         greatest = max(greatest, float(np.max(np.sum(np.abs(response) ** 2, axis=1), where=alike, initial=0.0)))
     return greatest / float(beams.power(np.mean(beams.span), 0.0))

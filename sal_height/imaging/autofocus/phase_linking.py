@@ -70,7 +70,6 @@ def _brighter_by(found: F32, snr: F64, spectrum: F64, u: F64) -> float:
     return float(np.sqrt(of_step[0] * np.mean(of_orders[1:] ** 2 / of_step[1:])))
 
 
-WEAKEST_MODE = 0.1  # least signal-to-noise ratio of a mode over that of the strongest one in a range cell
 LIKE_ROWS = 5  # range cells over which channels are correlated: terrain takes more to cross a beam
 
 
@@ -94,8 +93,8 @@ def signal_modes(responses: Complex, noise_covariance: F64 | C128) -> tuple[Comp
 
     A common phase leaves the covariance between the channels of LIKE_ROWS range cells as it is. Where noise is white,
     its eigenvectors whose values exceed those of noise alone (Marchenko & Pastur: (1 + sqrt(channels / samples))^2),
-    and WEAKEST_MODE, are the channels' beams towards the scatterers there; the rest is left out, and so are the last
-    cells if they are fewer.
+    and 0.1 of the strongest, are the channels' beams towards the scatterers there; the rest is left out, and so are the
+    last cells if they are fewer.
 
     Args:
         responses: responses of the channels, shape (channels, cells, pulses).
@@ -114,7 +113,7 @@ def signal_modes(responses: Complex, noise_covariance: F64 | C128) -> tuple[Comp
     snr = values - 1
     noise_edge = (1 + np.sqrt(channels / samples)) ** 2
     # The margin is for few samples: a few hundred of noise exceed 1.1 times the edge in 1 % of the cells.
-    seen = (values > 1.1 * noise_edge) & (snr >= WEAKEST_MODE * snr[:, -1:])
+    seen = (values > 1.1 * noise_edge) & (snr >= 0.1 * snr[:, -1:])
     strongest = slice(channels - int(seen.sum(axis=1).max(initial=0)), None)  # values ascend
     combined = (vectors[..., strongest].conj().swapaxes(1, 2) @ whitening @ alike)[seen[:, strongest]]
     return combined.reshape(-1, pulses), np.repeat(snr[seen], like)

@@ -27,9 +27,6 @@ from sal_height.geometry import ApertureState, shift_along
 from sal_height.imaging.autofocus.gradient import Focus
 from sal_height.numeric import F64
 
-LOWEST_HZ, HIGHEST_HZ = 10.0, 2000.0
-"""Frequencies of vibrations by rotors, propellers and engines; below, navigation follows."""
-
 
 @dataclass(frozen=True)
 class NavigationPrior:
@@ -64,7 +61,7 @@ class NavigationPrior:
         """Standard deviation of the sum of both as a velocity along the line of sight, m/s."""
         return float(np.hypot(self.speed, self.flight_speed * self.pointing))
 
-    def beside(self, vibration: float) -> NavigationPrior:
+    def with_vibration(self, vibration: float) -> NavigationPrior:
         """With a vibration of this standard deviation (m/s) that odometry does not contain."""
         return replace(self, speed=float(np.hypot(self.speed, vibration)))
 
@@ -158,7 +155,7 @@ def placed_by_centroid(centroid: Centroid, prior: NavigationPrior, ambiguity: fl
     found, error = centroid.speed, centroid.error
     if not prior.spread:
         return Placement(0.0, found / prior.flight_speed, 0.0, centroid)
-    prior = prior.beside(centroid.vibration)
+    prior = prior.with_vibration(centroid.vibration)
     variance = prior.spread**2 + error**2
     of_speed, of_pointing = prior.speed**2 / variance, (prior.flight_speed * prior.pointing) ** 2 / variance
     # Multiples of the ambiguity within six standard deviations of navigation are weighed against each other.
@@ -188,9 +185,10 @@ def placed_by_beams(prior: NavigationPrior, error: float) -> Placement:
 def vibration_speed(phase: F64, seconds: F64, wavelength: float) -> float:
     """Standard deviation (m/s) of the mean velocity by a vibration, from the rest of its phase over a dwell.
 
-    A vibration of unknown frequency is assumed to have the same power of velocity in every octave from LOWEST_HZ to
-    HIGHEST_HZ. The parts that are a curvature of the phase, of the second or third order, and the trend, which cannot
-    be separated from an error of navigation, follow from the length of the dwell; the curvature gives its power.
+    A vibration of unknown frequency is assumed to have the same power of velocity in every octave from 10 Hz to 2 kHz,
+    as by rotors, propellers and engines; below, navigation follows. The parts that are a curvature of the phase, of the
+    second or third order, and the trend, which cannot be separated from an error of navigation, follow from the length
+    of the dwell; the curvature gives its power.
 
     Args:
         phase: phase without mean and linear trend, rad, shape (pulses,).
@@ -212,7 +210,7 @@ def _powers_of_vibration(duration: float) -> tuple[float, ...]:
     A displacement exp(j omega t) / omega, whose velocity has the amplitude 1, has the parts
     (2 k + 1) j^k j_k(omega T / 2) (Abramowitz & Stegun, 10.1.47).
     """
-    omega, order = 2 * np.pi * np.geomspace(LOWEST_HZ, HIGHEST_HZ, 200), np.arange(1, 4)
+    omega, order = 2 * np.pi * np.geomspace(10.0, 2000.0, 200), np.arange(1, 4)
     waves = (2 * order + 1)[:, None] * spherical_jn(order[:, None], omega * duration / 2) / omega
     return tuple(np.mean(waves**2, axis=1).tolist())
 
@@ -261,7 +259,7 @@ def centroid_of(focus: Focus, pulse_times: F64, wavelength: float, prior: Naviga
     of_a_radian = speed_of_a_radian(pulse_times, wavelength)
     found, error = of_a_radian * focus.trend, of_a_radian * focus.trend_error
     vibration = vibration_speed(focus.phase, pulse_times, wavelength) if prior.spread else 0.0
-    known = prior.beside(vibration)
+    known = prior.with_vibration(vibration)
     if not known.allows(found, error):
         raise Rejected(
             "Doppler centroid contradicts navigation",

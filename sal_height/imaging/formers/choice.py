@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from sal_height.errors import UserError
 from sal_height.geometry import Grid
-from sal_height.imaging.formers import accuracy, range_doppler, row_sums, specan
+from sal_height.imaging.formers import range_doppler, row_sums, specan
 from sal_height.imaging.formers.backprojection import backproject
 from sal_height.imaging.pixels import Processing
 from sal_height.numeric import C64, F64
@@ -15,6 +17,12 @@ from sal_height.sensor import MODES, PhaseHistory, Sensor
 
 FormImages = Callable[[PhaseHistory, F64, Sensor, Processing, Grid], C64]
 """From phase history, antenna positions, sensor, weights and pixels to the images of all detectors."""
+
+ALLOWED_ERROR = 1e-4
+"""Greatest expected power of the difference to backprojection, over that of the image: -40 dB.
+
+Noise and sidelobes of an image are stronger than that.
+"""
 
 FEW_PIXELS = 10_000  # of a dwell, that backprojection forms in about the same time as a fast former
 FEW_OF_STRIP = 1_000  # of a strip, where backprojection tests every pulse for every pixel
@@ -67,7 +75,7 @@ def choose_former(name: str, antenna: F64, sensor: Sensor, processing: Processin
 
     Raises:
         UserError: there is no former of that name, it does not work in the sensor's mode, or its image would differ
-            from backprojection's by more than accuracy.ALLOWED_ERROR.
+            from backprojection's by more than ALLOWED_ERROR.
     """
     allowed = {key: former for key, former in FORMERS.items() if sensor.mode in former.modes}
     if name == "auto":
@@ -75,7 +83,7 @@ def choose_former(name: str, antenna: F64, sensor: Sensor, processing: Processin
             former
             for former in allowed.values()
             if grid.rows * grid.cols > former.worthwhile_above
-            and former.expected_error(antenna, sensor, grid) <= accuracy.ALLOWED_ERROR
+            and former.expected_error(antenna, sensor, grid) <= ALLOWED_ERROR
             and former.suits(antenna, sensor, processing, grid)
         ]
         return fitting[-1].form
@@ -83,5 +91,11 @@ def choose_former(name: str, antenna: F64, sensor: Sensor, processing: Processin
         raise UserError(f"The former is {name!r}; allowed are auto, {', '.join(FORMERS)}.")
     if name not in allowed:
         raise UserError(f"The former {name} does not work in {sensor.mode}; allowed are {' and '.join(allowed)}.")
-    accuracy.check_expected_error(name, allowed[name].expected_error(antenna, sensor, grid))
+    error = allowed[name].expected_error(antenna, sensor, grid)
+    if error > ALLOWED_ERROR:
+        raise UserError(
+            f"The former {name} would differ from backprojection by {10 * np.log10(error):.1f} dB here, because the "
+            f"track is too uneven or the image too wide or not in the slant plane; at most "
+            f"{10 * np.log10(ALLOWED_ERROR):.0f} dB are allowed, so use backprojection."
+        )
     return allowed[name].form

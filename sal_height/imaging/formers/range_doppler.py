@@ -38,13 +38,6 @@ from sal_height.numeric import (
 )
 from sal_height.sensor import PhaseHistory, Sensor, processed_angle
 
-WIDE_BAND = 0.05
-"""Bandwidth over carrier up to which the low sidelobes of tapered windows do not matter.
-
-Measured against backprojection on targets that migrate by 0.5 to 6 cells: -42 to -48 dB at 0.03, -34 to -39 dB at 0.1.
-"""
-
-PULSES_LOOKED_AT = 128  # of a track: errors that are random from pulse to pulse are then known to a fifth, 1 dB
 SMALL_PHASE = 0.001  # phase (rad) by which Dopplers may differ, in migration or scale of range, and be treated alike
 
 WIDEST_SINE = 0.9
@@ -306,24 +299,23 @@ def keeps_sidelobes(antenna: F64, sensor: Sensor, processing: Processing, grid: 
 
     They are corrected for the migration of their own position, not of their target, and the azimuth window is that of
     the middle frequency at all others. Both matter where targets migrate by cells: with a rectangular window, or in a
-    band that is wide for its carrier (WIDE_BAND).
+    band that is wide for its carrier. Measured against backprojection on targets that migrate by 0.5 to 6 cells, with
+    tapered windows: -42 to -48 dB in a band of 0.03 of the carrier, -34 to -39 dB of 0.1.
     """
     farthest = float(np.linalg.norm(grid.points(grid.rows - 1, (grid.cols - 1) / 2) - antenna.mean(axis=0)))
     migration = farthest * (1 / np.cos(processing.angle / 2) - 1)
-    strong = (
-        processing.azimuth_window == "rectangular" or sensor.bandwidth > WIDE_BAND * speed_of_light / sensor.wavelength
-    )
+    strong = processing.azimuth_window == "rectangular" or sensor.bandwidth > 0.05 * speed_of_light / sensor.wavelength
     return bool(migration <= 0.2 * sensor.range_resolution) or not strong
 
 
 def expected_error(antenna: F64, sensor: Sensor, grid: Grid) -> float:
     """Power of the difference to backprojection over that of the image, by geometry; the worst of 25 pixels.
 
-    It is a mean over PULSES_LOOKED_AT to twice that number of pulses. As of `specan.expected_error`: the residual
-    motion of the pulses in a pixel's aperture, and the offsets of rows from even steps of range, and of pulses from
-    even steps of the track. Sidelobes far along the track, which lie elsewhere where targets migrate
-    by cells, add -40 dB if the azimuth window has low ones and -25 dB if it is rectangular. Infinite where the
-    processed angle reaches beyond WIDEST_SINE.
+    It is a mean over 128 to 256 pulses: errors that are random from pulse to pulse are then known to a fifth, 1 dB. As
+    of `specan.expected_error`: the residual motion of the pulses in a pixel's aperture, and the offsets of rows from
+    even steps of range, and of pulses from even steps of the track. Sidelobes far along the track, which are elsewhere
+    where targets migrate by cells, add -40 dB if the azimuth window has low ones and -25 dB if it is rectangular.
+    Infinite where the processed angle reaches beyond WIDEST_SINE.
     """
     angle = processed_angle(sensor)
     lowest = sensor.centre_wavenumber - sensor.wavenumber_step * (sensor.sample_count // 2)
@@ -336,7 +328,7 @@ def expected_error(antenna: F64, sensor: Sensor, grid: Grid) -> float:
     across -= (across @ track.direction)[:, None] * track.direction
     first, *distance, last = np.linalg.norm(across, axis=-1)
     middle = (first + last) / 2
-    some = slice(None, None, max(1, len(antenna) // PULSES_LOOKED_AT))
+    some = slice(None, None, max(1, len(antenna) // 128))
     sent_from, places = antenna[some], track.places[some]
     aim = track.middle + places[:, None] * track.direction + across[0] / first * middle
     seen = cdist(pixels.reshape(-1, 3), sent_from).reshape(5, 5, -1)

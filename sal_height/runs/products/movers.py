@@ -102,21 +102,21 @@ class BagMovers:
         if self.movers:
             place = f"{'east m':>11}{'north m':>11}{'height m':>10}{'+-':>7}"
             along = f"{'along m/s':>11}{'+-':>7}" if any(_along(seen.mover) for seen in self.movers) else ""
-            lines.append(f"{'dwell':>6}{place}{'mm/s':>11}{'+-':>7}{'by walk m/s':>13}{'+-':>7}{along}")
+            lines.append(f"{'dwell':>6}{place}{'mm/s':>11}{'+-':>7}{'migration m/s':>15}{'+-':>7}{along}")
         for seen in self.movers:
             one = seen.summary()
             place = f"{one['east_m']:11.3f}{one['north_m']:11.3f}{one['height_m']:10.3f}{one['height_sigma_m']:7.3f}"
             speed = f"{1e3 * one['radial_velocity_mps']:11.2f}{1e3 * one['radial_velocity_sigma_mps']:7.2f}"
-            walk = f"{one['walk_velocity_mps']:13.2f}{one['walk_velocity_sigma_mps']:7.2f}"
+            migration = f"{one['walk_velocity_mps']:15.2f}{one['walk_velocity_sigma_mps']:7.2f}"
             along = "".join(
                 f"{value:{width}.2f}" for value, width in zip(_along(seen.mover).values(), (11, 7), strict=False)
             )
-            lines.append(f"{seen.dwell:6d}{place}{speed}{walk}{along}")
+            lines.append(f"{seen.dwell:6d}{place}{speed}{migration}{along}")
         if not all(seen.mover.resolved for seen in self.movers):
             period = 1e3 * self.movers[0].mover.ambiguity
             lines.append(
-                f"Velocities in mm/s that differ by multiples of {period:.4g} mm/s look the same; those by the walk "
-                "through rows do not."
+                f"Velocities in mm/s that differ by multiples of {period:.4g} mm/s look the same; those by range "
+                "migration do not."
             )
         return "\n".join(lines)
 

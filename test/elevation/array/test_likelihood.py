@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from helpers import (
     BEAMWIDTH,
-    assert_one_sentence,
     circular,
     elevation_at,
     few,
@@ -18,6 +17,8 @@ from helpers import (
     multilook,
     noise_free_looks,
     offset_of,
+    phased,
+    refused,
     standard_error_of_rms,
     target_slc,
     thorough,
@@ -25,7 +26,7 @@ from helpers import (
 )
 
 from sal_height.beams.array import Beams
-from sal_height.beams.pattern import PATTERNS, Pattern
+from sal_height.beams.pattern import PATTERNS
 from sal_height.elevation.array import search as peak_search
 from sal_height.elevation.array.bounds import stochastic_crb
 from sal_height.elevation.array.estimate import ElevationEstimate, Validity
@@ -159,25 +160,10 @@ def test_many_squints_are_as_good_as_one(pattern: str) -> None:
     np.testing.assert_allclose(offset_of(elevation[0]), offsets, atol=1e-5)
 
 
-def turned(pattern: Pattern, per_beamwidth: float) -> Pattern:
-    """A complex pattern: the phase grows along the detector axis."""
-
-    def phase(e: np.ndarray) -> np.ndarray:
-        return np.exp(1j * per_beamwidth * np.asarray(e))
-
-    return Pattern(
-        "turned",
-        lambda e, a: pattern.amplitude(e, a) * phase(e),
-        lambda e, a: (pattern.slope(e, a) + 1j * per_beamwidth * pattern.amplitude(e, a)) * phase(e),
-        lambda e, a: pattern.azimuth_slope(e, a) * phase(e),
-        pattern.main_lobe,
-    )
-
-
 def complex_beams() -> Beams:
     """Five detectors with complex patterns, each with its own phase."""
     jinc = PATTERNS["jinc"]
-    return replace(make_beams(count=5), patterns=tuple(turned(jinc, rate) for rate in (0.5, -1.0, 0.2, 0.0, 1.5)))
+    return replace(make_beams(count=5), patterns=tuple(phased(jinc, tilt=rate) for rate in (0.5, -1.0, 0.2, 0.0, 1.5)))
 
 
 def test_complex_beams_are_estimated_from_the_complex_covariance() -> None:
@@ -199,9 +185,8 @@ def test_complex_beams_are_estimated_from_the_complex_covariance() -> None:
 
 def test_real_covariance_of_complex_beams_is_refused() -> None:
     looks = multilook(target_slc(complex_beams(), 0.3, 3, 4, 5.0, np.random.default_rng(33)), 1, 4)
-    with pytest.raises(UserError) as refusal:
+    with refused(UserError, "complex beams", "must be complex"):
         estimate(looks, complex_beams())
-    assert_one_sentence(str(refusal.value), "complex beams", "must be complex")
 
 
 def test_sigma_of_complex_beams_predicts_the_spread() -> None:

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import BEAMWIDTH, circular, elevation_at, make_beams, offset_of, target_slc
+from helpers import BEAMWIDTH, circular, elevation_at, make_beams, offset_of, phased, target_slc
 
 from sal_height.beams.array import Beams
-from sal_height.beams.pattern import PATTERNS, Pattern
+from sal_height.beams.pattern import PATTERNS
 from sal_height.elevation.array._kernels import NO_PEAK, is_behind_a_dip
 from sal_height.elevation.array.bounds import beam_power, information, unit_vectors
 from sal_height.elevation.array.estimate import explained_power
@@ -21,27 +21,19 @@ OFFSETS = np.linspace(-6.9, 6.9, 400)
 """Over array and guard of 16 detectors, beamwidths."""
 
 
-def bent(pattern: Pattern) -> Pattern:
-    """The pattern with a phase that grows with elevation, so that a' has a part along j a."""
-
-    def amplitude(e: np.ndarray, a: np.ndarray) -> np.ndarray:
-        return pattern.amplitude(e, a) * np.exp(0.7j * np.asarray(e))
-
-    def slope(e: np.ndarray, a: np.ndarray) -> np.ndarray:
-        return (pattern.slope(e, a) + 0.7j * pattern.amplitude(e, a)) * np.exp(0.7j * np.asarray(e))
-
-    return replace(pattern, amplitude=amplitude, slope=slope)
+def beams_of(kind: str) -> Beams:
+    """Beams of a pattern, complex ones, so that a' has a part along j a, or beams on a turned axis."""
+    beams = make_beams(kind if kind in PATTERNS else "jinc")
+    if kind == "complex":
+        return replace(beams, patterns=(phased(PATTERNS["jinc"], tilt=0.7),))
+    return replace(beams, rotation=0.4) if kind == "turned" else beams
 
 
 @pytest.mark.parametrize("objective", sorted(OBJECTIVES))
 @pytest.mark.parametrize("kind", [*sorted(PATTERNS), "complex", "turned"])
 def test_fit_is_what_the_beams_say(kind: str, objective: str) -> None:
     """Errors of the tables: 5e-8 of w and 5e-6 per beamwidth of w', which is 1 or so."""
-    beams = make_beams(kind if kind in PATTERNS else "jinc")
-    if kind == "complex":
-        beams = replace(beams, patterns=(bent(PATTERNS["jinc"]),))
-    elif kind == "turned":
-        beams = replace(beams, rotation=0.4)
+    beams = beams_of(kind)
     squint, elevation = 0.3 * BEAMWIDTH, elevation_at(OFFSETS if kind != "turned" else OFFSETS * 0.9)
     matrices = covariance(circular(np.random.default_rng(1), (400, 4, 16)).astype(np.complex64), beams.is_complex)
     found = search(beams, squint, objective).fit(matrices, elevation)
@@ -68,11 +60,7 @@ def test_fit_of_no_elevation_is_none_and_beyond_the_domain_is_its_end() -> None:
 @pytest.mark.parametrize("kind", [*sorted(PATTERNS), "complex", "turned"])
 def test_between_tables_the_beams_are_as_they_are(kind: str) -> None:
     """Half way between two squints, where the polynomial errs most; targets are found right to 1e-5 beamwidths."""
-    beams = make_beams(kind if kind in PATTERNS else "jinc")
-    if kind == "complex":
-        beams = replace(beams, patterns=(bent(PATTERNS["jinc"]),))
-    elif kind == "turned":
-        beams = replace(beams, rotation=0.4)
+    beams = beams_of(kind)
     for squint in (np.array([-0.5, 1.5, 14.5]) * SQUINT_STEP * BEAMWIDTH).tolist():
         offsets = np.linspace(-3.7, 3.7, 200)
         unit = unit_vectors(beams.response(elevation_at(offsets), squint))

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 from helpers import (
     BEAMWIDTH,
-    assert_one_sentence,
     circular,
     elevation_at,
     make_beams,
     multilook,
     noise_free_looks,
     offset_of,
+    phased,
+    refused,
     standard_error_of_rms,
     target_slc,
     thorough,
@@ -165,13 +166,7 @@ def test_noise_alone_and_missing_samples_are_not_valid(name: str) -> None:
 def test_complex_beams_and_pairs_are_estimated(name: str, count: int) -> None:
     """The beams' phases turn with elevation; a pair is searched between its ends."""
     beams = make_beams("gaussian", count)
-    pattern = beams.patterns[0]
-    turned = replace(
-        pattern,
-        amplitude=lambda e, a: pattern.amplitude(e, a) * np.exp(0.5j * np.asarray(e)),
-        slope=lambda e, a: (pattern.slope(e, a) + 0.5j * pattern.amplitude(e, a)) * np.exp(0.5j * np.asarray(e)),
-    )
-    for some in (beams, replace(beams, patterns=(turned,))):
+    for some in (beams, replace(beams, patterns=(phased(beams.patterns[0], tilt=0.5),))):
         result = estimate(name, target_slc(some, 0.1, 1000, 16, 30.0, np.random.default_rng(66)), some)
         valid = result.validity[:, 0] == Validity.OK
         normal = ((offsets_of(result) - 0.1) * BEAMWIDTH / result.sigma[:, 0])[valid]
@@ -181,6 +176,5 @@ def test_complex_beams_and_pairs_are_estimated(name: str, count: int) -> None:
 
 def test_order_without_a_noise_subspace_is_refused() -> None:
     beams = make_beams()
-    with pytest.raises(UserError) as refusal:
+    with refused(UserError, "order of MUSIC is 16", "16 detectors"):
         music_elevation(noise_free_looks(beams, np.zeros(1)), beams, MusicSettings(order=16))
-    assert_one_sentence(str(refusal.value), "order of MUSIC is 16", "16 detectors")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import assert_one_sentence, circular, make_sensor
+from helpers import circular, make_sensor, refused
 from phase_errors import ATMOSPHERE, power_law_phase, residual_phase, white_phase
 
 from sal_height.errors import UserError
@@ -387,16 +387,14 @@ def test_dwells_too_large_for_memory_are_refused_before_anything_is_held(pulses:
     sensor = make_sensor(pulse_count=pulses, sample_count=2)
     antenna = np.linspace(0, 0.01, pulses)[:, None] * np.array([1.0, 0.0, 0.0])
     history = PhaseHistory(0, np.arange(pulses) * 1e-5, np.full(pulses, 5e3), np.zeros((3, 1, 1), np.complex64))
-    with pytest.raises(UserError) as refusal:
+    with refused(UserError, said, "autofocus to never"):
         autofocus(history, antenna, sensor, np.zeros((points, 1, 3)), AutofocusSettings())
-    assert_one_sentence(str(refusal.value), said, "autofocus to never")
 
 
 def test_stripmap_is_refused() -> None:
     dwell = dwell_of("small", 1)
-    with pytest.raises(UserError) as refusal:
+    with refused(UserError, "stripmap", "spotlight"):
         replace(dwell, sensor=replace(dwell.sensor, mode="stripmap", config_hash="")).focus()
-    assert_one_sentence(str(refusal.value), "stripmap", "spotlight")
 
 
 def load_gotcha(files: list[Path]) -> tuple[PhaseHistory, np.ndarray, Sensor, Grid, np.ndarray]:

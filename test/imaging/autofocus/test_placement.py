@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import assert_one_sentence, make_aperture, thorough
+from helpers import assert_one_sentence, make_aperture, refused, thorough
 from scipy.spatial.transform import Rotation
 
 from sal_height.elevation import ESTIMATORS, MlSettings, Validity
@@ -183,10 +183,8 @@ def share_within_sigma(flight: SimulatedFlight, slc: Slc) -> float:
 
 
 def test_navigation_that_is_contradicted_is_refused(flight: SimulatedFlight, history: PhaseHistory) -> None:
-    with pytest.raises(Rejected) as caught:
+    with refused(Rejected, "m/s", "stated", reason="Doppler centroid contradicts navigation"):
         compressed(flight, history, track_of(flight, 0.004, 0.0, (2e-4, 0.0)))
-    assert caught.value.reason == "Doppler centroid contradicts navigation"
-    assert_one_sentence(str(caught.value), "m/s", "stated")
 
 
 def test_a_dwell_that_needs_autofocus_and_has_nothing_to_focus_on_is_refused(
@@ -195,10 +193,8 @@ def test_a_dwell_that_needs_autofocus_and_has_nothing_to_focus_on_is_refused(
     rng = np.random.default_rng(6)
     noise = rng.standard_normal((2, *history.samples.shape)) * np.sqrt(flight.sensor.noise_power[0] / 2)
     empty = replace(history, samples=(noise[0] + 1j * noise[1]).astype(np.complex64))
-    with pytest.raises(Rejected) as caught:
+    with refused(Rejected, "0.005 m/s", reason="autofocus"):
         compressed(flight, empty, track_of(flight, 0.0, 0.0, (0.005, 0.0)))
-    assert caught.value.reason == "autofocus"
-    assert_one_sentence(str(caught.value), "0.005 m/s")
 
 
 def test_without_autofocus_what_navigation_leaves_open_is_in_the_covariance(

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 from former_scenes import EAST, SAL, XBAND, Case, chosen, difference_db, dwell, on_the_ground, strip
-from helpers import assert_one_sentence
+from helpers import refused
 
 from sal_height.errors import UserError
 from sal_height.geometry.frames import ApertureState
@@ -114,10 +114,8 @@ def test_a_new_former_is_an_entry(lidar: Case, monkeypatch: pytest.MonkeyPatch) 
 
 def test_a_former_for_the_other_mode_or_an_unknown_one_is_refused_in_a_sentence(lidar: Case, lidar_strip: Case) -> None:
     for case, name in ((lidar, "range_doppler"), (lidar_strip, "specan")):
-        with pytest.raises(UserError) as error:
+        with refused(UserError, name, case.sensor.mode, "backprojection", FORMERS_OF[case.sensor.mode]):
             chosen(case, name)
-        assert_one_sentence(str(error.value), name, case.sensor.mode, "backprojection", FORMERS_OF[case.sensor.mode])
     for name in ("omega-k", ""):
-        with pytest.raises(UserError) as error:
+        with refused(UserError, repr(name), "auto", *FORMERS):
             chosen(lidar, name)
-        assert_one_sentence(str(error.value), repr(name), "auto", *FORMERS)

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from former_scenes import SAL, XBAND, chosen, db, difference_db, on_the_ground, strip
-from helpers import assert_one_sentence, circular, few
+from helpers import circular, few, refused
 
 from sal_height.errors import UserError
 from sal_height.geometry.grid import Grid
-from sal_height.imaging.formers.accuracy import ALLOWED_ERROR
+from sal_height.imaging.formers.choice import ALLOWED_ERROR
 from sal_height.imaging.formers.range_doppler import (
     _doppler_first,
     _range_first,
@@ -220,9 +220,8 @@ def test_pulses_too_far_apart_for_the_aperture_are_refused_in_a_sentence() -> No
         for spacing in (5.05e-3, 4.95e-3)
     )
     assert np.isfinite(enough.image(focus_stripmap)).all()
-    with pytest.raises(UserError) as error:
+    with refused(UserError, "0.00505 m", "0.005 m", "pulse repetition frequency"):
         sparse.image(focus_stripmap)
-    assert_one_sentence(str(error.value), "0.00505 m", "0.005 m", "pulse repetition frequency")
 
 
 FLOOR = 10**-4.4
@@ -264,6 +263,5 @@ def test_strip_on_which_it_would_err_is_refused_in_a_sentence() -> None:
     rng = np.random.default_rng(102)
     for case in (strip(rng, **RADAR, gust=10.0), on_the_ground(strip(rng, **RADAR), rng)):
         assert expected_error(case.antenna, case.sensor, case.grid) > ALLOWED_ERROR
-        with pytest.raises(UserError) as error:
+        with refused(UserError, "range_doppler", "-40 dB", "backprojection"):
             chosen(case, "range_doppler")
-        assert_one_sentence(str(error.value), "range_doppler", "-40 dB", "backprojection")

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from former_scenes import chosen, db, difference_db, dwell
-from helpers import assert_one_sentence
+from helpers import refused
 
 from sal_height.errors import UserError
 from sal_height.geometry.frames import ApertureState
-from sal_height.imaging.formers.accuracy import ALLOWED_ERROR
+from sal_height.imaging.formers.choice import ALLOWED_ERROR
 from sal_height.imaging.formers.row_sums import PHASES_OF_THREAD, expected_error, focus_rows
 from sal_height.imaging.pixels import Processing, ground_plane_grid
 
@@ -69,6 +69,5 @@ def test_expected_error_is_the_measured_one_within_3_db(cols: int) -> None:
 def test_rows_that_bow_are_refused_in_a_sentence() -> None:
     case = dwell(np.random.default_rng(145), cols=500, bandwidth=2e10, reach=500.0)
     assert expected_error(case.antenna, case.sensor, case.grid) > ALLOWED_ERROR
-    with pytest.raises(UserError) as error:
+    with refused(UserError, "row_sums", "backprojection"):
         chosen(case, "row_sums")
-    assert_one_sentence(str(error.value), "row_sums", "backprojection")

@@ -32,6 +32,11 @@ SMALL = {"rows": 20, "cols": 8}
 """Images of the small preset that take little time."""
 
 
+def count_of(item: Any) -> int:
+    """Number of messages that an item is."""
+    return item.count if isinstance(item, Images) else 1
+
+
 @cache
 def small_flight(dwells: int = 6, seed: int = 7) -> SimulatedFlight:
     """Dwells of the small preset."""

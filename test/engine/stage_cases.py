@@ -32,7 +32,6 @@ from sal_height.engine.calibrator import PsfCalibration
 from sal_height.engine.compression import Compression
 from sal_height.engine.frames import PlacedOrigin
 from sal_height.engine.heights import height_stage
-from sal_height.engine.image_items import Images
 from sal_height.engine.mapper import GroundMapper, ReliefMapper
 from sal_height.engine.movers import MoverDetection
 from sal_height.engine.navigation import NavigationStage, Pose, Twist
@@ -84,11 +83,6 @@ class Case:
 
     def __str__(self) -> str:
         return self.name
-
-
-def count_of(item: Any) -> int:
-    """Number of messages that an item is."""
-    return item.count if isinstance(item, Images) else 1
 
 
 def calibration_of(sensor: Sensor, gain: float = 1.1, **values: Any) -> Calibration:

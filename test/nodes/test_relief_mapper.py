@@ -382,7 +382,7 @@ def test_without_a_height_there_is_no_file(mapped: MapStage, tmp_path: Path) -> 
     mapped.feed(image)
     mapped.mapper.conclude()
     assert list(tmp_path.iterdir()) == []
-    assert mapped.mapper.failure == ""
+    assert mapped.graph.failure == ""
 
 
 def test_a_disk_that_is_full_leaves_the_older_file_and_nothing_half_written(mapped: MapStage, tmp_path: Path) -> None:
@@ -391,7 +391,7 @@ def test_a_disk_that_is_full_leaves_the_older_file_and_nothing_half_written(mapp
     mapped.map_of(1)
     with file_size_limit(100):
         mapped.mapper.conclude()
-    assert_one_sentence(mapped.mapper.failure, str(tmp_path / "map.tif"), "File too large")
+    assert_one_sentence(mapped.graph.failure, str(tmp_path / "map.tif"), "File too large")
     assert [path.read_text() for path in tmp_path.iterdir()] == ["an older one"]
     assert mapped.maps[-1].images == 1
 

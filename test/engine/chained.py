@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any, Self
 
@@ -94,10 +95,10 @@ class Clocked(Chain):
         now_s: time of all stages, s.
     """
 
-    def __init__(self, hosts: Sequence[Hosted], now_s: float) -> None:
+    def __init__(self, hosts: Sequence[Hosted]) -> None:
         super().__init__([one.stage for one in hosts], [one.settings for one in hosts])
         self.hosts = {one.stage: one for one in hosts}
-        self.now_s = now_s
+        self.now_s = 1000.0
         self._at_once = dict.fromkeys(self.stages, 1)
 
     def ask(self, stage: Stage, step: Callable[[], Sequence[Decision] | None]) -> Iterable[Made]:
@@ -136,15 +137,20 @@ class Joined:
         self.hosts: dict[str, Hosted] = {}
         self.losses: dict[str, list[Loss]] = {}
         self.notices: list[Notice] = []
-        self.chain = Clocked([], 1000.0)
 
     def join(self, stage: Stage, settings: Any) -> Hosted:
         """Add a stage after those that there are, before anything is fed."""
+        assert "chain" not in vars(self), "the stages have started"
         host = self.hosts[stage.name] = Hosted(self, stage, settings)
         self.losses[stage.name] = []
-        self.chain = Clocked(list(self.hosts.values()), self.chain.now_s)
-        host.ask(lambda: stage.start(0))
         return host
+
+    @cached_property
+    def chain(self) -> Clocked:
+        """The chain, which starts when it is first used."""
+        chain = Clocked(list(self.hosts.values()))
+        self.keep(chain.start())
+        return chain
 
     def feed(self, items: Iterable[Item]) -> Self:
         """Items arrive."""

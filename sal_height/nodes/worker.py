@@ -28,7 +28,7 @@ from sal_height.messages.codec import SHIPPED, BrokenMessage
 from sal_height.messages.losses import loss_to_message
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, DwellLoss
 from sal_height.nodes.accounts.account import Account
-from sal_height.nodes.accounts.publisher import AccountPublisher, State
+from sal_height.nodes.accounts.publisher import AccountPublisher
 from sal_height.nodes.accounts.tally import Pace, Tally, process_numbers
 from sal_height.nodes.guard import guarded
 from sal_height.nodes.jobs import JobQueue, QueuedJob
@@ -223,7 +223,7 @@ class WorkerNode(Role, Managed):
             else:
                 self.tally.finish(messages, published, time.monotonic() - arrived)
             if messages:
-                self._account_publisher.publish_counts(self._counts)
+                self._account_publisher.publish_progress(self._counts)
             else:
                 self._publish_account()  # the node may be ready now
 
@@ -372,8 +372,13 @@ class WorkerNode(Role, Managed):
         return (*self._inlets, *self._optional)
 
     def account(self) -> Account:
-        """Its account as it is now."""
-        return self._account_and_state()[0]
+        """Its account as it is now, with its state."""
+        subscribers = {_plain(outlet.topic): outlet.subscribers for outlet in self._offered}
+        ready = {"ready": self.is_ready, "subscribers": subscribers}
+        self._slow_numbers = {**ready, **process_numbers(), **self._pace.rates()}
+        account = self._counts()
+        level, state = self._state(sum(account.dropped.values()) + sum(account.ignored.values()))
+        return replace(account, level=level, state=state, hardware_id=self.hardware_id)
 
     def _measure_pace(self) -> None:
         for inlet in (*self._inlets, *self._optional):
@@ -382,7 +387,7 @@ class WorkerNode(Role, Managed):
         self._publish_account()
 
     def _publish_account(self) -> None:
-        self._account_publisher.publish(self._account_and_state)
+        self._account_publisher.publish(self.account)
 
     def _counts(self) -> Account:
         """The account; what changes without a piece of work is as it was last."""
@@ -393,18 +398,9 @@ class WorkerNode(Role, Managed):
         account = replace(account, jobs=self.jobs, missed=missed, published_on=published, last_drop=self.last_drop)
         return replace(account, **self._slow_numbers)
 
-    def _account_and_state(self) -> tuple[Account, State]:
-        """All numbers, and the state of the node."""
-        subscribers = {_plain(outlet.topic): outlet.subscribers for outlet in self._offered}
-        ready = {"ready": self.is_ready, "subscribers": subscribers}
-        self._slow_numbers = {**ready, **process_numbers(), **self._pace.rates()}
-        account = self._counts()
-        level, message = self._state(sum(account.dropped.values()) + sum(account.ignored.values()))
-        return account, State(level, message, self.hardware_id)
-
     def diagnostics(self) -> DiagnosticArray:
         """The stage's account and state, as the conventions have them."""
-        return self._account_publisher.diagnostics(*self._account_and_state())
+        return self._account_publisher.messages(self.account())[0]
 
     @property
     def source_warning(self) -> str:

@@ -60,12 +60,16 @@ class Graph:
         self.executor.spin_until_future_complete(over, 2 * seconds)  # with no limit it would not sleep between messages
         clock.cancel()  # if the context has ended
 
-    def close(self) -> None:
-        """Destroy the nodes in order and shut the context down; may be called twice."""
+    def clear(self) -> None:
+        """Destroy the nodes in order."""
         for node in self.nodes:
             self.executor.remove_node(node)
             node.destroy_node()
         self.nodes.clear()
+
+    def close(self) -> None:
+        """Destroy the nodes and shut the context down; may be called twice."""
+        self.clear()
         self.executor.shutdown()
         rclpy.try_shutdown(context=self.context)
 

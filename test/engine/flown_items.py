@@ -141,6 +141,12 @@ def _heights(flight: Same[SimulatedFlight], settings: CompressionSettings) -> Se
     return made([ml(ml.settings())], [ml.settings()], items, "ml/height")
 
 
+def ml_stage(**settings: Any) -> Stage:
+    """The stage of heights by maximum likelihood."""
+    ml = height_stage("ml")
+    return ml(ml.settings(**settings))
+
+
 def image_items(flight: SimulatedFlight, *, whole: bool, **settings: Any) -> list[Item]:
     """The sensor and the images of a flight, one item for a dwell, or one for each channel."""
     items: list[Item] = [(SENSOR_INFO, flight.sensor)]

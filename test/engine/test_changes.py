@@ -17,6 +17,7 @@ from flown_items import (
     heights_in,
     images_in,
     key_of,
+    ml_stage,
     odometry_items,
     small_flight,
 )
@@ -269,7 +270,7 @@ def test_images_find_the_calibration_that_is_scheduled_before_their_dwell() -> N
     for whole in (True, False):
         script = [scheduled(1, *stated(calibration)), accept(SENSOR_INFO, flight.sensor)]
         script += [accept(SLC, item) for one in images for item in ([one] if whole else one.channels())]
-        driven = drive(height_stage("ml")(height_stage("ml").settings()), script)
+        driven = drive(ml_stage(), script)
         assert len(driven.made) == 2
         assert [one.name for one in driven.decided if isinstance(one, Event)] == [CALIBRATIONS_ARRIVED]
 
@@ -337,8 +338,7 @@ def test_a_state_of_the_platform_is_no_change() -> None:
     *states, (port, last) = odometry_items(flight, 0)
     script = [accept(SENSOR_INFO, flight.sensor), *(accept(*item) for item in states[:-1])]
     driven = compressed([*script, scheduled(0, port, at(replace(last), 0))])
-    for item in frame_items(flight, 0):
-        driven.do(accept(*item))
+    driven.deliver(frame_items(flight, 0))
     driven.do(finish)
     assert [one.item.key.number for one in driven.made] == [0]
     assert port == ODOMETRY

@@ -103,11 +103,9 @@ def test_what_is_no_transform_is_reported_and_the_next_one_is_used() -> None:
 def test_a_sensor_farther_than_any_platform_costs_its_dwells_only() -> None:
     stage = Compression(Compression.settings(**SMALL, mounting_from_tf=True))
     driven = drive(stage, [accept(TF_STATIC, transform("base_link", "sensor", (2e3, 0.0, 0.0)))])
-    for item in flight_items(small_flight(), dwells=[0]):
-        driven.do(accept(*item))
+    driven.deliver(flight_items(small_flight(), dwells=[0]))
     assert driven.lost() == {"cannot be processed": 8}
     assert "lever arm" in driven.losses[0].sentence
     driven.do(accept(TF_STATIC, transform("base_link", "sensor")))
-    for item in flight_items(small_flight(), dwells=[1]):
-        driven.do(accept(*item))
+    driven.deliver(flight_items(small_flight(), dwells=[1]))
     assert [one.item.key.number for one in driven.made] == [1]

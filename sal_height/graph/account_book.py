@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass, field
 
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus
 from sal_height.nodes.accounts.account import Account
-
-SAMPLES = 5
-"""Samples of the processor time, half a second apart, that its rate is measured over."""
+from sal_height.nodes.accounts.tally import Pace
 
 MOST_NODES = 1000
 """Greatest number of nodes that are kept: a publisher of endless names uses no more memory."""
-
-SILENT_AFTER_S = 3.0
-"""Silence after which a node is gone, s."""
 
 LEVELS = {
     DiagnosticStatus.OK: "ok",
@@ -44,19 +38,16 @@ class NodeAccount:
     lives: int = 0
     _before: Account = field(default_factory=Account)
     _pid: int = 0
-    _cpu: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=SAMPLES))
+    _cpu: Pace = field(default_factory=Pace)
 
     @property
     def cpu_per_second(self) -> float:
         """Processor seconds that its process uses per second, over the last seconds; 0 before two samples."""
-        if len(self._cpu) < 2:
-            return 0.0
-        (began, first), (ended, last) = self._cpu[0], self._cpu[-1]
-        return (last - first) / (ended - began) if ended > began else 0.0
+        return sum(self._cpu.rates())
 
     def is_gone(self, now: float) -> bool:
-        """True if it has published nothing for SILENT_AFTER_S."""
-        return now - self.received_at > SILENT_AFTER_S
+        """True if it has published nothing for 3 s."""
+        return now - self.received_at > 3.0
 
     def take(self, status: DiagnosticStatus, now: float) -> None:
         """Enter a status of the node."""
@@ -64,10 +55,10 @@ class NodeAccount:
         if self.lives == 0 or account.pid != self._pid:
             self._before, self._pid = self.account, account.pid
             self.lives += 1
-            self._cpu.clear()
+            self._cpu = Pace()
         self.account = account.after(self._before)
         self.level, self.message, self.received_at = LEVELS.get(status.level, "?"), status.message, now
-        self._cpu.append((now, account.cpu_s))
+        self._cpu.sample(now, account.cpu_s)
 
 
 class AccountBook:

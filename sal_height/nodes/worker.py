@@ -36,7 +36,7 @@ from sal_height.nodes.managed import INACTIVE, Managed, Role, Topics
 from sal_height.nodes.parameters import LiveParameters
 from sal_height.nodes.transport.endpoints import QOS_OVERRIDES, RECENT_S, Inlet, Outlet
 from sal_height.nodes.transport.message_types import class_of
-from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_KEPT, LATCHED_QOS, ODOMETRY_QOS
+from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.topics import LOSSES, MAP_ORIGIN
 
 SENSOR_TOPICS = {
@@ -61,9 +61,6 @@ RESET = {"~/reset": "forget what was gathered of the dwells so far"}
 ENDED = Rejected("ended", "The node is ending; waiting and new messages are left out.")
 
 DIAGNOSTICS_PERIOD_S = 0.5
-
-ANSWER_S = 30.0
-"""Longest time that a service makes its caller wait for the worker, s."""
 
 
 class WorkerNode(Role, Managed):
@@ -154,7 +151,8 @@ class WorkerNode(Role, Managed):
         """
         read = read or SHIPPED.reader(message_type.__msgtype__)
         profile = copy.copy(qos)
-        profile.depth = LATCHED_KEPT if qos is LATCHED_QOS else qos.depth
+        if qos is LATCHED_QOS:
+            profile.depth = 8  # with fewer, a message overwrites another before the node takes it
 
         def receive(cdr: bytes) -> None:
             if inlet.has_only_strangers:
@@ -254,9 +252,9 @@ class WorkerNode(Role, Managed):
 
         self.submit(0, run)
         try:
-            return done.result(ANSWER_S)
+            return done.result(30.0)
         except TimeoutError:
-            return f"the node has not reached it within {ANSWER_S:g} s, and goes on"
+            return "the node has not reached it within 30 s, and goes on"
 
     def waiting(self) -> list[Any]:
         """The items of the jobs that wait, in their order."""
@@ -375,7 +373,8 @@ class WorkerNode(Role, Managed):
         """Its account as it is now, with its state."""
         subscribers = {_plain(outlet.topic): outlet.subscribers for outlet in self._offered}
         ready = {"ready": self.is_ready, "subscribers": subscribers}
-        self._slow_numbers = {**ready, **process_numbers(), **self._pace.rates()}
+        rates = zip(("offered_hz", "achieved_hz"), self._pace.rates(), strict=False)
+        self._slow_numbers = {**ready, **process_numbers(), **{name: round(rate, 2) for name, rate in rates}}
         account = self._counts()
         level, state = self._state(sum(account.dropped.values()) + sum(account.ignored.values()))
         return replace(account, level=level, state=state, hardware_id=self.hardware_id)

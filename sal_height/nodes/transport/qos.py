@@ -44,6 +44,3 @@ FRAMES_QOS, ODOMETRY_QOS, LATCHED_QOS = map(to_profile, (qos.FRAMES, qos.ODOMETR
 
 INSTRUMENT_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Instruments: a best-effort subscription receives from any publisher."""
-
-LATCHED_KEPT = 8
-"""Messages of a latched topic that wait until a node takes them; with fewer, one overwrites another in the meantime."""

@@ -26,13 +26,13 @@ from sal_height.engine.air import (
 from sal_height.engine.calibrations import CALIBRATION_PORT, CALIBRATIONS_ARRIVED, CALIBRATIONS_KEPT, StatedCalibration
 from sal_height.engine.dwells import SENSOR_PORT, SENSORS_KEPT, DwellStage, WholeDwell
 from sal_height.engine.frame_items import Frame, check_frame, history_of
+from sal_height.engine.frames import StaticFrames, StaticTransform
 from sal_height.engine.gathering import Dwell
 from sal_height.engine.image_items import AIR_LEFT, AIR_REMOVED, Images, Source
 from sal_height.engine.kept import Kept, RecentValues
 from sal_height.engine.provenance import of_compression
 from sal_height.engine.settings import ChannelSettings, FrameSettings
 from sal_height.engine.stage import FOREVER_NS, DwellKey, FileInput, Job, Notice, Port, Product, Result
-from sal_height.engine.static_frames import StaticFrames, StaticTransform
 from sal_height.engine.track import Arrival, OdometryHistory, longest_gap_s
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Motion, Mounting, PlatformState, Trajectory

@@ -19,6 +19,7 @@ from rclpy.qos import QoSProfile
 from sal_height.engine.air import AirSample
 from sal_height.engine.calibrations import CALIBRATIONS_ARRIVED
 from sal_height.engine.compression import Compression
+from sal_height.engine.frames import StaticTransform
 from sal_height.engine.height_items import Heights
 from sal_height.engine.navigation import Attitude, Fix, Pose, Twist
 from sal_height.engine.stage import (
@@ -36,15 +37,14 @@ from sal_height.engine.stage import (
     Result,
     Stage,
 )
-from sal_height.engine.static_frames import StaticTransform
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Mounting, PlatformState
 from sal_height.messages.codec import SHIPPED
 from sal_height.messages.kinds import kind_of
 from sal_height.nodes.managed import Topics
 from sal_height.nodes.parameters import parameter_of
-from sal_height.nodes.transforms import TF_STATIC_QOS, has_transforms
-from sal_height.nodes.transport.qos import FRAMES_QOS, INSTRUMENT_QOS, LATCHED_QOS, ODOMETRY_QOS
+from sal_height.nodes.transport.message_types import has_transforms
+from sal_height.nodes.transport.qos import FRAMES_QOS, INSTRUMENT_QOS, LATCHED_QOS, ODOMETRY_QOS, TF_STATIC_QOS
 from sal_height.nodes.viewing import VIEWERS
 from sal_height.nodes.worker import ENDED, WorkerNode
 from sal_height.stage_files import check_written, read_inputs, write_product

@@ -18,7 +18,7 @@ from rclpy.signals import SignalHandlerOptions
 from sal_height.errors import UserError
 from sal_height.nodes.accounts.usage import announce, check_arguments, check_overrides, program_name, usage
 from sal_height.nodes.transport.domain import LOOK_S, LOST, Ports
-from sal_height.nodes.transport.executors import executor_for
+from sal_height.nodes.transport.graph import executor_for
 from sal_height.nodes.transport.middleware import provide_shared_memory
 
 

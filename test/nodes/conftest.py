@@ -12,8 +12,7 @@ from chain_fixture import Chain, StageChain
 from sal_height.messages.types import HeightImage
 from sal_height.nodes.processing import PROCESSING
 from sal_height.nodes.transport.domain import free_domain
-from sal_height.nodes.transport.executors import events_executor
-from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.graph import Graph, events_executor
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
 from sal_height.simulation.scenes import load_scene

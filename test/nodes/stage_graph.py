@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Mapping
 from typing import Any
 
 from chained import Hosted, Joined
@@ -15,6 +16,17 @@ from sal_height.messages import deserialize, serialize
 from sal_height.messages.codec import SHIPPED
 from sal_height.messages.kinds import kind_of
 from sal_height.stage_files import check_written, read_inputs, write_product
+
+
+def with_fields(message: Any, values: Mapping[str, Any]) -> Any:
+    """A message with other values of fields, which are named by their path, as in "surfaces.0.height"."""
+    for path, value in values.items():
+        *holders, last = path.split(".")
+        holder = message
+        for name in holders:
+            holder = holder[int(name)] if name.isdigit() else getattr(holder, name)
+        setattr(holder, last, value)
+    return message
 
 
 class StageGraph(Joined):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import json
 import math
 import signal
@@ -22,7 +21,7 @@ from programs import Program
 from pyproj import CRS
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from stage_graph import StageGraph
+from stage_graph import StageGraph, with_fields
 
 from sal_height import messages
 from sal_height.elevation.array.estimate import Validity
@@ -250,8 +249,8 @@ def test_the_cell_size_follows_from_the_first_image_unless_given(given: float, s
 REFUSED: dict[str, tuple[str, Any, str, str]] = {
     "other frame": ("header.frame_id", "odom", "wrong frames", "'odom'"),
     "no surface": ("surfaces", [], "wrong size", "no surface"),
-    "too few heights": ("first.height", np.ones(1, np.float32), "wrong size", "height has 1 entries"),
-    "too few places": ("first.east", np.zeros(0, np.float32), "wrong size", "east has 0 entries"),
+    "too few heights": ("surfaces.0.height", np.ones(1, np.float32), "wrong size", "height has 1 entries"),
+    "too few places": ("surfaces.0.east", np.zeros(0, np.float32), "wrong size", "east has 0 entries"),
     "no pixels": ("grid.rows", 0, "wrong size", "0 x 9"),
     "origin nowhere": ("grid.origin.x", float("inf"), "not finite", "grid"),
     "farther than the earth": ("grid.origin.x", 2e7, "not finite", "1e+07 m"),
@@ -263,21 +262,12 @@ REFUSED: dict[str, tuple[str, Any, str, str]] = {
 """A field of a height image, what it is set to, and for what reason and with what words it is refused then."""
 
 
-def broken(field: str, value: Any) -> HeightImage:
-    """A height image with another value of a field; "first" is its first surface."""
-    image = height_image(9)
-    *path, last = field.removeprefix("first.").split(".")
-    holder = image.surfaces[0] if field.startswith("first.") else functools.reduce(getattr, path, image)
-    setattr(holder, last, value)
-    return image
-
-
 def test_what_cannot_be_used_is_counted_and_leaves_the_map_as_it_is(mapped: MapStage) -> None:
     mapped.feed(height_image(0))
     before = mapped.map_of(1)
     for name, (field, value, reason, words) in REFUSED.items():
         dropped = mapped.mapper.counted("dropped.").get(reason, 0)
-        mapped.feed(broken(field, value))
+        mapped.feed(with_fields(height_image(9), {field: value}))
         assert mapped.mapper.counted("dropped.")[reason] == dropped + 1, name
         assert_one_sentence(mapped.mapper.last_rejection.removeprefix(f"{reason}: "), words)
     mapped.feed(height_image(1))

@@ -129,20 +129,15 @@ class Joined:
 
     Attributes:
         hosts: stages with their counts, by name.
-        losses: losses by stage.
-        notices: notices of all stages.
     """
 
     def __init__(self) -> None:
         self.hosts: dict[str, Hosted] = {}
-        self.losses: dict[str, list[Loss]] = {}
-        self.notices: list[Notice] = []
 
     def join(self, stage: Stage, settings: Any) -> Hosted:
         """Add a stage after those that there are, before anything is fed."""
         assert "chain" not in vars(self), "the stages have started"
         host = self.hosts[stage.name] = Hosted(self, stage, settings)
-        self.losses[stage.name] = []
         return host
 
     @cached_property
@@ -189,10 +184,8 @@ class Joined:
             if isinstance(one, Loss):
                 host.drop(one.messages, one.reason, one.sentence)
                 host.counts["processed"] -= one.messages if made.dwell else 0
-                self.losses[made.stage.name].append(one)
             elif isinstance(one, Notice):
                 host.ignore(one.kind, one.sentence)
-                self.notices.append(one)
             elif isinstance(one, Event):
                 host.counts[one.name] += 1
             else:

@@ -37,7 +37,7 @@ from sal_height.nodes.transport.callbacks import guarded
 from sal_height.nodes.transport.endpoints import QOS_OVERRIDES, RECENT_S, Inlet, Outlet
 from sal_height.nodes.transport.message_types import class_of
 from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
-from sal_height.topics import LOSSES, MAP_ORIGIN
+from sal_height.topics import LOSSES
 
 SENSOR_TOPICS = {
     topics.SENSOR_INFO: "description of the sensor, latched",
@@ -45,15 +45,6 @@ SENSOR_TOPICS = {
     topics.PHASE_HISTORY: "samples of one channel and dwell in each message",
 }
 """Topics of a sensor."""
-
-IMAGES = {topics.SLC: "complex image of one channel and dwell in each message"}
-"""Topic of the compression's images."""
-
-CALIBRATION = {topics.CALIBRATION: "calibration of receivers and beams, latched"}
-"""Topic of a calibration."""
-
-ORIGIN = {MAP_ORIGIN: "position of the origin of the map frame on the earth, sensor_msgs/NavSatFix, latched"}
-"""Topic of the origin of the map."""
 
 RESET = {"~/reset": "forget what was gathered of the dwells so far"}
 """The service that every stage offers."""
@@ -281,14 +272,6 @@ class WorkerNode(Role, Managed):
         if not self.is_active:
             self.reject(1, Rejected("inactive", f"A message was left out: {INACTIVE}."))
         return self.is_active
-
-    def forget(self) -> None:
-        """Forget what has been gathered of the dwells so far, once those that wait have been processed."""
-        self.submit(0, self.forget_results)
-
-    def forget_results(self) -> int:
-        """Forget what the worker has gathered of the dwells so far; returns the number of messages published."""
-        return 0
 
     def _reset(self) -> tuple[bool, str]:
         self.forget()

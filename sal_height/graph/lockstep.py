@@ -103,7 +103,7 @@ class Lockstep:
         self._ends = {topic: one for topic, one in ends.items() if one.outlets}
         self._written_before = dict(self._recorder.recorded)
         self._schedule_changes()
-        self._announce()
+        self.announce()
 
     def _schedule_changes(self) -> None:
         """Notify the stages and the player of the changes before dwells."""
@@ -134,9 +134,12 @@ class Lockstep:
             return False
         return all(self._is_recorded(topic) for topic in self._recorded)
 
-    def after_step(self) -> None:
+    def announce(self) -> None:
         """Announce to the stages what no longer arrives."""
-        self._announce()
+        if self._plan.announces:
+            for topic, stamp_ns in self._source.announced().items():
+                for stage in self._stages.values():
+                    stage.nothing_before(topic, stamp_ns)
 
     def finish(self, wait: Callable[[Callable[[], bool], str], None]) -> None:
         """Notify one stage after the other that nothing more arrives, in the order of the data."""
@@ -199,12 +202,6 @@ class Lockstep:
         missed = sum(count for topic, count in recorder.missed.items() if f"/{topic}" in self._recorded)
         return accounts | ({RECORDER: recorder.with_losses(missed)} if missed else {})
 
-    def _announce(self) -> None:
-        if self._plan.announces:
-            for topic, stamp_ns in self._source.announced().items():
-                for stage in self._stages.values():
-                    stage.nothing_before(topic, stamp_ns)
-
     def _is_recorded(self, topic: str) -> bool:
         ends = self._ends.get(topic)
         if ends is None:
@@ -242,7 +239,7 @@ def perform(plan: Plan, execution: Execution = DEFAULT) -> Outcome:
                     began = time.monotonic()
                     while run.step():
                         wait(run.is_settled, f"what was played from dwell {progress.n} on to be processed")
-                        run.after_step()
+                        run.announce()
                         wait(run.is_settled, f"what was played up to dwell {run.played} to be processed")
                         progress.update(run.played - progress.n)
                         progress.set_postfix_str(run.drops())

@@ -10,7 +10,7 @@ from chained import Hosted, Joined
 
 from sal_height.engine.chain import Made
 from sal_height.engine.registry import STAGES
-from sal_height.engine.stage import FileProduct, Product
+from sal_height.engine.stage import Answer, FileProduct, Product
 from sal_height.errors import UserError
 from sal_height.messages import deserialize, serialize
 from sal_height.messages.codec import SHIPPED
@@ -34,12 +34,14 @@ class StageGraph(Joined):
 
     Attributes:
         heard: messages that were published by stages, by topic.
+        answers: results of commands.
         failure: why a file could not be written; empty: there was no failure.
     """
 
     def __init__(self) -> None:
         super().__init__()
         self.heard: defaultdict[str, list[Any]] = defaultdict(list)
+        self.answers: list[Answer] = []
         self.failure = ""
 
     def add(self, name: str, **parameters: Any) -> Hosted:
@@ -82,6 +84,8 @@ class StageGraph(Joined):
             kind = kind_of(port)
             message_class = SHIPPED.message_class(kind.type_name)
             self.heard[one.port] += [deserialize(cdr, message_class) for cdr in kind.write(one.item, settings)]
+        elif isinstance(one, Answer):
+            self.answers.append(one)
         elif isinstance(one, FileProduct):
             try:
                 write_product(one)

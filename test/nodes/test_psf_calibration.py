@@ -230,6 +230,19 @@ def test_what_there_is_at_the_end_makes_a_calibration_if_there_was_none(
     assert heard.dwells == 1
 
 
+def test_a_calibration_is_made_when_it_is_asked_for(flight: SimulatedFlight) -> None:
+    calibrating = Calibrating(flight, dwells=100)
+    stage, answers = calibrating.stage, calibrating.chain.graph.answers
+    stage.ask(lambda: stage.stage.command("save"))
+    calibrating.fly(0)
+    assert stage.summary()["processed"] == DETECTORS
+    for _ in range(2):
+        stage.ask(lambda: stage.stage.command("save"))
+    assert [one.success for one in answers] == [False, True, False]
+    assert [one.sentence for one in answers[:2]] == ["no dwell was used yet", "published"]
+    assert len(calibrating.heard) == 1
+
+
 def test_a_file_that_cannot_be_written_costs_nothing_else(flight: SimulatedFlight, tmp_path: Path) -> None:
     calibrating = Calibrating(flight, dwells=1, file=str(tmp_path / "nowhere" / "found.npz"))
     calibrating.fly(0)

@@ -218,15 +218,6 @@ def test_any_viewer_sees_the_map(mapped_node: Mapped) -> None:
     assert len(cells) == len(points)
 
 
-def test_who_comes_late_gets_the_last_map(graph: Graph, mapped_node: Mapped) -> None:
-    mapped_node.feed(height_image(0), height_image(1))
-    mapped_node.map_of(2)
-    late: list[ReliefMap] = []
-    subscribe(graph.add(Node("late", context=graph.context)), ReliefMap, "map/relief", late.append, LATCHED_QOS)
-    mapped_node.wait(lambda: bool(late), "the latched map")
-    assert late[0].images == 2
-
-
 def test_maps_are_not_published_more_often_than_asked() -> None:
     mapped = MapStage(period_s=3600.0)
     mapped.feed(*(height_image(dwell) for dwell in range(4)))
@@ -396,13 +387,6 @@ def test_heights_that_wait_for_the_worker_are_in_the_map(graph: Graph, tmp_path:
     mapped.mapper.conclude()
     with rasterio.open(tmp_path / "map.tif") as file:
         assert file.read(4).max() == StageSettings().max_queued_dwells
-
-
-def test_heights_after_the_end_are_counted(mapped_node: Mapped) -> None:
-    mapped_node.feed(height_image(0))
-    mapped_node.mapper.conclude()
-    mapped_node.feed(height_image(1))
-    assert mapped_node.account.dropped["ended"] == 1
 
 
 @pytest.mark.parametrize(

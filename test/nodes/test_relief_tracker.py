@@ -186,6 +186,15 @@ def test_priors_of_many_sensors_are_not_held() -> None:
     assert prior_of(tracking.track(of_sensor("3", 1))) == gone_on
 
 
+def test_a_reset_begins_with_the_first_prior() -> None:
+    tracking = Tracking()
+    first, second = (of(tracking.track(height_image()), "height") for _ in range(2))
+    tracking.stage.forget()
+    again = of(tracking.track(height_image()), "height")
+    assert not np.array_equal(first, second, equal_nan=True)
+    np.testing.assert_array_equal(first, again)
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [("estimator", "best"), ("gate", 0.0), ("correlation_length_m", -1.0), ("relief_sigma_m", math.nan)],

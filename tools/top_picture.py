@@ -17,8 +17,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from sal_height.graph.account_book import AccountBook
-from sal_height.graph.watch import watch
+from sal_height.graph.watch import AccountBook, watch
 from sal_height.runs.live.live_table import node_table
 
 DOMAIN = "87"

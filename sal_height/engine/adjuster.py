@@ -36,7 +36,7 @@ from sal_height.engine.dwells import SENSOR_PORT, SENSORS_KEPT, DwellStage, Whol
 from sal_height.engine.frame_items import LONGEST_DWELL
 from sal_height.engine.gathering import Dwell
 from sal_height.engine.geometry_items import Aperture, check_geometry
-from sal_height.engine.height_items import Heights, packed
+from sal_height.engine.height_items import Heights, heights_port, packed
 from sal_height.engine.heights import HEIGHTS_ABOUT
 from sal_height.engine.kept import RecentValues
 from sal_height.engine.mapper import ADJUSTED as PREFIX
@@ -263,8 +263,7 @@ class HeightAdjuster(DwellStage):
     @classmethod
     def inputs(cls, settings: Any) -> Sequence[Port]:
         """Heights of an estimator, their sensor, and the odometry."""
-        about = "heights of the estimator that the parameter names"
-        return [SENSOR_PORT, ODOMETRY_PORT, Port(f"{settings.estimator}/height", Heights, about, counted=True)]
+        return [SENSOR_PORT, ODOMETRY_PORT, heights_port(settings.estimator)]
 
     @classmethod
     def outputs(cls, settings: Any) -> Sequence[Port]:  # noqa: ARG003
@@ -384,8 +383,7 @@ class HeightAdjuster(DwellStage):
         """Adjust the heights of a dwell."""
         heights, settings = whole.messages[0], job.settings
         heights.check_frame(settings.map_frame)
-        if bad := heights.bad_pixels:
-            yield Notice("bad pixels", str(heights.bad_pixel_warning(bad)), whole.key)
+        yield from heights.notices()
         adjuster = self._adjusters.of(whole.key.sensor)
         self._adjusters.take_surplus()
         try:

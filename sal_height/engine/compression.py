@@ -26,13 +26,13 @@ from sal_height.engine.air import (
 from sal_height.engine.calibrations import CALIBRATION_PORT, CALIBRATIONS_ARRIVED, CALIBRATIONS_KEPT, StatedCalibration
 from sal_height.engine.dwells import SENSOR_PORT, SENSORS_KEPT, DwellStage, WholeDwell
 from sal_height.engine.frame_items import Frame, check_frame, history_of
+from sal_height.engine.frames import StaticFrames, StaticTransform
 from sal_height.engine.gathering import Dwell
 from sal_height.engine.image_items import AIR_LEFT, AIR_REMOVED, Images, Source
 from sal_height.engine.kept import Kept, RecentValues
 from sal_height.engine.provenance import of_compression
 from sal_height.engine.settings import ChannelSettings, FrameSettings
 from sal_height.engine.stage import FOREVER_NS, DwellKey, FileInput, Job, Notice, Port, Product, Result
-from sal_height.engine.static_frames import StaticFrames, StaticTransform
 from sal_height.engine.track import Arrival, OdometryHistory, longest_gap_s
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Motion, Mounting, PlatformState, Trajectory
@@ -57,8 +57,7 @@ ODOMETRY_GAP, NO_AIR, NO_MOUNTING = "odometry gap", "no air", "no mounting"
 """Reasons for which a dwell waits."""
 
 USED_MOUNTING = "used_mounting"
-"""Prefix of the names, in addition to the parameters of the compression, of a mounting other than that of sensor_info;
-and the port of a `UsedMounting`, on which no messages arrive."""
+"""Prefix of the names, in addition to the parameters of the compression, of a mounting not that of sensor_info."""
 
 NOT_TRUSTED = "autofocus found no phase error that it can trust; the image is focused with the odometry alone."
 
@@ -119,13 +118,6 @@ class CompressionSettings(FrameSettings, AirSettings, ImageSettings, ChannelSett
         return Motion(self.acceleration_noise, self.turning_noise, self.odometry_interval_s)
 
 
-class UsedMounting(NamedTuple):
-    """The mounting that a flight used for a sensor (config_hash) instead of that of its description."""
-
-    sensor: str
-    mounting: Mounting
-
-
 class Supplies(NamedTuple):
     """Data that a dwell is compressed with, in addition to its frames.
 
@@ -151,7 +143,7 @@ class Compression(DwellStage):
     dwell_port = PHASE_HISTORY
     is_parallel = True
     niceness: ClassVar[int] = 4
-    changeable: ClassVar = ("_received", "_mountings")
+    changeable: ClassVar = ("_received",)
 
     def __init__(self, *arguments: Any, **others: Any) -> None:
         super().__init__(*arguments, **others)
@@ -294,7 +286,7 @@ class Compression(DwellStage):
         return f"{self.name} strip"
 
     def receive_other(self, port: str, item: Any) -> None:
-        """Accept odometry, air, a calibration, a mounting or a transform."""
+        """Accept odometry, air, a calibration or a transform."""
         if port == ODOMETRY:
             self._receive_odometry(item)
         elif port in AIR_PARAMETERS:
@@ -304,8 +296,6 @@ class Compression(DwellStage):
                 self.hand_over_complete()
         elif port == CALIBRATION:
             self._receive_calibration(item)
-        elif port == USED_MOUNTING:
-            self._mountings[item.sensor] = item.mounting
         else:
             try:
                 self._frames.add(item)

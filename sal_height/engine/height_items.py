@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
@@ -13,8 +13,8 @@ from sal_height.elevation import ORDERS, USABLE, Validity, scatterer_count
 from sal_height.engine.geometry_items import FARTHEST, Aperture, check_geometry
 from sal_height.engine.losses import Doubt, FitTest
 from sal_height.engine.provenance import Provenance
-from sal_height.engine.stage import DwellKey
-from sal_height.errors import Rejected, UserError
+from sal_height.engine.stage import DwellKey, Notice, Port
+from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Grid, above_place
 from sal_height.numeric import F32, F64, U8, Bool
 from sal_height.relief import HeightField, Surface, covariances_from_sigma, folded, is_covariance, unfolded
@@ -163,13 +163,16 @@ class Heights:
         """Number of pixels that are usable by their validity but masked in `field`."""
         return int(np.count_nonzero(_USABLE[self.validity] & ~_USABLE[self.field.validity.ravel()]))
 
-    def bad_pixel_warning(self, count: int) -> UserError:
-        """The warning that says how many pixels were masked."""
-        return UserError(
+    def notices(self) -> Iterator[Notice]:
+        """A warning that says how many pixels were masked, if there are any."""
+        if not (count := self.bad_pixels):
+            return
+        sentence = (
             f"{self.where}: {count} of {len(self.validity)} pixels are usable by their validity, "
             f"but their height, sigma, spread, east, north or covariance is not finite or beyond {FARTHEST:g} m, sigma "
             "is not greater than 0, or a covariance is not positive semidefinite; they are left out."
         )
+        yield Notice("bad pixels", sentence, self.key)
 
     def check_frame(self, map_frame: str) -> None:
         """Check the frame of coordinates.
@@ -182,6 +185,11 @@ class Heights:
                 "wrong frames",
                 f"{self.where} is in {self.frame_id!r}; it must be in {map_frame!r} (parameter map_frame).",
             )
+
+
+def heights_port(estimator: str) -> Port:
+    """The port of a stage that works on the heights of an estimator."""
+    return Port(f"{estimator}/height", Heights, "heights of the estimator that the parameter names", counted=True)
 
 
 def packed(heights: HeightField) -> dict[str, Any]:

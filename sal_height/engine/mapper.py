@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 from sal_height.elevation import ESTIMATORS
 from sal_height.engine.frames import PlacedOrigin
-from sal_height.engine.height_items import Heights
+from sal_height.engine.height_items import Heights, heights_port
 from sal_height.engine.provenance import Provenance
 from sal_height.engine.settings import MapFrameSettings, MapOriginSettings
 from sal_height.engine.stage import (
@@ -193,11 +193,8 @@ class Mapper(Stage):
     @classmethod
     def inputs(cls, settings: Any) -> Sequence[Port]:
         """Heights of an estimator, and the origin of the map frame where the settings do not give it."""
-        heights = Port(
-            f"{settings.estimator}/height", Heights, "heights of the estimator that the parameter names", counted=True
-        )
         takes_origin = settings.origin is None and settings.crs != LOCAL
-        return [heights, *([ORIGIN_PORT] if takes_origin else [])]
+        return [heights_port(settings.estimator), *([ORIGIN_PORT] if takes_origin else [])]
 
     @classmethod
     def outputs(cls, settings: Any) -> Sequence[Port]:  # noqa: ARG003
@@ -283,8 +280,7 @@ class Mapper(Stage):
         """Enter a height image into the map; one that is refused leaves the map unchanged."""
         heights.check_frame(settings.map_frame)
         field, aperture = heights.field, heights.aperture.state
-        if bad := heights.bad_pixels:
-            yield Notice("bad pixels", str(heights.bad_pixel_warning(bad)), heights.key)
+        yield from heights.notices()
         axes = self._axes if self._map is None else self._map_axes
         if axes:
             field, aperture = axes.field(field, aperture)

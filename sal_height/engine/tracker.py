@@ -14,11 +14,11 @@ import numpy as np
 
 from sal_height.elevation import ESTIMATORS
 from sal_height.engine.geometry_items import Aperture
-from sal_height.engine.height_items import Heights, packed
+from sal_height.engine.height_items import Heights, heights_port, packed
 from sal_height.engine.heights import HEIGHTS_ABOUT
 from sal_height.engine.provenance import LEFT_OUT, Provenance
 from sal_height.engine.settings import MapFrameSettings
-from sal_height.engine.stage import DwellKey, Job, Notice, Port, Product, Rehearsal, Reset, Result, Stage, StageSettings
+from sal_height.engine.stage import DwellKey, Job, Port, Product, Rehearsal, Reset, Result, Stage, StageSettings
 from sal_height.rehearsal import made_up_heights
 from sal_height.relief import PriorEstimate, TrackingSettings, track
 from sal_height.settings import setting
@@ -61,14 +61,7 @@ class Tracker(Stage):
     @classmethod
     def inputs(cls, settings: Any) -> Sequence[Port]:
         """Heights of an estimator."""
-        return [
-            Port(
-                f"{settings.estimator}/height",
-                Heights,
-                "heights of the estimator that the parameter names",
-                counted=True,
-            )
-        ]
+        return [heights_port(settings.estimator)]
 
     @classmethod
     def outputs(cls, settings: Any) -> Sequence[Port]:  # noqa: ARG003
@@ -114,8 +107,7 @@ class Tracker(Stage):
         """
         heights.check_frame(settings.map_frame)
         field = heights.field
-        if bad := heights.bad_pixels:
-            yield Notice("bad pixels", str(heights.bad_pixel_warning(bad)), heights.key)
+        yield from heights.notices()
         series = _series_of(heights, settings)
         before = self._priors.pop(series, PriorEstimate())  # to be the last that is forgotten
         tracked, prior, after = track(field, heights.aperture.state, before, settings)

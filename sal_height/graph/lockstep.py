@@ -30,13 +30,6 @@ from sal_height.nodes.transport.endpoints import Inlet, Outlet
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.worker import WorkerNode
 
-COMPANY_TIMEOUT_S = 1.0
-"""Time for which other sensors are looked for before the start, s: discovery needs a few tenths of a second
-on an idle machine."""
-
-LOOK_PERIOD_S = 0.1
-"""Period at which signals, the bag and other publishers are checked, s."""
-
 
 class Ends(NamedTuple):
     """The two ends of a topic, with what had been published and received before the first step.
@@ -110,7 +103,7 @@ class Lockstep:
         self._ends = {topic: one for topic, one in ends.items() if one.outlets}
         self._written_before = dict(self._recorder.recorded)
         self._schedule_changes()
-        self._announce()
+        self.announce()
 
     def _schedule_changes(self) -> None:
         """Notify the stages and the player of the changes before dwells."""
@@ -141,9 +134,12 @@ class Lockstep:
             return False
         return all(self._is_recorded(topic) for topic in self._recorded)
 
-    def after_step(self) -> None:
+    def announce(self) -> None:
         """Announce to the stages what no longer arrives."""
-        self._announce()
+        if self._plan.announces:
+            for topic, stamp_ns in self._source.announced().items():
+                for stage in self._stages.values():
+                    stage.nothing_before(topic, stamp_ns)
 
     def finish(self, wait: Callable[[Callable[[], bool], str], None]) -> None:
         """Notify one stage after the other that nothing more arrives, in the order of the data."""
@@ -206,12 +202,6 @@ class Lockstep:
         missed = sum(count for topic, count in recorder.missed.items() if f"/{topic}" in self._recorded)
         return accounts | ({RECORDER: recorder.with_losses(missed)} if missed else {})
 
-    def _announce(self) -> None:
-        if self._plan.announces:
-            for topic, stamp_ns in self._source.announced().items():
-                for stage in self._stages.values():
-                    stage.nothing_before(topic, stamp_ns)
-
     def _is_recorded(self, topic: str) -> bool:
         ends = self._ends.get(topic)
         if ends is None:
@@ -249,7 +239,7 @@ def perform(plan: Plan, execution: Execution = DEFAULT) -> Outcome:
                     began = time.monotonic()
                     while run.step():
                         wait(run.is_settled, f"what was played from dwell {progress.n} on to be processed")
-                        run.after_step()
+                        run.announce()
                         wait(run.is_settled, f"what was played up to dwell {run.played} to be processed")
                         progress.update(run.played - progress.n)
                         progress.set_postfix_str(run.drops())
@@ -297,7 +287,7 @@ def _waiter(
         def is_over() -> bool:
             nonlocal due, progress, last_progress
             if (now := time.monotonic()) >= due:
-                due = now + LOOK_PERIOD_S
+                due = now + 0.1
                 interruption.check()
                 run.check()
                 if run.is_working or run.progress != progress:
@@ -328,4 +318,4 @@ def _look_for_company(plan: Plan) -> None:
             refuse_company(looker, plan.on_wire(plan.played), own=0)
             return False
 
-        graph.spin_until(found, COMPANY_TIMEOUT_S)
+        graph.spin_until(found, 1.0)  # discovery needs a few tenths of a second on an idle machine

@@ -16,14 +16,13 @@ from sal_height.engine.adjuster import PlacedMounting
 from sal_height.engine.air import AirSample
 from sal_height.engine.calibrations import StatedCalibration
 from sal_height.engine.frame_items import Frame
-from sal_height.engine.frames import USUAL, Frames, PlacedOrigin
+from sal_height.engine.frames import USUAL, Frames, PlacedOrigin, StaticTransform
 from sal_height.engine.height_items import Heights
 from sal_height.engine.image_items import ChannelImage, Images
 from sal_height.engine.mapper import PlacedRelief
 from sal_height.engine.movers import ImageMovers
 from sal_height.engine.navigation import Attitude, Fix, Pose, Twist
 from sal_height.engine.stage import Port
-from sal_height.engine.static_frames import StaticTransform
 from sal_height.geometry import PlatformState
 from sal_height.messages import types
 from sal_height.messages.air import AIR, read_air

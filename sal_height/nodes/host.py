@@ -19,6 +19,7 @@ from rclpy.qos import QoSProfile
 from sal_height.engine.air import AirSample
 from sal_height.engine.calibrations import CALIBRATIONS_ARRIVED
 from sal_height.engine.compression import Compression
+from sal_height.engine.frames import StaticTransform
 from sal_height.engine.height_items import Heights
 from sal_height.engine.navigation import Attitude, Fix, Pose, Twist
 from sal_height.engine.stage import (
@@ -36,24 +37,17 @@ from sal_height.engine.stage import (
     Result,
     Stage,
 )
-from sal_height.engine.static_frames import StaticTransform
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Mounting, PlatformState
 from sal_height.messages.codec import SHIPPED
 from sal_height.messages.kinds import kind_of
 from sal_height.nodes.managed import Topics
 from sal_height.nodes.parameters import parameter_of
-from sal_height.nodes.transforms import TF_STATIC_QOS, has_transforms
-from sal_height.nodes.transport.qos import FRAMES_QOS, INSTRUMENT_QOS, LATCHED_QOS, ODOMETRY_QOS
+from sal_height.nodes.transport.message_types import has_transforms
+from sal_height.nodes.transport.qos import FRAMES_QOS, INSTRUMENT_QOS, LATCHED_QOS, ODOMETRY_QOS, TF_STATIC_QOS
 from sal_height.nodes.viewing import VIEWERS
 from sal_height.nodes.worker import ENDED, WorkerNode
 from sal_height.stage_files import check_written, read_inputs, write_product
-
-TICK_S = 0.1
-"""Period at which the stage is notified that time has passed, s."""
-
-LAST_WORDS_S = 2.0
-"""Longest wait at the end of the node for subscribers to receive the last latched messages, s."""
 
 OF_KIND: Mapping[type, QoSProfile] = {
     PlatformState: ODOMETRY_QOS,
@@ -100,7 +94,7 @@ class StageNode(WorkerNode):
         for name in self.stage_class.commands:
             self.serve(f"~/{name}", lambda name=name: self._command(name))  # type: ignore[misc]
         self._decide(lambda: self.stage.start(self.get_clock().now().nanoseconds))
-        self.every(TICK_S, self._tick)
+        self.every(0.1, self._tick)
         if self.stage_class.concludes:
             self.context.on_shutdown(self.conclude)
 
@@ -221,8 +215,8 @@ class StageNode(WorkerNode):
         for job in self._own_jobs([] if self._is_finished else self.stage.finish()):
             self._report(self._processed([job])[0][1])
         with suppress(RCLError):
-            for topic in self._latched:
-                self._outlets[topic][0].publisher.wait_for_all_acked(Duration(seconds=LAST_WORDS_S))
+            for topic in self._latched:  # so that subscribers receive the last messages
+                self._outlets[topic][0].publisher.wait_for_all_acked(Duration(seconds=2.0))
 
     def destroy_node(self) -> None:
         """Process or drop what waits, then end the node."""

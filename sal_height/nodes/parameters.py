@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from typing import Any, Generic, TypeVar
 
@@ -15,8 +16,6 @@ from sal_height.settings import Setting, Settings, settings_of
 SettingsT = TypeVar("SettingsT", bound=Settings)
 
 INTEGER_LIMITS = (-(2**63), 2**63 - 1)
-FLOAT_LIMITS = (-1.7976931348623157e308, 1.7976931348623157e308)
-"""Range of a parameter that is bounded on one side only: ROS knows no open ranges."""
 
 
 class LiveParameters(Generic[SettingsT]):
@@ -107,7 +106,8 @@ def _descriptor(entry: Setting) -> ParameterDescriptor:
     if entry.minimum is None and entry.maximum is None:
         return descriptor
     if entry.kind is float:
-        low, high = _limits(entry, *FLOAT_LIMITS)
+        most = sys.float_info.max  # of a parameter that is bounded on one side only: ROS knows no open ranges
+        low, high = _limits(entry, -most, most)
         descriptor.floating_point_range = [FloatingPointRange(from_value=float(low), to_value=float(high))]
     else:
         low, high = _limits(entry, *INTEGER_LIMITS)

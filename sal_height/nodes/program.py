@@ -18,12 +18,8 @@ from rclpy.signals import SignalHandlerOptions
 from sal_height.errors import UserError
 from sal_height.nodes.accounts.usage import announce, check_arguments, check_overrides, program_name, usage
 from sal_height.nodes.transport.domain import LOOK_S, LOST, Ports
-from sal_height.nodes.transport.executors import executor_for
+from sal_height.nodes.transport.graph import executor_for
 from sal_height.nodes.transport.middleware import provide_shared_memory
-
-SWITCH_INTERVAL_S = 5e-4
-"""Longest time for which the worker keeps the interpreter from the thread that receives messages, s; 5 ms in Python
-otherwise: it asks for it several times for every message."""
 
 
 def run_node(make: type[Node], begin: Callable[[Node], None] = announce) -> int:
@@ -46,7 +42,8 @@ def run_node(make: type[Node], begin: Callable[[Node], None] = announce) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     provide_shared_memory()
-    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    # The thread that receives messages asks the worker for the interpreter several times for each; Python has 5 ms.
+    sys.setswitchinterval(5e-4)
     try:
         rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
         check_arguments(sys.argv)

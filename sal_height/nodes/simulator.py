@@ -11,7 +11,7 @@ from sal_height.nodes.accounts.account import DWELLS
 from sal_height.nodes.managed import INACTIVE, Topics
 from sal_height.nodes.program import run_node
 from sal_height.nodes.transport.qos import LATCHED_QOS, ODOMETRY_QOS
-from sal_height.nodes.worker import ORIGIN, RESET, SENSOR_TOPICS, WorkerNode
+from sal_height.nodes.worker import RESET, SENSOR_TOPICS, WorkerNode
 from sal_height.settings import setting
 from sal_height.simulation import flight_of, load_preset
 from sal_height.topics import MAP_ORIGIN, ODOMETRY, PHASE_HISTORY, SENSOR_INFO
@@ -41,7 +41,7 @@ class Simulator(WorkerNode):
     parameters = SimulatorSettings
     outputs: ClassVar[Topics] = {
         **SENSOR_TOPICS,
-        **ORIGIN,
+        MAP_ORIGIN: "position of the origin of the map frame on the earth, sensor_msgs/NavSatFix, latched",
         **dict.fromkeys(messages.AIR, "what a probe on the platform measures, if the preset has air"),
     }
     answers: ClassVar[Topics] = {**RESET, "~/step": "simulate and publish the next dwell"}

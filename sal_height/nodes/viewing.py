@@ -10,9 +10,12 @@ from sal_height.engine.mapper import PlacedRelief
 from sal_height.engine.stage import Port
 from sal_height.messages import views
 from sal_height.messages.types import Image, PointCloud2, TFMessage, TransformStamped
-from sal_height.nodes.transforms import TF, TF_QOS, has_transforms
-from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS
+from sal_height.nodes.transport.message_types import has_transforms
+from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS, TF_QOS
 from sal_height.nodes.worker import WorkerNode
+
+TF = "/tf"
+"""Topic of the frames that move, of all nodes in whatever namespace."""
 
 
 class _Points:

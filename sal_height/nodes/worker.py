@@ -28,16 +28,16 @@ from sal_height.messages.codec import SHIPPED, BrokenMessage
 from sal_height.messages.losses import loss_to_message
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, DwellLoss
 from sal_height.nodes.accounts.account import Account
-from sal_height.nodes.accounts.publisher import AccountPublisher, State
+from sal_height.nodes.accounts.publisher import AccountPublisher
 from sal_height.nodes.accounts.tally import Pace, Tally, process_numbers
-from sal_height.nodes.guard import guarded
 from sal_height.nodes.jobs import JobQueue, QueuedJob
 from sal_height.nodes.managed import INACTIVE, Managed, Role, Topics
 from sal_height.nodes.parameters import LiveParameters
+from sal_height.nodes.transport.callbacks import guarded
 from sal_height.nodes.transport.endpoints import QOS_OVERRIDES, RECENT_S, Inlet, Outlet
 from sal_height.nodes.transport.message_types import class_of
-from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_KEPT, LATCHED_QOS, ODOMETRY_QOS
-from sal_height.topics import LOSSES, MAP_ORIGIN
+from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
+from sal_height.topics import LOSSES
 
 SENSOR_TOPICS = {
     topics.SENSOR_INFO: "description of the sensor, latched",
@@ -46,24 +46,12 @@ SENSOR_TOPICS = {
 }
 """Topics of a sensor."""
 
-IMAGES = {topics.SLC: "complex image of one channel and dwell in each message"}
-"""Topic of the compression's images."""
-
-CALIBRATION = {topics.CALIBRATION: "calibration of receivers and beams, latched"}
-"""Topic of a calibration."""
-
-ORIGIN = {MAP_ORIGIN: "position of the origin of the map frame on the earth, sensor_msgs/NavSatFix, latched"}
-"""Topic of the origin of the map."""
-
 RESET = {"~/reset": "forget what was gathered of the dwells so far"}
 """The service that every stage offers."""
 
 ENDED = Rejected("ended", "The node is ending; waiting and new messages are left out.")
 
 DIAGNOSTICS_PERIOD_S = 0.5
-
-ANSWER_S = 30.0
-"""Longest time that a service makes its caller wait for the worker, s."""
 
 
 class WorkerNode(Role, Managed):
@@ -154,7 +142,8 @@ class WorkerNode(Role, Managed):
         """
         read = read or SHIPPED.reader(message_type.__msgtype__)
         profile = copy.copy(qos)
-        profile.depth = LATCHED_KEPT if qos is LATCHED_QOS else qos.depth
+        if qos is LATCHED_QOS:
+            profile.depth = 8  # with fewer, a message overwrites another before the node takes it
 
         def receive(cdr: bytes) -> None:
             if inlet.has_only_strangers:
@@ -223,7 +212,7 @@ class WorkerNode(Role, Managed):
             else:
                 self.tally.finish(messages, published, time.monotonic() - arrived)
             if messages:
-                self._account_publisher.publish_counts(self._counts)
+                self._account_publisher.publish_progress(self._counts)
             else:
                 self._publish_account()  # the node may be ready now
 
@@ -254,9 +243,9 @@ class WorkerNode(Role, Managed):
 
         self.submit(0, run)
         try:
-            return done.result(ANSWER_S)
+            return done.result(30.0)
         except TimeoutError:
-            return f"the node has not reached it within {ANSWER_S:g} s, and goes on"
+            return "the node has not reached it within 30 s, and goes on"
 
     def waiting(self) -> list[Any]:
         """The items of the jobs that wait, in their order."""
@@ -283,14 +272,6 @@ class WorkerNode(Role, Managed):
         if not self.is_active:
             self.reject(1, Rejected("inactive", f"A message was left out: {INACTIVE}."))
         return self.is_active
-
-    def forget(self) -> None:
-        """Forget what has been gathered of the dwells so far, once those that wait have been processed."""
-        self.submit(0, self.forget_results)
-
-    def forget_results(self) -> int:
-        """Forget what the worker has gathered of the dwells so far; returns the number of messages published."""
-        return 0
 
     def _reset(self) -> tuple[bool, str]:
         self.forget()
@@ -372,8 +353,14 @@ class WorkerNode(Role, Managed):
         return (*self._inlets, *self._optional)
 
     def account(self) -> Account:
-        """Its account as it is now."""
-        return self._account_and_state()[0]
+        """Its account as it is now, with its state."""
+        subscribers = {_plain(outlet.topic): outlet.subscribers for outlet in self._offered}
+        ready = {"ready": self.is_ready, "subscribers": subscribers}
+        rates = zip(("offered_hz", "achieved_hz"), self._pace.rates(), strict=False)
+        self._slow_numbers = {**ready, **process_numbers(), **{name: round(rate, 2) for name, rate in rates}}
+        account = self._counts()
+        level, state = self._state(sum(account.dropped.values()) + sum(account.ignored.values()))
+        return replace(account, level=level, state=state, hardware_id=self.hardware_id)
 
     def _measure_pace(self) -> None:
         for inlet in (*self._inlets, *self._optional):
@@ -382,7 +369,7 @@ class WorkerNode(Role, Managed):
         self._publish_account()
 
     def _publish_account(self) -> None:
-        self._account_publisher.publish(self._account_and_state)
+        self._account_publisher.publish(self.account)
 
     def _counts(self) -> Account:
         """The account; what changes without a piece of work is as it was last."""
@@ -393,18 +380,9 @@ class WorkerNode(Role, Managed):
         account = replace(account, jobs=self.jobs, missed=missed, published_on=published, last_drop=self.last_drop)
         return replace(account, **self._slow_numbers)
 
-    def _account_and_state(self) -> tuple[Account, State]:
-        """All numbers, and the state of the node."""
-        subscribers = {_plain(outlet.topic): outlet.subscribers for outlet in self._offered}
-        ready = {"ready": self.is_ready, "subscribers": subscribers}
-        self._slow_numbers = {**ready, **process_numbers(), **self._pace.rates()}
-        account = self._counts()
-        level, message = self._state(sum(account.dropped.values()) + sum(account.ignored.values()))
-        return account, State(level, message, self.hardware_id)
-
     def diagnostics(self) -> DiagnosticArray:
         """The stage's account and state, as the conventions have them."""
-        return self._account_publisher.diagnostics(*self._account_and_state())
+        return self._account_publisher.messages(self.account())[0]
 
     @property
     def source_warning(self) -> str:

@@ -17,7 +17,7 @@ from rclpy.subscription import Subscription
 
 from sal_height.messages import deserialize, received_height, received_image, received_pose
 from sal_height.messages.types import DiagnosticArray
-from sal_height.nodes.guard import guarded
+from sal_height.nodes.transport.callbacks import guarded
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import message_class
 from sal_height.view.drawings import ReceivedMessage

@@ -73,6 +73,11 @@ class Driven:
         self._take(step(self.stage) or ())
         return [*self.decided[before:], *(one for results in self.results[processed:] for one in results)]
 
+    def deliver(self, items: Iterable[tuple[str, Any]]) -> None:
+        """Items arrive, each on its port."""
+        for item in items:
+            self.do(accept(*item))
+
     def process(self, count: int) -> None:
         """Process the next jobs, and whatever these entail."""
         while count > 0 and (jobs := self.jobs[len(self.results) :][: min(count, self.group)]):

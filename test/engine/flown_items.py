@@ -32,6 +32,11 @@ SMALL = {"rows": 20, "cols": 8}
 """Images of the small preset that take little time."""
 
 
+def count_of(item: Any) -> int:
+    """Number of messages that an item is."""
+    return item.count if isinstance(item, Images) else 1
+
+
 @cache
 def small_flight(dwells: int = 6, seed: int = 7) -> SimulatedFlight:
     """Dwells of the small preset."""
@@ -134,6 +139,12 @@ def _heights(flight: Same[SimulatedFlight], settings: CompressionSettings) -> Se
     ml = height_stage("ml")
     items = [(SENSOR_INFO, flight.one.sensor), *((SLC, images) for images in _images(flight, settings))]
     return made([ml(ml.settings())], [ml.settings()], items, "ml/height")
+
+
+def ml_stage(**settings: Any) -> Stage:
+    """The stage of heights by maximum likelihood."""
+    ml = height_stage("ml")
+    return ml(ml.settings(**settings))
 
 
 def image_items(flight: SimulatedFlight, *, whole: bool, **settings: Any) -> list[Item]:

@@ -30,14 +30,12 @@ from sal_height.engine.air import AirSample
 from sal_height.engine.calibrations import StatedCalibration
 from sal_height.engine.calibrator import PsfCalibration
 from sal_height.engine.compression import Compression
-from sal_height.engine.frames import PlacedOrigin
+from sal_height.engine.frames import PlacedOrigin, StaticTransform
 from sal_height.engine.heights import height_stage
-from sal_height.engine.image_items import Images
 from sal_height.engine.mapper import GroundMapper, ReliefMapper
 from sal_height.engine.movers import MoverDetection
 from sal_height.engine.navigation import NavigationStage, Pose, Twist
 from sal_height.engine.stage import Stage
-from sal_height.engine.static_frames import StaticTransform
 from sal_height.engine.tracker import Tracker
 from sal_height.geometry import Origin, Sample
 from sal_height.sensor import Sensor
@@ -84,11 +82,6 @@ class Case:
 
     def __str__(self) -> str:
         return self.name
-
-
-def count_of(item: Any) -> int:
-    """Number of messages that an item is."""
-    return item.count if isinstance(item, Images) else 1
 
 
 def calibration_of(sensor: Sensor, gain: float = 1.1, **values: Any) -> Calibration:

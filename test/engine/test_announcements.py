@@ -14,6 +14,7 @@ from flown_items import (
     heights_in,
     images_in,
     key_of,
+    ml_stage,
     odometry_items,
     small_flight,
 )
@@ -24,7 +25,6 @@ from stage_cases import air_items, calibration_of, stated, transform
 from sal_height.engine.adjuster import HeightAdjuster
 from sal_height.engine.air import AIR_PARAMETERS, AirSample
 from sal_height.engine.compression import Compression
-from sal_height.engine.heights import height_stage
 from sal_height.engine.stage import FOREVER_NS, Loss
 from sal_height.topics import CALIBRATION, ODOMETRY, PHASE_HISTORY, SENSOR_INFO, SLC, TF_STATIC
 
@@ -156,11 +156,9 @@ def waiting_for_odometry(frames: int = 1, **settings: Any) -> Driven:
     """The frames of the first dwells have arrived, and of the odometry all but that which ends the first of them."""
     flight = small_flight()
     driven = drive(Compression(Compression.settings(**SMALL, **settings)), [accept(SENSOR_INFO, flight.sensor)])
-    for port, item in odometry_items(flight, 0)[:-2]:
-        driven.do(accept(port, item))
+    driven.deliver(odometry_items(flight, 0)[:-2])
     for dwell in range(frames):
-        for port, item in frame_items(flight, dwell):
-            driven.do(accept(port, item))
+        driven.deliver(frame_items(flight, dwell))
     assert not driven.made
     return driven
 
@@ -185,8 +183,7 @@ def test_a_dwell_is_covered_by_a_sample_right_after_the_announcement() -> None:
 
 def test_a_dwell_that_odometry_has_passed_with_a_gap_is_given_up() -> None:
     driven = waiting_for_odometry(max_odometry_gap_s=0.002)
-    for port, item in odometry_items(small_flight(), 0)[-2:]:
-        driven.do(accept(port, item))
+    driven.deliver(odometry_items(small_flight(), 0)[-2:])
     assert not driven.losses
     driven.do(nothing_before(ODOMETRY, odometry_items(small_flight(), 0)[-1][1].stamp_ns))
     assert driven.lost() == {"odometry gap": 8}
@@ -197,8 +194,7 @@ def test_odometry_that_never_arrives_costs_all_dwells_at_its_end_and_not_before(
     flight = small_flight()
     driven = drive(Compression(Compression.settings(**SMALL)), [accept(SENSOR_INFO, flight.sensor)])
     for dwell in range(3):
-        for port, item in frame_items(flight, dwell):
-            driven.do(accept(port, item))
+        driven.deliver(frame_items(flight, dwell))
         driven.do(nothing_before(PHASE_HISTORY, key_of(flight, dwell).stamp_ns + 1))
     assert not driven.losses
     driven.do(nothing_before(ODOMETRY, FOREVER_NS))
@@ -230,8 +226,7 @@ def test_time_does_not_give_up_a_dwell_where_the_source_announces() -> None:
 
 
 def without_air(driven: Driven) -> Driven:
-    for port, item in odometry_items(small_flight(), 0)[-2:]:
-        driven.do(accept(port, item))
+    driven.deliver(odometry_items(small_flight(), 0)[-2:])
     assert not driven.made
     return driven
 
@@ -243,8 +238,7 @@ def test_a_dwell_waits_for_the_air_that_may_still_be_used() -> None:
     for port in ("air/pressure", "air/temperature"):
         driven.do(nothing_before(port, START_NS + 60 * SECOND))
     assert not driven.losses
-    for port, item in air_items(START_NS + 60 * SECOND):
-        driven.do(accept(port, item))
+    driven.deliver(air_items(START_NS + 60 * SECOND))
     assert len(driven.made) == 1
 
 
@@ -257,8 +251,7 @@ def test_a_dwell_is_given_up_once_a_quantity_of_the_air_cannot_arrive_in_time(po
 
 def test_air_that_cannot_be_is_given_up_once_no_other_can_arrive() -> None:
     driven = without_air(waiting_for_odometry(air="topics"))
-    for port, item in air_items(START_NS - 2 * SECOND, pascal=700.0):
-        driven.do(accept(port, item))
+    driven.deliver(air_items(START_NS - 2 * SECOND, pascal=700.0))
     driven.do(nothing_before("air/pressure", START_NS + 61 * SECOND))
     assert not driven.losses  # another temperature may still arrive
     driven.do(nothing_before("air/temperature", START_NS + 61 * SECOND))
@@ -271,15 +264,13 @@ def test_air_that_is_there_is_used_whatever_is_announced() -> None:
         driven.do(nothing_before(port, FOREVER_NS))
     driven.do(accept("air/pressure", AirSample(START_NS, 65_000.0)))
     driven.do(accept("air/temperature", AirSample(START_NS, 265.65)))
-    for port, item in odometry_items(small_flight(), 0)[-2:]:
-        driven.do(accept(port, item))
+    driven.deliver(odometry_items(small_flight(), 0)[-2:])
     assert len(driven.made) == 1
 
 
 def test_a_dwell_waits_for_the_frame_of_its_sensor_until_no_transform_can_arrive() -> None:
     driven = waiting_for_odometry(mounting_from_tf=True)
-    for port, item in odometry_items(small_flight(), 0)[-2:]:
-        driven.do(accept(port, item))
+    driven.deliver(odometry_items(small_flight(), 0)[-2:])
     driven.do(nothing_before(PHASE_HISTORY, FOREVER_NS))
     driven.do(nothing_before(ODOMETRY, FOREVER_NS))
     assert not driven.losses
@@ -290,8 +281,7 @@ def test_a_dwell_waits_for_the_frame_of_its_sensor_until_no_transform_can_arrive
 
 def test_a_transform_makes_a_job_of_the_dwell_that_waits_for_it() -> None:
     driven = waiting_for_odometry(mounting_from_tf=True)
-    for port, item in odometry_items(small_flight(), 0)[-2:]:
-        driven.do(accept(port, item))
+    driven.deliver(odometry_items(small_flight(), 0)[-2:])
     driven.do(accept(TF_STATIC, transform("base_link", "sensor")))
     assert len(driven.made) == 1
 
@@ -315,7 +305,7 @@ def test_images_wait_for_the_calibration_that_they_were_made_with(whole: bool) -
         script = [accept(SENSOR_INFO, flight.sensor)]
         for one in images:
             script += [accept(SLC, item) for item in ([one] if whole else one.channels())]
-        return drive(height_stage("ml")(height_stage("ml").settings()), script)
+        return drive(ml_stage(), script)
 
     served = driven()
     assert (served.made, served.losses) == ([], [])
@@ -335,9 +325,9 @@ def test_images_wait_for_the_description_of_their_sensor(whole: bool) -> None:
     flight = small_flight()
     images = images_in(flight, **SMALL)[0]
     script = [accept(SLC, item) for item in ([images] if whole else images.channels())]
-    served = drive(height_stage("ml")(height_stage("ml").settings()), [*script, accept(SENSOR_INFO, flight.sensor)])
+    served = drive(ml_stage(), [*script, accept(SENSOR_INFO, flight.sensor)])
     assert len(served.made) == 1
-    unserved = drive(height_stage("ml")(height_stage("ml").settings()), [*script, finish])
+    unserved = drive(ml_stage(), [*script, finish])
     assert unserved.lost() == {"no sensor info": 8}
 
 
@@ -348,7 +338,7 @@ def test_images_that_arrive_twice_are_used_once(again: bool) -> None:
     images, described = images_in(flight, **SMALL)[0], accept(SENSOR_INFO, flight.sensor)
     repeated = [described] if again else []
     script = [described, accept(SLC, images), *repeated, accept(SLC, images)]
-    driven = drive(height_stage("ml")(height_stage("ml").settings()), script)
+    driven = drive(ml_stage(), script)
     assert (len(driven.made), driven.lost()) == ((2, {}) if again else (1, {"late": 8}))
 
 
@@ -356,9 +346,7 @@ def test_images_of_too_few_channels_are_refused() -> None:
     flight = small_flight()
     images = images_in(flight, **SMALL)[0]
     few = type(images).joined(images.channels()[:7])
-    driven = drive(
-        height_stage("ml")(height_stage("ml").settings()), [accept(SENSOR_INFO, flight.sensor), accept(SLC, few)]
-    )
+    driven = drive(ml_stage(), [accept(SENSOR_INFO, flight.sensor), accept(SLC, few)])
     assert driven.lost() == {"wrong size": 7}
     assert_one_sentence(driven.losses[0].sentence, "there are 7 channels; SensorInfo has 8")
 

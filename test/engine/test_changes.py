@@ -17,6 +17,7 @@ from flown_items import (
     heights_in,
     images_in,
     key_of,
+    ml_stage,
     odometry_items,
     small_flight,
 )
@@ -28,7 +29,7 @@ from stage_cases import calibration_of, stated, transform
 from sal_height.engine.calibrations import CALIBRATIONS_ARRIVED, StatedCalibration
 from sal_height.engine.calibrator import PsfCalibration
 from sal_height.engine.chain import Chain
-from sal_height.engine.compression import USED_MOUNTING, Compression, UsedMounting
+from sal_height.engine.compression import Compression
 from sal_height.engine.heights import height_stage
 from sal_height.engine.stage import Event, Product
 from sal_height.engine.tracker import Tracker
@@ -239,21 +240,12 @@ def test_the_mounting_that_was_used_is_stated_and_can_be_used_again() -> None:
     assert used["used_mounting.frame_id"] == "sensor"
     assert used["used_mounting.lever_arm"] == pytest.approx(arm)
     mounting = Mounting("sensor", used["used_mounting.lever_arm"], used["used_mounting.rotation"])
-    again = compressed([accept(USED_MOUNTING, UsedMounting(flight.sensor.config_hash, mounting)), *flown])
+    again = compressed([lambda stage: stage.state_mounting(flight.sensor.config_hash, mounting), *flown])
     assert are_same(of(again, 0).slc.images, of(driven, 0).slc.images)
     assert of(again, 0).provenance.compression["used_mounting.rotation"] == used["used_mounting.rotation"]
     plain = compressed(flown)
     assert not any(name.startswith("used_mounting") for name in of(plain, 0).provenance.compression)
     assert not are_same(of(plain, 0).slc.aperture.position, of(driven, 0).slc.aperture.position)
-
-
-def test_a_mounting_holds_from_the_dwell_on_that_it_belongs_to() -> None:
-    flight = small_flight()
-    mounting = Mounting("sensor", (0.3, -0.2, 0.1))
-    script = [scheduled(1, USED_MOUNTING, UsedMounting(flight.sensor.config_hash, mounting))]
-    driven = compressed([*script, *(accept(*item) for item in flight_items(flight, dwells=range(3)))])
-    arms = [one.item.provenance.compression.get("used_mounting.lever_arm") for one in driven.made]
-    assert arms == [None, mounting.lever_arm, mounting.lever_arm]
 
 
 # Stages after it.
@@ -269,7 +261,7 @@ def test_images_find_the_calibration_that_is_scheduled_before_their_dwell() -> N
     for whole in (True, False):
         script = [scheduled(1, *stated(calibration)), accept(SENSOR_INFO, flight.sensor)]
         script += [accept(SLC, item) for one in images for item in ([one] if whole else one.channels())]
-        driven = drive(height_stage("ml")(height_stage("ml").settings()), script)
+        driven = drive(ml_stage(), script)
         assert len(driven.made) == 2
         assert [one.name for one in driven.decided if isinstance(one, Event)] == [CALIBRATIONS_ARRIVED]
 
@@ -337,8 +329,7 @@ def test_a_state_of_the_platform_is_no_change() -> None:
     *states, (port, last) = odometry_items(flight, 0)
     script = [accept(SENSOR_INFO, flight.sensor), *(accept(*item) for item in states[:-1])]
     driven = compressed([*script, scheduled(0, port, at(replace(last), 0))])
-    for item in frame_items(flight, 0):
-        driven.do(accept(*item))
+    driven.deliver(frame_items(flight, 0))
     driven.do(finish)
     assert [one.item.key.number for one in driven.made] == [0]
     assert port == ODOMETRY

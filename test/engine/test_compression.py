@@ -171,8 +171,7 @@ def test_a_clock_that_starts_again_is_a_new_start(later_s: int) -> None:
     """The same flight at another time, without a word: the images are the same, and nothing is lost."""
     start_ns = START_NS + later_s * SECOND
     driven = compressed(flight_items(small_flight(), dwells=range(DWELLS)))
-    for item in flight_items(small_flight(), start_ns, range(DWELLS))[1:]:
-        driven.do(accept(*item))
+    driven.deliver(flight_items(small_flight(), start_ns, range(DWELLS))[1:])
     assert not driven.losses
     assert driven.warned() == ({"odometry out of time": 1})
     assert Event("odometry.restarted") in driven.decided
@@ -218,8 +217,7 @@ def test_known_fault_a_clock_that_steps_back_by_less_than_a_second_costs_the_dwe
     back_ns = 20_000_000
     driven = compressed(flight_items(small_flight(), dwells=range(DWELLS)))
     later_ns = START_NS + small_flight().dwell_start_ns(DWELLS) - back_ns
-    for item in flight_items(small_flight(), later_ns, range(DWELLS))[1:]:
-        driven.do(accept(*item))
+    driven.deliver(flight_items(small_flight(), later_ns, range(DWELLS))[1:])
     arrivals = {one.name.removeprefix("odometry.") for one in driven.decided if isinstance(one, Event)}
     assert Arrival.REORDERED.value in arrivals
     assert Arrival.RESTARTED.value not in arrivals
@@ -251,8 +249,7 @@ def test_a_reset_starts_a_new_strip() -> None:
     items = blocks()
     driven = compressed(items, **STRIP)
     driven.do(Stage.reset)
-    for item in items:
-        driven.do(accept(*item))
+    driven.deliver(items)
     half = len(driven.made) // 2
     assert half > 0
     for one, other in zip(strip_images(driven)[:half], strip_images(driven)[half:], strict=True):
@@ -328,8 +325,7 @@ def test_a_dwell_without_air_is_given_up_and_the_next_one_is_processed() -> None
     assert_one_sentence(
         driven.losses[0].sentence, "Dwell 0", "nothing was received on air/temperature;", "set air to standard"
     )
-    for item in (*air_items(START_NS), *frames([1])):
-        driven.do(accept(*item))
+    driven.deliver([*air_items(START_NS), *frames([1])])
     assert [one.item.key.number for one in driven.made] == [1]
 
 
@@ -350,19 +346,16 @@ def test_air_that_arrived_before_it_was_asked_for_is_known() -> None:
     ]
     driven = drive(stage, script)
     stage.change(stage._settings.changed(air="topics"))
-    for item in frames([1]):
-        driven.do(accept(*item))
+    driven.deliver(frames([1]))
     assert [used_air(one.item).get("air_temperature_k") for one in driven.made] == [None, 265.65]
 
 
 def test_a_reset_forgets_odometry_and_what_waits_for_it_but_not_the_air() -> None:
     driven = compressed([*air_items(START_NS - 2 * SECOND), *sensor(), *odometry(), *frames([0])], **HEARD)
     driven.do(Stage.reset)
-    for item in frames([1]):
-        driven.do(accept(*item))
+    driven.deliver(frames([1]))
     assert len(driven.made) == 1
-    for item in odometry():
-        driven.do(accept(*item))
+    driven.deliver(odometry())
     assert [one.item.key.number for one in driven.made] == [0, 1]
     driven.do(nothing_before(ODOMETRY, FOREVER_NS))
     assert not driven.losses

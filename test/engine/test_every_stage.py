@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 from driven import Driven, Step, accept, advance, finish, nothing_before
-from flown_items import START_NS
+from flown_items import START_NS, count_of
 from same_items import difference
-from stage_cases import CASES, Case, count_of
+from stage_cases import CASES, Case
 
 from sal_height.engine.dwells import EARLY_KEPT, DwellStage
 from sal_height.engine.stage import FOREVER_NS, DwellKey, Job, Loss, Result, Stage

@@ -3,8 +3,14 @@
 from __future__ import annotations
 
 from copy import copy
+from types import SimpleNamespace
+from typing import Any
 
+from flown_items import ml_stage
+
+from sal_height.engine.calibrations import CALIBRATIONS_KEPT, StatedCalibration
 from sal_height.engine.kept import Kept, RecentValues
+from sal_height.topics import CALIBRATION
 
 
 def test_the_oldest_goes_if_none_is_in_use() -> None:
@@ -66,3 +72,10 @@ def test_values_are_made_when_they_are_asked_for_and_those_asked_for_last_stay()
     assert latest.of("b") == []
     assert latest.take_all() == [[ord("c")], [ord("a")], []]
     assert latest.values() == []
+
+
+def test_a_stage_keeps_the_last_calibrations() -> None:
+    stage: Any = ml_stage()
+    for number in range(CALIBRATIONS_KEPT + 1):
+        stage.accept(CALIBRATION, StatedCalibration(SimpleNamespace(id=str(number))))  # type: ignore[arg-type]
+    assert list(stage._calibrations._kept) == [str(number) for number in range(1, CALIBRATIONS_KEPT + 1)]

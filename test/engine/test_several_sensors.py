@@ -16,6 +16,7 @@ from flown_items import (
     flight_items,
     heights_in,
     image_items,
+    ml_stage,
     noise_strip,
     odometry_items,
     other_sensor,
@@ -28,7 +29,6 @@ from sal_height.engine.adjuster import HeightAdjuster
 from sal_height.engine.calibrator import PsfCalibration
 from sal_height.engine.compression import Compression
 from sal_height.engine.dwells import SENSORS_KEPT
-from sal_height.engine.heights import height_stage
 from sal_height.engine.movers import MoverDetection
 from sal_height.engine.stage import Product, Stage
 from sal_height.engine.tracker import Tracker
@@ -80,7 +80,7 @@ CASES: dict[str, tuple[Callable[[], Stage], Callable[[SimulatedFlight], list[Ite
     "spotlight": (lambda: Compression(Compression.settings(**SMALL)), flight_items, small_flight(DWELLS), DWELLS),
     "strips": (lambda: Compression(Compression.settings(**STRIP)), flight_items, noise_strip(), 4),
     "heights": (
-        lambda: height_stage("ml")(height_stage("ml").settings()),
+        ml_stage,
         lambda flight: image_items(flight, whole=False, **SMALL),
         small_flight(DWELLS),
         DWELLS,
@@ -163,7 +163,6 @@ def test_no_more_sensors_are_kept_on_the_heavy_side_than_are_described() -> None
 def test_images_of_another_sensor_are_not_estimated_together() -> None:
     flights = small_flight(DWELLS), second(small_flight(DWELLS))
     items = interleaved(*(image_items(flight, whole=True, **SMALL) for flight in flights))
-    ml = height_stage("ml")
-    together, alone = (drive(ml(ml.settings()), [accept(*item) for item in items], group=group) for group in (8, 1))
+    together, alone = (drive(ml_stage(), [accept(*item) for item in items], group=group) for group in (8, 1))
     assert len(alone.made) == 2 * DWELLS
     assert not difference(alone.made, together.made)

@@ -11,9 +11,9 @@ from flown_items import SMALL, flight_items, small_flight
 from scipy.spatial.transform import Rotation
 from stage_cases import transform
 
-from sal_height.engine import static_frames
+from sal_height.engine import frames as module
 from sal_height.engine.compression import Compression
-from sal_height.engine.static_frames import StaticFrames, StaticTransform
+from sal_height.engine.frames import StaticFrames, StaticTransform
 from sal_height.errors import UserError
 from sal_height.topics import SLC, TF_STATIC
 
@@ -80,7 +80,7 @@ def test_a_rotation_must_be_a_unit_quaternion(w: float) -> None:
 
 
 def test_no_more_frames_are_kept_than_a_platform_has(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(static_frames, "MOST_FRAMES", 2)
+    monkeypatch.setattr(module, "MOST_FRAMES", 2)
     frames = frames_of(transform("base_link", "sensor"), transform("base_link", "gps"))
     with pytest.raises(UserError, match="more than 2 frames; 'third' is left out"):
         frames.add(transform("base_link", "third"))
@@ -103,11 +103,9 @@ def test_what_is_no_transform_is_reported_and_the_next_one_is_used() -> None:
 def test_a_sensor_farther_than_any_platform_costs_its_dwells_only() -> None:
     stage = Compression(Compression.settings(**SMALL, mounting_from_tf=True))
     driven = drive(stage, [accept(TF_STATIC, transform("base_link", "sensor", (2e3, 0.0, 0.0)))])
-    for item in flight_items(small_flight(), dwells=[0]):
-        driven.do(accept(*item))
+    driven.deliver(flight_items(small_flight(), dwells=[0]))
     assert driven.lost() == {"cannot be processed": 8}
     assert "lever arm" in driven.losses[0].sentence
     driven.do(accept(TF_STATIC, transform("base_link", "sensor")))
-    for item in flight_items(small_flight(), dwells=[1]):
-        driven.do(accept(*item))
+    driven.deliver(flight_items(small_flight(), dwells=[1]))
     assert [one.item.key.number for one in driven.made] == [1]

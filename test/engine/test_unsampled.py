@@ -56,7 +56,7 @@ def test_a_dwell_that_does_not_sample_the_scene(spoil: Callable[[Sensor], Sensor
     ]
     chained = Chained().feed([(SENSOR_INFO, flown.sensor), *odometry_items(flight, 0), *frames])
     assert chained.lost() == {reason: DETECTORS}
-    assert_one_sentence(chained.losses["sar_compression"][0].sentence, limit)
+    assert_one_sentence(chained.hosts["sar_compression"].last_drop, limit)
     check_next_dwell(chained)
 
 
@@ -76,7 +76,7 @@ def test_a_scene_outside_the_beams() -> None:
 
     chained = with_states(turned)
     assert chained.lost() == {"Doppler centroid outside the band": DETECTORS}
-    assert_one_sentence(chained.losses["sar_compression"][0].sentence, "to each side; attitude")
+    assert_one_sentence(chained.hosts["sar_compression"].last_drop, "to each side; attitude")
     check_next_dwell(chained)
 
 
@@ -89,5 +89,5 @@ def test_a_track_that_jumps() -> None:
 
     chained = with_states(jumped)
     assert chained.lost() == {"cannot be processed": DETECTORS}
-    assert_one_sentence(chained.losses["sar_compression"][0].sentence, "twist must be the velocity")
+    assert_one_sentence(chained.hosts["sar_compression"].last_drop, "twist must be the velocity")
     check_next_dwell(chained)

@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 
 from sal_height.commands import main
-from sal_height.graph.account_book import MOST_NODES, AccountBook
+from sal_height.graph.watch import MOST_NODES, AccountBook
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, KeyValue
 from sal_height.nodes.processing import PROCESSING
 from sal_height.nodes.transport.graph import Graph

@@ -40,8 +40,6 @@ TOPICS = {
 }
 """Topics of what is published by the type of the messages."""
 
-ESTIMATORS = {"monopulse": PROCESSING["monopulse"], "ml": PROCESSING["ml_height"]}
-
 
 class Flown:
     """The messages of a flight, and heights that are made of them.
@@ -152,29 +150,18 @@ class Chain(Flown):
         missing_after_s: float,
         image: Mapping[str, Any] = MappingProxyType({"rows": 46, "cols": 12}),
         heights: Mapping[str, Any] = MappingProxyType({}),
-        monopulse: Mapping[str, Any] = MappingProxyType({}),
         ml_height: Mapping[str, Any] = MappingProxyType({}),
-        estimators: Mapping[str, type[StageNode]] = MappingProxyType(ESTIMATORS),
-        own: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
     ) -> None:
-        """Parameters: `image` of sar_compression, `heights` of all height nodes, the others of one (`own` by name)."""
+        """Parameters: `image` of sar_compression, `heights` of both height nodes, `ml_height` of one."""
         self.graph = graph
         self.flight = flight
-        self.estimators = tuple(estimators)
-        own = {"monopulse": monopulse, "ml": ml_height, **own}
-
-        def overrides(parameters: Mapping[str, Any]) -> dict[str, Any]:
-            values = {"timeout_s": missing_after_s, **parameters}
-            return {"parameter_overrides": [Parameter(name, value=value) for name, value in values.items()]}
-
-        nodes = [
-            PROCESSING["sar_compression"](context=graph.context, **overrides(image)),
-            *(
-                node(context=graph.context, **overrides({**heights, **own.get(name, {})}))
-                for name, node in estimators.items()
-            ),
-        ]
-        self.stages = {node.get_name(): graph.add(node) for node in nodes}
+        self.estimators = ("monopulse", "ml")
+        parameters = {"sar_compression": image, "monopulse": heights, "ml_height": {**heights, **ml_height}}
+        self.stages: dict[str, StageNode] = {}
+        for name, given in parameters.items():
+            values = {"timeout_s": missing_after_s, **given}
+            overrides = [Parameter(parameter, value=value) for parameter, value in values.items()]
+            self.stages[name] = graph.add(PROCESSING[name](context=graph.context, parameter_overrides=overrides))
         self.heights: dict[tuple[str, int], HeightImage] = {}
         self._feeder = graph.add(Node("feeder", context=graph.context))
         self._publishers = {

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import ExitStack
+
 import pytest
 from bag_feeder import BAG, Feeder
 from chain_fixture import Chain, StageChain
@@ -9,10 +12,43 @@ from chain_fixture import Chain, StageChain
 from sal_height.messages.types import HeightImage
 from sal_height.nodes.processing import PROCESSING
 from sal_height.nodes.transport.domain import free_domain
-from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.graph import Graph, events_executor
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
 from sal_height.simulation.scenes import load_scene
+
+
+class SharedGraph:
+    """The graph whose context the tests of a module share; one that a test has ended is replaced."""
+
+    def __init__(self, stack: ExitStack) -> None:
+        self._stack = stack
+        self._graph: Graph | None = None
+
+    def current(self) -> Graph:
+        if self._graph is None or not self._graph.context.ok():
+            self._graph = self._stack.enter_context(Graph(self._stack.enter_context(free_domain())))
+        return self._graph
+
+
+@pytest.fixture(scope="module")
+def shared_graph() -> Iterator[SharedGraph]:
+    with ExitStack() as stack:
+        yield SharedGraph(stack)
+
+
+@pytest.fixture
+def graph(request: pytest.FixtureRequest, shared_graph: SharedGraph) -> Iterator[Graph]:
+    """A graph without nodes, which meets no other; a test with programs has a DDS domain of its own."""
+    if "domain_id" in request.fixturenames:
+        with Graph(request.getfixturevalue("domain_id")) as alone:
+            yield alone
+    else:
+        graph = shared_graph.current()
+        yield graph
+        graph.clear()
+        graph.executor.shutdown()
+        graph.executor = events_executor(graph.context)
 
 
 @pytest.fixture(scope="session")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import copy
 import functools
 import math
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -21,52 +21,36 @@ from sal_height.pipeline import Compressor
 from sal_height.simulation import SimulatedFlight
 
 
-def truncated(frame: ChannelFrame) -> None:
-    frame.samples = frame.samples[:-8]
+def at(values: Any, place: int, value: float) -> Any:
+    """A copy of an array, or of the bytes of one of float32, with another value at a place."""
+    changed = np.array(values)
+    numbers = changed.view(np.float32) if changed.dtype == np.uint8 else changed
+    numbers[place] = value
+    return changed
 
 
-def not_a_number(frame: ChannelFrame) -> None:
-    np.frombuffer(frame.samples, np.float32)[17] = math.nan
+FRAMES: Mapping[str, tuple[str, Callable[[Any], Any], str]] = {
+    "truncated": ("samples", lambda samples: samples[:-8], "wrong size"),
+    "not a number": ("samples", lambda samples: at(samples, 17, math.nan), "not finite"),
+    "infinite": ("samples", lambda samples: at(samples, 0, math.inf), "not finite"),
+    "infinite time": ("pulse_time", lambda times: at(times, 3, math.inf), "not finite"),
+    "backwards in time": ("pulse_time", lambda times: at(times, 3, 0.0), "wrong pulse times"),
+    "unknown channel": ("channel", lambda _: DETECTORS, "unknown channel"),
+    "other shape": ("pulse_count", lambda count: count - 1, "contradicts sensor info"),
+    "too few ranges": ("reference_range", lambda ranges: ranges[:-1], "wrong size"),
+    "endless": ("pulse_time", lambda times: at(times, -1, 1e300), "wrong pulse times"),
+    "instantaneous": ("pulse_time", np.zeros_like, "wrong pulse times"),
+    "touching": ("reference_range", lambda ranges: at(ranges, 4, 0.0), "wrong reference range"),
+    "beyond": ("reference_range", lambda ranges: at(ranges, 4, 1e300), "wrong reference range"),
+}
+"""Of a bad frame its field, what is done to it, and the reason for which it is refused."""
 
-
-def infinite(frame: ChannelFrame) -> None:
-    np.frombuffer(frame.samples, np.float32)[0] = math.inf
-
-
-def infinite_time(frame: ChannelFrame) -> None:
-    frame.pulse_time[3] = math.inf
-
-
-def backwards_in_time(frame: ChannelFrame) -> None:
-    frame.pulse_time[3] = 0.0
-
-
-def unknown_channel(frame: ChannelFrame) -> None:
-    frame.channel = DETECTORS
-
-
-def other_shape(frame: ChannelFrame) -> None:
-    frame.pulse_count -= 1
-
-
-def too_few_ranges(frame: ChannelFrame) -> None:
-    frame.reference_range = frame.reference_range[:-1]
-
-
-def endless(frame: ChannelFrame) -> None:
-    frame.pulse_time[-1] = 1e300
-
-
-def instantaneous(frame: ChannelFrame) -> None:
-    frame.pulse_time = np.zeros_like(frame.pulse_time)
-
-
-def touching(frame: ChannelFrame) -> None:
-    frame.reference_range[4] = 0.0
-
-
-def beyond(frame: ChannelFrame) -> None:
-    frame.reference_range[4] = 1e300
+IMAGES: Mapping[str, tuple[str, Callable[[Any], Any], str]] = {
+    "shortened": ("samples", lambda samples: samples[:-2], "wrong size"),
+    "of nobody": ("channel", lambda _: 99, "unknown channel"),
+    "of unknown noise": ("noise_power", lambda _: math.nan, "not finite"),
+}
+"""The same of a bad image."""
 
 
 @pytest.fixture
@@ -82,38 +66,36 @@ def good_frame(flight: SimulatedFlight) -> bytes:
     return serialize(messages.history_to_messages(flight.phase_history(0), flight.sensor, 0, stamp)[3])
 
 
-@pytest.mark.parametrize(
-    ("spoil", "reason"),
-    [
-        (truncated, "wrong size"),
-        (not_a_number, "not finite"),
-        (infinite, "not finite"),
-        (infinite_time, "not finite"),
-        (backwards_in_time, "wrong pulse times"),
-        (unknown_channel, "unknown channel"),
-        (other_shape, "contradicts sensor info"),
-        (too_few_ranges, "wrong size"),
-        (endless, "wrong pulse times"),
-        (instantaneous, "wrong pulse times"),
-        (touching, "wrong reference range"),
-        (beyond, "wrong reference range"),
-    ],
-)
-def test_a_bad_frame_is_rejected_with_its_reason(
-    flight: SimulatedFlight, good_frame: bytes, spoil: Any, reason: str
+@pytest.fixture(scope="module")
+def good_image(flight: SimulatedFlight) -> bytes:
+    """A serialised image of channel 0."""
+    history, track = flight.phase_history(0), Trajectory(flight.platform_states(0))
+    slc = Compressor().add(history, track, flight.sensor, ImageSettings(rows=46, cols=12))
+    assert slc
+    frame = messages.history_to_messages(history, flight.sensor, 0, messages.to_stamp(START_NS))[0]
+    return serialize(messages.slc_to_messages(slc, frame, Provenance())[0])
+
+
+@pytest.mark.parametrize("name", [*FRAMES, *IMAGES])
+def test_a_bad_frame_or_image_is_rejected_with_its_reason(
+    flight: SimulatedFlight, good_frame: bytes, good_image: bytes, name: str
 ) -> None:
-    frame = copy.deepcopy(deserialize(good_frame, ChannelFrame))
-    messages.check_frame(frame, flight.sensor)
-    spoil(frame)
+    is_frame = name in FRAMES
+    message = deserialize(good_frame, ChannelFrame) if is_frame else deserialize(good_image, ComplexImage)
+    check = messages.check_frame if is_frame else messages.check_slc
+    check(message, flight.sensor)
+    field, spoil, reason = FRAMES[name] if is_frame else IMAGES[name]
+    setattr(message, field, spoil(getattr(message, field)))
     with pytest.raises(Rejected) as error:
-        messages.check_frame(frame, flight.sensor)
+        check(message, flight.sensor)
     assert error.value.reason == reason
 
 
-@pytest.mark.parametrize(("spoil", "reason"), [(truncated, "wrong size"), (unknown_channel, "unknown channel")])
-def test_a_bad_frame_costs_its_dwell_only(chain: StageChain, reference: Any, spoil: Any, reason: str) -> None:
+@pytest.mark.parametrize("name", ["truncated", "unknown channel"])
+def test_a_bad_frame_costs_its_dwell_only(chain: StageChain, reference: Any, name: str) -> None:
     frames = chain.frames(0)
-    spoil(frames[3])
+    field, spoil, reason = FRAMES[name]
+    setattr(frames[3], field, spoil(getattr(frames[3], field)))
     chain.publish(chain.sensor_info(), *chain.odometry(0), *frames)
     chain.await_drops("sar_compression", "incomplete dwell", DETECTORS - 1)
     assert chain.dropped("sar_compression") == {reason: 1, "incomplete dwell": DETECTORS - 1}
@@ -206,43 +188,6 @@ def publish_as(chain: StageChain, images: list[ComplexImage], dwell: int) -> Non
         chain.graph.publish("slc", image)
 
 
-def shortened(image: ComplexImage) -> None:
-    image.samples = image.samples[:-2]
-
-
-def of_nobody(image: ComplexImage) -> None:
-    image.channel = 99
-
-
-def of_unknown_noise(image: ComplexImage) -> None:
-    image.noise_power = math.nan
-
-
-@pytest.fixture(scope="module")
-def good_image(flight: SimulatedFlight) -> bytes:
-    """A serialised image of channel 0."""
-    history, track = flight.phase_history(0), Trajectory(flight.platform_states(0))
-    slc = Compressor().add(history, track, flight.sensor, ImageSettings(rows=46, cols=12))
-    assert slc
-    frame = messages.history_to_messages(history, flight.sensor, 0, messages.to_stamp(START_NS))[0]
-    return serialize(messages.slc_to_messages(slc, frame, Provenance())[0])
-
-
-@pytest.mark.parametrize(
-    ("spoil", "reason"),
-    [(shortened, "wrong size"), (of_nobody, "unknown channel"), (of_unknown_noise, "not finite")],
-)
-def test_a_bad_image_is_rejected_with_its_reason(
-    flight: SimulatedFlight, good_image: bytes, spoil: Any, reason: str
-) -> None:
-    image = copy.deepcopy(deserialize(good_image, ComplexImage))
-    messages.check_slc(image, flight.sensor)
-    spoil(image)
-    with pytest.raises(Rejected) as error:
-        messages.check_slc(image, flight.sensor)
-    assert error.value.reason == reason
-
-
 def test_bad_images_are_counted_by_the_estimators(chain: StageChain, reference: Any) -> None:
     """A dwell whose images do not share a grid, and one image of a wrong size."""
     images = images_of_dwell(chain)
@@ -251,7 +196,7 @@ def test_bad_images_are_counted_by_the_estimators(chain: StageChain, reference: 
     expected = {"channels disagree": DETECTORS}
     assert [chain.dropped(stage) for stage in ("monopulse", "ml_height")] == 2 * [expected]
     images[0].grid.row_spacing /= 2
-    shortened(images[0])
+    images[0].samples = images[0].samples[:-2]
     publish_as(chain, images, 56)
     expected |= {"wrong size": 1, "incomplete dwell": DETECTORS - 1}
     for stage in ("monopulse", "ml_height"):

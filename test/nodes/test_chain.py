@@ -231,13 +231,6 @@ def test_a_wrong_parameter_is_refused_in_one_sentence(node: str, name: str, valu
     assert_one_sentence(str(error.value), name, said)
 
 
-def test_a_wrong_parameter_at_run_time_changes_nothing(nodes: Chain) -> None:
-    stage = nodes.stages["ml_height"]
-    for wrong in (Parameter("objective", value="best"), Parameter("range_looks", value=0)):
-        assert not stage.set_parameters([wrong])[0].successful
-    assert stage.current_parameters() == PROCESSING["ml_height"].parameters(timeout_s=0.5)
-
-
 def test_every_node_is_a_program(tmp_path: Path, domain_id: int) -> None:
     """Processing nodes by `python -m`, the others by what their console scripts call."""
     wrong = ["--ros-args", "-p", "no_such_thing:=1", "-p", "preset:=no_such_preset", "-p", "timeout_s:=-1.0"]

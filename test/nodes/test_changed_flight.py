@@ -25,6 +25,7 @@ from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.qos import LATCHED_QOS
 from sal_height.runs.chain import replay_parameters
 from sal_height.runs.chain.entry import Part
+from sal_height.runs.chain.recorded_parameters import recorded_parameters
 from sal_height.runs.chain.timeline import Timeline, timeline_of
 from sal_height.runs.replay.bag_replay import replay
 from sal_height.runs.replay.playing import Playing
@@ -166,8 +167,14 @@ def test_what_changed_before_a_part_of_the_bag_holds_in_it(graph: Graph, flight:
     ]
 
 
-def test_without_heights_the_order_of_the_bag_says_what_flew(graph: Graph, flight: Any, tmp_path: Path) -> None:
+def test_without_heights_the_order_of_the_bag_says_what_flew(
+    graph: Graph, flight: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     bag = fly(graph, flight, tmp_path / "flight", [calibrate, set_looks, calibrate], topics=[])
+    parameters = recorded_parameters(BagReader(bag))
+    assert parameters["ml_height"]["azimuth_looks"] == LOOKS["azimuth_looks"]
+    assert parameters["sar_compression"].items() >= {"range_window": "rectangular", "cols": 12}.items()
+    assert not caplog.messages
     found = timeline_of(BagReader(bag))
     assert [tuple(one) for one in found.changes] == [
         (key(flight, 1), ("ml_height", "range_looks"), 2, "parameter event")

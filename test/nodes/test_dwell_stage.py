@@ -193,29 +193,6 @@ def test_a_dwell_does_not_time_out_while_the_node_is_working(graph: Graph) -> No
     gate.await_counts(**{"in": 6, "processed": 6})
 
 
-def test_without_a_channel_dwells_proceed_if_that_is_allowed(graph: Graph) -> None:
-    gate = overdue_gate(graph, missing_channels="proceed")
-    gate.hear(0, 0, 2)
-    gate.await_counts(**{"in": 2, "processed": 2, "ignored.missing channels": 1})
-    assert gate.stage.handed == [([0, 2], "supplied")]
-    assert "without channels [1]" in gate.last_rejection
-
-
-@pytest.mark.parametrize("part", ["check", "supplies"])
-def test_an_error_that_no_input_should_cause_costs_its_message_only(
-    gate: Gate, monkeypatch: pytest.MonkeyPatch, part: str
-) -> None:
-    def fail(*_: Any) -> None:
-        raise ZeroDivisionError(part)
-
-    with monkeypatch.context() as broken:
-        broken.setattr(gate.stage, part, fail)
-        gate.hear(0, 0, 1, 2)
-    assert gate.counts()["dropped.internal error"] == 3
-    gate.hear(1, 0, 1, 2)
-    gate.await_counts(**{"in": 6, "processed": 3, "dropped.internal error": 3})
-
-
 def test_bytes_that_are_no_message_are_counted_and_end_nothing(gate: Gate) -> None:
     (topic,) = (subscription for subscription in gate.subscriptions if subscription.topic_name == "/phase_history")
     topic.callback(b"no message", {})

@@ -1,4 +1,4 @@
-"""The ground mapper among real publishers: it publishes the ground with its kinds, and writes it when it ends."""
+"""The ground mapper: it publishes the ground with its kinds, and writes it when it ends."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import rasterio
-from helpers import make_aperture, publisher_of
-from rclpy.node import Node
-from rclpy.parameter import Parameter
+from chained import Hosted
+from helpers import make_aperture
+from stage_graph import StageGraph
 
 from sal_height import messages
 from sal_height.elevation.array.estimate import Validity
@@ -19,14 +19,8 @@ from sal_height.geometry.geodesy import Origin
 from sal_height.geometry.grid import Grid
 from sal_height.geometry.projection import Projection
 from sal_height.messages.types import ComplexImage, Header, HeightImage, Provenance, ReliefLayer, ReliefMap
-from sal_height.nodes.host import StageNode
-from sal_height.nodes.processing import PROCESSING
-from sal_height.nodes.transport.graph import Graph
-from sal_height.nodes.transport.message_types import subscribe
-from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS
 from sal_height.relief.heights import HeightField, Surface
 
-TIMEOUT_S = 120.0
 WEST, SOUTH, SPACING, ROWS, COLS = -4.0, -3503.0, 0.09, 30, 20
 
 
@@ -43,22 +37,17 @@ def height_image() -> HeightImage:
     return messages.height_to_message(field, make_aperture(), (2, 2), "ml", slc, Provenance())
 
 
-def first_map(graph: Graph, **parameters: Any) -> tuple[StageNode, ReliefMap]:
+def first_map(**parameters: Any) -> tuple[Hosted, ReliefMap]:
     """A ground mapper, and what it makes of the image."""
-    overrides = [Parameter(name, value=value) for name, value in {"period_s": 0.1, **parameters}.items()]
-    mapper = graph.add(PROCESSING["ground_mapper"](context=graph.context, parameter_overrides=overrides))
-    maps: list[ReliefMap] = []
-    node = graph.add(Node("feeder", context=graph.context))
-    subscribe(node, ReliefMap, "ground/relief", maps.append, LATCHED_QOS)
-    publisher = publisher_of(node, HeightImage, "ml/height", FRAMES_QOS)
-    assert graph.spin_until(lambda: publisher.get_subscription_count() == 1, TIMEOUT_S)
-    publisher.publish(height_image())
-    assert graph.spin_until(lambda: bool(maps), TIMEOUT_S)
-    return mapper, maps[-1]
+    graph = StageGraph()
+    mapper = graph.add("ground_mapper", period_s=0.1, **parameters)
+    graph.publish("ml/height", height_image())
+    graph.wait(lambda: graph.heard["ground/relief"], "a map")
+    return mapper, graph.heard["ground/relief"][-1]
 
 
-def test_the_ground_is_published_with_its_kinds_and_written(graph: Graph, tmp_path: Path) -> None:
-    mapper, found = first_map(graph, file=str(tmp_path / "ground.tif"))
+def test_the_ground_is_published_with_its_kinds_and_written(tmp_path: Path) -> None:
+    mapper, found = first_map(file=str(tmp_path / "ground.tif"))
     height, kind = (
         np.asarray(values).reshape(found.rows, found.cols) for values in (found.layers[0].height, found.layers[0].kind)
     )
@@ -73,10 +62,10 @@ def test_the_ground_is_published_with_its_kinds_and_written(graph: Graph, tmp_pa
         assert np.array_equal(file.read(file.descriptions.index("kind") + 1)[::-1], kind)
 
 
-def test_the_ground_near_a_known_origin_is_in_utm(graph: Graph) -> None:
+def test_the_ground_near_a_known_origin_is_in_utm() -> None:
     """Its kinds are the same, and heights are above the ellipsoid."""
     place = {"origin_latitude_deg": 48.1, "origin_longitude_deg": 11.3, "origin_height_m": 560.0}
-    _, found = first_map(graph, **place)
+    _, found = first_map(**place)
     height, kind = (
         np.asarray(values).reshape(found.rows, found.cols) for values in (found.layers[0].height, found.layers[0].kind)
     )

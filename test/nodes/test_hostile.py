@@ -183,16 +183,3 @@ def test_hostile_origins_do_not_make_mappers_fail(graph: Graph) -> None:
     for mapper in mappers:
         assert_nothing_unexpected(mapper)
         assert mapper.tally.summary()["ignored.wrong origin"] > 0
-
-
-def test_a_sensor_info_that_contradicts_the_one_of_the_same_hash_is_refused(
-    chain: Chain, reference: dict[tuple[str, int], HeightImage]
-) -> None:
-    chain.publish(chain.sensor_info())
-    other = chain.sensor_info()
-    other.waveform.wavelength *= 1.01
-    chain.publish(other, *chain.odometry(0))
-    counts = "ignored.sensor info"
-    chain.wait(lambda: all(s.tally.summary().get(counts) == 1 for s in chain.stages.values()), "a refusal")
-    assert "config_hash" in chain.stages["ml_height"].last_rejection
-    next_dwell_is_exact(chain, reference)

@@ -16,14 +16,13 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from sal_height.messages.types import Calibration as CalibrationMessage
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, HeightImage
 from sal_height.nodes.accounts.account import DIAGNOSTICS, Account
 from sal_height.nodes.processing import PROCESSING
 from sal_height.nodes.simulator import Simulator
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
-from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS
+from sal_height.nodes.transport.qos import FRAMES_QOS
 from sal_height.nodes.worker import WorkerNode
 from sal_height.simulation import SimulatedFlight
 
@@ -209,37 +208,6 @@ def test_a_map_that_cannot_be_written_says_so(
     assert "map.tif" in said
     folder.mkdir()
     assert manager.trigger("relief_mapper/save")[0]
-
-
-def test_a_tracker_that_is_reset_tracks_as_at_first(
-    graph: Graph, manager: Manager, reference: dict[tuple[str, int], HeightImage]
-) -> None:
-    made: list[HeightImage] = []
-    tracker = graph.add(PROCESSING["relief_tracker"](context=graph.context))
-    subscribe(manager.node, HeightImage, "tracked/height", made.append, FRAMES_QOS)
-    heights = Heights(graph, tracker, reference["ml", 0])
-    for number in range(3):
-        if number == 2:
-            manager.trigger("relief_tracker/reset")
-        heights.feed()
-        assert graph.spin_until(lambda number=number: len(made) == number + 1, TIMEOUT_S)
-    assert not same_heights(made[0], made[1])
-    assert same_heights(made[0], made[2])
-
-
-def test_a_calibration_is_made_when_it_is_asked_for(graph: Graph, flight: SimulatedFlight, manager: Manager) -> None:
-    node = graph.add(
-        PROCESSING["psf_calibration"](context=graph.context, parameter_overrides=[Parameter("dwell_step", value=1)])
-    )
-    heard: list[CalibrationMessage] = []
-    subscribe(manager.node, CalibrationMessage, "calibration", heard.append, LATCHED_QOS)
-    assert manager.trigger("psf_calibration/save") == (False, "no dwell was used yet")
-    chain = Chain(graph, flight, 30.0, {"range_window": "rectangular", "cols": 12})
-    chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
-    chain.wait(lambda: counts(node)["processed"] == DETECTORS, "the images")
-    assert manager.trigger("psf_calibration/save") == (True, "published")
-    chain.wait(lambda: len(heard) == 1, "the calibration")
-    assert manager.trigger("psf_calibration/save")[0] is False
 
 
 def test_at_its_end_a_node_accounts_for_all_that_came(graph: Graph, flight: SimulatedFlight, manager: Manager) -> None:

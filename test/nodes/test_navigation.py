@@ -1,4 +1,4 @@
-"""Node navigation: odometry of poses and twists, or of satellite fixes and an inertial unit."""
+"""Stage navigation and its node: odometry of poses and twists, or of satellite fixes and an inertial unit."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from instrument_messages import fix_at, imu_at, in_aviation_axes, pose_of, twist
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from stage_graph import StageGraph
 
 from sal_height import messages
 from sal_height.errors import UserError
@@ -29,56 +30,44 @@ ORIGIN_DEG = {"origin_latitude_deg": 48.1, "origin_longitude_deg": 11.3, "origin
 ORIGIN = Origin(math.radians(48.1), math.radians(11.3), 550.0)
 
 
-class Instruments(Node):
-    """Publishes what instruments measure, and keeps the odometry that node navigation makes of it."""
+TOPICS = {
+    PoseStamped: "platform/pose",
+    TwistStamped: "platform/twist",
+    NavSatFix: "platform/fix",
+    Imu: "platform/imu",
+}
 
-    def __init__(
-        self, graph: Graph, reliability: ReliabilityPolicy = ReliabilityPolicy.BEST_EFFORT, **parameters: Any
-    ) -> None:
-        super().__init__("instruments", context=graph.context)
-        self.graph = graph
-        graph.add(self)
-        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
-        self.node = graph.add(PROCESSING["navigation"](context=graph.context, parameter_overrides=overrides))
-        self.odometry: list[Odometry] = []
-        subscribe(self, Odometry, "platform/odometry", self.odometry.append, ODOMETRY_QOS)
-        kinds = {"pose": PoseStamped, "twist": TwistStamped, "fix": NavSatFix, "imu": Imu}
-        qos = QoSProfile(depth=1000, reliability=reliability)
-        self.topics = {kind: publisher_of(self, kind, f"platform/{name}", qos) for name, kind in kinds.items()}
-        needed = (2 if "position" in parameters else 1) + (parameters.get("velocity") != "positions")
-        assert graph.spin_until(self.are_matched(needed), TIMEOUT_S)
 
-    def are_matched(self, needed: int) -> Any:
-        def matched() -> bool:
-            heard = sum(topic.get_subscription_count() for topic in self.topics.values())
-            return heard >= needed and self.count_publishers("platform/odometry") == 1 and self.node.is_ready
+class Instruments:
+    """Stage navigation, fed with what instruments measure, and the odometry that it makes."""
 
-        return matched
+    def __init__(self, **parameters: Any) -> None:
+        self.graph = StageGraph()
+        self.stage = self.graph.add("navigation", **parameters)
 
     def send(self, *sent: Any) -> None:
         for message in sent:
-            self.topics[type(message)].publish(message)
+            self.graph.publish(TOPICS[type(message)], message)
 
-    def await_odometry(self, count: int) -> list[PlatformState]:
-        assert self.graph.spin_until(lambda: len(self.odometry) >= count, TIMEOUT_S), self.node.last_rejection
+    @property
+    def odometry(self) -> list[Odometry]:
+        return self.graph.heard["platform/odometry"]
+
+    def states(self) -> list[PlatformState]:
         return [messages.state_from_message(message) for message in self.odometry]
 
-    def await_ignored(self, reason: str) -> str:
-        assert self.graph.spin_until(lambda: f"ignored.{reason}" in self.node.tally.summary(), TIMEOUT_S)
-        return self.node.last_rejection
+    def assert_ignored(self, reason: str, said: str) -> None:
+        assert reason in self.stage.counted("ignored.")
+        assert said in self.stage.last_rejection
 
 
-@pytest.mark.parametrize("reliability", [ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE])
 @pytest.mark.parametrize("frame", ["map", "base_link"])
-def test_poses_and_twists_are_the_odometry_that_they_were_made_of(
-    frame: str, reliability: ReliabilityPolicy, graph: Graph, flight: SimulatedFlight
-) -> None:
-    sent = flight.platform_states(0)
-    sent = [PlatformState(s.stamp_ns + 10**12, s.position, s.orientation, s.velocity, s.covariance) for s in sent]
-    instruments = Instruments(graph, reliability)
+def test_poses_and_twists_are_the_odometry_that_they_were_made_of(frame: str, flight: SimulatedFlight) -> None:
+    sent = [replace(state, stamp_ns=state.stamp_ns + 10**12) for state in flight.platform_states(0)]
+    instruments = Instruments()
     for state in sent:
         instruments.send(twist_of(state, frame), pose_of(state))
-    made = instruments.await_odometry(len(sent))
+    made = instruments.states()
     assert len(sent) == 5
     for one, other in zip(made, sent, strict=True):
         assert one.stamp_ns == other.stamp_ns
@@ -87,45 +76,71 @@ def test_poses_and_twists_are_the_odometry_that_they_were_made_of(
         np.testing.assert_allclose(one.velocity, other.velocity, rtol=0, atol=1e-13)
 
 
-def test_fixes_and_attitudes_become_odometry_in_a_map_on_the_earth(graph: Graph) -> None:
+@pytest.mark.parametrize("reliability", [ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE])
+def test_the_node_receives_instruments_of_either_quality_of_service(
+    reliability: ReliabilityPolicy, graph: Graph, flight: SimulatedFlight
+) -> None:
+    source = graph.add(Node("instruments", context=graph.context))
+    node = graph.add(PROCESSING["navigation"](context=graph.context))
+    odometry: list[Odometry] = []
+    subscribe(source, Odometry, "platform/odometry", odometry.append, ODOMETRY_QOS)
+    qos = QoSProfile(depth=1000, reliability=reliability)
+    twists, poses = (publisher_of(source, kind, TOPICS[kind], qos) for kind in (TwistStamped, PoseStamped))
+    assert graph.spin_until(
+        lambda: (
+            twists.get_subscription_count() == poses.get_subscription_count() == 1
+            and source.count_publishers("platform/odometry") == 1
+            and node.is_ready
+        ),
+        TIMEOUT_S,
+    )
+    sent = flight.platform_states(0)
+    for state in sent:
+        twists.publish(twist_of(state, "map"))
+        poses.publish(pose_of(state))
+    assert graph.spin_until(lambda: len(odometry) == len(sent), TIMEOUT_S), node.last_rejection
+
+
+def test_fixes_and_attitudes_become_odometry_in_a_map_on_the_earth() -> None:
     """The platform flies north at a constant rate of latitude: 1e-5 degrees in 0.1 s are 11.1 m/s."""
-    instruments = Instruments(graph, position="fix", velocity="positions", **ORIGIN_DEG)
+    instruments = Instruments(position="fix", velocity="positions", **ORIGIN_DEG)
     for tenth in range(6):
         instruments.send(fix_at(0.1 * tenth, 48.1 + 1e-5 * tenth))
         instruments.send(*(imu_at(0.1 * tenth + 0.02 * step) for step in range(1, 5)))
-    made = instruments.await_odometry(4 * 3)  # between the second fix and the last but one
+    made = instruments.states()
+    assert len(made) == 4 * 3, "between the second fix and the last but one"
     latitudes = [48.1 + 1e-4 * (state.stamp_ns * 1e-9 - 1000) for state in made]
     for state, latitude in zip(made, latitudes, strict=True):
         place = ORIGIN.to_map(math.radians(latitude), math.radians(11.3), 3000.0)
         np.testing.assert_allclose(state.position, place, rtol=0, atol=1e-6)
         np.testing.assert_allclose(state.velocity, [0.0, 11.12, 0.0], rtol=0, atol=0.01)
         assert state.covariance[2, 2] == 9.0
-    assert set(instruments.node.tally.summary()) & {"ignored.no velocity"}  # at the first fix there is none
+    assert "no velocity" in instruments.stage.counted("ignored.")  # at the first fix there is none
 
 
 @pytest.mark.parametrize("frame", ["map", "base_link"])
 def test_poses_and_twists_in_axes_of_aviation_become_odometry_in_those_of_ros(
-    frame: str, graph: Graph, flight: SimulatedFlight
+    frame: str, flight: SimulatedFlight
 ) -> None:
     sent = [replace(state, stamp_ns=state.stamp_ns + 10**12) for state in flight.platform_states(0)]
-    instruments = Instruments(graph, map_axes="ned", body_axes="frd")
+    instruments = Instruments(map_axes="ned", body_axes="frd")
     for state in sent:
         down = in_aviation_axes(state)
         instruments.send(twist_of(down, frame), pose_of(down))
-    for one, other in zip(instruments.await_odometry(len(sent)), sent, strict=True):
+    for one, other in zip(instruments.states(), sent, strict=True):
         np.testing.assert_array_equal(one.position, other.position)
         turn = rotation_matrix(one.orientation).T @ rotation_matrix(other.orientation)
         np.testing.assert_allclose(turn, np.eye(3), rtol=0, atol=1e-14)
         np.testing.assert_allclose(one.velocity, other.velocity, rtol=0, atol=1e-12)
 
 
-def test_an_attitude_against_north_east_and_down_is_that_against_east_north_and_up(graph: Graph) -> None:
+def test_an_attitude_against_north_east_and_down_is_that_against_east_north_and_up() -> None:
     """At rest in NED and FRD, the platform looks north, level: in ROS its yaw is a quarter turn to the left."""
-    instruments = Instruments(graph, position="fix", velocity="twist", map_axes="ned", body_axes="frd", **ORIGIN_DEG)
+    instruments = Instruments(position="fix", velocity="twist", map_axes="ned", body_axes="frd", **ORIGIN_DEG)
     stamp = fix_at(1.0, 48.1).header.stamp
     twist = TwistStamped(header=Header(stamp=stamp, frame_id="map"), twist=Twist(linear=Vector3(x=50.0, z=-2.0)))
     instruments.send(twist, fix_at(1.0, 48.1), imu_at(1.0))
-    (state,) = instruments.await_odometry(1)
+    (state,) = instruments.states()
     np.testing.assert_allclose(state.velocity, [0, 50.0, 2.0], rtol=0, atol=1e-9)
     np.testing.assert_allclose(rotation_matrix(state.orientation) @ [1, 0, 0], [0, 1, 0], rtol=0, atol=1e-12)
     np.testing.assert_allclose(rotation_matrix(state.orientation) @ [0, 0, 1], [0, 0, 1], rtol=0, atol=1e-12)
@@ -133,18 +148,20 @@ def test_an_attitude_against_north_east_and_down_is_that_against_east_north_and_
 
 @pytest.mark.parametrize("parameters", [{"position": "fix", "velocity": "positions"}, {}], ids=["fix", "pose"])
 def test_the_origin_of_the_map_is_published_for_those_who_come_late(graph: Graph, parameters: dict[str, str]) -> None:
-    instruments = Instruments(graph, **parameters, **ORIGIN_DEG)
+    overrides = [Parameter(name, value=value) for name, value in {**parameters, **ORIGIN_DEG}.items()]
+    graph.add(PROCESSING["navigation"](context=graph.context, parameter_overrides=overrides))
     heard: list[NavSatFix] = []
-    subscribe(instruments, NavSatFix, "map_origin", heard.append, LATCHED_QOS)
+    late = graph.add(Node("late", context=graph.context))
+    subscribe(late, NavSatFix, "map_origin", heard.append, LATCHED_QOS)
     assert graph.spin_until(lambda: bool(heard), TIMEOUT_S)
     found = messages.read_origin(heard[0], "map")
     assert (found.latitude, found.longitude, found.height) == pytest.approx((ORIGIN.latitude, ORIGIN.longitude, 550.0))
 
 
-def test_fixes_without_an_origin_are_refused_at_the_start(graph: Graph) -> None:
+def test_fixes_without_an_origin_are_refused_at_the_start() -> None:
     """A map at latitude and longitude 0 is not what anybody wants."""
     with pytest.raises(UserError) as refused:
-        PROCESSING["navigation"](context=graph.context, parameter_overrides=[Parameter("position", value="fix")])
+        Instruments(position="fix")
     assert_one_sentence(str(refused.value), "must know where on the earth", "set origin_latitude_deg")
 
 
@@ -159,35 +176,32 @@ def test_fixes_without_an_origin_are_refused_at_the_start(graph: Graph) -> None:
         (imu_at(0.0, x=0.5), "no rotation", "norm 1"),
     ],
 )
-def test_what_cannot_be_used_is_counted_and_the_next_is_used(
-    message: Any, reason: str, said: str, graph: Graph
-) -> None:
-    instruments = Instruments(graph, position="fix", velocity="twist", **ORIGIN_DEG)
+def test_what_cannot_be_used_is_counted_and_the_next_is_used(message: Any, reason: str, said: str) -> None:
+    instruments = Instruments(position="fix", velocity="twist", **ORIGIN_DEG)
     instruments.send(message)
-    assert said in instruments.await_ignored(reason)
+    instruments.assert_ignored(reason, said)
     stamp = fix_at(1.0, 48.1).header.stamp
     twist = TwistStamped(header=Header(stamp=stamp, frame_id="map"), twist=Twist(linear=Vector3(x=50.0)))
     instruments.send(twist, fix_at(1.0, 48.1), imu_at(1.0))
-    (state,) = instruments.await_odometry(1)
+    (state,) = instruments.states()
     np.testing.assert_allclose(state.position, [0, 0, 2450.0], atol=1e-6)
 
 
-def test_frames_have_the_names_that_parameters_say(graph: Graph, flight: SimulatedFlight) -> None:
+def test_frames_have_the_names_that_parameters_say(flight: SimulatedFlight) -> None:
     state = flight.platform_states(0)[-1]
-    instruments = Instruments(graph, map_frame="odom", body_frame="aircraft")
+    instruments = Instruments(map_frame="odom", body_frame="aircraft")
     instruments.send(twist_of(state, "map"))
-    assert "'odom' or 'aircraft'" in instruments.await_ignored("wrong frames")
+    instruments.assert_ignored("wrong frames", "'odom' or 'aircraft'")
     twist = twist_of(state, "map")
     twist.header.frame_id = "odom"
     instruments.send(twist, pose_of(state, "odom"))
-    assert graph.spin_until(lambda: bool(instruments.odometry), TIMEOUT_S)
     (made,) = instruments.odometry
     assert (made.header.frame_id, made.child_frame_id) == ("odom", "aircraft")
     assert made.pose.pose.position.x == state.position[0]
 
 
-def test_two_sources_are_told_from_one(graph: Graph, flight: SimulatedFlight) -> None:
+def test_two_sources_are_told_from_one(flight: SimulatedFlight) -> None:
     first, *_, last = flight.platform_states(0)
-    instruments = Instruments(graph)
+    instruments = Instruments()
     instruments.send(pose_of(last), pose_of(first))
-    assert "Do two sources publish?" in instruments.await_ignored("late position")
+    instruments.assert_ignored("late position", "Do two sources publish?")

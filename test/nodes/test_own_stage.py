@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+from example_stage import Coverage, CoverageStage
 from rclpy.parameter import Parameter
 
 from sal_height.bag.reader import BagReader
@@ -23,10 +23,6 @@ from sal_height.nodes.transport.message_types import class_of
 from sal_height.nodes.transport.qos import FRAMES_QOS
 
 ROOT = Path(__file__).parents[2]
-sys.path.append(str(ROOT / "test" / "engine"))
-
-from example_stage import Coverage, CoverageStage  # noqa: E402 (its folder is only known now)
-
 BAG = ROOT / "bags" / "version_2"
 
 

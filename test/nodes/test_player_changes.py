@@ -5,21 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from chain_fixture import START_NS, Chain
 from helpers import assert_one_sentence
 from played_bag import Listener, bag, odometry, played, player_of
 from written_bag import calibration, frame, key
 
-from sal_height import messages
 from sal_height.bag.definitions import Definition
-from sal_height.engine.stage import DwellKey
 from sal_height.errors import UserError
 from sal_height.graph.plan import DwellChanges
 from sal_height.messages.types import Odometry
 from sal_height.nodes.accounts.account import CALIBRATIONS
 from sal_height.nodes.processing import PROCESSING
 from sal_height.nodes.transport.graph import Graph
-from sal_height.simulation.flight import SimulatedFlight
 
 
 def test_a_calibration_is_played_before_the_first_frame_of_its_dwell(graph: Graph, tmp_path: Path) -> None:
@@ -56,23 +52,6 @@ def test_a_bag_with_another_definition_of_what_is_played_is_refused(graph: Graph
     path = bag(tmp_path / "bag", [frame(0)], {Odometry: Definition("uint8 other", "")})
     with pytest.raises(UserError, match=r"^Topic /platform/odometry .* another definition of nav_msgs/.*\.$"):
         player_of(graph, path)
-
-
-def test_parameters_hold_from_their_dwell_on(graph: Graph, flight: SimulatedFlight) -> None:
-    """Whenever they are set before."""
-    chain = Chain(graph, flight, missing_after_s=30.0)
-    node = chain.stages["ml_height"]
-    before = node.current_parameters().range_looks
-    assert before != 3
-    stamp_ns = START_NS + flight.dwell_start_ns(1)
-    node.set_before(DwellKey(flight.sensor.config_hash, 1, stamp_ns), {"range_looks": 3, "objective": "numerator"})
-    chain.publish(chain.sensor_info())
-    for dwell in range(3):
-        chain.publish(*chain.odometry(dwell), *chain.frames(dwell))
-        chain.await_heights(dwell)
-    used = [messages.stages_of(chain.heights["ml", dwell].provenance.parameters)["ml_height"] for dwell in range(3)]
-    assert [one["range_looks"] for one in used] == [before, 3, 3]
-    assert [one["objective"] == "numerator" for one in used] == [False, True, True]
 
 
 def test_a_parameter_that_a_node_refuses_is_told_with_its_value(graph: Graph) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import json
 import math
 import signal
@@ -22,7 +21,7 @@ from programs import Program
 from pyproj import CRS
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from stage_graph import StageGraph
+from stage_graph import StageGraph, with_fields
 
 from sal_height import messages
 from sal_height.elevation.array.estimate import Validity
@@ -219,15 +218,6 @@ def test_any_viewer_sees_the_map(mapped_node: Mapped) -> None:
     assert len(cells) == len(points)
 
 
-def test_who_comes_late_gets_the_last_map(graph: Graph, mapped_node: Mapped) -> None:
-    mapped_node.feed(height_image(0), height_image(1))
-    mapped_node.map_of(2)
-    late: list[ReliefMap] = []
-    subscribe(graph.add(Node("late", context=graph.context)), ReliefMap, "map/relief", late.append, LATCHED_QOS)
-    mapped_node.wait(lambda: bool(late), "the latched map")
-    assert late[0].images == 2
-
-
 def test_maps_are_not_published_more_often_than_asked() -> None:
     mapped = MapStage(period_s=3600.0)
     mapped.feed(*(height_image(dwell) for dwell in range(4)))
@@ -250,8 +240,8 @@ def test_the_cell_size_follows_from_the_first_image_unless_given(given: float, s
 REFUSED: dict[str, tuple[str, Any, str, str]] = {
     "other frame": ("header.frame_id", "odom", "wrong frames", "'odom'"),
     "no surface": ("surfaces", [], "wrong size", "no surface"),
-    "too few heights": ("first.height", np.ones(1, np.float32), "wrong size", "height has 1 entries"),
-    "too few places": ("first.east", np.zeros(0, np.float32), "wrong size", "east has 0 entries"),
+    "too few heights": ("surfaces.0.height", np.ones(1, np.float32), "wrong size", "height has 1 entries"),
+    "too few places": ("surfaces.0.east", np.zeros(0, np.float32), "wrong size", "east has 0 entries"),
     "no pixels": ("grid.rows", 0, "wrong size", "0 x 9"),
     "origin nowhere": ("grid.origin.x", float("inf"), "not finite", "grid"),
     "farther than the earth": ("grid.origin.x", 2e7, "not finite", "1e+07 m"),
@@ -263,21 +253,12 @@ REFUSED: dict[str, tuple[str, Any, str, str]] = {
 """A field of a height image, what it is set to, and for what reason and with what words it is refused then."""
 
 
-def broken(field: str, value: Any) -> HeightImage:
-    """A height image with another value of a field; "first" is its first surface."""
-    image = height_image(9)
-    *path, last = field.removeprefix("first.").split(".")
-    holder = image.surfaces[0] if field.startswith("first.") else functools.reduce(getattr, path, image)
-    setattr(holder, last, value)
-    return image
-
-
 def test_what_cannot_be_used_is_counted_and_leaves_the_map_as_it_is(mapped: MapStage) -> None:
     mapped.feed(height_image(0))
     before = mapped.map_of(1)
     for name, (field, value, reason, words) in REFUSED.items():
         dropped = mapped.mapper.counted("dropped.").get(reason, 0)
-        mapped.feed(broken(field, value))
+        mapped.feed(with_fields(height_image(9), {field: value}))
         assert mapped.mapper.counted("dropped.")[reason] == dropped + 1, name
         assert_one_sentence(mapped.mapper.last_rejection.removeprefix(f"{reason}: "), words)
     mapped.feed(height_image(1))
@@ -382,7 +363,7 @@ def test_without_a_height_there_is_no_file(mapped: MapStage, tmp_path: Path) -> 
     mapped.feed(image)
     mapped.mapper.conclude()
     assert list(tmp_path.iterdir()) == []
-    assert mapped.mapper.failure == ""
+    assert mapped.graph.failure == ""
 
 
 def test_a_disk_that_is_full_leaves_the_older_file_and_nothing_half_written(mapped: MapStage, tmp_path: Path) -> None:
@@ -391,7 +372,7 @@ def test_a_disk_that_is_full_leaves_the_older_file_and_nothing_half_written(mapp
     mapped.map_of(1)
     with file_size_limit(100):
         mapped.mapper.conclude()
-    assert_one_sentence(mapped.mapper.failure, str(tmp_path / "map.tif"), "File too large")
+    assert_one_sentence(mapped.graph.failure, str(tmp_path / "map.tif"), "File too large")
     assert [path.read_text() for path in tmp_path.iterdir()] == ["an older one"]
     assert mapped.maps[-1].images == 1
 
@@ -406,13 +387,6 @@ def test_heights_that_wait_for_the_worker_are_in_the_map(graph: Graph, tmp_path:
     mapped.mapper.conclude()
     with rasterio.open(tmp_path / "map.tif") as file:
         assert file.read(4).max() == StageSettings().max_queued_dwells
-
-
-def test_heights_after_the_end_are_counted(mapped_node: Mapped) -> None:
-    mapped_node.feed(height_image(0))
-    mapped_node.mapper.conclude()
-    mapped_node.feed(height_image(1))
-    assert mapped_node.account.dropped["ended"] == 1
 
 
 @pytest.mark.parametrize(

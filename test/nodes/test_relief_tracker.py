@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from helpers import assert_one_sentence
-from stage_graph import StageGraph
+from stage_graph import StageGraph, with_fields
 
 from sal_height import messages
 from sal_height.engine.provenance import LEFT_OUT
@@ -186,6 +186,15 @@ def test_priors_of_many_sensors_are_not_held() -> None:
     assert prior_of(tracking.track(of_sensor("3", 1))) == gone_on
 
 
+def test_a_reset_begins_with_the_first_prior() -> None:
+    tracking = Tracking()
+    first, second = (of(tracking.track(height_image()), "height") for _ in range(2))
+    tracking.stage.forget()
+    again = of(tracking.track(height_image()), "height")
+    assert not np.array_equal(first, second, equal_nan=True)
+    np.testing.assert_array_equal(first, again)
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [("estimator", "best"), ("gate", 0.0), ("correlation_length_m", -1.0), ("relief_sigma_m", math.nan)],
@@ -195,58 +204,30 @@ def test_a_parameter_that_is_not_allowed_is_refused(name: str, value: Any) -> No
         Tracking(**{name: value})
 
 
-def empty(image: HeightImage) -> None:
-    image.grid.rows = image.grid.cols = 0
-    for name in ("height", "sigma", "cnr_db", "east", "north"):
-        setattr(image.surfaces[0], name, np.zeros(0, np.float32))
-    image.validity = np.zeros(0, np.uint8)
-
-
-def all_nan(image: HeightImage) -> None:
-    image.surfaces[0].height = messages.to_floats(np.full(SHAPE, np.nan))
-
-
-def nothing_valid(image: HeightImage) -> None:
-    image.validity = messages.to_bytes(np.full(SHAPE, HeightImage.LOW_CNR, np.uint8))
-
-
-def too_few_sigmas(image: HeightImage) -> None:
-    image.surfaces[0].sigma = image.surfaces[0].sigma[:-1]
-
-
-def no_surface(image: HeightImage) -> None:
-    image.surfaces = []
-
-
-def no_motion(image: HeightImage) -> None:
-    image.aperture.velocity.x = 0.0
-
-
-def no_direction(image: HeightImage) -> None:
-    image.grid.row_direction.y = image.grid.row_direction.z = 0.0
-
-
-def nowhere(image: HeightImage) -> None:
-    image.grid.origin.x = math.nan
+NONE = np.zeros(0, np.float32)
+EMPTY = {"grid.rows": 0, "grid.cols": 0, "validity": np.zeros(0, np.uint8)} | {
+    f"surfaces.0.{name}": NONE for name in ("height", "sigma", "cnr_db", "east", "north")
+}
+NOTHING_VALID = messages.to_bytes(np.full(SHAPE, HeightImage.LOW_CNR, np.uint8))
+ALL_NAN = messages.to_floats(np.full(SHAPE, np.nan))
 
 
 @pytest.mark.parametrize(
-    ("spoil", "reason", "words"),
+    ("values", "reason", "words"),
     [
-        (empty, "wrong size", "at least 1"),
-        (all_nan, "cannot be processed", "0 pairs of consecutive"),
-        (nothing_valid, "cannot be processed", "0 pairs of consecutive"),
-        (too_few_sigmas, "wrong size", "sigma has 1199 entries"),
-        (no_surface, "wrong size", "at least one"),
-        (no_motion, "wrong geometry", "velocity"),
-        (no_direction, "wrong geometry", "norms must be 1"),
-        (nowhere, "not finite", "grid"),
+        (EMPTY, "wrong size", "at least 1"),
+        ({"surfaces.0.height": ALL_NAN}, "cannot be processed", "0 pairs of consecutive"),
+        ({"validity": NOTHING_VALID}, "cannot be processed", "0 pairs of consecutive"),
+        ({"surfaces.0.sigma": np.ones(1199, np.float32)}, "wrong size", "sigma has 1199 entries"),
+        ({"surfaces": []}, "wrong size", "at least one"),
+        ({"aperture.velocity.x": 0.0}, "wrong geometry", "velocity"),
+        ({"grid.row_direction.y": 0.0, "grid.row_direction.z": 0.0}, "wrong geometry", "norms must be 1"),
+        ({"grid.origin.x": math.nan}, "not finite", "grid"),
     ],
 )
-def test_a_bad_image_is_counted_and_the_next_one_tracked(spoil: Any, reason: str, words: str) -> None:
+def test_a_bad_image_is_counted_and_the_next_one_tracked(values: dict[str, Any], reason: str, words: str) -> None:
     tracking = Tracking()
-    bad = height_image()
-    spoil(bad)
+    bad = with_fields(height_image(), values)
     tracking.graph.publish(tracking.topic, bad)
     assert tracking.stage.counted("dropped.") == {reason: 1}
     said, _, sentence = tracking.stage.last_rejection.partition(": ")

@@ -14,7 +14,6 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_srvs.srv import Trigger
 
 from sal_height import messages
-from sal_height.engine.calibrations import CALIBRATIONS_KEPT, StatedCalibration
 from sal_height.errors import UserError
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, KeyValue, NodeAccount, Odometry, SensorInfo
 from sal_height.nodes import worker
@@ -24,7 +23,6 @@ from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
 from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.nodes.worker import WorkerNode
-from sal_height.topics import CALIBRATION
 
 TIMEOUT_S = 120.0
 
@@ -290,19 +288,3 @@ def test_the_level_tells_of_the_last_seconds_and_the_counts_of_all_time(
     monkeypatch.setattr(listening._inlets[0], "latched", True)
     assert state(graph, listening)[:2] == (DiagnosticStatus.OK, "processing")
     assert listening.tally.summary()["ignored.word"] == 1
-
-
-def test_calibrations_are_bounded(graph: Graph) -> None:
-    class Known:
-        def __init__(self, number: int) -> None:
-            self.id = str(number)
-
-    stage: Any = graph.add(PROCESSING["ml_height"](context=graph.context)).stage
-    kept = stage._calibrations._kept
-    for number in range(CALIBRATIONS_KEPT + 1):
-        stage.accept(CALIBRATION, StatedCalibration(Known(number)))  # type: ignore[arg-type]
-    assert list(kept) == [str(number) for number in range(1, CALIBRATIONS_KEPT + 1)]
-    assert kept.use("1")
-    for number in range(10, 20):
-        stage.accept(CALIBRATION, StatedCalibration(Known(number)))  # type: ignore[arg-type]
-    assert set(kept) == {"1", "17", "18", "19"}

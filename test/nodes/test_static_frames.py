@@ -17,8 +17,9 @@ from sal_height.errors import UserError
 from sal_height.geometry import Mounting
 from sal_height.messages.types import HeightImage, Quaternion, SensorInfo, TFMessage, TransformStamped, Vector3
 from sal_height.nodes.processing import PROCESSING
-from sal_height.nodes.transforms import TF_STATIC_QOS, has_transforms
 from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.message_types import has_transforms
+from sal_height.nodes.transport.qos import TF_STATIC_QOS
 from sal_height.simulation import SimulatedFlight
 
 IMAGE = {"rows": 46, "cols": 12}

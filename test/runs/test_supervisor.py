@@ -21,10 +21,9 @@ from std_srvs.srv import Trigger
 
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
-from sal_height.graph.account_book import AccountBook
 from sal_height.graph.ensemble import Member
 from sal_height.graph.supervisor import FIRST_WAIT_S, LONGEST_WAIT_S, STEADY_S, Supervisor
-from sal_height.graph.watch import Watcher
+from sal_height.graph.watch import AccountBook, Watcher
 from sal_height.messages.types import HeightImage
 from sal_height.nodes.transport.domain import free_domain
 from sal_height.nodes.transport.graph import Graph

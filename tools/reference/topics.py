@@ -16,9 +16,9 @@ from rclpy.subscription import Subscription
 
 from sal_height.graph.node_classes import NODES
 from sal_height.nodes.accounts.usage import ACCOUNTS, LEFT_OUT, LIFE_CYCLE
-from sal_height.nodes.transforms import TF_STATIC_QOS
 from sal_height.nodes.transport.domain import free_domain
 from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.qos import TF_STATIC_QOS
 from sal_height.topics import TF_STATIC
 from tools.reference.markdown import page, plain, table
 

@@ -1,7 +1,7 @@
 """The account of a node: its message counts, as its messages on /progress and its status on /diagnostics carry them.
 
-Nodes write their account with `to_message` and `to_values`, and programs that watch a graph read it with `of_message`
-and `of_status`. NodeAccount describes the numbers; `messages.accounts` has their names on /diagnostics.
+Nodes make both messages with `to_messages`, and programs that watch a graph read them with `of_message` and
+`of_status`. NodeAccount describes the numbers; `messages.accounts` has their names on /diagnostics.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, Self
 
 from sal_height.messages import to_stamp
 from sal_height.messages.accounts import COUNTED, EVENTS, MEASURED, READY, WHOLE, fields_of_numbers
-from sal_height.messages.types import Count, DiagnosticStatus, Header, KeyValue, NodeAccount
+from sal_height.messages.types import Count, DiagnosticArray, DiagnosticStatus, Header, KeyValue, NodeAccount
 
 DIAGNOSTICS = "/diagnostics"
 """Topic of the accounts as the conventions have them, at regular times."""
@@ -40,6 +40,9 @@ ALWAYS = {STAGE: {"in", "processed", "out", "waiting", "jobs"}, RECORDER: {"unwr
 OF_TOPICS = ("published_on", "subscribers", "missed", "recorded")
 """Fields whose counts are by topic; a topic is without its leading slash here, and with it in messages."""
 
+STATE = {"kind", "level", "state", "hardware_id"}
+"""Fields that NodeAccount does not have."""
+
 SUMMED = ("received", "processed", "published", "dwells", "calibrations", "unwritten", "cpu_s")
 SUMMED_BY_NAME = ("dropped", "ignored", EVENTS, "published_on", "recorded")
 """Fields that count from the start of the node's process; all others state its present state."""
@@ -55,6 +58,9 @@ class Account:
         unpublished: dwells that are processed and whose products follow later; None: all products follow at once.
         last_drop: warning that says why messages were last left out; empty if none were.
         kind: kind of the account, STAGE, RECORDER or OTHER.
+        level: level of DiagnosticStatus.
+        state: reason for the level, in a few words.
+        hardware_id: name of the sensor that the node works for; empty: none yet.
     """
 
     received: int = 0
@@ -85,6 +91,9 @@ class Account:
     pid: int = 0
     last_drop: str = ""
     kind: str = STAGE
+    level: Any = DiagnosticStatus.OK
+    state: str = ""
+    hardware_id: str = ""
 
     @classmethod
     def of_status(cls, status: DiagnosticStatus) -> Self:
@@ -136,14 +145,23 @@ class Account:
         texts = {**{key: str(number) for key, number in self.numbers.items()}, LAST_DROP: self.last_drop}
         return [KeyValue(key=key, value=text) for key, text in texts.items() if text]
 
-    def to_message(self, node: str, stamp_ns: int) -> NodeAccount:
-        """The account as a message of the node of that name, with its namespace, at a time of its clock (ns)."""
+    def to_messages(self, node: str, stamp_ns: int) -> tuple[DiagnosticArray, NodeAccount]:
+        """The account as messages on /diagnostics and on /progress.
+
+        Args:
+            node: name of the node with its namespace, without leading slash.
+            stamp_ns: time of the node's clock, ns.
+        """
+        header = Header(stamp=to_stamp(stamp_ns))
         values = {name: getattr(self, name) for name in _MESSAGE_FIELDS}
         values["unpublished"] = self.unpublished or 0
         for name in (*COUNTED.values(), EVENTS):
             slash = "/" if name in OF_TOPICS else ""
             values[name] = [Count(name=f"{slash}{key}", count=count) for key, count in values[name].items()]
-        return NodeAccount(header=Header(stamp=to_stamp(stamp_ns)), node=node, **values)
+        status = DiagnosticStatus(
+            level=self.level, name=node, message=self.state, hardware_id=self.hardware_id, values=self.to_values()
+        )
+        return DiagnosticArray(header=header, status=[status]), NodeAccount(header=header, node=node, **values)
 
     def after(self, earlier: Account) -> Account:
         """This account, with the counts of an earlier process of the same node added.
@@ -171,7 +189,7 @@ class Account:
         return replace(self, received=self.received + count, dropped=dropped)
 
 
-_MESSAGE_FIELDS = tuple(one.name for one in fields(Account) if one.name != "kind")
+_MESSAGE_FIELDS = tuple(one.name for one in fields(Account) if one.name not in STATE)
 
 
 def _number(text: str) -> float | None:

@@ -32,13 +32,6 @@ def process_numbers() -> dict[str, Any]:
     return numbers
 
 
-PACE_SAMPLES = 5
-"""Samples of the counts, half a second apart, that rates are measured over."""
-
-
-SHARES = 0.5, 0.95
-"""Fractions of the dwells that take no longer than the latencies that are published."""
-
 OF_NODE = {"jobs", "ready"}
 """Numbers of an account that do not follow from counts."""
 
@@ -109,7 +102,9 @@ class Tally:
         """The counts, and the latencies if there are any."""
         with self._lock:
             now, events = self._clock(), dict(self._noted)
-            latencies = [1e3 * self._latencies.quantile(share) if self._latencies else math.nan for share in SHARES]
+            latencies = [
+                1e3 * self._latencies.quantile(share) if self._latencies else math.nan for share in (0.5, 0.95)
+            ]
             return Account(
                 received=self._received,
                 processed=self._processed,
@@ -182,21 +177,18 @@ class LastMinute:
 
 
 class Pace:
-    """Rates at which dwells arrive and are processed, over the last seconds."""
+    """Rates of counts over the last seconds."""
 
     def __init__(self) -> None:
-        self._samples: deque[tuple[float, int, int]] = deque(maxlen=PACE_SAMPLES)
+        self._samples: deque[tuple[float, ...]] = deque(maxlen=5)  # half a second apart
 
-    def sample(self, now: float, offered: int, finished: int) -> None:
+    def sample(self, now: float, *counts: float) -> None:
         """Note the counts at the time `now`, s."""
-        self._samples.append((now, offered, finished))
+        self._samples.append((now, *counts))
 
-    def rates(self) -> dict[str, float]:
-        """Dwells offered and achieved in a second, as fields of an account; none before two samples."""
-        if len(self._samples) < 2:
-            return {}
-        (began, offered, finished), (ended, offered_now, finished_now) = self._samples[0], self._samples[-1]
-        return {
-            "offered_hz": round((offered_now - offered) / (ended - began), 2),
-            "achieved_hz": round((finished_now - finished) / (ended - began), 2),
-        }
+    def rates(self) -> list[float]:
+        """Rate of each count, 1/s; empty before two samples at different times."""
+        if len(self._samples) < 2 or self._samples[-1][0] <= self._samples[0][0]:
+            return []
+        (began, *first), (ended, *last) = self._samples[0], self._samples[-1]
+        return [(after - before) / (ended - began) for before, after in zip(first, last, strict=True)]

@@ -19,8 +19,6 @@ from sal_height.nodes.worker import WorkerNode
 from sal_height.settings import settings_of, unknown_name
 from sal_height.topics import LOSSES
 
-WIDTH = 100
-
 ACCOUNTS = {
     DIAGNOSTICS: "message counts and state of the node",
     PROGRESS: "the counts as numbers, also after every piece of work, made while somebody subscribes",
@@ -107,7 +105,7 @@ def _listed(title: str, topics: Mapping[str, str]) -> str:
 
 
 def _entry(title: str, text: str) -> str:
-    return f"  {title}\n" + textwrap.fill(text, WIDTH, initial_indent="      ", subsequent_indent="      ")
+    return f"  {title}\n" + textwrap.fill(text, 100, initial_indent="      ", subsequent_indent="      ")
 
 
 def _shown(value: Any) -> str:

@@ -99,22 +99,11 @@ def qos_of(topic: str) -> QoSProfile:
     return {SENSOR_INFO: LATCHED_QOS, **dict.fromkeys((ODOMETRY, *messages.AIR), ODOMETRY_QOS)}.get(topic, FRAMES_QOS)
 
 
-class Player(WorkerNode):
-    """Publishes the recorded bytes of one dwell at each call of ~/step, or of all dwells at one call.
+class BagSource(WorkerNode):
+    """A node that publishes a bag."""
 
-    The first sensor info is published before that, so that the nodes can get ready for the sensor. The first step
-    begins with the first message on each topic of the air, which dwells before it have waited for in flight. A
-    calibration that was applied from a dwell on is published at a step of its own before that dwell.
-    """
-
-    usual_name: ClassVar[str] = "player"
-    parameters: type[StageSettings] = PlayerSettings
-    outputs: ClassVar[Topics] = {
-        **SENSOR_TOPICS,
-        CALIBRATION: "calibrations that were applied in the flight, in a replay",
-        CLOCK: "time of the sensor, if the parameter clock is paced",
-    }
-    answers: ClassVar[Topics] = {**RESET, "~/step": "publish the next dwell; if paced or burst, all of them"}
+    usual_name: ClassVar[str]
+    parameters: type[StageSettings] = PacedPlayerSettings
 
     def __init__(self, **node_arguments: Any) -> None:
         """Make the node; `node_arguments` go to rclpy's Node.
@@ -124,17 +113,9 @@ class Player(WorkerNode):
         """
         super().__init__(self.usual_name, **node_arguments)
         self._time = PacedClock()
-        self._by_dwell = False
-        self._items: Iterator[Played] = iter(())
-        self._next: Played | None = None
         self._outlets: dict[str, Outlet] = {}
-        self._applied: dict[DwellKey, list[str]] = {}
-        self._calibrations: dict[str, bytes] = {}
-        self._ends_ns: list[int] = []
-        self._none_before: list[int] = []
-        self._begun: set[DwellKey] = set()
         try:
-            self._open(self._bag())
+            self._open(_path_of(self.current_parameters().bag))
         except UserError:
             self.destroy_node()
             raise
@@ -144,6 +125,48 @@ class Player(WorkerNode):
         """Stop playing, and end the node."""
         self._time.end()
         super().destroy_node()
+
+    def step(self) -> tuple[bool, str]:
+        """Publish the next messages, on the worker thread; returns whether there are any, and a message on it."""
+        raise NotImplementedError
+
+    def _open(self, bag: Path) -> None:
+        """Open the bag, offer its topics, and publish the description of the sensor.
+
+        Raises:
+            UserError: the bag cannot be used, or lacks what is to be played.
+        """
+        raise NotImplementedError
+
+
+class Player(BagSource):
+    """Publishes the recorded bytes of one dwell at each call of ~/step, or of all dwells at one call.
+
+    The first sensor info is published before that, so that the nodes can get ready for the sensor. The first step
+    begins with the first message on each topic of the air, which dwells before it have waited for in flight. A
+    calibration that was applied from a dwell on is published at a step of its own before that dwell.
+    """
+
+    usual_name = "player"
+    parameters = PlayerSettings
+    outputs: ClassVar[Topics] = {
+        **SENSOR_TOPICS,
+        CALIBRATION: "calibrations that were applied in the flight, in a replay",
+        CLOCK: "time of the sensor, if the parameter clock is paced",
+    }
+    answers: ClassVar[Topics] = {**RESET, "~/step": "publish the next dwell; if paced or burst, all of them"}
+
+    def __init__(self, **node_arguments: Any) -> None:
+        """Make the node; arguments and errors as of `BagSource`."""
+        self._by_dwell = False
+        self._items: Iterator[Played] = iter(())
+        self._next: Played | None = None
+        self._applied: dict[DwellKey, list[str]] = {}
+        self._calibrations: dict[str, bytes] = {}
+        self._ends_ns: list[int] = []
+        self._none_before: list[int] = []
+        self._begun: set[DwellKey] = set()
+        super().__init__(**node_arguments)
 
     def schedule(self, calibrations: Mapping[DwellKey, Sequence[str]], frames: Mapping[DwellKey, LogTimes]) -> None:
         """State what a replay knows of the bag, before the first step.
@@ -178,16 +201,6 @@ class Player(WorkerNode):
         self.tally.receive()
         self.submit(1, self._publish_step)
         return True, "next dwell" if self._by_dwell else "all dwells up to the next calibration"
-
-    def _bag(self) -> Path:
-        """Path of the bag.
-
-        Raises:
-            UserError: the parameter is empty.
-        """
-        if not (path := self.current_parameters().bag):
-            raise UserError("Parameter bag is empty; it must be the path of a bag.")
-        return Path(path)
 
     def _open(self, bag: Path) -> None:
         """Open the bag, offer its topics, and publish the first sensor info.
@@ -337,7 +350,7 @@ class Player(WorkerNode):
         self._outlets[recorded.topic].publish(recorded.cdr)
 
 
-class PacedPlayer(Player):
+class PacedPlayer(BagSource):
     """Publishes odometry, air and frames when the sensor would, from the call of ~/start until it ends.
 
     The bag is played from memory and starts again after its end. Stamps go on: they start with the time of the call,
@@ -347,22 +360,22 @@ class PacedPlayer(Player):
     """
 
     usual_name = "paced_player"
-    parameters = PacedPlayerSettings
     outputs: ClassVar[Topics] = {**SENSOR_TOPICS, **{port.name: port.about for port in AIR_PORTS}}
     answers: ClassVar[Topics] = {**RESET, "~/start": "begin to deliver"}
     begin_service = "start"
+
+    _first_ns = 0
+    """Stamp of the first message, ns; 0: the start has not been called."""
 
     def step(self) -> tuple[bool, str]:
         """Start to play, unless that has been done; returns whether the node plays, and the first stamp, ns."""
         if not self.is_active:
             return False, INACTIVE
-        if self._next is None:
+        if not self._first_ns:
             lead_s = 0.05  # for the answer, which the caller may need before the first message
             self._first_ns = self.get_clock().now().nanoseconds + round(lead_s * 1e9)
             self._time = PacedClock(self._first_ns, self.current_parameters().rate, time.monotonic() + lead_s)
-            self._items = self.playlist.passes(self._first_ns)
-            self._advance()
-            self.submit(0, self._publish_step)
+            self.submit(0, self._publish_passes)
         return True, f"{self._first_ns}"
 
     def _open(self, bag: Path) -> None:
@@ -377,13 +390,25 @@ class PacedPlayer(Player):
         self._outlets = {topic: self.offer(kind, topic, qos_of(topic)) for topic, kind in kinds.items()}
         self._outlets[SENSOR_INFO].publish(self.playlist.sensor_info)
 
-    def _is_due(self, recorded: BagMessage) -> bool:
-        """Wait until a message is due; False if the node ends before."""
-        return self._time.wait_until(recorded.log_time_ns)
+    def _publish_passes(self) -> int:
+        """Publish messages when they are due, until the node ends."""
+        for message in self.playlist.passes(self._first_ns):
+            if not self._time.wait_until(message.log_time_ns):
+                break
+            if self.is_active:
+                self._outlets[message.topic].publish(message.cdr)
+        return 0
 
-    def _publish(self, recorded: BagMessage) -> None:
-        if self.is_active:
-            super()._publish(recorded)
+
+def _path_of(bag: str) -> Path:
+    """The path of a bag.
+
+    Raises:
+        UserError: it is empty.
+    """
+    if not bag:
+        raise UserError("Parameter bag is empty; it must be the path of a bag.")
+    return Path(bag)
 
 
 def _names_of(rule: str) -> tuple[str, str]:

@@ -15,7 +15,6 @@ import time
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
 from typing import NamedTuple, Self
 
 from rclpy._rclpy_pybind11 import RCLError
@@ -24,11 +23,11 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from sal_height import messages
 from sal_height.bag.described import FRAMES
-from sal_height.bag.played import Content, DwellRange, Played, chosen, read_contents
+from sal_height.bag.played import DwellRange, Played, chosen, read_contents
 from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.bag.stamps import STAMP, STAMP_AT, stamp_ns_of
 from sal_height.bag.topics import ODOMETRY_TYPE, SENSOR_TYPE
-from sal_height.engine.stage import DwellKey
+from sal_height.engine.stage import FOREVER_NS
 from sal_height.errors import UserError
 from sal_height.messages.types import ChannelFrame, Clock, Odometry
 from sal_height.nodes.transport.message_types import class_of, publish
@@ -144,49 +143,19 @@ def delivered(reader: BagReader, topics: Collection[str], dwells: DwellRange, pa
     Raises:
         UserError: the bag is damaged.
     """
-    first = _Pass()
+    dwells_ns, first_ns, last_ns = set[int](), FOREVER_NS, 0
     for one in _once(reader, topics, dwells):
-        first.add(one)
+        part = one.content.part
+        stamps_ns = (one.recorded.log_time_ns, one.content.odometry_ns, part and part.dwell.stamp_ns)
+        known_ns = [stamp_ns for stamp_ns in stamps_ns if stamp_ns is not None]
+        first_ns, last_ns = min(first_ns, *known_ns), max(last_ns, *known_ns)
+        if part:
+            dwells_ns.add(part.dwell.stamp_ns)
         yield one
+    period_ns = _period(sorted(dwells_ns), last_ns - first_ns)
     for number in range(1, passes):
-        shift_ns = number * first.period_ns
+        shift_ns = number * period_ns
         yield from read_contents(_later(one, shift_ns) for one in _once(reader, topics, dwells))
-
-
-@dataclass
-class _Pass:
-    """Times of the messages of one pass.
-
-    Attributes:
-        spans_ns: first and last stamp of odometry, of dwells and of deliveries, by these names, ns.
-        dwells: number of dwells.
-    """
-
-    spans_ns: dict[str, tuple[int, int]] = field(default_factory=dict)
-    dwells: int = 0
-    _last: DwellKey | None = None
-
-    def add(self, one: Played) -> None:
-        """Add a message."""
-        dwell = one.content.part and one.content.part.dwell
-        if dwell and dwell != self._last:
-            self._last, self.dwells = dwell, self.dwells + 1
-        stamps_ns = {
-            "deliveries": one.recorded.log_time_ns,
-            "odometry": one.content.odometry_ns,
-            "dwells": dwell and dwell.stamp_ns,
-        }
-        for name, stamp_ns in stamps_ns.items():
-            if stamp_ns is not None:
-                first, last = self.spans_ns.get(name, (stamp_ns, stamp_ns))
-                self.spans_ns[name] = min(first, stamp_ns), max(last, stamp_ns)
-
-    @property
-    def period_ns(self) -> int:
-        """Time after which the bag may start again, ns: a dwell after the last one, and after all else."""
-        spans = {name: last - first for name, (first, last) in self.spans_ns.items()}
-        interval = spans.get("dwells", 0) // max(1, self.dwells - 1)
-        return max(spans.get("dwells", 0) + interval, 1 + max(spans.values(), default=0))
 
 
 def _later(one: Played, shift_ns: int) -> BagMessage:
@@ -279,7 +248,7 @@ class Playlist(NamedTuple):
         for samples in air.values():
             items += _air_during(samples, min(whole), around[0], around[-1])
         items.sort(key=lambda item: item.log_time_ns)
-        return cls(info, items, _period(list(whole), around), len(whole))
+        return cls(info, items, _period(list(whole), around[-1] - around[0]), len(whole))
 
     @property
     def size(self) -> int:
@@ -306,12 +275,12 @@ class Playlist(NamedTuple):
         """Dwells that the sensor delivers in a second."""
         return self.dwells * 1e9 / self.period_ns
 
-    def passes(self, first_ns: int) -> Iterator[Played]:
-        """The messages of all passes, without end, the first delivered at a time (ns); their content is left out."""
+    def passes(self, first_ns: int) -> Iterator[BagMessage]:
+        """The messages of all passes, without end, the first delivered at a time (ns)."""
         for shift_ns in itertools.count(first_ns - self.items[0].log_time_ns, self.period_ns):
             for item in self.items:
                 cdr, due_ns = restamped(item.cdr, shift_ns), item.log_time_ns + shift_ns
-                yield Played(item._replace(cdr=cdr, log_time_ns=due_ns), Content())
+                yield item._replace(cdr=cdr, log_time_ns=due_ns)
 
 
 def _sensor_messages(reader: BagReader, most_bytes: float) -> Iterator[BagMessage]:
@@ -363,10 +332,14 @@ def _air_during(samples: list[BagMessage], dwell_ns: int, begin_ns: int, end_ns:
     return [first, *(one._replace(log_time_ns=max(begin_ns, stamp_of(one))) for one in later)]
 
 
-def _period(dwells: list[int], odometry: list[int]) -> int:
-    """Time after which the list may start again, ns: a dwell after the last one, and after all odometry.
+def _period(dwells: list[int], span_ns: int) -> int:
+    """Time after which a list of messages may start again, ns: a dwell after the last one, and after all else.
 
     That is the longest time between dwells of the bag, as the platform turns between its passes.
+
+    Args:
+        dwells: stamps of the dwells, ascending, ns.
+        span_ns: time between the first and the last stamp of all messages, ns.
     """
     interval = max((after - before for before, after in itertools.pairwise(dwells)), default=0)
-    return max(dwells[-1] - dwells[0] + interval, odometry[-1] - odometry[0] + 1)
+    return max(dwells[-1] - dwells[0] + interval if dwells else 0, span_ns + 1)

@@ -8,6 +8,7 @@ import time
 import traceback
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -27,16 +28,15 @@ from sal_height.errors import UserError
 from sal_height.io import free_folder
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus
 from sal_height.nodes.accounts.account import DIAGNOSTICS, ON_THE_WAY, PROGRESS, RECORDER, Account
-from sal_height.nodes.accounts.publisher import AccountPublisher, State
+from sal_height.nodes.accounts.publisher import AccountPublisher
 from sal_height.nodes.accounts.tally import process_numbers
 from sal_height.nodes.accounts.topic_counts import NOT_WRITTEN, QUEUE_FULL, TopicCounts
-from sal_height.nodes.guard import guarded
 from sal_height.nodes.managed import Role, Topics
 from sal_height.nodes.parameters import LiveParameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.recording.parameter_reader import ASK_PERIOD_S, ParameterReader
 from sal_height.nodes.recording.recorder_parameters import RecorderParameters, Selection
-from sal_height.nodes.transport.executors import with_times
+from sal_height.nodes.transport.callbacks import guarded, with_times
 from sal_height.nodes.transport.message_types import message_class
 from sal_height.nodes.transport.qos import from_profile
 
@@ -134,8 +134,12 @@ class Recorder(Role, Node):
         return self._topic_counts[topic].missed if topic in self._topic_counts else 0
 
     def account(self) -> Account:
-        """Its account as it is now."""
-        return self._account_and_state()[0]
+        """Its account as it is now, with its state."""
+        self._process_numbers = process_numbers()
+        account, missing = self._counts(), self._left_out.total()
+        if missing:
+            return replace(account, level=DiagnosticStatus.ERROR, state=f"{missing} messages are not in the bag")
+        return replace(account, state="recording")
 
     @property
     def topic_counts(self) -> dict[str, TopicCounts]:
@@ -295,7 +299,7 @@ class Recorder(Role, Node):
 
     def _work(self) -> None:
         """Write messages until the bag is closed, and pass them to the operating system at regular times."""
-        flush, report = guarded(self._flush, self._fail), guarded(self._report_progress, self._fail)
+        flush, publish = guarded(self._flush, self._fail), guarded(self._account_publisher.publish_progress, self._fail)
         flush_due: float | None = None
         while not self._ending.is_set():
             self._arrival.wait(None if flush_due is None else max(0.0, flush_due - time.monotonic()))
@@ -303,7 +307,7 @@ class Recorder(Role, Node):
             self._arrival.clear()
             topics, now = self._write_waiting(), time.monotonic()
             if topics - ACCOUNTS:
-                report()
+                publish(self._counts)
             if topics and flush_due is None:
                 flush_due = now + self._parameters_now.current.flush_period_s
             if flush_due is not None and now >= flush_due:
@@ -356,11 +360,7 @@ class Recorder(Role, Node):
             self._topic_counts[topic].written += 1
 
     def _publish_account(self) -> None:
-        self._account_publisher.publish(self._account_and_state)
-
-    def _report_progress(self) -> None:
-        """Publish the counts for programs that wait for messages to be in the bag."""
-        self._account_publisher.publish_counts(self._counts)
+        self._account_publisher.publish(self.account)
 
     def _counts(self) -> Account:
         """Number of messages of each topic in the bag, and of those that were lost."""
@@ -381,17 +381,9 @@ class Recorder(Role, Node):
             **self._process_numbers,
         )
 
-    def _account_and_state(self) -> tuple[Account, State]:
-        """All numbers, and the state of the recorder."""
-        self._process_numbers = process_numbers()
-        account, missing = self._counts(), self._left_out.total()
-        if missing:
-            return account, State(DiagnosticStatus.ERROR, f"{missing} messages are not in the bag")
-        return account, State(DiagnosticStatus.OK, "recording")
-
     def diagnostics(self) -> DiagnosticArray:
         """The account and state, as the conventions have them."""
-        return self._account_publisher.diagnostics(*self._account_and_state())
+        return self._account_publisher.messages(self.account())[0]
 
     def _flush(self) -> None:
         try:

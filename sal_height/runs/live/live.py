@@ -24,7 +24,6 @@ from sal_height.engine.movers import MOVERS
 from sal_height.engine.registry import STAGES
 from sal_height.errors import UserError
 from sal_height.geometry import PlatformState, Trajectory
-from sal_height.graph.account_book import AccountBook
 from sal_height.graph.air import check_air
 from sal_height.graph.catalogue import DETECTOR, HEIGHTS, TRACKER, check_parameters, consumers
 from sal_height.graph.conductor import Conductor
@@ -34,7 +33,7 @@ from sal_height.graph.plan import RECORDER, Execution, Plan
 from sal_height.graph.processes import Interruption, process_age_s, run_in_copy
 from sal_height.graph.reporting import PARAMETERS, PRESET, merged, reporting
 from sal_height.graph.supervisor import Supervisor
-from sal_height.graph.watch import Watcher, looks
+from sal_height.graph.watch import AccountBook, Watcher, looks
 from sal_height.io import new_folder
 from sal_height.messages import AIR
 from sal_height.messages.types import HeightImage

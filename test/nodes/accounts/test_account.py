@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sal_height.messages import deserialize, serialize
-from sal_height.messages.types import DiagnosticStatus, NodeAccount
+from sal_height.messages.types import DiagnosticArray, NodeAccount
 from sal_height.nodes.accounts.account import RECORDER, Account
 
 
@@ -72,10 +72,10 @@ def test_an_account_is_the_same_on_both_topics(rng: np.random.Generator) -> None
         9, 8, 7, 1, 2, True, 3, 0, 5, **counts, **topics, offered_hz=2.5, cpu_s=0.25, pid=77, last_drop="So."
     )
     account = replace(account, latency_p50_ms=float(rng.random()), dropped_last_minute={"some reason": 1})
-    status = DiagnosticStatus(values=account.to_values())
+    diagnostics, message = account.to_messages("a/b", 3_000_000_001)
+    (status,) = deserialize(serialize(diagnostics), DiagnosticArray).status
     assert account.numbers["published./ml/height"] == 5
-    assert repr(Account.of_status(deserialize(serialize(status), DiagnosticStatus))) == repr(account)
-    message = account.to_message("a/b", 3_000_000_001)
+    assert repr(Account.of_status(status)) == repr(account)
     assert {one.name for one in message.published_on} == {"/ml/height"}
     assert (message.node, message.header.stamp.sec, message.header.stamp.nanosec) == ("a/b", 3, 1)
     assert repr(Account.of_message(deserialize(serialize(message), NodeAccount))) == repr(account)

@@ -123,10 +123,10 @@ def test_balance_holds_at_any_time_under_several_threads() -> None:
 
 def test_the_pace_is_that_of_the_last_samples() -> None:
     pace = Pace()
-    assert pace.rates() == {}
+    assert pace.rates() == []
     for second in range(100):
         pace.sample(second / 2, 40 * second, 20 * second if second < 90 else 1800 + 10 * (second - 90))
-    assert pace.rates() == {"offered_hz": 80.0, "achieved_hz": 20.0}
+    assert pace.rates() == [80.0, 20.0]
 
 
 def test_dwells_offered_and_finished_are_counted_beside_their_messages() -> None:

@@ -19,8 +19,8 @@ from sal_height.nodes.processing import PROCESSING
 from sal_height.nodes.program import run_node
 from sal_height.nodes.recording.recorder import Recorder
 from sal_height.nodes.simulator import Simulator
-from sal_height.nodes.transforms import has_transforms
 from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.message_types import has_transforms
 from sal_height.nodes.transport.qos import FRAMES_QOS
 from sal_height.nodes.worker import WorkerNode
 from sal_height.settings import settings_of

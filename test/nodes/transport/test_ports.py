@@ -13,8 +13,7 @@ from typing import Any
 import pytest
 from rclpy.node import Node
 
-from sal_height.graph.account_book import AccountBook
-from sal_height.graph.watch import Watcher
+from sal_height.graph.watch import AccountBook, Watcher
 from sal_height.messages.types import DiagnosticArray
 from sal_height.nodes.transport.domain import LOOK_S, LOOKS, Ports, ports_read
 from sal_height.nodes.transport.graph import Graph

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.beams import BeamTable, Pattern
-from sal_height.beams.table import COLUMNS
+from sal_height.beams.table_files import COLUMNS
 
 
 def sample_pattern(pattern: Pattern, elevation: npt.ArrayLike, azimuth: npt.ArrayLike, beamwidth: float) -> BeamTable:

@@ -9,7 +9,8 @@ from sal_height.beams.apertures import GAUSSIAN_WIDTH
 from sal_height.beams.array import Beams, column_squint
 from sal_height.beams.pattern import PATTERNS, Pattern, detector_pattern, pattern_named
 from sal_height.beams.pupil import ZERNIKE, aberrated_derivatives
-from sal_height.beams.table import BeamTable, read_beam_tables, tabulated_pattern
+from sal_height.beams.table import BeamTable, tabulated_pattern
+from sal_height.beams.table_files import read_beam_tables
 
 __all__ = [
     "GAUSSIAN_WIDTH",

@@ -8,7 +8,8 @@ reflector at a known position), `files` (a calibration in a file) and `calibrati
 
 from sal_height.calibration.accumulate import Calibrator
 from sal_height.calibration.beam_calibration import BeamCalibration, calibrate_beams
-from sal_height.calibration.calibration import Calibration, CalibrationSettings, load_calibration, save_calibration
+from sal_height.calibration.calibration import Calibration, CalibrationSettings
+from sal_height.calibration.files import load_calibration, save_calibration
 
 __all__ = [
     "BeamCalibration",

@@ -11,7 +11,8 @@ from beam_tables import sample_pattern, write_beam_tables
 from helpers import BEAMWIDTH, assert_one_sentence, make_sensor
 
 from sal_height.beams.pattern import pattern_named
-from sal_height.beams.table import COLUMNS, BeamTable, read_beam_tables
+from sal_height.beams.table import BeamTable
+from sal_height.beams.table_files import COLUMNS, read_beam_tables
 from sal_height.errors import UserError
 
 TABLE = BeamTable((-0.2, -0.1, 0.0, 0.3), (0.0,), (0.5, 0.9, 1.0, 0.1), (0.0, -0.1, 0.0, 0.2))

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from helpers import make_sensor
 
-from sal_height.calibration.calibration import Calibration, load_calibration, save_calibration
+from sal_height.calibration.calibration import Calibration
+from sal_height.calibration.files import load_calibration, save_calibration
 from sal_height.errors import UserError
 from sal_height.numeric.windows import window
 from sal_height.sensor.phase_history import PhaseHistory

@@ -113,11 +113,11 @@ def test_the_engine_reaches_nothing_after_it() -> None:
 
 def test_the_walk_finds_what_it_looks_for() -> None:
     """In a function, through a package that passes names on, and in the call of a method."""
-    assert used_by("sal_height.beams.table") == {"pathlib", "open"}
-    assert defining("sal_height.calibration", "load_calibration") == "sal_height.calibration.calibration"
+    assert used_by("sal_height.beams.table_files") == {"pathlib", "open"}
+    assert defining("sal_height.calibration", "load_calibration") == "sal_height.calibration.files"
     assert defining("sal_height.geometry", "Mounting") == "sal_height.geometry.mounting"
-    assert "sal_height.calibration.calibration" in reached_from("sal_height.calibration.__init__")
-    assert "sal_height.calibration.calibration" not in reached_from(*ENGINE)
+    assert "sal_height.calibration.files" in reached_from("sal_height.calibration.__init__")
+    assert "sal_height.calibration.files" not in reached_from(*ENGINE)
 
 
 WITHOUT = """

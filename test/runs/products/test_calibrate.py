@@ -13,7 +13,7 @@ from helpers import assert_one_sentence
 from rosbags.highlevel import AnyReader
 
 from sal_height.bag.reader import BagReader
-from sal_height.calibration.calibration import load_calibration
+from sal_height.calibration.files import load_calibration
 from sal_height.commands import main
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import HEIGHTS

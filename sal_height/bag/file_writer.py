@@ -12,9 +12,9 @@ from pathlib import Path
 from mcap.writer import CompressionType, Writer
 
 from sal_height.bag import qos as qos_text
-from sal_height.bag.definitions import Definition
 from sal_height.bag.files import CHECKSUM, CUSTOM_DATA, REPEATED, REPEATED_SEQUENCE, checksum
 from sal_height.bag.qos import Qos
+from sal_height.messages.definition import Definition
 
 CHUNK_SIZE = 1 << 20  # bytes; a larger message becomes a chunk of its own
 

@@ -16,10 +16,10 @@ from mcap.records import Channel, Schema
 from mcap.writer import MCAP0_MAGIC
 
 from sal_height.bag import qos
-from sal_height.bag.definitions import Definition
 from sal_height.bag.metadata_text import read_yaml
 from sal_height.bag.qos import Qos
 from sal_height.errors import UserError
+from sal_height.messages.definition import Definition
 
 # How a file ends: start of the summary, start of the summary offsets, checksum from the former up to here; magic.
 _FOOTER_TAIL = struct.Struct("<QQI8s")

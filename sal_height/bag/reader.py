@@ -16,7 +16,6 @@ from mcap.reader import SeekingReader
 
 from sal_height import messages
 from sal_height.bag import qos
-from sal_height.bag.definitions import Definition, known_definition
 from sal_height.bag.files import (
     REPEATED_SEQUENCE,
     bag_files,
@@ -37,7 +36,7 @@ from sal_height.bag.versions import current_name, needs_upgrade, upgraded
 from sal_height.errors import UserError
 from sal_height.messages import BrokenMessage
 from sal_height.messages.codec import SHIPPED, recorded_types
-from sal_height.messages.definition import shipped_definition
+from sal_height.messages.definition import Definition, known_definition, shipped_definition
 from sal_height.messages.received import ReceivedFrame
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from sal_height.bag.definitions import Definition
 from sal_height.bag.qos import Qos
+from sal_height.messages.definition import Definition
 
 FRAME_TYPE, IMAGE_TYPE, HEIGHT_TYPE, SENSOR_TYPE, CALIBRATION_TYPE, RELIEF_TYPE = (
     f"sal_height_msgs/msg/{name}"

@@ -6,12 +6,12 @@ from collections import Counter
 from pathlib import Path
 
 from sal_height.bag.copies import kept_custom_data, kept_packing
-from sal_height.bag.definitions import Definition, known_definition
 from sal_height.bag.files import ACCOUNT
 from sal_height.bag.reader import BagReader, Topic
 from sal_height.bag.versions import PACKAGE
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
+from sal_height.messages.definition import Definition, known_definition
 
 
 def upgrade(path: Path, out_directory: Path) -> Counter[str]:

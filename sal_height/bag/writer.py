@@ -12,11 +12,11 @@ from types import MappingProxyType, TracebackType
 from typing import Any, NamedTuple, Self
 
 from sal_height.bag import qos as qos_text
-from sal_height.bag.definitions import Definition, known_definition
 from sal_height.bag.file_writer import NO_TIME, FileWriter, Written, WrittenTopic
 from sal_height.bag.metadata_text import yaml_text
 from sal_height.bag.qos import TRANSIENT_LOCAL, Qos
 from sal_height.errors import UserError
+from sal_height.messages.definition import Definition, known_definition
 
 ROS_DISTRO = "jazzy"
 

@@ -1,12 +1,18 @@
-"""Texts and hashes of message types, by which programs understand each other and bags."""
+"""Texts and hashes of message types, of the package and of the environment, by which programs understand bags."""
 
 from __future__ import annotations
 
 import functools
+import json
+import os
 import re
+import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
 
-from sal_height.messages.definitions import HASHES, TEXTS
+from sal_height.errors import UserError
 from sal_height.messages.layout import SEPARATOR, Layout, read_layout
 
 # Type and name of a field; an equals sign after the name makes it a constant, which is not part of the layout.
@@ -35,12 +41,25 @@ class Definition:
 
 
 @functools.cache
+def _shipped() -> Mapping[str, Mapping[str, str]]:
+    """Texts and hashes of the shipped types by name, which tools/definitions.py has written."""
+    file = resources.files(__package__) / "definitions.json"
+    return json.loads(file.read_text(encoding="utf-8"))
+
+
+def shipped_texts() -> Mapping[str, str]:
+    """Text of every shipped message type by its name, without those of the types that it contains."""
+    return _shipped()["texts"]
+
+
+@functools.cache
 def shipped_definition(type_name: str) -> Definition | None:
     """Text and hash of a shipped message type; None if it is not shipped."""
-    if type_name not in TEXTS:
+    texts = shipped_texts()
+    if type_name not in texts:
         return None
-    contained = {name: TEXTS[name] for name in sorted(_contained(type_name))}
-    return Definition(composed(TEXTS[type_name], contained), HASHES[type_name])
+    contained = {name: texts[name] for name in sorted(_contained(type_name))}
+    return Definition(composed(texts[type_name], contained), _shipped()["hashes"][type_name])
 
 
 @functools.cache
@@ -50,7 +69,51 @@ def shipped_layout(type_name: str) -> Layout:
     Raises:
         KeyError: it is not shipped.
     """
-    return read_layout(type_name, TEXTS[type_name])
+    return read_layout(type_name, shipped_texts()[type_name])
+
+
+def known_definition(type_name: str) -> Definition:
+    """Text and hash of a message type such as ``std_msgs/msg/Header``, of the package or else of the environment.
+
+    Raises:
+        UserError: it is not known.
+    """
+    # The installation is part of the key: a test or an overlay may add packages while the process runs.
+    return shipped_definition(type_name) or installed_definition(type_name, share_folders())
+
+
+def share_folders() -> tuple[Path, ...]:
+    """Folders of the message texts of packages: ROS overlays first, then this Python environment."""
+    prefixes = [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
+    return tuple(Path(prefix, "share") for prefix in prefixes if prefix)
+
+
+@functools.cache
+def installed_definition(type_name: str, folders: tuple[Path, ...]) -> Definition:
+    """Text and hash of a message type in the first of `folders` that has it.
+
+    Raises:
+        UserError: none of them has it.
+    """
+    description = json.loads(_find(type_name, ".json", folders).read_text(encoding="utf-8"))
+    contained = [entry["type_name"] for entry in description["type_description_msg"]["referenced_type_descriptions"]]
+    texts = {name: _find(name, ".msg", folders).read_text(encoding="utf-8") for name in (type_name, *contained)}
+    hashes = {entry["type_name"]: entry["hash_string"] for entry in description["type_hashes"]}
+    return Definition(composed(texts.pop(type_name), texts), hashes[type_name])
+
+
+def _find(type_name: str, suffix: str, folders: tuple[Path, ...]) -> Path:
+    match = re.fullmatch(r"(\w+)/msg/(\w+)", type_name)
+    if match is None:
+        raise UserError(f"{type_name!r} is not the name of a message type, which has the form package/msg/Type.")
+    for folder in folders:
+        path = folder / match[1] / "msg" / (match[2] + suffix)
+        if path.is_file():
+            return path
+    raise UserError(
+        f"Message type {type_name} is not installed in this environment; install or source a package {match[1]} that "
+        "has it."
+    )
 
 
 def composed(text: str, contained: dict[str, str]) -> str:

@@ -9,13 +9,13 @@ import pytest
 from bags_at_hand import REFERENCE
 
 from sal_height.bag.check import check_bag
-from sal_height.bag.definitions import known_definition
 from sal_height.bag.file_writer import COMPRESSIONS
 from sal_height.bag.files import ACCOUNT
 from sal_height.bag.reader import BagReader
 from sal_height.bag.upgrade import upgrade
 from sal_height.bag.writer import BagWriter, Packing
 from sal_height.commands import main
+from sal_height.messages.definition import known_definition
 
 OLD = {
     0: {"/ml/height", "/monopulse/height", "/phase_history", "/sensor_info", "/tracked/height"},

@@ -18,7 +18,6 @@ from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import Reader
 from std_msgs.msg import String
 
-from sal_height.bag.definitions import known_definition
 from sal_height.bag.file_writer import CHUNK_SIZE
 from sal_height.bag.qos import TRANSIENT_LOCAL, Qos
 from sal_height.bag.reader import BagReader
@@ -26,6 +25,7 @@ from sal_height.bag.salvage import salvage
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.messages import deserialize, serialize
+from sal_height.messages.definition import known_definition
 from sal_height.messages.parameters import parameter_of
 from sal_height.messages.types import HeightImage, Odometry, Surface
 

@@ -11,10 +11,10 @@ from played_bag import Listener, bag, odometry, played, player_of
 from written_bag import calibration, frame, key
 
 from sal_height import messages
-from sal_height.bag.definitions import Definition
 from sal_height.engine.stage import DwellKey
 from sal_height.errors import UserError
 from sal_height.graph.plan import DwellChanges
+from sal_height.messages.definition import Definition
 from sal_height.messages.types import Odometry
 from sal_height.nodes.accounts.account import CALIBRATIONS
 from sal_height.nodes.processing import PROCESSING

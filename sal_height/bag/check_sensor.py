@@ -18,6 +18,8 @@ from sal_height.bag.described import SensorTopics
 from sal_height.bag.dwells import DwellFault, DwellFrames, DwellList, faults_of
 from sal_height.bag.files import PARAMETERS
 from sal_height.bag.reader import BagMessage, BagReader
+from sal_height.bag.topics import ODOMETRY_TYPE
+from sal_height.engine.frame_items import check_frame
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import REORDERED_NS
 from sal_height.numeric import I64
@@ -102,7 +104,8 @@ class SensorCheck:
             if message.topic == self.topics.frames:
                 self._add_frame(message)
             elif message.topic == self.topics.odometry:
-                self._poses.append((message.log_time_ns, messages.received_pose(message.cdr).stamp_ns))
+                stamp = messages.deserialize(message.cdr, ODOMETRY_TYPE).header.stamp
+                self._poses.append((message.log_time_ns, messages.to_ns(stamp)))
         except Rejected as fault:
             self._note(message.topic, fault.reason, str(fault))
         except (UserError, RuntimeError) as fault:
@@ -173,10 +176,9 @@ class SensorCheck:
             )
 
     def _add_frame(self, message: BagMessage) -> None:
-        self._dwells.add(message.cdr, message.log_time_ns)
-        frame = messages.received_frame(message.cdr)
-        if sensor := self._sensors.get(frame.config_hash):
-            messages.check_frame(frame, sensor)
+        frame = self._dwells.add(message.cdr, message.log_time_ns)
+        if sensor := self._sensors.get(frame.key.sensor):
+            check_frame(frame, sensor)
 
     def _note(self, topic: str, reason: str, sentence: str) -> None:
         self._faults.setdefault((topic, reason), sentence)

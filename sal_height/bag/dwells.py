@@ -10,6 +10,8 @@ from sal_height import messages
 from sal_height.bag.described import SensorTopics
 from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import FRAME_TYPE
+from sal_height.engine.frame_items import Frame
+from sal_height.engine.stage import DwellKey
 from sal_height.errors import UserError
 
 
@@ -90,7 +92,7 @@ class DwellList:
     """The dwells of a sensor, in the order in which they began."""
 
     def __init__(self) -> None:
-        self._dwells: dict[tuple[str, int, int], DwellFrames] = {}
+        self._dwells: dict[DwellKey, DwellFrames] = {}
 
     def __iter__(self) -> Iterator[DwellFrames]:
         return iter(self._dwells.values())
@@ -98,8 +100,8 @@ class DwellList:
     def __len__(self) -> int:
         return len(self._dwells)
 
-    def add(self, cdr: bytes, log_time_ns: int) -> DwellFrames:
-        """Add a serialized frame, and return its dwell.
+    def add(self, cdr: bytes, log_time_ns: int) -> Frame:
+        """Add a serialized frame, and return it.
 
         Raises:
             UserError: it cannot be decoded.
@@ -108,19 +110,17 @@ class DwellList:
             frame = messages.received_frame(cdr)
         except RuntimeError as error:
             raise UserError(f"A frame cannot be decoded: {error}.") from error
-        times = frame.pulse_time
-        last = frame.stamp_ns + round(float(times[-1]) * 1e9) if times.size and 0 <= times[-1] < 1e6 else frame.stamp_ns
-        key = (frame.config_hash, frame.dwell, frame.stamp_ns)
+        times, key = frame.pulse_time, frame.key
+        last_ns = frame.end_ns if times.size and 0 <= times[-1] < 1e6 else key.stamp_ns
         dwell = self._dwells.get(key)
         if dwell is None:
-            dwell = self._dwells[key] = DwellFrames(*key, last, first_log_ns=log_time_ns, last_log_ns=log_time_ns)
+            dwell = DwellFrames(*key, last_ns, first_log_ns=log_time_ns, last_log_ns=log_time_ns)
+            self._dwells[key] = dwell
         dwell.channels[frame.channel] += 1
-        dwell.last_pulse_ns = max(dwell.last_pulse_ns, last)
-        dwell.first_log_ns, dwell.last_log_ns = (
-            min(dwell.first_log_ns, log_time_ns),
-            max(dwell.last_log_ns, log_time_ns),
-        )
-        return dwell
+        dwell.last_pulse_ns = max(dwell.last_pulse_ns, last_ns)
+        dwell.first_log_ns = min(dwell.first_log_ns, log_time_ns)
+        dwell.last_log_ns = max(dwell.last_log_ns, log_time_ns)
+        return frame
 
 
 def read_dwells(reader: BagReader, sensor: SensorTopics) -> DwellList:

@@ -33,11 +33,11 @@ from sal_height.bag.qos import Qos
 from sal_height.bag.salvage import CHUNK_FIELDS, HEAD
 from sal_height.bag.topics import BagMessage, Topic
 from sal_height.bag.versions import current_name, needs_upgrade, upgraded
+from sal_height.engine.frame_items import Frame
 from sal_height.errors import UserError
 from sal_height.messages import BrokenMessage
 from sal_height.messages.codec import SHIPPED, recorded_types
 from sal_height.messages.definition import Definition, known_definition, shipped_definition
-from sal_height.messages.received import ReceivedFrame
 
 
 def is_stored_otherwise(path: Path) -> bool:
@@ -214,7 +214,7 @@ def _places(index: FileIndex, channels: set[int], stream: BinaryIO) -> Iterator[
                     yield log_time_ns, begin + offset, end
 
 
-def _read_frame(stream: BinaryIO, at: int, size: int) -> ReceivedFrame:
+def _read_frame(stream: BinaryIO, at: int, size: int) -> Frame:
     """The frame of `size` bytes that starts at `at`, with zeros in place of its samples.
 
     Raises:
@@ -222,7 +222,7 @@ def _read_frame(stream: BinaryIO, at: int, size: int) -> ReceivedFrame:
         McapError: there are zeros instead.
     """
 
-    def read(count: int) -> ReceivedFrame:
+    def read(count: int) -> Frame:
         stream.seek(at)
         head = stream.read(min(count, size))
         if not any(head[:ZEROS_BYTES]):
@@ -230,7 +230,7 @@ def _read_frame(stream: BinaryIO, at: int, size: int) -> ReceivedFrame:
         return messages.received_frame(head.ljust(size, b"\0"))
 
     frame = read(HEAD_BYTES)
-    if not len(frame.pulse_time) or len(frame.frame_id) + len(frame.config_hash) > TEXT_BYTES // 2:
+    if not len(frame.pulse_time) or len(frame.frame_id) + len(frame.key.sensor) > TEXT_BYTES // 2:
         return read(size)  # a text may be longer than the bytes read before
     needed = TEXT_BYTES + PULSE_BYTES * len(frame.pulse_time)
     return frame if needed <= HEAD_BYTES else read(needed)

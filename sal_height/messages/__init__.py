@@ -26,9 +26,9 @@ from sal_height.messages.frames import (
     check_frame,
     history_from_messages,
     history_to_messages,
+    received_frame,
     samples_of,
     state_from_message,
-    state_of_pose,
     state_to_message,
     twist_covariance,
 )
@@ -41,7 +41,7 @@ from sal_height.messages.heights import (
     stages_of,
     with_stage,
 )
-from sal_height.messages.images import check_slc, recorded_window, slc_from_messages, slc_to_messages
+from sal_height.messages.images import check_slc, received_image, recorded_window, slc_from_messages, slc_to_messages
 from sal_height.messages.movers import MOVER_FIELDS, mover_points
 from sal_height.messages.navigation import (
     mounting_to_pose,
@@ -51,17 +51,6 @@ from sal_height.messages.navigation import (
     read_origin,
     read_pose,
     read_twist,
-)
-from sal_height.messages.received import (
-    HeightOrigin,
-    ReceivedFrame,
-    ReceivedImage,
-    ReceivedPose,
-    height_origin,
-    received_frame,
-    received_height,
-    received_image,
-    received_pose,
 )
 from sal_height.messages.sensors import sensor_from_message, sensor_to_message
 
@@ -78,10 +67,6 @@ __all__ = [
     "AirSample",
     "BrokenMessage",
     "Frames",
-    "HeightOrigin",
-    "ReceivedFrame",
-    "ReceivedImage",
-    "ReceivedPose",
     "air_to_messages",
     "aperture_from_message",
     "autofocus_values",
@@ -95,7 +80,6 @@ __all__ = [
     "float_view",
     "frame_near",
     "grid_from_message",
-    "height_origin",
     "height_points",
     "height_to_message",
     "history_from_messages",
@@ -111,9 +95,7 @@ __all__ = [
     "read_pose",
     "read_twist",
     "received_frame",
-    "received_height",
     "received_image",
-    "received_pose",
     "recorded_window",
     "samples_of",
     "sensor_from_message",
@@ -123,7 +105,6 @@ __all__ = [
     "slc_to_messages",
     "stages_of",
     "state_from_message",
-    "state_of_pose",
     "state_to_message",
     "to_bytes",
     "to_floats",

@@ -3,75 +3,56 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
-from typing import Any, Protocol, TypeAlias
 
 from sal_height.engine.frames import MAP_FRAME
 from sal_height.engine.geometry_items import Aperture
 from sal_height.engine.image_items import ChannelImage, Images, Place, check_image
-from sal_height.engine.provenance import Provenance, Same
+from sal_height.engine.provenance import Provenance
 from sal_height.engine.stage import DwellKey
 from sal_height.imaging import Slc
 from sal_height.messages.basics import aperture_to_message, grid_to_message, to_floats, to_ns, to_stamp
+from sal_height.messages.codec import deserialize
 from sal_height.messages.products import (
-    PLACES_KEPT,
     doubt_fields,
     doubts_of,
     place_of,
     provenance_of,
     provenance_to_message,
 )
-from sal_height.messages.received import ReceivedImage
-from sal_height.messages.types import ComplexImage, Header
+from sal_height.messages.types import ChannelFrame, ComplexImage, Header
 from sal_height.messages.types import Provenance as ProvenanceMessage
 from sal_height.sensor import Sensor
 
-ImageMessage: TypeAlias = ComplexImage | ReceivedImage
-"""An image, as a message or as received."""
+
+def received_image(cdr: bytes) -> ChannelImage:
+    """Read the bytes of a ComplexImage; samples are a view of them, equal geometries and provenances one object.
+
+    Raises:
+        BrokenMessage: the bytes are not a ComplexImage.
+        Rejected: an error of `image_of`.
+    """
+    return image_of(deserialize(cdr, ComplexImage, shared=True), len(cdr))
 
 
-class Labelled(Protocol):
-    """A frame or an image with the number of its dwell, as a message or as received."""
-
-    @property
-    def header(self) -> Header:
-        """Stamp and name of a frame of coordinates."""
-
-    @property
-    def dwell(self) -> int:
-        """Number of the dwell."""
-
-
-@lru_cache(PLACES_KEPT)
-def _place_of_received(geometry: Same[Any]) -> Place:
-    return place_of(geometry.one)
-
-
-def image_of(image: ImageMessage) -> ChannelImage:
-    """Return the image that a ComplexImage describes; those received with the same geometry or provenance share these.
+def image_of(message: ComplexImage, size: int = 0) -> ChannelImage:
+    """Return the image that a ComplexImage describes; `size`: bytes of the serialized message.
 
     Raises:
         Rejected: its provenance has a value of a type that ROS parameters do not have, or the covariance of its pose
             has neither 36 entries nor none.
     """
-    provenance = provenance_of(image.provenance)
-    if isinstance(image, ReceivedImage):
-        stamp_ns, frame_id, size = image.stamp_ns, image.frame_id, image.size
-        place = _place_of_received(Same(image.geometry))
-    else:
-        stamp_ns, frame_id, size = to_ns(image.header.stamp), image.header.frame_id, 4 * len(image.samples)
-        place = place_of(image)
+    provenance = provenance_of(message.provenance)
     return ChannelImage(
-        DwellKey(provenance.config_hash, image.dwell, stamp_ns),
-        frame_id,
-        image.channel,
-        place,
-        image.noise_power,
-        image.saturated_share,
-        to_floats(image.samples),
+        DwellKey(provenance.config_hash, message.dwell, to_ns(message.header.stamp)),
+        message.header.frame_id,
+        message.channel,
+        place_of(message),
+        message.noise_power,
+        message.saturated_share,
+        to_floats(message.samples),
         provenance,
-        image.air_delay,
-        **doubts_of(image),
+        message.air_delay,
+        **doubts_of(message),
         size=size,
     )
 
@@ -95,7 +76,7 @@ def image_to_message(image: ChannelImage) -> ComplexImage:
 
 def slc_to_messages(
     slc: Slc,
-    frame: Labelled,
+    frame: ChannelFrame | ComplexImage,
     provenance: ProvenanceMessage,
     map_frame: str = MAP_FRAME,
     air_delay: str = "",
@@ -118,7 +99,7 @@ def slc_to_messages(
     return made
 
 
-def check_slc(image: ImageMessage, sensor: Sensor) -> None:
+def check_slc(image: ComplexImage, sensor: Sensor) -> None:
     """Check that an image has the size that its grid states, and values that can be processed.
 
     Raises:
@@ -127,7 +108,7 @@ def check_slc(image: ImageMessage, sensor: Sensor) -> None:
     check_image(image_of(image), sensor)
 
 
-def slc_from_messages(images: Sequence[ImageMessage]) -> Slc:
+def slc_from_messages(images: Sequence[ComplexImage]) -> Slc:
     """Return the images of all channels of a dwell, in order, from messages that `check_slc` has passed.
 
     Raises:

@@ -29,10 +29,10 @@ from sal_height.messages import types
 from sal_height.messages.air import AIR, read_air
 from sal_height.messages.basics import numbers_of, to_ns, to_stamp
 from sal_height.messages.calibrations import calibration_from_message, calibration_to_message
-from sal_height.messages.codec import SHIPPED
-from sal_height.messages.frames import frame_of, frame_to_message, state_of_pose, state_to_message
+from sal_height.messages.codec import SHIPPED, deserialize
+from sal_height.messages.frames import frame_to_message, received_frame, state_from_message, state_to_message
 from sal_height.messages.heights import heights_of, heights_to_message
-from sal_height.messages.images import image_of, image_to_message
+from sal_height.messages.images import image_to_message, received_image
 from sal_height.messages.movers import mover_points
 from sal_height.messages.navigation import (
     mounting_to_pose,
@@ -43,7 +43,6 @@ from sal_height.messages.navigation import (
     read_pose,
     read_twist,
 )
-from sal_height.messages.received import received_frame, received_image, received_pose
 from sal_height.messages.relief import relief_to_message
 from sal_height.messages.sensors import sensor_from_message, sensor_to_message
 from sal_height.sensor import Sensor
@@ -91,7 +90,7 @@ def header_of(stamp_ns: int, frame_id: str) -> Any:
 
 def read_frame(cdr: bytes, _: Any = None) -> list[Frame]:
     """The frame of a ChannelFrame."""
-    return [frame_of(received_frame(cdr))]
+    return [received_frame(cdr)]
 
 
 def write_frame(frame: Frame, _: Any = None) -> list[bytes]:
@@ -105,7 +104,7 @@ def read_image(cdr: bytes, _: Any = None) -> list[ChannelImage]:
     Raises:
         Rejected: its provenance or the covariance of its pose cannot be used.
     """
-    return [image_of(received_image(cdr))]
+    return [received_image(cdr)]
 
 
 def write_images(images: Images, _: Any = None) -> list[bytes]:
@@ -119,7 +118,7 @@ def read_heights(cdr: bytes, _: Any = None) -> list[Heights]:
     Raises:
         Rejected: its provenance or the covariance of its pose cannot be used.
     """
-    return [heights_of(SHIPPED.reader("sal_height_msgs/msg/HeightImage", shared=True)(cdr))]
+    return [heights_of(deserialize(cdr, "sal_height_msgs/msg/HeightImage", shared=True))]
 
 
 def write_heights(heights: Heights, _: Any = None) -> list[bytes]:
@@ -130,13 +129,9 @@ def write_heights(heights: Heights, _: Any = None) -> list[bytes]:
 # Other items than those of dwells
 
 
-def _deserialized(cdr: bytes, type_name: str) -> Any:
-    return SHIPPED.reader(type_name)(cdr)
-
-
 def read_sensor(cdr: bytes, _: Any = None) -> list[Sensor]:
     """The sensor of a SensorInfo; UserError if it cannot be used."""
-    return [sensor_from_message(_deserialized(cdr, "sal_height_msgs/msg/SensorInfo"))]
+    return [sensor_from_message(deserialize(cdr, "sal_height_msgs/msg/SensorInfo"))]
 
 
 def write_sensor(sensor: Sensor, _: Any = None) -> list[bytes]:
@@ -146,7 +141,7 @@ def write_sensor(sensor: Sensor, _: Any = None) -> list[bytes]:
 
 def read_calibration(cdr: bytes, _: Any = None) -> list[StatedCalibration]:
     """The calibration of a Calibration; UserError if it cannot be used."""
-    message = _deserialized(cdr, "sal_height_msgs/msg/Calibration")
+    message = deserialize(cdr, "sal_height_msgs/msg/Calibration")
     calibration = calibration_from_message(message)
     return [StatedCalibration(calibration, to_ns(message.header.stamp), tuple(message.undetermined))]
 
@@ -159,7 +154,7 @@ def write_calibration(stated: StatedCalibration, _: Any = None) -> list[bytes]:
 
 def read_state(cdr: bytes, settings: Any) -> list[PlatformState]:
     """The platform state of an Odometry; Rejected if it cannot be used."""
-    return [state_of_pose(received_pose(cdr), frames_of(settings))]
+    return [state_from_message(deserialize(cdr, "nav_msgs/msg/Odometry"), frames_of(settings))]
 
 
 def write_state(state: PlatformState, settings: Any) -> list[bytes]:
@@ -169,7 +164,7 @@ def write_state(state: PlatformState, settings: Any) -> list[bytes]:
 
 def read_transforms(cdr: bytes, _: Any = None) -> list[StaticTransform]:
     """The transforms of a TFMessage."""
-    message = _deserialized(cdr, "tf2_msgs/msg/TFMessage")
+    message = deserialize(cdr, "tf2_msgs/msg/TFMessage")
     return [
         StaticTransform(
             one.header.frame_id,
@@ -183,7 +178,7 @@ def read_transforms(cdr: bytes, _: Any = None) -> list[StaticTransform]:
 
 def read_placed_origin(cdr: bytes, settings: Any) -> list[PlacedOrigin]:
     """The origin of a NavSatFix; Rejected if it cannot be used."""
-    message = _deserialized(cdr, "sensor_msgs/msg/NavSatFix")
+    message = deserialize(cdr, "sensor_msgs/msg/NavSatFix")
     map_frame = frames_of(settings).map
     return [PlacedOrigin(read_origin(message, map_frame), to_ns(message.header.stamp), map_frame)]
 
@@ -195,22 +190,22 @@ def write_placed_origin(placed: PlacedOrigin, _: Any = None) -> list[bytes]:
 
 def read_pose_sample(cdr: bytes, settings: Any) -> list[Pose]:
     """Position and attitude of a PoseStamped; Rejected if it cannot be used."""
-    return [Pose(*read_pose(_deserialized(cdr, "geometry_msgs/msg/PoseStamped"), frames_of(settings)))]
+    return [Pose(*read_pose(deserialize(cdr, "geometry_msgs/msg/PoseStamped"), frames_of(settings)))]
 
 
 def read_fix_sample(cdr: bytes, settings: Any) -> list[Fix]:
     """Position of a NavSatFix; Rejected if it cannot be used."""
-    return [Fix(read_fix(_deserialized(cdr, "sensor_msgs/msg/NavSatFix"), settings.origin))]
+    return [Fix(read_fix(deserialize(cdr, "sensor_msgs/msg/NavSatFix"), settings.origin))]
 
 
 def read_attitude_sample(cdr: bytes, settings: Any) -> list[Attitude]:
     """Attitude of an Imu; Rejected if it cannot be used."""
-    return [Attitude(read_attitude(_deserialized(cdr, "sensor_msgs/msg/Imu"), frames_of(settings)))]
+    return [Attitude(read_attitude(deserialize(cdr, "sensor_msgs/msg/Imu"), frames_of(settings)))]
 
 
 def read_twist_sample(cdr: bytes, settings: Any) -> list[Twist]:
     """Velocity of a TwistStamped; Rejected if it cannot be used."""
-    return [Twist(*read_twist(_deserialized(cdr, "geometry_msgs/msg/TwistStamped"), frames_of(settings)))]
+    return [Twist(*read_twist(deserialize(cdr, "geometry_msgs/msg/TwistStamped"), frames_of(settings)))]
 
 
 def write_relief(placed: PlacedRelief, _: Any = None) -> list[bytes]:
@@ -231,7 +226,7 @@ def write_mounting(placed: PlacedMounting, _: Any = None) -> list[bytes]:
 
 def _air_reader(port: str) -> Read:
     def read(cdr: bytes, _: Any = None) -> list[AirSample]:
-        return [read_air(port, _deserialized(cdr, AIR[port].type_name))]
+        return [read_air(port, deserialize(cdr, AIR[port].type_name))]
 
     return read
 

@@ -21,11 +21,8 @@ from sal_height.messages.types import Doubt as DoubtMessage
 from sal_height.messages.types import FitTest as FitTestMessage
 from sal_height.messages.types import Provenance as ProvenanceMessage
 
-PLACES_KEPT = 8
-"""Number of cached grids and apertures: the images of a dwell share theirs."""
 
-
-@lru_cache(PLACES_KEPT)
+@lru_cache(8)  # the images of a dwell share theirs
 def _place_of(grid: tuple[float, ...], aperture: tuple[float, ...], covariance: bytes) -> Place:
     """Grid and aperture from their numbers."""
     origin, row, col = np.array(grid[:3]), np.array(grid[3:6]), np.array(grid[6:9])

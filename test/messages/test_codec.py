@@ -72,6 +72,7 @@ def test_what_one_writes_the_other_reads(type_name: str, rng: np.random.Generato
         assert deserialize(in_other_byte_order(message), type_name) == message
         assert bytes(store.serialize_cdr(message, type_name)) == cdr  # padding is zero, and nothing follows
         assert SHIPPED.reader(type_name, shared=True)(cdr) == message
+        assert SHIPPED.reader(type_name, shared=True)(in_other_byte_order(message)) == message
         assert SHIPPED.serialize(message, shared=True) == cdr
 
 

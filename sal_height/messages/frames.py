@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sal_height.engine import frame_items
 from sal_height.engine.frame_items import Frame, frames_of, history_of
 from sal_height.engine.frames import USUAL, Frames
 from sal_height.engine.geometry_items import FARTHEST, FASTEST
@@ -17,7 +16,7 @@ from sal_height.geometry import PlatformState, rotation_matrix
 from sal_height.messages.basics import check_finite, check_rotation, numbers_of, to_ns, to_stamp, xyz
 from sal_height.messages.codec import deserialize
 from sal_height.messages.types import ChannelFrame, Header, Odometry, Point, Quaternion, Time, Vector3
-from sal_height.numeric import C64, F64
+from sal_height.numeric import F64
 from sal_height.sensor import PhaseHistory, Sensor
 
 
@@ -124,23 +123,6 @@ def frame_to_message(frame: Frame) -> ChannelFrame:
 def history_to_messages(history: PhaseHistory, sensor: Sensor, dwell: int, stamp: Time) -> list[ChannelFrame]:
     """Return one ChannelFrame per channel of a dwell, with samples encoded as "complex_float32"."""
     return [frame_to_message(frame) for frame in frames_of(history, sensor, dwell, to_ns(stamp))]
-
-
-def check_frame(frame: ChannelFrame, sensor: Sensor) -> None:
-    """Check that a frame has the sizes that its sensor states, and values that can be processed.
-
-    Raises:
-        Rejected: it has not; the text names the field, its value and the allowed values.
-    """
-    frame_items.check_frame(frame_of(frame), sensor)
-
-
-def samples_of(frame: ChannelFrame) -> C64:
-    """Return the samples of a frame in the unit of the receiver, complex64, shape (pulses, samples).
-
-    Of "complex_float32" they are a view, of "complex_int16" a copy multiplied by the scale.
-    """
-    return frame_items.samples_of(frame_of(frame))
 
 
 def history_from_messages(frames: Sequence[ChannelFrame]) -> PhaseHistory:

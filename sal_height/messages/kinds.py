@@ -27,13 +27,12 @@ from sal_height.engine.static_frames import StaticTransform
 from sal_height.geometry import PlatformState
 from sal_height.messages import types
 from sal_height.messages.air import AIR, read_air
-from sal_height.messages.basics import numbers_of, to_ns, to_stamp
+from sal_height.messages.basics import header_of, numbers_of, to_ns, to_stamp
 from sal_height.messages.calibrations import calibration_from_message, calibration_to_message
 from sal_height.messages.codec import SHIPPED, deserialize
 from sal_height.messages.frames import frame_to_message, received_frame, state_from_message, state_to_message
-from sal_height.messages.heights import heights_of, heights_to_message
+from sal_height.messages.heights import heights_of, heights_to_message, relief_to_message
 from sal_height.messages.images import image_to_message, received_image
-from sal_height.messages.movers import mover_points
 from sal_height.messages.navigation import (
     mounting_to_pose,
     origin_to_message,
@@ -43,8 +42,8 @@ from sal_height.messages.navigation import (
     read_pose,
     read_twist,
 )
-from sal_height.messages.relief import relief_to_message
 from sal_height.messages.sensors import sensor_from_message, sensor_to_message
+from sal_height.messages.views import mover_points
 from sal_height.sensor import Sensor
 
 Read = Callable[[bytes, Any], Sequence[Any]]
@@ -78,11 +77,6 @@ def frames_of(settings: Any) -> Frames:
     """Names and axes of the frames of coordinates that the settings of a stage state."""
     found = getattr(settings, "frames", None)
     return found if isinstance(found, Frames) else Frames(getattr(settings, "map_frame", USUAL.map))
-
-
-def header_of(stamp_ns: int, frame_id: str) -> Any:
-    """A header."""
-    return types.Header(stamp=to_stamp(stamp_ns), frame_id=frame_id)
 
 
 # Frames, images and heights

@@ -19,10 +19,12 @@ from rosbags.typesys.store import Typestore
 from sal_height.bag.compare import EQUAL, compare_bags
 from sal_height.bag.reader import BagReader
 from sal_height.bag.versions import VERSION_0, needs_upgrade, upgraded
-from sal_height.messages import deserialize, samples_of, sensor_from_message, stages_of
+from sal_height.engine.frame_items import samples_of
+from sal_height.messages import deserialize, sensor_from_message, stages_of
 from sal_height.messages import types as messages
 from sal_height.messages.codec import recorded_types
 from sal_height.messages.definition import Definition, composed, shipped_texts
+from sal_height.messages.frames import frame_of
 from sal_height.messages.parameters import parameter_of, value_of
 from sal_height.messages.plain import fields_of_message
 
@@ -139,7 +141,7 @@ def test_samples_are_those_recorded() -> None:
     old, new = last_of("/phase_history")
     recorded = np.asarray(old.samples, dtype=np.float32).view(np.complex64)
     assert recorded.any()
-    np.testing.assert_array_equal(samples_of(new).ravel(), recorded)
+    np.testing.assert_array_equal(samples_of(frame_of(new)).ravel(), recorded)
 
 
 @pytest.mark.parametrize(("topic", "count"), [("/monopulse/height", 1), ("/ml/height", 2)])

@@ -13,6 +13,7 @@ from sal_height import messages
 from sal_height.beams import PATTERNS
 from sal_height.calibration import Calibration
 from sal_height.elevation.array.estimate import ORDERS, Validity
+from sal_height.engine.frame_items import check_frame, samples_of
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry.earth import EARTH_RADIUS, sphere_point
 from sal_height.geometry.frames import ApertureState
@@ -20,7 +21,8 @@ from sal_height.geometry.grid import Grid
 from sal_height.geometry.mounting import Mounting
 from sal_height.geometry.trajectory import PlatformState
 from sal_height.imaging.focus import Slc
-from sal_height.messages import deserialize, serialize
+from sal_height.messages import deserialize, serialize, views
+from sal_height.messages.frames import frame_of
 from sal_height.messages.heights import heights_of
 from sal_height.messages.types import (
     BeamModel,
@@ -136,7 +138,7 @@ def test_phase_history_survives_its_frames(sensor: Sensor, rng: np.random.Genera
     history = PhaseHistory(messages.to_ns(STAMP), times, np.linspace(4999, 5001, shape[1]), samples)
     frames = [through_the_wire(f) for f in messages.history_to_messages(history, sensor, 7, STAMP)]
     for frame in frames:
-        messages.check_frame(frame, sensor)
+        check_frame(frame_of(frame), sensor)
         assert (frame.dwell, frame.header.frame_id) == (7, "sensor")
     back = messages.history_from_messages(frames)
     assert back.stamp_ns == history.stamp_ns
@@ -153,7 +155,7 @@ def test_samples_must_be_finite_however_large_they_are(sensor: Sensor, value: fl
     history = PhaseHistory(0, np.arange(shape[0]) * 1e-4, np.full(shape[0], 5e3), samples)
     (frame,) = messages.history_to_messages(history, sensor, 0, STAMP)
     with nullcontext() if usable else pytest.raises(Rejected, match="NaN or infinite"):
-        messages.check_frame(frame, sensor)
+        check_frame(frame_of(frame), sensor)
 
 
 def integer_frame(sensor: Sensor, rng: np.random.Generator) -> tuple[ChannelFrame, np.ndarray]:
@@ -170,7 +172,7 @@ def integer_frame(sensor: Sensor, rng: np.random.Generator) -> tuple[ChannelFram
 def test_integer_samples_are_scaled(sensor: Sensor, rng: np.random.Generator) -> None:
     frame, whole = integer_frame(sensor, rng)
     frame = through_the_wire(frame)
-    messages.check_frame(frame, sensor)
+    check_frame(frame_of(frame), sensor)
     samples = messages.history_from_messages([frame]).samples[0]
     assert samples.dtype == np.complex64
     np.testing.assert_array_equal(samples, (whole[..., 0] + 1j * whole[..., 1]) / 4)
@@ -193,7 +195,7 @@ def test_samples_that_cannot_be_decoded_are_rejected(
     frame, _ = integer_frame(sensor, rng)
     setattr(frame, field, value)
     with pytest.raises(Rejected) as rejection:
-        messages.check_frame(frame, sensor)
+        check_frame(frame_of(frame), sensor)
     assert rejection.value.reason == reason
 
 
@@ -201,7 +203,7 @@ def test_reading_float_samples_does_not_copy_them(sensor: Sensor) -> None:
     shape = (sensor.pulse_count, sensor.sample_count)
     history = PhaseHistory(0, np.arange(shape[0]) * 1e-4, np.full(shape[0], 5e3), np.zeros((1, *shape), np.complex64))
     (frame,) = messages.history_to_messages(history, sensor, 0, STAMP)
-    view = messages.samples_of(frame)
+    view = samples_of(frame_of(frame))
     np.frombuffer(frame.samples, np.float32)[1] = 42.0
     assert view[0, 0] == 42j
 
@@ -346,12 +348,12 @@ def test_a_height_field_survives_its_message(layover: bool) -> None:
             np.testing.assert_allclose(np.array(getattr(message.surfaces[1], name)), values, rtol=1e-6)
     assert len(message.surfaces) == 1 + layover
     header = Header(stamp=message.header.stamp, frame_id="map")
-    near = messages.frame_near(np.array([10.0, 20.0, 0.5]), header, "ml_origin")
-    cloud = messages.height_points(field, near)
+    near = views.frame_near(np.array([10.0, 20.0, 0.5]), header, "ml_origin")
+    cloud = views.field_points(field, near)
     assert (cloud.header.frame_id, cloud.header.stamp) == ("ml_origin", message.header.stamp)
     assert near.header.frame_id == "map"
-    assert [field.name for field in cloud.fields] == list(messages.POINT_FIELDS)
-    points = np.frombuffer(cloud.data, np.float32).reshape(cloud.width, len(messages.POINT_FIELDS))
+    assert [field.name for field in cloud.fields] == list(views.POINT_FIELDS)
+    points = np.frombuffer(cloud.data, np.float32).reshape(cloud.width, len(views.POINT_FIELDS))
     heights = [1, 2, 3, 7] if layover else [1, 2, 3]
     np.testing.assert_array_equal(points[:, 3], heights)
     if layover:
@@ -365,8 +367,8 @@ def test_points_far_from_the_origin_of_the_map_are_as_precise_as_near_ones() -> 
     height = np.random.default_rng(1).uniform(-3, 3, (20, 20))
     surface = Surface.at(grid.pixels() + height[..., None] * [0, 0, 1], height, 0.1 + height * 0, height)
     field = HeightField(grid, np.zeros((20, 20), np.uint8), (surface,))
-    near = messages.frame_near(grid.origin, Header(frame_id="map"), "ml_origin")
-    cloud = np.frombuffer(messages.height_points(field, near).data, np.float32).reshape(400, -1)
+    near = views.frame_near(grid.origin, Header(frame_id="map"), "ml_origin")
+    cloud = np.frombuffer(views.field_points(field, near).data, np.float32).reshape(400, -1)
     shift = near.transform.translation
     places = cloud[:, :3].astype(np.float64) + np.array([shift.x, shift.y, shift.z])
     true = surface.positions.reshape(-1, 3)
@@ -399,10 +401,10 @@ def test_what_is_known_of_a_surface_survives_its_message(rng: np.random.Generato
     for ours, theirs in zip(read.surfaces, surfaces, strict=True):
         for name in ("height", "sigma", "spread", "own_covariance", "common_covariance"):
             np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), rtol=1e-6, err_msg=name)
-    near = messages.frame_near(grid.origin, message.header, "ml_origin")
-    points = np.frombuffer(messages.height_points(read, near).data, np.float32)
-    points = points.reshape(-1, len(messages.POINT_FIELDS))
-    np.testing.assert_array_equal(points[:, messages.POINT_FIELDS.index("surface")], [0, 0, 0, 1, 1, 2])
+    near = views.frame_near(grid.origin, message.header, "ml_origin")
+    points = np.frombuffer(views.field_points(read, near).data, np.float32)
+    points = points.reshape(-1, len(views.POINT_FIELDS))
+    np.testing.assert_array_equal(points[:, views.POINT_FIELDS.index("surface")], [0, 0, 0, 1, 1, 2])
     third = 3 * surfaces[2].own_covariance[0, 0]
     np.testing.assert_allclose(points[5, -6:], third[np.triu_indices(3)], rtol=1e-6)
     message.surfaces.pop()

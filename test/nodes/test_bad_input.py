@@ -12,10 +12,12 @@ import pytest
 from chain_fixture import DETECTORS, START_NS, StageChain, next_dwell_is_exact, same_heights
 
 from sal_height import messages
+from sal_height.engine.frame_items import check_frame
 from sal_height.errors import Rejected
 from sal_height.geometry import Motion, Trajectory
 from sal_height.imaging import ImageSettings
 from sal_height.messages import deserialize, serialize
+from sal_height.messages.frames import frame_of
 from sal_height.messages.types import ChannelFrame, ComplexImage, HeightImage, Provenance
 from sal_height.pipeline import Compressor
 from sal_height.simulation import SimulatedFlight
@@ -103,10 +105,10 @@ def test_a_bad_frame_is_rejected_with_its_reason(
     flight: SimulatedFlight, good_frame: bytes, spoil: Any, reason: str
 ) -> None:
     frame = copy.deepcopy(deserialize(good_frame, ChannelFrame))
-    messages.check_frame(frame, flight.sensor)
+    check_frame(frame_of(frame), flight.sensor)
     spoil(frame)
     with pytest.raises(Rejected) as error:
-        messages.check_frame(frame, flight.sensor)
+        check_frame(frame_of(frame), flight.sensor)
     assert error.value.reason == reason
 
 

@@ -18,7 +18,7 @@ from sal_height.bag.check_sensor import RECORD_ALL, Finding, SensorCheck, error,
 from sal_height.bag.described import FRAMES, PARAMETER_EVENTS, sensors_in
 from sal_height.bag.files import ACCOUNT, PARAMETERS, REPEATED_SEQUENCE, bag_files, check_start, parameters_file
 from sal_height.bag.index import FileIndex, read_index, read_log_times
-from sal_height.bag.metadata_text import read_yaml
+from sal_height.bag.qos import read_yaml
 from sal_height.bag.reader import BagMessage, BagReader, Topic
 from sal_height.bag.salvage import HEAD
 from sal_height.bag.topics import HEIGHT_TYPE, IMAGE_TYPE, RELIEF_TYPE

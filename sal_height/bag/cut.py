@@ -11,13 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sal_height.bag.copies import kept_custom_data, kept_packing
 from sal_height.bag.described import PARAMETER_EVENT_TYPE, SensorTopics, after, sensors_in
 from sal_height.bag.dwells import DwellFrames, read_dwells
 from sal_height.bag.played import MARGIN_NS
-from sal_height.bag.reader import BagMessage, BagReader, Topic
-from sal_height.bag.stamps import stamp_ns_of
-from sal_height.bag.topics import CALIBRATION_TYPE, FRAME_TYPE, HEIGHT_TYPE, IMAGE_TYPE, SENSOR_TYPE
+from sal_height.bag.reader import BagMessage, BagReader, Topic, kept_custom_data, kept_packing
+from sal_height.bag.topics import CALIBRATION_TYPE, FRAME_TYPE, HEIGHT_TYPE, IMAGE_TYPE, SENSOR_TYPE, stamp_ns_of
 from sal_height.bag.writer import BagWriter, held_by_publishers
 from sal_height.errors import UserError
 from sal_height.messages import AIR_LATENCY_NS, AIR_TYPES, serialize

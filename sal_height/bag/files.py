@@ -16,8 +16,7 @@ from mcap.records import Channel, Schema
 from mcap.writer import MCAP0_MAGIC
 
 from sal_height.bag import qos
-from sal_height.bag.metadata_text import read_yaml
-from sal_height.bag.qos import Qos
+from sal_height.bag.qos import Qos, read_yaml
 from sal_height.errors import UserError
 from sal_height.messages.definition import Definition
 

@@ -210,11 +210,6 @@ def _next_chunk(data: mmap.mmap, place: int) -> int:
     return next((start for start in found if _is_sound_chunk(data, start)), len(data))
 
 
-def salvage(path: Path, out_directory: Path) -> int:
-    """Copy every whole message of the bag at `path` as `recover` does; returns their number."""
-    return recover(path, out_directory).count
-
-
 def recover(path: Path, out_directory: Path) -> Recovery:
     """Copy every whole message of the bag at `path` into a new bag in `out_directory`.
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from pathlib import Path
 
-from sal_height.bag.copies import kept_custom_data, kept_packing
 from sal_height.bag.files import ACCOUNT
-from sal_height.bag.reader import BagReader, Topic
+from sal_height.bag.reader import BagReader, Topic, kept_custom_data, kept_packing
 from sal_height.bag.versions import PACKAGE
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError

@@ -15,7 +15,7 @@ from std_msgs.msg import String
 from sal_height.bag.check import check_bag
 from sal_height.bag.cut import MARGIN_NS, Range, cut, time_of
 from sal_height.bag.reader import BagMessage, BagReader
-from sal_height.bag.stamps import stamp_ns_of
+from sal_height.bag.topics import stamp_ns_of
 from sal_height.bag.writer import BagWriter
 from sal_height.commands import main
 from sal_height.errors import UserError

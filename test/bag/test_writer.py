@@ -18,11 +18,10 @@ from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import Reader
 from std_msgs.msg import String
 
-from sal_height.bag.file_writer import CHUNK_SIZE
 from sal_height.bag.qos import TRANSIENT_LOCAL, Qos
 from sal_height.bag.reader import BagReader
-from sal_height.bag.salvage import salvage
-from sal_height.bag.writer import BagWriter
+from sal_height.bag.salvage import recover
+from sal_height.bag.writer import CHUNK_SIZE, BagWriter
 from sal_height.errors import UserError
 from sal_height.messages import deserialize, serialize
 from sal_height.messages.definition import known_definition
@@ -252,7 +251,7 @@ def test_after_a_full_disk_the_bag_is_cut_where_it_was_full(tmp_path: Path) -> N
     assert not (tmp_path / "run/metadata.yaml").exists()
     with pytest.raises(UserError, match="is cut off"):
         BagReader(tmp_path / "run")
-    saved = salvage(tmp_path / "run", tmp_path / "saved")
+    saved = recover(tmp_path / "run", tmp_path / "saved").count
     assert 30 <= saved <= written
     assert [message.cdr for message in BagReader(tmp_path / "saved").messages()] == [cdr] * saved
 

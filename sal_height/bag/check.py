@@ -16,11 +16,20 @@ from mcap.stream_reader import breakup_chunk
 
 from sal_height.bag.check_sensor import RECORD_ALL, Finding, SensorCheck, error, of_refusal, recovery, some, warning
 from sal_height.bag.described import FRAMES, PARAMETER_EVENTS, sensors_in
-from sal_height.bag.files import ACCOUNT, PARAMETERS, REPEATED_SEQUENCE, bag_files, check_start, parameters_file
-from sal_height.bag.index import FileIndex, read_index, read_log_times
+from sal_height.bag.files import (
+    ACCOUNT,
+    HEAD,
+    PARAMETERS,
+    REPEATED_SEQUENCE,
+    FileIndex,
+    bag_files,
+    check_start,
+    parameters_file,
+    read_index,
+    read_log_times,
+)
 from sal_height.bag.qos import read_yaml
 from sal_height.bag.reader import BagMessage, BagReader, Topic
-from sal_height.bag.salvage import HEAD
 from sal_height.bag.topics import HEIGHT_TYPE, IMAGE_TYPE, RELIEF_TYPE
 from sal_height.errors import UserError
 from sal_height.messages.definition import known_definition

@@ -13,8 +13,7 @@ from typing import Literal
 import numpy as np
 
 from sal_height import messages
-from sal_height.bag.described import SensorTopics
-from sal_height.bag.dwells import DwellFault, DwellFrames, DwellList, faults_of
+from sal_height.bag.described import DwellFault, DwellFrames, DwellList, SensorTopics, faults_of
 from sal_height.bag.files import PARAMETERS
 from sal_height.bag.reader import BagMessage, BagReader, kept_custom_data
 from sal_height.bag.topics import ODOMETRY_TYPE

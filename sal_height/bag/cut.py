@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sal_height.bag.described import PARAMETER_EVENT_TYPE, SensorTopics, after, sensors_in
-from sal_height.bag.dwells import DwellFrames, read_dwells
+from sal_height.bag.described import PARAMETER_EVENT_TYPE, DwellFrames, SensorTopics, after, read_dwells, sensors_in
 from sal_height.bag.played import MARGIN_NS
 from sal_height.bag.reader import BagMessage, BagReader, Topic, kept_custom_data, kept_packing
 from sal_height.bag.topics import CALIBRATION_TYPE, FRAME_TYPE, HEIGHT_TYPE, IMAGE_TYPE, SENSOR_TYPE, stamp_ns_of

@@ -1,4 +1,4 @@
-"""Quality of service of publishers: as rosbag2 writes it, in YAML with names (version 9) or numbers before."""
+"""Quality of service of publishers as rosbag2 writes it, in YAML with names (version 9) or numbers before."""
 
 from __future__ import annotations
 

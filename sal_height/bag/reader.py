@@ -19,21 +19,25 @@ from mcap.reader import SeekingReader
 from sal_height import messages
 from sal_height.bag import qos
 from sal_height.bag.files import (
+    CHUNK_FIELDS,
+    HEAD,
     PARAMETERS,
     REPEATED_SEQUENCE,
+    FileIndex,
     bag_files,
     check_encoding,
     custom_data_of,
+    damaged,
     parameters_file,
+    read_index,
+    read_message_indexes,
     recorded_definition,
     recorded_qos,
     repeated_in,
     stored_as,
 )
-from sal_height.bag.index import FileIndex, damaged, read_index, read_message_indexes
 from sal_height.bag.played import DwellPart, part_of, part_of_frame
 from sal_height.bag.qos import Qos, read_yaml, yaml_text
-from sal_height.bag.salvage import CHUNK_FIELDS, HEAD
 from sal_height.bag.topics import BagMessage, Topic
 from sal_height.bag.versions import current_name, needs_upgrade, upgraded
 from sal_height.bag.writer import Packing

@@ -27,7 +27,11 @@ from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 
 from sal_height.bag.files import (
+    CHUNK_FIELDS,
     CUSTOM_DATA,
+    HEAD,
+    INDEX_ENTRY,
+    INDEX_HEAD,
     REPEATED_SEQUENCE,
     bag_files,
     check_encoding,
@@ -42,11 +46,6 @@ from sal_height.bag.files import (
 from sal_height.bag.recovery import UNKNOWN, Gap, Recovery
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
-
-INDEX_HEAD = struct.Struct("<HI")
-"""Channel of a message index, and bytes of its entries, of INDEX_ENTRY bytes each."""
-
-INDEX_ENTRY = 16
 
 
 @dataclass(frozen=True)
@@ -112,7 +111,7 @@ def counts_of_index(span: RecordSpan, stream: BinaryIO) -> tuple[int, int] | Non
     if len(body) < INDEX_HEAD.size:
         return None
     channel_id, size = INDEX_HEAD.unpack_from(body)
-    return (channel_id, size // INDEX_ENTRY) if size == len(body) - INDEX_HEAD.size else None
+    return (channel_id, size // INDEX_ENTRY.itemsize) if size == len(body) - INDEX_HEAD.size else None
 
 
 def _span(stream: BinaryIO, place: int, limit: int, *, is_open: bool, has_chunks: bool) -> RecordSpan:
@@ -139,16 +138,10 @@ def _span(stream: BinaryIO, place: int, limit: int, *, is_open: bool, has_chunks
     return RecordSpan(place, limit - place, opcode, whole=False) if is_open and not has_chunks else lost
 
 
-HEAD = struct.Struct("<BQ")
-"""Opcode and length of a record."""
-
 OPCODES = frozenset(Opcode)
 
 COMPRESSION = HEAD.size + 28
 """Position of the name of the compression in a chunk: after times, size and checksum."""
-
-CHUNK_FIELDS = 40
-"""Bytes before the data of a chunk that is not compressed, after opcode and length."""
 
 LENGTH = struct.Struct("<Q")
 

@@ -29,7 +29,7 @@ from sal_height.commands._options import (
 from sal_height.io import bag_name
 
 if TYPE_CHECKING:
-    from sal_height.bag.dwells import DwellReport
+    from sal_height.bag.described import DwellReport
 
 PARTS = Group("What is done with a bag", sort_key=3)
 
@@ -116,8 +116,7 @@ def info(bag: Bag, /, *, dwells: Flag = False, json_: Json = False) -> int:
 
 
 def _dwell_reports(bag: Path) -> list[DwellReport]:
-    from sal_height.bag.described import sensors_in
-    from sal_height.bag.dwells import dwell_report
+    from sal_height.bag.described import dwell_report, sensors_in
     from sal_height.bag.reader import BagReader
 
     reader = BagReader(bag)

@@ -9,7 +9,6 @@ from sal_height.engine.air import AIR_LATENCY_NS, AIR_OF_TOPICS, AirSample, need
 from sal_height.engine.frame_items import LONGEST_DWELL
 from sal_height.engine.frames import MAP_FRAME, Frames
 from sal_height.engine.provenance import autofocus_values
-from sal_height.messages.air import AIR, AIR_TYPES, air_to_messages, read_air
 from sal_height.messages.basics import (
     aperture_from_message,
     complex_view,
@@ -20,7 +19,6 @@ from sal_height.messages.basics import (
     to_ns,
     to_stamp,
 )
-from sal_height.messages.calibrations import calibration_from_message, calibration_to_message
 from sal_height.messages.codec import BrokenMessage, deserialize, serialize
 from sal_height.messages.frames import (
     history_from_messages,
@@ -36,13 +34,22 @@ from sal_height.messages.heights import (
 )
 from sal_height.messages.images import check_slc, received_image, recorded_window, slc_from_messages, slc_to_messages
 from sal_height.messages.navigation import (
+    AIR,
+    AIR_TYPES,
+    air_to_messages,
     origin_to_message,
+    read_air,
     read_attitude,
     read_fix,
     read_origin,
 )
 from sal_height.messages.parameters import stages_of, with_stage
-from sal_height.messages.sensors import sensor_from_message, sensor_to_message
+from sal_height.messages.sensors import (
+    calibration_from_message,
+    calibration_to_message,
+    sensor_from_message,
+    sensor_to_message,
+)
 
 __all__ = [
     "AIR",

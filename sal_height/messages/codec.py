@@ -17,8 +17,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from sal_height.messages.cdr_parts import ENCAPSULATION
-from sal_height.messages.definition import Definition, shipped_layout
-from sal_height.messages.layout import Layout, read_layouts
+from sal_height.messages.definition import Definition, Layout, read_layouts, shipped_layout
 from sal_height.messages.programs import Programs, Read
 
 BIG_ENDIAN, LITTLE_ENDIAN = b"\x00\x00", b"\x00\x01"

@@ -26,23 +26,28 @@ from sal_height.engine.stage import Port
 from sal_height.engine.static_frames import StaticTransform
 from sal_height.geometry import PlatformState
 from sal_height.messages import types
-from sal_height.messages.air import AIR, read_air
 from sal_height.messages.basics import header_of, numbers_of, to_ns, to_stamp
-from sal_height.messages.calibrations import calibration_from_message, calibration_to_message
 from sal_height.messages.codec import SHIPPED, deserialize
 from sal_height.messages.frames import frame_to_message, received_frame, state_from_message, state_to_message
 from sal_height.messages.heights import heights_of, heights_to_message, relief_to_message
 from sal_height.messages.images import image_to_message, received_image
 from sal_height.messages.navigation import (
+    AIR,
     mounting_to_pose,
     origin_to_message,
+    read_air,
     read_attitude,
     read_fix,
     read_origin,
     read_pose,
     read_twist,
 )
-from sal_height.messages.sensors import sensor_from_message, sensor_to_message
+from sal_height.messages.sensors import (
+    calibration_from_message,
+    calibration_to_message,
+    sensor_from_message,
+    sensor_to_message,
+)
 from sal_height.messages.views import mover_points
 from sal_height.sensor import Sensor
 

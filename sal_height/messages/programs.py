@@ -15,7 +15,7 @@ import numpy as np
 
 from sal_height.engine.provenance import Same
 from sal_height.messages import cdr_parts as parts
-from sal_height.messages.layout import ARRAY, CODES, LIST, TEXT, Field, Layout
+from sal_height.messages.definition import ARRAY, CODES, LIST, TEXT, Field, Layout
 from sal_height.messages.plain import DTYPES, Message, attribute, message_class
 
 SHARED = {"sal_height_msgs/msg/Provenance"}

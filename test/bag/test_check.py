@@ -16,8 +16,7 @@ from mcap.writer import Writer
 
 from sal_height.bag.check import check_bag
 from sal_height.bag.check_sensor import Finding
-from sal_height.bag.files import ACCOUNT
-from sal_height.bag.index import read_index
+from sal_height.bag.files import ACCOUNT, read_index
 from sal_height.bag.reader import BagMessage
 from sal_height.bag.topics import IMAGE_TYPE
 from sal_height.bag.writer import BagWriter

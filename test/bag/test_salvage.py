@@ -18,7 +18,7 @@ from rclpy.serialization import serialize_message
 from rosbags.rosbag2 import Reader
 from std_msgs.msg import String
 
-from sal_height.bag.index import read_index
+from sal_height.bag.files import read_index
 from sal_height.bag.qos import TRANSIENT_LOCAL, Qos
 from sal_height.bag.reader import BagReader
 from sal_height.bag.recovery import UNKNOWN

@@ -21,11 +21,11 @@ from sal_height.messages.codec import SHIPPED, recorded_types
 from sal_height.messages.definition import (
     Definition,
     installed_definition,
+    read_layout,
     share_folders,
     shipped_definition,
     shipped_texts,
 )
-from sal_height.messages.layout import read_layout
 from sal_height.messages.programs import KEPT
 from sal_height.nodes.transport import message_types
 from sal_height.nodes.transport.message_types import class_of, message_class

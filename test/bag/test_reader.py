@@ -105,12 +105,6 @@ def test_a_bag_of_several_files_is_one_sequence(tmp_path: Path) -> None:
     assert [message.log_time_ns for message in reader.messages()] == list(range(6))
 
 
-def test_decoding_gives_the_message(bag: Path) -> None:
-    reader = BagReader(bag)
-    (message,) = reader.messages()
-    assert reader.decode(message.type_name, message.cdr).data == "hello"
-
-
 def test_the_offered_qos_comes_back(tmp_path: Path) -> None:
     latched = Qos(depth=3, durability=TRANSIENT_LOCAL, liveliness="automatic")
     with BagWriter(tmp_path / "run") as writer:

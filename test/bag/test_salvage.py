@@ -160,34 +160,6 @@ def chunked(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, list[bytes
     return (folder / "run_0.mcap").read_bytes(), messages
 
 
-def test_any_flipped_bit_costs_one_chunk_at_most_and_invents_nothing(
-    tmp_path: Path, chunked: tuple[bytes, list[bytes]]
-) -> None:
-    """Except in the few bytes whose damage hides the rest: the lengths of the chunks, which no checksum protects."""
-    data, messages = chunked
-    rng = np.random.default_rng(14)
-    saved, refused = [], 0
-    for number in range(120):
-        damaged = bytearray(data)
-        damaged[rng.integers(len(data))] ^= 1 << rng.integers(8)
-        (tmp_path / "damaged.mcap").write_bytes(damaged)
-        out = tmp_path / str(number)
-        try:
-            count = recover(tmp_path / "damaged.mcap", out).count
-        except UserError:  # the first bytes no longer say that it is a bag of ROS 2
-            refused += 1
-            continue
-        reader = BagReader(out)
-        found = [message.cdr for message in reader.messages()]
-        saved.append(count)
-        assert count == len(found)
-        assert set(found) <= set(messages)
-        assert set(reader.topics) <= {"/greeting", "/silent"}
-        assert reader.custom_data in ({"parameters": "{}"}, {})
-    assert refused + sum(count < 15 for count in saved) <= 5
-    assert sum(count == 20 for count in saved) > 40
-
-
 @pytest.mark.parametrize("cut", [0, 1])
 def test_custom_data_and_topics_without_messages_survive(
     cut: int, tmp_path: Path, chunked: tuple[bytes, list[bytes]]
@@ -331,6 +303,7 @@ def test_whatever_byte_is_damaged_no_message_is_changed_and_the_account_is_right
             continue
         assert found <= messages
         assert count == len(found) >= len(messages) - 3
+        assert BagReader(tmp_path / "out").custom_data in ({"parameters": "{}"}, {})
         assert f"{count} messages recovered" in said.out
         if count < len(messages):
             assert status == 1

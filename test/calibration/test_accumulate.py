@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -22,6 +22,7 @@ from sal_height.geometry.earth import sphere_point
 from sal_height.geometry.frames import angles_of
 from sal_height.geometry.trajectory import Trajectory
 from sal_height.imaging.focus import ImageSettings, Slc, focus_dwell
+from sal_height.numeric import F64
 from sal_height.response.point_targets import PointTarget, PointTargetSettings
 from sal_height.simulation.flight import SimulatedFlight, flight_of
 from sal_height.simulation.impairments import Impairments, RangeSawtooth
@@ -39,8 +40,9 @@ def images(flight: SimulatedFlight) -> Iterator[Slc]:
         yield focus_dwell(flight.phase_history(dwell), track, flight.sensor, settings)
 
 
-def calibrated(flight: SimulatedFlight, slcs: Iterator[Slc] | list[Slc]) -> Any:
-    calibrator = Calibrator(flight.sensor)
+def calibrated(flight: SimulatedFlight, slcs: Iterable[Slc], place: F64 | None = None, **changes: Any) -> Any:
+    """Calibration and the reasons of what is undetermined; `place`: that of a reference target in map, m."""
+    calibrator = Calibrator(flight.sensor, place, CalibrationSettings(**changes))
     for slc in slcs:
         calibrator.add(slc)
     return calibrator.calibration()
@@ -128,29 +130,20 @@ def test_settings_say_how_much_is_kept_and_clipped() -> None:
     Calibrator(flight.sensor, settings=CalibrationSettings(max_saturated_fraction=0.02)).add(clipped)
 
 
-def _zeros(slc: Slc) -> Slc:
-    return replace(slc, images=np.zeros_like(slc.images))
+def dead(slc: Slc) -> Slc:
+    return replace(slc, images=slc.images * (np.arange(8) != 2)[:, None, None].astype(np.float32))
 
 
-def _bad(slc: Slc) -> Slc:
-    return replace(slc, images=np.full_like(slc.images, np.nan))
+SPOILED: dict[str, Callable[[Slc], Slc]] = {
+    "zeros": lambda slc: replace(slc, images=np.zeros_like(slc.images)),
+    "not finite": lambda slc: replace(slc, images=np.full_like(slc.images, np.nan)),
+    "a dead channel": dead,
+    "narrow": lambda slc: replace(slc, images=slc.images[..., :3], grid=replace(slc.grid, cols=3)),
+    "without noise": lambda slc: replace(slc, noise_power=np.zeros_like(slc.noise_power)),
+}
 
 
-def _dead(slc: Slc) -> Slc:
-    dead = slc.images.copy()
-    dead[2] = 0
-    return replace(slc, images=dead)
-
-
-def _narrow(slc: Slc) -> Slc:
-    return replace(slc, images=slc.images[..., :3], grid=replace(slc.grid, cols=3))
-
-
-def _silent(slc: Slc) -> Slc:
-    return replace(slc, noise_power=np.zeros_like(slc.noise_power))
-
-
-@pytest.mark.parametrize("spoil", [_zeros, _bad, _dead, _narrow, _silent])
+@pytest.mark.parametrize("spoil", SPOILED.values(), ids=SPOILED)
 def test_images_that_do_not_tell_leave_all_as_described_and_say_why(spoil: Any) -> None:
     flight = flown(2)
     with np.errstate(invalid="raise"):
@@ -193,10 +186,7 @@ def paired(**changes: Any) -> SimulatedFlight:
 def test_a_reference_target_tells_what_a_scene_cannot() -> None:
     """Amplitudes of a pair; speckle beside the target leaves 1 %. The bias of monopulse goes with them."""
     flight = paired()
-    (slc,) = images(flight)
-    calibrator = Calibrator(flight.sensor, sphere_point(0.0, 0.1, 0.2))
-    calibrator.add(slc)
-    calibration, undetermined = calibrator.calibration()
+    calibration, undetermined = calibrated(flight, images(flight), sphere_point(0.0, 0.1, 0.2))
     gain = calibration.response.mean(axis=1)
     np.testing.assert_allclose(20 * np.log10(np.abs(gain)), [0.5, -0.5], atol=0.1)
     np.testing.assert_allclose(np.angle(gain), [0.17, -0.17], atol=0.02)
@@ -218,20 +208,16 @@ def test_a_reference_target_tells_what_a_scene_cannot() -> None:
 )
 def test_settings_say_what_is_enough(changed: dict[str, Any], sentence: str) -> None:
     """A dwell over a reflector, which with the settings as they are determines everything."""
-    flight, place = paired(), sphere_point(0.0, 0.1, 0.2)
-    calibrator = Calibrator(flight.sensor, place if "target" in sentence else None, CalibrationSettings(**changed))
-    for slc in images(flight):
-        calibrator.add(slc)
-    assert any(sentence in reason for reason in calibrator.calibration()[1])
+    flight, place = paired(), sphere_point(0.0, 0.1, 0.2) if "target" in sentence else None
+    _, undetermined = calibrated(flight, images(flight), place, **changed)
+    assert any(sentence in reason for reason in undetermined)
 
 
 def test_heights_of_a_pair_lose_their_bias_by_a_reference_target() -> None:
     """Elevation of the target itself: before, off by 1 dB over the slope of the pair; a tenth of that after."""
     flight, place = paired(), sphere_point(0.0, 0.1, 0.2)
     (slc,) = images(flight)
-    calibrator = Calibrator(flight.sensor, place)
-    calibrator.add(slc)
-    calibration, _ = calibrator.calibration()
+    calibration, _ = calibrated(flight, [slc], place)
     track, history, sensor = Trajectory(flight.platform_states(0)), flight.phase_history(0), flight.sensor
     _, elevation, _ = angles_of(place, slc.aperture, sensor.look_side)
     biases = []
@@ -248,9 +234,6 @@ def test_heights_of_a_pair_lose_their_bias_by_a_reference_target() -> None:
 
 def test_a_target_that_is_not_seen_leaves_the_scene_to_tell() -> None:
     flight = flown(10)
-    calibrator = Calibrator(flight.sensor, sphere_point(1000.0, 0.0, 0.0))
-    for slc in images(flight):
-        calibrator.add(slc)
-    calibration, undetermined = calibrator.calibration()
+    calibration, undetermined = calibrated(flight, images(flight), sphere_point(1000.0, 0.0, 0.0))
     assert "by the reference target: No dwell shows the target" in undetermined[0]
     assert calibration.width_sigma > 0

@@ -12,13 +12,12 @@ import h5py
 import numpy as np
 import pytest
 import yaml
-from helpers import assert_one_sentence
+from helpers import refused
 from pyproj import Geod
 from scipy.io import savemat
 
 from sal_height import messages
 from sal_height.bag.reader import BagReader
-from sal_height.errors import UserError
 from sal_height.geometry import Origin, PlatformState, rotation_matrix
 from sal_height.imports import Collection, import_arrays, level_states, read_track, write_collection
 from sal_height.imports.arrays import OF_TRACK
@@ -212,9 +211,8 @@ def test_arrays_that_do_not_fit_are_refused(
         arrays["times"] = np.zeros(len(arrays["positions"]))
     np.savez(tmp_path / "data.npz", **{name: value for name, value in arrays.items() if value is not None})
     description = write_description(tmp_path / "mine.yaml", description_of(flight))
-    with pytest.raises(UserError) as refused:
+    with refused(words):
         import_arrays(description, tmp_path / "data.npz", tmp_path / "bag")
-    assert_one_sentence(str(refused.value), words)
 
 
 @pytest.mark.parametrize(
@@ -230,18 +228,16 @@ def test_descriptions_that_are_none_are_refused(
     change: dict[str, Any], words: str, flight: SimulatedFlight, tmp_path: Path
 ) -> None:
     description = write_description(tmp_path / "mine.yaml", description_of(flight, **change))
-    with pytest.raises(UserError) as refused:
+    with refused("mine.yaml", words):
         import_arrays(description, tmp_path / "data.npz", tmp_path / "bag")
-    assert_one_sentence(str(refused.value), "mine.yaml", words)
 
 
 def test_files_of_other_kinds_and_damaged_ones_are_refused(flight: SimulatedFlight, tmp_path: Path) -> None:
     description = write_description(tmp_path / "mine.yaml", description_of(flight))
     for name, words in (("data.txt", "read from .npz, .mat, .h5 and .hdf5"), ("data.mat", "not a whole .mat file")):
         (tmp_path / name).write_bytes(b"nothing")
-        with pytest.raises(UserError) as refused:
+        with refused(name, words):
             import_arrays(description, tmp_path / name, tmp_path / "bag")
-        assert_one_sentence(str(refused.value), name, words)
 
 
 COLUMNS = "time,latitude,longitude,height,roll,pitch,heading"
@@ -307,6 +303,5 @@ def test_a_track_of_inertial_post_processing(tmp_path: Path) -> None:
 )
 def test_tracks_that_are_none_are_refused(name: str, content: str, words: str, tmp_path: Path) -> None:
     (tmp_path / name).write_text(content)
-    with pytest.raises(UserError) as refused:
+    with refused(f"Track {tmp_path / name}", words):
         read_track(tmp_path / name, None)
-    assert_one_sentence(str(refused.value), f"Track {tmp_path / name}", words)

@@ -11,14 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import assert_one_sentence
+from helpers import refused
 from pyproj import Transformer
 from scipy.spatial.transform import Rotation
 
 from sal_height import messages
 from sal_height.bag.qos import ODOMETRY
 from sal_height.bag.writer import BagWriter
-from sal_height.errors import UserError
 from sal_height.geometry import Origin, PlatformState, rotation_matrix
 from sal_height.imports import read_recorded_track
 from sal_height.messages import serialize
@@ -165,6 +164,5 @@ def test_attitudes_beside_a_gap_of_fixes_are_left_out_and_told(
 def test_bags_without_a_track_are_refused(
     recorded: list[tuple[str, Any]], origin: Origin | None, words: str, tmp_path: Path
 ) -> None:
-    with pytest.raises(UserError) as refused:
+    with refused(words):
         read_recorded_track(write(tmp_path / "bag", recorded), origin)
-    assert_one_sentence(str(refused.value), words)

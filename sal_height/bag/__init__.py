@@ -2,5 +2,5 @@
 
 `writer` and `reader` are the two ends; `qos` has the profiles, `files` the parts of a bag and their indexes, and
 `described` its sensors and dwells. `info` and `check` report on a bag, `salvage` recovers the whole messages of a
-damaged one, `cut` and `upgrade` make bags of bags, and `compare` compares the heights of two.
+damaged one, `copies` cuts and upgrades them, and `compare` compares the heights of two.
 """

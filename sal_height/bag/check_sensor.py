@@ -13,9 +13,10 @@ from typing import Literal
 import numpy as np
 
 from sal_height import messages
+from sal_height.bag.copies import kept_custom_data
 from sal_height.bag.described import DwellFault, DwellFrames, DwellList, SensorTopics, faults_of
 from sal_height.bag.files import PARAMETERS
-from sal_height.bag.reader import BagMessage, BagReader, kept_custom_data
+from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.bag.topics import ODOMETRY_TYPE
 from sal_height.engine.frame_items import check_frame
 from sal_height.errors import Rejected, UserError

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import heapq
-import json
 import struct
 from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
@@ -11,7 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
-import yaml
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
@@ -21,14 +19,12 @@ from sal_height.bag import qos
 from sal_height.bag.files import (
     CHUNK_FIELDS,
     HEAD,
-    PARAMETERS,
     REPEATED_SEQUENCE,
     FileIndex,
     bag_files,
     check_encoding,
     custom_data_of,
     damaged,
-    parameters_file,
     read_index,
     read_message_indexes,
     recorded_definition,
@@ -40,7 +36,6 @@ from sal_height.bag.played import DwellPart, part_of, part_of_frame
 from sal_height.bag.qos import Qos, read_yaml, yaml_text
 from sal_height.bag.topics import BagMessage, Topic
 from sal_height.bag.versions import current_name, needs_upgrade, upgraded
-from sal_height.bag.writer import Packing
 from sal_height.engine.frame_items import Frame
 from sal_height.errors import UserError
 from sal_height.messages import BrokenMessage
@@ -449,22 +444,3 @@ def _read_messages(
                     yield BagMessage(channel.topic, schema.name, message.data, message.log_time, message.publish_time)
     except Exception as error:  # mcap reports damage by any exception of its parser
         raise damaged(file, error) from error
-
-
-def kept_custom_data(reader: BagReader) -> dict[str, str]:
-    """The custom data of a bag, with the parameters of an older one, which are in a file of their own next to it."""
-    file = parameters_file(reader.path)
-    if PARAMETERS in reader.custom_data or not file.is_file():
-        return dict(reader.custom_data)
-    try:
-        values = json.dumps(yaml.safe_load(file.read_text(encoding="utf-8")) or {})
-    except (OSError, ValueError, TypeError, yaml.YAMLError):  # a replay of the original refuses it
-        return dict(reader.custom_data)
-    return {**reader.custom_data, PARAMETERS: values}
-
-
-def kept_packing(reader: BagReader) -> Packing:
-    """One file, compressed as the first chunk of the bag is."""
-    chunks = (chunk for index in reader.indexes for chunk in index.summary.chunk_indexes)
-    first = next(chunks, None)
-    return Packing((first.compression if first else "") or "none")

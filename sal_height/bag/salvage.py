@@ -12,8 +12,8 @@ import os
 import re
 import struct
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
@@ -43,9 +43,68 @@ from sal_height.bag.files import (
     recorded_qos,
     repeated_in,
 )
-from sal_height.bag.recovery import UNKNOWN, Gap, Recovery
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
+from sal_height.tables import aligned
+
+UNKNOWN = "(unknown)"
+"""Text in place of the topic of messages whose channel is no longer described."""
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A part of a file that could not be read.
+
+    Attributes:
+        file: file of the bag.
+        offset: position of its first byte.
+        size: size, bytes.
+        reason: reason in words.
+        lost: number of lost messages by topic, as far as the index of the chunk states it; else empty.
+    """
+
+    file: Path
+    offset: int
+    size: int
+    reason: str
+    lost: Mapping[str, int] = field(default_factory=dict, compare=False)
+
+    def __str__(self) -> str:
+        text = f"{self.size} bytes at byte {self.offset} of {self.file} could not be read: {self.reason}"
+        counts = ", ".join(f"{count} messages on {topic}" for topic, count in sorted(self.lost.items()))
+        return f"{text}; they contained {counts}." if counts else f"{text}."
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """Result of a recovery.
+
+    Attributes:
+        recovered: number of messages in the new bag by topic, topics without messages included.
+        lost: number of messages that are known to be lost, by topic.
+        gaps: parts of the files that could not be read.
+    """
+
+    recovered: Counter[str]
+    lost: Counter[str]
+    gaps: Sequence[Gap]
+
+    @property
+    def count(self) -> int:
+        """Messages in the new bag."""
+        return self.recovered.total()
+
+    @property
+    def is_whole(self) -> bool:
+        """True if nothing is lost, as far as is known."""
+        return not (self.gaps or self.lost)
+
+
+def recovery_table(recovery: Recovery) -> str:
+    """Messages recovered and lost, by topic, as lines of text."""
+    topics = sorted({*recovery.recovered, *recovery.lost})
+    rows = [[topic, str(recovery.recovered[topic]), str(recovery.lost[topic])] for topic in topics]
+    return aligned([["topic", "recovered", "known lost"], *rows])
 
 
 @dataclass(frozen=True)
@@ -215,7 +274,7 @@ def recover(path: Path, out_directory: Path) -> Recovery:
     files = bag_files(path)
     for file in files:
         _check_header(file)
-    recovery = Recovery(Counter(), Counter(), [])
+    recovered, lost, gaps = Counter[str](), Counter[str](), list[Gap]()
     with BagWriter(out_directory, _custom_data(files)) as bag:
         for file in files:
             try:
@@ -223,17 +282,10 @@ def recover(path: Path, out_directory: Path) -> Recovery:
                     found = _FileCopy(file, stream, bag).run()
             except OSError as error:
                 raise UserError(f"File {file} cannot be salvaged to {out_directory}: {error}.") from error
-            recovery = Recovery(
-                _sum(recovery.recovered, found.recovered),
-                recovery.lost + found.lost,
-                [*recovery.gaps, *found.gaps],
-            )
-    return recovery
-
-
-def _sum(one: Counter[str], other: Counter[str]) -> Counter[str]:
-    """The sum of counts, of which some are 0."""
-    return Counter({name: one[name] + other[name] for name in (*one, *other)})
+            recovered.update(found.recovered)  # unlike a sum, it keeps topics without messages
+            lost += found.lost
+            gaps += found.gaps
+    return Recovery(recovered, lost, gaps)
 
 
 def _check_header(file: Path) -> None:

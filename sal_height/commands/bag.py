@@ -175,8 +175,7 @@ def recover(bag: Bag, /, *, out: OutputFolder = None) -> int:
 
 def recover_bag(bag: Path, folder: Path) -> int:
     """Recover a bag into a folder, and tell what is recovered and lost."""
-    from sal_height.bag.recovery import recovery_table
-    from sal_height.bag.salvage import recover
+    from sal_height.bag.salvage import recover, recovery_table
 
     recovery = recover(bag, folder)
     print(f"{recovery_table(recovery)}\n{recovery.count} messages recovered in {folder}")
@@ -248,8 +247,8 @@ def cut(
     """
     folder = output_folder(out, f"cut_{bag_name(bag)}")
 
-    from sal_height.bag.cut import Range, time_of
-    from sal_height.bag.cut import cut as cut_out
+    from sal_height.bag.copies import Range, time_of
+    from sal_height.bag.copies import cut as cut_out
     from sal_height.bag.reader import BagReader
 
     reader = BagReader(bag)
@@ -273,7 +272,7 @@ def upgrade(bag: Bag, /, *, out: OutputFolder = None) -> int:
     """
     folder = output_folder(out, f"upgrade_{bag_name(bag)}")
 
-    from sal_height.bag.upgrade import upgrade as write_anew
+    from sal_height.bag.copies import upgrade as write_anew
 
     made = write_anew(bag, folder)
     for topic, count in made.items():

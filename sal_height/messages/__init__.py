@@ -28,11 +28,6 @@ from sal_height.messages.frames import (
     state_to_message,
     twist_covariance,
 )
-from sal_height.messages.heights import (
-    field_from_message,
-    height_to_message,
-)
-from sal_height.messages.images import check_slc, received_image, recorded_window, slc_from_messages, slc_to_messages
 from sal_height.messages.navigation import (
     AIR,
     AIR_TYPES,
@@ -44,6 +39,15 @@ from sal_height.messages.navigation import (
     read_origin,
 )
 from sal_height.messages.parameters import stages_of, with_stage
+from sal_height.messages.products import (
+    check_slc,
+    field_from_message,
+    height_to_message,
+    received_image,
+    recorded_window,
+    slc_from_messages,
+    slc_to_messages,
+)
 from sal_height.messages.sensors import (
     calibration_from_message,
     calibration_to_message,

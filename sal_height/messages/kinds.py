@@ -29,8 +29,6 @@ from sal_height.messages import types
 from sal_height.messages.basics import header_of, numbers_of, to_ns, to_stamp
 from sal_height.messages.codec import SHIPPED, deserialize
 from sal_height.messages.frames import frame_to_message, received_frame, state_from_message, state_to_message
-from sal_height.messages.heights import heights_of, heights_to_message, relief_to_message
-from sal_height.messages.images import image_to_message, received_image
 from sal_height.messages.navigation import (
     AIR,
     mounting_to_pose,
@@ -41,6 +39,13 @@ from sal_height.messages.navigation import (
     read_origin,
     read_pose,
     read_twist,
+)
+from sal_height.messages.products import (
+    heights_of,
+    heights_to_message,
+    image_to_message,
+    received_image,
+    relief_to_message,
 )
 from sal_height.messages.sensors import (
     calibration_from_message,

@@ -13,7 +13,7 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
 from sal_height.bag.check import check_bag
-from sal_height.bag.cut import MARGIN_NS, Range, cut, time_of
+from sal_height.bag.copies import MARGIN_NS, Range, cut, time_of
 from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.bag.topics import stamp_ns_of
 from sal_height.bag.writer import BagWriter

@@ -14,10 +14,9 @@ from helpers import assert_one_sentence, refused
 from rosbags.convert.cli import main as rosbags_convert
 
 from sal_height.bag.check import check_bag
-from sal_height.bag.cut import Range, cut
+from sal_height.bag.copies import Range, cut, upgrade
 from sal_height.bag.info import bag_info
 from sal_height.bag.reader import BagReader
-from sal_height.bag.upgrade import upgrade
 from sal_height.commands import main
 from sal_height.errors import UserError
 

@@ -21,8 +21,7 @@ from std_msgs.msg import String
 from sal_height.bag.files import read_index
 from sal_height.bag.qos import TRANSIENT_LOCAL, Qos
 from sal_height.bag.reader import BagReader
-from sal_height.bag.recovery import UNKNOWN
-from sal_height.bag.salvage import recover
+from sal_height.bag.salvage import UNKNOWN, recover
 from sal_height.bag.writer import CHUNK_SIZE, BagWriter, Packing
 from sal_height.commands import main
 from sal_height.errors import UserError

@@ -9,9 +9,9 @@ import pytest
 from bags_at_hand import REFERENCE
 
 from sal_height.bag.check import check_bag
+from sal_height.bag.copies import upgrade
 from sal_height.bag.files import ACCOUNT
 from sal_height.bag.reader import BagReader
-from sal_height.bag.upgrade import upgrade
 from sal_height.bag.writer import COMPRESSIONS, BagWriter, Packing
 from sal_height.commands import main
 from sal_height.messages.definition import known_definition

@@ -14,8 +14,10 @@ from helpers import BEAMWIDTH, circular, elevation_at, make_beams, make_sensor, 
 
 from sal_height.beams.array import Beams
 from sal_height.beams.pattern import Pattern, pattern_named
-from sal_height.calibration.beam_calibration import BeamCalibration, calibrate_beams, calibrate_on_target
-from sal_height.calibration.beam_likelihood import (
+from sal_height.calibration.beam_calibration import (
+    BeamCalibration,
+    calibrate_beams,
+    calibrate_on_target,
     curve_of,
     variance_between,
     with_known_angles,

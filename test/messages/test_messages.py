@@ -24,7 +24,7 @@ from sal_height.geometry.trajectory import PlatformState
 from sal_height.imaging.focus import Slc
 from sal_height.messages import deserialize, serialize, views
 from sal_height.messages.frames import frame_of
-from sal_height.messages.heights import heights_of
+from sal_height.messages.products import heights_of
 from sal_height.messages.types import (
     BeamModel,
     ChannelFrame,

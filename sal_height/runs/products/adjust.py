@@ -18,9 +18,10 @@ from sal_height.adjustment import (
     adjust,
     corrected_states,
 )
+from sal_height.bag.copies import kept_packing
 from sal_height.bag.described import sensors_of
 from sal_height.bag.namespace import NamespacedReader
-from sal_height.bag.reader import BagReader, kept_packing
+from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import CALIBRATION_TYPE, FIX_TYPE, FRAME_TYPE, ODOMETRY_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.elevation import ESTIMATORS

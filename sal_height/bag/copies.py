@@ -1,7 +1,8 @@
-"""Cut a range of time or of dwells out of a bag, as a bag that can be replayed by itself."""
+"""Copies of a bag: of a range of time or of dwells that can be replayed by itself, or with the messages of today."""
 
 from __future__ import annotations
 
+import json
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,14 +11,18 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import yaml
 
 from sal_height.bag.described import PARAMETER_EVENT_TYPE, DwellFrames, SensorTopics, after, read_dwells, sensors_in
+from sal_height.bag.files import ACCOUNT, PARAMETERS, parameters_file
 from sal_height.bag.played import MARGIN_NS
-from sal_height.bag.reader import BagMessage, BagReader, Topic, kept_custom_data, kept_packing
+from sal_height.bag.reader import BagMessage, BagReader, Topic
 from sal_height.bag.topics import CALIBRATION_TYPE, FRAME_TYPE, HEIGHT_TYPE, IMAGE_TYPE, SENSOR_TYPE, stamp_ns_of
-from sal_height.bag.writer import BagWriter, held_by_publishers
+from sal_height.bag.versions import PACKAGE
+from sal_height.bag.writer import BagWriter, Packing, held_by_publishers
 from sal_height.errors import UserError
 from sal_height.messages import AIR_LATENCY_NS, AIR_TYPES, serialize
+from sal_height.messages.definition import Definition, known_definition
 from sal_height.messages.types import ParameterEvent
 
 STAMPS_FROM_S = 100_000_000
@@ -243,3 +248,63 @@ def _held(topic: Topic) -> int:
     if topic.type_name == "tf2_msgs/msg/TFMessage" and not topic.name.endswith("tf_static"):
         by_type = 0
     return max(by_type, held_by_publishers(topic.offered_qos) if topic.offered_qos else 0)
+
+
+def upgrade(path: Path, out_directory: Path) -> Counter[str]:
+    """Write the bag at `path` with its messages converted to those of today, in one file.
+
+    Messages of other packages, and those of sal_height_msgs that have not changed, stay byte for byte, with their
+    times; custom data stay, and parameters from a file next to an older bag are added to them.
+
+    Returns:
+        Number of upgraded messages by topic.
+
+    Raises:
+        UserError: the bag is damaged or not complete, or the folder is not empty.
+    """
+    reader = BagReader(path)
+    made: Counter[str] = Counter()
+    account = reader.indexes[-1].records.get(ACCOUNT) if reader.indexes else None
+    try:
+        with BagWriter(out_directory, kept_custom_data(reader), kept_packing(reader)) as bag:
+            for topic in reader.topics.values():
+                bag.add_topic(topic.name, topic.type_name, topic.offered_qos, _definition_of(topic))
+            for message in reader.messages():
+                bag.write(message.topic, message.cdr, message.log_time_ns, message.publish_time_ns)
+                made[message.topic] += reader.topics[message.topic].is_old
+            bag.close({ACCOUNT: account} if account else {})
+    except OSError as error:
+        raise UserError(f"Bag {out_directory} cannot be written: {error}.") from error
+    return +made
+
+
+def _definition_of(topic: Topic) -> Definition:
+    """Today's definition of the messages of a topic; that in the bag if they are of another package."""
+    if topic.is_old:
+        return known_definition(topic.type_name)
+    if not topic.type_name.startswith(PACKAGE):
+        return topic.definition
+    try:
+        known = known_definition(topic.type_name)
+    except UserError:  # a type that no longer exists
+        return topic.definition
+    return known if topic.definition.same_layout(known) else topic.definition
+
+
+def kept_custom_data(reader: BagReader) -> dict[str, str]:
+    """The custom data of a bag, with the parameters of an older one, which are in a file of their own next to it."""
+    file = parameters_file(reader.path)
+    if PARAMETERS in reader.custom_data or not file.is_file():
+        return dict(reader.custom_data)
+    try:
+        values = json.dumps(yaml.safe_load(file.read_text(encoding="utf-8")) or {})
+    except (OSError, ValueError, TypeError, yaml.YAMLError):  # a replay of the original refuses it
+        return dict(reader.custom_data)
+    return {**reader.custom_data, PARAMETERS: values}
+
+
+def kept_packing(reader: BagReader) -> Packing:
+    """One file, compressed as the first chunk of the bag is."""
+    chunks = (chunk for index in reader.indexes for chunk in index.summary.chunk_indexes)
+    first = next(chunks, None)
+    return Packing((first.compression if first else "") or "none")

@@ -25,9 +25,6 @@ from sal_height.numeric import I64
 from sal_height.renamed import with_new_names
 from sal_height.sensor import Sensor
 
-NAMED = 3
-"""Number of cases that a finding names; of more it states the number."""
-
 
 @dataclass(frozen=True)
 class Finding:
@@ -70,8 +67,9 @@ def recovery(path: Path) -> str:
 
 def some(cases: Sequence[object]) -> str:
     """The first few of several cases."""
-    named = "; ".join(map(str, cases[:NAMED]))
-    return f"{named}; and {len(cases) - NAMED} more" if len(cases) > NAMED else named
+    most = 3  # are named
+    named = "; ".join(map(str, cases[:most]))
+    return f"{named}; and {len(cases) - most} more" if len(cases) > most else named
 
 
 GAPLESS_NS = 50_000_000
@@ -133,7 +131,7 @@ class SensorCheck:
 
     def _check_air(self) -> Iterator[Finding]:
         """Check that the bag has the air messages that the compression needs."""
-        if not _hears_air(self._reader):
+        if not _uses_air_topics(self._reader):
             return
         needed = {topic for sensor in self._sensors.values() for topic in messages.needed_air(sensor.wavelength)}
         names = [self.topics.namespace + topic for topic in messages.AIR if topic in needed]
@@ -252,7 +250,7 @@ class SensorCheck:
             )
 
 
-def _hears_air(reader: BagReader) -> bool:
+def _uses_air_topics(reader: BagReader) -> bool:
     """True if the compression used the air of messages, by the parameters with which a bag was made."""
     try:
         values = json.loads(kept_custom_data(reader).get(PARAMETERS, "{}"))

@@ -19,7 +19,7 @@ from sal_height.bag.played import MARGIN_NS
 from sal_height.bag.reader import BagMessage, BagReader, Topic
 from sal_height.bag.topics import CALIBRATION_TYPE, FRAME_TYPE, HEIGHT_TYPE, IMAGE_TYPE, SENSOR_TYPE, stamp_ns_of
 from sal_height.bag.versions import PACKAGE
-from sal_height.bag.writer import BagWriter, Packing, held_by_publishers
+from sal_height.bag.writer import BagWriter, Packing, kept_by_publishers
 from sal_height.errors import UserError
 from sal_height.messages import AIR_LATENCY_NS, AIR_TYPES, serialize
 from sal_height.messages.definition import Definition, known_definition
@@ -180,9 +180,12 @@ class _Window:
         self._spans: dict[str, list[_Span]] = {}
         for name, span in spans:
             self._spans.setdefault(name, []).append(span)
-        self._stamps = {name: _stamps_for(name, plans) for name, t in reader.topics.items() if t.type_name in OF_DWELLS}
+        of_dwells = [name for name, topic in reader.topics.items() if topic.type_name in OF_DWELLS]
+        self._stamps = {name: _stamps_for(name, plans) for name in of_dwells}
         self._latched = {
-            name: deque[BagMessage](maxlen=held) for name, topic in reader.topics.items() if (held := _held(topic))
+            name: deque[BagMessage](maxlen=count)
+            for name, topic in reader.topics.items()
+            if (count := _kept_count(topic))
         }
         self._parameters: dict[str, tuple[ParameterEvent, BagMessage]] = {}
 
@@ -193,7 +196,7 @@ class _Window:
         for message in self._reader.recorded_messages():
             if not is_begun and message.log_time_ns >= self._begin_ns:
                 is_begun = True
-                yield from self._held_messages()
+                yield from self._earlier_messages()
                 yield from waiting
             if self._keeps(message):
                 if is_begun:
@@ -201,9 +204,9 @@ class _Window:
                 else:
                     waiting.append(message)  # odometry or air
             elif not is_begun:
-                self._hold(message)
+                self._remember(message)
         if not is_begun:
-            yield from self._held_messages()
+            yield from self._earlier_messages()
             yield from waiting
 
     def _keeps(self, message: BagMessage) -> bool:
@@ -215,7 +218,7 @@ class _Window:
                 return True
         return self._begin_ns <= message.log_time_ns <= self._end_ns
 
-    def _hold(self, message: BagMessage) -> None:
+    def _remember(self, message: BagMessage) -> None:
         """Keep a message from before the range, if it is latched or has parameters."""
         if message.topic in self._latched:
             self._latched[message.topic].append(message)
@@ -226,7 +229,7 @@ class _Window:
             cdr = serialize(merged) if known else message.cdr
             self._parameters[event.node] = merged, message._replace(cdr=cdr)
 
-    def _held_messages(self) -> Iterator[BagMessage]:
+    def _earlier_messages(self) -> Iterator[BagMessage]:
         """The last latched messages and parameters before the range."""
         latched = [message for queue in self._latched.values() for message in queue]
         for message in (*latched, *(message for _, message in self._parameters.values())):
@@ -240,14 +243,14 @@ def _stamps_for(topic: str, plans: Sequence[_SensorPlan]) -> frozenset[int]:
     return innermost.stamps if innermost else frozenset()
 
 
-def _held(topic: Topic) -> int:
+def _kept_count(topic: Topic) -> int:
     """Number of messages of a topic that late subscribers receive; 0 if it is not latched."""
     if topic.type_name in OF_DWELLS:
         return 0
     by_type = LATCHED.get(topic.type_name, 0)
     if topic.type_name == "tf2_msgs/msg/TFMessage" and not topic.name.endswith("tf_static"):
         by_type = 0
-    return max(by_type, held_by_publishers(topic.offered_qos) if topic.offered_qos else 0)
+    return max(by_type, kept_by_publishers(topic.offered_qos) if topic.offered_qos else 0)
 
 
 def upgrade(path: Path, out_directory: Path) -> Counter[str]:

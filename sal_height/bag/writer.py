@@ -264,7 +264,7 @@ class BagWriter:
         topic = WrittenTopic(name, type_name, definition or known_definition(type_name), list(qos))
         with self._breaking():
             self._file.add_topic(topic)
-        self._topics[name] = _Topic(topic, latched=deque(maxlen=held_by_publishers(qos)))
+        self._topics[name] = _Topic(topic, latched=deque(maxlen=kept_by_publishers(qos)))
 
     def write(self, topic: str, cdr: bytes, log_time_ns: int, publish_time_ns: int) -> None:
         """Append one serialized message of a topic added before. Times in nanoseconds, not negative.
@@ -399,7 +399,7 @@ def _span(files: Sequence[Written]) -> dict[str, Any]:
     }
 
 
-def held_by_publishers(profiles: Sequence[Qos]) -> int:
+def kept_by_publishers(profiles: Sequence[Qos]) -> int:
     """Messages that publishers keep for late subscribers, 100 at most; 0 if any of them keeps none."""
     if any(profile.durability != TRANSIENT_LOCAL for profile in profiles):
         return 0

@@ -27,9 +27,6 @@ KEPT = 16
 WRITTEN_ONCE = {"sal_height_msgs/msg/Provenance": KEPT, "rcl_interfaces/msg/Parameter": 512}
 """Types whose shared messages have their bytes cached, and the number of them: provenances and their parameters."""
 
-DEEPEST = 32
-"""Most levels of nested messages."""
-
 Order = Literal["<", ">"]
 """Order of bytes: the least significant first, or last."""
 
@@ -107,8 +104,9 @@ class Programs:
         Raises:
             ValueError: it contains itself, or has a field of a kind that is not read.
         """
-        if depth > DEEPEST:
-            raise ValueError(f"{type_name} contains messages at more than {DEEPEST} levels")
+        deepest = 32  # levels of nested messages
+        if depth > deepest:
+            raise ValueError(f"{type_name} contains messages at more than {deepest} levels")
         if type_name not in self._sizes:
             sizes = [self._size_of_field(field, depth) for field in self.layout(type_name).fields]
             self._sizes[type_name] = sum(leaves for leaves, _ in sizes), sum(least for _, least in sizes)

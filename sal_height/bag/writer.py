@@ -30,14 +30,37 @@ NO_TIME = 2**63 - 1
 """Start of a bag without messages, as rosbag2 states it."""
 
 
-@dataclass(frozen=True)
-class WrittenTopic:
-    """A topic of a bag that is being written: its type, and the profiles of its publishers."""
+class _Kept(NamedTuple):
+    """A message that is repeated at the head of the next file."""
+
+    cdr: bytes
+    publish_time_ns: int
+
+
+@dataclass
+class _Topic:
+    """A topic of a bag that is being written.
+
+    Attributes:
+        name: name of the topic.
+        type_name: type of its messages.
+        definition: text and hash of the type.
+        offered_qos: profile of every publisher.
+        latched: last messages, as many as publishers keep.
+        kept: messages that are repeated, by key.
+    """
 
     name: str
     type_name: str
     definition: Definition
     offered_qos: Sequence[Qos]
+    latched: deque[_Kept]
+    kept: dict[str, _Kept] = field(default_factory=dict)
+
+    @property
+    def head(self) -> list[_Kept]:
+        """Messages and metadata at the head of the next file."""
+        return [*self.latched, *self.kept.values()]
 
 
 @dataclass
@@ -100,7 +123,7 @@ class FileWriter:
         """True if nothing more can be written."""
         return self._stream.closed
 
-    def add_topic(self, topic: WrittenTopic) -> None:
+    def add_topic(self, topic: _Topic) -> None:
         """Prepare a topic for `write`."""
         key = (topic.type_name, topic.definition)
         if key not in self._schema_ids:  # once for all topics with it
@@ -173,25 +196,6 @@ class Packing:
 ONE_FILE = Packing()
 
 
-class _Kept(NamedTuple):
-    """A message that is repeated at the head of the next file."""
-
-    cdr: bytes
-    publish_time_ns: int
-
-
-@dataclass
-class _Topic:
-    described: WrittenTopic
-    latched: deque[_Kept] = field(default_factory=deque)
-    kept: dict[str, _Kept] = field(default_factory=dict)
-
-    @property
-    def head(self) -> list[_Kept]:
-        """Messages and metadata at the head of the next file."""
-        return [*self.latched, *self.kept.values()]
-
-
 class BagWriter:
     """A bag folder that is being written; a context manager, or call `close`.
 
@@ -254,17 +258,18 @@ class BagWriter:
             OSError: the file cannot be written.
         """
         if name in self._topics:
-            known = self._topics[name].described.type_name
+            known = self._topics[name].type_name
             if known != type_name:
                 raise UserError(
                     f"Topic {name} of bag {self.directory} carries {known!r} and cannot carry {type_name!r} as well; a "
                     "topic of a bag has one type."
                 )
             return
-        topic = WrittenTopic(name, type_name, definition or known_definition(type_name), list(qos))
+        latched = deque[_Kept](maxlen=kept_by_publishers(qos))
+        topic = _Topic(name, type_name, definition or known_definition(type_name), list(qos), latched)
         with self._breaking():
             self._file.add_topic(topic)
-        self._topics[name] = _Topic(topic, latched=deque(maxlen=kept_by_publishers(qos)))
+        self._topics[name] = topic
 
     def write(self, topic: str, cdr: bytes, log_time_ns: int, publish_time_ns: int) -> None:
         """Append one serialized message of a topic added before. Times in nanoseconds, not negative.
@@ -340,7 +345,7 @@ class BagWriter:
         heads = {name: topic.head for name, topic in self._topics.items() if topic.head}
         self._file = self._begin_file({name: len(kept) for name, kept in heads.items()})
         for topic in self._topics.values():
-            self._file.add_topic(topic.described)
+            self._file.add_topic(topic)
         for name, kept in heads.items():
             for message in kept:
                 self._file.write(name, message.cdr, log_time_ns, message.publish_time_ns, repeated=True)
@@ -371,10 +376,10 @@ class BagWriter:
                 {
                     "topic_metadata": {
                         "name": name,
-                        "type": topic.described.type_name,
+                        "type": topic.type_name,
                         "serialization_format": "cdr",
-                        "offered_qos_profiles": qos_text.to_dicts(topic.described.offered_qos),
-                        "type_description_hash": topic.described.definition.type_hash,
+                        "offered_qos_profiles": qos_text.to_dicts(topic.offered_qos),
+                        "type_description_hash": topic.definition.type_hash,
                     },
                     "message_count": counts[name],
                 }

@@ -34,7 +34,9 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.11,<3.14",
     packages=find_packages(include=["sal_height", "sal_height.*"]),
-    package_data={"sal_height": ["presets/*.yaml", "presets/*.csv", "config/*", "launch/*", "messages/*.pyi"]},
+    package_data={
+        "sal_height": ["presets/*.yaml", "presets/*.csv", "config/*", "launch/*", "messages/*.json", "messages/*.pyi"]
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/sal_height"]),
         ("share/sal_height", ["package.xml"]),

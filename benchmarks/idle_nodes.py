@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from sal_height.bag.stamps import stamp_ns_of
+from sal_height.bag.topics import stamp_ns_of
 from sal_height.engine.stage import Job
 from sal_height.messages import serialize
 from sal_height.nodes.playing.playlist import restamped

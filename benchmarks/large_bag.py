@@ -13,7 +13,7 @@ from pathlib import Path
 from benchmarks.row import Row, sized
 from sal_height.bag.described import FRAMES
 from sal_height.bag.reader import BagReader
-from sal_height.bag.stamps import stamp_ns_of
+from sal_height.bag.topics import stamp_ns_of
 from sal_height.bag.writer import BagWriter
 from sal_height.nodes.playing.playlist import restamped
 from sal_height.runs.live.sensor_bag import record_sensor

@@ -10,8 +10,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from sal_height.messages import serialize
 from sal_height.messages.codec import SHIPPED
-from sal_height.messages.definition import shipped_definition
-from sal_height.messages.layout import ARRAY, LIST, SINGLE, TEXT, Field
+from sal_height.messages.definition import ARRAY, LIST, SINGLE, TEXT, Field, shipped_definition
 from sal_height.messages.plain import DTYPES, is_same
 from sal_height.nodes.transport.message_types import message_class
 

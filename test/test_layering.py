@@ -295,7 +295,7 @@ from pathlib import Path
 from sal_height import messages
 from sal_height.bag.check import check_bag
 from sal_height.bag.reader import BagReader
-from sal_height.bag.upgrade import upgrade
+from sal_height.bag.copies import upgrade
 from sal_height.bag.writer import BagWriter
 
 for folder in sorted(path for path in Path(sys.argv[1]).iterdir() if path.is_dir()):

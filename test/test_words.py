@@ -16,10 +16,7 @@ PRIVATE = re.compile(
 )
 """Words for which the field has better ones: publish, report, receive, again, N, invalid, in addition, misaligned."""
 
-GENERATED = {"definitions.py"}
-"""Texts of message types, which `tools.definitions` copies from `msg_defs/`."""
-
-MODULES = sorted(path for path in (ROOT / "sal_height").rglob("*.py") if path.name not in GENERATED)
+MODULES = sorted((ROOT / "sal_height").rglob("*.py"))
 PAGES = sorted([*(ROOT / "docs").rglob("*.md"), ROOT / "README.md", *(ROOT / "msg_defs" / "msg").glob("*.msg")])
 
 

@@ -33,6 +33,16 @@ PVP = np.dtype(
     ]
 )
 
+CONVENTIONS: dict[str, dict[str, Any]] = {
+    "FX": {},
+    "FX, plus, whole numbers": {"sign": +1, "signal_format": "CI4"},
+    "FX, wandering frequencies": {"wander_hz": 300e3},
+    "FX, silent pulses": {"silent": 20},
+    "TOA": {"domain": "TOA"},
+    "TOA, plus, whole numbers, wandering": {"domain": "TOA", "sign": +1, "signal_format": "CI4", "wander_hz": 300e3},
+}
+"""Arguments of `write_cphd` for files by other conventions."""
+
 
 def flown() -> np.ndarray:
     """Parameters of the pulses without those of the samples; the aircraft moves on until the echo arrives."""

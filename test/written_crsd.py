@@ -67,6 +67,13 @@ KINDS: dict[int, np.dtype[Any]] = {
     -2: np.dtype(("f8", 2)),
 }
 
+CONVENTIONS: dict[str, dict[str, Any]] = {
+    "rising": {},
+    "falling, early vectors, whole numbers": {"falling": True, "early_s": 0.2e-6, "signal_format": "CI4"},
+    "vectors of noise, two channels": {"silent": 20, "channels": ("HH", "HV")},
+}
+"""Arguments of `write_crsd` for files by other conventions."""
+
 
 def layout(parameters: Mapping[str, int]) -> dict[str, Any]:
     """The elements that describe the parameters of pulses or vectors."""

@@ -1,4 +1,4 @@
-"""Writes texts and hashes of message types into `sal_height/messages/definitions.py`.
+"""Writes texts and hashes of message types into `sal_height/messages/definitions.json`.
 
 Ours are read from msg_defs, those of others from the installed ROS.
 
@@ -7,13 +7,14 @@ usage: python -m tools.definitions
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 ROOT = Path(__file__).parents[1]
-FILE = ROOT / "sal_height" / "messages" / "definitions.py"
+FILE = ROOT / "sal_height" / "messages" / "definitions.json"
 
 OWN = "sal_height_msgs"
 
@@ -40,26 +41,18 @@ TAKEN = (
 TFMESSAGE = "tf2_msgs/msg/TFMessage", "geometry_msgs/TransformStamped[] transforms\n"
 """A type that ROS's packages on PyPI do not have, and its text."""
 
-HEAD = '''"""Texts and hashes of the message types that the package reads and writes; made by tools/definitions.py."""
-
-from __future__ import annotations
-
-from collections.abc import Mapping
-from types import MappingProxyType
-
-'''
-
 
 def texts() -> dict[str, str]:
     """The text of every type by its name: ours, those taken, and what these contain."""
-    found = {f"{OWN}/msg/{file.stem}": _text(file) for file in (ROOT / "msg_defs" / "msg").glob("*.msg")}
+    files = (ROOT / "msg_defs" / "msg").glob("*.msg")
+    found = {f"{OWN}/msg/{file.stem}": file.read_text(encoding="utf-8") for file in files}
     found[TFMESSAGE[0]] = TFMESSAGE[1]
     waiting = [*found, *TAKEN]
     while waiting:
         name = waiting.pop()
         if name not in found:
             package, _, stem = name.split("/")
-            found[name] = _text(Path(sys.prefix, "share", package, "msg", f"{stem}.msg"))
+            found[name] = Path(sys.prefix, "share", package, "msg", f"{stem}.msg").read_text(encoding="utf-8")
         (fields,) = (fields for _, fields in get_types_from_msg(found[name], name).values())
         for _, description in fields:
             kind = description[1] if description[0] == 2 else description[1][0][1] if description[0] > 2 else ""
@@ -68,25 +61,15 @@ def texts() -> dict[str, str]:
     return dict(sorted(found.items()))
 
 
-def module() -> str:
-    """The source of the module."""
+def content() -> str:
+    """The content of the file."""
     known, store = texts(), get_typestore(Stores.EMPTY)
     store.register(
         {name: entry for one, text in known.items() for name, entry in get_types_from_msg(text, one).items()}
     )
-    lines = [HEAD + "TEXTS: Mapping[str, str] = MappingProxyType(\n    {"]
-    lines += [f'        "{name}": r"""{text}""",' for name, text in known.items()]
-    lines += ["    }\n)\n", "HASHES: Mapping[str, str] = MappingProxyType(\n    {"]
-    lines += [f'        "{name}": "{store.hash_rihs01(name)}",' for name in known]
-    return "\n".join([*lines, "    }\n)\n"])
-
-
-def _text(file: Path) -> str:
-    text = file.read_text(encoding="utf-8")
-    if '"""' in text or text.endswith(('"', "\\")):
-        raise ValueError(f"{file} cannot stand in a Python text as it is")
-    return text
+    shipped = {"texts": known, "hashes": {name: store.hash_rihs01(name) for name in known}}
+    return json.dumps(shipped, ensure_ascii=False, indent=1) + "\n"
 
 
 if __name__ == "__main__":
-    FILE.write_text(module(), encoding="utf-8")
+    FILE.write_text(content(), encoding="utf-8")

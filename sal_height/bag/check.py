@@ -13,17 +13,27 @@ from typing import Any
 from mcap.data_stream import ReadDataStream
 from mcap.records import Chunk, ChunkIndex, Message
 from mcap.stream_reader import breakup_chunk
+from mcap.writer import MCAP0_MAGIC
 
 from sal_height.bag.check_sensor import RECORD_ALL, Finding, SensorCheck, error, of_refusal, recovery, some, warning
-from sal_height.bag.definitions import known_definition
 from sal_height.bag.described import FRAMES, PARAMETER_EVENTS, sensors_in
-from sal_height.bag.files import ACCOUNT, PARAMETERS, REPEATED_SEQUENCE, bag_files, check_start, parameters_file
-from sal_height.bag.index import FileIndex, read_index, read_log_times
-from sal_height.bag.metadata_text import read_yaml
+from sal_height.bag.files import (
+    ACCOUNT,
+    HEAD,
+    PARAMETERS,
+    REPEATED_SEQUENCE,
+    FileIndex,
+    bag_files,
+    check_start,
+    parameters_file,
+    read_index,
+    read_log_times,
+)
+from sal_height.bag.qos import read_yaml
 from sal_height.bag.reader import BagMessage, BagReader, Topic
-from sal_height.bag.salvage import HEAD
 from sal_height.bag.topics import HEIGHT_TYPE, IMAGE_TYPE, RELIEF_TYPE
 from sal_height.errors import UserError
+from sal_height.messages.definition import known_definition
 from sal_height.topics import SENSOR_INFO
 
 WITH_PROVENANCE = {IMAGE_TYPE, HEIGHT_TYPE, RELIEF_TYPE}
@@ -86,10 +96,10 @@ def check_accounts(reader: BagReader) -> Iterator[Finding]:
                     f"Messages of topic {topic} are not in the bag, as its recorder says: {reasons}.",
                     "Record to a faster disk, or with more memory (max_memory_mb of node recorder).",
                 )
-    told = any(topic.type_name in WITH_PROVENANCE and topic.count for topic in reader.topics.values())
+    in_products = any(topic.type_name in WITH_PROVENANCE and topic.count for topic in reader.topics.values())
     events = reader.topics.get(PARAMETER_EVENTS)
     stated = PARAMETERS in reader.custom_data or parameters_file(reader.path).is_file()
-    if not (told or stated or (events and events.count)):
+    if not (in_products or stated or (events and events.count)):
         yield warning(
             f"Bag {reader.path} does not contain the parameters of nodes: neither custom data, nor {PARAMETER_EVENTS}, "
             "nor the provenance of products.",
@@ -189,9 +199,6 @@ def _are_near(what: str, stated: Any, found: Any) -> bool:
     return what.endswith(" in ns") and abs(int(stated) - int(found)) <= 1
 
 
-MAGIC_BYTES = 8
-
-
 def check_bag(path: Path, advance: Callable[[int, int], None]) -> list[Finding]:
     """Find the faults of the bag at `path`; all its data are read.
 
@@ -234,7 +241,7 @@ def check_bag(path: Path, advance: Callable[[int, int], None]) -> list[Finding]:
 def _start(file: Path) -> bytes:
     try:
         with file.open("rb") as stream:
-            return stream.read(MAGIC_BYTES)
+            return stream.read(len(MCAP0_MAGIC))
     except OSError as refusal:
         raise UserError(f"File {file} cannot be read: {refusal.strerror}.") from refusal
 

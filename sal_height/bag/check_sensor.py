@@ -14,18 +14,16 @@ import numpy as np
 
 from sal_height import messages
 from sal_height.bag.copies import kept_custom_data
-from sal_height.bag.described import SensorTopics
-from sal_height.bag.dwells import DwellFault, DwellFrames, DwellList, faults_of
+from sal_height.bag.described import DwellFault, DwellFrames, DwellList, SensorTopics, faults_of
 from sal_height.bag.files import PARAMETERS
 from sal_height.bag.reader import BagMessage, BagReader
+from sal_height.bag.topics import ODOMETRY_TYPE
+from sal_height.engine.frame_items import check_frame
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import REORDERED_NS
 from sal_height.numeric import I64
 from sal_height.renamed import with_new_names
 from sal_height.sensor import Sensor
-
-NAMED = 3
-"""Number of cases that a finding names; of more it states the number."""
 
 
 @dataclass(frozen=True)
@@ -69,8 +67,9 @@ def recovery(path: Path) -> str:
 
 def some(cases: Sequence[object]) -> str:
     """The first few of several cases."""
-    named = "; ".join(map(str, cases[:NAMED]))
-    return f"{named}; and {len(cases) - NAMED} more" if len(cases) > NAMED else named
+    most = 3  # are named
+    named = "; ".join(map(str, cases[:most]))
+    return f"{named}; and {len(cases) - most} more" if len(cases) > most else named
 
 
 GAPLESS_NS = 50_000_000
@@ -102,7 +101,8 @@ class SensorCheck:
             if message.topic == self.topics.frames:
                 self._add_frame(message)
             elif message.topic == self.topics.odometry:
-                self._poses.append((message.log_time_ns, messages.received_pose(message.cdr).stamp_ns))
+                stamp = messages.deserialize(message.cdr, ODOMETRY_TYPE).header.stamp
+                self._poses.append((message.log_time_ns, messages.to_ns(stamp)))
         except Rejected as fault:
             self._note(message.topic, fault.reason, str(fault))
         except (UserError, RuntimeError) as fault:
@@ -131,7 +131,7 @@ class SensorCheck:
 
     def _check_air(self) -> Iterator[Finding]:
         """Check that the bag has the air messages that the compression needs."""
-        if not _hears_air(self._reader):
+        if not _uses_air_topics(self._reader):
             return
         needed = {topic for sensor in self._sensors.values() for topic in messages.needed_air(sensor.wavelength)}
         names = [self.topics.namespace + topic for topic in messages.AIR if topic in needed]
@@ -173,10 +173,9 @@ class SensorCheck:
             )
 
     def _add_frame(self, message: BagMessage) -> None:
-        self._dwells.add(message.cdr, message.log_time_ns)
-        frame = messages.received_frame(message.cdr)
-        if sensor := self._sensors.get(frame.config_hash):
-            messages.check_frame(frame, sensor)
+        frame = self._dwells.add(message.cdr, message.log_time_ns)
+        if sensor := self._sensors.get(frame.key.sensor):
+            check_frame(frame, sensor)
 
     def _note(self, topic: str, reason: str, sentence: str) -> None:
         self._faults.setdefault((topic, reason), sentence)
@@ -251,7 +250,7 @@ class SensorCheck:
             )
 
 
-def _hears_air(reader: BagReader) -> bool:
+def _uses_air_topics(reader: BagReader) -> bool:
     """True if the compression used the air of messages, by the parameters with which a bag was made."""
     try:
         values = json.loads(kept_custom_data(reader).get(PARAMETERS, "{}"))

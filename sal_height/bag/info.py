@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from sal_height.bag.described import sensors_in
-from sal_height.bag.files import bag_files
-from sal_height.bag.index import FileIndex, read_log_times
+from sal_height.bag.files import FileIndex, bag_files, read_log_times
 from sal_height.bag.reader import BagReader, Topic
 from sal_height.errors import UserError
 from sal_height.numeric import I64

@@ -35,14 +35,14 @@ class NamespacedReader(BagReader):
         self.namespace = f"/{namespace.strip('/')}" if namespace.strip("/") else ""
         kept = {name: name for name in self.topics if name not in {*renamed, *renamed.values()}}
         known = kept | {new: old for old, new in renamed.items() if old in self.topics}
-        within = {name.removeprefix(self.namespace): old for name, old in known.items() if self.holds(name)}
-        self._recorded_names = {name: old for name, old in known.items() if not self.holds(name)} | within
+        within = {name.removeprefix(self.namespace): old for name, old in known.items() if self.contains(name)}
+        self._recorded_names = {name: old for name, old in known.items() if not self.contains(name)} | within
         self._names = {recorded: name for name, recorded in self._recorded_names.items()}
         self.topics = {
             name: replace(self.topics[recorded], name=name) for name, recorded in self._recorded_names.items()
         }
 
-    def holds(self, name: str) -> bool:
+    def contains(self, name: str) -> bool:
         """True if a topic or node is in the namespace, by its whole name."""
         return name.startswith(f"{self.namespace}/")
 

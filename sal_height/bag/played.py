@@ -9,11 +9,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from sal_height import messages
-from sal_height.bag.stamps import stamp_ns_of
 from sal_height.bag.topics import FRAME_TYPE, HEIGHT_TYPE, IMAGE_TYPE, ODOMETRY_TYPE, BagMessage
+from sal_height.engine.frame_items import Frame
 from sal_height.engine.stage import DwellKey
-from sal_height.messages.codec import SHIPPED
-from sal_height.messages.received import ReceivedFrame
 from sal_height.messages.types import Provenance
 
 MARGIN_NS = 1_000_000_000
@@ -50,22 +48,19 @@ def part_of(recorded: BagMessage) -> DwellPart | None:
     """
     if recorded.type_name == FRAME_TYPE:
         return part_of_frame(messages.received_frame(recorded.cdr))
-    if recorded.type_name == IMAGE_TYPE:
-        image = messages.received_image(recorded.cdr)
-        return DwellPart(DwellKey(image.config_hash, image.dwell, image.stamp_ns), image.stamp_ns, image.provenance)
-    if recorded.type_name == HEIGHT_TYPE:
-        origin = messages.height_origin(recorded.cdr)
-        dwell = DwellKey(str(origin.provenance.config_hash), origin.dwell, origin.stamp_ns)
-        return DwellPart(dwell, origin.stamp_ns, origin.provenance)
+    if recorded.type_name in {IMAGE_TYPE, HEIGHT_TYPE}:
+        product = messages.deserialize(recorded.cdr, recorded.type_name, shared=True)
+        stamp_ns = messages.to_ns(product.header.stamp)
+        dwell = DwellKey(product.provenance.config_hash, product.dwell, stamp_ns)
+        return DwellPart(dwell, stamp_ns, product.provenance)
     return None
 
 
-def part_of_frame(frame: ReceivedFrame) -> DwellPart:
+def part_of_frame(frame: Frame) -> DwellPart:
     """The dwell of a frame."""
     times = frame.pulse_time
     duration_s = float(times.max(where=(times > 0) & (times <= messages.LONGEST_DWELL), initial=0.0))
-    dwell = DwellKey(frame.config_hash, frame.dwell, frame.stamp_ns)
-    return DwellPart(dwell, frame.stamp_ns + round(duration_s * 1e9))
+    return DwellPart(frame.key, frame.key.stamp_ns + round(duration_s * 1e9))
 
 
 class Content(NamedTuple):
@@ -109,13 +104,16 @@ def read_contents(recorded: Iterator[BagMessage]) -> Iterator[Played]:
 def _content_of(recorded: BagMessage) -> Content:
     try:
         if recorded.type_name == ODOMETRY_TYPE:
-            return Content(odometry_ns=messages.received_pose(recorded.cdr).stamp_ns)
+            return Content(odometry_ns=_stamp_ns(recorded))
         if recorded.type_name in messages.AIR_TYPES:
-            SHIPPED.reader(recorded.type_name)(recorded.cdr)  # refuses messages that are broken after the stamp
-            return Content(air_ns=stamp_ns_of(recorded.cdr))
+            return Content(air_ns=_stamp_ns(recorded))
         return Content(part_of(recorded))
     except Exception as error:  # noqa: BLE001 (broken bytes may raise anything)
         return Content(fault=str(error))
+
+
+def _stamp_ns(recorded: BagMessage) -> int:
+    return messages.to_ns(messages.deserialize(recorded.cdr, recorded.type_name).header.stamp)
 
 
 @dataclass(frozen=True)

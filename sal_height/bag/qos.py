@@ -1,4 +1,4 @@
-"""Quality of service of publishers: as rosbag2 writes it, in YAML with names (version 9) or numbers before."""
+"""Quality of service of publishers as rosbag2 writes it, in YAML with names (version 9) or numbers before."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Any
 
 import yaml
 
-from sal_height.bag.metadata_text import read_yaml, yaml_text
 from sal_height.errors import UserError
 
 RELIABLE, BEST_EFFORT = "reliable", "best_effort"
@@ -115,3 +114,21 @@ def _policy(name: str, value: str | int) -> str:
 def _duration(ns: int) -> dict[str, int]:
     seconds, nanoseconds = divmod(ns, 10**9)
     return {"sec": seconds, "nsec": nanoseconds}
+
+
+_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+
+
+def read_yaml(text: str) -> Any:
+    """Plain data of a text.
+
+    Raises:
+        yaml.YAMLError: it is not YAML.
+    """
+    return yaml.load(text, _LOADER)  # noqa: S506 (a safe one)
+
+
+def yaml_text(content: object, *, sort_keys: bool = True) -> str:
+    """Plain data as a text."""
+    return str(yaml.dump(content, Dumper=_DUMPER, sort_keys=sort_keys))

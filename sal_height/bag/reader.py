@@ -16,29 +16,31 @@ from mcap.reader import SeekingReader
 
 from sal_height import messages
 from sal_height.bag import qos
-from sal_height.bag.definitions import Definition, known_definition
 from sal_height.bag.files import (
+    CHUNK_FIELDS,
+    HEAD,
     REPEATED_SEQUENCE,
+    FileIndex,
     bag_files,
     check_encoding,
     custom_data_of,
+    damaged,
+    read_index,
+    read_message_indexes,
     recorded_definition,
     recorded_qos,
     repeated_in,
     stored_as,
 )
-from sal_height.bag.index import FileIndex, damaged, read_index, read_message_indexes
-from sal_height.bag.metadata_text import read_yaml, yaml_text
 from sal_height.bag.played import DwellPart, part_of, part_of_frame
-from sal_height.bag.qos import Qos
-from sal_height.bag.salvage import CHUNK_FIELDS, HEAD
+from sal_height.bag.qos import Qos, read_yaml, yaml_text
 from sal_height.bag.topics import BagMessage, Topic
 from sal_height.bag.versions import current_name, needs_upgrade, upgraded
+from sal_height.engine.frame_items import Frame
 from sal_height.errors import UserError
 from sal_height.messages import BrokenMessage
 from sal_height.messages.codec import SHIPPED, recorded_types
-from sal_height.messages.definition import shipped_definition
-from sal_height.messages.received import ReceivedFrame
+from sal_height.messages.definition import Definition, known_definition, shipped_definition
 
 
 def is_stored_otherwise(path: Path) -> bool:
@@ -215,7 +217,7 @@ def _places(index: FileIndex, channels: set[int], stream: BinaryIO) -> Iterator[
                     yield log_time_ns, begin + offset, end
 
 
-def _read_frame(stream: BinaryIO, at: int, size: int) -> ReceivedFrame:
+def _read_frame(stream: BinaryIO, at: int, size: int) -> Frame:
     """The frame of `size` bytes that starts at `at`, with zeros in place of its samples.
 
     Raises:
@@ -223,7 +225,7 @@ def _read_frame(stream: BinaryIO, at: int, size: int) -> ReceivedFrame:
         McapError: there are zeros instead.
     """
 
-    def read(count: int) -> ReceivedFrame:
+    def read(count: int) -> Frame:
         stream.seek(at)
         head = stream.read(min(count, size))
         if not any(head[:ZEROS_BYTES]):
@@ -231,7 +233,7 @@ def _read_frame(stream: BinaryIO, at: int, size: int) -> ReceivedFrame:
         return messages.received_frame(head.ljust(size, b"\0"))
 
     frame = read(HEAD_BYTES)
-    if not len(frame.pulse_time) or len(frame.frame_id) + len(frame.config_hash) > TEXT_BYTES // 2:
+    if not len(frame.pulse_time) or len(frame.frame_id) + len(frame.key.sensor) > TEXT_BYTES // 2:
         return read(size)  # a text may be longer than the bytes read before
     needed = TEXT_BYTES + PULSE_BYTES * len(frame.pulse_time)
     return frame if needed <= HEAD_BYTES else read(needed)

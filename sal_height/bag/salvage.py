@@ -12,8 +12,8 @@ import os
 import re
 import struct
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
@@ -27,7 +27,11 @@ from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 
 from sal_height.bag.files import (
+    CHUNK_FIELDS,
     CUSTOM_DATA,
+    HEAD,
+    INDEX_ENTRY,
+    INDEX_HEAD,
     REPEATED_SEQUENCE,
     bag_files,
     check_encoding,
@@ -39,14 +43,68 @@ from sal_height.bag.files import (
     recorded_qos,
     repeated_in,
 )
-from sal_height.bag.recovery import UNKNOWN, Gap, Recovery
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
+from sal_height.tables import aligned
 
-INDEX_HEAD = struct.Struct("<HI")
-"""Channel of a message index, and bytes of its entries, of INDEX_ENTRY bytes each."""
+UNKNOWN = "(unknown)"
+"""Text in place of the topic of messages whose channel is no longer described."""
 
-INDEX_ENTRY = 16
+
+@dataclass(frozen=True)
+class Gap:
+    """A part of a file that could not be read.
+
+    Attributes:
+        file: file of the bag.
+        offset: position of its first byte.
+        size: size, bytes.
+        reason: reason in words.
+        lost: number of lost messages by topic, as far as the index of the chunk states it; else empty.
+    """
+
+    file: Path
+    offset: int
+    size: int
+    reason: str
+    lost: Mapping[str, int] = field(default_factory=dict, compare=False)
+
+    def __str__(self) -> str:
+        text = f"{self.size} bytes at byte {self.offset} of {self.file} could not be read: {self.reason}"
+        counts = ", ".join(f"{count} messages on {topic}" for topic, count in sorted(self.lost.items()))
+        return f"{text}; they contained {counts}." if counts else f"{text}."
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """Result of a recovery.
+
+    Attributes:
+        recovered: number of messages in the new bag by topic, topics without messages included.
+        lost: number of messages that are known to be lost, by topic.
+        gaps: parts of the files that could not be read.
+    """
+
+    recovered: Counter[str]
+    lost: Counter[str]
+    gaps: Sequence[Gap]
+
+    @property
+    def count(self) -> int:
+        """Messages in the new bag."""
+        return self.recovered.total()
+
+    @property
+    def is_whole(self) -> bool:
+        """True if nothing is lost, as far as is known."""
+        return not (self.gaps or self.lost)
+
+
+def recovery_table(recovery: Recovery) -> str:
+    """Messages recovered and lost, by topic, as lines of text."""
+    topics = sorted({*recovery.recovered, *recovery.lost})
+    rows = [[topic, str(recovery.recovered[topic]), str(recovery.lost[topic])] for topic in topics]
+    return aligned([["topic", "recovered", "known lost"], *rows])
 
 
 @dataclass(frozen=True)
@@ -112,7 +170,7 @@ def counts_of_index(span: RecordSpan, stream: BinaryIO) -> tuple[int, int] | Non
     if len(body) < INDEX_HEAD.size:
         return None
     channel_id, size = INDEX_HEAD.unpack_from(body)
-    return (channel_id, size // INDEX_ENTRY) if size == len(body) - INDEX_HEAD.size else None
+    return (channel_id, size // INDEX_ENTRY.itemsize) if size == len(body) - INDEX_HEAD.size else None
 
 
 def _span(stream: BinaryIO, place: int, limit: int, *, is_open: bool, has_chunks: bool) -> RecordSpan:
@@ -139,16 +197,10 @@ def _span(stream: BinaryIO, place: int, limit: int, *, is_open: bool, has_chunks
     return RecordSpan(place, limit - place, opcode, whole=False) if is_open and not has_chunks else lost
 
 
-HEAD = struct.Struct("<BQ")
-"""Opcode and length of a record."""
-
 OPCODES = frozenset(Opcode)
 
 COMPRESSION = HEAD.size + 28
 """Position of the name of the compression in a chunk: after times, size and checksum."""
-
-CHUNK_FIELDS = 40
-"""Bytes before the data of a chunk that is not compressed, after opcode and length."""
 
 LENGTH = struct.Struct("<Q")
 
@@ -210,11 +262,6 @@ def _next_chunk(data: mmap.mmap, place: int) -> int:
     return next((start for start in found if _is_sound_chunk(data, start)), len(data))
 
 
-def salvage(path: Path, out_directory: Path) -> int:
-    """Copy every whole message of the bag at `path` as `recover` does; returns their number."""
-    return recover(path, out_directory).count
-
-
 def recover(path: Path, out_directory: Path) -> Recovery:
     """Copy every whole message of the bag at `path` into a new bag in `out_directory`.
 
@@ -227,7 +274,7 @@ def recover(path: Path, out_directory: Path) -> Recovery:
     files = bag_files(path)
     for file in files:
         _check_header(file)
-    recovery = Recovery(Counter(), Counter(), [])
+    recovered, lost, gaps = Counter[str](), Counter[str](), list[Gap]()
     with BagWriter(out_directory, _custom_data(files)) as bag:
         for file in files:
             try:
@@ -235,17 +282,10 @@ def recover(path: Path, out_directory: Path) -> Recovery:
                     found = _FileCopy(file, stream, bag).run()
             except OSError as error:
                 raise UserError(f"File {file} cannot be salvaged to {out_directory}: {error}.") from error
-            recovery = Recovery(
-                _sum(recovery.recovered, found.recovered),
-                recovery.lost + found.lost,
-                [*recovery.gaps, *found.gaps],
-            )
-    return recovery
-
-
-def _sum(one: Counter[str], other: Counter[str]) -> Counter[str]:
-    """The sum of counts, of which some are 0."""
-    return Counter({name: one[name] + other[name] for name in (*one, *other)})
+            recovered.update(found.recovered)  # unlike a sum, it keeps topics without messages
+            lost += found.lost
+            gaps += found.gaps
+    return Recovery(recovered, lost, gaps)
 
 
 def _check_header(file: Path) -> None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from sal_height.bag.definitions import Definition
 from sal_height.bag.qos import Qos
+from sal_height.messages.definition import Definition
 
 FRAME_TYPE, IMAGE_TYPE, HEIGHT_TYPE, SENSOR_TYPE, CALIBRATION_TYPE, RELIEF_TYPE = (
     f"sal_height_msgs/msg/{name}"
@@ -43,3 +44,15 @@ class BagMessage(NamedTuple):
     cdr: bytes
     log_time_ns: int
     publish_time_ns: int
+
+
+STAMP = struct.Struct("<iI")
+STAMP_AT = 4
+"""Position of the stamp in a serialized message whose first field is a header: after the four bytes that name the
+encoding (CDR, OMG DDS-XTypes 1.3, section 7.4.3; little endian in all ROS middlewares in use)."""
+
+
+def stamp_ns_of(cdr: bytes) -> int:
+    """The stamp of a serialized message whose first field is a header, ns."""
+    seconds, nanoseconds = STAMP.unpack_from(cdr, STAMP_AT)
+    return int(seconds) * 1_000_000_000 + int(nanoseconds)

@@ -18,12 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from sal_height.bag.definitions import Definition
 from sal_height.messages import MAP_FRAME, serialize
 from sal_height.messages import types as current
 from sal_height.messages.accounts import account_of_numbers
 from sal_height.messages.codec import SHIPPED, recorded_types
-from sal_height.messages.definition import shipped_definition
+from sal_height.messages.definition import Definition, shipped_definition
 from sal_height.messages.parameters import FIELDS, parameter_of, value_of
 from sal_height.messages.plain import fields_of_message
 

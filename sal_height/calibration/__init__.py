@@ -2,8 +2,7 @@
 
 Read `calibration` first (the result: responses, gains, width of the beams, each with its standard error), then
 `accumulate` (`Calibrator`: many dwells to one calibration), `receiver_responses` (differences between channels over the
-band), `beam_calibration` with `beam_likelihood` (gains and beam width), `pupil` (aberrations), `reference_target` (a
-reflector at a known position), `files` (a calibration in a file) and `calibration_settings`.
+band), `beam_calibration` (gains and beam width, and their likelihood) and `pupil` (aberrations).
 """
 
 from sal_height.calibration.accumulate import Calibrator

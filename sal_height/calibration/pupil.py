@@ -1,7 +1,7 @@
 """Aberrations of the common pupil, from the scene itself, by the likelihood that calibrates beams.
 
 Parameters are the coefficients c_k of `beams.ZERNIKE`, in waves rms, ln w, and ln |g_m| and arg g_m of the channels;
-in addition, every pixel has its own elevation. They maximise the likelihood of `beam_likelihood`, with Gaussian priors
+in addition, every pixel has its own elevation. They maximise the likelihood of `beam_calibration`, with Gaussian priors
 of the mean 0: undetermined parameters stay 0, with the standard error of the prior.
 
 Determined are: even terms (defocus, astigmatism, spherical), which change the phases between detectors as the target
@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from sal_height.beams import ZERNIKE, Beams, aberrated_derivatives
-from sal_height.calibration.beam_likelihood import DIFFERENCE, curve_of
+from sal_height.calibration.beam_calibration import DIFFERENCE, curve_of
 from sal_height.calibration.calibration import DEFAULTS, CalibrationSettings
 from sal_height.elevation import (
     OBJECTIVES,
@@ -209,7 +209,7 @@ def _derivatives(seen: Beams, bends: list[Beams], elevation: F64, squint: F64) -
 def _normal(
     seen: Beams, basis: C128, elevation: F64, squint: F64, pixels: Covariance, count: F64
 ) -> tuple[F64, F64, F64]:
-    """Score, information and variance of the score, as `beam_likelihood.with_unknown_angles` has them."""
+    """Score, information and variance of the score, as `beam_calibration.with_unknown_angles` has them."""
     curve = curve_of(seen, np.ones(seen.count), elevation, squint)
     norm = np.linalg.norm(seen.response(elevation, squint), axis=-1)
     output = np.einsum("pmn,pn->pm", pixels, curve.unit)

@@ -29,7 +29,7 @@ from sal_height.commands._options import (
 from sal_height.io import bag_name
 
 if TYPE_CHECKING:
-    from sal_height.bag.dwells import DwellReport
+    from sal_height.bag.described import DwellReport
 
 PARTS = Group("What is done with a bag", sort_key=3)
 
@@ -116,8 +116,7 @@ def info(bag: Bag, /, *, dwells: Flag = False, json_: Json = False) -> int:
 
 
 def _dwell_reports(bag: Path) -> list[DwellReport]:
-    from sal_height.bag.described import sensors_in
-    from sal_height.bag.dwells import dwell_report
+    from sal_height.bag.described import dwell_report, sensors_in
     from sal_height.bag.reader import BagReader
 
     reader = BagReader(bag)
@@ -176,8 +175,7 @@ def recover(bag: Bag, /, *, out: OutputFolder = None) -> int:
 
 def recover_bag(bag: Path, folder: Path) -> int:
     """Recover a bag into a folder, and tell what is recovered and lost."""
-    from sal_height.bag.recovery import recovery_table
-    from sal_height.bag.salvage import recover
+    from sal_height.bag.salvage import recover, recovery_table
 
     recovery = recover(bag, folder)
     print(f"{recovery_table(recovery)}\n{recovery.count} messages recovered in {folder}")
@@ -249,8 +247,8 @@ def cut(
     """
     folder = output_folder(out, f"cut_{bag_name(bag)}")
 
-    from sal_height.bag.cut import Range, time_of
-    from sal_height.bag.cut import cut as cut_out
+    from sal_height.bag.copies import Range, time_of
+    from sal_height.bag.copies import cut as cut_out
     from sal_height.bag.reader import BagReader
 
     reader = BagReader(bag)
@@ -274,7 +272,7 @@ def upgrade(bag: Bag, /, *, out: OutputFolder = None) -> int:
     """
     folder = output_folder(out, f"upgrade_{bag_name(bag)}")
 
-    from sal_height.bag.upgrade import upgrade as write_anew
+    from sal_height.bag.copies import upgrade as write_anew
 
     made = write_anew(bag, folder)
     for topic, count in made.items():

@@ -1,11 +1,10 @@
 """Import: recordings of other programs and sensors become a bag that `sal-height replay` processes.
 
-Read `collection` first (a sensor, its track and its phase histories, and how they are written), then `description` (the
-sensor in YAML), `arrays` (files of arrays), `track` and `recorded_track` (positions from CSV, SBET and bags),
-`followed_point` (a dwell of a beam that follows a point, of files that state no antenna), `gotcha` (AFRL Gotcha),
-`common_frequencies` (samples at frequencies that all pulses have), `sarkit_files` (what the next two share), `cphd`
-(compensated phase history data), `crsd` (compensated radar signal data) and `crsd_beams` (its channels as beams of an
-antenna); and for focused images `sicd` (a file) and `slc` (those of all channels).
+Read `collection` first (a sensor in YAML, its track and its phase histories, and how they are written), then `arrays`
+(files of arrays), `track` (positions from CSV, SBET and bags), `followed_point` (a dwell of a beam that follows a
+point, of files that state no antenna), `gotcha` (AFRL Gotcha), `sarkit_files` (common parts of the next two), `cphd`
+(compensated phase history data) and `crsd` (compensated radar signal data, and its channels as beams of an antenna);
+and for focused images `sicd` (a file) and `slc` (those of all channels).
 """
 
 from sal_height.imports.arrays import import_arrays
@@ -13,9 +12,8 @@ from sal_height.imports.collection import Collection, Description, level_states,
 from sal_height.imports.cphd import import_cphd
 from sal_height.imports.crsd import import_crsd
 from sal_height.imports.gotcha import import_gotcha, read_gotcha
-from sal_height.imports.recorded_track import read_recorded_track
 from sal_height.imports.slc import import_slc
-from sal_height.imports.track import PlatformTrack, read_track
+from sal_height.imports.track import PlatformTrack, read_recorded_track, read_track
 
 __all__ = [
     "Collection",

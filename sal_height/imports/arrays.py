@@ -12,8 +12,7 @@ from sal_height.array_files import named_arrays
 from sal_height.errors import UserError
 from sal_height.geometry import Origin
 from sal_height.imports.collection import Collection, Description, read_description, write_collection
-from sal_height.imports.recorded_track import read_recorded_track
-from sal_height.imports.track import PlatformTrack, read_track
+from sal_height.imports.track import PlatformTrack, read_recorded_track, read_track
 from sal_height.sensor import PhaseHistory
 
 NEEDED = ("samples", "pulse_times", "reference_range")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import heapq
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -17,7 +18,6 @@ from scipy.spatial.transform import Rotation
 
 from sal_height import messages, topics
 from sal_height.bag import qos
-from sal_height.bag.bulk import frames_of, odometry_of
 from sal_height.bag.files import PARAMETERS
 from sal_height.bag.qos import Qos
 from sal_height.bag.topics import FIX_TYPE, FRAME_TYPE, ODOMETRY_TYPE, SENSOR_TYPE
@@ -25,6 +25,7 @@ from sal_height.bag.writer import BagWriter
 from sal_height.configuration import Float, StrictKeys, read_yaml, validated
 from sal_height.errors import UserError
 from sal_height.geometry import Mounting, Origin, PlatformState
+from sal_height.messages.types import ChannelFrame
 from sal_height.numeric import F64, I64
 from sal_height.sensor import PhaseHistory, Sensor
 from sal_height.simulation import MountingSettings, OriginSettings
@@ -195,33 +196,33 @@ def write_collection(collection: Collection, out: Path | str) -> None:
         ODOMETRY: (ODOMETRY_TYPE, qos.ODOMETRY),
         FRAMES: (FRAME_TYPE, qos.FRAMES),
     }
-    recorded = [(SENSOR_INFO, messages.serialize(messages.sensor_to_message(sensor, start)), begin_ns)]
+    recorded = [(begin_ns, SENSOR_INFO, messages.sensor_to_message(sensor, start))]
     if collection.origin:
         topics[f"/{MAP_ORIGIN}"] = FIX_TYPE, qos.LATCHED
         origin = messages.origin_to_message(collection.origin, start, messages.MAP_FRAME)
-        recorded.append((f"/{MAP_ORIGIN}", messages.serialize(origin), begin_ns))
-    recorded += [
-        (ODOMETRY, cdr, state.stamp_ns)
-        for cdr, state in zip(odometry_of(collection.states), collection.states, strict=True)
-    ]
-    recorded.sort(key=lambda entry: entry[2])
-    waiting = iter(recorded)
-    entry = next(waiting, None)
+        recorded.append((begin_ns, f"/{MAP_ORIGIN}", origin))
+    odometry = (
+        (state.stamp_ns, ODOMETRY, messages.state_to_message(state, messages.to_stamp(state.stamp_ns)))
+        for state in collection.states
+    )
     with BagWriter(Path(out), {PARAMETERS: json.dumps(collection.parameters)}) as bag:
         for topic, (type_name, offered) in topics.items():
             bag.add_topic(topic, type_name, [offered])
-        for dwell, history in enumerate(collection.histories):
-            # A dwell is complete once odometry from after its last pulse has arrived.
-            end_ns = history.stamp_of_last_pulse_ns + 1
-            after_ns = next((s.stamp_ns for s in collection.states if s.stamp_ns >= end_ns), end_ns)
-            while entry and entry[2] <= after_ns:
-                bag.write(entry[0], entry[1], entry[2], entry[2])
-                entry = next(waiting, None)
-            for cdr in frames_of(history, sensor, dwell):
-                bag.write(FRAMES, cdr, after_ns, after_ns)
-        while entry:
-            bag.write(entry[0], entry[1], entry[2], entry[2])
-            entry = next(waiting, None)
+        for time_ns, topic, message in heapq.merge(recorded, odometry, _frames(collection), key=lambda entry: entry[0]):
+            bag.write(topic, messages.serialize(message), time_ns, time_ns)
+
+
+def _frames(collection: Collection) -> Iterator[tuple[int, str, ChannelFrame]]:
+    """Time of reception (ns), topic and message of each frame.
+
+    A dwell is complete once odometry from after its last pulse has arrived.
+    """
+    for dwell, history in enumerate(collection.histories):
+        end_ns = history.stamp_of_last_pulse_ns + 1
+        after_ns = next((state.stamp_ns for state in collection.states if state.stamp_ns >= end_ns), end_ns)
+        start = messages.to_stamp(history.stamp_ns)
+        for frame in messages.history_to_messages(history, collection.sensor, dwell, start):
+            yield after_ns, FRAMES, frame
 
 
 def level_states(stamps_ns: I64, positions: F64, velocities: F64 | None = None) -> list[PlatformState]:

@@ -16,10 +16,11 @@ from sal_height.imports.collection import write_collection
 from sal_height.imports.followed_point import Pulses, collection_of, following_sensor
 from sal_height.imports.sarkit_files import (
     check_parameters,
+    check_plain,
     check_single,
     chosen_channel,
     first_word,
-    heard,
+    has_signal,
     opened,
     origin_of,
     scaled_samples,
@@ -222,14 +223,12 @@ def _check_kind(path: Path, tree: Any) -> None:
             f"File {path} has phase history in the domain {domain}; FX (fast-time frequencies) and TOA (time of "
             "arrival) are read."
         )
-    if (kind := tree.findtext("{*}CollectionID/{*}CollectType")) not in {"MONOSTATIC", None}:
-        raise UserError(f"File {path} is of the type {kind}; collections of one platform (MONOSTATIC) are read.")
+    kind = tree.findtext("{*}CollectionID/{*}CollectType") or "MONOSTATIC"
+    check_plain(path, kind, tree.findtext("{*}Data/{*}SignalCompressionID"))
     if tree.findtext("{*}Global/{*}SGN") not in {"-1", "+1", "1"}:
         raise UserError(
             f"File {path} has the sign {tree.findtext('{*}Global/{*}SGN')} (Global/SGN); it must be -1 or +1."
         )
-    if (compression := tree.findtext("{*}Data/{*}SignalCompressionID")) is not None:
-        raise UserError(f"File {path} has compressed samples ({compression}); samples without compression are read.")
 
 
 def _with_signal(path: Path, samples: Any, parameters: Any, needed: tuple[str, ...]) -> tuple[Any, Any]:
@@ -238,7 +237,7 @@ def _with_signal(path: Path, samples: Any, parameters: Any, needed: tuple[str, .
     Raises:
         UserError: parameters are missing or not finite, or there are fewer than two pulses.
     """
-    kept = heard(parameters)
+    kept = has_signal(parameters)
     if not kept.all():
         samples, parameters = samples[kept], parameters[kept]
     if min(samples.shape) < 2:

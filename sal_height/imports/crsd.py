@@ -18,6 +18,7 @@ from sal_height.imports.collection import write_collection
 from sal_height.imports.followed_point import Pulses, collection_of, following_sensor
 from sal_height.imports.sarkit_files import (
     check_parameters,
+    check_plain,
     check_single,
     chosen_channel,
     first_word,
@@ -30,15 +31,6 @@ from sal_height.imports.sarkit_files import (
 )
 from sal_height.numeric import C64, F64, outer_phasors
 from sal_height.sensor import PhaseHistory, Sensor, range_compressed
-
-FARTHEST = 0.5
-"""Largest offset from the boresight at which a pattern is searched, rad."""
-
-DIRECTIONS = 4001
-"""Number of offsets at which the extent of a pattern is searched."""
-
-NODES = 129
-"""Number of offsets in the table of a beam."""
 
 GRID = ("X0", "Y0", "XSS", "YSS")
 """Elements that state the first direction cosines of a pattern and the steps between them."""
@@ -116,16 +108,17 @@ def _beam(reader: Any, name: str, described: Any, vectors: Any, origin: Origin) 
         cosines = directions @ origin.axes @ np.array([x, y]).T
         return _pattern(reader, described.findtext("{*}RcvAPATId"), cosines, steering)
 
-    offsets = np.linspace(-FARTHEST, FARTHEST, DIRECTIONS)
+    directions = 4001
+    offsets = np.linspace(-0.5, 0.5, directions)  # rad from the boresight at which the extent is searched
     gain, phase = pattern(offsets)
     lowest_db = -40.0  # gain against that of the boresight below which a pattern ends
     lobe = _around_middle(gain >= lowest_db)
     half = offsets[_around_middle(gain >= -10 * np.log10(2))]
-    if len(half) == DIRECTIONS or len(half) < 2 or np.any(np.abs(phase[lobe] - phase[DIRECTIONS // 2]) > 1e-3):
+    if len(half) == directions or len(half) < 2 or np.any(np.abs(phase[lobe] - phase[directions // 2]) > 1e-3):
         return None
-    nodes = np.linspace(offsets[lobe][0], offsets[lobe][-1], NODES)
+    nodes = np.linspace(offsets[lobe][0], offsets[lobe][-1], 129)
     amplitude = 10 ** (pattern(nodes)[0] / 20)
-    table = BeamTable(tuple(nodes.tolist()), (0.0,), tuple(amplitude.tolist()), (0.0,) * NODES)
+    table = BeamTable(tuple(nodes.tolist()), (0.0,), tuple(amplitude.tolist()), (0.0,) * len(nodes))
     return Beam(name, boresight, float(half[-1] - half[0]), table)
 
 
@@ -264,12 +257,10 @@ def _check_kind(path: Path, tree: Any) -> None:
         UserError: it is not.
     """
     check_single(path, tree, "ProductInfo")
-    if (kind := tree.findtext("{*}SARInfo/{*}CollectType")) != "MONOSTATIC":
-        raise UserError(f"File {path} is of the type {kind}; collections of one platform (MONOSTATIC) are read.")
+    compression = tree.findtext("{*}Data/{*}Receive/{*}SignalCompression/{*}Identifier")
+    check_plain(path, tree.findtext("{*}SARInfo/{*}CollectType"), compression)
     if (waveform := tree.findtext("{*}TxSequence/{*}TxWFType")) != "LFM":
         raise UserError(f"File {path} has the transmitted waveform {waveform}; linear FM (LFM) is read.")
-    if (compression := tree.findtext("{*}Data/{*}Receive/{*}SignalCompression/{*}Identifier")) is not None:
-        raise UserError(f"File {path} has compressed samples ({compression}); samples without compression are read.")
 
 
 def _read(path: Path, reader: Any, channel: str) -> Echoes:

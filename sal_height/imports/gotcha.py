@@ -28,9 +28,6 @@ BEAM = 0.0145
 PLAUSIBLE = {"freq": (1e9, 1e11), "r0": (1e3, 1e6)}
 """Values of an airborne radar in Hz and m; others are of other units."""
 
-REFERENCE_TOLERANCE = 0.01
-"""Greatest difference of r0 from the distance to the scene's centre, m: ten times the rounding of float32 at 10 km."""
-
 PULSE_STEP = (0.5, 1.5)
 """Distance from the last pulse of a file to the first of the next, over the median distance between pulses."""
 
@@ -217,10 +214,11 @@ def _check_units(path: Path, part: dict[str, Any]) -> None:
                 f"between {low:g} and {high:g}."
             )
     off = float(np.abs(np.linalg.norm(_positions(part), axis=-1) - part["r0"].ravel()).max())
-    if off > REFERENCE_TOLERANCE:
+    tolerance = 0.01  # m: ten times the rounding of float32 at 10 km
+    if off > tolerance:
         raise UserError(
             f"File {path} has .r0 up to {off:.4g} m off the distance of .x, .y, .z from the scene's centre; they must "
-            f"agree to {REFERENCE_TOLERANCE:g} m."
+            f"agree to {tolerance:g} m."
         )
 
 

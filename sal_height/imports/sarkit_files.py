@@ -64,6 +64,23 @@ def check_single(path: Path, tree: Any, element: str) -> None:
         raise UserError(f"File {path} describes {count} collections ({element}); files of one collection are read.")
 
 
+def check_plain(path: Path, kind: str | None, compression: str | None) -> None:
+    """Check that a collection is of one platform, and its samples without compression.
+
+    Args:
+        path: path of the file.
+        kind: type of the collection in the file.
+        compression: name of the compression in the file; None: without.
+
+    Raises:
+        UserError: they are not.
+    """
+    if kind != "MONOSTATIC":
+        raise UserError(f"File {path} is of the type {kind}; collections of one platform (MONOSTATIC) are read.")
+    if compression is not None:
+        raise UserError(f"File {path} has compressed samples ({compression}); samples without compression are read.")
+
+
 def chosen_channel(path: Path, there: Sequence[str], reference: str | None, wanted: str) -> str:
     """The identifier of the channel to read: the requested one, else the reference channel.
 
@@ -172,7 +189,7 @@ def check_parameters(path: Path, parameters: Any, needed: Sequence[str], block: 
             )
 
 
-def heard(parameters: Any) -> Bool:
+def has_signal(parameters: Any) -> Bool:
     """True for pulses that have a signal, shape (pulses,); all of them if the parameter SIGNAL is absent."""
     if "SIGNAL" not in parameters.dtype.names:
         return np.ones(len(parameters), np.bool_)

@@ -7,9 +7,8 @@ new messages have views of the arrays that they are made of, until they are seri
 
 from sal_height.engine.air import AIR_LATENCY_NS, AIR_OF_TOPICS, AirSample, needed_air
 from sal_height.engine.frame_items import LONGEST_DWELL
-from sal_height.engine.frames import BODY_FRAME, MAP_FRAME, Frames
+from sal_height.engine.frames import MAP_FRAME, Frames
 from sal_height.engine.provenance import autofocus_values
-from sal_height.messages.air import AIR, AIR_TYPES, air_to_messages, read_air
 from sal_height.messages.basics import (
     aperture_from_message,
     complex_view,
@@ -20,102 +19,75 @@ from sal_height.messages.basics import (
     to_ns,
     to_stamp,
 )
-from sal_height.messages.calibrations import calibration_from_message, calibration_to_message
 from sal_height.messages.codec import BrokenMessage, deserialize, serialize
 from sal_height.messages.frames import (
-    check_frame,
     history_from_messages,
     history_to_messages,
-    samples_of,
+    received_frame,
     state_from_message,
-    state_of_pose,
     state_to_message,
     twist_covariance,
 )
-from sal_height.messages.heights import (
-    POINT_FIELDS,
-    field_from_message,
-    frame_near,
-    height_points,
-    height_to_message,
-    stages_of,
-    with_stage,
-)
-from sal_height.messages.images import check_slc, recorded_window, slc_from_messages, slc_to_messages
-from sal_height.messages.movers import MOVER_FIELDS, mover_points
 from sal_height.messages.navigation import (
-    mounting_to_pose,
+    AIR,
+    AIR_TYPES,
+    air_to_messages,
     origin_to_message,
+    read_air,
     read_attitude,
     read_fix,
     read_origin,
-    read_pose,
-    read_twist,
 )
-from sal_height.messages.received import (
-    HeightOrigin,
-    ReceivedFrame,
-    ReceivedImage,
-    ReceivedPose,
-    height_origin,
-    received_frame,
-    received_height,
+from sal_height.messages.parameters import stages_of, with_stage
+from sal_height.messages.products import (
+    check_slc,
+    field_from_message,
+    height_to_message,
     received_image,
-    received_pose,
+    recorded_window,
+    slc_from_messages,
+    slc_to_messages,
 )
-from sal_height.messages.sensors import sensor_from_message, sensor_to_message
+from sal_height.messages.sensors import (
+    calibration_from_message,
+    calibration_to_message,
+    sensor_from_message,
+    sensor_to_message,
+)
 
 __all__ = [
     "AIR",
     "AIR_LATENCY_NS",
     "AIR_OF_TOPICS",
     "AIR_TYPES",
-    "BODY_FRAME",
     "LONGEST_DWELL",
     "MAP_FRAME",
-    "MOVER_FIELDS",
-    "POINT_FIELDS",
     "AirSample",
     "BrokenMessage",
     "Frames",
-    "HeightOrigin",
-    "ReceivedFrame",
-    "ReceivedImage",
-    "ReceivedPose",
     "air_to_messages",
     "aperture_from_message",
     "autofocus_values",
     "calibration_from_message",
     "calibration_to_message",
-    "check_frame",
     "check_slc",
     "complex_view",
     "deserialize",
     "field_from_message",
     "float_view",
-    "frame_near",
     "grid_from_message",
-    "height_origin",
-    "height_points",
     "height_to_message",
     "history_from_messages",
     "history_to_messages",
-    "mounting_to_pose",
-    "mover_points",
     "needed_air",
     "origin_to_message",
     "read_air",
     "read_attitude",
     "read_fix",
     "read_origin",
-    "read_pose",
-    "read_twist",
     "received_frame",
-    "received_height",
     "received_image",
-    "received_pose",
     "recorded_window",
-    "samples_of",
     "sensor_from_message",
     "sensor_to_message",
     "serialize",
@@ -123,7 +95,6 @@ __all__ = [
     "slc_to_messages",
     "stages_of",
     "state_from_message",
-    "state_of_pose",
     "state_to_message",
     "to_bytes",
     "to_floats",

@@ -1,4 +1,4 @@
-"""Accounts of nodes from numbers by name, as in /diagnostics and in messages up to version 2."""
+"""Losses of nodes, and accounts from numbers by name, as in /diagnostics and in messages up to version 2."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-from sal_height.messages.types import Count, NodeAccount
+from sal_height.engine.stage import DwellKey, Loss
+from sal_height.messages.basics import to_stamp
+from sal_height.messages.types import Count, DwellLoss, Header, NodeAccount
 
 WHOLE: Mapping[str, str] = MappingProxyType(
     {
@@ -85,3 +87,25 @@ def _enter(fields: dict[str, Any], name: str, count: int) -> None:
         prefix = next((prefix for prefix in COUNTED if name.startswith(prefix)), "")
         field = COUNTED[prefix] if prefix else EVENTS
         fields.setdefault(field, {})[name.removeprefix(prefix)] = count
+
+
+def loss_to_message(node: str, loss: Loss, stamp_ns: int) -> DwellLoss:
+    """The message of a loss.
+
+    Args:
+        node: name of the node with its namespace.
+        loss: loss of the node.
+        stamp_ns: time of the loss, ns.
+    """
+    key = loss.dwell or DwellKey("", 0, 0)
+    return DwellLoss(
+        header=Header(stamp=to_stamp(max(0, stamp_ns))),
+        node=node,
+        of_dwell=loss.dwell is not None,
+        config_hash=key.sensor,
+        dwell=key.number,
+        dwell_stamp=to_stamp(key.stamp_ns),
+        messages=loss.messages,
+        reason=loss.reason,
+        sentence=loss.sentence,
+    )

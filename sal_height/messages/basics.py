@@ -12,7 +12,7 @@ from sal_height.engine.geometry_items import Aperture
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import ApertureState, Grid
 from sal_height.messages.types import Aperture as ApertureMessage
-from sal_height.messages.types import ImageGrid, Point, Pose, Quaternion, Time, Vector3
+from sal_height.messages.types import Header, ImageGrid, Point, Pose, Quaternion, Time, Vector3
 from sal_height.numeric import C64, C128, F32, F64, U8
 
 
@@ -25,6 +25,11 @@ def to_stamp(ns: int) -> Time:
     """Return the Time message that states these nanoseconds since the epoch."""
     sec, nanosec = divmod(ns, 1_000_000_000)
     return Time(sec=sec, nanosec=nanosec)
+
+
+def header_of(stamp_ns: int, frame_id: str) -> Header:
+    """Return the header with a stamp in nanoseconds since the epoch."""
+    return Header(stamp=to_stamp(stamp_ns), frame_id=frame_id)
 
 
 def to_floats(samples: npt.NDArray[np.generic]) -> F32:

@@ -17,8 +17,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from sal_height.messages.cdr_parts import ENCAPSULATION
-from sal_height.messages.definition import Definition, shipped_layout
-from sal_height.messages.layout import Layout, read_layouts
+from sal_height.messages.definition import Definition, Layout, read_layouts, shipped_layout
 from sal_height.messages.programs import Programs, Read
 
 BIG_ENDIAN, LITTLE_ENDIAN = b"\x00\x00", b"\x00\x01"
@@ -78,15 +77,6 @@ class TypeStore:
             )
         return self._readers[key]
 
-    def fields_reader(self, type_name: str, first: str, last: str) -> Read:
-        """The function that reads neighbouring fields of a message of a type, from `first` to `last`.
-
-        It reads little-endian bytes from the offset where the first field may begin, and returns a tuple of values, of
-        which a provenance is shared and must not be changed, and the offset after them. It raises ValueError or
-        struct.error if the bytes have another layout.
-        """
-        return self._programs.fields_reader(type_name, first, last, "<", shared=True)
-
     def serialize(self, message: Any, *, shared: bool = False) -> bytes:
         """The bytes of a message.
 
@@ -135,14 +125,19 @@ def serialize(message: Any) -> bytes:
     return SHIPPED.serialize(message)
 
 
-def deserialize(cdr: bytes, kind: type[Any] | str) -> Any:
-    """Read bytes as a message of a shipped type; `kind` is its class or its name.
+def deserialize(cdr: bytes, kind: type[Any] | str, *, shared: bool = False) -> Any:
+    """Read bytes as a message of a shipped type.
+
+    Args:
+        cdr: bytes of the message.
+        kind: class of the message, or name of its type.
+        shared: True if messages may share their provenance, which must then not be changed.
 
     Raises:
         BrokenMessage: the bytes are not such a message.
         KeyError: the type is not shipped.
     """
-    return SHIPPED.reader(kind if isinstance(kind, str) else kind.__msgtype__)(cdr)
+    return SHIPPED.reader(kind if isinstance(kind, str) else kind.__msgtype__, shared=shared)(cdr)
 
 
 @functools.lru_cache(maxsize=64)

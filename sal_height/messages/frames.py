@@ -7,17 +7,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sal_height.engine import frame_items
 from sal_height.engine.frame_items import Frame, frames_of, history_of
 from sal_height.engine.frames import USUAL, Frames
 from sal_height.engine.geometry_items import FARTHEST, FASTEST
 from sal_height.engine.stage import DwellKey
 from sal_height.errors import Rejected
 from sal_height.geometry import PlatformState, rotation_matrix
-from sal_height.messages.basics import check_finite, check_rotation, to_ns, to_stamp, xyz
-from sal_height.messages.received import ReceivedFrame, ReceivedPose
+from sal_height.messages.basics import check_finite, check_rotation, numbers_of, to_ns, to_stamp, xyz
+from sal_height.messages.codec import deserialize
 from sal_height.messages.types import ChannelFrame, Header, Odometry, Point, Quaternion, Time, Vector3
-from sal_height.numeric import C64, F64
+from sal_height.numeric import F64
 from sal_height.sensor import PhaseHistory, Sensor
 
 
@@ -40,65 +39,67 @@ def twist_covariance(state: PlatformState) -> F64:
     return covariance
 
 
-def state_from_message(message: Odometry) -> PlatformState:
-    """Return the platform state that an Odometry describes, with the velocity in the axes of map.
-
-    Raises:
-        Rejected: an error of `state_of_pose`.
-    """
-    return state_of_pose(ReceivedPose.of(message))
-
-
-def state_of_pose(pose: ReceivedPose, frames: Frames = USUAL) -> PlatformState:
-    """Return the platform state of the pose in an Odometry, with the velocity in the axes of map, which are ROS's.
+def state_from_message(message: Odometry, frames: Frames = USUAL) -> PlatformState:
+    """Return the platform state that an Odometry describes, with the velocity in the axes of map, which are ROS's.
 
     Raises:
         Rejected: the frames are others than `frames`, a value is not finite, position or speed are not those
             of a platform, or the quaternion of the orientation has not the norm 1.
     """
-    if (pose.frame_id, pose.child_frame_id) != (frames.map, frames.body):
+    frame_id, child_frame_id = message.header.frame_id, message.child_frame_id
+    if (frame_id, child_frame_id) != (frames.map, frames.body):
         raise Rejected(
             "wrong frames",
-            f"Odometry has child_frame_id {pose.child_frame_id!r} and frame_id {pose.frame_id!r}; it must be of "
+            f"Odometry has child_frame_id {child_frame_id!r} and frame_id {frame_id!r}; it must be of "
             f"{frames.body!r} in {frames.map!r}. Parameters map_frame and body_frame set these names, map_axes and "
             "body_axes how their axes point.",
         )
-    orientation = pose.orientation
-    check_finite((*pose.position, *pose.velocity), "Odometry")
-    if math.hypot(*pose.position) > FARTHEST or math.hypot(*pose.velocity) > FASTEST:
+    q = message.pose.pose.orientation
+    orientation = q.x, q.y, q.z, q.w
+    position, velocity = numbers_of(message.pose.pose.position), numbers_of(message.twist.twist.linear)
+    check_finite((*position, *velocity), "Odometry")
+    if math.hypot(*position) > FARTHEST or math.hypot(*velocity) > FASTEST:
         raise Rejected(
             "no platform",
-            f"Odometry has the position {np.round(pose.position).tolist()} m and the velocity "
-            f"{np.round(pose.velocity).tolist()} m/s; at most {FARTHEST:g} m from the origin and {FASTEST:g} m/s are "
+            f"Odometry has the position {np.round(position).tolist()} m and the velocity "
+            f"{np.round(velocity).tolist()} m/s; at most {FARTHEST:g} m from the origin and {FASTEST:g} m/s are "
             "allowed.",
         )
     check_rotation(orientation, "Odometry")
     state = PlatformState(
-        stamp_ns=pose.stamp_ns,
-        position=np.array(pose.position),
+        stamp_ns=to_ns(message.header.stamp),
+        position=np.array(position),
         orientation=np.array(orientation),
-        velocity=rotation_matrix(orientation) @ pose.velocity,
-        covariance=pose.covariance.reshape(6, 6),
-        velocity_covariance=pose.velocity_covariance,
+        velocity=rotation_matrix(orientation) @ velocity,
+        covariance=message.pose.covariance.reshape(6, 6),
+        velocity_covariance=message.twist.covariance.reshape(6, 6)[:3, :3],
     )
     return frames.axes.state(state)
 
 
-def frame_of(frame: ChannelFrame | ReceivedFrame) -> Frame:
-    """Return the frame that a ChannelFrame describes."""
-    got = frame if isinstance(frame, ReceivedFrame) else ReceivedFrame.of(frame)
+def received_frame(cdr: bytes) -> Frame:
+    """Read the bytes of a ChannelFrame; samples are a view of them.
+
+    Raises:
+        BrokenMessage: the bytes are not a ChannelFrame.
+    """
+    return frame_of(deserialize(cdr, ChannelFrame), len(cdr))
+
+
+def frame_of(message: ChannelFrame, size: int = 0) -> Frame:
+    """Return the frame that a ChannelFrame describes; `size`: bytes of the serialized message."""
     return Frame(
-        DwellKey(got.config_hash, got.dwell, got.stamp_ns),
-        got.frame_id,
-        got.channel,
-        got.pulse_count,
-        got.sample_count,
-        got.pulse_time,
-        got.reference_range,
-        got.encoding,
-        got.scale,
-        got.samples,
-        got.size,
+        DwellKey(message.config_hash, message.dwell, to_ns(message.header.stamp)),
+        message.header.frame_id,
+        message.channel,
+        message.pulse_count,
+        message.sample_count,
+        message.pulse_time,
+        message.reference_range,
+        message.encoding,
+        message.scale,
+        message.samples,
+        size,
     )
 
 
@@ -124,24 +125,7 @@ def history_to_messages(history: PhaseHistory, sensor: Sensor, dwell: int, stamp
     return [frame_to_message(frame) for frame in frames_of(history, sensor, dwell, to_ns(stamp))]
 
 
-def check_frame(frame: ChannelFrame | ReceivedFrame, sensor: Sensor) -> None:
-    """Check that a frame has the sizes that its sensor states, and values that can be processed.
-
-    Raises:
-        Rejected: it has not; the text names the field, its value and the allowed values.
-    """
-    frame_items.check_frame(frame_of(frame), sensor)
-
-
-def samples_of(frame: ChannelFrame | ReceivedFrame) -> C64:
-    """Return the samples of a frame in the unit of the receiver, complex64, shape (pulses, samples).
-
-    Of "complex_float32" they are a view, of "complex_int16" a copy multiplied by the scale.
-    """
-    return frame_items.samples_of(frame_of(frame))
-
-
-def history_from_messages(frames: Sequence[ChannelFrame | ReceivedFrame]) -> PhaseHistory:
+def history_from_messages(frames: Sequence[ChannelFrame]) -> PhaseHistory:
     """Return the phase history of a dwell from the frames of all channels, in order, that `check_frame` has passed.
 
     Raises:

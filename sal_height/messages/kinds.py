@@ -25,26 +25,34 @@ from sal_height.engine.navigation import Attitude, Fix, Pose, Twist
 from sal_height.engine.stage import Port
 from sal_height.geometry import PlatformState
 from sal_height.messages import types
-from sal_height.messages.air import AIR, read_air
-from sal_height.messages.basics import numbers_of, to_ns, to_stamp
-from sal_height.messages.calibrations import calibration_from_message, calibration_to_message
-from sal_height.messages.codec import SHIPPED
-from sal_height.messages.frames import frame_of, frame_to_message, state_of_pose, state_to_message
-from sal_height.messages.heights import heights_of, heights_to_message
-from sal_height.messages.images import image_of, image_to_message
-from sal_height.messages.movers import mover_points
+from sal_height.messages.basics import header_of, numbers_of, to_ns, to_stamp
+from sal_height.messages.codec import SHIPPED, deserialize
+from sal_height.messages.frames import frame_to_message, received_frame, state_from_message, state_to_message
 from sal_height.messages.navigation import (
+    AIR,
     mounting_to_pose,
     origin_to_message,
+    read_air,
     read_attitude,
     read_fix,
     read_origin,
     read_pose,
     read_twist,
 )
-from sal_height.messages.received import received_frame, received_image, received_pose
-from sal_height.messages.relief import relief_to_message
-from sal_height.messages.sensors import sensor_from_message, sensor_to_message
+from sal_height.messages.products import (
+    heights_of,
+    heights_to_message,
+    image_to_message,
+    received_image,
+    relief_to_message,
+)
+from sal_height.messages.sensors import (
+    calibration_from_message,
+    calibration_to_message,
+    sensor_from_message,
+    sensor_to_message,
+)
+from sal_height.messages.views import mover_points
 from sal_height.sensor import Sensor
 
 Read = Callable[[bytes, Any], Sequence[Any]]
@@ -80,17 +88,9 @@ def frames_of(settings: Any) -> Frames:
     return found if isinstance(found, Frames) else Frames(getattr(settings, "map_frame", USUAL.map))
 
 
-def header_of(stamp_ns: int, frame_id: str) -> Any:
-    """A header."""
-    return types.Header(stamp=to_stamp(stamp_ns), frame_id=frame_id)
-
-
-# Frames, images and heights
-
-
 def read_frame(cdr: bytes, _: Any = None) -> list[Frame]:
     """The frame of a ChannelFrame."""
-    return [frame_of(received_frame(cdr))]
+    return [received_frame(cdr)]
 
 
 def write_frame(frame: Frame, _: Any = None) -> list[bytes]:
@@ -104,7 +104,7 @@ def read_image(cdr: bytes, _: Any = None) -> list[ChannelImage]:
     Raises:
         Rejected: its provenance or the covariance of its pose cannot be used.
     """
-    return [image_of(received_image(cdr))]
+    return [received_image(cdr)]
 
 
 def write_images(images: Images, _: Any = None) -> list[bytes]:
@@ -118,7 +118,7 @@ def read_heights(cdr: bytes, _: Any = None) -> list[Heights]:
     Raises:
         Rejected: its provenance or the covariance of its pose cannot be used.
     """
-    return [heights_of(SHIPPED.reader("sal_height_msgs/msg/HeightImage", shared=True)(cdr))]
+    return [heights_of(deserialize(cdr, "sal_height_msgs/msg/HeightImage", shared=True))]
 
 
 def write_heights(heights: Heights, _: Any = None) -> list[bytes]:
@@ -126,49 +126,8 @@ def write_heights(heights: Heights, _: Any = None) -> list[bytes]:
     return [SHIPPED.serialize(heights_to_message(heights), shared=True)]
 
 
-# Other items than those of dwells
-
-
-def _deserialized(cdr: bytes, type_name: str) -> Any:
-    return SHIPPED.reader(type_name)(cdr)
-
-
-def read_sensor(cdr: bytes, _: Any = None) -> list[Sensor]:
-    """The sensor of a SensorInfo; UserError if it cannot be used."""
-    return [sensor_from_message(_deserialized(cdr, "sal_height_msgs/msg/SensorInfo"))]
-
-
-def write_sensor(sensor: Sensor, _: Any = None) -> list[bytes]:
-    """The serialized SensorInfo of a sensor, without a stamp."""
-    return [SHIPPED.serialize(sensor_to_message(sensor, types.Time()))]
-
-
-def read_calibration(cdr: bytes, _: Any = None) -> list[StatedCalibration]:
-    """The calibration of a Calibration; UserError if it cannot be used."""
-    message = _deserialized(cdr, "sal_height_msgs/msg/Calibration")
-    calibration = calibration_from_message(message)
-    return [StatedCalibration(calibration, to_ns(message.header.stamp), tuple(message.undetermined))]
-
-
-def write_calibration(stated: StatedCalibration, _: Any = None) -> list[bytes]:
-    """The serialized Calibration."""
-    message = calibration_to_message(stated.calibration, to_stamp(stated.stamp_ns), stated.undetermined)
-    return [SHIPPED.serialize(message)]
-
-
-def read_state(cdr: bytes, settings: Any) -> list[PlatformState]:
-    """The platform state of an Odometry; Rejected if it cannot be used."""
-    return [state_of_pose(received_pose(cdr), frames_of(settings))]
-
-
-def write_state(state: PlatformState, settings: Any) -> list[bytes]:
-    """The serialized Odometry of a platform state."""
-    return [SHIPPED.serialize(state_to_message(state, to_stamp(state.stamp_ns), frames_of(settings)))]
-
-
 def read_transforms(cdr: bytes, _: Any = None) -> list[StaticTransform]:
     """The transforms of a TFMessage."""
-    message = _deserialized(cdr, "tf2_msgs/msg/TFMessage")
     return [
         StaticTransform(
             one.header.frame_id,
@@ -176,95 +135,99 @@ def read_transforms(cdr: bytes, _: Any = None) -> list[StaticTransform]:
             np.array(numbers_of(one.transform.translation)),
             np.array((*numbers_of(one.transform.rotation), one.transform.rotation.w)),
         )
-        for one in message.transforms
+        for one in deserialize(cdr, "tf2_msgs/msg/TFMessage").transforms
     ]
 
 
-def read_placed_origin(cdr: bytes, settings: Any) -> list[PlacedOrigin]:
-    """The origin of a NavSatFix; Rejected if it cannot be used."""
-    message = _deserialized(cdr, "sensor_msgs/msg/NavSatFix")
+def _kind(
+    message_class: Any,
+    item_of: Callable[[Any, Any], Any] | None = None,
+    message_of: Callable[[Any, Any], Any] | None = None,
+    trouble: str = "",
+) -> Kind:
+    """A kind of which each message has one item.
+
+    Args:
+        message_class: class of the messages.
+        item_of: function from message and settings to the item; None: no stage takes the messages.
+        message_of: function from item and settings to the message; None: no stage makes the items.
+        trouble: name as of `Kind`.
+    """
+
+    def read(cdr: bytes, settings: Any = None) -> list[Any]:
+        if item_of is None:
+            raise NotImplementedError("no stage takes these messages")
+        return [item_of(deserialize(cdr, message_class), settings)]
+
+    def write(item: Any, settings: Any = None) -> list[bytes]:
+        if message_of is None:
+            raise NotImplementedError("no stage makes these messages")
+        return [SHIPPED.serialize(message_of(item, settings))]
+
+    return Kind(message_class.__msgtype__, read, write, trouble)
+
+
+def _stated_calibration(message: types.Calibration, _: Any) -> StatedCalibration:
+    stamp_ns = to_ns(message.header.stamp)
+    return StatedCalibration(calibration_from_message(message), stamp_ns, tuple(message.undetermined))
+
+
+def _calibration_message(stated: StatedCalibration, _: Any) -> types.Calibration:
+    return calibration_to_message(stated.calibration, to_stamp(stated.stamp_ns), stated.undetermined)
+
+
+def _placed_origin(message: types.NavSatFix, settings: Any) -> PlacedOrigin:
     map_frame = frames_of(settings).map
-    return [PlacedOrigin(read_origin(message, map_frame), to_ns(message.header.stamp), map_frame)]
+    return PlacedOrigin(read_origin(message, map_frame), to_ns(message.header.stamp), map_frame)
 
 
-def write_placed_origin(placed: PlacedOrigin, _: Any = None) -> list[bytes]:
-    """The serialized NavSatFix of an origin."""
-    return [SHIPPED.serialize(origin_to_message(placed.origin, to_stamp(placed.stamp_ns), placed.map_frame))]
+def _origin_message(placed: PlacedOrigin, _: Any) -> types.NavSatFix:
+    return origin_to_message(placed.origin, to_stamp(placed.stamp_ns), placed.map_frame)
 
 
-def read_pose_sample(cdr: bytes, settings: Any) -> list[Pose]:
-    """Position and attitude of a PoseStamped; Rejected if it cannot be used."""
-    return [Pose(*read_pose(_deserialized(cdr, "geometry_msgs/msg/PoseStamped"), frames_of(settings)))]
+def _movers_message(found: ImageMovers, _: Any) -> types.PointCloud2:
+    return mover_points(found.looked.movers, header_of(found.key.stamp_ns, found.frame_id))
 
 
-def read_fix_sample(cdr: bytes, settings: Any) -> list[Fix]:
-    """Position of a NavSatFix; Rejected if it cannot be used."""
-    return [Fix(read_fix(_deserialized(cdr, "sensor_msgs/msg/NavSatFix"), settings.origin))]
-
-
-def read_attitude_sample(cdr: bytes, settings: Any) -> list[Attitude]:
-    """Attitude of an Imu; Rejected if it cannot be used."""
-    return [Attitude(read_attitude(_deserialized(cdr, "sensor_msgs/msg/Imu"), frames_of(settings)))]
-
-
-def read_twist_sample(cdr: bytes, settings: Any) -> list[Twist]:
-    """Velocity of a TwistStamped; Rejected if it cannot be used."""
-    return [Twist(*read_twist(_deserialized(cdr, "geometry_msgs/msg/TwistStamped"), frames_of(settings)))]
-
-
-def write_relief(placed: PlacedRelief, _: Any = None) -> list[bytes]:
-    """The serialized ReliefMap of a map."""
-    return [SHIPPED.serialize(relief_to_message(placed))]
-
-
-def write_movers(found: ImageMovers, _: Any = None) -> list[bytes]:
-    """The serialized PointCloud2 of the movers in a dwell."""
-    return [SHIPPED.serialize(mover_points(found.looked.movers, header_of(found.key.stamp_ns, found.frame_id)))]
-
-
-def write_mounting(placed: PlacedMounting, _: Any = None) -> list[bytes]:
-    """The serialized PoseWithCovarianceStamped of a mounting."""
-    message = mounting_to_pose(placed.mounting, placed.covariance, to_stamp(placed.stamp_ns), placed.body_frame)
-    return [SHIPPED.serialize(message)]
-
-
-def _air_reader(port: str) -> Read:
-    def read(cdr: bytes, _: Any = None) -> list[AirSample]:
-        return [read_air(port, _deserialized(cdr, AIR[port].type_name))]
-
-    return read
-
-
-def _nothing_reads(_cdr: bytes, _: Any = None) -> list[Any]:
-    raise NotImplementedError("no stage takes these messages")
-
-
-def _nothing_writes(_item: Any, _: Any = None) -> list[bytes]:
-    raise NotImplementedError("no stage makes these messages")
+def _mounting_message(placed: PlacedMounting, _: Any) -> types.PoseWithCovarianceStamped:
+    return mounting_to_pose(placed.mounting, placed.covariance, to_stamp(placed.stamp_ns), placed.body_frame)
 
 
 KINDS: Mapping[type, Kind] = {
-    Sensor: Kind("sal_height_msgs/msg/SensorInfo", read_sensor, write_sensor, "sensor info"),
-    Frame: Kind("sal_height_msgs/msg/ChannelFrame", read_frame, write_frame),
-    Images: Kind("sal_height_msgs/msg/ComplexImage", read_image, write_images),
-    Heights: Kind("sal_height_msgs/msg/HeightImage", read_heights, write_heights),
-    StatedCalibration: Kind("sal_height_msgs/msg/Calibration", read_calibration, write_calibration, topics.CALIBRATION),
-    PlatformState: Kind("nav_msgs/msg/Odometry", read_state, write_state, "odometry"),
-    StaticTransform: Kind("tf2_msgs/msg/TFMessage", read_transforms, _nothing_writes, "transform"),
-    PlacedOrigin: Kind("sensor_msgs/msg/NavSatFix", read_placed_origin, write_placed_origin),
-    Pose: Kind("geometry_msgs/msg/PoseStamped", read_pose_sample, _nothing_writes),
-    Fix: Kind("sensor_msgs/msg/NavSatFix", read_fix_sample, _nothing_writes),
-    Attitude: Kind("sensor_msgs/msg/Imu", read_attitude_sample, _nothing_writes),
-    Twist: Kind("geometry_msgs/msg/TwistStamped", read_twist_sample, _nothing_writes),
-    PlacedRelief: Kind("sal_height_msgs/msg/ReliefMap", _nothing_reads, write_relief),
-    ImageMovers: Kind("sensor_msgs/msg/PointCloud2", _nothing_reads, write_movers),
-    PlacedMounting: Kind("geometry_msgs/msg/PoseWithCovarianceStamped", _nothing_reads, write_mounting),
+    Sensor: _kind(
+        types.SensorInfo,
+        lambda message, _: sensor_from_message(message),
+        lambda sensor, _: sensor_to_message(sensor, types.Time()),
+        "sensor info",
+    ),
+    Frame: Kind(types.ChannelFrame.__msgtype__, read_frame, write_frame),
+    Images: Kind(types.ComplexImage.__msgtype__, read_image, write_images),
+    Heights: Kind(types.HeightImage.__msgtype__, read_heights, write_heights),
+    StatedCalibration: _kind(types.Calibration, _stated_calibration, _calibration_message, topics.CALIBRATION),
+    PlatformState: _kind(
+        types.Odometry,
+        lambda message, settings: state_from_message(message, frames_of(settings)),
+        lambda state, settings: state_to_message(state, to_stamp(state.stamp_ns), frames_of(settings)),
+        "odometry",
+    ),
+    StaticTransform: Kind(types.TFMessage.__msgtype__, read_transforms, _kind(types.TFMessage).write, "transform"),
+    PlacedOrigin: _kind(types.NavSatFix, _placed_origin, _origin_message),
+    Pose: _kind(types.PoseStamped, lambda message, settings: Pose(*read_pose(message, frames_of(settings)))),
+    Fix: _kind(types.NavSatFix, lambda message, settings: Fix(read_fix(message, settings.origin))),
+    Attitude: _kind(types.Imu, lambda message, settings: Attitude(read_attitude(message, frames_of(settings)))),
+    Twist: _kind(types.TwistStamped, lambda message, settings: Twist(*read_twist(message, frames_of(settings)))),
+    PlacedRelief: _kind(types.ReliefMap, message_of=lambda placed, _: relief_to_message(placed)),
+    ImageMovers: _kind(types.PointCloud2, message_of=_movers_message),
+    PlacedMounting: _kind(types.PoseWithCovarianceStamped, message_of=_mounting_message),
 }
 """Kinds by the class of their items."""
 
-AIR_KINDS: Mapping[str, Kind] = {
-    port: Kind(quantity.type_name, _air_reader(port), _nothing_writes, "air") for port, quantity in AIR.items()
-}
+
+def _air(port: str) -> Kind:
+    return _kind(AIR[port].message_type, lambda message, _: read_air(port, message), trouble="air")
+
+
+AIR_KINDS: Mapping[str, Kind] = {port: _air(port) for port in AIR}
 """Kinds of measurements of the air, by their port."""
 
 OF_TOPICS: Mapping[str, Kind] = {

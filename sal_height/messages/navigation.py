@@ -1,21 +1,25 @@
-"""Conversion of the messages of instruments (PoseStamped, TwistStamped, NavSatFix and Imu), of mountings and origins.
+"""Conversion of the messages of instruments (PoseStamped, TwistStamped, NavSatFix, Imu, air), mountings and origins.
 
-Each function that reads a message checks it; all of them raise Rejected if a frame is another one than stated, a value
-is not finite, or a quaternion has not the norm 1.
+Each function that reads a message checks it. All but `read_air` raise Rejected if a frame is another one than stated, a
+value is not finite, or a quaternion has not the norm 1.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from sal_height.engine.air import AirSample
 from sal_height.engine.frames import Frames
 from sal_height.errors import Rejected
 from sal_height.geometry import Mounting, Origin, Sample
+from sal_height.imaging import CorrectionSettings
 from sal_height.messages.basics import check_finite, check_rotation, to_ns, vector_of
 from sal_height.messages.types import (
+    FluidPressure,
     Header,
     Imu,
     NavSatFix,
@@ -23,10 +27,13 @@ from sal_height.messages.types import (
     PoseStamped,
     PoseWithCovarianceStamped,
     Quaternion,
+    RelativeHumidity,
+    Temperature,
     Time,
     TwistStamped,
 )
 from sal_height.numeric import F64
+from sal_height.settings import settings_of
 
 FARTHEST_FROM_ORIGIN = 200_000.0
 """Greatest distance of a platform from the origin of its map, m."""
@@ -162,3 +169,67 @@ def _check_frame(what: str, frame: str, allowed: tuple[str, ...]) -> None:
             "wrong frames",
             f"{what} has frame_id {frame!r}; it must be {names}. Parameters map_frame and body_frame set these names.",
         )
+
+
+class AirQuantity(NamedTuple):
+    """A quantity of the air, as messages and parameters have it.
+
+    Attributes:
+        message_type: class of its messages.
+        field: name of the field of the message.
+        unit: unit of the field, after a space; empty: none.
+        parameter: name of the parameter of the same quantity.
+        offset: number to add to the field for the unit of the parameter.
+    """
+
+    message_type: type[Any]
+    field: str
+    unit: str
+    parameter: str
+    offset: float = 0.0
+
+    @property
+    def type_name(self) -> str:
+        """Name of the type of its messages."""
+        return str(self.message_type.__msgtype__)
+
+
+AIR: Mapping[str, AirQuantity] = {
+    "air/pressure": AirQuantity(FluidPressure, "fluid_pressure", " Pa", "air_pressure_pa"),
+    "air/temperature": AirQuantity(Temperature, "temperature", " degrees Celsius", "air_temperature_k", 273.15),
+    "air/humidity": AirQuantity(RelativeHumidity, "relative_humidity", "", "air_humidity"),
+}
+"""The quantities by their topic."""
+
+AIR_TYPES = {quantity.type_name for quantity in AIR.values()}
+
+
+def air_to_messages(values: Mapping[str, float], stamp: Time) -> dict[str, Any]:
+    """Messages on the air, by topic.
+
+    Args:
+        values: values of all quantities, by the names of their parameters.
+        stamp: time of the measurement.
+    """
+    return {
+        topic: one.message_type(header=Header(stamp=stamp), **{one.field: values[one.parameter] - one.offset})
+        for topic, one in AIR.items()
+    }
+
+
+def read_air(topic: str, message: Any) -> AirSample:
+    """A measurement of the quantity that is published on a topic of `AIR`.
+
+    Raises:
+        Rejected: the value is not one that the parameter of the quantity allows.
+    """
+    quantity = AIR[topic]
+    value, limits = float(getattr(message, quantity.field)), settings_of(CorrectionSettings)[quantity.parameter]
+    low, high = (float(limit or 0.0) - quantity.offset for limit in (limits.minimum, limits.maximum))
+    if not low <= value <= high:
+        raise Rejected(
+            "wrong air",
+            f"{quantity.message_type.__name__} on {topic} has {quantity.field} {value:g}; it must be from {low:g} to "
+            f"{high:g}{quantity.unit}.",
+        )
+    return AirSample(to_ns(message.header.stamp), value + quantity.offset)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
-from sal_height.errors import UserError
+from sal_height.engine.provenance import flat_values
+from sal_height.errors import Rejected, UserError
 from sal_height.messages.types import Parameter, ParameterType, ParameterValue
+from sal_height.settings import Settings
 
 KEPT = 512
 """Number of cached parameters, those used last: nearly all are the same from dwell to dwell."""
@@ -103,3 +106,44 @@ def _kind_of(value: Any) -> int:
             if all(isinstance(one, kind) for one in value):
                 return number
     raise TypeError(f"{value!r} is no value of a parameter")
+
+
+def named_values(parameters: Iterable[Parameter]) -> Iterator[tuple[str, Any]]:
+    """Names and values in a Provenance.parameters.
+
+    Raises:
+        Rejected: a value is of a type that ROS parameters do not have.
+    """
+    for parameter in parameters:
+        try:
+            yield parameter.name, value_of(parameter.value)
+        except UserError as error:
+            raise Rejected(
+                "wrong provenance",
+                f"Provenance.parameters has {parameter.name!r} of type {parameter.value.type}; 0 to 9 are allowed.",
+            ) from error
+
+
+def stages_of(parameters: Iterable[Parameter]) -> dict[str, dict[str, Any]]:
+    """The values in a Provenance.parameters by stage and name of the parameter.
+
+    Raises:
+        Rejected: a value is of a type that ROS parameters do not have.
+    """
+    stages: dict[str, dict[str, Any]] = {}
+    for full_name, value in named_values(parameters):
+        stage, _, name = full_name.partition(".")
+        stages.setdefault(stage, {})[name] = value
+    return stages
+
+
+def with_stage(before: Sequence[Parameter], stage: str, values: Settings | Mapping[str, Any]) -> list[Parameter]:
+    """The value of Provenance.parameters with the parameters of one more stage.
+
+    Args:
+        before: parameters of the earlier stages; those of `stage` among them are replaced.
+        stage: name of the node, which is the part before the first dot in the names of its parameters.
+        values: values of the parameters, by name. Nested mappings make names with further dots; None is left out.
+    """
+    kept = [parameter for parameter in before if not parameter.name.startswith(f"{stage}.")]
+    return kept + [shared_parameter(name, value) for name, value in flat_values(values, f"{stage}.").items()]

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sal_height.messages.layout import ARRAY, CODES, LIST, TEXT, Field, Layout
+from sal_height.messages.definition import ARRAY, CODES, LIST, TEXT, Field, Layout
 
 
 class Message:

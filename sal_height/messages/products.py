@@ -1,39 +1,50 @@
-"""Common parts of images and heights: position, provenance and doubts, as items of the engine and as messages."""
+"""Conversion of images, heights and relief maps, and of their position, provenance and doubts."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
+from dataclasses import fields
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
+from sal_height.engine.frames import MAP_FRAME
 from sal_height.engine.geometry_items import Aperture
-from sal_height.engine.height_items import Heights
-from sal_height.engine.image_items import ChannelImage, Images, Place
+from sal_height.engine.height_items import Heights, PackedSurface, packed
+from sal_height.engine.image_items import ChannelImage, Images, Place, check_image
 from sal_height.engine.losses import Doubt, FitTest
+from sal_height.engine.mapper import PlacedRelief
 from sal_height.engine.provenance import Provenance, Same
-from sal_height.errors import Rejected, UserError
-from sal_height.geometry import Grid
-from sal_height.messages.basics import numbers_of
-from sal_height.messages.parameters import shared_parameter, value_of
+from sal_height.engine.stage import DwellKey
+from sal_height.geometry import ApertureState
+from sal_height.imaging import Slc
+from sal_height.messages.basics import (
+    aperture_of,
+    aperture_to_message,
+    grid_from_message,
+    grid_to_message,
+    to_bytes,
+    to_floats,
+    to_ns,
+    to_stamp,
+)
+from sal_height.messages.codec import deserialize, serialize
+from sal_height.messages.parameters import named_values, shared_parameter
+from sal_height.messages.types import Aperture as ApertureMessage
+from sal_height.messages.types import ChannelFrame, ComplexImage, Header, HeightImage, ImageGrid, ReliefLayer, ReliefMap
 from sal_height.messages.types import Doubt as DoubtMessage
 from sal_height.messages.types import FitTest as FitTestMessage
 from sal_height.messages.types import Provenance as ProvenanceMessage
+from sal_height.messages.types import Surface as SurfaceMessage
+from sal_height.relief import HeightField
+from sal_height.sensor import Sensor
 
-PLACES_KEPT = 8
-"""Number of cached grids and apertures: the images of a dwell share theirs."""
 
-
-@lru_cache(PLACES_KEPT)
-def _place_of(grid: tuple[float, ...], aperture: tuple[float, ...], covariance: bytes) -> Place:
-    """Grid and aperture from their numbers."""
-    origin, row, col = np.array(grid[:3]), np.array(grid[3:6]), np.array(grid[6:9])
-    found = Grid(origin, row, col, grid[9], grid[10], int(grid[11]), int(grid[12]))
-    position, orientation, velocity = np.array(aperture[:3]), aperture[3:7], np.array(aperture[7:10])
-    matrix = np.frombuffer(covariance).reshape(6, 6) if covariance else np.zeros((6, 6))
-    seen = Aperture(position, orientation, velocity, aperture[10], matrix, bool(aperture[11]))  # type: ignore[arg-type]
-    return Place(found, seen)
+@lru_cache(8)  # the images of a dwell share theirs
+def _place_of(grid: bytes, aperture: bytes) -> Place:
+    """Grid and aperture from their serialized messages."""
+    return Place(grid_from_message(deserialize(grid, ImageGrid)), aperture_of(deserialize(aperture, ApertureMessage)))
 
 
 def place_of(message: Any) -> Place:
@@ -42,33 +53,7 @@ def place_of(message: Any) -> Place:
     Raises:
         Rejected: the covariance of the pose has neither 36 entries nor none.
     """
-    grid, aperture, pose = message.grid, message.aperture, message.aperture.pose
-    if len(aperture.pose_covariance) not in {0, 36}:
-        raise Rejected(
-            "wrong size",
-            f"aperture.pose_covariance has {len(aperture.pose_covariance)} entries; it must have 36, or none if it is "
-            "not known.",
-        )
-    numbers = (
-        *numbers_of(grid.origin),
-        *numbers_of(grid.row_direction),
-        *numbers_of(grid.col_direction),
-        grid.row_spacing,
-        grid.col_spacing,
-        grid.rows,
-        grid.cols,
-    )
-    seen = (
-        *numbers_of(pose.position),
-        pose.orientation.x,
-        pose.orientation.y,
-        pose.orientation.z,
-        pose.orientation.w,
-        *numbers_of(aperture.velocity),
-        aperture.length,
-        aperture.sliding,
-    )
-    return _place_of(numbers, seen, aperture.pose_covariance.tobytes())
+    return _place_of(serialize(message.grid), serialize(message.aperture))
 
 
 @lru_cache(16)
@@ -78,22 +63,13 @@ def _provenance_of(shared: Same[Any]) -> Provenance:
         message.code_version,
         message.config_hash,
         message.calibration_id,
-        dict(_parameters_of(message)),
+        {
+            name: tuple(value) if isinstance(value, list) else value
+            for name, value in named_values(message.parameters)
+            if value is not None
+        },
         np.array(message.autofocus_phase, np.float32),
     )
-
-
-def _parameters_of(message: Any) -> Iterator[tuple[str, Any]]:
-    for one in message.parameters:
-        try:
-            value = value_of(one.value)
-        except UserError as error:
-            raise Rejected(
-                "wrong provenance",
-                f"Provenance.parameters has {one.name!r} of type {one.value.type}; 0 to 9 are allowed.",
-            ) from error
-        if value is not None:
-            yield one.name, tuple(value) if isinstance(value, list) else value
 
 
 def provenance_of(message: Any) -> Provenance:
@@ -143,3 +119,218 @@ def doubt_fields(item: Images | ChannelImage | Heights) -> dict[str, Any]:
         "doubts": [DoubtMessage(**one._asdict()) for one in item.doubts],
         "fit": [FitTestMessage(**one._asdict()) for one in item.fit],
     }
+
+
+def received_image(cdr: bytes) -> ChannelImage:
+    """Read the bytes of a ComplexImage; samples are a view of them, equal geometries and provenances one object.
+
+    Raises:
+        BrokenMessage: the bytes are not a ComplexImage.
+        Rejected: an error of `image_of`.
+    """
+    return image_of(deserialize(cdr, ComplexImage, shared=True), len(cdr))
+
+
+def image_of(message: ComplexImage, size: int = 0) -> ChannelImage:
+    """Return the image that a ComplexImage describes; `size`: bytes of the serialized message.
+
+    Raises:
+        Rejected: its provenance has a value of a type that ROS parameters do not have, or the covariance of its pose
+            has neither 36 entries nor none.
+    """
+    provenance = provenance_of(message.provenance)
+    return ChannelImage(
+        DwellKey(provenance.config_hash, message.dwell, to_ns(message.header.stamp)),
+        message.header.frame_id,
+        message.channel,
+        place_of(message),
+        message.noise_power,
+        message.saturated_share,
+        to_floats(message.samples),
+        provenance,
+        message.air_delay,
+        **doubts_of(message),
+        size=size,
+    )
+
+
+def image_to_message(image: ChannelImage) -> ComplexImage:
+    """Return the ComplexImage that describes an image."""
+    return ComplexImage(
+        header=Header(stamp=to_stamp(image.key.stamp_ns), frame_id=image.frame_id),
+        dwell=image.key.number,
+        channel=image.channel,
+        grid=grid_to_message(image.place.grid),
+        aperture=aperture_to_message(image.place.aperture),
+        noise_power=image.noise_power,
+        saturated_share=image.saturated_share,
+        air_delay=image.air_delay,
+        samples=image.samples,
+        provenance=provenance_to_message(image.provenance),
+        **doubt_fields(image),
+    )
+
+
+def slc_to_messages(
+    slc: Slc,
+    frame: ChannelFrame | ComplexImage,
+    provenance: ProvenanceMessage,
+    map_frame: str = MAP_FRAME,
+    air_delay: str = "",
+) -> list[ComplexImage]:
+    """Return one ComplexImage for each channel, with the labels of `frame`.
+
+    They share one provenance, which must not be changed, and have views of the pixels.
+
+    Args:
+        slc: images of all channels.
+        frame: frame with the stamp and the dwell.
+        provenance: provenance of the images.
+        map_frame: name of the frame of positions.
+        air_delay: state of the air delay, ComplexImage.AIR_REMOVED or AIR_LEFT; empty: not known.
+    """
+    key, place = DwellKey("", frame.dwell, to_ns(frame.header.stamp)), Place(slc.grid, Aperture.of(slc.aperture))
+    made = [image_to_message(one) for one in Images(key, map_frame, slc, place, Provenance(), air_delay).channels()]
+    for one in made:
+        one.provenance = provenance
+    return made
+
+
+def check_slc(image: ComplexImage, sensor: Sensor) -> None:
+    """Check that an image has the size that its grid states, and values that can be processed.
+
+    Raises:
+        Rejected: it has not; the text names the field, its value and the allowed values.
+    """
+    check_image(image_of(image), sensor)
+
+
+def slc_from_messages(images: Sequence[ComplexImage]) -> Slc:
+    """Return the images of all channels of a dwell, in order, from messages that `check_slc` has passed.
+
+    Raises:
+        Rejected: the channels differ in grid or aperture, or provenance states impossible values.
+    """
+    return Images.joined([image_of(image) for image in images]).slc
+
+
+def recorded_window(provenance: ProvenanceMessage, axis: str) -> str:
+    """Return the name of the window that images were made with, which their provenance, never changed, records.
+
+    It is "rectangular" if the provenance does not name a window of `numeric.WINDOWS`.
+
+    Args:
+        provenance: provenance of the images.
+        axis: axis of the window, "range" or "azimuth".
+    """
+    return provenance_of(provenance).window(axis)
+
+
+_LAYERS = tuple(layer.name for layer in fields(PackedSurface))
+
+_NONE = Provenance()
+"""Provenance of heights for which it does not matter."""
+
+
+def heights_of(message: HeightImage) -> Heights:
+    """Return the heights that a HeightImage describes.
+
+    Raises:
+        Rejected: its provenance has a value of a type that ROS parameters do not have, or the covariance of its pose
+            has neither 36 entries nor none.
+    """
+    return _heights_of(message, provenance_of(message.provenance))
+
+
+def _heights_of(message: HeightImage, provenance: Provenance) -> Heights:
+    place = place_of(message)
+    return Heights(
+        DwellKey(provenance.config_hash, message.dwell, to_ns(message.header.stamp)),
+        message.header.frame_id,
+        message.estimator,
+        place.grid,
+        place.aperture,
+        (message.range_looks, message.azimuth_looks),
+        np.asarray(message.validity, np.uint8),
+        tuple(
+            PackedSurface(**{name: np.asarray(getattr(one, name), np.float32) for name in _LAYERS})
+            for one in message.surfaces
+        ),
+        np.asarray(message.order_probability, np.float32),
+        provenance,
+        **doubts_of(message),
+    )
+
+
+def heights_to_message(heights: Heights) -> HeightImage:
+    """Return the HeightImage that describes heights."""
+    return HeightImage(
+        header=Header(stamp=to_stamp(heights.key.stamp_ns), frame_id=heights.frame_id),
+        dwell=heights.key.number,
+        estimator=heights.estimator,
+        grid=grid_to_message(heights.grid),
+        aperture=aperture_to_message(heights.aperture),
+        range_looks=heights.looks[0],
+        azimuth_looks=heights.looks[1],
+        validity=heights.validity,
+        surfaces=[SurfaceMessage(**{name: getattr(one, name) for name in _LAYERS}) for one in heights.surfaces],
+        order_probability=heights.order_probability,
+        provenance=provenance_to_message(heights.provenance),
+        **doubt_fields(heights),
+    )
+
+
+def height_to_message(
+    field: HeightField,
+    aperture: ApertureState,
+    looks: tuple[int, int],
+    estimator: str,
+    source: ComplexImage | HeightImage,
+    provenance: ProvenanceMessage,
+) -> HeightImage:
+    """Return the HeightImage of a field of heights, with the stamp and the dwell of its `source`."""
+    key = DwellKey("", source.dwell, to_ns(source.header.stamp))
+    seen, made = Aperture.of(aperture), packed(field)
+    heights = Heights(key, source.header.frame_id, estimator, aperture=seen, looks=looks, provenance=_NONE, **made)
+    image = heights_to_message(heights)
+    image.provenance = provenance
+    return image
+
+
+def field_from_message(image: HeightImage, map_frame: str = MAP_FRAME) -> HeightField:
+    """Return the surfaces of a HeightImage; `Heights.field` states which parts are left out.
+
+    Raises:
+        Rejected: the image cannot be used; the text names the field, its value and the allowed values.
+    """
+    heights = _heights_of(image, _NONE)
+    heights.check_frame(map_frame)
+    return heights.field
+
+
+def relief_to_message(placed: PlacedRelief) -> ReliefMap:
+    """Return the ReliefMap, of one layer, that describes a map."""
+    relief = placed.relief
+    rows, cols = relief.height.shape
+    layer = ReliefLayer(
+        name=placed.layer,
+        height=to_floats(relief.height),
+        sigma=to_floats(relief.sigma),
+        disagreement=to_floats(relief.disagreement),
+        kind=np.zeros(0, np.uint8) if relief.kind is None else to_bytes(relief.kind),
+        count=relief.count.ravel(),
+    )
+    return ReliefMap(
+        header=Header(stamp=to_stamp(placed.key.stamp_ns), frame_id=placed.frame_id),
+        crs=placed.crs,
+        dwell=placed.key.number,
+        images=placed.images,
+        estimator=placed.estimator,
+        origin_east=relief.east,
+        origin_north=relief.north,
+        cell_size=relief.cell_size,
+        rows=rows,
+        cols=cols,
+        layers=[layer],
+        provenance=provenance_to_message(placed.provenance),
+    )

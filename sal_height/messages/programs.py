@@ -15,7 +15,7 @@ import numpy as np
 
 from sal_height.engine.provenance import Same
 from sal_height.messages import cdr_parts as parts
-from sal_height.messages.layout import ARRAY, CODES, LIST, TEXT, Field, Layout
+from sal_height.messages.definition import ARRAY, CODES, LIST, TEXT, Field, Layout
 from sal_height.messages.plain import DTYPES, Message, attribute, message_class
 
 SHARED = {"sal_height_msgs/msg/Provenance"}
@@ -26,9 +26,6 @@ KEPT = 16
 
 WRITTEN_ONCE = {"sal_height_msgs/msg/Provenance": KEPT, "rcl_interfaces/msg/Parameter": 512}
 """Types whose shared messages have their bytes cached, and the number of them: provenances and their parameters."""
-
-DEEPEST = 32
-"""Most levels of nested messages."""
 
 Order = Literal["<", ">"]
 """Order of bytes: the least significant first, or last."""
@@ -77,10 +74,6 @@ class Programs:
             self._readers.setdefault(key, made)  # another thread may have been faster
         return self._readers[key]
 
-    def fields_reader(self, type_name: str, first: str, last: str, order: Order, *, shared: bool) -> Read:
-        """The function that reads neighbouring fields of a message of a type, from `first` to `last`, as a tuple."""
-        return _ReaderSource(self, order, shared=shared).function_of_fields(type_name, first, last)
-
     def writer(self, type_name: str, *, shared: bool) -> Write:
         """The function that writes the parts of a message and returns the offset after it.
 
@@ -99,10 +92,7 @@ class Programs:
 
     def is_inlined(self, type_name: str) -> bool:
         """True if a nested message of a type is read and written by the function of its parent."""
-        # Most numbers, texts and lists of a nested message that is read and written by the function of its
-        # parent.
-        most_inlined = 64
-        return self._size(type_name)[0] <= most_inlined
+        return self._size(type_name)[0] <= 64  # numbers, texts and lists
 
     def least_bytes(self, type_name: str) -> int:
         """Least number of bytes of a message of a type."""
@@ -114,8 +104,9 @@ class Programs:
         Raises:
             ValueError: it contains itself, or has a field of a kind that is not read.
         """
-        if depth > DEEPEST:
-            raise ValueError(f"{type_name} contains messages at more than {DEEPEST} levels")
+        deepest = 32  # levels of nested messages
+        if depth > deepest:
+            raise ValueError(f"{type_name} contains messages at more than {deepest} levels")
         if type_name not in self._sizes:
             sizes = [self._size_of_field(field, depth) for field in self.layout(type_name).fields]
             self._sizes[type_name] = sum(leaves for leaves, _ in sizes), sum(least for _, least in sizes)
@@ -237,16 +228,7 @@ class _ReaderSource(_Source):
 
     def function(self, type_name: str) -> Read:
         self.programs.least_bytes(type_name)  # refuses types that cannot be read
-        return self.finish(self.message(type_name))
-
-    def function_of_fields(self, type_name: str, first: str, last: str) -> Read:
-        fields = self.programs.layout(type_name).fields
-        names = [field.name for field in fields]
-        wanted = fields[names.index(first) : names.index(last) + 1]
-        return self.finish(f"({', '.join([self.field(field) for field in wanted])},)")
-
-    def finish(self, result: str) -> Read:
-        """The function that returns an expression, and the offset after the bytes that it has read."""
+        result = self.message(type_name)
         self.flush()
         self.lines += self.making
         return self.compile("cdr, at", f"{result}, at")

@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import Any
 
 from sal_height.messages.codec import SHIPPED
-from sal_height.messages.definitions import TEXTS
+from sal_height.messages.definition import shipped_texts
 
-_TYPE_NAMES = {type_name.rpartition("/")[2]: type_name for type_name in TEXTS}
+_TYPE_NAMES = {type_name.rpartition("/")[2]: type_name for type_name in shipped_texts()}
 
 
 def __getattr__(name: str) -> Any:

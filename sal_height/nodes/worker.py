@@ -24,8 +24,8 @@ from std_srvs.srv import Trigger
 from sal_height import topics
 from sal_height.engine.stage import DwellKey, Loss, StageSettings
 from sal_height.errors import Rejected, UserError
+from sal_height.messages.accounts import loss_to_message
 from sal_height.messages.codec import SHIPPED, BrokenMessage
-from sal_height.messages.losses import loss_to_message
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, DwellLoss
 from sal_height.nodes.accounts.account import Account
 from sal_height.nodes.accounts.publisher import AccountPublisher

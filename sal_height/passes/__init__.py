@@ -1,21 +1,17 @@
 """Heights from several passes over the same ground: each pass is a channel of a sparse array in elevation.
 
 Read `flown` first (the phase history of a pass, and which passes go together), then `array` (ranges become phases: the
-response of the passes to a point at any elevation, as `Beams` that all estimators take), `boxes` (the volume in pieces
-that one response is valid for), `registration` and `tie` (errors of position and phase between passes, from bright
-points), `chance` (test of these against random phases), `points` (heights of bright points) and `ambiguity` (heights
-that the passes confuse).
+response of the passes to a point at any elevation, as `Beams` that all estimators take, and heights that they confuse),
+`boxes` (the volume in pieces that one response is valid for, and their images in register), `tie` (errors of position
+and phase between passes, from bright points), `points` (heights of bright points) and `heights` (all steps).
 """
 
-from sal_height.passes.ambiguity import Ambiguity, ambiguity_of
-from sal_height.passes.array import PassArray, Steering
-from sal_height.passes.boxes import Box, Lattice
-from sal_height.passes.flown import LEAST_PASSES, Pass, together
+from sal_height.passes.array import Ambiguity, PassArray, Steering, ambiguity_of
+from sal_height.passes.boxes import Box, Lattice, registered
+from sal_height.passes.flown import GOTCHA_ELEVATIONS, LEAST_PASSES, Circle, Pass, simulated_passes, together
 from sal_height.passes.heights import ESTIMATORS_OF_PASSES, OF_POINTS, PassHeights, ReferencePoint, heights_from_passes
 from sal_height.passes.points import PointHeights
-from sal_height.passes.registration import registered
 from sal_height.passes.settings import PassSettings
-from sal_height.passes.simulated import GOTCHA_ELEVATIONS, Circle, simulated_passes
 from sal_height.passes.tie import Tie
 
 __all__ = [

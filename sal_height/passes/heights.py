@@ -11,12 +11,10 @@ import numpy as np
 from sal_height.elevation import ElevationEstimator, HeightSettings
 from sal_height.errors import UserError
 from sal_height.numeric import F64, Bool
-from sal_height.passes.ambiguity import Ambiguity, ambiguity_of
-from sal_height.passes.array import PassArray
-from sal_height.passes.boxes import Lattice
+from sal_height.passes.array import Ambiguity, PassArray, ambiguity_of
+from sal_height.passes.boxes import Lattice, Registered, registered
 from sal_height.passes.flown import LEAST_PASSES, Pass, together
 from sal_height.passes.points import PointDetections, find_points
-from sal_height.passes.registration import Registered, registered
 from sal_height.passes.settings import PassSettings
 from sal_height.passes.tie import Candidates, Tie, loosest, tie_passes
 

@@ -25,8 +25,7 @@ from sal_height.elevation import AMBIGUOUS_RATIO
 from sal_height.errors import UserError
 from sal_height.numeric import C64, C128, F64, MEDIAN_ERROR, Bool, vertex
 from sal_height.passes.array import PassArray, Steering
-from sal_height.passes.boxes import Box, brightest
-from sal_height.passes.registration import Registered
+from sal_height.passes.boxes import Box, Registered, brightest
 from sal_height.passes.settings import PassSettings
 
 LEAST_TIES = 5

@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable
 from functools import partial
 from types import TracebackType
 from typing import Any, NamedTuple, Self
@@ -15,23 +14,15 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
-from sal_height.messages import deserialize, received_height, received_image, received_pose
-from sal_height.messages.types import DiagnosticArray
+from sal_height.messages import deserialize
 from sal_height.nodes.transport.callbacks import guarded
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import message_class
 from sal_height.view.drawings import ReceivedMessage
-from sal_height.view.painter import COMPLEX_IMAGE, DIAGNOSTICS, HEIGHT_IMAGE, ODOMETRY, is_shown
+from sal_height.view.painter import is_shown
 
 QOS = QoSProfile(depth=256, reliability=ReliabilityPolicy.BEST_EFFORT)
 """It suits every publisher, and no publisher waits for a subscription that is best-effort."""
-
-READERS: dict[str, Callable[[bytes], Any]] = {
-    HEIGHT_IMAGE: received_height,
-    COMPLEX_IMAGE: received_image,
-    ODOMETRY: received_pose,
-    DIAGNOSTICS: partial(deserialize, kind=DiagnosticArray),
-}
 
 ITEM_BYTES = 1000
 """Memory of a message that waits, in addition to its own bytes."""
@@ -105,7 +96,8 @@ class Listener:
                 return None
             item = self._waiting.popleft()
             self._size -= item.size
-        return ReceivedMessage(item.topic, item.type_name, item.received_ns, partial(READERS[item.type_name], item.cdr))
+        read = partial(deserialize, item.cdr, item.type_name, shared=True)
+        return ReceivedMessage(item.topic, item.type_name, item.received_ns, read)
 
     def __enter__(self) -> Self:
         self._thread.start()

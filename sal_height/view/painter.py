@@ -15,15 +15,12 @@ from sal_height.geometry import PlatformState
 from sal_height.messages import (
     MAP_FRAME,
     Frames,
-    ReceivedImage,
-    ReceivedPose,
     complex_view,
     field_from_message,
-    state_of_pose,
+    state_from_message,
     to_ns,
 )
-from sal_height.messages import types as messages
-from sal_height.messages.types import DiagnosticArray, Odometry
+from sal_height.messages.types import ComplexImage, DiagnosticArray, HeightImage, Odometry
 from sal_height.nodes.accounts.account import STAGE, Account
 from sal_height.numeric import F32, F64
 from sal_height.relief import Surface
@@ -253,7 +250,7 @@ class Painter:
         sheets = [sheet for path in list(self._powers) for sheet in self._finish_power(path)]
         return [*sheets, *self._finish_tracks()]
 
-    def _paint_heights(self, topic: str, image: messages.HeightImage, received_ns: int) -> Iterator[Sheet]:
+    def _paint_heights(self, topic: str, image: HeightImage, received_ns: int) -> Iterator[Sheet]:
         field, path = field_from_message(image, self._map_frame), estimator_of(topic)
         there = field.first.is_determined
         notes = self._settle(field.first.positions[there].mean(axis=0) if there.any() else field.grid.origin)
@@ -290,9 +287,7 @@ class Painter:
         colours = coloured(height, self._spans.heights.ends, "viridis")
         return Cloud(path, places, colours, height.astype(np.float32), sigma.astype(np.float32), radius)
 
-    def _paint_power(
-        self, topic: str, image: messages.ComplexImage | ReceivedImage, received_ns: int
-    ) -> Iterator[Sheet]:
+    def _paint_power(self, topic: str, image: ComplexImage, received_ns: int) -> Iterator[Sheet]:
         where = f"ComplexImage of dwell {image.dwell}, channel {image.channel}"
         if image.header.frame_id != self._map_frame:
             raise Rejected(
@@ -338,9 +333,8 @@ class Painter:
         picture = Picture(f"{topic}/power", coloured(decibels, self._power.ends, "gray"))
         return Sheet(collected.stamp_ns, collected.received_ns, (picture,))
 
-    def _paint_track(self, topic: str, message: Odometry | ReceivedPose, received_ns: int) -> Iterator[Sheet]:
-        pose = message if isinstance(message, ReceivedPose) else ReceivedPose.of(message)
-        state = state_of_pose(pose, Frames(self._map_frame, pose.child_frame_id))
+    def _paint_track(self, topic: str, message: Odometry, received_ns: int) -> Iterator[Sheet]:
+        state = state_from_message(message, Frames(self._map_frame, message.child_frame_id))
         track = self._tracks.setdefault(topic.removesuffix("/odometry"), Track())
         waits_ns = track.add(state, received_ns)
         if waits_ns >= (PIECE_NS if self._origin is not None else UNSETTLED_NS):

@@ -16,15 +16,14 @@ from mcap.writer import Writer
 
 from sal_height.bag.check import check_bag
 from sal_height.bag.check_sensor import Finding
-from sal_height.bag.definitions import Definition, known_definition
-from sal_height.bag.files import ACCOUNT
-from sal_height.bag.index import read_index
+from sal_height.bag.files import ACCOUNT, read_index
 from sal_height.bag.reader import BagMessage
 from sal_height.bag.topics import IMAGE_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.commands import main
 from sal_height.errors import UserError
 from sal_height.messages import serialize
+from sal_height.messages.definition import Definition, known_definition
 from sal_height.messages.types import ComplexImage
 
 FRAMES, ODOMETRY, INFO = "/phase_history", "/platform/odometry", "/sensor_info"

@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
-from sal_height.bag.index import read_index
+from sal_height.bag.files import read_index
 from sal_height.bag.namespace import NamespacedReader
 from sal_height.bag.played import part_of
 from sal_height.bag.qos import TRANSIENT_LOCAL, Qos

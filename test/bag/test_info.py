@@ -11,9 +11,8 @@ import pytest
 from bags_at_hand import REFERENCE, reference, write_like_reference
 from mcap.writer import IndexType, Writer
 
-from sal_height.bag.described import sensors_in
-from sal_height.bag.dwells import dwell_report
-from sal_height.bag.index import read_index, read_log_times
+from sal_height.bag.described import dwell_report, sensors_in
+from sal_height.bag.files import read_index, read_log_times
 from sal_height.bag.info import FileInfo, bag_info, info_text
 from sal_height.bag.reader import BagReader
 from sal_height.bag.writer import Packing

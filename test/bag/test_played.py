@@ -8,7 +8,6 @@ from air_messages import pressure_at, temperature_at
 from played_bag import odometry
 from written_bag import frame, key
 
-from sal_height import messages
 from sal_height.bag.played import DwellRange, chosen, part_of, read_contents
 from sal_height.bag.reader import BagMessage
 from sal_height.messages import serialize
@@ -41,7 +40,7 @@ def played(dwells: DwellRange, *recorded: Any) -> list[float | str]:
         elif content.air_ns is not None:
             found.append(f"{one.topic[5]}{content.air_ns * 1e-9:g}")
         else:
-            found.append(messages.received_pose(one.cdr).stamp_ns * 1e-9)
+            found.append((content.odometry_ns or 0) * 1e-9)
     return found
 
 

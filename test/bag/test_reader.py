@@ -17,13 +17,12 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
 from sal_height.bag import qos
-from sal_height.bag.definitions import Definition, known_definition
-from sal_height.bag.file_writer import CHUNK_SIZE
 from sal_height.bag.qos import RELIABLE, TRANSIENT_LOCAL, VOLATILE, Qos
 from sal_height.bag.reader import BagReader
-from sal_height.bag.writer import BagWriter, Packing
+from sal_height.bag.writer import CHUNK_SIZE, BagWriter, Packing
 from sal_height.errors import UserError
 from sal_height.messages import serialize
+from sal_height.messages.definition import Definition, known_definition
 from sal_height.messages.types import KeyValue
 
 STRING = "std_msgs/msg/String"
@@ -104,12 +103,6 @@ def test_a_bag_of_several_files_is_one_sequence(tmp_path: Path) -> None:
     reader = BagReader(directory)
     assert reader.topics["/greeting"].count == reader.message_count == 6
     assert [message.log_time_ns for message in reader.messages()] == list(range(6))
-
-
-def test_decoding_gives_the_message(bag: Path) -> None:
-    reader = BagReader(bag)
-    (message,) = reader.messages()
-    assert reader.decode(message.type_name, message.cdr).data == "hello"
 
 
 def test_the_offered_qos_comes_back(tmp_path: Path) -> None:

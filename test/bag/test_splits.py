@@ -18,11 +18,10 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from std_msgs.msg import String
 
-from sal_height.bag.file_writer import CHUNK_SIZE, COMPRESSIONS
 from sal_height.bag.qos import TRANSIENT_LOCAL, Qos
 from sal_height.bag.reader import BagReader
-from sal_height.bag.salvage import salvage
-from sal_height.bag.writer import BagWriter, Packing
+from sal_height.bag.salvage import recover
+from sal_height.bag.writer import CHUNK_SIZE, COMPRESSIONS, BagWriter, Packing
 
 STRING = "std_msgs/msg/String"
 LATCHED = Qos(depth=1, durability=TRANSIENT_LOCAL)
@@ -158,13 +157,13 @@ def test_a_bag_whose_last_file_is_cut_is_salvaged_without_repetitions(split: Pat
     last = split / "split_3.mcap"
     last.write_bytes(last.read_bytes()[: last.stat().st_size // 2])
     before = [m for m in BagReader(write_bag(tmp_path / "whole", Packing())).messages() if m.log_time_ns < 9 * SECOND]
-    count = salvage(split, tmp_path / "salvaged")
+    count = recover(split, tmp_path / "salvaged").count
     assert list(BagReader(tmp_path / "salvaged").messages()) == before
     assert count == len(before)
 
 
 def test_without_the_file_before_a_repeated_message_is_kept(split: Path, tmp_path: Path) -> None:
-    salvage(split / "split_1.mcap", tmp_path / "salvaged")
+    recover(split / "split_1.mcap", tmp_path / "salvaged")
     reader = BagReader(tmp_path / "salvaged")
     assert [deserialize_message(m.cdr, String).data for m in reader.messages(["/info"])] == ["info 0", "info 5"]
 
@@ -202,7 +201,7 @@ def test_finished_files_of_a_killed_process_are_whole(tmp_path: Path) -> None:
     assert done.returncode == -signal.SIGKILL
     for number in range(3):
         assert BagReader(folder / f"killed_{number}.mcap").topics["/samples"].count == 3
-    salvage(folder, tmp_path / "salvaged")
+    recover(folder, tmp_path / "salvaged")
     times = [m.log_time_ns for m in BagReader(tmp_path / "salvaged").messages(["/samples"])]
     assert times == [second * SECOND for second in range(MESSAGES)]
     assert all(earlier < later for earlier, later in pairwise(times))

@@ -17,14 +17,14 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from sal_height.bag.compare import EQUAL, compare_bags
-from sal_height.bag.definitions import Definition
 from sal_height.bag.reader import BagReader
 from sal_height.bag.versions import VERSION_0, needs_upgrade, upgraded
-from sal_height.messages import deserialize, samples_of, sensor_from_message, stages_of
+from sal_height.engine.frame_items import samples_of
+from sal_height.messages import deserialize, sensor_from_message, stages_of
 from sal_height.messages import types as messages
 from sal_height.messages.codec import recorded_types
-from sal_height.messages.definition import composed
-from sal_height.messages.definitions import TEXTS
+from sal_height.messages.definition import Definition, composed, shipped_texts
+from sal_height.messages.frames import frame_of
 from sal_height.messages.parameters import parameter_of, value_of
 from sal_height.messages.plain import fields_of_message
 
@@ -141,7 +141,7 @@ def test_samples_are_those_recorded() -> None:
     old, new = last_of("/phase_history")
     recorded = np.asarray(old.samples, dtype=np.float32).view(np.complex64)
     assert recorded.any()
-    np.testing.assert_array_equal(samples_of(new).ravel(), recorded)
+    np.testing.assert_array_equal(samples_of(frame_of(new)).ravel(), recorded)
 
 
 @pytest.mark.parametrize(("topic", "count"), [("/monopulse/height", 1), ("/ml/height", 2)])
@@ -240,10 +240,9 @@ MAP_2 = Definition(
 
 def of_version_2(type_name: str, bare: Definition, **values: Any) -> Any:
     """Today's message of one of version 2 with these values."""
-    contained = {
-        one: TEXTS[one]
-        for one in ("std_msgs/msg/Header", "builtin_interfaces/msg/Time", "sal_height_msgs/msg/Provenance")
-    } | {f"rcl_interfaces/msg/{one}": TEXTS[f"rcl_interfaces/msg/{one}"] for one in ("Parameter", "ParameterValue")}
+    names = ["std_msgs/msg/Header", "builtin_interfaces/msg/Time", "sal_height_msgs/msg/Provenance"]
+    names += ["rcl_interfaces/msg/Parameter", "rcl_interfaces/msg/ParameterValue"]
+    contained = {name: shipped_texts()[name] for name in names}
     definition = Definition(composed(bare.text, contained), "")
     store = recorded_types(type_name, definition)
     cdr = store.serialize(store.message_class(type_name)(**values))

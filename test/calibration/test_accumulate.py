@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers import assert_one_sentence, multilook
+from helpers import assert_one_sentence, circular, multilook
 
 from sal_height.beams.array import Beams, column_squint
-from sal_height.calibration.accumulate import Calibrator, brightest, common_response, targets_in
+from sal_height.calibration.accumulate import (
+    Calibrator,
+    Sighting,
+    brightest,
+    common_response,
+    find_reference_target,
+    targets_in,
+)
 from sal_height.calibration.beam_calibration import BeamCalibration
 from sal_height.calibration.calibration import CalibrationSettings
 from sal_height.elevation.estimators.maximum_likelihood import MlSettings, ml_elevation
@@ -19,9 +26,11 @@ from sal_height.elevation.looks.looks import Looks
 from sal_height.errors import NotDetermined, Rejected
 from sal_height.figures.synthetic_tape import RangeFault, TapeTarget, make_tape
 from sal_height.geometry.earth import sphere_point
-from sal_height.geometry.frames import angles_of
+from sal_height.geometry.frames import ApertureState, angles_of
+from sal_height.geometry.grid import Grid
 from sal_height.geometry.trajectory import Trajectory
 from sal_height.imaging.focus import ImageSettings, Slc, focus_dwell
+from sal_height.numeric import F64
 from sal_height.response.point_targets import PointTarget, PointTargetSettings
 from sal_height.simulation.flight import SimulatedFlight, flight_of
 from sal_height.simulation.impairments import Impairments, RangeSawtooth
@@ -39,8 +48,9 @@ def images(flight: SimulatedFlight) -> Iterator[Slc]:
         yield focus_dwell(flight.phase_history(dwell), track, flight.sensor, settings)
 
 
-def calibrated(flight: SimulatedFlight, slcs: Iterator[Slc] | list[Slc]) -> Any:
-    calibrator = Calibrator(flight.sensor)
+def calibrated(flight: SimulatedFlight, slcs: Iterable[Slc], place: F64 | None = None, **changes: Any) -> Any:
+    """Calibration and the reasons of what is undetermined; `place`: that of a reference target in map, m."""
+    calibrator = Calibrator(flight.sensor, place, CalibrationSettings(**changes))
     for slc in slcs:
         calibrator.add(slc)
     return calibrator.calibration()
@@ -128,29 +138,20 @@ def test_settings_say_how_much_is_kept_and_clipped() -> None:
     Calibrator(flight.sensor, settings=CalibrationSettings(max_saturated_fraction=0.02)).add(clipped)
 
 
-def _zeros(slc: Slc) -> Slc:
-    return replace(slc, images=np.zeros_like(slc.images))
+def dead(slc: Slc) -> Slc:
+    return replace(slc, images=slc.images * (np.arange(8) != 2)[:, None, None].astype(np.float32))
 
 
-def _bad(slc: Slc) -> Slc:
-    return replace(slc, images=np.full_like(slc.images, np.nan))
+SPOILED: dict[str, Callable[[Slc], Slc]] = {
+    "zeros": lambda slc: replace(slc, images=np.zeros_like(slc.images)),
+    "not finite": lambda slc: replace(slc, images=np.full_like(slc.images, np.nan)),
+    "a dead channel": dead,
+    "narrow": lambda slc: replace(slc, images=slc.images[..., :3], grid=replace(slc.grid, cols=3)),
+    "without noise": lambda slc: replace(slc, noise_power=np.zeros_like(slc.noise_power)),
+}
 
 
-def _dead(slc: Slc) -> Slc:
-    dead = slc.images.copy()
-    dead[2] = 0
-    return replace(slc, images=dead)
-
-
-def _narrow(slc: Slc) -> Slc:
-    return replace(slc, images=slc.images[..., :3], grid=replace(slc.grid, cols=3))
-
-
-def _silent(slc: Slc) -> Slc:
-    return replace(slc, noise_power=np.zeros_like(slc.noise_power))
-
-
-@pytest.mark.parametrize("spoil", [_zeros, _bad, _dead, _narrow, _silent])
+@pytest.mark.parametrize("spoil", SPOILED.values(), ids=SPOILED)
 def test_images_that_do_not_tell_leave_all_as_described_and_say_why(spoil: Any) -> None:
     flight = flown(2)
     with np.errstate(invalid="raise"):
@@ -193,10 +194,7 @@ def paired(**changes: Any) -> SimulatedFlight:
 def test_a_reference_target_tells_what_a_scene_cannot() -> None:
     """Amplitudes of a pair; speckle beside the target leaves 1 %. The bias of monopulse goes with them."""
     flight = paired()
-    (slc,) = images(flight)
-    calibrator = Calibrator(flight.sensor, sphere_point(0.0, 0.1, 0.2))
-    calibrator.add(slc)
-    calibration, undetermined = calibrator.calibration()
+    calibration, undetermined = calibrated(flight, images(flight), sphere_point(0.0, 0.1, 0.2))
     gain = calibration.response.mean(axis=1)
     np.testing.assert_allclose(20 * np.log10(np.abs(gain)), [0.5, -0.5], atol=0.1)
     np.testing.assert_allclose(np.angle(gain), [0.17, -0.17], atol=0.02)
@@ -218,20 +216,16 @@ def test_a_reference_target_tells_what_a_scene_cannot() -> None:
 )
 def test_settings_say_what_is_enough(changed: dict[str, Any], sentence: str) -> None:
     """A dwell over a reflector, which with the settings as they are determines everything."""
-    flight, place = paired(), sphere_point(0.0, 0.1, 0.2)
-    calibrator = Calibrator(flight.sensor, place if "target" in sentence else None, CalibrationSettings(**changed))
-    for slc in images(flight):
-        calibrator.add(slc)
-    assert any(sentence in reason for reason in calibrator.calibration()[1])
+    flight, place = paired(), sphere_point(0.0, 0.1, 0.2) if "target" in sentence else None
+    _, undetermined = calibrated(flight, images(flight), place, **changed)
+    assert any(sentence in reason for reason in undetermined)
 
 
 def test_heights_of_a_pair_lose_their_bias_by_a_reference_target() -> None:
     """Elevation of the target itself: before, off by 1 dB over the slope of the pair; a tenth of that after."""
     flight, place = paired(), sphere_point(0.0, 0.1, 0.2)
     (slc,) = images(flight)
-    calibrator = Calibrator(flight.sensor, place)
-    calibrator.add(slc)
-    calibration, _ = calibrator.calibration()
+    calibration, _ = calibrated(flight, [slc], place)
     track, history, sensor = Trajectory(flight.platform_states(0)), flight.phase_history(0), flight.sensor
     _, elevation, _ = angles_of(place, slc.aperture, sensor.look_side)
     biases = []
@@ -248,9 +242,66 @@ def test_heights_of_a_pair_lose_their_bias_by_a_reference_target() -> None:
 
 def test_a_target_that_is_not_seen_leaves_the_scene_to_tell() -> None:
     flight = flown(10)
-    calibrator = Calibrator(flight.sensor, sphere_point(1000.0, 0.0, 0.0))
-    for slc in images(flight):
-        calibrator.add(slc)
-    calibration, undetermined = calibrator.calibration()
+    calibration, undetermined = calibrated(flight, images(flight), sphere_point(1000.0, 0.0, 0.0))
     assert "by the reference target: No dwell shows the target" in undetermined[0]
     assert calibration.width_sigma > 0
+
+
+ROWS, COLS = 64, 24
+APERTURE = ApertureState(np.array([0.0, 0.0, 3500.0]), np.array([50.0, 0.0, 0.0]), np.eye(3), 0.1, np.zeros((6, 6)))
+SIGHT = np.array([0.0, -1.0, -1.0]) / np.sqrt(2)
+GRID = Grid(
+    APERTURE.position + 4950.0 * SIGHT - np.array([0.4, 0.0, 0.0]),
+    SIGHT,
+    np.array([1.0, 0.0, 0.0]),
+    0.05,
+    0.04,
+    ROWS,
+    COLS,
+)
+ROW, COL = 30, 7
+
+
+def seen(over_db: float, row: int = ROW, col: int = COL) -> Sighting | None:
+    """A target at ROW and COL whose image, of `over_db` over the speckle of two channels, is at `row` and `col`."""
+    pixels = circular(np.random.default_rng(1), (2, ROWS, COLS)).astype(np.complex64)
+    pixels[:, row, col] = 10 ** (over_db / 20) * np.array([1, 0.5j])
+    return find_reference_target(pixels, GRID, APERTURE, 1, GRID.points(ROW, COL))
+
+
+def test_it_is_found_within_two_pixels_of_its_place_and_seen_under_its_angles() -> None:
+    _, elevation, squint = angles_of(GRID.points(ROW, COL), APERTURE, 1)
+    for row, col in ((ROW, COL), (ROW - 2, COL + 2)):
+        found = seen(40.0, row, col)
+        assert found is not None
+        np.testing.assert_allclose(found.samples, [100, 50j], rtol=1e-6)
+        assert found.elevation == pytest.approx(float(elevation), abs=1e-12)
+        assert found.squint == pytest.approx(float(squint), abs=1e-12)
+    assert elevation != pytest.approx(squint, abs=0.1)
+
+
+def test_it_is_not_taken_from_elsewhere_nor_from_speckle() -> None:
+    assert seen(40.0, ROW + 3, COL) is None
+    assert seen(40.0, ROW, COL + 3) is None
+    assert seen(15.0) is None
+
+
+@pytest.mark.parametrize(("row", "col"), [(1, COL), (ROWS - 2, COL), (ROW, 1), (ROW, COLS - 2), (-40, COL)])
+def test_beyond_the_edge_there_is_none(row: int, col: int) -> None:
+    pixels = np.full((2, ROWS, COLS), 1e-3, dtype=np.complex64)
+    pixels[:, max(row, 0), col] = 1
+    assert find_reference_target(pixels, GRID, APERTURE, 1, GRID.points(row, col)) is None
+
+
+def test_in_a_strip_it_is_seen_from_abeam() -> None:
+    """The strip's images are those of an aperture that slides along: the squint of a target at any column is 0."""
+    flight = flight_of(replace(load_preset("sal_stripmap"), dwells=1), seed=1)
+    aperture = replace(flight.aperture(0), sliding=True)
+    place = aperture.position + 5000.0 * SIGHT + np.array([0.3, 0.0, 0.0])
+    grid = replace(GRID, origin=aperture.position + 4999.0 * SIGHT - np.array([0.4, 0.0, 0.0]))
+    pixels = np.full((2, ROWS, COLS), 1e-3, dtype=np.complex64)
+    pixels[:, 20, 17] = 1
+    found = find_reference_target(pixels, grid, aperture, 1, place)
+    assert found is not None
+    assert found.squint == pytest.approx(0, abs=1e-9)
+    assert abs(angles_of(place, aperture, 1)[2]) > 1e-5

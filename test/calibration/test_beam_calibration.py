@@ -10,12 +10,14 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from beam_tables import sample_pattern
-from helpers import BEAMWIDTH, circular, elevation_at, make_beams, make_sensor, multilook, phased
+from helpers import BEAMWIDTH, circular, elevation_at, make_beams, make_sensor, multilook
 
 from sal_height.beams.array import Beams
-from sal_height.beams.pattern import pattern_named
-from sal_height.calibration.beam_calibration import BeamCalibration, calibrate_beams, calibrate_on_target
-from sal_height.calibration.beam_likelihood import (
+from sal_height.beams.pattern import Pattern, pattern_named
+from sal_height.calibration.beam_calibration import (
+    BeamCalibration,
+    calibrate_beams,
+    calibrate_on_target,
     curve_of,
     variance_between,
     with_known_angles,
@@ -202,12 +204,25 @@ def test_score_is_the_derivative_of_the_likelihood() -> None:
     assert found.score == pytest.approx(differences, abs=1e-4 * np.abs(differences).max())
 
 
+def with_phase(pattern: Pattern) -> Pattern:
+    """The pattern with a phase that is not straight over elevation."""
+
+    def turn(e: npt.ArrayLike) -> npt.NDArray[np.complex128]:
+        return np.exp(1j * (0.7 * np.asarray(e) + 0.9 * np.asarray(e) ** 2))
+
+    return replace(
+        pattern,
+        amplitude=lambda e, a: pattern.amplitude(e, a) * turn(e),
+        slope=lambda e, a: (pattern.slope(e, a) + 1j * (0.7 + 1.8 * np.asarray(e)) * pattern.amplitude(e, a)) * turn(e),
+    )
+
+
 @pytest.mark.parametrize("kind", ["real", "complex"])
 def test_curvature_is_that_of_the_curve(kind: str) -> None:
     """The unit vector a little further on, and back, with the phases that bring both nearest to it."""
     beams = make_beams("jinc", 4)
     if kind == "complex":
-        beams = replace(beams, patterns=(phased(beams.patterns[0], tilt=0.7, bend=0.9),))
+        beams = replace(beams, patterns=(with_phase(beams.patterns[0]),))
     gains, here, far = np.linspace(0.9, 1.1, beams.count), elevation_at([0.2]), 2e-3
     middle, before, after = (
         curve_of(beams, gains, here + step * BEAMWIDTH, np.zeros(1)).unit[0] for step in (0, -far, far)
@@ -228,7 +243,7 @@ def test_curvature_is_that_of_the_curve(kind: str) -> None:
 def test_information_is_that_of_turning_unit_vectors() -> None:
     """2 (e^H R e - K) Re(de^H de), de without its part along e; and none of its part along de/dtheta."""
     beams = make_beams("jinc", 4)
-    beams = replace(beams, patterns=(phased(beams.patterns[0], tilt=0.7, bend=0.9),))
+    beams = replace(beams, patterns=(with_phase(beams.patterns[0]),))
     here, gains, step = elevation_at([0.2]), np.array([1.1, 0.9, 1.0, 1.2]), 1e-5
 
     def unit(values: Array) -> npt.NDArray[np.complex128]:

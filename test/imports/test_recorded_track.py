@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import assert_one_sentence
+from helpers import refused
 from pyproj import Transformer
 from scipy.spatial.transform import Rotation
 
@@ -165,6 +165,5 @@ def test_attitudes_beside_a_gap_of_fixes_are_left_out_and_told(
 def test_bags_without_a_track_are_refused(
     recorded: list[tuple[str, Any]], origin: Origin | None, words: str, tmp_path: Path
 ) -> None:
-    with pytest.raises(UserError) as refused:
+    with refused(UserError, words):
         read_recorded_track(write(tmp_path / "bag", recorded), origin)
-    assert_one_sentence(str(refused.value), words)

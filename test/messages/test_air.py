@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from air_messages import humidity_at, pressure_at, temperature_at
-from helpers import assert_one_sentence
+from helpers import refused
 
 from sal_height.errors import Rejected
 from sal_height.messages import AirSample, read_air
@@ -35,6 +35,5 @@ def test_values_come_in_the_units_of_the_parameters() -> None:
     ],
 )
 def test_values_that_no_air_has_are_refused(topic: str, message: Any, said: str) -> None:
-    with pytest.raises(Rejected) as wrong:
+    with refused(Rejected, topic, said):
         read_air(topic, message)
-    assert_one_sentence(str(wrong.value), topic, said)

@@ -15,20 +15,24 @@ import pytest
 from ros_messages import assert_same_as_rclpy, in_other_byte_order, of_rclpy, random_message, read_by_rclpy, spoiled
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from sal_height.bag.definitions import _read_definition, _share_folders
 from sal_height.errors import UserError
 from sal_height.messages import BrokenMessage, deserialize, serialize, types
 from sal_height.messages.codec import SHIPPED, recorded_types
-from sal_height.messages.definition import Definition, shipped_definition
-from sal_height.messages.definitions import TEXTS
-from sal_height.messages.layout import read_layout
+from sal_height.messages.definition import (
+    Definition,
+    installed_definition,
+    read_layout,
+    share_folders,
+    shipped_definition,
+    shipped_texts,
+)
 from sal_height.messages.programs import KEPT
 from sal_height.nodes.transport import message_types
 from sal_height.nodes.transport.message_types import class_of, message_class
-from tools.definitions import FILE, TFMESSAGE, module
+from tools.definitions import FILE, TFMESSAGE, content
 
 ROOT = Path(__file__).parents[2]
-INSTALLED = sorted(name for name in TEXTS if name != TFMESSAGE[0])
+INSTALLED = sorted(name for name in shipped_texts() if name != TFMESSAGE[0])
 """tf2_msgs is not on PyPI."""
 
 WITH_FIELDS = [name for name in INSTALLED if not name.endswith("/ParameterType")]
@@ -40,18 +44,18 @@ def rng() -> np.random.Generator:
 
 
 def test_the_definitions_are_those_that_their_tool_writes() -> None:
-    assert FILE.read_text(encoding="utf-8") == module()
+    assert FILE.read_text(encoding="utf-8") == content()
 
 
 @pytest.mark.parametrize("type_name", INSTALLED)
 def test_text_and_hash_are_those_installed(type_name: str) -> None:
-    assert shipped_definition(type_name) == _read_definition(type_name, _share_folders())
+    assert shipped_definition(type_name) == installed_definition(type_name, share_folders())
 
 
 def test_every_message_of_ours_is_shipped_with_its_text() -> None:
     texts = {file.stem: file.read_text(encoding="utf-8") for file in (ROOT / "msg_defs" / "msg").glob("*.msg")}
     assert {
-        name.rpartition("/")[2]: text for name, text in TEXTS.items() if name.startswith("sal_height_msgs")
+        name.rpartition("/")[2]: text for name, text in shipped_texts().items() if name.startswith("sal_height_msgs")
     } == texts
 
 
@@ -68,6 +72,7 @@ def test_what_one_writes_the_other_reads(type_name: str, rng: np.random.Generato
         assert deserialize(in_other_byte_order(message), type_name) == message
         assert bytes(store.serialize_cdr(message, type_name)) == cdr  # padding is zero, and nothing follows
         assert SHIPPED.reader(type_name, shared=True)(cdr) == message
+        assert SHIPPED.reader(type_name, shared=True)(in_other_byte_order(message)) == message
         assert SHIPPED.serialize(message, shared=True) == cdr
 
 

@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from helpers import make_aperture
+from helpers import elevation_at, make_aperture, make_sensor
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from sal_height import __version__, messages
 from sal_height.errors import Rejected
-from sal_height.geometry import Grid
-from sal_height.imaging import ImageSettings, Slc
+from sal_height.geometry import ApertureState, Grid
+from sal_height.imaging import Centroid, ImageSettings, Placement, Slc
+from sal_height.imaging.pixels import image_beams
 from sal_height.messages import deserialize
 from sal_height.messages.codec import SHIPPED
 from sal_height.messages.parameters import KEPT, _kept_parameter
 from sal_height.messages.products import provenance_of, provenance_to_message
-from sal_height.messages.types import ComplexImage, HeightImage, ParameterValue, Provenance, Surface
-from sal_height.messages.types import Parameter as ParameterMessage
+from sal_height.messages.types import ComplexImage, HeightImage, Parameter, ParameterValue, Provenance, Surface
 from sal_height.settings import Settings
 
 
@@ -130,7 +133,102 @@ def test_serialized_images_end_with_their_provenance(store: Typestore) -> None:
 
 
 def test_a_parameter_of_an_unknown_type_is_refused_in_a_sentence() -> None:
-    parameter = ParameterMessage(name="ml_height.range_looks", value=ParameterValue(type=244))
+    parameter = Parameter(name="ml_height.range_looks", value=ParameterValue(type=244))
     with pytest.raises(Rejected, match="of type 244; 0 to 9 are allowed") as refusal:
         messages.stages_of([parameter])
     assert refusal.value.reason == "wrong provenance"
+
+
+ELEVATION = elevation_at(np.linspace(-1, 1, 5))
+STRIP = make_sensor(mode="stripmap", detector_rotation=0.26, pulse_repetition_frequency=20e3)
+
+
+def made_with(window: object, stage: str = "sar_compression") -> list[Parameter]:
+    return messages.with_stage([], stage, {"azimuth_window": window})
+
+
+def test_spotlight_has_the_beams_of_the_sensor() -> None:
+    sensor = replace(STRIP, mode="spotlight", config_hash="")
+    assert image_beams(sensor, "hamming") is sensor.beams
+
+
+@pytest.mark.parametrize(
+    ("provenance", "window"),
+    [
+        (made_with("hamming"), "hamming"),
+        (made_with("taylor"), "taylor"),
+        (made_with("rectangular"), "rectangular"),
+        (made_with("unheard of"), "rectangular"),
+        (made_with(["hamming"]), "rectangular"),
+        (made_with(7), "rectangular"),
+        ([], "rectangular"),
+        (made_with("hamming", stage="other"), "rectangular"),
+    ],
+)
+def test_stripmap_averages_with_the_window_that_the_image_was_made_with(
+    provenance: list[Parameter], window: str
+) -> None:
+    recorded = messages.recorded_window(Provenance(parameters=provenance), "azimuth")
+    assert recorded == window
+    seen = image_beams(STRIP, recorded).response(ELEVATION, 0.0)
+    np.testing.assert_array_equal(seen, image_beams(STRIP, window).response(ELEVATION, 0.0))
+    others = {"hamming", "taylor", "rectangular"} - {window}
+    assert all(np.abs(seen - image_beams(STRIP, o).response(ELEVATION, 0.0)).max() > 1e-4 for o in others)
+
+
+PLACED = [
+    Placement(0.001, -2e-5, 0.0005, Centroid(0.0023, 1e-4, 3e-4)),
+    Placement(0.0, 0.0, 0.01, by_beams=True, beams_error=2e-4, own_error=1e-4),
+]
+
+
+X, Y = np.eye(3)[:2]
+SLC = Slc(
+    np.zeros((2, 3, 4), np.complex64),
+    Grid(np.zeros(3), X, Y, 1.0, 1.0, 3, 4),
+    ApertureState(np.zeros(3), X, np.eye(3), 1.0, np.zeros((6, 6)), sliding=False),
+    np.ones(2),
+    np.zeros(2),
+)
+
+
+def stated(values: Mapping[str, Any]) -> Any:
+    """What a message states of the compression."""
+    return provenance_of(Provenance(parameters=messages.with_stage([], "sar_compression", values)))
+
+
+def through_messages(slc: Slc) -> tuple[Placement, float]:
+    found = stated({"rows": 3, **messages.autofocus_values(slc)})
+    return found.placement, found.residual_phase
+
+
+@pytest.mark.parametrize("placement", PLACED)
+def test_what_data_told_comes_back(placement: Placement) -> None:
+    assert through_messages(replace(SLC, placement=placement, residual_phase=0.047)) == (placement, 0.047)
+
+
+def test_what_data_did_not_tell_is_not_told() -> None:
+    assert messages.autofocus_values(replace(SLC, placement=Placement(0.0, 0.0, 0.01))) == {}
+    assert through_messages(SLC) == (Placement(0.0, 0.0, 0.0), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("speed", float("nan")),
+        ("pointing", float("inf")),
+        ("speed_error", -1.0),
+        ("beams_error", -1e-9),
+        ("centroid.error", -1e-9),
+        ("centroid.vibration", "much"),
+    ],
+)
+def test_numbers_that_are_none_are_refused(name: str, value: object) -> None:
+    with pytest.raises(Rejected, match=f"sar_compression.placement.{name}"):
+        _ = stated({f"placement.{name}": value}).placement
+
+
+@pytest.mark.parametrize("value", [float("nan"), -0.1, "much"])
+def test_a_phase_that_is_none_is_refused(value: object) -> None:
+    with pytest.raises(Rejected, match=r"sar_compression.residual.phase_rad"):
+        _ = stated({"residual.phase_rad": value}).residual_phase

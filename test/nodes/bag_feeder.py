@@ -71,7 +71,7 @@ class Feeder:
                     publishers[topic].publish(cdr)
             self.wait(self._is_ready, "the nodes to be ready")
         frames = [received_frame(cdr) for topic, cdr in recorded if topic == "/phase_history"]
-        return len(frames), {frame.dwell for frame in frames}
+        return len(frames), {frame.key.number for frame in frames}
 
     def heights_of(self, bag: Path) -> dict[int, HeightImage]:
         """Heights of all dwells of a bag, which is published."""

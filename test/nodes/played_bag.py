@@ -12,10 +12,10 @@ from rclpy.parameter import Parameter
 
 from sal_height import messages
 from sal_height.bag import qos
-from sal_height.bag.definitions import Definition
 from sal_height.bag.writer import BagWriter
 from sal_height.graph.plan import DwellChanges
 from sal_height.messages import serialize
+from sal_height.messages.definition import Definition
 from sal_height.messages.types import Calibration, ChannelFrame, Odometry, SensorInfo, Temperature
 from sal_height.nodes.accounts.account import CALIBRATIONS
 from sal_height.nodes.playing.player import Player

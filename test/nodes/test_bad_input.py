@@ -12,10 +12,12 @@ import pytest
 from chain_fixture import DETECTORS, START_NS, StageChain, next_dwell_is_exact, same_heights
 
 from sal_height import messages
+from sal_height.engine.frame_items import check_frame
 from sal_height.errors import Rejected
 from sal_height.geometry import Motion, Trajectory
 from sal_height.imaging import ImageSettings
 from sal_height.messages import deserialize, serialize
+from sal_height.messages.frames import frame_of
 from sal_height.messages.types import ChannelFrame, ComplexImage, HeightImage, Provenance
 from sal_height.pipeline import Compressor
 from sal_height.simulation import SimulatedFlight
@@ -82,12 +84,18 @@ def test_a_bad_frame_or_image_is_rejected_with_its_reason(
 ) -> None:
     is_frame = name in FRAMES
     message = deserialize(good_frame, ChannelFrame) if is_frame else deserialize(good_image, ComplexImage)
-    check = messages.check_frame if is_frame else messages.check_slc
-    check(message, flight.sensor)
+
+    def check() -> None:
+        if is_frame:
+            check_frame(frame_of(message), flight.sensor)
+        else:
+            messages.check_slc(message, flight.sensor)
+
+    check()
     field, spoil, reason = FRAMES[name] if is_frame else IMAGES[name]
     setattr(message, field, spoil(getattr(message, field)))
     with pytest.raises(Rejected) as error:
-        check(message, flight.sensor)
+        check()
     assert error.value.reason == reason
 
 

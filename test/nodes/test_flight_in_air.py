@@ -16,7 +16,7 @@ from rewritten_bag import rewritten
 
 from sal_height import messages
 from sal_height.bag.compare import CHANGED, EQUAL
-from sal_height.bag.cut import Range, cut
+from sal_height.bag.copies import Range, cut
 from sal_height.bag.namespace import NamespacedReader
 from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.bag.writer import BagWriter

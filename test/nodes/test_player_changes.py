@@ -9,9 +9,9 @@ from helpers import assert_one_sentence
 from played_bag import Listener, bag, odometry, played, player_of
 from written_bag import calibration, frame, key
 
-from sal_height.bag.definitions import Definition
 from sal_height.errors import UserError
 from sal_height.graph.plan import DwellChanges
+from sal_height.messages.definition import Definition
 from sal_height.messages.types import Odometry
 from sal_height.nodes.accounts.account import CALIBRATIONS
 from sal_height.nodes.processing import PROCESSING

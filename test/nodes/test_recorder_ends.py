@@ -22,7 +22,7 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 
 from sal_height.bag.reader import BagReader
-from sal_height.bag.salvage import salvage
+from sal_height.bag.salvage import recover
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
@@ -83,7 +83,7 @@ def test_a_killed_recorder_loses_no_more_than_came_since_the_last_flush(
             process.kill()
             killed_at = time.monotonic()
             process.communicate()
-            salvage(folder, tmp_path / "salvaged")
+            recover(folder, tmp_path / "salvaged")
             found = numbers_in(tmp_path / "salvaged")
             shutil.rmtree(tmp_path / "salvaged")
             due = np.searchsorted(published, killed_at - FLUSH_S - LATE_S)
@@ -133,7 +133,7 @@ def test_a_disk_that_fills_up_keeps_what_was_written_and_the_program_says_so(
     assert process.returncode == 1
     assert "No space left on device" in said
     assert "Traceback" not in said
-    salvage(small_disk / "bag", tmp_path / "salvaged")
+    recover(small_disk / "bag", tmp_path / "salvaged")
     found = numbers_in(tmp_path / "salvaged")
     assert found == list(range(len(found)))
     assert 0.5 * len(found) > SMALL_DISK_MB - 1.5

@@ -9,8 +9,8 @@ from pass_scenes import SETTINGS, array_of, flown, reflectors
 
 from sal_height.errors import UserError
 from sal_height.passes import PassArray, PassSettings, ReferencePoint, Tie, registered
+from sal_height.passes.boxes import Registered
 from sal_height.passes.heights import _with_references
-from sal_height.passes.registration import Registered
 from sal_height.passes.tie import Candidates, sensitivity, tie_passes
 
 

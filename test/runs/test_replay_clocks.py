@@ -14,7 +14,7 @@ from helpers import assert_one_sentence
 from sal_height.bag.compare import CHANGED
 from sal_height.bag.played import DwellRange
 from sal_height.bag.reader import ALWAYS, BagReader
-from sal_height.bag.stamps import stamp_ns_of
+from sal_height.bag.topics import stamp_ns_of
 from sal_height.commands import main
 from sal_height.engine.compression import Compression
 from sal_height.engine.stage import DwellKey, Job, Result

@@ -10,9 +10,8 @@ from typing import Any
 import pytest
 
 from sal_height.bag.compare import EQUAL, TopicComparison, compare_bags
-from sal_height.bag.cut import Range, cut
+from sal_height.bag.copies import Range, cut, upgrade
 from sal_height.bag.reader import BagReader
-from sal_height.bag.upgrade import upgrade
 
 
 def compare(golden: Path, made: Path) -> dict[str, TopicComparison]:

@@ -26,9 +26,9 @@ from rclpy.qos import (
 
 import sal_height
 from sal_height.graph.node_classes import NODES
-from sal_height.messages import MAP_FRAME, POINT_FIELDS
+from sal_height.messages import MAP_FRAME
 from sal_height.messages.codec import SHIPPED
-from sal_height.messages.relief import RELIEF_POINT_FIELDS
+from sal_height.messages.views import POINT_FIELDS, RELIEF_POINT_FIELDS
 from sal_height.nodes.accounts.account import DIAGNOSTICS
 from sal_height.nodes.transport.domain import free_domain
 from sal_height.nodes.transport.graph import Graph

@@ -25,8 +25,7 @@ from sal_height import messages
 from sal_height.bag.described import FRAMES
 from sal_height.bag.played import DwellRange, Played, chosen, read_contents
 from sal_height.bag.reader import BagMessage, BagReader
-from sal_height.bag.stamps import STAMP, STAMP_AT, stamp_ns_of
-from sal_height.bag.topics import ODOMETRY_TYPE, SENSOR_TYPE
+from sal_height.bag.topics import ODOMETRY_TYPE, SENSOR_TYPE, STAMP, STAMP_AT, stamp_ns_of
 from sal_height.engine.stage import FOREVER_NS
 from sal_height.errors import UserError
 from sal_height.messages.types import ChannelFrame, Clock, Odometry

@@ -15,8 +15,7 @@ from rclpy.subscription import Subscription
 from sal_height.errors import UserError
 from sal_height.messages import serialize
 from sal_height.messages.codec import SHIPPED, BrokenMessage
-from sal_height.messages.definition import shipped_definition
-from sal_height.messages.layout import ARRAY, LIST, NO_FIELD, TEXT, Field
+from sal_height.messages.definition import ARRAY, LIST, NO_FIELD, TEXT, Field, shipped_definition
 from sal_height.messages.types import TFMessage
 
 NAMES = {"bool": "boolean", "byte": "octet", "char": "uint8", "float32": "float", "float64": "double"}

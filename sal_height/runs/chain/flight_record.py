@@ -127,7 +127,7 @@ class FlightRecord:
 
     def _read_event(self, recorded: BagMessage) -> None:
         event = self._reader.decode(recorded.type_name, recorded.cdr)
-        if isinstance(self._reader, NamespacedReader) and not self._reader.holds(event.node):
+        if isinstance(self._reader, NamespacedReader) and not self._reader.contains(event.node):
             return
         node = event.node.rpartition("/")[2]
         for parameters, is_change in ((event.new_parameters, False), (event.changed_parameters, True)):

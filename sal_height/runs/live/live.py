@@ -17,7 +17,7 @@ import numpy as np
 from rclpy.task import Future
 
 from sal_height import messages
-from sal_height.bag.stamps import stamp_ns_of
+from sal_height.bag.topics import stamp_ns_of
 from sal_height.elevation import ElevationEstimator
 from sal_height.engine.heights import HeightStage
 from sal_height.engine.movers import MOVERS

@@ -22,7 +22,7 @@ from sal_height.bag.copies import kept_packing
 from sal_height.bag.described import sensors_of
 from sal_height.bag.namespace import NamespacedReader
 from sal_height.bag.reader import BagReader
-from sal_height.bag.topics import CALIBRATION_TYPE, FIX_TYPE, FRAME_TYPE, SENSOR_TYPE
+from sal_height.bag.topics import CALIBRATION_TYPE, FIX_TYPE, FRAME_TYPE, ODOMETRY_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.elevation import ESTIMATORS
 from sal_height.engine.height_items import Heights
@@ -206,7 +206,7 @@ def _corrected_odometry(
     states: list[PlatformState | None] = []
     for recorded in reader.messages([f"/{ODOMETRY}"]):
         try:
-            states.append(messages.state_of_pose(messages.received_pose(recorded.cdr), frames))
+            states.append(messages.state_from_message(messages.deserialize(recorded.cdr, ODOMETRY_TYPE), frames))
         except (UserError, RuntimeError):  # the compression leaves it out, too
             states.append(None)
     better = iter(corrected([state for state in states if state is not None]))

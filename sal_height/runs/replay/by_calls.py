@@ -20,9 +20,9 @@ from sal_height.engine.stage import DwellKey, Event, Loss, Notice, Port, Product
 from sal_height.errors import UserError
 from sal_height.graph.plan import UNCOUNTED, Execution, Outcome, Plan
 from sal_height.graph.processes import Interruption
+from sal_height.messages.accounts import loss_to_message
 from sal_height.messages.codec import SHIPPED
 from sal_height.messages.kinds import kind_of, kind_of_topic
-from sal_height.messages.losses import loss_to_message
 from sal_height.nodes.accounts.account import Account
 from sal_height.runs.chain.chain_runs import BagRun, Scheme
 from sal_height.runs.chain.worker import count_messages

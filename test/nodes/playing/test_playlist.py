@@ -15,7 +15,7 @@ from sal_height import messages
 from sal_height.bag import qos
 from sal_height.bag.played import DwellRange
 from sal_height.bag.reader import BagReader
-from sal_height.bag.stamps import stamp_ns_of
+from sal_height.bag.topics import stamp_ns_of
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.messages import deserialize, serialize

@@ -31,7 +31,7 @@ from rosbags.rosbag2 import Reader
 from std_msgs.msg import String
 
 from sal_height.bag.reader import BagReader
-from sal_height.bag.salvage import salvage
+from sal_height.bag.salvage import recover
 from sal_height.errors import UserError
 from sal_height.messages import deserialize, serialize
 from sal_height.messages.parameters import parameter_of
@@ -634,7 +634,7 @@ def test_what_was_recorded_can_be_salvaged_while_the_recorder_runs(
     file = bag / "run_0.mcap"
     size = file.stat().st_size
     assert graph.spin_until(lambda: file.stat().st_size > size, TIMEOUT_S), "flushed at regular times"
-    assert salvage(bag, tmp_path / "saved") == 5
+    assert recover(bag, tmp_path / "saved").count == 5
 
 
 def test_a_type_that_is_not_installed_is_left_out(
@@ -680,7 +680,7 @@ def test_a_full_disk_is_reported_once_and_the_node_lives_on(
     assert status["level"] == str(DiagnosticStatus.ERROR)
     recorded = recorder.recorded["/note"]
     graph.close()
-    assert recorded - 1 <= salvage(bag, tmp_path / "saved") <= recorded
+    assert recorded - 1 <= recover(bag, tmp_path / "saved").count <= recorded
 
 
 def values(message: DiagnosticArray) -> dict[str, str]:

@@ -24,7 +24,7 @@ from annotated_types import Ge, Gt, Le
 from scipy.spatial.transform import Rotation
 
 from sal_height.beams import ZERNIKE, Beams
-from sal_height.configuration import Float, Int, StrictKeys
+from sal_height.configuration import Angle, Decibels, Float, Int, StrictKeys
 from sal_height.geometry import look_direction
 from sal_height.numeric import C128, F64, Complex, taylor
 from sal_height.sensor import Sensor, echo_sensor, spectrum_sensor
@@ -32,7 +32,6 @@ from sal_height.simulation.air import SimulatedAir
 from sal_height.simulation.harmonics import Harmonics
 from sal_height.simulation.odometry_errors import EXACT, OdometryErrors
 from sal_height.simulation.phase_errors import AT_REST, Vibration
-from sal_height.simulation.preset_types import Angle, Decibels
 
 LINES = 400
 

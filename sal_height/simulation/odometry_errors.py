@@ -18,11 +18,10 @@ import numpy.typing as npt
 from annotated_types import Ge, Gt, Le
 from scipy.spatial.transform import Rotation
 
-from sal_height.configuration import Float, StrictKeys
+from sal_height.configuration import Angle, Float, StrictKeys
 from sal_height.geometry import Mounting, PlatformState
 from sal_height.numeric import F64
 from sal_height.simulation.harmonics import Harmonics
-from sal_height.simulation.preset_types import Angle
 
 HARMONICS = 150
 SPAN = 100.0

@@ -17,12 +17,11 @@ from pydantic_core import PydanticCustomError
 from scipy.spatial.transform import Rotation
 
 from sal_height.beams import PATTERNS, read_beam_tables
-from sal_height.configuration import Float, Int, StrictKeys, read_yaml, validated
+from sal_height.configuration import Angle, Decibels, Float, Int, StrictKeys, read_yaml, validated
 from sal_height.errors import UserError
 from sal_height.geometry import Mounting, Origin, describe_implausible_pressure
 from sal_height.sensor import MAX_DETECTORS, Sensor
 from sal_height.simulation.impairments import UNIMPAIRED, Impairments
-from sal_height.simulation.preset_types import Angle, Decibels
 
 SHIPPED = Path(__file__).parents[1] / "presets"  # folder of the presets of the package
 BEAM_TABLES = ".csv"  # suffix of the file of measured beams that a preset may name as its pattern

@@ -13,7 +13,7 @@ from helpers import make_sensor
 from sal_height.calibration.calibration import Calibration, load_calibration, save_calibration
 from sal_height.errors import UserError
 from sal_height.numeric.windows import window
-from sal_height.sensor.phase_history import PhaseHistory
+from sal_height.sensor.sensor import PhaseHistory
 
 SENSOR = make_sensor()
 SHAPE = SENSOR.detector_count, SENSOR.sample_count

@@ -16,7 +16,7 @@ from matplotlib.image import imread
 
 from sal_height.commands import main
 from sal_height.errors import UserError
-from sal_height.figures import array_elevation, azimuth, noise
+from sal_height.figures import array_elevation, noise, patterns
 from sal_height.figures.curve import Curve, check_of, exact_curve, holds, rows_of
 from sal_height.figures.paper_figures import COLUMNS, FIGURES, LEAST_TRIALS, make_figures, summary
 
@@ -164,7 +164,7 @@ def test_a_wrong_closed_form_is_noticed(
 
 def test_a_wrong_inversion_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     """By 2e-9 beamwidths; and where it finds nothing at all."""
-    right = azimuth.invert
+    right = patterns.invert
 
     def spoilt(error: float) -> Callable[..., Any]:
         def wrong(*arguments: Any) -> Any:
@@ -174,8 +174,8 @@ def test_a_wrong_inversion_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
         return wrong
 
     for error in (2e-9, np.nan):
-        monkeypatch.setattr(azimuth, "invert", spoilt(error))
-        assert not any(holds(check) for check in checks_of(azimuth.fig8()))
+        monkeypatch.setattr(patterns, "invert", spoilt(error))
+        assert not any(holds(check) for check in checks_of(patterns.fig8()))
 
 
 def test_what_should_exist_and_does_not_is_null_and_off() -> None:

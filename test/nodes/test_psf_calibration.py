@@ -24,7 +24,7 @@ from sal_height.nodes.processing import PROCESSING
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
 from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS
-from sal_height.sensor.phase_history import PhaseHistory
+from sal_height.sensor.sensor import PhaseHistory
 from sal_height.simulation.flight import SimulatedFlight
 
 COUNT = 64

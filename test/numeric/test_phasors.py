@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sal_height.numeric._kernels import cosine_and_sine
-from sal_height.numeric.phasors import SMALL, outer_phasors, unit_phasors
+from sal_height.numeric.transforms import SMALL, outer_phasors, unit_phasors
 
 
 @pytest.mark.parametrize("largest", [np.pi, 1e3, 1e7])

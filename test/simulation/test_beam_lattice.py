@@ -8,7 +8,7 @@ from helpers import BEAMWIDTH, beams_named, make_sensor, sensor_with_complex_bea
 
 from sal_height.beams import Beams
 from sal_height.sensor.sensor import Sensor
-from sal_height.simulation.beam_lattice import NODES_PER_BEAMWIDTH, _table, response_of
+from sal_height.simulation.echoes import NODES_PER_BEAMWIDTH, _table, response_of
 from sal_height.simulation.preset import load_preset
 
 SENSORS = {

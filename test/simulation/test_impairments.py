@@ -20,8 +20,7 @@ from sal_height.beams.pupil import aberrated_pattern
 from sal_height.geometry.frames import angles_of, look_direction
 from sal_height.imaging.formers.backprojection import backproject, backproject_points
 from sal_height.imaging.pixels import Processing, slant_plane_grid
-from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.sensor import Sensor, processed_angle
+from sal_height.sensor.sensor import PhaseHistory, Sensor, processed_angle
 from sal_height.sensor.waveform import echo_sensor, from_spectrum, spectrum_sensor, to_spectrum
 from sal_height.simulation.flight import SimulatedFlight, flight_of
 from sal_height.simulation.impairments import (

@@ -18,6 +18,7 @@ from sal_height.beams.array import Beams
 from sal_height.beams.pattern import PATTERNS, Pattern, pattern_named
 from sal_height.elevation.looks.look_windows import Window
 from sal_height.elevation.looks.looks import Looks, windowed_looks
+from sal_height.errors import UserError
 from sal_height.geometry.frames import ApertureState
 from sal_height.sensor.channels import Channels, whitened_channels
 from sal_height.sensor.sensor import Sensor
@@ -258,6 +259,14 @@ def assert_one_sentence(text: str, *parts: str) -> None:
     assert text.endswith(".")
     for part in parts:
         assert part in text
+
+
+@contextmanager
+def refused(*parts: str, by: type[UserError] = UserError) -> Iterator[None]:
+    """The block is refused by an exception whose message is one sentence that holds all `parts`."""
+    with pytest.raises(by) as refusal:
+        yield
+    assert_one_sentence(str(refusal.value), *parts)
 
 
 @contextmanager

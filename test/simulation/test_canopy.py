@@ -6,9 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import assert_one_sentence, flat_scene, make_aperture
+from helpers import flat_scene, make_aperture, refused
 
-from sal_height.errors import UserError
 from sal_height.geometry.earth import sphere_coordinates, sphere_point
 from sal_height.simulation.canopy import Canopy
 from sal_height.simulation.scene import Scene, VisibleSurface, visible_surface
@@ -114,6 +113,5 @@ def test_woods_hold_what_they_say() -> None:
     ],
 )
 def test_impossible_canopy_is_refused(changes: dict[str, object], complaint: str) -> None:
-    with pytest.raises(UserError) as refusal:
+    with refused("Scene flat", complaint):
         level_scene(replace(level_canopy(), **changes))
-    assert_one_sentence(str(refusal.value), "Scene flat", complaint)

@@ -29,9 +29,6 @@ NEIGHBOUR_SHARE = 0.1
 Between -4 dB at the edge of a pixel and the first null of its response half a cell farther.
 """
 
-WEAK = 0.1
-"""Power of a surface over that of the strongest in its pixel below which it does not count as one: 10 dB."""
-
 
 @dataclass(frozen=True, eq=False)
 class LitSurfaces:
@@ -58,8 +55,8 @@ class LitSurfaces:
 
     @property
     def counted(self) -> Bool:
-        """True for surfaces that are inside the array and not WEAK, shape (surfaces, rows, cols)."""
-        return (self.received >= WEAK) & self.inside
+        """True for surfaces inside the array with a tenth of the power of the strongest in the pixel, or more."""
+        return (self.received >= 0.1) & self.inside
 
     @property
     def count(self) -> Index:

@@ -189,9 +189,6 @@ def _are_near(what: str, stated: Any, found: Any) -> bool:
     return what.endswith(" in ns") and abs(int(stated) - int(found)) <= 1
 
 
-MAGIC_BYTES = 8
-
-
 def check_bag(path: Path, advance: Callable[[int, int], None]) -> list[Finding]:
     """Find the faults of the bag at `path`; all its data are read.
 
@@ -234,7 +231,7 @@ def check_bag(path: Path, advance: Callable[[int, int], None]) -> list[Finding]:
 def _start(file: Path) -> bytes:
     try:
         with file.open("rb") as stream:
-            return stream.read(MAGIC_BYTES)
+            return stream.read(8)
     except OSError as refusal:
         raise UserError(f"File {file} cannot be read: {refusal.strerror}.") from refusal
 

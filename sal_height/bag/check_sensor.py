@@ -24,9 +24,6 @@ from sal_height.numeric import I64
 from sal_height.renamed import with_new_names
 from sal_height.sensor import Sensor
 
-NAMED = 3
-"""Number of cases that a finding names; of more it states the number."""
-
 
 @dataclass(frozen=True)
 class Finding:
@@ -69,8 +66,9 @@ def recovery(path: Path) -> str:
 
 def some(cases: Sequence[object]) -> str:
     """The first few of several cases."""
-    named = "; ".join(map(str, cases[:NAMED]))
-    return f"{named}; and {len(cases) - NAMED} more" if len(cases) > NAMED else named
+    most_named = 3  # number of cases that a finding names; of more it states the number
+    named = "; ".join(map(str, cases[:most_named]))
+    return f"{named}; and {len(cases) - most_named} more" if len(cases) > most_named else named
 
 
 GAPLESS_NS = 50_000_000

@@ -30,13 +30,6 @@ from sal_height.nodes.transport.endpoints import Inlet, Outlet
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.worker import WorkerNode
 
-COMPANY_TIMEOUT_S = 1.0
-"""Time for which other sensors are looked for before the start, s: discovery needs a few tenths of a second
-on an idle machine."""
-
-LOOK_PERIOD_S = 0.1
-"""Period at which signals, the bag and other publishers are checked, s."""
-
 
 class Ends(NamedTuple):
     """The two ends of a topic, with what had been published and received before the first step.
@@ -296,8 +289,9 @@ def _waiter(
 
         def is_over() -> bool:
             nonlocal due, progress, last_progress
+            look_period_s = 0.1  # period at which signals, the bag and other publishers are checked, s
             if (now := time.monotonic()) >= due:
-                due = now + LOOK_PERIOD_S
+                due = now + look_period_s
                 interruption.check()
                 run.check()
                 if run.is_working or run.progress != progress:
@@ -321,6 +315,9 @@ def _look_for_company(plan: Plan) -> None:
     Raises:
         UserError: there is one.
     """
+    # Time for which other sensors are looked for before the start, s: discovery needs a few tenths of a second on an
+    # idle machine.
+    company_timeout_s = 1.0
     with Graph() as graph:
         looker = graph.add(Node("sal_height_looker", context=graph.context))
 
@@ -328,4 +325,4 @@ def _look_for_company(plan: Plan) -> None:
             refuse_company(looker, plan.on_wire(plan.played), own=0)
             return False
 
-        graph.spin_until(found, COMPANY_TIMEOUT_S)
+        graph.spin_until(found, company_timeout_s)

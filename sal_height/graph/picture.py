@@ -26,9 +26,6 @@ mpl.use("Agg")
 WIDTH, COLUMN_WIDTH = 183 / 25.4, 89 / 25.4
 """Widths of pictures, inches: two columns of a journal, and one."""
 
-DOTS_PER_INCH = 220
-"""A picture as wide as two columns has 1585 pixels in a row."""
-
 LEAST_POINTS = 6.0
 """Size of the smallest letters, points."""
 
@@ -99,8 +96,9 @@ def title_of(estimator: str) -> str:
 @contextmanager
 def page(path: Path, tall: float, wide: float = WIDTH) -> Iterator[Figure]:
     """A figure of this size (inches) to draw on, written as a PNG when the block ends; one of greys alone as such."""
+    dots_per_inch = 220  # a picture as wide as two columns has 1585 pixels in a row
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(wide, tall), dpi=DOTS_PER_INCH, layout="constrained")
+        figure = Figure(figsize=(wide, tall), dpi=dots_per_inch, layout="constrained")
         yield figure
         canvas = FigureCanvasAgg(figure)
         canvas.draw()  # once, and not twice as savefig does

@@ -31,8 +31,6 @@ PR_SET_PDEATHSIG, PR_SET_NAME = 1, 15
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that ask a process to end."""
 
-POLL_S = 0.02
-
 
 def use_one_thread() -> None:
     """Work in one thread, and so do the processes that this one starts, unless the environment says otherwise.
@@ -140,7 +138,7 @@ class Forked:
         while (status := self.poll()) is None:
             if time.monotonic() > deadline:
                 raise subprocess.TimeoutExpired(f"process {self.pid}", timeout)
-            time.sleep(POLL_S)
+            time.sleep(0.02)
         return status
 
     def terminate(self) -> None:

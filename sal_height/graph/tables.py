@@ -14,9 +14,6 @@ from sal_height.tables import aligned
 ABSENT = "-"
 """Stands for a number that does not exist, such as the bias of an estimator without valid pixels."""
 
-MOST_CHANGES = 5
-"""Fields that are named of those that changed."""
-
 
 def results_table(outcome: Outcome, accuracy: Mapping[str, Mapping[str, Any]]) -> str:
     """Height images, messages dropped and, where the truth is known, the errors of each estimator.
@@ -77,8 +74,9 @@ def comparison_table(compared: Mapping[str, TopicComparison]) -> str:
         counts += [sum(one.different for one in fields), sum(one.outside for one in fields)]
         rows.append([topic, result.verdict, *map(str, counts)])
     changes = list(_changes(compared))
-    if len(changes) > MOST_CHANGES:
-        changes[MOST_CHANGES:] = [f"{len(changes) - MOST_CHANGES} more fields changed; the report lists them."]
+    most_changes = 5  # fields that are named of those that changed
+    if len(changes) > most_changes:
+        changes[most_changes:] = [f"{len(changes) - most_changes} more fields changed; the report lists them."]
     return "\n".join([aligned([heading, *rows]), *changes])
 
 

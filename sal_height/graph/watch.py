@@ -19,12 +19,6 @@ from sal_height.nodes.transport.domain import LOOK_S, LOST, DomainChoice, Ports,
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
 
-SHOW_PERIOD_S = 1.0
-"""Period at which the accounts are shown, s."""
-
-LOOK_PERIOD_S = 0.05
-"""Period at which interruptions by the user are checked, s."""
-
 
 class Watcher(Node):
     """Reads the accounts of all nodes on /diagnostics.
@@ -59,13 +53,15 @@ def looks(graph: Graph, interruption: Interruption, seconds: float) -> Iterator[
     Raises:
         KeyboardInterrupt: the user has interrupted.
     """
-    began, elapsed_s, due_s = time.monotonic(), 0.0, SHOW_PERIOD_S
+    show_period_s = 1.0  # period at which the accounts are shown, s
+    began, elapsed_s, due_s = time.monotonic(), 0.0, show_period_s
+    look_period_s = 0.05  # period at which interruptions by the user are checked, s
     while elapsed_s < seconds:
-        graph.spin_for(min(LOOK_PERIOD_S, seconds - elapsed_s))
+        graph.spin_for(min(look_period_s, seconds - elapsed_s))
         interruption.check()
         elapsed_s = time.monotonic() - began
         is_due = elapsed_s >= min(due_s, seconds)
-        due_s += SHOW_PERIOD_S if is_due else 0.0
+        due_s += show_period_s if is_due else 0.0
         yield elapsed_s, is_due
 
 

@@ -24,7 +24,6 @@ CLOCK_STEP = 1.0  # greatest delay of a block, s; an older one is of a clock tha
 SPARE_PULSES = 16  # kept beyond the aperture of the next column, from which others are interpolated
 SPARE_SHARE = 0.25  # of an aperture, kept beyond those for a new lattice in another direction
 GREATEST_CRAB = np.pi / 3  # angle between the flight and the body's forward axis, along which columns lie, rad
-ROUNDING = 1e-6  # columns added to an aperture so that rounding does not leave its ends unfilled
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +144,8 @@ class Strip:
     def _first_column(self, lattice: Grid) -> float:
         """Fractional column from which on the first pulse is not too late for the aperture of any row."""
         place = float((self.antenna[0] - lattice.origin) @ lattice.col_direction)
-        return (place + self._reach(lattice, self.antenna[0])) / lattice.col_spacing + ROUNDING
+        rounding = 1e-6  # columns added to an aperture so that rounding does not leave its ends unfilled
+        return (place + self._reach(lattice, self.antenna[0])) / lattice.col_spacing + rounding
 
     def _reach(self, lattice: Grid, position: F64) -> float:
         """Half the aperture of the farthest row, m, as `filled_apertures` measures it: between sines."""

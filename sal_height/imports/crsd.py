@@ -31,15 +31,6 @@ from sal_height.imports.sarkit_files import (
 from sal_height.numeric import C64, F64, outer_phasors
 from sal_height.sensor import PhaseHistory, Sensor, range_compressed
 
-FARTHEST = 0.5
-"""Largest offset from the boresight at which a pattern is searched, rad."""
-
-DIRECTIONS = 4001
-"""Number of offsets at which the extent of a pattern is searched."""
-
-NODES = 129
-"""Number of offsets in the table of a beam."""
-
 GRID = ("X0", "Y0", "XSS", "YSS")
 """Elements that state the first direction cosines of a pattern and the steps between them."""
 
@@ -116,16 +107,19 @@ def _beam(reader: Any, name: str, described: Any, vectors: Any, origin: Origin) 
         cosines = directions @ origin.axes @ np.array([x, y]).T
         return _pattern(reader, described.findtext("{*}RcvAPATId"), cosines, steering)
 
-    offsets = np.linspace(-FARTHEST, FARTHEST, DIRECTIONS)
+    farthest = 0.5  # largest offset from the boresight at which a pattern is searched, rad
+    count = 4001  # number of offsets at which the extent of a pattern is searched
+    offsets = np.linspace(-farthest, farthest, count)
     gain, phase = pattern(offsets)
     lowest_db = -40.0  # gain against that of the boresight below which a pattern ends
     lobe = _around_middle(gain >= lowest_db)
     half = offsets[_around_middle(gain >= -10 * np.log10(2))]
-    if len(half) == DIRECTIONS or len(half) < 2 or np.any(np.abs(phase[lobe] - phase[DIRECTIONS // 2]) > 1e-3):
+    if len(half) == count or len(half) < 2 or np.any(np.abs(phase[lobe] - phase[count // 2]) > 1e-3):
         return None
-    nodes = np.linspace(offsets[lobe][0], offsets[lobe][-1], NODES)
+    node_count = 129  # number of offsets in the table of a beam
+    nodes = np.linspace(offsets[lobe][0], offsets[lobe][-1], node_count)
     amplitude = 10 ** (pattern(nodes)[0] / 20)
-    table = BeamTable(tuple(nodes.tolist()), (0.0,), tuple(amplitude.tolist()), (0.0,) * NODES)
+    table = BeamTable(tuple(nodes.tolist()), (0.0,), tuple(amplitude.tolist()), (0.0,) * node_count)
     return Beam(name, boresight, float(half[-1] - half[0]), table)
 
 
@@ -164,9 +158,6 @@ OF_VECTORS = ("RcvStart", "RcvPos", "RcvVel", "RefPhi0", "RefFreq", "DFIC0", "FI
 
 OF_PULSES = ("TxTime", "TxPos", "TxVel", "TXmt", "PhiX0", "FxFreq0", "FxRate")
 """Parameters of each transmitted pulse that are read."""
-
-NORMAL = 1
-"""Value of SIGNAL of a vector that contains the undisturbed echo of a pulse."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -294,7 +285,8 @@ def _read(path: Path, reader: Any, channel: str) -> Echoes:
             "a constant band are read."
         )
     of_pulse = vectors["TxPulseIndex"]
-    kept = (vectors["SIGNAL"] == NORMAL) & (of_pulse >= 0)
+    undisturbed = 1  # value of SIGNAL of a vector that contains the undisturbed echo of a pulse
+    kept = (vectors["SIGNAL"] == undisturbed) & (of_pulse >= 0)
     if np.count_nonzero(kept) < 2 or samples.shape[1] < 2:
         raise UserError(
             f"Channel {channel!r} of {path} has {np.count_nonzero(kept)} vectors with the echo of a pulse, of "

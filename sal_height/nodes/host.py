@@ -49,12 +49,6 @@ from sal_height.nodes.viewing import VIEWERS
 from sal_height.nodes.worker import ENDED, WorkerNode
 from sal_height.stage_files import check_written, read_inputs, write_product
 
-TICK_S = 0.1
-"""Period at which the stage is notified that time has passed, s."""
-
-LAST_WORDS_S = 2.0
-"""Longest wait at the end of the node for subscribers to receive the last latched messages, s."""
-
 OF_KIND: Mapping[type, QoSProfile] = {
     PlatformState: ODOMETRY_QOS,
     AirSample: ODOMETRY_QOS,
@@ -100,7 +94,8 @@ class StageNode(WorkerNode):
         for name in self.stage_class.commands:
             self.serve(f"~/{name}", lambda name=name: self._command(name))  # type: ignore[misc]
         self._decide(lambda: self.stage.start(self.get_clock().now().nanoseconds))
-        self.every(TICK_S, self._tick)
+        tick_s = 0.1  # period at which the stage is notified that time has passed, s
+        self.every(tick_s, self._tick)
         if self.stage_class.concludes:
             self.context.on_shutdown(self.conclude)
 
@@ -220,9 +215,11 @@ class StageNode(WorkerNode):
         self.finish()
         for job in self._own_jobs([] if self._is_finished else self.stage.finish()):
             self._report(self._processed([job])[0][1])
+        # Longest wait at the end of the node for subscribers to receive the last latched messages, s.
+        last_words_s = 2.0
         with suppress(RCLError):
             for topic in self._latched:
-                self._outlets[topic][0].publisher.wait_for_all_acked(Duration(seconds=LAST_WORDS_S))
+                self._outlets[topic][0].publisher.wait_for_all_acked(Duration(seconds=last_words_s))
 
     def destroy_node(self) -> None:
         """Process or drop what waits, then end the node."""

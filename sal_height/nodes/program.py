@@ -21,10 +21,6 @@ from sal_height.nodes.transport.domain import LOOK_S, LOST, Ports
 from sal_height.nodes.transport.executors import executor_for
 from sal_height.nodes.transport.middleware import provide_shared_memory
 
-SWITCH_INTERVAL_S = 5e-4
-"""Longest time for which the worker keeps the interpreter from the thread that receives messages, s; 5 ms in Python
-otherwise: it asks for it several times for every message."""
-
 
 def run_node(make: type[Node], begin: Callable[[Node], None] = announce) -> int:
     """Run one node until SIGINT or SIGTERM, or print what it does if --help is asked for.
@@ -46,7 +42,10 @@ def run_node(make: type[Node], begin: Callable[[Node], None] = announce) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     provide_shared_memory()
-    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    # Longest time for which the worker keeps the interpreter from the thread that receives messages, s; 5 ms in Python
+    # otherwise: it asks for it several times for every message.
+    switch_interval_s = 5e-4
+    sys.setswitchinterval(switch_interval_s)
     try:
         rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
         check_arguments(sys.argv)

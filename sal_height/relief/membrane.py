@@ -45,9 +45,6 @@ Softer than most ground, so that a step below the gate moves a height by little 
 SWEEPS = 4
 """Number of sweeps of messages: heights are those of the minimum to a thousandth of their sigma."""
 
-WEIGHT_STEP = 1e-3
-"""Relative change of the weights for the derivative of the variances, -diag(A^-1 W A^-1)."""
-
 FAR = 2.0
 """Standard deviations beyond which a measurement is called far from the line between its neighbours.
 
@@ -149,9 +146,10 @@ def deviation(membrane: Membrane, spacing: float) -> F64:
             footprint share their error.
     """
     noise, posterior = membrane.noise, 1 / membrane.precision
-    heavier = (1 + WEIGHT_STEP) * membrane.weight
+    weight_step = 1e-3  # relative change of the weights for the derivative of the variances, -diag(A^-1 W A^-1)
+    heavier = (1 + weight_step) * membrane.weight
     precision, _ = _beliefs(heavier, membrane.filled, membrane.stiffness, membrane.rises)
-    averaged = (posterior - 1 / precision) / WEIGHT_STEP
+    averaged = (posterior - 1 / precision) / weight_step
     roughness = _roughness(membrane.filled, noise, membrane.covered, max(1, round(spacing)))
     smooth = averaged + roughness * (posterior - averaged)
     unresolved = _unresolved(membrane.height, np.sqrt(smooth), membrane.joined, spacing)

@@ -32,10 +32,6 @@ def process_numbers() -> dict[str, Any]:
     return numbers
 
 
-PACE_SAMPLES = 5
-"""Samples of the counts, half a second apart, that rates are measured over."""
-
-
 SHARES = 0.5, 0.95
 """Fractions of the dwells that take no longer than the latencies that are published."""
 
@@ -185,7 +181,8 @@ class Pace:
     """Rates at which dwells arrive and are processed, over the last seconds."""
 
     def __init__(self) -> None:
-        self._samples: deque[tuple[float, int, int]] = deque(maxlen=PACE_SAMPLES)
+        pace_samples = 5  # samples of the counts, half a second apart, that rates are measured over
+        self._samples: deque[tuple[float, int, int]] = deque(maxlen=pace_samples)
 
     def sample(self, now: float, offered: int, finished: int) -> None:
         """Note the counts at the time `now`, s."""

@@ -1,1 +1,1 @@
-"""What the package promises of speed, memory and accuracy, measured: `make bench`."""
+"""Speed, memory and accuracy of the package against their targets: `make bench`."""

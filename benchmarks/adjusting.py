@@ -1,4 +1,4 @@
-"""Whether an adjustment brings passes over the same ground together, as well as it says, and in how much time.
+"""Agreement of passes over the same ground after an adjustment, against what it states, and its time.
 
 python -m benchmarks adjustment
 """
@@ -36,13 +36,13 @@ COPIES = sized(10, 2)
 """Times that a flight is taken, one after the other, to measure the time that many dwells take."""
 
 WINDOW_DWELLS, ALL_DWELLS = 30, 200
-"""Dwells that are held where they are adjusted one by one: few, and more than come."""
+"""Dwells that are kept where they are adjusted one by one: few, and more than arrive."""
 
 UNKNOWN_DWELLS = sized(2, 0)
 """First dwells of a pass, which show too little to be recognised as they come."""
 
 HELD_IMAGES, GROWN_IMAGES = 60, sized(5, 1)
-"""Images of strips that are held where they are adjusted one by one, and after how many of a strip it is recognised."""
+"""Images of strips that are kept where they are adjusted one by one, and after how many of a strip it is recognised."""
 
 FAR_OFF, PLACED_M = 25.0, 0.02
 """Square of an error over its variance that is far off, and standard deviation of a height that is known, m."""
@@ -56,7 +56,7 @@ def _preset() -> Preset:
 
 
 def _shortened(preset: Preset, dwells: int) -> Preset:
-    """A preset, or only two passes of it with so many dwells together to try it."""
+    """A preset, or only two passes of it with that number of dwells together to try it."""
     passes = sized(preset.flight.passes, replace(preset.flight.passes, count=2))
     return replace(preset, flight=replace(preset.flight, passes=passes), dwells=sized(preset.dwells, dwells))
 

@@ -183,7 +183,7 @@ def by_convolution(slc: C64, looks: int, beams: Beams) -> F64:
     Args:
         slc: shape (detectors, rows, cols).
         looks: columns to average.
-        beams: of equally spaced detectors.
+        beams: beams of equally spaced detectors.
     """
     count, rows, cols = slc.shape
     length = scipy.fft.next_fast_len(2 * count, real=False)

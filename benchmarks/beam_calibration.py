@@ -19,7 +19,7 @@ from sal_height.theory.array_trials import TARGETS, TargetPixels
 ROWS, COLS = sized((400, 500), (40, 50))
 LOOKS, CNR = 4, 10**1.5
 WIDTH, GAIN_DB, PHASE = 1.05, 0.5, np.radians(5)
-"""What is wrong with the description: the width factor, and standard deviations of gains (dB) and phases (rad)."""
+"""Errors of the description: the width factor, and standard deviations of gains (dB) and phases (rad)."""
 
 TRIALS, OFFSETS = 4000, (-3.4, -1.75, 0.1, 1.75, 3.4)
 """Pixels of each target, and its elevation in beamwidths from the middle of the array, for the bias of elevations."""

@@ -1,4 +1,4 @@
-"""What calibration leaves of the height errors of a sensor that is not as described: on flights, by the core alone."""
+"""Height errors that calibration leaves of a sensor that is not as described: on flights, by the core alone."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from sal_height.runs.live.sensor_bag import record_sensor
 from sal_height.simulation import load_preset
 
 PRESET, DWELLS, COPIES = sized(("sal_spotlight", 60, 16), ("small", 1, 2))
-"""A bag is processed so many times, under another name each time."""
+"""Number of times that a bag is processed, under another name each time."""
 
 WORKERS = sized((1, 2), (1, 1))
 """Those that are compared."""
@@ -44,7 +44,7 @@ def scaling() -> Iterator[Row]:
 
 
 def scheduling() -> Iterator[Row]:
-    """Time that Dask takes for a task of a campaign besides the work itself."""
+    """Time that Dask takes for a task of a campaign in addition to the work itself."""
     address = "127.0.0.1:0"
     with (
         LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=address, env=ONE_THREAD) as cluster,
@@ -58,7 +58,7 @@ def scheduling() -> Iterator[Row]:
 
 
 def _campaign_s(bag: Path, folder: Path, workers: int) -> float:
-    """Time that so many workers take, s; what they make is in the folder."""
+    """Time that a number of workers take, s; what they make is in the folder."""
     address = "127.0.0.1:0"
     with LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=address, env=ONE_THREAD) as cluster:
         hired = Workers(scheduler=cluster.scheduler_address)

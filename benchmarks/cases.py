@@ -21,7 +21,7 @@ LOOK_ANGLE = np.pi / 4
 
 @dataclass(frozen=True)
 class Case:
-    """What an image former is called with."""
+    """Arguments of an image former."""
 
     history: PhaseHistory
     antenna: F64

@@ -40,7 +40,7 @@ ALL = sized(WORKERS, 1)
 
 @dataclass(frozen=True)
 class CoreRate:
-    """What the core achieves.
+    """Rate and processor time of the core.
 
     Attributes:
         dwells_hz: dwells in a second.
@@ -54,12 +54,12 @@ class CoreRate:
 
 
 def core_rate(bag: Path, seconds: float, processes: int = ALL) -> CoreRate:
-    """What so many processes at the same time achieve, each with one thread.
+    """Rate and processor time of several processes at the same time, each with one thread.
 
     Args:
-        bag: what the sensor delivers.
-        seconds: how long, s.
-        processes: how many.
+        bag: bag of what the sensor delivers.
+        seconds: duration, s.
+        processes: number of processes.
     """
     command = [sys.executable, "-m", "benchmarks.core_limit", str(bag), str(seconds)]
     started = [

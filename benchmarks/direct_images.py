@@ -41,7 +41,7 @@ class DirectImages:
         grid: pixels.
         processing: windows over band and aperture.
         echoes: images at a CNR of 0 dB without noise, complex64, shape (detectors, rows, cols).
-        noise: of the receivers, same shape.
+        noise: noise of the receivers, same shape.
     """
 
     sensor: Sensor
@@ -91,10 +91,10 @@ def direct_images(
 
     Args:
         scene: centred on the map origin.
-        sensor: of `lidar` for so many columns.
+        sensor: sensor that `lidar` makes for that number of columns.
         shape: rows and columns of the images.
         processing: windows.
-        rng: of speckle and noise.
+        rng: random generator of speckle and noise.
     """
     preset = load_preset("sal_spotlight")
     length = preset.flight.speed_mps * preset.sensor.pulse_count / preset.sensor.pulse_repetition_frequency_hz

@@ -23,9 +23,9 @@ class Pass:
     """One FFT of a whole array of complex64, zero-padding included, with nothing before or after.
 
     Attributes:
-        shape: of the array.
+        shape: shape of the array.
         axis: that is transformed.
-        count: how many such passes there are.
+        count: number of such passes.
     """
 
     shape: tuple[int, ...]

@@ -1,4 +1,4 @@
-"""What can go wrong around a running graph, done to it on purpose.
+"""Faults around a running graph, caused on purpose.
 
 `python -m benchmarks.faults KINDS SEED` does some of FAULTS, separated by commas, to the graph of the ROS domain of the
 environment.

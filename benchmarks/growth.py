@@ -1,4 +1,4 @@
-"""How the cost of every stage grows: with pixels, detectors, looks, the length of a dwell, and the number of dwells.
+"""Growth of the cost of every stage with pixels, detectors, looks, the length of a dwell, and the number of dwells.
 
 Processor time, the least of some runs. A curve ends where one run would take longer than LONGEST_S, or more memory than
 MOST_BYTES. `python -m benchmarks.sizing` makes a picture, and the tables of docs/size_your_computer.md, of the results.
@@ -65,13 +65,13 @@ MARGIN = 0.1
 
 @dataclass(frozen=True)
 class Point:
-    """What a stage was measured on, and the least processor time, s.
+    """The input on which a stage was measured, and the least processor time, s.
 
     Attributes:
         detectors: number of them.
-        samples: of one detector in a dwell: pulses times samples of a pulse.
-        pixels: of heights, in one dwell.
-        looks: of a pixel.
+        samples: samples of one detector in a dwell: pulses times samples of a pulse.
+        pixels: height pixels in one dwell.
+        looks: looks of a pixel.
         dwells: number of them.
         seconds: processor time.
     """
@@ -97,7 +97,7 @@ Prepare = Callable[[Point], Run]
 
 @dataclass(frozen=True)
 class Curve:
-    """How a stage is measured.
+    """The measurement of a stage.
 
     Attributes:
         stage: its name.

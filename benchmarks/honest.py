@@ -1,4 +1,4 @@
-"""Whether published heights keep what their sigma promises: scenes with layover and shadow against their lit surfaces.
+"""Coverage of the sigma of published heights: scenes with layover and shadow against their lit surfaces.
 
 Every surface of every pixel that is published as valid is compared with the nearest true surface of its pixel, at the
 range and Doppler to which the published height belongs. All scenes go through the core of the pipeline, from images to
@@ -43,7 +43,7 @@ ROWS = 184
 """Of an image before looks are averaged: the range window, as in preset sal_spotlight."""
 
 PIXELS = sized(40_000, 1_000)
-"""Height pixels of a case; fewer with so many looks that its image would be longer than MOST_COLS."""
+"""Height pixels of a case; fewer where looks would make its image longer than MOST_COLS."""
 
 MOST_COLS = sized(1740, 80)
 
@@ -55,14 +55,14 @@ class Case:
     """A scene and how it is seen.
 
     Attributes:
-        name: for people; begins with that of the scene.
+        name: name in the results; starts with that of the scene.
         scene: makes the ground.
-        cnr_db: of a detector that looks straight at a cell, dB.
+        cnr_db: CNR of a detector that looks straight at a cell, dB.
         looks: averaged in range and azimuth.
         range_window: over the bandwidth.
-        pattern: of the beams.
-        detectors: of the array.
-        size: of a detector along and beside the axis of the array, beamwidths.
+        pattern: pattern of the beams.
+        detectors: number of detectors of the array.
+        size: size of a detector along and across the axis of the array, beamwidths.
     """
 
     name: str
@@ -75,12 +75,12 @@ class Case:
     size: tuple[float, float] = (0.0, 0.0)
 
     def cols(self, pixels: int) -> int:
-        """Columns, before looks are averaged, of an image with about so many height pixels."""
+        """Columns, before looks are averaged, of an image with about that number of height pixels."""
         per_pixel = self.looks[0] * self.looks[1]
         return min(MOST_COLS, pixels * per_pixel // ROWS) // self.looks[1] * self.looks[1]
 
     def images(self, pixels: int) -> tuple[Callable[[], Scene], int, str, str, int, tuple[float, float]]:
-        """What its images are made from; cases that differ only in CNR or looks may share them."""
+        """Key of the input of its images; cases that differ only in CNR or looks may share them."""
         return self.scene, self.cols(pixels), self.range_window, self.pattern, self.detectors, self.size
 
 
@@ -125,7 +125,7 @@ def case_named(pattern: str) -> Case:
 
 
 def compared(case: Case, estimator: str = "ml", pixels: int = PIXELS, **settings: Any) -> SurfaceComparison:
-    """A case of so many height pixels against its truth; `settings` are those of the estimator."""
+    """A case of that number of height pixels against its truth; `settings` are those of the estimator."""
     field, truth, images = measured(case, estimator, pixels, **settings)
     return compare(field, truth, images.sensor.beamwidth)
 
@@ -172,11 +172,11 @@ def _images(
 
 @dataclass(frozen=True)
 class Summary:
-    """What a comparison says, shares from 0 to 1; NaN where there is nothing to count.
+    """Rows of a comparison, fractions from 0 to 1; NaN where there is nothing to count.
 
     Attributes:
         pixels: lit pixels inside the array.
-        valid: share of them with a height.
+        valid: fraction of them with a height.
         published: surfaces.
         within_1: share of the published surfaces within 1 sigma of the nearest true one.
         within_2: within 2 sigma.

@@ -1,4 +1,4 @@
-"""Whether heights keep what their sigma promises if the platform vibrates, laser and odometry err, and leaves move.
+"""Coverage of the sigma of heights if the platform vibrates, laser and odometry err, and leaves move.
 
 Odometry errs as it states. The truth of a leaf in the wind is where it is in the middle of the dwell, not where its
 Doppler puts its echo; that of a double bounce is the foot of its wall, where it appears. Every dwell is flown,
@@ -76,10 +76,10 @@ class Case:
     """A platform that is not perfect, or ground that is not at rest.
 
     Attributes:
-        name: for people.
+        name: name in the results.
         preset: its first estimator makes the heights, `ml` if it names none.
-        flights: of one dwell each.
-        scene: of a flight by its seed, instead of that of the preset.
+        flights: number of flights of one dwell each.
+        scene: function from a seed to the scene of that flight; None: that of the preset.
     """
 
     name: str
@@ -214,12 +214,12 @@ CASES = tuple(_cases())
 
 @dataclass(frozen=True)
 class Flown:
-    """What became of the dwells of a case.
+    """How the dwells of a case were handled.
 
     Attributes:
         dwells: flown.
-        refused: by reason.
-        comparison: of those that were published; None: there are none.
+        refused: number of refused dwells by reason.
+        comparison: comparison of those that were published; None: none was.
     """
 
     dwells: int
@@ -287,12 +287,12 @@ def combined(number: int, *names: str) -> Preset:
 
     preset = load_preset(str(rng.choice(names)))
     lines = tuple(VibrationLine(level(1e-6, 30e-6), level(10, 2000)) for _ in range(rng.integers(0, 4)))
-    # What processing is told of the mounting and the clock; nothing where it is told nothing.
-    told = ImageSettings(**preset.processing.get("sar_compression", {}))
+    # Stated uncertainty of the mounting and the clock; 0 where nothing is stated.
+    stated = ImageSettings(**preset.processing.get("sar_compression", {}))
     odometry = OdometryErrors(
-        delay_s=told.odometry_delay_sigma_s * rng.standard_normal(),
-        undescribed_lever_arm_m=tuple((told.lever_arm_sigma_m * rng.standard_normal(3)).tolist()),
-        undescribed_boresight_rad=tuple((told.boresight_sigma_rad * rng.standard_normal(3)).tolist()),
+        delay_s=stated.odometry_delay_sigma_s * rng.standard_normal(),
+        undescribed_lever_arm_m=tuple((stated.lever_arm_sigma_m * rng.standard_normal(3)).tolist()),
+        undescribed_boresight_rad=tuple((stated.boresight_sigma_rad * rng.standard_normal(3)).tolist()),
         position_m=level(0.005, 0.2),
         velocity_mps=level(2e-4, 0.03),
         attitude_rad=level(1e-6, 1e-4),
@@ -350,7 +350,7 @@ def coverage() -> Iterator[Row]:
 
 
 def shares(name: str, result: Flown) -> Iterator[Row]:
-    """How far c1 is off, and o5, of what was published."""
+    """Distance of c1 from that of normal errors, and o5, of what was published."""
     summary, text = result.summary, f"{HEADING}\n    {result.as_line()}"
     off = abs(100 * summary.within_1 - 68.27) if summary else 0.0
     yield Row(f"{name}: c1 off 68.27 %", off, "points", "<= 5", text)

@@ -58,7 +58,7 @@ def imports() -> Iterator[Row]:
 
 
 def _until_on_disk(out: Path, write: Callable[[Path], object]) -> Callable[[], None]:
-    """A function that has a folder written anew, and waits until its files are on the disk."""
+    """A function that writes a folder again, and waits until its files are on the disk."""
 
     def measured() -> None:
         shutil.rmtree(out, ignore_errors=True)
@@ -101,7 +101,7 @@ def _parameters() -> np.ndarray:
 
 
 def _metadata() -> dict[str, Any]:
-    """What the metadata of the file must tell, element by element."""
+    """Metadata that the file must have, element by element."""
     layout, words = {}, 0
     for name in PARAMETERS.names or ():
         size = PARAMETERS[name].itemsize // 8

@@ -1,4 +1,4 @@
-"""Whether a graph works on after one of its nodes was killed, at a rate at which its shared memory fills meanwhile.
+"""A graph goes on after one of its nodes was killed, at a rate at which its shared memory fills meanwhile.
 
 `python -m benchmarks.killed_stage watch RESULT` runs the graph, in a process that begins as `sal-height live` does, and
 writes what was seen to the file RESULT. With `kill PROCESS`, it is the program that kills a node.
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from sal_height.runs.live.live import Watched
 
 PRESET, RATE = sized(("sal_spotlight", None), ("small", 0.02))
-"""What is simulated, and seconds of the sensor in a second; None for `SHARE` of the highest that is sustained."""
+"""Simulated preset, and seconds of the sensor in a second; None for `SHARE` of the highest that is sustained."""
 
 SHARE, FIRST_GUESS, SEARCH_S = 0.8, 0.3, 20.0
 """Of the highest rate that is sustained, the one played at; the rate that is tried first, and for how long one is."""
@@ -44,8 +44,8 @@ KILLS = sized(3, 1)
 FIRST_S, EVERY_S = sized((10.0, 14.0), (1.0, 5.0))
 
 PASSES_S = sized(2.0, 0.5)
-"""How long another program is in the domain before it kills the compression and ends without leaving: the new process
-takes its ports."""
+"""Time for which another program is in the domain before it kills the compression and ends without leaving: the new
+process takes its ports."""
 
 BACK_S, SEEN_S = sized((7.0, 5.0), (2.0, 2.0))
 """From a kill until heights are counted, and how long they are. The last start comes 2 s after the end."""

@@ -32,7 +32,7 @@ SETTLED, PERIOD_S = 0.25, 0.5
 
 
 def replay_memory() -> Iterator[Row]:
-    """How much the memory of a replay grows, all nodes in one process, from a quarter of its time on."""
+    """Growth of the memory of a replay, all nodes in one process, from a quarter of its time on."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         bag, size = _repeated(record_sensor(replace(load_preset(PRESET), dwells=DWELLS), 1, folder / "once"), folder)

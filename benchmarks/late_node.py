@@ -1,4 +1,4 @@
-"""How soon a node that starts beside running ones finds them all, as one does that is started again after a fault.
+"""Time in which a node that starts beside running ones finds them all, as one does that is started again after a fault.
 
 `python -m benchmarks.late_node run DOMAIN NUMBER` is the running nodes: it makes as many, says so, and goes on until
 its input ends. With `hear` instead of `run`, it is a node that says so once it has heard each of them.
@@ -29,10 +29,10 @@ REPEATS = sized(5, 1)
 TICK_S = 0.05
 
 DEAD_S = 0.5
-"""How long a node that was killed is not there, as `live --supervise` has it."""
+"""Time for which a node that was killed is absent, as `live --supervise` has it."""
 
 ALONE_S = sized(2.0, 0.0)
-"""How long they run before the late node starts: a participant announces itself often in its first half second."""
+"""Time they run before the late node starts: a participant announces itself often in its first half second."""
 
 DEADLINE_S = 30.0
 
@@ -54,7 +54,7 @@ def restarted_node() -> Iterator[Row]:
     """The slowest of some nodes that are started again counts, with the start of Python."""
     heard_s = [_heard_after_s() for _ in range(REPEATS)]
     yield Row(
-        "a node that was killed hears the running ones again",
+        "a node that was killed receives the running ones again",
         max(heard_s),
         "s",
         "<= 3",

@@ -41,7 +41,7 @@ IN_PARTS = ("buffer full", "incomplete dwell")
 
 
 class Nodes(Enum):
-    """What processes a graph consists of."""
+    """Processes that a graph consists of."""
 
     SEPARATE = "separate"
     """Every node has a process of its own."""
@@ -53,18 +53,18 @@ class Nodes(Enum):
 
 @dataclass(frozen=True)
 class Seen:
-    """What was seen of a live graph, and what its processes have used.
+    """Observations of a live graph, and the resources that its processes have used.
 
     Attributes:
         offered_hz: dwells in a second that the sensor delivered.
-        elapsed_s: how long.
+        elapsed_s: duration, s.
         left_out: messages that any node has dropped.
         in_parts: those among them that were dropped because others of the same dwell did not come.
-        latencies_s: from the last pulse of a dwell to each of its height images, by topic.
-        usage: of processors and memory.
+        latencies_s: times from the last pulse of a dwell to each of its height images, s, by topic.
+        usage: use of processors and memory.
         beside_s: processor time of the threads of source and recorder in a graph of one process, while it was watched.
         recorded_bytes: size of the bag.
-        memory_bytes: of all processes after a second, what they share counted once.
+        memory_bytes: memory of all processes after a second, what they share counted once, bytes.
     """
 
     offered_hz: float
@@ -90,11 +90,11 @@ def watch(
     """Run a graph.
 
     Args:
-        bag: what the sensor delivers.
+        bag: bag of what the sensor delivers.
         rate: seconds of the sensor in a second.
-        seconds: how long, s.
-        nodes: what it consists of.
-        record: topics recorded besides heights and diagnostics.
+        seconds: duration, s.
+        nodes: nodes that it consists of.
+        record: topics recorded in addition to heights and diagnostics.
     """
     with tempfile.TemporaryDirectory() as folder:
         result = Path(folder, "seen.json")

@@ -1,4 +1,4 @@
-"""Whether movers get their place, height and velocity without being told it, and what stands still is none.
+"""Detection of movers without prior knowledge: position, height and velocity, and false alarms of what stands still.
 
 python -m benchmarks movers
 """
@@ -45,7 +45,7 @@ class Flown:
             along-track velocity, m/s, NaN if it is not estimated; shape (found, 4 or 5).
         over: the same over what is stated.
         candidates: pixels that were looked at.
-        seconds: of the search, and of the compression, of all images.
+        seconds: times of the search and of the compression of all images, s.
     """
 
     errors: Sequence[np.ndarray]
@@ -70,17 +70,17 @@ def flown(seed: int, kind: str, settings: MoverSettings, impairments: Impairment
     """The street with a point of 24 to 34 dB over a cell of the road.
 
     Args:
-        seed: of the flight.
+        seed: seed of the flight.
         kind: slow (3.5 to 7 mm/s), fast (5 to 15 m/s, as likely with any remainder up to 6 mm/s), driving (3.5 to 7
             mm/s, and 2 to 4 m/s along the flight), or still.
-        settings: of the search.
+        settings: settings of the search.
         impairments: None: the platform is perfect.
     """
     rng = np.random.default_rng([19, seed])
     remainder = 0.0 if kind == "still" else rng.choice([-1, 1]) * rng.uniform(3.5e-3, 7e-3)
     north, height, power = rng.uniform(-1.4, 1.4), rng.uniform(0.3, 1.6), 10 ** rng.uniform(2.4, 3.4)
     preset = replace(load_preset("sal_stripmap"), dwells=4, impairments=impairments or Impairments())
-    told = 5 if kind == "driving" or impairments else 4
+    known = 5 if kind == "driving" or impairments else 4
     flight = flight_of(preset, seed)
     radial, sensor = remainder, flight.sensor
     if kind == "fast":
@@ -102,9 +102,9 @@ def flown(seed: int, kind: str, settings: MoverSettings, impairments: Impairment
     def error(mover: Mover) -> np.ndarray:
         velocities = [mover.radial_velocity - remainder, mover.walk_velocity - radial]
         velocities.append(mover.along_velocity - along)
-        return np.array([mover.position[0] - shift, mover.height - height, *velocities])[:told]
+        return np.array([mover.position[0] - shift, mover.height - height, *velocities])[:known]
 
-    sigmas = [sigmas_of(one)[:told] for one in found]
+    sigmas = [sigmas_of(one)[:known] for one in found]
     errors = [error(one) for one in found]
     over = [e / s for e, s in zip(errors, sigmas, strict=True)]
     return Flown(errors, over, sum(one.candidates for one in seen), (searched - focused, focused - begun))
@@ -120,10 +120,10 @@ def over_dwells(seed: int, kind: str, settings: MoverSettings, flown_as: Preset 
     """Six spotlight dwells of the street with a point of 24 to 34 dB over a cell of the road.
 
     Args:
-        seed: of the flight.
+        seed: seed of the flight.
         kind: slow (5 to 15 mm/s), fast (1 to 15 m/s, and up to 15 m/s along the flight), crossing (5 to 15 mm/s, and 4
             to 15 m/s along the flight), or still.
-        settings: of the search.
+        settings: settings of the search.
         flown_as: sal_spotlight, or with its sensor; None: that.
     """
     rng = np.random.default_rng([29, seed])
@@ -172,8 +172,8 @@ def over_dwells(seed: int, kind: str, settings: MoverSettings, flown_as: Preset 
 def found_without_being_told() -> Iterator[Row]:
     """Rows of the group: of strips, and of spotlight dwells.
 
-    Those that move over dwells are told at the rate of the settings, so that hardly any false alarm is among them; a
-    hundred times as many pixels stand still as move.
+    Those that move over dwells are published at the rate of the settings, so that hardly any false alarm is among
+    them; a hundred times as many pixels stand still as move.
     """
     often = MoverSettings(false_alarm_rate=RATE)
     kinds = {
@@ -209,11 +209,11 @@ def rows_with(
     """Rows of movers of each kind, of what stands still, and of the time.
 
     Args:
-        name: with which those of the rows begin.
+        name: start of the names of the rows.
         fly: a flight of a seed, a kind and settings.
-        settings: with which movers are looked for.
-        speeds: of each kind, for people.
-        target: of the time.
+        settings: settings of the search.
+        speeds: text on the speeds of each kind.
+        target: target of the time.
     """
     timed = np.zeros(2)
     for kind, speed in speeds.items():
@@ -233,7 +233,7 @@ def rows_with(
 def rows_of(kind: str, text: str, moving: Sequence[Flown]) -> Iterator[Row]:
     """Rows of movers of a kind."""
     errors = np.array([one for each in moving for one in each.errors] or np.zeros((0, 5)))
-    # Along the flight not all are told a velocity in a strip.
+    # Along the flight not all get a velocity in a strip.
     rms = np.sqrt(np.nanmean(errors**2, axis=0)) if len(errors) else np.full(errors.shape[1], np.nan)
     share = sum(bool(len(one.errors)) for one in moving) / len(moving)
     # What drives is smeared in a strip, over 13 to 27 cells.
@@ -250,7 +250,7 @@ def rows_of(kind: str, text: str, moving: Sequence[Flown]) -> Iterator[Row]:
 
 
 def rows_of_sigmas(kind: str, text: str, moving: Sequence[Flown]) -> Iterator[Row]:
-    """Rows of what is stated of movers of a kind: the share of what is told that is beyond 5 of its sigmas."""
+    """Rows of what is stated of movers of a kind: the fraction of published values beyond 5 of their sigmas."""
     over = np.abs(np.array([one for each in moving for one in each.over] or np.zeros((0, 5))))
     names = ("place", "height", "velocity", "velocity by range migration", "velocity along the flight")
     for name, each in zip(names[: over.shape[1]], over.T, strict=True):

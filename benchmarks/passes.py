@@ -91,12 +91,12 @@ def _true_shift(dwell: ObservedDwell, flight: SimulatedFlight, number: int) -> F
 
 
 def _shift(image: ObservedDwell, true: ApertureState, times: F64, flight: SimulatedFlight) -> F64:
-    """How far the surfaces of an image lie off that was seen from a true aperture; along the flight if it is by beams.
+    """Offsets of the surfaces of an image that was seen from a true aperture; along the flight if it is by beams.
 
     Args:
         image: as published.
-        true: from which it was seen.
-        times: at which beams lit it, s after the start of the flight.
+        true: aperture from which it was seen.
+        times: times at which beams lit it, s after the start of the flight.
         flight: whose beams jitter.
     """
     stated = image.aperture

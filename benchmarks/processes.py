@@ -19,7 +19,7 @@ OWN = "live"
 
 @dataclass(frozen=True)
 class Sample:
-    """What processes have used up to a moment.
+    """Resources that processes have used up to a moment.
 
     Attributes:
         at_s: the moment, s of the monotonic clock.
@@ -34,7 +34,7 @@ class Sample:
 
 @dataclass(frozen=True)
 class Usage:
-    """What processes have used while they were watched."""
+    """Resources that processes have used while they were watched."""
 
     samples: list[Sample] = field(default_factory=list)
 
@@ -90,6 +90,6 @@ def thread_cpu_s() -> dict[str, float]:
 
 
 def _parent_and_cpu(folder: Path) -> tuple[int, float]:
-    """Who started a process, and its processor time, s (proc_pid_stat(5): fields 4, 14 and 15)."""
+    """Parent of a process, and its processor time, s (proc_pid_stat(5): fields 4, 14 and 15)."""
     fields = (folder / "stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
     return int(fields[1]), (int(fields[11]) + int(fields[12])) / TICKS_HZ

@@ -37,10 +37,10 @@ ENDURANCE_SECONDS = sized(600.0, 2.0)
 MINUTE_S = sized(60.0, 0.6)
 
 ENDURING = sized(Nodes.SEPARATE, Nodes.TOGETHER)
-"""What processes the graph consists of whose endurance is measured."""
+"""Processes of the graph whose endurance is measured."""
 
 SEARCHED = sized(True, False)
-"""Whether the rate of endurance is searched for."""
+"""True if the rate of endurance is searched for."""
 
 OVERLOAD = 2.5
 """Rate at overload, over the highest that is sustained."""
@@ -54,12 +54,12 @@ class Sensor:
     """A sensor as a bag, and what the core achieves on its dwells.
 
     Attributes:
-        name: of its preset.
-        bag: what it delivers.
+        name: name of its preset.
+        bag: bag of what it delivers.
         dwells_hz: dwells in a second.
-        frame_bytes: of the phase history of a dwell.
+        frame_bytes: size of the phase history of a dwell, bytes.
         messages: frames and odometry of a dwell.
-        core: what the core achieves.
+        core: rate and processor time of the core.
     """
 
     name: str
@@ -215,7 +215,7 @@ def _over_core(sensor: Sensor, rate: float, seen: Seen) -> Iterator[Row]:
 
 
 def _overload(sensor: Sensor, before: Seen, seen: Seen) -> Row:
-    """What is left of the heights when dwells come much faster than they can be processed."""
+    """Fraction of the heights that is left when dwells arrive much faster than they can be processed."""
     topic = f"{PROCESSING['relief_tracker'].product}/height"
     made_hz, sustained_hz = (len(one.latencies_s[topic]) / one.elapsed_s for one in (seen, before))
     p50, p999 = 1e3 * np.percentile(seen.latencies_s[topic] or [np.nan], [50, 99.9])

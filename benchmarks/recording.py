@@ -41,7 +41,7 @@ WRITTEN_BYTES = sized(500_000_000, 10_000)
 LARGE_BYTES = sized(10_000_000_000, 10_000)
 
 RATE_MB_S, RECORDED_S, SETTLED_S = sized((200.0, 60.0, 10.0), (1.0, 0.4, 0.2))
-"""What is recorded, for how long, and after what time memory is first looked at."""
+"""Recorded preset, duration, and time after which memory is first looked at."""
 
 LAST_S = sized(2.0, 0.2)
 """In which what is still on the way gets there."""
@@ -65,7 +65,7 @@ def _over_mcap(size: int, folder: Path) -> Iterator[Row]:
 
 
 def info_of_a_large_bag() -> Iterator[Row]:
-    """Time in which it is told what a bag holds, in a process that has imported all."""
+    """Time of a summary of a bag, in a process that has imported all."""
     with tempfile.TemporaryDirectory() as folder:
         size = SIZES[-1]
         _write(Path(folder), np.random.default_rng(0).bytes(size), LARGE_BYTES // size)
@@ -93,7 +93,7 @@ def recorded_at_a_rate() -> Iterator[Row]:
 
 @dataclass(frozen=True)
 class _Recorded:
-    """What a recorder did: messages published and written, and its memory (bytes) once settled and at the end."""
+    """Result of a recorder: messages published and written, and its memory (bytes) once settled and at the end."""
 
     published: int
     written: int

@@ -55,7 +55,7 @@ def throughput() -> Iterator[Row]:
 
 
 def _enter(relief_map: ReliefMap, image: HeightImage) -> None:
-    """What the node does with a message."""
+    """The work of the node on a message."""
     relief_map.add(messages.field_from_message(image))
 
 

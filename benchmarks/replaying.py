@@ -35,7 +35,7 @@ TURN_NS = 2_000_000_000
 """Time between the ends and starts of repeated flights, ns."""
 
 CORE_S = sized(5.0, 0.1)
-"""How long the core works alone, s."""
+"""Time that the core works alone, s."""
 
 REPEATS = sized(3, 1)
 """Of which the least counts: other programs only add to it."""
@@ -55,8 +55,8 @@ def without_truth(simulated: Path, folder: Path, times: int = 1) -> Path:
 
     Args:
         simulated: the bag of a flight.
-        folder: of the new one.
-        times: how often the same is flown.
+        folder: folder of the new one.
+        times: number of times that the same is flown.
     """
     reader = BagReader(simulated)
     known = {name: text for name, text in reader.custom_data.items() if name not in (PRESET_NAME, SEED)}
@@ -73,7 +73,7 @@ def without_truth(simulated: Path, folder: Path, times: int = 1) -> Path:
 
 
 def over_core() -> Iterator[Row]:
-    """What a further dwell costs over the core alone, what a replay of one dwell costs, and what a second job gains."""
+    """Cost of a further dwell over the core alone, cost of a replay of one dwell, and gain of a second job."""
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
         one, few = _flown(folder, PRESET, 1), _flown(folder, PRESET, FEW)

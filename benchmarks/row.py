@@ -24,7 +24,7 @@ def sized(full: Size, quick: Size) -> Size:
 
 
 REPEATS = sized(9, 1)
-"""How often everything is timed; the median counts."""
+"""Number of times that everything is timed; the median counts."""
 
 
 @dataclass(frozen=True)
@@ -32,11 +32,11 @@ class Row:
     """A number and its target.
 
     Attributes:
-        name: what was measured.
+        name: name of the measured quantity.
         value: the number.
         unit: unit of value and target; "1" for a ratio.
         target: "<= number" or ">= number".
-        reference: what it was measured against, or on.
+        reference: reference or conditions of the measurement.
         details: numbers behind it, by name, for pages and pictures that are made of the results.
     """
 
@@ -49,12 +49,12 @@ class Row:
 
     @property
     def ok(self) -> bool:
-        """Whether the value meets the target; NaN does not."""
+        """True if the value meets the target; NaN does not."""
         comparison, limit = self.target.split()
         return bool(_COMPARISONS[comparison](self.value, float(limit)))
 
     def as_json(self) -> dict[str, object]:
-        """The row as bench.json holds it: numbers of Python, not of NumPy, which the module json refuses."""
+        """The row as bench.json has it: numbers of Python, not of NumPy, which the module json refuses."""
         return {**asdict(self), "value": float(self.value), "ok": self.ok}
 
 

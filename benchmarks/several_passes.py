@@ -1,4 +1,4 @@
-"""Whether heights from several passes keep what their sigma promises, and how near they come to the bound.
+"""Coverage of the sigma of heights from several passes, and their distance from the bound.
 
 The eight passes of AFRL's Gotcha set, simulated over reflectors with errors of phase and position; three reflectors are
 reference points, known to 2 cm. `python -m benchmarks.several_passes` prints the scenes one by one.
@@ -33,7 +33,7 @@ REFLECTORS = 20
 
 CIRCLE = Circle(pulses=60, frequencies=112)
 SIDE = 14.0
-"""Of the square with reflectors, m: what so many pulses and frequencies sample."""
+"""Side of the square with reflectors, m: what these pulses and frequencies sample."""
 
 POSITION_SIGMA = 0.03
 """Errors of position of a pass each way, m, as the settings say."""
@@ -58,7 +58,7 @@ class Flown:
     Attributes:
         reflectors: places, m, (reflectors, 3).
         result: the heights.
-        errors: of the height of each point, m; NaN: no reflector is within .5 m.
+        errors: height error of each point, m; NaN: no reflector is within .5 m.
         over_bound: errors across range and flight over the Cramer-Rao bound of a single look, without their plane.
     """
 

@@ -1,4 +1,4 @@
-"""What the stages of the pipeline take, at any size: the lidar of preset sal_spotlight, larger or smaller."""
+"""Inputs of the stages of the pipeline at any size: the lidar of preset sal_spotlight, larger or smaller."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ APERTURE = ApertureState(np.array([0.0, 3535, 3535]), np.array([50.0, 0, 0]), np
 
 @dataclass(frozen=True)
 class CompressorInput:
-    """What `Compressor.add` takes."""
+    """Arguments of `Compressor.add`."""
 
     history: PhaseHistory
     track: Trajectory
@@ -95,7 +95,7 @@ def made_up_images(sensor: Sensor, rows: int, cols: int) -> Slc:
 
 
 def tiled(slc: Slc, sensor: Sensor, down: int, across: int) -> tuple[Slc, Sensor]:
-    """The images side by side, so many times down and across, and a sensor with beams as wide as they are then."""
+    """The images side by side, several times down and across, and a sensor with beams as wide as they are then."""
     grid = slc.grid
     rows, cols = down * grid.rows, across * grid.cols
     origin = grid.points((grid.rows - rows) / 2, (grid.cols - cols) / 2)
@@ -110,8 +110,8 @@ def heights_of_street(rows: int, cols: int, number: int, rng: np.random.Generato
     Args:
         rows: pixels across the flight.
         cols: pixels along it.
-        number: of the dwell; it lies beside those of the numbers before.
-        rng: of the errors.
+        number: number of the dwell; it is adjacent to those of the numbers before.
+        rng: random generator of the errors.
     """
     place = np.arange(rows)[:, None] * SPACINGS[0], (np.arange(cols) + number * cols) * SPACINGS[1]
     north, east = np.broadcast_arrays(*place)

@@ -52,7 +52,7 @@ MODEL: Mapping[str, Mapping[str, Callable[[Numbers], float]]] = {
         for stage in ("tracker", "map", "ground")
     },
 }
-"""What the time of each stage is made of: units of work by name, and how many of them a measured point has."""
+"""Parts of the time of each stage: units of work by name, and how many of them a measured point has."""
 
 
 def constants(points: Mapping[str, Sequence[Numbers]]) -> dict[str, dict[str, float]]:

@@ -37,23 +37,23 @@ PIXELS = sized(1_000_000, 2000)
 """Height pixels of a large image, about."""
 
 LARGER = sized(8, 2)
-"""The large phase history has so many times the pulses, samples, rows and columns of a dwell."""
+"""The large phase history has this many times the pulses, samples, rows and columns of a dwell."""
 
 LARGE_REPEATS = sized(3, 1)
-"""How often what is large is timed."""
+"""Number of times that what is large is timed."""
 
 MARGIN, REST = 1.5, 1e-3
-"""A dwell may take so many times its share of a large image, and so long (s) besides."""
+"""Factor on its fraction of a large image that a dwell may take, and additional time, s."""
 
 FRAME = ChannelFrame(header=Header(stamp=messages.to_stamp(0), frame_id=messages.MAP_FRAME))
 
 
 @dataclass(frozen=True)
 class Large:
-    """What the core takes for something large.
+    """Time of the core for something large.
 
     Attributes:
-        what: it is, for people.
+        what: name in the results.
         per_pixel_s: time for a pixel, s.
     """
 
@@ -61,7 +61,7 @@ class Large:
     per_pixel_s: float
 
     def row(self, name: str, seconds: float, pixels: float, note: str = "") -> Row:
-        """Time (s) of a dwell of so many pixels over what is allowed by that of a large one."""
+        """Time (s) of a dwell of that number of pixels over what is allowed by that of a large one."""
         allowed = MARGIN * self.per_pixel_s * pixels + REST
         return Row(
             name,
@@ -106,7 +106,7 @@ def _heights(graph: Graph, flight: SimulatedFlight, name: str) -> Iterator[Row]:
 def _large_heights(
     slc: Slc, sensor: Sensor, estimator: ElevationEstimator, settings: HeightSettings, pixels: int
 ) -> Large:
-    """What heights of an image take that consists of many of `pixels` height pixels, side by side."""
+    """Time of the heights of an image that consists of many of `pixels` height pixels, side by side."""
     tiles = max(1, round(np.sqrt(PIXELS / pixels)))
     large, wide = tiled(slc, sensor, tiles, tiles)
     (seconds,) = medians(lambda: heights(large, wide, estimator, settings), repeats=LARGE_REPEATS)

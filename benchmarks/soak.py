@@ -67,7 +67,7 @@ AFTER_ALL_S = 6.0
 
 @dataclass
 class Moment:
-    """What was seen of the graph at a time."""
+    """An observation of the graph at a time."""
 
     at_s: float
     heights: dict[str, int]
@@ -78,7 +78,7 @@ class Moment:
 
 @dataclass
 class Fault:
-    """What was done to the graph, and when; its program, if it is done by one, and when that had ended."""
+    """A fault of the graph with its time; its program, if it is done by one, and when that had ended."""
 
     at_s: float
     what: str
@@ -96,12 +96,12 @@ class Soak:
 
     Attributes:
         every_s: time from one fault to the next.
-        seed: where in the list of faults to begin.
+        seed: position in the list of faults to start at.
         lasts_s: duration; no fault is done that cannot be over before.
-        recovery_s: from a fault to the end of what it may cost, at least.
+        recovery_s: least time from a fault to the end of what it may cost, s.
         kinds: faults to do, one after the other, and then none; empty: all kinds in turn.
-        faults: what was done so far.
-        moments: what was seen, about once a second.
+        faults: faults so far.
+        moments: observations, about one a second.
     """
 
     every_s: float
@@ -169,7 +169,7 @@ class Soak:
                 yield inside
 
     def left_out(self) -> dict[str, Counter[str]]:
-        """What was left out in stretches without a fault, by when: time, and time since the last fault."""
+        """Dwells left out in stretches without a fault, by time: time, and time since the last fault."""
         found: dict[str, Counter[str]] = {}
         for stretch in self.quiet():
             for earlier, later in pairwise(stretch):
@@ -194,7 +194,7 @@ def _moment_of(watched: Watched) -> Moment:
 
 
 def verdict(soak: Soak, offered_hz: float, different: list[str]) -> list[tuple[bool, str]]:
-    """Whether each promise was kept, and a sentence about it."""
+    """Promises, each with True if it was kept and a sentence about it."""
     stretches = list(soak.quiet())
     unbalanced = [sentence for moment in soak.moments for sentence in moment.unbalanced]
     left_out = soak.left_out()

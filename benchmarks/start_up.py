@@ -26,7 +26,7 @@ STEPS = {
     "ready": "nodes",
     "first height": "first dwell",
 }
-"""What `live` reports of its start, and what takes the time from one to the next."""
+"""Steps of the start that `live` reports, and the causes of the time from one to the next."""
 
 
 def first_height() -> Iterator[Row]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import re
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import yaml
+from annotated_types import Ge, Le
 from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError
 from pydantic_core import PydanticCustomError
 
@@ -30,6 +32,8 @@ def _not_boolean(value: Any) -> Any:
 
 Float = Annotated[float, BeforeValidator(_not_boolean)]
 Int = Annotated[int, BeforeValidator(_not_boolean)]
+Decibels = Annotated[Float, Ge(-60), Le(60)]
+Angle = Annotated[Float, Ge(-math.pi), Le(math.pi)]
 
 EXPECTED = {
     "dataclass_type": "a mapping of keys to values",

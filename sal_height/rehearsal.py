@@ -17,14 +17,8 @@ from sal_height.pipeline import Compressor, heights
 from sal_height.relief import HeightField, Surface
 from sal_height.sensor import PhaseHistory, Sensor, lit_angle, spectrum_sensor
 
-MOST_BLOCKS = 16
-"""Blocks of a strip after which it has an image, or is given up."""
-
 SHARES = (0.1, 0.3, 0.3, 0.3)
 """Fractions of the rows of made-up images with no, one, two and three scatterers."""
-
-POWER = 1000.0
-"""Power of each scatterer over the noise."""
 
 MOST_REMEMBERED = 16
 """Number of rehearsals that a process remembers: tables of older ones may have been dropped."""
@@ -62,7 +56,7 @@ def rehearsed_slc(
         rng: random generator of the noise.
 
     Returns:
-        The images; None if a strip of MOST_BLOCKS blocks has none.
+        The images; None if a strip of 16 blocks has none.
 
     Raises:
         UserError: images cannot be made with these settings.
@@ -77,7 +71,8 @@ def rehearsed_slc(
     shape = sensor.detector_count, sensor.pulse_count, sensor.sample_count
     block_s = sensor.pulse_count / sensor.pulse_repetition_frequency
     slc = None
-    for block in range(1 if sensor.mode == "spotlight" else MOST_BLOCKS):
+    most_blocks = 16  # blocks of a strip after which it has an image, or is given up
+    for block in range(1 if sensor.mode == "spotlight" else most_blocks):
         start_s = (block + 1) * block_s
         samples = _normal(rng, shape).astype(np.complex64)
         history = PhaseHistory(round(start_s * 1e9), times, np.full(len(times), slant_range), samples)
@@ -101,9 +96,10 @@ def with_scatterers(slc: Slc, sensor: Sensor, rng: np.random.Generator) -> Slc:
     count = rng.choice(len(SHARES), (shape[0], 1), p=SHARES)
     noise = np.sqrt(slc.noise_power)[:, None, None]
     images = noise * _normal(rng, slc.images.shape)
+    power = 1000.0  # power of each scatterer over the noise
     for number in range(1, len(SHARES)):
         elevation = rng.uniform(beams.boresights.min(), beams.boresights.max(), (shape[0], 1))
-        amplitude = np.sqrt(POWER * np.mean(slc.noise_power)) * _normal(rng, shape) * (count >= number)
+        amplitude = np.sqrt(power * np.mean(slc.noise_power)) * _normal(rng, shape) * (count >= number)
         images += np.moveaxis(beams.response(elevation, 0.0) * amplitude[..., None], -1, 0)
     return replace(slc, images=images.astype(np.complex64))
 

@@ -1,4 +1,4 @@
-"""Parameters and values that had other names: what is recorded or written with the old ones is read with the new.
+"""Old names: of parameters and values, which are read with the new ones, and of modules, which warn for one release.
 
 `with_new_names` serves custom data of bags, parameters.yaml, provenance, parameter events, presets, `--param` and
 campaigns. A node declares the new names only; its refusal of an old one, as from a launch file, names the new one.
@@ -6,7 +6,9 @@ campaigns. A node declares the new names only; its refusal of an old one, as fro
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import warnings
+from collections.abc import Callable, Mapping
+from importlib import import_module
 from types import MappingProxyType
 from typing import Any
 
@@ -47,3 +49,27 @@ def new_value(name: str, value: Any) -> Any:
     """The new value of a parameter for an old one; any other as it is."""
     olds = VALUES.get(name, {})
     return olds[value] if isinstance(value, (bool, str)) and value in olds else value
+
+
+def names_of(old: str, new: str, renamed: Mapping[str, str] = MappingProxyType({})) -> Callable[[str], Any]:
+    """The `__getattr__` of a module that has moved.
+
+    Args:
+        old: dotted name of the module as it was.
+        new: dotted name of the module that has its names now.
+        renamed: new names of what has another one there, by the old ones.
+    """
+
+    def find(name: str) -> Any:
+        now = renamed.get(name, name)
+        if name.startswith("__") or not hasattr(module := import_module(new), now):
+            raise AttributeError(f"module {old!r} has no attribute {name!r}")
+        place = new if now == name else f"{new} as {now}"
+        warnings.warn(
+            f"{old}.{name} has moved to {place}; import it from there, the old name ends with the next release.",
+            DeprecationWarning,
+            stacklevel=2,
+        )
+        return getattr(module, now)
+
+    return find

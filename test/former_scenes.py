@@ -14,8 +14,7 @@ from sal_height.geometry.grid import Grid
 from sal_height.imaging.formers.backprojection import backproject
 from sal_height.imaging.formers.choice import choose_former
 from sal_height.imaging.pixels import Processing, slant_plane_grid
-from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.sensor import Sensor
+from sal_height.sensor.sensor import PhaseHistory, Sensor
 from sal_height.simulation.gust import gust_motion
 
 Array = npt.NDArray[np.float64]

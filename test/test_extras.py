@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import numpy.linalg
-import pytest
-from helpers import assert_one_sentence
+from helpers import refused
 
 from sal_height.errors import UserError
 from sal_height.extras import import_extra
@@ -15,6 +14,5 @@ def test_a_module_of_a_package_that_is_there_is_returned() -> None:
 
 
 def test_a_package_that_is_not_there_is_named_with_what_installs_it() -> None:
-    with pytest.raises(UserError) as refused:
+    with refused(UserError, "Writing a.tif needs no_such_package;", "pip install 'sal_height[dem]'"):
         import_extra("no_such_package.part", "Writing a.tif", "dem")
-    assert_one_sentence(str(refused.value), "Writing a.tif needs no_such_package;", "pip install 'sal_height[dem]'")

@@ -9,7 +9,7 @@ from benchmarks.direct_images import image_of, spectrum_of
 from benchmarks.honest import CASES, Summary, case_named, compared
 from sal_height.imaging.focus import ImageSettings, focus_dwell
 from sal_height.imaging.pixels import Processing
-from sal_height.sensor.phase_history import PhaseHistory
+from sal_height.sensor.sensor import PhaseHistory
 from sal_height.simulation.flight import flight_of
 from sal_height.simulation.preset import load_preset
 from sal_height.simulation.spotlight import draw_amplitudes, simulate_dwell

@@ -25,13 +25,12 @@ from sal_height.imaging import ImageSettings, Slc
 from sal_height.nodes.transport.graph import Graph
 from sal_height.pipeline import Compressor, heights
 from sal_height.relief import HeightField
-from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.sensor import Sensor
+from sal_height.sensor.sensor import PhaseHistory, Sensor
 from sal_height.simulation.flight import SimulatedFlight
+from sal_height.simulation.lit_surfaces import truth_image
 from sal_height.simulation.preset import Preset, load_preset
 from sal_height.simulation.receiver_noise import receiver_noise
 from sal_height.simulation.scene import PointScatterer, VisibleSurface
-from sal_height.simulation.truth import truth_image
 
 Array = npt.NDArray[np.float64]
 

@@ -28,10 +28,10 @@ ALWAYS = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")
 """Pages of the site whether or not they are linked to."""
 
 LINK = re.compile(r"(?<=\]\()(?P<path>[^)#:\s]+)(?P<heading>#[^)\s]*)?(?=\))")
-"""Where a link or picture of this host leads, in Markdown."""
+"""Target of a link or picture of this host, in Markdown."""
 
 LANGUAGES = {".c": "c", ".json": "json", ".py": "python", ".rviz": "yaml", ".xml": "xml", ".yaml": "yaml"}
-"""How the text of a file is coloured, by the end of its name."""
+"""Language that the text of a file is coloured as, by the end of its name."""
 
 MERMAID = "javascripts/mermaid.min.js"
 """The script that draws diagrams. Without it the theme takes it from another host."""
@@ -89,7 +89,7 @@ def _has_links(source: Path) -> bool:
 
 
 def _target(source: Path, link: str) -> Path | None:
-    """What a link in a file leads to, if that is in the repository."""
+    """Target of a link in a file, if that is in the repository."""
     path = Path(os.path.normpath(source.parent / link))
     return path if path.exists() and path.is_relative_to(ROOT) else None
 
@@ -110,7 +110,7 @@ def _content(path: Path) -> str:
 
 
 def _site_name(path: Path) -> str:
-    """Where the site has a file or folder of the repository."""
+    """Address of a file or folder of the repository in the site."""
     if path.is_relative_to(DOCS):
         return path.relative_to(DOCS).as_posix()
     name = f"{FOLDER}/{path.relative_to(ROOT).as_posix()}"

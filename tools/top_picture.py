@@ -31,11 +31,11 @@ SETTLED_S = 12.0
 DEADLINE_S = 180.0
 
 FROM_ELSEWHERE = re.compile(r"<!--.*?-->\s*|@font-face\s*{[^}]*}\s*", re.DOTALL)
-"""What Rich has viewers fetch from other hosts: a font, in whose place they have another one."""
+"""Font that Rich has viewers fetch from other hosts, in whose place they have another one."""
 
 
 def watched() -> AccountBook:
-    """What the nodes of a live graph told once all that have a latency told it for SETTLED_S."""
+    """Accounts of the nodes of a live graph once all that have a latency have published it for SETTLED_S."""
     with tempfile.TemporaryDirectory() as folder:
         words = ["live", "--preset", "small", "--rate", RATE, "--domain", DOMAIN, "--out", f"{folder}/live"]
         with subprocess.Popen(  # noqa: S603 (our own program)

@@ -50,7 +50,7 @@ OPTIONS = (
 
 
 def missing() -> str:
-    """What is not installed that is needed; empty: nothing."""
+    """Programs that are needed and not installed; empty: none."""
     programs = [name for name in ("chromium", "chromedriver") if not shutil.which(name)]
     try:
         import rerun  # noqa: F401, PLC0415 (slow)
@@ -126,7 +126,7 @@ def browser() -> Iterator[Any]:
 
 
 def picture_of(address: str, longest_s: float = DEADLINE_S) -> Image.Image:
-    """What a browser shows of the viewer's page once it does not change any more, or `longest_s` after its first data.
+    """Picture of the viewer's page in a browser once it does not change any more, or `longest_s` after its first data.
 
     Without any data, it is what the page shows after DEADLINE_S.
     """

@@ -148,9 +148,6 @@ _MESSAGE = struct.Struct("<BQHIQQ")
 HEAD_BYTES = 8192
 """Bytes of a frame that are read first; more follow if it has more pulses."""
 
-TEXT_BYTES = 2048
-"""Largest number of bytes of the texts and numbers of a frame, without its pulses and samples."""
-
 ZEROS_BYTES = 64
 """First bytes of a frame; if all are zero, the file is damaged there."""
 
@@ -233,9 +230,10 @@ def _read_frame(stream: BinaryIO, at: int, size: int) -> Frame:
         return messages.received_frame(head.ljust(size, b"\0"))
 
     frame = read(HEAD_BYTES)
-    if not len(frame.pulse_time) or len(frame.frame_id) + len(frame.key.sensor) > TEXT_BYTES // 2:
+    text_bytes = 2048  # largest number of bytes of the texts and numbers of a frame, without its pulses and samples
+    if not len(frame.pulse_time) or len(frame.frame_id) + len(frame.key.sensor) > text_bytes // 2:
         return read(size)  # a text may be longer than the bytes read before
-    needed = TEXT_BYTES + PULSE_BYTES * len(frame.pulse_time)
+    needed = text_bytes + PULSE_BYTES * len(frame.pulse_time)
     return frame if needed <= HEAD_BYTES else read(needed)
 
 

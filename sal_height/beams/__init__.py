@@ -2,7 +2,7 @@
 
 Read `pattern` first (the registry PATTERNS of apertures, point detectors and finite ones), then `table` (measured
 beams, which `table_files` reads) and `array` (`Beams`: all detectors of a sensor, each along its boresight).
-`apertures` contains the formulas, `detector` the mean over a finite detector, `pupil` aberrations of the optics.
+`apertures` contains the formulas and the mean over a finite detector, `pupil` aberrations of the optics.
 """
 
 from sal_height.beams.apertures import GAUSSIAN_WIDTH

@@ -20,6 +20,7 @@ from scipy.optimize import minimize_scalar
 from sal_height.beams.apertures import (
     JINC_NULL,
     PatternFunction,
+    average_over_detector,
     gaussian,
     gaussian_slope,
     jinc,
@@ -27,7 +28,6 @@ from sal_height.beams.apertures import (
     sinc,
     sinc_slope,
 )
-from sal_height.beams.detector import average_over_detector
 from sal_height.errors import UserError
 from sal_height.numeric import F64
 

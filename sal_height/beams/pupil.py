@@ -21,8 +21,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import roots_legendre
 
-from sal_height.beams.apertures import JINC_NULL, PatternFunction
-from sal_height.beams.detector import average_over_detector
+from sal_height.beams.apertures import JINC_NULL, PatternFunction, average_over_detector
 from sal_height.beams.pattern import Pattern
 from sal_height.errors import UserError
 from sal_height.numeric import C128, F64

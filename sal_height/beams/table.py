@@ -15,8 +15,6 @@ from sal_height.beams.pattern import Pattern, first_null
 from sal_height.errors import UserError
 from sal_height.numeric import C128, F64
 
-LEAST_NODES = 4  # offsets along one axis of a table, for a cubic spline
-
 Values = npt.NDArray[Any]
 """Float64 or complex128."""
 
@@ -47,12 +45,13 @@ class BeamTable:
     imaginary: tuple[float, ...]
 
     def __post_init__(self) -> None:
+        least = 4  # offsets along one axis of a table, for a cubic spline
         for name in ("elevation", "azimuth"):
             angles = np.array(getattr(self, name), dtype=np.float64)
-            few = angles.size < LEAST_NODES and not (name == "azimuth" and angles.size == 1)
+            few = angles.size < least and not (name == "azimuth" and angles.size == 1)
             if few or not (np.all(np.isfinite(angles)) and np.all(np.diff(angles) > 0)):
                 raise UserError(
-                    f"A beam table has {angles.size} offsets in {name}; they must be {LEAST_NODES} or more"
+                    f"A beam table has {angles.size} offsets in {name}; they must be {least} or more"
                     f"{' (or one in azimuth)' if name == 'azimuth' else ''}, finite and increasing."
                 )
         size = len(self.elevation) * len(self.azimuth)

@@ -72,9 +72,6 @@ def _number(value: float) -> str:
 
 GROUP = "errors of this preset"
 
-JITTER_NODES = 2001
-"""Frequencies of the integral over the spectrum of a pointing jitter."""
-
 QUARTIC_REST = np.sqrt((4 / 7) ** 2 / 5 + (8 / 35) ** 2 / 9)
 """Rms of x^4 over -1 < x < 1 about its mean and slope, by Legendre's polynomials: x^4 = 1/5 + 4/7 P2 + 8/35 P4."""
 
@@ -281,12 +278,13 @@ def _of_phase(of: Situation, name: str, found: AperturePhase) -> Iterator[Budget
 
 def _pointing_jitter(of: Situation) -> Iterator[BudgetEntry]:
     """The mean of a flat spectrum over an aperture: the mean of sinc^2 over the band, by frequency times its time."""
+    jitter_nodes = 2001  # frequencies of the integral over the spectrum of a pointing jitter
     if rms := (jitter := of.preset.impairments.pointing_jitter).rms_rad:
-        turns = np.linspace(0.0, jitter.highest_hz * of.seconds, JITTER_NODES)
-        if turns[-1] > JITTER_NODES / 20:  # the integral of sinc^2 from 0 on is 1/2, up to 1/(20 turns)
+        turns = np.linspace(0.0, jitter.highest_hz * of.seconds, jitter_nodes)
+        if turns[-1] > jitter_nodes / 20:  # the integral of sinc^2 from 0 on is 1/2, up to 1/(20 turns)
             mean2 = 0.5 / turns[-1]
         else:
-            mean2 = float(np.trapezoid(np.sinc(turns) ** 2, dx=1 / (JITTER_NODES - 1)))
+            mean2 = float(np.trapezoid(np.sinc(turns) ** 2, dx=1 / (jitter_nodes - 1)))
         angle, name = rms * float(np.sqrt(mean2)), "pointing jitter"
         yield _entry("jitter_urad", f"{name}, rms", 1e6 * rms, "µrad", _swing_remark(of))
         yield _entry("jitter_height_m", f"{name}: height in an aperture, rms", of.climb * angle, "m")

@@ -18,9 +18,6 @@ from sal_height.geometry import Projection
 from sal_height.io import writing_whole
 from sal_height.numeric import Bool
 
-POINT_FORMAT = 6
-"""Format with returns, flags and GPS time, which LAS 1.4 needs for a system in well-known text."""
-
 GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
 LEAP_SECONDS = tuple(
     round((datetime(year, month, 1, tzinfo=UTC) - GPS_EPOCH).total_seconds())
@@ -91,7 +88,8 @@ def gps_time(stamp_ns: int) -> float:
 
 
 def _header(laspy: Any, projection: Projection | None) -> Any:
-    header = laspy.LasHeader(version="1.4", point_format=POINT_FORMAT)
+    point_format = 6  # format with returns, flags and GPS time, which LAS 1.4 needs for a system in well-known text
+    header = laspy.LasHeader(version="1.4", point_format=point_format)
     scale = 1e-4  # step of coordinates, m: a 32-bit number of them reaches 214 km to either side
     header.scales = np.full(3, scale)
     header.system_identifier, header.generating_software = "sal_height", "sal_height"

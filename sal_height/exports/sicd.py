@@ -50,9 +50,6 @@ WINDOWS: Mapping[str, tuple[str, Mapping[str, str]]] = {
 WINDOW_NODES, WEIGHTS = 1025, 129
 """Number of weights of a window that is interpolated, and of its values in a file."""
 
-AXIS_TOLERANCE = 1e-3
-"""Greatest sine of the angle between an axis of the image and the line of sight, or the vertical, along which it is."""
-
 
 def write_sicd(bag: Path, folder: Path, origin: Origin | None = None) -> int:
     """Write every complex image of a bag as folder/dwell_00000_channel_00.nitf, and so on; returns their number.
@@ -289,9 +286,11 @@ def _grid(image: PlacedImage) -> dict[str, Any]:
 def _plane(image: PlacedImage) -> str:
     """SICD's name of the plane of the image."""
     row, normal = image.grid.row_direction, np.cross(image.grid.row_direction, image.grid.col_direction)
-    if np.linalg.norm(np.cross(row, image.sight[0])) < AXIS_TOLERANCE:
+    # Greatest sine of the angle between an axis of the image and the line of sight, or the vertical, along which it is.
+    axis_tolerance = 1e-3
+    if np.linalg.norm(np.cross(row, image.sight[0])) < axis_tolerance:
         return "SLANT"
-    return "GROUND" if np.linalg.norm(np.cross(normal, [0.0, 0.0, 1.0])) < AXIS_TOLERANCE else "OTHER"
+    return "GROUND" if np.linalg.norm(np.cross(normal, [0.0, 0.0, 1.0])) < axis_tolerance else "OTHER"
 
 
 def _direction(image: PlacedImage, direction: F64, spacing: float, band: float, name: str) -> dict[str, Any]:

@@ -18,10 +18,9 @@ from tqdm import tqdm
 
 from sal_height.errors import UserError
 from sal_height.figures.array_elevation import WEIGHTS, fig10, fig11
-from sal_height.figures.azimuth import fig8, fig9
 from sal_height.figures.curve import Curve, Figure, check_of, holds, rows_of
 from sal_height.figures.noise import CNR_DB, fig5, fig6
-from sal_height.figures.patterns import fig3, fig4
+from sal_height.figures.patterns import fig3, fig4, fig8, fig9
 from sal_height.figures.psf_point_targets import PSF_FIGURES
 from sal_height.figures.relief_tracking import relief_tracking
 from sal_height.figures.sum_difference_radar import RELIEF_FIGURES

@@ -11,9 +11,16 @@ from collections.abc import Iterator
 import numpy as np
 
 from sal_height.figures.curve import Curve, Figure
-from sal_height.figures.psf_estimators import masked_transfer_function
+from sal_height.figures.psf_estimators import (
+    COUNT,
+    FREQUENCY,
+    checked,
+    generators,
+    in_band,
+    masked_transfer_function,
+    shown,
+)
 from sal_height.figures.psf_speckle import SPECKLE_FIGURES
-from sal_height.figures.psf_tapes import COUNT, FREQUENCY, checked, generators, in_band, shown
 from sal_height.figures.psf_theory import (
     azimuth_psf,
     chip_response,

@@ -13,8 +13,16 @@ import numpy as np
 
 from sal_height.figures.curve import Curve, Figure
 from sal_height.figures.noise import circular
-from sal_height.figures.psf_estimators import depth_and_pedestal, mean_modulus
-from sal_height.figures.psf_tapes import COUNT, FREQUENCY, checked, generators, in_band, shown
+from sal_height.figures.psf_estimators import (
+    COUNT,
+    FREQUENCY,
+    checked,
+    depth_and_pedestal,
+    generators,
+    in_band,
+    mean_modulus,
+    shown,
+)
 from sal_height.figures.psf_theory import chip_transform, cosine_beam, swung_modulus, through_fejer
 from sal_height.figures.synthetic_tape import AzimuthFault, RangeFault, Saturation, TapeTarget, make_tape
 from sal_height.numeric import C64, C128, F64, Bool, frequencies, window

@@ -1,17 +1,18 @@
 """Axes, the earth, pixel grids, and the platform's track.
 
-Read `frames` first (body and map axes, the state of the sensor in mid-aperture, elevation and squint), then `earth`
-(heights above the sphere), `grid` (pixels of an image), `locate` (range and Doppler to a position on the ground),
-`mounting` (position of the sensor on the platform), `quaternion` (its attitude), `trajectory` (odometry to positions of
-the antenna at each pulse), `motion` (uncertainty in its gaps), `geodesy` (the origin of a map on the ellipsoid),
-`projection` (a map in UTM or the like), `elevation_model` and `elevation_grid` (heights of the ground from files),
-`conventions` (axes of aviation), `navigation` (positions, velocities and attitudes of separate instruments) and
-`refraction` (delay and bending by the atmosphere). Angles are in rad, lengths in m, times in s.
+Read `frames` first (body and map axes, mounting and state of the sensor, elevation and squint), then `earth` (heights
+above the sphere), `grid` (pixels of an image), `trajectory` (odometry to positions of the antenna at each pulse; range
+and Doppler to a position on the ground), `motion` (uncertainty in its gaps, quaternions), `geodesy` (the origin of a
+map on the ellipsoid, axes of aviation), `projection` (a map in UTM or the like), `elevation_model` (heights of the
+ground from files), `navigation` (positions, velocities and attitudes of separate instruments) and `refraction` (delay
+and bending by the atmosphere). Angles are in rad, lengths in m, times in s.
 """
 
 from sal_height.geometry.earth import EARTH_RADIUS, above_place, height_of, sphere_coordinates, sphere_point
 from sal_height.geometry.frames import (
+    AT_BASE_LINK,
     ApertureState,
+    Mounting,
     angles_of,
     antennas_of,
     aperture_at,
@@ -22,7 +23,6 @@ from sal_height.geometry.frames import (
 from sal_height.geometry.geodesy import BODY_AXES, MAP_AXES, ROS_AXES, Axes, Origin
 from sal_height.geometry.grid import Grid, pixels_at, ranges_of_phase, without_range_phase
 from sal_height.geometry.motion import Motion, quaternion_of, rotation_matrix
-from sal_height.geometry.mounting import AT_BASE_LINK, Mounting
 from sal_height.geometry.navigation import REORDERED_NS, Navigation, Sample
 from sal_height.geometry.projection import UTM, WGS_84, Projection, find_system
 from sal_height.geometry.refraction import (

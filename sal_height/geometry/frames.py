@@ -1,4 +1,4 @@
-"""Body and map axes, the state of the platform in mid-aperture, and the directions of elevation and squint.
+"""Body and map axes, mounting and state of the sensor, and the directions of elevation and squint.
 
 Map axes are those of `earth`; body axes are FLU (REP-103). Elevation is the angle from nadir (-z) towards the look
 side, squint the angle towards the direction of flight; all angles in rad.
@@ -6,12 +6,15 @@ side, squint the angle towards the direction of flight; all angles in rad.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
+from sal_height.errors import UserError
 from sal_height.numeric import F64
 
 
@@ -112,3 +115,48 @@ def squint_on_cone(elevation: npt.ArrayLike, cone: npt.ArrayLike, aperture: Aper
     forward, left, up = aperture.direction @ aperture.rotation
     b = -look_side * left * np.sin(elevation) - up * np.cos(elevation)
     return np.arcsin(cone / np.hypot(forward, b)) - np.arctan2(b, forward)
+
+
+FARTHEST_ARM = 1000.0  # m: no platform is larger, and millimetres given as metres are noticed
+
+
+@dataclass(frozen=True)
+class Mounting:
+    """Position and direction of the sensor frame in base_link; the same content as sal_height_msgs/Mounting.
+
+    Attributes:
+        frame_id: name of the sensor frame; empty: "base_link".
+        lever_arm: position of the antenna's phase centre in base_link axes, m.
+        rotation: unit quaternion x, y, z, w that turns the axes of the sensor frame into those of base_link.
+
+    Raises:
+        UserError: a value that is not finite, a lever arm beyond FARTHEST_ARM, or a quaternion whose norm is not 1.
+    """
+
+    frame_id: str = "sensor"
+    lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rotation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+
+    def __post_init__(self) -> None:
+        if not np.all(np.abs(self.lever_arm) <= FARTHEST_ARM):
+            raise UserError(
+                f"The lever arm of the mounting is {self.lever_arm} m; each component must be finite and at most "
+                f"{FARTHEST_ARM:g} m long."
+            )
+        if not 0.99 < math.hypot(*self.rotation) < 1.01:
+            raise UserError(
+                f"The rotation of the mounting is {self.rotation}; it must be a quaternion (x, y, z, w) of norm 1."
+            )
+
+    @property
+    def is_identity(self) -> bool:
+        """True if the sensor frame is base_link itself."""
+        return not (any(self.lever_arm) or any(self.rotation[:3]))
+
+    @property
+    def axes(self) -> Rotation:
+        """The rotation from the sensor frame to base_link."""
+        return Rotation.from_quat(self.rotation)
+
+
+AT_BASE_LINK = Mounting()  # the sensor frame is base_link: no lever arm, no rotation

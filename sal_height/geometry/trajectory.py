@@ -15,9 +15,8 @@ from scipy.spatial.transform import Rotation, RotationSpline
 from sal_height.errors import UserError
 from sal_height.geometry import _kernels as kernels
 from sal_height.geometry.earth import EARTH_RADIUS
-from sal_height.geometry.frames import ApertureState, antennas_of
+from sal_height.geometry.frames import AT_BASE_LINK, ApertureState, Mounting, antennas_of
 from sal_height.geometry.motion import STEADY, Motion, attitude_between, rotation_matrix
-from sal_height.geometry.mounting import AT_BASE_LINK, Mounting
 from sal_height.numeric import F64, in_parallel
 
 

@@ -286,8 +286,9 @@ def _waiter(
 
         def is_over() -> bool:
             nonlocal due, progress, last_progress
+            look_period_s = 0.1  # period at which signals, the bag and other publishers are checked, s
             if (now := time.monotonic()) >= due:
-                due = now + 0.1
+                due = now + look_period_s
                 interruption.check()
                 run.check()
                 if run.is_working or run.progress != progress:
@@ -311,6 +312,9 @@ def _look_for_company(plan: Plan) -> None:
     Raises:
         UserError: there is one.
     """
+    # Time for which other sensors are looked for before the start, s: discovery needs a few tenths of a second on an
+    # idle machine.
+    company_timeout_s = 1.0
     with Graph() as graph:
         looker = graph.add(Node("sal_height_looker", context=graph.context))
 
@@ -318,4 +322,4 @@ def _look_for_company(plan: Plan) -> None:
             refuse_company(looker, plan.on_wire(plan.played), own=0)
             return False
 
-        graph.spin_until(found, 1.0)  # discovery needs a few tenths of a second on an idle machine
+        graph.spin_until(found, company_timeout_s)

@@ -96,8 +96,9 @@ def title_of(estimator: str) -> str:
 @contextmanager
 def page(path: Path, tall: float, wide: float = WIDTH) -> Iterator[Figure]:
     """A figure of this size (inches) to draw on, written as a PNG when the block ends; one of greys alone as such."""
+    dots_per_inch = 220  # a picture as wide as two columns has 1585 pixels in a row
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(wide, tall), dpi=220, layout="constrained")  # two columns have 1585 pixels in a row
+        figure = Figure(figsize=(wide, tall), dpi=dots_per_inch, layout="constrained")
         yield figure
         canvas = FigureCanvasAgg(figure)
         canvas.draw()  # once, and not twice as savefig does

@@ -14,7 +14,6 @@ from sal_height.imaging.pixels import aim_point, line_of_sight
 from sal_height.numeric import F64
 from sal_height.sensor import PhaseHistory, Sensor, look_ahead_angle
 
-COHERENT = 0.5  # least fraction of the products of neighbouring pulses that agree if there is one Doppler centroid
 ROUNDING = 1e-6  # by which a limit may be exceeded, so that a value at the limit that a message states is accepted
 
 TIMING_TOLERANCE = 0.1
@@ -226,7 +225,8 @@ def _centroid_offset(history: PhaseHistory, steps: F64, sensor: Sensor, expected
     """
     products = np.vecdot(history.samples[:, :-1], history.samples[:, 1:]).sum(axis=0)
     correlation = complex(np.sum(products * np.exp(1j * sensor.centre_wavenumber * steps)))
-    if abs(correlation) <= COHERENT * float(np.sum(np.abs(products))):
+    coherent = 0.5  # least fraction of the products of neighbouring pulses that agree if there is one Doppler centroid
+    if abs(correlation) <= coherent * float(np.sum(np.abs(products))):
         return 0.0
     of_a_radian = _pulse_rate(history.pulse_times) / (2 * np.pi)
     if abs(np.angle(correlation)) * of_a_radian <= expected:
@@ -234,7 +234,7 @@ def _centroid_offset(history: PhaseHistory, steps: F64, sensor: Sensor, expected
     cells = scipy.fft.ifft(history.samples)
     of_cells = np.einsum("dtc,dtc->tc", cells[:, :-1].conj(), cells[:, 1:])
     correlations = np.exp(1j * sensor.centre_wavenumber * steps) @ of_cells
-    agreeing = correlations[np.abs(correlations) > COHERENT * np.sum(np.abs(of_cells), axis=0)]
+    agreeing = correlations[np.abs(correlations) > coherent * np.sum(np.abs(of_cells), axis=0)]
     turned = agreeing * np.conj(correlation)
     return float(np.angle(correlation) + (np.median(np.angle(turned)) if len(turned) else 0.0)) * of_a_radian
 

@@ -158,9 +158,6 @@ OF_VECTORS = ("RcvStart", "RcvPos", "RcvVel", "RefPhi0", "RefFreq", "DFIC0", "FI
 OF_PULSES = ("TxTime", "TxPos", "TxVel", "TXmt", "PhiX0", "FxFreq0", "FxRate")
 """Parameters of each transmitted pulse that are read."""
 
-NORMAL = 1
-"""Value of SIGNAL of a vector that contains the undisturbed echo of a pulse."""
-
 
 @dataclass(frozen=True, eq=False)
 class Echoes:
@@ -285,7 +282,8 @@ def _read(path: Path, reader: Any, channel: str) -> Echoes:
             "a constant band are read."
         )
     of_pulse = vectors["TxPulseIndex"]
-    kept = (vectors["SIGNAL"] == NORMAL) & (of_pulse >= 0)
+    undisturbed = 1  # value of SIGNAL of a vector that contains the undisturbed echo of a pulse
+    kept = (vectors["SIGNAL"] == undisturbed) & (of_pulse >= 0)
     if np.count_nonzero(kept) < 2 or samples.shape[1] < 2:
         raise UserError(
             f"Channel {channel!r} of {path} has {np.count_nonzero(kept)} vectors with the echo of a pulse, of "

@@ -22,9 +22,6 @@ FIELDS = ("fp", "freq", "x", "y", "z", "r0")
 SPEED = 100.0
 """Speed of flight (m/s) from which pulse times are made; the files have positions only."""
 
-BEAM = 0.0145
-"""Beamwidth (rad) put into the sensor info; the files do not state the antenna. As wide as the pulses sample: 147 m."""
-
 PLAUSIBLE = {"freq": (1e9, 1e11), "r0": (1e3, 1e6)}
 """Values of an airborne radar in Hz and m; others are of other units."""
 
@@ -226,6 +223,8 @@ def _sensor(frequency: F64, antenna: F64, velocity: F64, times: F64, polarisatio
     """One receiver with its boresight on the map's origin, seen from the middle of the track."""
     middle = len(antenna) // 2
     wavelength = speed_of_light / float(np.mean(frequency))
+    # Beamwidth (rad) put into the sensor info; the files do not state the antenna. As wide as the pulses sample: 147 m.
+    beamwidth = 0.0145
     return Sensor(
         name=f"afrl_gotcha_{polarisation}".rstrip("_"),
         look_side=side_of(antenna[middle], velocity[middle], np.zeros(3)),
@@ -234,8 +233,8 @@ def _sensor(frequency: F64, antenna: F64, velocity: F64, times: F64, polarisatio
         sample_count=len(frequency),
         pulse_count=pulses_of_dwell,
         pulse_repetition_frequency=(len(times) - 1) / float(times[-1]),
-        elevation_diameter=wavelength / BEAM,
-        azimuth_diameter=wavelength / BEAM,
+        elevation_diameter=wavelength / beamwidth,
+        azimuth_diameter=wavelength / beamwidth,
         pattern="sinc",
         elevation_boresights=(boresight_to(antenna[middle], np.zeros(3)),),
         noise_power=(0.0,),

@@ -72,10 +72,6 @@ class MoverSettings(Settings):
     )
 
 
-SMEAR_STEP = 1.0
-"""Step of the smears of the search for the sharpest image, cells."""
-
-
 @dataclass(frozen=True, eq=False)
 class Drive:
     """Velocity of a target along the flight, and its image in focus.
@@ -150,7 +146,8 @@ class Drives:
         bins = self.search.bins
         line = _line(self.search, spectra, elevation)
         most = len(line) // 2
-        smears = np.arange(-most, most + SMEAR_STEP / 2, SMEAR_STEP)
+        smear_step = 1.0  # step of the smears of the search for the sharpest image, cells
+        smears = np.arange(-most, most + smear_step / 2, smear_step)
         places, waves = _places(bins)
         focused = line * np.exp(-1j * np.pi * smears[:, None] * bins.frequencies**2)
         power = np.abs(focused @ waves) ** 2
@@ -160,7 +157,7 @@ class Drives:
         share = brightest[best] / np.sum(np.abs(line)) ** 2  # 1: a point in focus
         if sharper < 10**0.05 or share < 0.7:
             return None
-        smear = float(smears[best] + SMEAR_STEP * vertex(*brightest[best - 1 : best + 2])[0])
+        smear = float(smears[best] + smear_step * vertex(*brightest[best - 1 : best + 2])[0])
         place = float(places[power[best].argmax()])
         rate = 1 + smear / self.cells
         if rate <= 0:
@@ -201,9 +198,6 @@ def _places(bins: Bins) -> tuple[F64, C128]:
     return places, np.exp(2j * np.pi * bins.frequencies[:, None] * places)
 
 
-COARSE_STEP = 0.08
-"""Step between the lags of the first search, beamwidths."""
-
 MARGIN = 4
 """Margin at the edge of an image without candidates, pixels: the response is cut off there."""
 
@@ -243,11 +237,12 @@ def find_movers(images: C64 | C128, beams: Beams, slc: Slc, sensor: Sensor, sett
         )
     images = about_ranges(np.where(np.isfinite(images), images, 0), slc, sensor)
     bins = Bins.of(slc, sensor, min(settings.chip_pixels, images.shape[-1] // 2 * 2))
-    search, coarse = Search(images, beams, bins), Search(images, beams, bins, COARSE_STEP)
+    coarse_step = 0.08  # step between the lags of the first search, beamwidths
+    search, coarse = Search(images, beams, bins), Search(images, beams, bins, coarse_step)
     whole = Bins.of(slc, sensor, images.shape[-1])
     ground = ground_lag(slc, sensor, search.lags, lambda: spectra_of_image(images, beams, whole, search.lags))
     migrations = Migrations.of(coarse, slc, sensor, settings.fastest_mps, ground[0])
-    of_rows = Migrations.of(Search(images, beams, whole, COARSE_STEP), slc, sensor, settings.fastest_mps, ground[0])
+    of_rows = Migrations.of(Search(images, beams, whole, coarse_step), slc, sensor, settings.fastest_mps, ground[0])
     drives = Drives.of(of_rows.search, slc, sensor)
     looking = _Looking(search, migrations, of_rows, drives, ground, slc, sensor)
     migrating, looked_at = looking.for_migration(settings)

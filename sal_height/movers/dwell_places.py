@@ -19,9 +19,6 @@ from sal_height.movers.likelihood import MODEL_ERROR, ratio_in_dwells, ratio_ove
 from sal_height.movers.migration import DEPTHS, FINE_STEP, LEAST_PART, NEIGHBOURS
 from sal_height.numeric import C128, F64, Bool, Index
 
-APART = 0.75
-"""Least distance of the positions of images that may show different targets, columns."""
-
 
 def standing_instead(
     paths: DwellPaths, driving: DwellPaths, bright: tuple[F64, int], row: float, speed: float
@@ -40,11 +37,12 @@ def standing_instead(
     """
     column = paths.dwells[paths.middle].grid.col_spacing
     places, taken, likelihoods = driving.places(bright[0]), list[int](), list[float]()
+    least_apart = 0.75  # least distance of the positions of images that may show different targets, columns
     for dwell in np.argsort(np.abs(paths.seconds), kind="stable").tolist():
         apart = np.abs(driving.drifts - driving.drifts[dwell]) / column
         sight = paths.sight(places[dwell], bright[1])
-        if np.all(apart[taken] >= APART) and np.isfinite(sight.backgrounds[dwell]):
-            sight, shares = _cleared(paths, sight, places, np.where(apart >= APART, apart, np.inf))
+        if np.all(apart[taken] >= least_apart) and np.isfinite(sight.backgrounds[dwell]):
+            sight, shares = _cleared(paths, sight, places, np.where(apart >= least_apart, apart, np.inf))
             there = row + speed * float(paths.seconds[dwell]) / paths.depth
             likelihoods.append(_standing(paths, sight, dwell, there, shares))
             taken.append(dwell)
@@ -140,10 +138,6 @@ def deep(sight: Sight, standing: C128, gains: F64, row: float) -> float:
     return max(ratio_over_rows(np.abs(one), gain, shares) for one, gain in zip(standing, gains, strict=True))
 
 
-LEAST_POWER = 0.1
-"""Least power of a target in a dwell over that in the middle one for its position to count: ground is less bright."""
-
-
 @dataclass(frozen=True, eq=False)
 class Placed:
     """A course through the brightest positions in each dwell.
@@ -186,12 +180,14 @@ def in_place(paths: DwellPaths, course: Course) -> Placed:
     score = np.where(there, powers / backgrounds - prior, -np.inf)
     best = score.argmax(axis=0)
     bright = powers[best, np.arange(len(seconds))] * np.isfinite(backgrounds)
-    used = others & (bright >= LEAST_POWER * bright[paths.middle])
+    # Least power of a target in a dwell over that in the middle one for its position to count: ground is less bright.
+    least_power = 0.1
+    used = others & (bright >= least_power * bright[paths.middle])
     if not np.any(used):
         used = others & (bright == bright[others].max())
     drifts = course.paths.drifts + shifts[best]
     drift, sigma = _slope(paths, drifts, used)
-    drift = min(drift, (1 - LEAST_POWER) * paths.flight_speed)
+    drift = min(drift, (1 - least_power) * paths.flight_speed)
     along = paths.along_of(drift)
     sigma /= 2 * (1 - along / paths.flight_speed)
     known = sigma <= 5.0  # m/s

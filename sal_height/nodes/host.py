@@ -214,9 +214,11 @@ class StageNode(WorkerNode):
         self.finish()
         for job in self._own_jobs([] if self._is_finished else self.stage.finish()):
             self._report(self._processed([job])[0][1])
+        # Longest wait at the end of the node for subscribers to receive the last latched messages, s.
+        last_words_s = 2.0
         with suppress(RCLError):
-            for topic in self._latched:  # so that subscribers receive the last messages
-                self._outlets[topic][0].publisher.wait_for_all_acked(Duration(seconds=2.0))
+            for topic in self._latched:
+                self._outlets[topic][0].publisher.wait_for_all_acked(Duration(seconds=last_words_s))
 
     def destroy_node(self) -> None:
         """Process or drop what waits, then end the node."""

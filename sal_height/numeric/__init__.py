@@ -1,17 +1,14 @@
 """Numerics without physics, in addition to NumPy and SciPy, and the compilation of kernels.
 
-Read `arrays` (types of arrays), `jit` (compilation of kernels), `threads` (work in several threads) and `blas_threads`
-(BLAS in one thread) first, then `windows` (spectral weights), `phasors` (exp(j phase) with the phase
-reduced in float64), `chirp_z`, `centred_sums` and `fft` (transforms of many rows), `parabola` (peaks between samples),
-`medians` (how well they are known), `error_statistics` (of errors and their predicted standard deviations), `bilinear`
-(interpolation on nodes), `range_profiles` (interpolation of band-limited profiles) and `vectors` (of three numbers,
-within compiled loops). Nothing here knows of sensors or images.
+Read `arrays` (types of arrays), `jit` (compilation of kernels) and `threads` (work in several threads, BLAS in one)
+first, then `windows` (spectral weights), `transforms` (of many rows; exp(j phase)), `error_statistics` (of errors and
+their predicted standard deviations), `bilinear` (interpolation on nodes), `range_profiles` (interpolation of
+band-limited profiles) and `vectors` (of three numbers, within compiled loops). Nothing here knows of sensors or images.
 """
 
 from sal_height.numeric._kernels import cosine_and_sine, cosine_and_sine_of_part, tap_weights
 from sal_height.numeric.arrays import C64, C128, F32, F64, I32, I64, U8, Bool, Complex, Index, vertex
 from sal_height.numeric.bilinear import between_nodes, bilinear, node_before
-from sal_height.numeric.blas_threads import one_blas_thread
 from sal_height.numeric.error_statistics import (
     MEDIAN_ERROR,
     ErrorStatistics,
@@ -22,7 +19,6 @@ from sal_height.numeric.error_statistics import (
     root_mean_square,
 )
 from sal_height.numeric.jit import compiled, compiled_with_nan, inlined, squared
-from sal_height.numeric.phasors import outer_phasors, unit_phasors
 from sal_height.numeric.range_profiles import (
     OVERSAMPLING,
     TAPS,
@@ -31,7 +27,7 @@ from sal_height.numeric.range_profiles import (
     spectra_of_profiles,
     tap_polynomials,
 )
-from sal_height.numeric.threads import WORKERS, available_processors, in_parallel, in_threads
+from sal_height.numeric.threads import WORKERS, available_processors, in_parallel, in_threads, one_blas_thread
 from sal_height.numeric.transforms import (
     LARGEST,
     CentredSums,
@@ -40,7 +36,9 @@ from sal_height.numeric.transforms import (
     chirp_z,
     fast_length,
     frequencies,
+    outer_phasors,
     rows_at_once,
+    unit_phasors,
 )
 from sal_height.numeric.vectors import Vector, cross, dot, total, vector
 from sal_height.numeric.windows import WINDOWS, broadening, noise_gain, taylor, window

@@ -31,9 +31,6 @@ SHIFT = 0.15
 PHASE_ERROR = 0.02
 """Largest error at the edges of a box of phases that are computed for its middle, rad."""
 
-SAMPLING = 0.5
-"""Spacing of pixels: brightest pixels are half of that from a point at most, cells of the unweighted resolution."""
-
 MARGIN = 3
 """Margin around a box for the response of a point within, pixels."""
 
@@ -93,11 +90,13 @@ class Lattice:
         steering = array.steering(array.centre, -across / 2, across / 2)
         turned = float(np.abs(steering.slope(0.0)).max()) * across / 2 / resolution(steering)
         way = 2 * distance * PHASE_ERROR / turned
-        spacing = SAMPLING * cell, SAMPLING * azimuth_cell
+        # Spacing of pixels: brightest pixels are half of that from a point at most, cells of the unweighted resolution.
+        sampling = 0.5
+        spacing = sampling * cell, sampling * azimuth_cell
         rows = float(np.clip(way, 8 * spacing[0], max(2 * across, 8 * spacing[0])))
         cols = float(np.clip(way, 8 * spacing[1], max(8 * spacing[1], min(200 * spacing[1], settings.side_m))))
         windows = settings.range_window, settings.azimuth_window
-        response = CellResponse(AxisResponse(windows[0], SAMPLING), AxisResponse(windows[1], SAMPLING))
+        response = CellResponse(AxisResponse(windows[0], sampling), AxisResponse(windows[1], sampling))
         heights = settings.lowest_m, settings.highest_m
         size = rows, cols, across
         return cls(array, settings.side_m, heights, size, spacing, response, Processing(*windows))

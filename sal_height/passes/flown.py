@@ -16,12 +16,6 @@ from sal_height.sensor import PhaseHistory, Sensor
 LEAST_PASSES = 3
 """Least number of passes: two determine amplitude, phase and height of a point, and cannot show a wrong phase."""
 
-BAND_SHARE = 0.1
-"""Largest difference of middle frequency and of bandwidth between passes, over the bandwidth."""
-
-LEAST_OVERLAP = 0.5
-"""Least fraction of the azimuths of a pass that all passes must have."""
-
 
 @dataclass(frozen=True, eq=False)
 class Pass:
@@ -117,7 +111,8 @@ def _check_band(passes: Sequence[Pass], _centre: F64) -> list[str]:
     middle = np.array([one.wavenumber for one in passes])
     width = np.array([one.sensor.wavenumber_step * one.sensor.sample_count for one in passes])
     usual, wide = float(np.median(middle)), float(np.median(width))
-    other = (np.abs(middle - usual) > BAND_SHARE * wide) | (np.abs(width - wide) > BAND_SHARE * wide)
+    band_share = 0.1  # largest difference of middle frequency and of bandwidth between passes, over the bandwidth
+    other = (np.abs(middle - usual) > band_share * wide) | (np.abs(width - wide) > band_share * wide)
     return [
         f"its wavelength is {one.sensor.wavelength:.6g} m and its bandwidth {one.sensor.bandwidth:.4g} Hz; those of "
         f"most passes are {4 * np.pi / usual:.6g} m and {one.sensor.bandwidth * wide / own:.4g} Hz."
@@ -157,10 +152,11 @@ def _check_azimuths(passes: Sequence[Pass], centre: F64) -> list[str]:
     ends = _intervals(passes, centre)
     first, last = np.median(ends, axis=0)
     common = np.minimum(ends[:, 1], last) - np.maximum(ends[:, 0], first)
-    apart = common < LEAST_OVERLAP * np.maximum(ends[:, 1] - ends[:, 0], last - first)
+    least_overlap = 0.5  # least fraction of the azimuths of a pass that all passes must have
+    apart = common < least_overlap * np.maximum(ends[:, 1] - ends[:, 0], last - first)
     # All must have half of them in common: those whose ends differ most from the median are left out until they have.
     short = np.maximum(ends[:, 0] - first, last - ends[:, 1])
-    while not apart.all() and ends[~apart, 1].min() - ends[~apart, 0].max() < LEAST_OVERLAP * (last - first):
+    while not apart.all() and ends[~apart, 1].min() - ends[~apart, 0].max() < least_overlap * (last - first):
         apart[np.argmax(np.where(apart, -np.inf, short))] = True
     return [
         f"it sees the scene from azimuths of {np.degrees(low):.3g} to {np.degrees(high):.3g} degrees from the first "

@@ -223,17 +223,14 @@ def _settled(tops: Layers, number: I64, grid: GroundGrid, settings: GroundSettin
     return membrane, slope, common
 
 
-SLOPE_CELLS = 7
-"""Side in cells of the square in which slopes are averaged."""
-
-
 def _slopes(membrane: Membrane) -> F64:
     """Slope of the membrane along rows and columns, m per cell, shape (rows, cols, 2); steps are not part of it."""
     slope = np.empty((2, *membrane.height.shape))
     across = np.empty(membrane.height.shape[::-1])
-    kernels.mean_rises(membrane.height, membrane.joined[0], SLOPE_CELLS // 2, slope[0])
+    slope_cells = 7  # side in cells of the square in which slopes are averaged
+    kernels.mean_rises(membrane.height, membrane.joined[0], slope_cells // 2, slope[0])
     there = np.ascontiguousarray(membrane.joined[1].T)
-    kernels.mean_rises(np.ascontiguousarray(membrane.height.T), there, SLOPE_CELLS // 2, across)
+    kernels.mean_rises(np.ascontiguousarray(membrane.height.T), there, slope_cells // 2, across)
     slope[1] = across.T
     return np.moveaxis(slope, 0, -1)
 

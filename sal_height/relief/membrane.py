@@ -42,8 +42,6 @@ FREEDOM = 2.0
 Softer than most ground, so that a step below the gate moves a height by little more than its sigma.
 """
 
-WEIGHT_STEP = 1e-3
-"""Relative change of the weights for the derivative of the variances, -diag(A^-1 W A^-1)."""
 
 FAR = 2.0
 """Standard deviations beyond which a measurement is called far from the line between its neighbours.
@@ -146,9 +144,10 @@ def deviation(membrane: Membrane, spacing: float) -> F64:
             footprint share their error.
     """
     noise, posterior = membrane.noise, 1 / membrane.precision
-    heavier = (1 + WEIGHT_STEP) * membrane.weight
+    weight_step = 1e-3  # relative change of the weights for the derivative of the variances, -diag(A^-1 W A^-1)
+    heavier = (1 + weight_step) * membrane.weight
     precision, _ = _beliefs(heavier, membrane.filled, membrane.stiffness, membrane.rises)
-    averaged = (posterior - 1 / precision) / WEIGHT_STEP
+    averaged = (posterior - 1 / precision) / weight_step
     roughness = _roughness(membrane.filled, noise, membrane.covered, max(1, round(spacing)))
     smooth = averaged + roughness * (posterior - averaged)
     unresolved = _unresolved(membrane.height, np.sqrt(smooth), membrane.joined, spacing)

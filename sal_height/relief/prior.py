@@ -37,20 +37,12 @@ from sal_height.relief.smoothing import MeasuredHeights, ReliefPrior
 LEAST_STEPS = 20
 """Least number of pairs of consecutive measured cells of a column from which a prior can be estimated, to a third."""
 
-ROWS_OF_PRIOR = 256
-"""Number of rows in the middle of the image from which a prior is estimated."""
 
 DIFFERENCE = 0.05
 """Difference of logarithms from which slopes of the likelihood are computed, to a part in a thousand."""
 
 AROUND = DIFFERENCE * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 """Offsets in the logarithms at which the likelihood is evaluated for its slopes."""
-
-LONGEST_STEP = 1.5
-"""Longest step of the search in either logarithm; farther away the likelihood is another."""
-
-TOLERANCE = 0.2
-"""Length of the last step of the search, in standard deviations of the estimate; its square is the error left."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,12 +193,13 @@ def _windows(seen: Bool, settings: TrackingSettings) -> list[tuple[slice, slice]
     """Windows of the part of an image that was seen, in its middle rows and evenly spaced along track."""
     rows, cols = (np.flatnonzero(seen.any(axis=axis)) for axis in (1, 0))
     first, height = int(rows[0]), int(rows[-1] - rows[0]) + 1
-    top = first + max(0, (height - ROWS_OF_PRIOR) // 2)
+    rows_of_prior = 256  # number of rows in the middle of the image from which a prior is estimated
+    top = first + max(0, (height - rows_of_prior) // 2)
     left, width = int(cols[0]), int(cols[-1] - cols[0]) + 1
     size = min(width, settings.window_columns if settings.along_track else 1)
     count = max(1, min(width, settings.prior_columns) // size)
     starts = left + ((np.arange(count) + 0.5) * width / count - size / 2).astype(np.intp)
-    return [np.s_[top : top + min(height, ROWS_OF_PRIOR), start : start + size] for start in starts.tolist()]
+    return [np.s_[top : top + min(height, rows_of_prior), start : start + size] for start in starts.tolist()]
 
 
 def _most_likely(heights: _Heights, expected: F64, known: F64, settings: TrackingSettings) -> tuple[F64, F64, float]:
@@ -232,6 +225,9 @@ def _most_likely(heights: _Heights, expected: F64, known: F64, settings: Trackin
     merits = [likelihood - doubt(start) for likelihood, start in zip(likelihoods, starts, strict=True)]
     logs, merit = starts[int(np.argmax(merits))], max(merits)
     steps = 20  # most steps of a search, which takes two in most dwells and six in the first
+    longest_step = 1.5  # longest step of the search in either logarithm; farther away the likelihood is another
+    # Length of the last step of the search, in standard deviations of the estimate; its square is the error left.
+    tolerance = 0.2
     for _ in range(steps):
         rise, gained = heights.slopes(logs)
         rise -= known @ (logs - expected)
@@ -239,15 +235,15 @@ def _most_likely(heights: _Heights, expected: F64, known: F64, settings: Trackin
         if not free.all():
             total = np.where(np.outer(free, free), total, np.eye(2))
         step = _solved(total, rise * free)
-        step *= LONGEST_STEP / max(LONGEST_STEP, float(np.abs(step).max()))
-        while (length := math.sqrt(step @ total @ step)) > TOLERANCE:
+        step *= longest_step / max(longest_step, float(np.abs(step).max()))
+        while (length := math.sqrt(step @ total @ step)) > tolerance:
             there = np.clip(logs + step, lowest, highest)
             found = heights.log_likelihood(there) - doubt(there)
             if found > merit:
                 break
             step /= 2
         logs = np.clip(logs + step, lowest, highest)
-        if length <= TOLERANCE:
+        if length <= tolerance:
             break
         merit = found
     return logs, gained, max(likelihoods) - heights.log_likelihood(logs)

@@ -11,9 +11,6 @@ from sal_height.numeric import F64
 from sal_height.relief.cell_map import Relief
 from sal_height.relief.heights import HeightField, Surface
 
-ROUND = 10_000.0
-"""Eastings and northings of false origins are multiples of it, m: cells of maps of different flights fit then."""
-
 
 @dataclass(frozen=True, eq=False)
 class ProjectedAxes:
@@ -36,7 +33,9 @@ class ProjectedAxes:
     def around(cls, projection: Projection) -> ProjectedAxes:
         """Axes near the origin of the flight's map."""
         here = projection.coordinates(np.zeros(3))[:2]
-        return cls(projection, np.round(here / ROUND) * ROUND)
+        # Eastings and northings of false origins are multiples of it, m: cells of maps of different flights fit then.
+        multiple = 10_000.0
+        return cls(projection, np.round(here / multiple) * multiple)
 
     def positions(self, positions: F64) -> F64:
         """Positions in these axes of positions in map, m, both of shape (..., 3)."""

@@ -1,16 +1,17 @@
 """The description of a sensor, and its samples up to the phase history.
 
-Read `sensor` first (`Sensor`: wavelength, pulses, frequencies, beams, noise), then `phase_history` (samples of a dwell
-over frequency), `waveform` (raw chirp or deramped echoes to phase history), `receivers` (clipped samples), `channels`
-(from the receivers' channels to whitened ones) and `stripmap` (the angle that a fixed antenna illuminates).
+Read `sensor` first (`Sensor`: wavelength, pulses, frequencies, beams, noise; `PhaseHistory`: samples of a dwell over
+frequency), then `waveform` (raw chirp or deramped echoes to phase history) and `channels` (from the receivers' channels
+to whitened ones).
 """
 
 from sal_height.sensor.channels import Channels, sum_difference_channels, whitened_channels, with_powers
-from sal_height.sensor.phase_history import NUFFT_TOLERANCE, PhaseHistory
 from sal_height.sensor.sensor import (
     MAX_DETECTORS,
     MAX_SHARE,
     MODES,
+    NUFFT_TOLERANCE,
+    PhaseHistory,
     Sensor,
     aperture_length,
     clipped,

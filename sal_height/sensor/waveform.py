@@ -21,8 +21,7 @@ from scipy import fft
 from scipy.special import diric
 
 from sal_height.numeric import C64, F64, Complex, fast_length
-from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.sensor import Sensor
+from sal_height.sensor.sensor import PhaseHistory, Sensor
 
 BLOCK_SAMPLES = 2**18  # samples transformed at a time, in complex128
 

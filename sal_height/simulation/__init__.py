@@ -2,8 +2,8 @@
 
 Read `preset` first (the YAML that describes a run), then `flight` (everything a run is made of), `scene`, `canopy`,
 `scenes` (the ground and its vegetation), `gust` (motion of the platform), `spotlight` and `stripmap` (echoes of the
-lit scatterers), `pulse_groups` and `echoes` (the sum of their echoes), `beam_lattice` (beams in many directions),
-`air`, `receiver_noise` and `impairments` (changes of echoes) and `truth` (the true height image).
+lit scatterers), `pulse_groups` and `echoes` (the sum of their echoes), `air`, `receiver_noise` and `impairments`
+(changes of echoes) and `lit_surfaces` (true height images).
 """
 
 from sal_height.simulation.flight import (
@@ -14,6 +14,7 @@ from sal_height.simulation.flight import (
     swings_little,
 )
 from sal_height.simulation.impairments import Impairments, RangeSawtooth, RangeTaper
+from sal_height.simulation.lit_surfaces import truth_image
 from sal_height.simulation.phase_errors import laser_structure
 from sal_height.simulation.preset import (
     MountingSettings,
@@ -25,7 +26,6 @@ from sal_height.simulation.preset import (
 )
 from sal_height.simulation.scene import Scene, VisibleSurface
 from sal_height.simulation.stripmap import mean_square_gain, simulate_block
-from sal_height.simulation.truth import Truth, truth_image
 
 __all__ = [
     "Impairments",
@@ -36,7 +36,6 @@ __all__ = [
     "RangeTaper",
     "Scene",
     "SimulatedFlight",
-    "Truth",
     "VisibleSurface",
     "describe_beam_misfits",
     "flight_of",

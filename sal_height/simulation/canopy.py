@@ -17,9 +17,6 @@ from sal_height.simulation._terrain_kernels import rise_in_canopy
 CANOPY_LAYERS = 24
 """Layers of scatterers from base to top: 4 in a beamwidth for a canopy of 6 beamwidths."""
 
-CANOPY_THINNING = 4
-"""Scatterers of the terrain per scatterer of a layer: a layer has one in a resolution cell instead of 2 x 2."""
-
 
 @dataclass(frozen=True, eq=False)
 class Canopy:
@@ -46,12 +43,13 @@ class Canopy:
     def layers(self, top: F64) -> tuple[F64, F64]:
         """Heights above the terrain (m) and thickness (m) of the layers under `top` (m, shape (points,)).
 
-        Both have the shape (CANOPY_LAYERS, points). In each layer one point in CANOPY_THINNING stands for all, so that
-        the thickness of the others is 0, as it is where there is no canopy.
+        Both have the shape (CANOPY_LAYERS, points). In each layer one point in four stands for all, so that the
+        thickness of the others is 0, as it is where there is no canopy.
         """
         layer, point = np.ogrid[:CANOPY_LAYERS, : len(top)]
         depth = np.maximum(top - self.base, 0.0)
-        thickness = depth * CANOPY_THINNING / CANOPY_LAYERS * ((layer + point) % CANOPY_THINNING == 0)
+        thinning = 4  # scatterers of the terrain per one of a layer, which has one in a resolution cell, not 2 x 2
+        thickness = depth * thinning / CANOPY_LAYERS * ((layer + point) % thinning == 0)
         return self.base + (layer + 0.5) / CANOPY_LAYERS * depth, thickness
 
     def optical_depth(self, north: F64, east: F64, ground: F64, points: F64, sight: F64) -> F64:

@@ -48,7 +48,6 @@ from sal_height.simulation.scenes import load_scene
 from sal_height.simulation.spotlight import cell_power, draw_amplitudes, simulate_dwell
 from sal_height.simulation.stripmap import mean_square_gain, simulate_block
 
-TURN_BEAMWIDTHS = 0.5  # additional ground around that lit by a stripmap block, for small turns of the body
 GROUND, GUST, ODOMETRY, VIBRATION, AIR, JITTER = range(6)  # keys of random streams that do not belong to a dwell
 LASER, LEAVES = 6, 7  # keys of streams of a dwell, or of a tile: laser phase, and velocities of vegetation
 
@@ -282,8 +281,8 @@ class SimulatedFlight:
         """Return the surface that the dwell illuminates, in the range window, at positions in the middle of the dwell.
 
         In spotlight that is the `lit_angle` along the flight to each side of the beams, for any swing. In stripmap
-        it is the ground abeam of the block, and `lit_angle` and TURN_BEAMWIDTHS before and behind it, each scatterer as
-        it is seen from abeam.
+        it is the ground abeam of the block, and `lit_angle` and half a beamwidth before and behind it, each scatterer
+        as it is seen from abeam.
 
         Raises:
             UserError: there is no terrain.
@@ -306,7 +305,8 @@ class SimulatedFlight:
 
         Tile n is the ground abeam of block n of the pass without gusts.
         """
-        angle = self._swept_angle + TURN_BEAMWIDTHS * self.sensor.beams.track_beamwidth
+        turn_beamwidths = 0.5  # additional ground around that lit by a stripmap block, for small turns of the body
+        angle = self._swept_angle + turn_beamwidths * self.sensor.beams.track_beamwidth
         neighbours = math.ceil(angle * self.preset.flight.slant_range_m / self.preset.dwell_spacing_m)
         aperture, (number, _) = self.aperture(dwell), self._place_of(dwell)
         forward = aperture.position[0] * np.sign(aperture.direction[0])

@@ -17,18 +17,17 @@ from scipy.spatial.transform import Rotation
 from sal_height.numeric import F64
 from sal_height.simulation.harmonics import Harmonics
 
-SCALE_LENGTH = 533.4  # m: 1750 ft, scale of the turbulence in all axes above 2000 ft
 MOUNT_RESIDUAL = 2e-4  # fraction of the aircraft's turns that the stabilised mount of the antenna transmits
 SLOWEST, FASTEST = 0.02, 60.0  # rad/s: below, the autopilot leaves nothing; above, the airframe's inertia
-HARMONICS = 150
 
 
 def gust_spectra(omega: F64, speed: float) -> F64:
     """Dryden spectra of a gust of 1 m/s rms along, left and up, (m/s)^2 per rad/s over omega > 0, (..., 3)."""
-    x = SCALE_LENGTH / speed * omega
+    scale = 533.4  # m: 1750 ft, scale of the turbulence in all axes above 2000 ft
+    x = scale / speed * omega
     along = 2 / (1 + x**2)
     across = (1 + 3 * x**2) / (1 + x**2) ** 2
-    return SCALE_LENGTH / (np.pi * speed) * np.stack([along, across, across], axis=-1)
+    return scale / (np.pi * speed) * np.stack([along, across, across], axis=-1)
 
 
 def response(omega: F64) -> F64:
@@ -61,12 +60,13 @@ class GustMotion(Harmonics):
 
 def gust_motion(gust: float, speed: float, rng: np.random.Generator) -> GustMotion:
     """Motion in gusts of `gust` (m/s rms in each axis) at `speed` (m/s)."""
-    edges = np.geomspace(SLOWEST, FASTEST, HARMONICS + 1)
+    count = 150  # harmonics
+    edges = np.geomspace(SLOWEST, FASTEST, count + 1)
     omega = np.sqrt(edges[1:] * edges[:-1])
     spectra = gust_spectra(omega, speed) * response(omega)[:, None] ** 2
     return GustMotion(
         speed=speed,
         omega=omega,
         amplitude=gust * np.sqrt(2 * spectra * np.diff(edges)[:, None]),
-        phase=rng.uniform(0, 2 * np.pi, (HARMONICS, 3)),
+        phase=rng.uniform(0, 2 * np.pi, (count, 3)),
     )

@@ -24,7 +24,7 @@ from annotated_types import Ge, Gt, Le
 from scipy.spatial.transform import Rotation
 
 from sal_height.beams import ZERNIKE, Beams
-from sal_height.configuration import Float, Int, StrictKeys
+from sal_height.configuration import Angle, Decibels, Float, Int, StrictKeys
 from sal_height.geometry import look_direction
 from sal_height.numeric import C128, F64, Complex, taylor
 from sal_height.sensor import Sensor, echo_sensor, spectrum_sensor
@@ -32,9 +32,6 @@ from sal_height.simulation.air import SimulatedAir
 from sal_height.simulation.harmonics import Harmonics
 from sal_height.simulation.odometry_errors import EXACT, OdometryErrors
 from sal_height.simulation.phase_errors import AT_REST, Vibration
-from sal_height.simulation.preset_types import Angle, Decibels
-
-LINES = 400
 
 
 @dataclass(frozen=True)
@@ -69,11 +66,11 @@ class Turbulence(StrictKeys):
         """
         # Lengths of the waves, m. Waves longer than L add (x / L)^(1/3) to the structure function: there is no outer
         # scale, beyond which real air has less.
-        edges = 2 * np.pi / np.geomspace(1e10, 1e-3, LINES + 1)
+        edges = 2 * np.pi / np.geomspace(1e10, 1e-3, 401)
         level = structure / (-2 * scipy.special.gamma(-5 / 3) * np.cos(5 * np.pi / 6))
         power = level * 3 / 5 * (edges[:-1] ** (-5 / 3) - edges[1:] ** (-5 / 3))
         omega = speed * np.sqrt(edges[1:] * edges[:-1])
-        return Harmonics(omega, (omega * np.sqrt(2 * power))[:, None], rng.uniform(0, 2 * np.pi, (LINES, 1)))
+        return Harmonics(omega, (omega * np.sqrt(2 * power))[:, None], rng.uniform(0, 2 * np.pi, (len(omega), 1)))
 
 
 @dataclass(frozen=True)

@@ -18,15 +18,10 @@ import numpy.typing as npt
 from annotated_types import Ge, Gt, Le
 from scipy.spatial.transform import Rotation
 
-from sal_height.configuration import Float, StrictKeys
+from sal_height.configuration import Angle, Float, StrictKeys
 from sal_height.geometry import Mounting, PlatformState
 from sal_height.numeric import F64
 from sal_height.simulation.harmonics import Harmonics
-from sal_height.simulation.preset_types import Angle
-
-HARMONICS = 150
-SPAN = 100.0
-"""Correlation times in which the slowest harmonic turns by a radian; the fastest does in the inverse of that."""
 
 Arm = Annotated[Float, Ge(-10), Le(10)]
 
@@ -172,10 +167,13 @@ class PoseErrors:
 
 def _gauss_markov(rms: F64, correlation_s: float, rng: np.random.Generator) -> Harmonics:
     """Three processes whose autocorrelations are rms^2 exp(-|t| / T): spectrum 2 T / pi / (1 + (omega T)^2)."""
-    edges = np.geomspace(1 / (SPAN * correlation_s), SPAN / correlation_s, HARMONICS + 1)
+    count = 150  # harmonics
+    # Correlation times in which the slowest harmonic turns by a radian; the fastest does in the inverse of that.
+    span = 100.0
+    edges = np.geomspace(1 / (span * correlation_s), span / correlation_s, count + 1)
     power = np.diff(np.arctan(edges * correlation_s))
     return Harmonics(
         omega=np.sqrt(edges[1:] * edges[:-1]),
         amplitude=np.sqrt(2 * power / power.sum())[:, None] * rms,
-        phase=rng.uniform(0, 2 * np.pi, (HARMONICS, 3)),
+        phase=rng.uniform(0, 2 * np.pi, (count, 3)),
     )

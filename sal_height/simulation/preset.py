@@ -17,17 +17,14 @@ from pydantic_core import PydanticCustomError
 from scipy.spatial.transform import Rotation
 
 from sal_height.beams import PATTERNS, read_beam_tables
-from sal_height.configuration import Float, Int, StrictKeys, read_yaml, validated
+from sal_height.configuration import Angle, Decibels, Float, Int, StrictKeys, read_yaml, validated
 from sal_height.errors import UserError
 from sal_height.geometry import Mounting, Origin, describe_implausible_pressure
 from sal_height.sensor import MAX_DETECTORS, Sensor
 from sal_height.simulation.impairments import UNIMPAIRED, Impairments
-from sal_height.simulation.preset_types import Angle, Decibels
 
 SHIPPED = Path(__file__).parents[1] / "presets"  # folder of the presets of the package
 BEAM_TABLES = ".csv"  # suffix of the file of measured beams that a preset may name as its pattern
-
-LONGEST_LIGHT_M = 100e-6  # wavelength of a laser; terahertz radars have longer waves, which no laser line describes
 
 Length = Annotated[Float, Ge(-1000), Le(1000)]
 
@@ -382,10 +379,11 @@ def _impairment_misfits(preset: Preset) -> Iterator[str]:
 def _nature_misfits(preset: Preset) -> Iterator[str]:
     """Contradictions: a laser in a radar, a pressure that air does not have."""
     impairments, wavelength = preset.impairments, preset.sensor.wavelength_m
-    if impairments.laser_linewidth_hz and wavelength > LONGEST_LIGHT_M:
+    longest_light_m = 100e-6  # wavelength of a laser; terahertz radars have longer waves, which no laser line describes
+    if impairments.laser_linewidth_hz and wavelength > longest_light_m:
         yield (
             f"impairments.laser_linewidth_hz is {impairments.laser_linewidth_hz:g} with sensor.wavelength_m "
-            f"{wavelength:g}; a laser is part of a lidar, whose wavelength is {LONGEST_LIGHT_M:g} or less, so leave it "
+            f"{wavelength:g}; a laser is part of a lidar, whose wavelength is {longest_light_m:g} or less, so leave it "
             "out"
         )
     air = impairments.air
@@ -412,10 +410,6 @@ def _spacing_misfits(preset: Preset) -> Iterator[str]:
         )
 
 
-PAUSE_S = 1.0
-"""Least time between the end of a pass and the start of the next one, s."""
-
-
 def _pass_misfits(preset: Preset) -> Iterator[str]:
     """Contradictions: passes that do not follow each other."""
     passes = preset.flight.passes
@@ -426,9 +420,10 @@ def _pass_misfits(preset: Preset) -> Iterator[str]:
             f"dwells is {preset.dwells} and flight.passes.count is {passes.count}; each pass needs a dwell or more, "
             f"so give {passes.count} dwells or more, or fewer passes"
         )
-    least = passes.dwells_each(preset.dwells) * preset.dwell_spacing_m / preset.flight.speed_mps + PAUSE_S
+    pause_s = 1.0  # least time between the end of a pass and the start of the next one, s
+    least = passes.dwells_each(preset.dwells) * preset.dwell_spacing_m / preset.flight.speed_mps + pause_s
     if passes.interval_s < least:
         yield (
-            f"flight.passes.interval_s is {passes.interval_s:g}; a pass takes {least - PAUSE_S:.3g} s, so it must be "
+            f"flight.passes.interval_s is {passes.interval_s:g}; a pass takes {least - pause_s:.3g} s, so it must be "
             f"{least:.3g} or more"
         )

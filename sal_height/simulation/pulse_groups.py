@@ -18,9 +18,6 @@ import numpy as np
 from sal_height.numeric import F64, Index
 from sal_height.sensor import Sensor
 
-LEAST_PULSES = 8
-"""Shortest group in which the FFT over pulses pays: it spreads a scatterer over TAPS bins, which replace the pulses."""
-
 LEAST_MIGRATION, MOST_MIGRATION = 8e-4, 0.07
 """Phase (rad) of an outermost scatterer by range migration, at the ends of group and band, from which on it is
 corrected, and up to which its first order suffices.
@@ -101,7 +98,7 @@ class PulseGroup:
 
 
 def pulse_groups(count: int, group_of: Callable[[slice], PulseGroup | None]) -> list[PulseGroup]:
-    """All pulses in the groups with the least computation; empty if groups of LEAST_PULSES are too long.
+    """All pulses in the groups with the least computation; empty if groups of eight are too long.
 
     Work is counted in the beams that scatterers are spread with; transforms of migrating ones take half as much again.
 
@@ -111,7 +108,9 @@ def pulse_groups(count: int, group_of: Callable[[slice], PulseGroup | None]) -> 
     """
     best: list[PulseGroup] = []
     cost, parts = float("inf"), 1
-    while count >= LEAST_PULSES * parts and parts < cost:
+    # Shortest group in which the FFT over pulses pays: it spreads a scatterer over TAPS bins, which replace the pulses.
+    least_pulses = 8
+    while count >= least_pulses * parts and parts < cost:
         edges = np.linspace(0, count, parts + 1).round().astype(int).tolist()
         found, work = list[PulseGroup](), 0.0
         for ends in pairwise(edges):

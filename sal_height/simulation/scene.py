@@ -230,8 +230,6 @@ with strips as far apart as its resolution.
 LAYERS = 15
 """Layers of scatterers in height; odd, so that one is the terrain. An extent of 3.5 beams has 4 layers in a beam."""
 
-LONGEST_PIECE = 16  # longest piece of a cut, in range cells, over which range is assumed to be linear
-
 
 def visible_surface(
     scene: Scene,
@@ -330,13 +328,14 @@ class _Cuts:
         east_extent: tuple[float, float],
         strips_per_cell: int,
     ) -> Self:
-        """The cuts of an extent, `strips_per_cell` in a resolution cell in azimuth, no piece over LONGEST_PIECE."""
+        """The cuts of an extent, `strips_per_cell` in a resolution cell in azimuth, no piece over 16 range cells."""
         range_cell, azimuth_cell = cell
         strips = max(2, round((east_extent[1] - east_extent[0]) / azimuth_cell * strips_per_cell))
         width = (east_extent[1] - east_extent[0]) / strips
         east = east_extent[0] + width * (np.arange(strips) + 0.5)
         outwards = int(-look_side * np.sign(aperture.direction[0]))
-        refine = int(np.ceil(np.diff(scene.north).max() / (LONGEST_PIECE * range_cell)))
+        longest = 16  # longest piece of a cut, in range cells, over which range is assumed to be linear
+        refine = int(np.ceil(np.diff(scene.north).max() / (longest * range_cell)))
         steps = np.arange((len(scene.north) - 1) * refine + 1) / refine
         north = np.interp(steps, np.arange(len(scene.north)), scene.north)[::outwards]
         height = scene.heights(east[:, None], north)

@@ -9,8 +9,7 @@ import numpy.typing as npt
 
 from sal_height.numeric import C64, F32, F64, Complex, Index
 from sal_height.sensor import Sensor
-from sal_height.simulation.beam_lattice import response_of
-from sal_height.simulation.echoes import for_each_group, sum_of_echoes
+from sal_height.simulation.echoes import for_each_group, response_of, sum_of_echoes
 from sal_height.simulation.pulse_groups import PulseGroup, outermost, pulse_groups, single_pulse, smooth_group
 from sal_height.simulation.scene import VisibleSurface
 

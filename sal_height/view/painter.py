@@ -27,15 +27,6 @@ from sal_height.relief import Surface
 from sal_height.view.colours import Span, Spans, coloured
 from sal_height.view.drawings import Classes, Cloud, Drawing, Line, Note, Number, Picture, ReceivedMessage, Sheet
 
-PIECE_NS = 200_000_000
-"""Least length of a piece that is drawn, ns."""
-
-MOST_PLACES = 4096
-"""Greatest number of positions that wait; of more, the oldest are dropped."""
-
-DRAWN_PLACES = 32
-"""Approximate number of positions drawn per piece; it is short, and a platform is inert."""
-
 FARTHEST_M, LONGEST_NS = 5.0, 5_000_000_000
 """Greatest distance (m), in addition to half the path, of a position from the one before moved on by its velocity, and
 greatest time between both (ns) at which they are joined."""
@@ -65,7 +56,8 @@ class Track:
     def add(self, state: PlatformState, received_ns: int) -> int:
         """Take a state in; the time from the first that waits to it, ns."""
         self._states.append(state)
-        del self._states[:-MOST_PLACES]
+        most_places = 4096  # greatest number of positions that wait; of more, the oldest are dropped
+        del self._states[:-most_places]
         self._received_ns = received_ns
         return abs(state.stamp_ns - self._states[0].stamp_ns)
 
@@ -82,7 +74,8 @@ class Track:
 
 
 def _piece(states: list[PlatformState], received_ns: int) -> Piece:
-    kept = np.unique(np.linspace(0, len(states) - 1, min(len(states), DRAWN_PLACES)).round().astype(int))
+    drawn_places = 32  # approximate number of positions drawn per piece; it is short, and a platform is inert
+    kept = np.unique(np.linspace(0, len(states) - 1, min(len(states), drawn_places)).round().astype(int))
     return Piece(states[-1].stamp_ns, received_ns, np.array([states[i].position for i in kept]))
 
 
@@ -117,21 +110,8 @@ TOLD = "messages/{}"
 ORIGIN = "messages/origin"
 """Path of the message that states the origin of the points."""
 
-UNSETTLED_NS = 5_000_000_000
-"""A track is not drawn before the first height image, near which the origin is then, unless it is that long, ns."""
-
 MOST_PATHS = 1000
 """Names that time series may have: a viewer keeps each of them, and messages could bring ever new ones."""
-
-REMEMBERED = 64
-"""Images that decide which power is white."""
-
-RADIUS = 0.4
-"""Radius of points, in diagonals of a pixel: those of a closed surface nearly touch."""
-
-DECIBELS = 10.0
-LEAST_POWER = 1e-30
-"""Stands for no power at all, -300 dB."""
 
 
 def is_shown(topic: str, type_name: str, namespace: str = "") -> bool:
@@ -203,7 +183,8 @@ class Painter:
             spans: spans of the colours; None: those of the last images.
         """
         self._map_frame = map_frame
-        self._spans, self._power = spans or Spans(), Span(1.0, 99.9, REMEMBERED)
+        remembered = 64  # images that decide which power is white
+        self._spans, self._power = spans or Spans(), Span(1.0, 99.9, remembered)
         self._origin: Any = None
         self._surfaces: dict[str, int] = {}
         self._tracks: dict[str, Track] = {}
@@ -262,7 +243,8 @@ class Painter:
         if away := math.hypot(east, north):
             self._sensor = -east / away, -north / away
         self._surfaces[path] = max(len(field.surfaces), self._surfaces.get(path, 0))
-        radius = RADIUS * float(np.hypot(field.grid.row_spacing, field.grid.col_spacing))
+        radius_pixels = 0.4  # radius of points, in diagonals of a pixel: those of a closed surface nearly touch
+        radius = radius_pixels * float(np.hypot(field.grid.row_spacing, field.grid.col_spacing))
         names = [f"{WORLD}/{path}/surface_{number + 1}" for number in range(self._surfaces[path])]
         clouds = [self._cloud(name, one, radius) for name, one in zip(names, field.surfaces, strict=False)]
         clouds += [_no_cloud(name) for name in names[len(clouds) :]]  # or the viewer would keep those of another dwell
@@ -327,7 +309,7 @@ class Painter:
         collected.drawn = len(collected.channels)
         self._channels[topic] = max(collected.drawn, self._channels.get(topic, 0))
         mean = collected.total / collected.drawn
-        decibels = DECIBELS * np.log10(np.maximum(mean, LEAST_POWER))
+        decibels = 10.0 * np.log10(np.maximum(mean, 1e-30))  # -300 dB stands for no power
         self._power.add(decibels[mean > 0])
         self._stamp_ns = collected.stamp_ns
         picture = Picture(f"{topic}/power", coloured(decibels, self._power.ends, "gray"))
@@ -337,7 +319,10 @@ class Painter:
         state = state_from_message(message, Frames(self._map_frame, message.child_frame_id))
         track = self._tracks.setdefault(topic.removesuffix("/odometry"), Track())
         waits_ns = track.add(state, received_ns)
-        if waits_ns >= (PIECE_NS if self._origin is not None else UNSETTLED_NS):
+        piece_ns = 200_000_000  # least length of a piece that is drawn, ns
+        # A track is not drawn before the first height image, near which the origin is then, unless it is that long, ns.
+        unsettled_ns = 5_000_000_000
+        if waits_ns >= (piece_ns if self._origin is not None else unsettled_ns):
             yield from self._finish_tracks()
 
     def _finish_tracks(self) -> Iterator[Sheet]:

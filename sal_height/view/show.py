@@ -90,9 +90,6 @@ SKIPPED = "messages/view"
 
 UNREADABLE, UNEXPECTED = "unreadable", "unexpected"
 
-MOST_SURFACES = 10_000
-"""Surfaces of a bag that decide which heights the colours stand for: all that are read beforehand."""
-
 TELL_PERIOD_S, LOOK_PERIOD_S = 1.0, 0.1
 
 
@@ -185,7 +182,9 @@ def _said(error: Exception) -> str:
 
 def show_bag(recorded: Recorded, screen: Screen, map_frame: str = MAP_FRAME) -> Shown:
     """Show all messages of a bag; `map_frame` is the name of the frame that all positions are in."""
-    spans = Spans(MOST_SURFACES)
+    # Surfaces of a bag that decide which heights the colours stand for: all that are read beforehand.
+    most_surfaces = 10_000
+    spans = Spans(most_surfaces)
     for received in recorded.some_heights():
         with suppress(Exception):  # it is met again when it is to be drawn
             spans.add(field_from_message(received.read(), map_frame))

@@ -21,14 +21,6 @@ LOCAL = "127.0.0.1"
 START = "import sys; from rerun_cli.__main__ import main; sys.exit(main())"
 """The program rerun, with its exit status, which `python -m rerun_cli` hides."""
 
-START_S = 30.0
-"""Longest time until a viewer listens."""
-
-WINDOW_S = 0.5
-"""Time in which a viewer that listens already finds out that it cannot open a window."""
-
-LOOK_S = 0.05
-
 
 class Viewer:
     """A viewer that runs; as a context manager, it ends with the context.
@@ -70,12 +62,13 @@ class Viewer:
         Raises:
             UserError: it does not, or has ended.
         """
-        deadline = time.monotonic() + START_S
+        start_s = 30.0  # longest time until a viewer listens
+        deadline = time.monotonic() + start_s
         while not _listens(port):
             self.check()
             if time.monotonic() > deadline:
-                raise UserError(f"The Rerun viewer was not ready within {START_S:g} s; start it again.")
-            time.sleep(LOOK_S)
+                raise UserError(f"The Rerun viewer was not ready within {start_s:g} s; start it again.")
+            time.sleep(0.05)
 
     def is_open(self) -> bool:
         """True if it has not ended."""
@@ -128,9 +121,10 @@ def open_window(memory_mb: int) -> Viewer:
         UserError: it does not start, as where there is no display.
     """
     (port,) = free_ports(1)
+    window_s = 0.5  # time in which a viewer that listens already finds out that it cannot open a window
     with ExitStack() as stack:
         viewer = stack.enter_context(Viewer(["--hide-welcome-screen", "--expect-data-soon"], port, memory_mb))
-        time.sleep(WINDOW_S)
+        time.sleep(window_s)
         viewer.check()
         stack.pop_all()
     return viewer

@@ -12,9 +12,8 @@ from helpers import BEAMWIDTH, make_sensor
 from numpy.polynomial.legendre import leggauss
 from scipy.special import erf, sici
 
-from sal_height.beams import detector
-from sal_height.beams.apertures import GAUSSIAN_WIDTH, PatternFunction
-from sal_height.beams.detector import average_over_detector
+from sal_height.beams import apertures
+from sal_height.beams.apertures import GAUSSIAN_WIDTH, PatternFunction, average_over_detector
 from sal_height.beams.pattern import PATTERNS, Pattern, aperture_pattern, detector_pattern
 
 Array = npt.NDArray[np.float64]
@@ -105,7 +104,7 @@ def test_a_value_does_not_depend_on_those_beside_it() -> None:
 
 
 def test_fewer_points_break_the_stated_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(detector, "POINTS", 10)
+    monkeypatch.setattr(apertures, "POINTS", 10)
     e, a = np.random.default_rng(6).uniform(-1, 1, (2, 300))
     found = average_over_detector(PATTERNS["sinc"].amplitude, SIZE)(e, a)
     assert np.max(np.abs(found - quadrature(PATTERNS["sinc"].amplitude, SIZE, e, a))) > 1e-11

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import assert_one_sentence, make_beams
+from helpers import make_beams, refused
 from scipy.integrate import dblquad
 from scipy.special import jv
 
@@ -80,12 +80,10 @@ def test_slopes_are_derivatives() -> None:
 
 
 def test_what_cannot_have_aberrations_is_refused() -> None:
-    with pytest.raises(UserError) as sinc:
+    with refused(UserError, "circular"):
         make_beams("sinc", 4).aberrated(only("coma", 0.1))
-    assert_one_sentence(str(sinc.value), "circular")
-    with pytest.raises(UserError) as few:
+    with refused(UserError, "needed"):
         make_beams("jinc", 4).aberrated((0.1,))
-    assert_one_sentence(str(few.value), "needed")
     beams = make_beams("jinc", 4)
     assert beams.aberrated(()) is beams.aberrated((0.0,) * 6) is beams
     assert beams.patterns[0] is pattern_named("jinc")

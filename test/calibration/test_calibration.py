@@ -14,7 +14,7 @@ from sal_height.calibration.calibration import Calibration
 from sal_height.calibration.files import load_calibration, save_calibration
 from sal_height.errors import UserError
 from sal_height.numeric.windows import window
-from sal_height.sensor.phase_history import PhaseHistory
+from sal_height.sensor.sensor import PhaseHistory
 
 SENSOR = make_sensor()
 SHAPE = SENSOR.detector_count, SENSOR.sample_count

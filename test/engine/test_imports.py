@@ -25,11 +25,7 @@ ALLOWED: Mapping[str, tuple[set[str], str]] = {
     "sal_height.numeric.jit": ({"time"}, "says now and then that loops are compiled, at the first start on a machine"),
     "sal_height.numeric.threads": (
         {"threading", "pathlib"},
-        "spreads loops over threads, as many as a container allows",
-    ),
-    "sal_height.numeric.blas_threads": (
-        {"threading"},
-        "a lock around how many threads BLAS has, which is of the process",
+        "spreads loops over threads, as many as a container allows, and sets the number of threads of BLAS",
     ),
     "sal_height.rehearsal": ({"threading"}, "a lock around what the nodes of one process have rehearsed"),
     "sal_height.elevation.monopulse.sum_difference": (
@@ -115,7 +111,7 @@ def test_the_walk_finds_what_it_looks_for() -> None:
     """In a function, through a package that passes names on, and in the call of a method."""
     assert used_by("sal_height.beams.table_files") == {"pathlib", "open"}
     assert defining("sal_height.calibration", "load_calibration") == "sal_height.calibration.files"
-    assert defining("sal_height.geometry", "Mounting") == "sal_height.geometry.mounting"
+    assert defining("sal_height.geometry", "Mounting") == "sal_height.geometry.frames"
     assert "sal_height.calibration.files" in reached_from("sal_height.calibration.__init__")
     assert "sal_height.calibration.files" not in reached_from(*ENGINE)
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from beam_tables import sample_pattern, write_beam_tables
-from helpers import assert_one_sentence
+from helpers import assert_one_sentence, refused
 from scipy.stats import t as student
 
 from sal_height.beams.pattern import detector_pattern, pattern_named
@@ -247,38 +247,29 @@ def test_hardly_any_trials_still_have_statistics(kind: str, trials: str, capsys:
     assert result["std"] == 0 or trials == "2"
 
 
-@pytest.mark.parametrize("kind", ["pair", "array"])
-@pytest.mark.parametrize(
-    ("words", "parts"),
-    [
-        (["--pitch", "0"], ["pitch is 0"]),
-        (["--pitch", "-0.5"], ["pitch is -0.5"]),
-        (["--pitch", "nan"], ["pitch is nan"]),
-        (["--look-count", "0"], ["looks is 0", "1"]),
-        (["--trials", "0"], ["trials is 0", "1"]),
-        (["--cnr-db", "nan"], ["CNR is nan"]),
-        (["--cnr-db", "inf"], ["CNR is inf"]),
-        (["--cnr-db", "500"], ["CNR is 500", "100 dB"]),
-        (["--theta", "nan"], ["elevation is nan"]),
-        (["--theta", "4.5"], ["4.5 beamwidths"]),
-        (["--pattern", "airy"], ["'airy'", "gaussian, jinc, sinc", "CSV"]),
-        (["--search-half-width", "0"], ["half width of the search is 0"]),
-        (["--search-half-width", "inf"], ["half width of the search is inf"]),
-    ],
-)
-def test_what_cannot_be_used_is_named_in_one_sentence(
-    kind: str, words: list[str], parts: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    estimator = ["--estimator", "ml"] if kind == "pair" else []
-    assert main(["montecarlo", kind, *estimator, *words]) == 2
-    printed = capsys.readouterr()
-    assert not printed.out
-    assert_one_sentence(printed.err.strip().removeprefix("sal-height: "), *parts)
+REFUSED_BY_BOTH = [
+    (["--pitch", "0"], ["pitch is 0"]),
+    (["--pitch", "-0.5"], ["pitch is -0.5"]),
+    (["--pitch", "nan"], ["pitch is nan"]),
+    (["--look-count", "0"], ["looks is 0", "1"]),
+    (["--trials", "0"], ["trials is 0", "1"]),
+    (["--cnr-db", "nan"], ["CNR is nan"]),
+    (["--cnr-db", "inf"], ["CNR is inf"]),
+    (["--cnr-db", "500"], ["CNR is 500", "100 dB"]),
+    (["--theta", "nan"], ["elevation is nan"]),
+    (["--theta", "4.5"], ["4.5 beamwidths"]),
+    (["--pattern", "airy"], ["'airy'", "gaussian, jinc, sinc", "CSV"]),
+    (["--search-half-width", "0"], ["half width of the search is 0"]),
+    (["--search-half-width", "inf"], ["half width of the search is inf"]),
+]
+"""Words that pairs and arrays refuse, and parts of the message."""
 
 
 @pytest.mark.parametrize(
     ("words", "parts"),
     [
+        *((["array", *words], parts) for words, parts in REFUSED_BY_BOTH),
+        *((["pair", "--estimator", "ml", *words], parts) for words, parts in REFUSED_BY_BOTH),
         (["array", "--detectors", "1"], ["detectors is 1", "2"]),
         (["array", "--detectors", "0"], ["detectors is 0", "2"]),
         (["array", "--detectors", "1000"], ["128"]),
@@ -292,7 +283,7 @@ def test_what_cannot_be_used_is_named_in_one_sentence(
         (["array", "--pattern", "{file}", "--pitch", "3"], ["overlap"]),
     ],
 )
-def test_what_does_not_fit_is_named_in_one_sentence(
+def test_what_cannot_be_used_is_named_in_one_sentence(
     words: list[str], parts: list[str], beam_file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["montecarlo", *(word.format(file=beam_file) for word in words)]) == 2
@@ -334,6 +325,5 @@ def test_the_pairs_of_the_registry_are_those_of_total_least_squares() -> None:
 
 def test_an_estimator_that_does_not_exist_is_refused() -> None:
     experiment = Experiment(array_with("sinc", 0.5, 8, (0.0, 0.0)), 0.1, 10.0, 4, "gaussian", 10, 1)
-    with pytest.raises(UserError) as refused:
+    with refused(UserError, "capn", "monopulse, ml, capon, music"):
         array_statistics(experiment, "capn", "normalised", None)
-    assert_one_sentence(str(refused.value), "capn", "monopulse, ml, capon, music")

@@ -19,8 +19,8 @@ from scipy.signal import windows
 from sal_height.figures import psf_point_targets as psf
 from sal_height.figures import psf_speckle
 from sal_height.figures.curve import Curve, check_of, holds, rows_of
+from sal_height.figures.psf_estimators import generators
 from sal_height.figures.psf_point_targets import PSF_FIGURES
-from sal_height.figures.psf_tapes import generators
 from sal_height.figures.psf_theory import (
     azimuth_psf,
     chip_transform,

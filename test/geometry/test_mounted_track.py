@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import Array, assert_one_sentence
+from helpers import Array, refused
 
 from sal_height.errors import UserError
 from sal_height.geometry import AT_BASE_LINK, Mounting, PlatformState, Trajectory
@@ -114,6 +114,5 @@ def test_no_mounting_changes_no_bit_of_a_track() -> None:
     ],
 )
 def test_an_impossible_mounting_is_refused_in_one_sentence(values: dict[str, tuple[float, ...]], parts: tuple) -> None:
-    with pytest.raises(UserError) as caught:
+    with refused(UserError, *parts):
         Mounting(**values)
-    assert_one_sentence(str(caught.value), *parts)

@@ -36,8 +36,7 @@ from sal_height.imaging.checks import (
 )
 from sal_height.imaging.focus import ImageSettings, focus_dwell
 from sal_height.imaging.pixels import slant_plane_grid
-from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.sensor import Sensor
+from sal_height.sensor.sensor import PhaseHistory, Sensor
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset, preset_names
 from sal_height.simulation.scene import PointScatterer

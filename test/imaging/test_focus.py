@@ -22,7 +22,7 @@ from sal_height.imaging.formers.choice import FEW_PIXELS, FORMERS
 from sal_height.imaging.pixels import Processing, slc_noise_power
 from sal_height.numeric.windows import broadening, window
 from sal_height.renamed import with_new_names
-from sal_height.sensor.phase_history import PhaseHistory
+from sal_height.sensor.sensor import PhaseHistory
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
 from sal_height.simulation.scene import PointScatterer

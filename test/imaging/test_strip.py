@@ -29,8 +29,7 @@ from sal_height.imaging.formers.backprojection import backproject
 from sal_height.imaging.pixels import Processing
 from sal_height.imaging.strip import GREATEST_DRIFT, SPARE_PULSES, SPARE_SHARE
 from sal_height.imaging.strip_focus import StripFocuser
-from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.sensor import Sensor, processed_angle
+from sal_height.sensor.sensor import PhaseHistory, Sensor, processed_angle
 from sal_height.settings import setting
 from sal_height.simulation.gust import gust_motion
 from sal_height.simulation.stripmap import simulate_block

@@ -17,9 +17,8 @@ from sal_height.elevation.array.estimate import ORDERS, Validity
 from sal_height.engine.frame_items import check_frame, samples_of
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry.earth import EARTH_RADIUS, sphere_point
-from sal_height.geometry.frames import ApertureState
+from sal_height.geometry.frames import ApertureState, Mounting
 from sal_height.geometry.grid import Grid
-from sal_height.geometry.mounting import Mounting
 from sal_height.geometry.trajectory import PlatformState
 from sal_height.imaging.focus import Slc
 from sal_height.messages import deserialize, serialize, views
@@ -38,8 +37,7 @@ from sal_height.messages.types import (
     Waveform,
 )
 from sal_height.relief.heights import HeightField, Surface
-from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.sensor import MODES, WAVEFORMS, Sensor
+from sal_height.sensor.sensor import MODES, WAVEFORMS, PhaseHistory, Sensor
 from sal_height.simulation.preset import load_preset
 
 STAMP = Time(sec=1_700_000_000, nanosec=987_654_321)

@@ -27,7 +27,7 @@ from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
 from sal_height.nodes.transport.qos import FRAMES_QOS
 from sal_height.simulation.flight import SimulatedFlight
-from sal_height.simulation.truth import truth_image
+from sal_height.simulation.lit_surfaces import truth_image
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ from sal_height.engine.stage import DwellKey
 from sal_height.errors import UserError
 from sal_height.messages.types import Calibration as CalibrationMessage
 from sal_height.messages.types import HeightImage
-from sal_height.sensor.phase_history import PhaseHistory
+from sal_height.sensor.sensor import PhaseHistory
 from sal_height.simulation.flight import SimulatedFlight
 
 COUNT = 64

@@ -12,8 +12,7 @@ from helpers import assert_one_sentence
 
 from sal_height import messages
 from sal_height.messages.types import HeightImage
-from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.sensor import clipped
+from sal_height.sensor.sensor import PhaseHistory, clipped
 from sal_height.simulation.flight import SimulatedFlight, flight_of
 from sal_height.simulation.preset import load_preset
 from sal_height.simulation.receiver_noise import receiver_noise

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from sal_height.numeric import blas_threads, one_blas_thread
+from sal_height.numeric import one_blas_thread, threads
 
 
 def numbers_of_threads() -> set[int]:
@@ -69,13 +69,13 @@ def test_the_last_of_several_threads_restores_the_number() -> None:
 
 
 def users_in_a_child() -> int:
-    return blas_threads._limit.users
+    return threads._limit.users
 
 
 def test_a_forked_process_starts_without_the_users_of_its_parent() -> None:
     with one_blas_thread(), get_context("fork").Pool(1) as pool:
         assert pool.apply(users_in_a_child) == 0
-        assert blas_threads._limit.users == 1
+        assert threads._limit.users == 1
 
 
 def test_a_product_has_the_same_bits_with_any_number_of_threads() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import assert_one_sentence
+from helpers import refused
 from scipy.optimize import brentq
 from scipy.signal import windows
 
@@ -61,15 +61,13 @@ def test_broadening_is_the_ratio_of_half_power_widths(name: str, width: float) -
 
 
 def test_unknown_window_is_refused_with_those_allowed() -> None:
-    with pytest.raises(UserError) as refusal:
+    with refused(UserError, "'hann'", "hamming, rectangular, taylor"):
         window("hann", 64)
-    assert_one_sentence(str(refusal.value), "'hann'", "hamming, rectangular, taylor")
 
 
 def test_one_sample_has_no_width() -> None:
-    with pytest.raises(UserError) as refusal:
+    with refused(UserError, "1 samples", "must have more samples"):
         broadening(np.ones(1))
-    assert_one_sentence(str(refusal.value), "1 samples", "must have more samples")
 
 
 @pytest.mark.parametrize("count", [1, 2, 63, 256, 4097])

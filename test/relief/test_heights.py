@@ -21,7 +21,7 @@ from sal_height.imaging.formers.backprojection import backproject
 from sal_height.imaging.pixels import Processing, slant_plane_grid
 from sal_height.numeric.windows import broadening, noise_gain, window
 from sal_height.relief.heights import HeightField, height_field
-from sal_height.sensor.phase_history import PhaseHistory
+from sal_height.sensor.sensor import PhaseHistory
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
 from sal_height.simulation.spotlight import cell_power, draw_amplitudes, simulate_dwell

@@ -19,12 +19,11 @@ from sal_height.imaging.formers.backprojection import backproject_points
 from sal_height.imaging.pixels import Processing, azimuth_resolution, slant_plane_grid, slc_noise_power
 from sal_height.numeric.windows import broadening
 from sal_height.relief.heights import height_field
-from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.sensor import processed_angle
+from sal_height.sensor.sensor import PhaseHistory, processed_angle
 from sal_height.simulation.flight import SimulatedFlight
+from sal_height.simulation.lit_surfaces import truth_image
 from sal_height.simulation.preset import load_preset
 from sal_height.simulation.scene import visible_surface
-from sal_height.simulation.truth import truth_image
 
 CRAB = (49.0, 1.0, -2.0)
 """A velocity that is not along the body's axis, m/s."""

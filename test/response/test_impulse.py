@@ -21,7 +21,7 @@ from sal_height.imaging.formers.backprojection import backproject
 from sal_height.imaging.pixels import Processing, ground_plane_grid
 from sal_height.numeric.windows import window
 from sal_height.response.impulse import REACH, CutResponse, ImpulseResponse, measure_brightest, measure_windows
-from sal_height.sensor.phase_history import PhaseHistory
+from sal_height.sensor.sensor import PhaseHistory
 
 ROWS, COLS = 90, 120
 

@@ -19,9 +19,9 @@ from sal_height.messages.types import ComplexImage, HeightImage, Provenance
 from sal_height.relief.heights import HeightField, Surface
 from sal_height.runs.truth.report import mosaic, statistics
 from sal_height.simulation.flight import SimulatedFlight
+from sal_height.simulation.lit_surfaces import truth_image
 from sal_height.simulation.preset import load_preset
 from sal_height.simulation.scene import Scene
-from sal_height.simulation.truth import truth_image
 
 
 @pytest.fixture(scope="module")

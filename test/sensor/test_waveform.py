@@ -25,8 +25,7 @@ from sal_height.imaging.formers.backprojection import backproject, backproject_p
 from sal_height.imaging.pixels import Processing, slant_plane_grid, slc_noise_power
 from sal_height.numeric.windows import broadening, window
 from sal_height.sensor import waveform
-from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.sensor import Sensor
+from sal_height.sensor.sensor import PhaseHistory, Sensor
 from sal_height.sensor.waveform import (
     echo_sensor,
     from_spectrum,

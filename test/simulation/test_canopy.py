@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import assert_one_sentence, flat_scene, make_aperture
+from helpers import flat_scene, make_aperture, refused
 
 from sal_height.errors import UserError
 from sal_height.geometry.earth import sphere_coordinates, sphere_point
@@ -114,6 +114,5 @@ def test_woods_hold_what_they_say() -> None:
     ],
 )
 def test_impossible_canopy_is_refused(changes: dict[str, object], complaint: str) -> None:
-    with pytest.raises(UserError) as refusal:
+    with refused(UserError, "Scene flat", complaint):
         level_scene(replace(level_canopy(), **changes))
-    assert_one_sentence(str(refusal.value), "Scene flat", complaint)

@@ -21,8 +21,7 @@ from sal_height.imaging.formers.choice import FORMERS
 from sal_height.imaging.pixels import Processing, slant_plane_grid, slc_noise_power
 from sal_height.numeric.windows import broadening
 from sal_height.relief.heights import height_field
-from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.sensor import processed_angle
+from sal_height.sensor.sensor import PhaseHistory, processed_angle
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.gust import FASTEST, MOUNT_RESIDUAL, SLOWEST, gust_motion, gust_spectra, response
 from sal_height.simulation.preset import load_preset

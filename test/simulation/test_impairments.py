@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from beam_tables import sample_pattern
 from helpers import BEAMWIDTH, elevation_at, flat_scene, make_aperture, make_sensor, with_waveform
+from scipy.integrate import quad
 from scipy.special import fresnel, jv
 
 from sal_height import messages
@@ -20,8 +21,7 @@ from sal_height.beams.pupil import aberrated_pattern
 from sal_height.geometry.frames import angles_of, look_direction
 from sal_height.imaging.formers.backprojection import backproject, backproject_points
 from sal_height.imaging.pixels import Processing, slant_plane_grid
-from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.sensor import Sensor, processed_angle
+from sal_height.sensor.sensor import PhaseHistory, Sensor, processed_angle
 from sal_height.sensor.waveform import echo_sensor, from_spectrum, spectrum_sensor, to_spectrum
 from sal_height.simulation.flight import SimulatedFlight, flight_of
 from sal_height.simulation.impairments import (
@@ -33,6 +33,7 @@ from sal_height.simulation.impairments import (
     PupilAberrations,
     RangeSawtooth,
     RangeTaper,
+    Turbulence,
     through_receivers,
 )
 from sal_height.simulation.preset import HybridSettings, load_preset
@@ -132,18 +133,22 @@ def test_impaired_samples_are_reproducible_and_the_description_does_not_tell(nam
 # Receivers
 
 
+def relative_image(impairments: Impairments) -> np.ndarray:
+    """Amplitude of the image of a point over that in its middle row, shape (detectors, 63)."""
+    flight = point_flight(impairments)
+    history = flight.phase_history(1)
+    grid = slant_plane_grid(flight.sensor, flight.aperture(1), REACH, 63, 1, 1.0)
+    antenna = flight.position(history.stamp_ns * 1e-9 + history.pulse_times)
+    image = np.abs(backproject(history, antenna, flight.sensor, Processing("rectangular"), grid)[..., 0])
+    return np.asarray(image / image[:, [31]])
+
+
 @pytest.mark.parametrize("teeth", [4, 8, 16])
 def test_sawtooth_makes_paired_echoes_in_the_image_of_a_point(teeth: int) -> None:
     """Coefficients of a ramp of M samples from -1 to 1: 1 / (M sin(pi n / M)), n teeth before and behind."""
     depth, width = 0.1, 64 / teeth
     sawtooth = RangeSawtooth(depth=depth, teeth=teeth, receivers=(3,))
-    flight = point_flight(Impairments(range_sawtooth=sawtooth))
-    aperture, sensor = flight.aperture(1), flight.sensor
-    history = flight.phase_history(1)
-    grid = slant_plane_grid(sensor, aperture, REACH, 63, 1, 1.0)
-    antenna = flight.position(history.stamp_ns * 1e-9 + history.pulse_times)
-    image = np.abs(backproject(history, antenna, sensor, Processing("rectangular"), grid)[..., 0])
-    relative = image / image[:, [31]]
+    relative = relative_image(Impairments(range_sawtooth=sawtooth))
     for order in range(1, 31 // teeth + 1):
         expected = depth / (width * np.sin(np.pi * order / width))
         for side in (-1, 1):
@@ -155,12 +160,7 @@ def test_sawtooth_makes_paired_echoes_in_the_image_of_a_point(teeth: int) -> Non
 @pytest.mark.parametrize("amplitude", [0.1, 0.7, 1.5])
 def test_chirp_that_is_not_linear_makes_paired_echoes(amplitude: float) -> None:
     """Of the amplitudes J_n over J_0, n times 6 range cells before and behind, in all channels alike."""
-    flight = point_flight(Impairments(chirp_ripple=ChirpRipple(amplitude_rad=amplitude, cycles=6)))
-    aperture, sensor, history = flight.aperture(1), flight.sensor, flight.phase_history(1)
-    grid = slant_plane_grid(sensor, aperture, REACH, 63, 1, 1.0)
-    antenna = flight.position(history.stamp_ns * 1e-9 + history.pulse_times)
-    image = np.abs(backproject(history, antenna, sensor, Processing("rectangular"), grid)[..., 0])
-    relative = image / image[:, [31]]
+    relative = relative_image(Impairments(chirp_ripple=ChirpRipple(amplitude_rad=amplitude, cycles=6)))
     for order in range(1, 4):
         expected = jv(order, amplitude) / jv(0, amplitude)
         for side in (-1, 1):
@@ -323,43 +323,34 @@ def swung(seconds: np.ndarray) -> np.ndarray:
     return np.asarray(0.4 * np.sin(2 * np.pi * seconds / 0.02 + 0.3))
 
 
-@pytest.mark.parametrize("east", [0.0, 0.2])
-def test_swinging_beams_weigh_a_point_in_a_dwell_by_the_pattern_along_the_flight(east: float) -> None:
-    """In spotlight the beams are held on the scene but for the swing: the squint is that in the dwell's middle."""
+STRIP = {"pulse_count": 128, "detectors": 2, "sample_count": 16}
+
+
+@pytest.mark.parametrize(
+    ("name", "east", "changes"),
+    [
+        ("small", 0.0, {}),
+        ("small", 0.2, {}),
+        ("sal_stripmap", 0.0, STRIP | {"look_side": "left"}),
+        ("sal_stripmap", 0.0, STRIP | {"look_side": "right"}),
+    ],
+)
+def test_swinging_beams_weigh_a_point_by_the_pattern_along_the_flight(
+    name: str, east: float, changes: dict[str, Any]
+) -> None:
+    """In spotlight beams follow the scene but for the swing: the squint is that in mid-dwell. A strip passes by."""
     swinging, still = (
-        point_flight(Impairments(antenna_swing=swing), pattern="gaussian", east=east)
+        point_flight(Impairments(antenna_swing=swing), name, pattern="gaussian", east=east, **changes)
         for swing in (SWING, AntennaSwing(0, 1))
     )
     times = swinging.dwell_start_ns(1) * 1e-9 + swinging.pulse_times
-    squint = east / REACH / BEAMWIDTH
+    in_strip = name == "sal_stripmap"
+    squint = (-swinging.position(times)[:, 0] if in_strip else east) / REACH / BEAMWIDTH
     pattern = pattern_named("gaussian")
     expected = pattern.amplitude(0.0, squint - swung(times)) / pattern.amplitude(0.0, squint)
     ratio = swinging.phase_history(1).samples / still.phase_history(1).samples
-    np.testing.assert_allclose(ratio, np.broadcast_to(expected[:, None], ratio.shape), rtol=2e-4)
-    assert np.ptp(expected) > 0.01
-
-
-@pytest.mark.parametrize("look_side", ["left", "right"])
-def test_swinging_beams_pass_a_point_of_a_strip_earlier_and_later(look_side: str) -> None:
-    swinging, still = (
-        point_flight(
-            Impairments(antenna_swing=swing),
-            "sal_stripmap",
-            pattern="gaussian",
-            look_side=look_side,
-            pulse_count=128,
-            detectors=2,
-            sample_count=16,
-        )
-        for swing in (SWING, AntennaSwing(0, 1))
-    )
-    times = swinging.dwell_start_ns(1) * 1e-9 + swinging.pulse_times
-    squint = -swinging.position(times)[:, 0] / REACH / BEAMWIDTH
-    pattern = pattern_named("gaussian")
-    expected = pattern.amplitude(0.0, squint - swung(times)) / pattern.amplitude(0.0, squint)
-    ratio = swinging.phase_history(1).samples / still.phase_history(1).samples
-    np.testing.assert_allclose(ratio, np.broadcast_to(expected[:, None], ratio.shape), rtol=1e-3)
-    assert np.ptp(expected) > 0.05
+    np.testing.assert_allclose(ratio, np.broadcast_to(expected[:, None], ratio.shape), rtol=1e-3 if in_strip else 2e-4)
+    assert np.ptp(expected) > (0.05 if in_strip else 0.01)
 
 
 JITTER = PointingJitter(rms_rad=0.05 * BEAMWIDTH, highest_hz=500.0)
@@ -510,3 +501,39 @@ def test_quartic_phase_over_the_angle_to_swinging_beams_in_a_strip() -> None:
     assert np.count_nonzero(near) > 100
     assert np.abs(offset[near]).max() > 0.6
     np.testing.assert_allclose(ratio[:, near], np.broadcast_to(expected[near, None], ratio[:, near].shape), atol=2e-3)
+
+
+def test_hufnagel_valley_5_7_is_what_its_name_says() -> None:
+    """At 0.5 um from the zenith: a coherence length of 5 cm and an isoplanatic angle of 7 urad, within 5 %."""
+    air, k = Turbulence(ground_cn2=1.7e-14), 2 * np.pi / 0.5e-6
+
+    def moment(power: float) -> float:
+        return float(
+            quad(lambda h: h**power * float(air.cn2(np.array(h))), 0, 30_000, limit=400, points=[100, 1500])[0]
+        )
+
+    assert (0.423 * k**2 * moment(0)) ** (-3 / 5) == pytest.approx(0.05, rel=0.05)
+    assert (2.914 * k**2 * moment(5 / 3)) ** (-3 / 5) == pytest.approx(7e-6, rel=0.05)
+
+
+def test_structure_of_a_way_is_the_integral_with_its_weight() -> None:
+    """From an antenna 1000 m up, 2000 m away: by adaptive integration from the ground on."""
+    air = Turbulence(ground_cn2=3e-14, wind_mps=10.0)
+    expected = quad(lambda s: float(air.cn2(np.array(1000 * (1 - s)))) * (1 - s) ** (5 / 3), 0, 1)[0]
+    expected *= 4 * 2.914 * (2 * np.pi / 1.55e-6) ** 2 * 2000
+    assert air.structure(1.55e-6, 2000.0, 1000.0) == pytest.approx(expected, rel=1e-6)
+
+
+def test_phases_have_the_structure_function() -> None:
+    """Over distances from 1 cm to 10 m, as the mean of 3000 flights: within 4 standard errors, 10 %."""
+    rng, distances = np.random.default_rng(4), np.array([0.0, 0.01, 0.1, 1.0, 10.0])
+    drawn = [Turbulence(1e-14).drawn(0.3, 50.0, rng).displacement(distances / 50.0)[:, 0] for _ in range(3000)]
+    found = np.mean((np.array(drawn) - np.array(drawn)[:, :1]) ** 2, axis=0)
+    np.testing.assert_allclose(found[1:], 0.3 * distances[1:] ** (5 / 3), rtol=0.1)
+
+
+def test_all_dwells_fly_through_the_same_air() -> None:
+    preset = replace(load_preset("small"), impairments=Impairments(turbulence=Turbulence(ground_cn2=1.7e-14)))
+    flight = flight_of(preset, seed=3)
+    np.testing.assert_array_equal(flight.pulse_phase(1), flight_of(preset, seed=3).pulse_phase(1))
+    assert np.any(flight.pulse_phase(0) != flight_of(preset, seed=4).pulse_phase(0))

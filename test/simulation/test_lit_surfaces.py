@@ -1,4 +1,4 @@
-"""Lit surfaces of scenes whose layover and shadow are known in closed form."""
+"""Lit surfaces and cells of the ground of scenes whose layover and shadow are known in closed form."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sal_height.geometry.earth import sphere_point
 from sal_height.geometry.grid import Grid
 from sal_height.imaging.pixels import azimuth_resolution, slant_plane_grid
 from sal_height.numeric.arrays import F64
-from sal_height.simulation.lit_surfaces import LitSurfaces, lit_surfaces
+from sal_height.simulation.lit_surfaces import GroundCells, LitSurfaces, ground_cells, lit_surfaces
 from sal_height.simulation.scene import Scene, visible_surface
 
 SENSOR = make_sensor()
@@ -127,3 +127,38 @@ def test_rise_along_the_flight_is_that_at_one_range() -> None:
     scene = profile([-40.0, 40.0], [40.0 * away, -40.0 * away])
     truth, _, _ = truth_of(replace(scene, height=scene.height + ahead * scene.east))
     np.testing.assert_allclose(truth.rise[0, 20:-20, 2:-2], ahead / (1 - away), rtol=0.03)
+
+
+CELL_SIZE = 0.05
+
+
+def cells_of(north: list[float], height: list[float]) -> tuple[GroundCells, np.ndarray]:
+    """Cells of a terrain along north (m, from AIM), and how far south of AIM each is, m."""
+    scene, half = profile(north, height), 9 * CELL[1]
+    surface = visible_surface(scene, make_aperture(), 1, CELL, (-half, half), (4994.0, 5006.0))
+    grid = slant_plane_grid(SENSOR, make_aperture(), 5000.0, 90, 12, 1.2)
+    cells = ground_cells(scene, surface, make_aperture(), grid, BEAMS, 1, CELL_SIZE)
+    return cells, AIM - (cells.number[:, 0] + 0.5) * CELL_SIZE
+
+
+@pytest.mark.parametrize("height", [0.5, 1.5])
+def test_shadow_is_as_long_as_height_times_the_tangent_of_the_look_angle(height: float) -> None:
+    cells, south = cells_of([-40.0, -0.002, -0.001, 0.0, 0.001, 40.0], [0.0, 0.0, height, height, 0.0, 0.0])
+    down = make_aperture().position[2] - sphere_point(0.0, AIM, 0.0)[2]
+    length = height * (-AIM) / (down - height)
+    dark = south[~cells.lit]
+    assert dark.min() == pytest.approx(0, abs=CELL_SIZE)
+    assert dark.max() == pytest.approx(length, abs=CELL_SIZE)
+    np.testing.assert_array_equal(cells.lit, (south <= dark.min() - 1e-9) | (south >= dark.max() + 1e-9))
+
+
+def test_cells_are_in_the_pixels_of_their_range_and_inside_if_between_the_outermost_boresights() -> None:
+    cells, south = cells_of([-40.0, 40.0], [0.0, 0.0])
+    assert cells.lit.all()
+    places = sphere_point(np.zeros(len(south)), AIM - south, np.zeros(len(south)))
+    sight = places - make_aperture().position
+    elevation = np.arctan2(-sight[:, 1], -sight[:, 2])
+    np.testing.assert_array_equal(cells.inside, (elevation >= BEAMS.span[0]) & (elevation <= BEAMS.span[1]))
+    assert 0.2 < cells.inside.mean() < 1
+    pixel = (np.linalg.norm(sight, axis=-1) - 5000) / (1.2 * CELL[0]) + 44.5
+    np.testing.assert_allclose(cells.pixel[:, 0], pixel, atol=0.51)

@@ -14,8 +14,7 @@ from sal_height.geometry.earth import sphere_point
 from sal_height.geometry.frames import ApertureState
 from sal_height.imaging.formers.backprojection import backproject, backproject_points
 from sal_height.imaging.pixels import Processing, slant_plane_grid
-from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.sensor import Sensor, processed_angle
+from sal_height.sensor.sensor import PhaseHistory, Sensor, processed_angle
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
 from sal_height.simulation.scene import PointScatterer, Scene, VisibleSurface, visible_surface

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from helpers import assert_one_sentence
+from helpers import refused
 from scipy.constants import g, speed_of_light
 from scipy.special import jv
 
@@ -142,13 +142,11 @@ def test_a_vibration_makes_paired_echoes_of_bessel_functions() -> None:
 )
 def test_settings_that_are_none_are_said_in_one_sentence(key: str, value: object, parts: tuple[str, ...]) -> None:
     content = yaml.safe_load((SHIPPED / "small.yaml").read_text())
-    with pytest.raises(UserError) as caught:
+    with refused(UserError, *parts):
         parse_preset(content | {"impairments": {key: value}}, "small")
-    assert_one_sentence(str(caught.value), *parts)
 
 
 def test_a_laser_belongs_to_a_lidar() -> None:
     content = yaml.safe_load((SHIPPED / "xband_relief.yaml").read_text())
-    with pytest.raises(UserError) as caught:
+    with refused(UserError, "laser_linewidth_hz is 2000", "wavelength_m 0.03", "leave it out"):
         parse_preset(content | {"impairments": {"laser_linewidth_hz": 2000.0}}, "radar.yaml")
-    assert_one_sentence(str(caught.value), "laser_linewidth_hz is 2000", "wavelength_m 0.03", "leave it out")

@@ -23,8 +23,7 @@ from sal_height.geometry.trajectory import Trajectory
 from sal_height.imaging.formers.backprojection import backproject
 from sal_height.imaging.pixels import Processing, aim_point, azimuth_resolution, slant_plane_grid
 from sal_height.numeric.windows import noise_gain, window
-from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.sensor import Sensor
+from sal_height.sensor.sensor import PhaseHistory, Sensor
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
 from sal_height.simulation.receiver_noise import receiver_noise

@@ -23,8 +23,7 @@ from sal_height.beams.apertures import GAUSSIAN_WIDTH
 from sal_height.geometry.frames import angles_of, look_direction
 from sal_height.imaging.formers.backprojection import backproject_points
 from sal_height.imaging.pixels import Processing, image_beams
-from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.sensor import Sensor, aperture_length, processed_angle
+from sal_height.sensor.sensor import PhaseHistory, Sensor, aperture_length, processed_angle
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
 from sal_height.simulation.scene import VisibleSurface

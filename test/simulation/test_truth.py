@@ -21,8 +21,8 @@ from sal_height.geometry.earth import height_of
 from sal_height.geometry.frames import angles_of, look_direction
 from sal_height.geometry.grid import Grid, pixels_at
 from sal_height.imaging.pixels import azimuth_resolution, slant_plane_grid, strip_grid
+from sal_height.simulation.lit_surfaces import Truth, truth_image
 from sal_height.simulation.scene import Scene, VisibleSurface, visible_surface
-from sal_height.simulation.truth import Truth, truth_image
 
 SENSOR = make_sensor()
 CELL = SENSOR.range_resolution, azimuth_resolution(SENSOR, make_aperture(), 5000.0)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import assert_one_sentence, circular, elevation_at, make_beams
+from helpers import circular, elevation_at, make_beams, refused
 from scipy import stats
 from scipy.integrate import quad
 from scipy.special import ndtr
@@ -170,6 +170,5 @@ def test_a_detector_of_some_size_sees_less_and_is_still_the_one_meant() -> None:
 def test_a_cnr_of_beams_that_see_nothing_straight_ahead_is_refused() -> None:
     pair = make_beams("jinc", count=2)
     blind = replace(pair.patterns[0], amplitude=lambda e, _a: np.zeros_like(np.asarray(e, dtype=np.float64)))
-    with pytest.raises(UserError) as refused:
+    with refused(UserError, "straight ahead"):
         cnr_detector_of(1.0, replace(pair, patterns=(blind,)), elevation_at(0.0), 0.0)
-    assert_one_sentence(str(refused.value), "straight ahead")

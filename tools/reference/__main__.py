@@ -1,4 +1,4 @@
-"""Writes all pages of the reference anew."""
+"""Writes all pages of the reference again."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ class Group:
 
     @property
     def is_constants(self) -> bool:
-        """Whether the entries are constants."""
+        """True if the entries are constants."""
         return bool(self.entries and self.entries[0].value)
 
 

@@ -60,14 +60,14 @@ Direction: TypeAlias = Literal["in", "out"]
 
 @dataclass(frozen=True)
 class End:
-    """What a node has on a topic: the type of its messages, and the quality of service."""
+    """Entry of a node on a topic: the type of its messages, and the quality of service."""
 
     type_name: str
     quality: str
 
 
 ANY = End("any", "as offered")
-"""What the recorder takes."""
+"""Topics of the recorder."""
 
 Ends: TypeAlias = dict[tuple[Direction, str], End]
 """Of one or more nodes, by the name of the topic in the root namespace."""
@@ -88,7 +88,7 @@ def document() -> str:
 
 
 def ends_of(graph: Graph, make: type[Any], many_values: Iterable[Mapping[str, Any]]) -> Ends:
-    """What a node has on its topics, if it is started with each of these parameters in turn."""
+    """Entries of a node on its topics, if it is started with each of these parameters in turn."""
     ends: Ends = {}
     for values in many_values:
         overrides = [Parameter(key, value=value) for key, value in values.items()]

@@ -14,7 +14,6 @@ from numpy.lib.stride_tricks import as_strided
 from sal_height.numeric import C128, F32, F64, Complex
 from sal_height.sensor import Sensor
 
-COMPARED = 16  # greatest distance of compared pulses, over that of coherent ones, by the pulses between them
 Array = TypeVar("Array", F64, C128, Complex)
 
 STEP_DIGITS = 0.01  # relative difference of the steps from pulse to pulse that have the same coherence
@@ -44,7 +43,8 @@ class Coherence:
     def lags(self) -> int:
         """Greatest distance of compared pulses: an antenna that has moved by its length sees other speckle."""
         alike = np.flatnonzero(np.abs(self.matrix[:, 0]) >= 0.1)[-1] + 1
-        return min(COMPARED * int(alike), len(self.matrix) - 1)
+        compared = 16  # greatest distance of compared pulses, over that of coherent ones, by the pulses between them
+        return min(compared * int(alike), len(self.matrix) - 1)
 
     @cached_property
     def spectrum(self) -> F64:

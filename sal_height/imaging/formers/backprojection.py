@@ -24,8 +24,6 @@ from sal_height.numeric import (
 )
 from sal_height.sensor import PhaseHistory, Sensor
 
-PULSES_AT_ONCE = 16  # whose dense profiles are kept: a few megabytes
-
 
 def backproject(history: PhaseHistory, antenna: F64, sensor: Sensor, processing: Processing, grid: Grid) -> C64:
     """Images of all detectors at the pixels of `grid`, (detectors, rows, cols); see `backproject_points`."""
@@ -84,8 +82,9 @@ def backproject_points(
     )
     # Pixels of a thread: fewer are not worth one.
     size = int(np.clip(math.ceil(points.shape[1] / WORKERS), 2048, 4096))
-    apart = np.empty((PULSES_AT_ONCE, OVERSAMPLING * frequencies + TAPS, 2, detectors), dtype=np.float32)
-    for block in blocks(pulses, PULSES_AT_ONCE):
+    pulses_at_once = 16  # whose dense profiles are kept: a few megabytes
+    apart = np.empty((pulses_at_once, OVERSAMPLING * frequencies + TAPS, 2, detectors), dtype=np.float32)
+    for block in blocks(pulses, pulses_at_once):
         dense = dense_profiles(history.samples[:, block], range_weights)
         profiles = apart[: len(dense)]
         profiles[:, :, 0], profiles[:, :, 1] = dense.real, dense.imag

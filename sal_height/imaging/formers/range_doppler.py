@@ -38,8 +38,6 @@ from sal_height.numeric import (
 )
 from sal_height.sensor import PhaseHistory, Sensor, processed_angle
 
-SMALL_PHASE = 0.001  # phase (rad) by which Dopplers may differ, in migration or scale of range, and be treated alike
-
 WIDEST_SINE = 0.9
 """Sine of the angle off abeam up to which Dopplers are processed, at the lowest frequency of the band.
 
@@ -245,10 +243,12 @@ def _range_transform(
     stretch = central / np.sqrt(central**2 - doppler**2)
     scale = sensor.wavenumber_step * row_step * stretch
     processed = np.abs(doppler) <= central * processing.angle / 2
-    if np.ptp(scale[processed]) * frequencies / 2 * rows / 2 < SMALL_PHASE:
+    # Phase (rad) by which Dopplers may differ, in migration or scale of range, and be treated alike.
+    small_phase = 0.001
+    if np.ptp(scale[processed]) * frequencies / 2 * rows / 2 < small_phase:
         scale = scale[:1]
     edges = _migration(layout.middle, doppler[processed], wavenumber[[0, -1]], central)
-    still = bool(np.abs(edges).max() < SMALL_PHASE)
+    still = bool(np.abs(edges).max() < small_phase)
     if still and len(scale) == 1 and frequencies * rows <= LARGEST:
         return CentredSums.of(float(scale[0]), frequencies, rows)
     scaled = chirp_z(scale, frequencies, frequencies // 2, rows, (rows - 1) / 2)

@@ -10,7 +10,6 @@ from scipy.sparse import csr_array
 from sal_height.numeric import F64
 
 TAPS = 8  # pulses from which one at an even step is interpolated
-SHAPE = 6.2  # of the Kaiser window over them: 60 dB over half of the band that the pulses sample
 
 
 @dataclass(frozen=True)
@@ -59,6 +58,7 @@ def resampling(places: F64, wanted: F64) -> csr_array:
     pulses = first[:, None] + np.arange(taps)
     offset = position[:, None] - pulses
     under = np.maximum(0.0, 1 - (offset / (TAPS / 2)) ** 2)
-    weights = np.sinc(offset) * np.i0(SHAPE * np.sqrt(under)) / np.i0(SHAPE) * (under > 0) * within[:, None]
+    shape = 6.2  # of the Kaiser window over them: 60 dB over half of the band that the pulses sample
+    weights = np.sinc(offset) * np.i0(shape * np.sqrt(under)) / np.i0(shape) * (under > 0) * within[:, None]
     starts = taps * np.arange(len(wanted) + 1)
     return csr_array((weights.astype(np.float32).ravel(), pulses.ravel(), starts), shape=(len(wanted), len(places)))

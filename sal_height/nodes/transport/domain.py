@@ -98,13 +98,14 @@ def free_domain() -> Iterator[int]:
     Raises:
         UserError: all domains are in use.
     """
+    participants = 100  # participants of a domain whose ports are looked at, of the 120 that it has ports for
     for _ in DOMAINS:
         domain = DOMAINS[next(_next) % len(DOMAINS)]
         with ExitStack() as held:
             try:
                 _bind(held, socket.SOCK_STREAM, "127.0.0.1", first_port(domain))
                 with ExitStack() as probe:
-                    for participant in range(100):  # of the 120 that it has ports for
+                    for participant in range(participants):
                         _bind(probe, socket.SOCK_DGRAM, "", first_port(domain) + 10 + 2 * participant)
             except OSError:
                 continue

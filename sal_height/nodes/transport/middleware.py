@@ -26,9 +26,6 @@ ENOUGH = 16_000_000
 LEAST = 4_000_000
 """Shared memory of a process, bytes, below which the default settings of Fast DDS do as well."""
 
-DWELLS = 2
-"""Dwells for which the shared memory has room: one is written while another is read."""
-
 PIECES, LEAST_PIECE = 2000, 8000
 """A message travels in pieces: that many fill the shared memory of a process; least size of one, bytes.
 
@@ -120,7 +117,8 @@ def segment_bytes(dwell_bytes: int, free_bytes: int) -> int | None:
     Returns:
         A number of bytes, or None if too few are free for it to be of use.
     """
-    segment = min(max(ENOUGH, DWELLS * dwell_bytes), int(SHARE * free_bytes))
+    kept_dwells = 2  # dwells for which the shared memory has room: one is written while another is read
+    segment = min(max(ENOUGH, kept_dwells * dwell_bytes), int(SHARE * free_bytes))
     return segment if segment >= LEAST else None
 
 

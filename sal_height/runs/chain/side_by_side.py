@@ -33,9 +33,6 @@ CONTROLS = (SENSOR_INFO, CALIBRATION)
 TOGETHER = 8
 """Jobs that a worker is sent at a time, at most: heights are estimated together."""
 
-ENDS_WITHIN_S = 5.0
-"""Longest wait for a worker to end."""
-
 AHEAD = 2
 """Batches of jobs that a worker may have at a time; it is sent the next one once it has returned one of them."""
 
@@ -174,8 +171,9 @@ class SideBySide(Chain):
                 worker.process.kill()
             with suppress(OSError):  # it may have ended
                 worker.pipe.send_bytes(b"")
+        ends_within_s = 5.0  # longest wait for a worker to end
         for worker in self._workers:
-            worker.process.join(ENDS_WITHIN_S)
+            worker.process.join(ends_within_s)
             if worker.process.is_alive():
                 worker.process.kill()
                 worker.process.join()

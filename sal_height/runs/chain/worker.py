@@ -24,9 +24,6 @@ from sal_height.settings import Settings
 SHARED = (Sensor, Settings, Calibration)
 """Classes of objects that are never changed, and of which workers keep the ones that they were sent."""
 
-LEAST_SHARED_BYTES = 16_384
-"""Least size of an array that goes through shared memory, bytes."""
-
 
 class Remote(NamedTuple):
     """Jobs of one stage that a worker is sent together.
@@ -135,7 +132,8 @@ class Pickler(pickle.Pickler):
         """Substitute for an object that is not sent as it is; called for every one, however small."""
         kind = type(obj)
         if kind is np.ndarray:
-            if self._ring and obj.nbytes >= LEAST_SHARED_BYTES and obj.flags.c_contiguous:
+            least_shared_bytes = 16_384  # smaller arrays do not go through shared memory
+            if self._ring and obj.nbytes >= least_shared_bytes and obj.flags.c_contiguous:
                 at = self._ring.put(obj)
                 if at is not None:
                     return "array", at, obj.dtype.str, obj.shape

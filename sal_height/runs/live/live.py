@@ -49,9 +49,6 @@ from sal_height.runs.live.sensor_bag import Feed
 from sal_height.sensor import Sensor
 from sal_height.topics import ODOMETRY, SENSOR_INFO
 
-TEST_S = 0.25
-"""Processor time of the test, s, after the first dwell, which is slower than the others."""
-
 
 def make_tables(sensor: Sensor, stages: list[str], values: Mapping[str, Mapping[str, Any]]) -> None:
     """Process a made-up dwell, so that nodes that are forked later find all tables made and all code loaded.
@@ -91,6 +88,7 @@ def core_rate_hz(
     compressor, prior = Compressor(), PriorEstimate()
     begun: float | None = None
     dwells, spent_s = 0, 0.0
+    test_s = 0.25  # processor time of the test, s, after the first dwell, which is slower than the others
     for frames in playlist.frames():
         try:
             history = messages.history_from_messages(frames)
@@ -107,7 +105,7 @@ def core_rate_hz(
             begun = time.process_time()
             continue
         dwells, spent_s = dwells + 1, time.process_time() - begun
-        if spent_s > TEST_S:
+        if spent_s > test_s:
             break
     return processors * dwells / spent_s if dwells else math.inf
 
@@ -136,14 +134,8 @@ LEAST_BUDGET_S = 0.2
 BUDGET_DWELLS = 3
 """The latency budget, unless a preset states one: that many dwell intervals, or LEAST_BUDGET_S if that is more."""
 
-STEPS = 3
-"""Nodes that a dwell passes one after the other: compression, heights and tracker."""
-
 MAPPER, MAP_QUEUE = "relief_mapper", 256
 """The map has no latency budget: a dwell is as good for it a second later, and a large map is published that long."""
-
-ASK_PERIOD_S = 1.0
-"""Time after which a sensor that has not answered is asked again."""
 
 
 @dataclass(frozen=True)
@@ -252,7 +244,8 @@ def live(
     check_air(values, [feed.sensor], air, f"Bag {feed.bag}")
     interval_s = 1 / (playlist.dwell_rate_hz * how.rate)
     budget_s = how.budget_s or _budget_of(feed) or max(BUDGET_DWELLS * interval_s, LEAST_BUDGET_S)
-    shares = {name: {"latency_budget_s": budget_s / STEPS} for name in stages if name != MAPPER}
+    nodes_passed = 3  # nodes that a dwell passes one after the other: compression, heights and tracker
+    shares = {name: {"latency_budget_s": budget_s / nodes_passed} for name in stages if name != MAPPER}
     values = merged({**shares, MAPPER: {"max_queued_dwells": MAP_QUEUE}}, values)
     source = {"bag": str(feed.bag), "rate": how.rate, "max_memory_mb": 1 + int(playlist.size / 1e6) * 2}
     folder = new_folder(out)
@@ -396,7 +389,8 @@ class Beginning:
         if not self._begun and self._asked and self._asked.done() and self._asked.result().success:
             self._clock.begin_ns = int(self._asked.result().message)
             self._begun, self._asked = True, None
-        if not self._begun and time.monotonic() - self._asked_at > ASK_PERIOD_S:
+        ask_period_s = 1.0  # time after which a sensor that has not answered is asked again
+        if not self._begun and time.monotonic() - self._asked_at > ask_period_s:
             self._asked_at = time.monotonic()
             self._asked = self._conductor.ask()
         return self._begun

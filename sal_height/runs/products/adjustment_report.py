@@ -21,9 +21,6 @@ from sal_height.graph.tables import ABSENT
 from sal_height.numeric import root_mean_square
 from sal_height.tables import aligned
 
-DETERMINED = 0.9
-"""Fraction of its prior below which the standard deviation of a parameter must be for it to be determined."""
-
 NAMES = (
     *(f"boresight {axis} (rad)" for axis in "xyz"),
     *(f"lever arm {axis} (m)" for axis in "xyz"),
@@ -50,13 +47,15 @@ def summary_of(
     met = {number for one in adjustment.comparisons for side in one.dwells for number in side if number >= 0}
     absolute = sum(one.is_absolute for one in adjustment.comparisons)
     better = corrected_mounting(mounting, adjustment)
+    # Fraction of its prior below which the standard deviation of a parameter must be for it to be determined.
+    determined_below = 0.9
     summary = {
         "parameters": {
             NAMES[number]: {
                 "error": float(common[number]),
                 "sigma": float(sigmas[number]),
                 "known_to": float(prior[number]),
-                "determined": bool(sigmas[number] <= DETERMINED * prior[number]),
+                "determined": bool(sigmas[number] <= determined_below * prior[number]),
             }
             for number in estimated
         },

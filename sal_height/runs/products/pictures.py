@@ -92,9 +92,6 @@ def _draw_response(axis: Axes, result: PassHeights) -> None:
 DECIBELS = 20 / np.log(10)
 """Decibels of a change of ln amplitude by 1."""
 
-SIGNIFICANT = 2.0
-"""Standard errors from the described value beyond which a value is marked as a finding."""
-
 STYLES = ("-", "--", "-.", ":")
 
 
@@ -139,16 +136,17 @@ def beyond_error(shapes: C128, sigma: F64) -> Bool:
 def _draw_gains(axes: Axes, value: F64, sigma: F64, label: str) -> None:
     """Draw a number of each channel with its error bar, filled where it differs from that described."""
     channel = np.arange(len(value))
+    significant = 2.0  # standard errors from the described value beyond which a value is marked as a finding
     with np.errstate(invalid="ignore"):
-        differs = np.abs(value) > SIGNIFICANT * sigma
+        differs = np.abs(value) > significant * sigma
     axes.axhline(0, color="0.5", lw=0.6)
     bars = np.nan_to_num(sigma)
     how: dict[str, Any] = {"fmt": "o", "color": "#0072b2", "elinewidth": 0.8, "capsize": 1.5}
     if differs.any():
-        axes.errorbar(channel[differs], value[differs], bars[differs], label=f"beyond {SIGNIFICANT:g} sigma", **how)
+        axes.errorbar(channel[differs], value[differs], bars[differs], label=f"beyond {significant:g} sigma", **how)
     if not differs.all():
         axes.errorbar(
-            channel[~differs], value[~differs], bars[~differs], mfc="w", label=f"within {SIGNIFICANT:g} sigma", **how
+            channel[~differs], value[~differs], bars[~differs], mfc="w", label=f"within {significant:g} sigma", **how
         )
     axes.set(xlabel="channel", ylabel=label)
     axes.grid()

@@ -30,9 +30,6 @@ from sal_height.simulation import Scene, flight_of, parse_preset
 
 mpl.use("Agg")
 
-SHOWN_DB = 25.0
-"""Range of the colours below the greatest value of each cut, dB."""
-
 GROUND = ESTIMATORS["canopy_ground"]
 
 
@@ -137,16 +134,17 @@ def _scene_of(bag: Path) -> Scene | None:
 def _draw(cuts: Sequence[TomogramCut], scene: Scene | None, path: Path) -> None:
     """Write a PNG with one panel for each estimator of a profile."""
     figure = Figure(figsize=(12, 3.4 * len(PROFILES)), layout="constrained")
+    shown_db = 25.0  # range of the colours below the greatest value of each cut, dB
     for axis, title in zip(figure.subplots(len(PROFILES), 1, sharex=True, sharey=True), PROFILES, strict=True):
         most = max(np.nanmax(cut.profiles[title]) for cut in cuts)
         for cut in cuts:
             with np.errstate(divide="ignore"):
-                shade = np.maximum(10 * np.log10(cut.profiles[title] / most), -SHOWN_DB)
+                shade = np.maximum(10 * np.log10(cut.profiles[title] / most), -shown_db)
             # Each column is drawn at both of its sides, so that it is as wide as its pixel.
             sides = np.ravel(cut.along[:, None] + cut.width * np.array([-0.5, 0.5]))
             heights, shade = np.repeat(cut.heights, 2, axis=0), np.repeat(shade, 2, axis=0)
             across = np.broadcast_to(sides[:, None], heights.shape)
-            shown = axis.pcolormesh(across, heights, shade, vmin=-SHOWN_DB, vmax=0, cmap="magma", shading="gouraud")
+            shown = axis.pcolormesh(across, heights, shade, vmin=-shown_db, vmax=0, cmap="magma", shading="gouraud")
             axis.errorbar(cut.along, cut.ground, 2 * cut.sigma, fmt=".", color="cyan", ms=5, lw=1.5)
         if scene:
             _draw_truth(axis, cuts, scene)

@@ -24,17 +24,8 @@ from sal_height.response import (
     estimate_transfer_function,
 )
 
-CHIPS_SHOWN = 4
-"""Number of targets whose chips are drawn, as in the paper."""
-
-PHASE_KNOWN = 3.0
-"""Standard errors that the modulus of a response must exceed for its phase to be drawn."""
-
 FAINTEST_DB = -50
 """Lowest level of chips and point-spread functions in the picture, dB of the peak."""
-
-TEXT_WIDTH = 135
-"""Characters in a line of the text below the panels."""
 
 COLUMNS = 4
 """Panels side by side."""
@@ -75,7 +66,8 @@ def draw_psf(report: PsfReport, title: str, reasons: Sequence[str], path: Path) 
 
 def _panels(report: PsfReport) -> Iterator[Panel]:
     """Functions that draw the panels, in their order."""
-    shown = report.targets[:CHIPS_SHOWN]
+    chips_shown = 4  # number of targets whose chips are drawn, as in the paper
+    shown = report.targets[:chips_shown]
     for index, target in enumerate(shown):
         yield partial(_draw_chip, target=target, index=index)
     if report.transfer:
@@ -142,7 +134,8 @@ def _draw_phase(axes: Axes, letter: str, axis: AxisTransfer, singles: Sequence[A
 
 def _phase(axis: AxisTransfer) -> F64:
     """Phase of a response, rad; NaN where it is not known."""
-    known = np.abs(axis.response) > PHASE_KNOWN * axis.sigma
+    phase_known = 3.0  # standard errors that the modulus of a response must exceed for its phase to be drawn
+    known = np.abs(axis.response) > phase_known * axis.sigma
     return np.where(known, np.angle(axis.response), np.nan)
 
 
@@ -202,7 +195,8 @@ def _text(report: PsfReport, reasons: Sequence[str]) -> str:
             f"Superposition of targets and speckle: p = {found.p_value:.3g}, chi-square {found.chi_square:.1f} of "
             f"{found.freedom}, in chips of {report.linearity_rows} rows.",
         )
-    return "\n".join(textwrap.fill(line, TEXT_WIDTH, subsequent_indent="    ") for line in lines)
+    text_width = 135  # characters in a line of the text below the panels
+    return "\n".join(textwrap.fill(line, text_width, subsequent_indent="    ") for line in lines)
 
 
 def _decibels(amplitude: F64) -> F64:

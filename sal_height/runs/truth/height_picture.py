@@ -43,9 +43,6 @@ SHADOW, NO_ANSWER = "0.35", "0.8"
 COLUMNS = 4
 """Height, surfaces in a pixel, error and sigma."""
 
-REACH_PIXELS = 1.25
-"""Distance from a cell's middle within which the nearest surface is drawn in it, pixels on level ground."""
-
 
 @dataclass(frozen=True, eq=False)
 class GroundPicture:
@@ -82,7 +79,9 @@ def ground_picture(judgement: Judged) -> GroundPicture:
     first = ground_inside.min(axis=0)
     shape = np.ptp(ground_inside, axis=0) + 1
     middle = (ground_inside[:, ::-1] + 0.5) * ground.size
-    reach = REACH_PIXELS / CELL_PIXELS * ground.size
+    # Distance from a cell's middle within which the nearest surface is drawn in it, pixels on level ground.
+    reach_pixels = 1.25
+    reach = reach_pixels / CELL_PIXELS * ground.size
     distance, nearest = cKDTree(errors.place[:, :2]).query(middle, distance_upper_bound=reach)
     found = np.isfinite(distance)
     chosen = np.where(found, nearest, 0)

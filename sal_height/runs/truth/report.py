@@ -119,10 +119,6 @@ def read_images(bag: Path) -> dict[str, list[HeightImage]]:
     return {prefix: images[prefix] for prefix in HEIGHTS.values() if prefix in images}
 
 
-CELL_PIXELS = 1.5
-"""Side of a ground cell in pixels on level ground: large enough that few cells stay empty."""
-
-
 @dataclass(frozen=True)
 class Mosaic:
     """Height images of a run in ground cells, each the mean of its pixels weighted by 1 / sigma^2; NaN where unseen.
@@ -192,7 +188,8 @@ def mosaic(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Map
     grid = images[0].grid
     looks = images[0].range_looks * images[0].azimuth_looks
     level_row = grid.row_spacing / np.sin(flight.preset.flight.look_angle_rad)
-    step = (CELL_PIXELS * level_row, CELL_PIXELS * grid.col_spacing)
+    cell_pixels = 1.5  # side of a ground cell in pixels on level ground: large enough that few cells stay empty
+    step = (cell_pixels * level_row, cell_pixels * grid.col_spacing)
     row_of, col_of = np.rint(pixels.north / step[0]).astype(int), np.rint(pixels.east / step[1]).astype(int)
     first_row, first_col = row_of.min(), col_of.min()
     shape = (row_of.max() - first_row + 1, col_of.max() - first_col + 1)

@@ -25,7 +25,7 @@ from sal_height.imaging.autofocus.placement import (
 from sal_height.imaging.pixels import line_of_sight
 from sal_height.pipeline import Compressor, heights
 from sal_height.relief import pose_covariance
-from sal_height.sensor.phase_history import PhaseHistory
+from sal_height.sensor.sensor import PhaseHistory
 from sal_height.simulation import SimulatedFlight, flight_of, load_preset
 from sal_height.simulation.harmonics import Harmonics
 

@@ -14,8 +14,7 @@ from sal_height.imaging.formers.backprojection import backproject, backproject_p
 from sal_height.imaging.pixels import Processing, slant_plane_grid, slc_noise_power
 from sal_height.numeric.range_profiles import TAPS, dense_profiles
 from sal_height.numeric.windows import window
-from sal_height.sensor.phase_history import PhaseHistory
-from sal_height.sensor.sensor import Sensor
+from sal_height.sensor.sensor import PhaseHistory, Sensor
 
 SENSOR = make_sensor()
 REFERENCE = np.full(SENSOR.pulse_count, 5000.0)

@@ -154,9 +154,8 @@ def replay(
     from sal_height.bag.tolerance import ROUNDING, read_tolerances
     from sal_height.graph.tables import comparison_table, images_table, results_table
     from sal_height.runs.chain.entry import Part
-    from sal_height.runs.replay.bag_replay import Against
+    from sal_height.runs.replay.bag_replay import Against, Playing
     from sal_height.runs.replay.bag_replay import replay as play_again
-    from sal_height.runs.replay.playing import Playing
 
     if processes:
         complain(["Option --processes has no effect on a replay; --jobs 2 processes two dwells side by side."])

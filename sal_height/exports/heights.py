@@ -1,4 +1,4 @@
-"""The height images of a bag, and their position on the earth."""
+"""The height images of a bag, their position on the earth, and their map as a Cloud-Optimized GeoTIFF."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from sal_height.errors import UserError
 from sal_height.geometry import UTM, ApertureState, Origin, Projection, sphere_coordinates
 from sal_height.graph.catalogue import MAPPERS
 from sal_height.numeric import F64, U8
-from sal_height.relief import HeightField
+from sal_height.relief import HeightField, ProjectedAxes, ReliefMap, check_geotiff, fitting_cell_size, write_geotiff
 from sal_height.runs.chain.recorded_parameters import recorded_parameters
 
 _LOG = logging.getLogger(__name__)
@@ -153,3 +153,33 @@ def probability_of_order(field: HeightField) -> F64:
     if field.order_probability is None:
         return np.full(field.validity.shape, np.nan)
     return np.take_along_axis(field.order_probability, found_order(field)[..., None], axis=-1)[..., 0]
+
+
+def write_map(heights: RecordedHeights, path: Path, cell_size: float = 0.0) -> tuple[int, int]:
+    """Write the map of the scatterers of all dwells, as node relief_mapper makes it; returns its rows and columns.
+
+    Args:
+        heights: heights of a bag.
+        path: file to write.
+        cell_size: side of a cell, m; 0: that of the pixels.
+
+    Raises:
+        UserError: the package rasterio is not installed, there is no height, the map has too many cells, or the file
+            cannot be written.
+    """
+    check_geotiff(path)
+    axes = ProjectedAxes.around(heights.projection) if heights.projection else None
+    grown, last_ns = None, 0
+    most_cells = 100_000_000  # greatest number of cells of a map: 400 MB for each of its layers
+    for dwell in heights.dwells("cog"):
+        field, aperture = axes.field(dwell.field, dwell.aperture) if axes else (dwell.field, dwell.aperture)
+        grown = grown or ReliefMap(cell_size or fitting_cell_size(field.grid, aperture), most_cells)
+        grown.add(field)
+        last_ns = max(last_ns, dwell.stamp_ns)
+    relief = grown.relief() if grown else None
+    if relief is None:
+        raise UserError(f"Topic {heights.topic} of bag {heights.reader.path} has no valid height.")
+    placed = axes.relief(relief) if axes else relief
+    write_geotiff(path, placed, heights.projection, last_ns, heights.facts)
+    rows, cols = placed.height.shape
+    return rows, cols

@@ -27,8 +27,20 @@ from sal_height.messages.types import DiagnosticArray, Odometry
 from sal_height.nodes.accounts.account import STAGE, Account
 from sal_height.numeric import F32, F64
 from sal_height.relief import Surface
-from sal_height.view.colours import Span, Spans, coloured
-from sal_height.view.drawings import Classes, Cloud, Drawing, Line, Note, Number, Picture, ReceivedMessage, Sheet
+from sal_height.view.drawings import (
+    Classes,
+    Cloud,
+    Drawing,
+    Line,
+    Note,
+    Number,
+    Picture,
+    ReceivedMessage,
+    Sheet,
+    Span,
+    Spans,
+    coloured,
+)
 
 PIECE_NS = 200_000_000
 """Least length of a piece that is drawn, ns."""

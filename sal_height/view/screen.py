@@ -15,8 +15,18 @@ import numpy as np
 from sal_height.elevation import Validity
 from sal_height.errors import UserError
 from sal_height.io import writing
-from sal_height.view.colours import EMPTY, VALIDITY_COLOURS
-from sal_height.view.drawings import Classes, Cloud, Drawing, Line, Note, Number, Picture, Sheet
+from sal_height.view.drawings import (
+    EMPTY,
+    VALIDITY_COLOURS,
+    Classes,
+    Cloud,
+    Drawing,
+    Line,
+    Note,
+    Number,
+    Picture,
+    Sheet,
+)
 from sal_height.view.painter import WORLD, Subject
 from sal_height.view.viewer import Viewer, open_window, serve_page
 

@@ -23,10 +23,10 @@ from sal_height.engine.stage import Product
 from sal_height.errors import UserError
 from sal_height.messages import serialize
 from sal_height.messages.types import Calibration, Header, TFMessage, TransformStamped, Vector3
-from sal_height.runs.campaign.campaign import Case
+from sal_height.runs.campaign.batch import Case
 from sal_height.runs.chain import side_by_side
 from sal_height.runs.chain.chain_runs import BagRun, plan
-from sal_height.runs.chain.flight_record import FlightRecord
+from sal_height.runs.chain.timeline import FlightRecord
 from sal_height.runs.live.sensor_bag import record_sensor
 from sal_height.runs.replay.bag_replay import replay
 from sal_height.simulation import load_preset

@@ -32,7 +32,7 @@ from sal_height.response.report import PsfSettings, report_on
 from sal_height.response.transfer_function import centred
 from sal_height.runs.chain.recorded_images import bag_images
 from sal_height.runs.responses import psf as psf_module
-from sal_height.runs.responses.psf_picture import draw_psf
+from sal_height.runs.responses.pictures import draw_psf
 
 SIDE, TAPES, NOISE, SPUR = 768, 2, 0.2, 0.3
 RANGE, SWINGING = RangeFault(), AzimuthFault(swing=0.03, swing_period=2 * SIDE)

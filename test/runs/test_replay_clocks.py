@@ -24,8 +24,7 @@ from sal_height.graph.plan import DwellChanges, Execution, Plan
 from sal_height.nodes.host import StageNode
 from sal_height.runs.chain.entry import Part
 from sal_height.runs.chain.replay_parameters import ReplayPlan
-from sal_height.runs.replay.bag_replay import replay
-from sal_height.runs.replay.playing import Playing
+from sal_height.runs.replay.bag_replay import Playing, replay
 from sal_height.runs.truth.simulate import fly
 from sal_height.simulation.preset import Preset
 

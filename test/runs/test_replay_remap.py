@@ -18,8 +18,7 @@ from sal_height.errors import UserError
 from sal_height.nodes.playing.player import Player
 from sal_height.nodes.transport.graph import Graph
 from sal_height.runs.chain.entry import Part
-from sal_height.runs.replay.bag_replay import Remapping, Replay, remapping_of, replay
-from sal_height.runs.replay.playing import IN_LOCKSTEP, Playing
+from sal_height.runs.replay.bag_replay import IN_LOCKSTEP, Playing, Remapping, Replay, remapping_of, replay
 
 HEIGHTS = {"/ml/height", "/monopulse/height", "/tracked/height"}
 FOREIGN = {"/sensor_info": "/radar/info", "/platform/odometry": "/odom", "/phase_history": "/radar/raw"}

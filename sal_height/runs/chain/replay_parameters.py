@@ -22,9 +22,17 @@ from sal_height.graph.reporting import merged
 from sal_height.messages import to_ns
 from sal_height.renamed import with_new_names
 from sal_height.runs.chain.entry import Part, ReplayNodes, check_given
-from sal_height.runs.chain.flight_record import FlightRecord
 from sal_height.runs.chain.recorded_parameters import RecordedParameters, parameters_in, recorded_at_start
-from sal_height.runs.chain.timeline import NO_FILE, PROVENANCE, Applied, Change, Parameter, Timeline, timeline_of
+from sal_height.runs.chain.timeline import (
+    NO_FILE,
+    PROVENANCE,
+    Applied,
+    Change,
+    FlightRecord,
+    Parameter,
+    Timeline,
+    timeline_of,
+)
 from sal_height.settings import settings_of
 
 _LOG = logging.getLogger(__name__)

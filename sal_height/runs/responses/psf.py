@@ -25,7 +25,7 @@ from sal_height.response import (
 )
 from sal_height.response.image import AXES, Image
 from sal_height.runs.responses.images import images_of
-from sal_height.runs.responses.psf_picture import draw_psf
+from sal_height.runs.responses.pictures import draw_psf
 
 Entry = dict[str, Any]
 

@@ -30,8 +30,8 @@ from sal_height.graph.picture import (
 from sal_height.numeric import F64, I64, Bool
 from sal_height.relief import GroundEstimate, GroundKind
 from sal_height.runs.truth.comparison import PublishedErrors
-from sal_height.runs.truth.ground_report import TrueGround
 from sal_height.runs.truth.height_picture import height_limits
+from sal_height.runs.truth.report import TrueGround
 from sal_height.runs.truth.surface_report import Judged
 from sal_height.simulation import Preset
 

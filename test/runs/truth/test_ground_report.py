@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from sal_height.relief import GroundEstimate, GroundKind
-from sal_height.runs.truth.ground_report import TrueGround, ground_statistics
 from sal_height.runs.truth.pictures import draw_ground
-from sal_height.runs.truth.report import read_accuracy
+from sal_height.runs.truth.report import TrueGround, ground_statistics, read_accuracy
 from sal_height.simulation.flight import flight_of
 from sal_height.simulation.preset import Preset
 
@@ -59,7 +58,7 @@ def test_ground_with_too_many_cells_is_left_out_of_the_report(
     flight = flight_of(two_dwells, SEED)
     whole = read_accuracy(recorded / "bag", flight, ["ml_height"]).statistics["ml"]
     assert "ground" in whole
-    monkeypatch.setattr("sal_height.runs.truth.ground_report.MAX_CELLS", 100)
+    monkeypatch.setattr("sal_height.runs.truth.report.MAX_CELLS", 100)
     without = read_accuracy(recorded / "bag", flight, ["ml_height"]).statistics["ml"]
     assert without == {name: value for name, value in whole.items() if name != "ground"}
     (said,) = caplog.messages

@@ -100,8 +100,8 @@ def passes(
     references += [ReferencePoint(np.array(place)) for place in compare]
     folder = output_folder(out, "passes")
     given, wanted = node_parameters(param), settings_values(set_)
-    made = heights_of_bags(bags, folder, estimator, given, wanted, references, centre, jobs)
-    print(passes_table(made.summary))
-    complain(made.warnings)
+    summary, warnings = heights_of_bags(bags, folder, estimator, given, wanted, references, centre, jobs)
+    print(passes_table(summary))
+    complain(warnings)
     print(f"see {folder}/passes.png and {folder}/report.json")
     return DONE

@@ -20,7 +20,7 @@ from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, KeyValu
 from sal_height.relief import GroundEstimate, HeightField, Surface
 from sal_height.runs.campaign.campaign_picture import _style
 from sal_height.runs.live.latency_picture import draw_run, published_latencies
-from sal_height.runs.products.pictures import beyond_error
+from sal_height.runs.products.calibrate import beyond_error
 from sal_height.runs.responses.pictures import corners, draw_image, ground_steps
 from sal_height.runs.truth.comparison import PublishedErrors, SurfaceComparison
 from sal_height.runs.truth.height_picture import ground_picture, height_limits, percent_text

@@ -1,8 +1,9 @@
-"""Results of an adjustment, in numbers and warnings."""
+"""Results of an adjustment, in numbers, warnings and a picture."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from sal_height.adjustment import (
     stated_sigmas,
 )
 from sal_height.geometry import Mounting
+from sal_height.graph.picture import page
 from sal_height.graph.tables import ABSENT
 from sal_height.numeric import root_mean_square
 from sal_height.tables import aligned
@@ -160,3 +162,30 @@ def _found(parameter: dict[str, Any]) -> tuple[str, str]:
     if not parameter["determined"]:
         return ABSENT, ABSENT
     return f"{parameter['error']:+.3g}", f"{parameter['sigma']:.2g}"
+
+
+def draw_adjustment(adjustment: Adjustment, path: Path) -> None:
+    """Write a PNG: shifts of the dwells with their sigmas, and differences of comparisons before and after."""
+    shifts, covariance = adjustment.shifts
+    sigmas = np.sqrt([one.diagonal() for one in covariance])
+    before, after = adjustment.differences
+    with page(path, 4.4) as figure:
+        for column, (axis, name) in enumerate(zip(figure.subplots(2, 3).T, ("east", "north", "up"), strict=True)):
+            top, below = axis
+            top.errorbar(np.arange(len(shifts)), shifts[:, column], sigmas[:, column], fmt=".", ms=3, lw=0.8)
+            top.set(title=f"How far {name} dwells were misaligned", xlabel="dwell", ylabel="m")
+            top.axhline(0.0, color="k", lw=0.5)
+            for values, label in ((before, "before"), (after, "after")):
+                if len(values):
+                    size = np.sort(np.abs(values[:, column]))
+                    below.step(
+                        np.maximum(size, 1e-4), (np.arange(len(size)) + 1) / len(size), label=label, where="post"
+                    )
+            below.set(
+                title=f"Differences {name} between dwells that overlap",
+                xlabel="m",
+                ylabel="fraction below",
+                xscale="log",
+            )
+            if len(after):
+                below.legend(loc="lower right")

@@ -19,9 +19,8 @@ from sal_height.adjustment import (
 )
 from sal_height.geometry import Mounting
 from sal_height.graph.picture import page
-from sal_height.graph.tables import ABSENT
 from sal_height.numeric import root_mean_square
-from sal_height.tables import aligned
+from sal_height.tables import ABSENT, aligned
 
 DETERMINED = 0.9
 """Fraction of its prior below which the standard deviation of a parameter must be for it to be determined."""
@@ -142,8 +141,11 @@ def adjustment_table(summary: dict[str, Any]) -> str:
     lines = []
     if summary["parameters"]:
         heading = ["shared by all dwells", "known to", "found", "+-"]
-        rows = [[name, f"{one['known_to']:.3g}", *_found(one)] for name, one in summary["parameters"].items()]
-        lines += [aligned([heading, *rows]), ""]
+        rows = [heading]
+        for name, one in summary["parameters"].items():
+            found = [f"{one['error']:+.3g}", f"{one['sigma']:.2g}"] if one["determined"] else [ABSENT, ABSENT]
+            rows.append([name, f"{one['known_to']:.3g}", *found])
+        lines += [aligned(rows), ""]
     heading = ["surfaces of dwells", "east m", "north m", "up m"]
     kinds = {
         "misalignment before, rms": "shifts_rms_m",
@@ -155,13 +157,6 @@ def adjustment_table(summary: dict[str, Any]) -> str:
     known = summary["comparisons_with_known_ground"]
     lines.append(f"{summary['comparisons']} comparisons of dwells with others, {known} with known ground")
     return "\n".join(lines)
-
-
-def _found(parameter: dict[str, Any]) -> tuple[str, str]:
-    """Estimate of a parameter, and its standard deviation."""
-    if not parameter["determined"]:
-        return ABSENT, ABSENT
-    return f"{parameter['error']:+.3g}", f"{parameter['sigma']:.2g}"
 
 
 def draw_adjustment(adjustment: Adjustment, path: Path) -> None:

@@ -18,13 +18,12 @@ from sal_height.graph.catalogue import CALIBRATOR, NodeParameters, check_paramet
 from sal_height.graph.picture import page
 from sal_height.graph.plan import DEFAULT, Execution, Outcome, Plan
 from sal_height.graph.reporting import PARAMETERS, conclude, merged, reporting
-from sal_height.graph.tables import ABSENT
 from sal_height.io import new_folder, or_null, writing
 from sal_height.numeric import C128, F64, Bool
 from sal_height.runs.chain.chain_runs import COMPRESSION, plan
 from sal_height.runs.chain.entry import Part, contents
 from sal_height.runs.replay.by_calls import perform_by_calls
-from sal_height.tables import aligned
+from sal_height.tables import aligned, number_text
 from sal_height.topics import LOSSES, SENSOR_INFO
 
 STAGES = ["sar_compression", CALIBRATOR]
@@ -104,8 +103,8 @@ def calibration_table(calibration: Calibration) -> str:
         row = [str(channel)]
         for name, unit, digits in (("gain", "db", 3), ("phase", "rad", 2), ("ripple", "db", 3)):
             for key in (f"{name}_{unit}", f"{name}_sigma_{unit}"):
-                value = summary[key][channel]
-                row.append(ABSENT if value is None else f"{np.degrees(value) if unit == 'rad' else value:.{digits}f}")
+                scale = np.degrees(1.0) if unit == "rad" else 1.0
+                row.append(number_text(summary[key][channel], f".{digits}f", scale))
         rows.append(row)
     width = f"beam width over that described: {beam_width(calibration)}"
     return "\n".join([aligned(rows), width, f"calibration {calibration.id}"])

@@ -23,6 +23,7 @@ from sal_height.io import new_folder
 from sal_height.movers import Mover, MoverSettings, check_sensor
 from sal_height.runs.chain.chain_runs import COMPRESSION, BagRun, Scheme, plan
 from sal_height.sensor import Sensor
+from sal_height.tables import aligned, number_text
 
 STAGES_OF_MOVERS = (COMPRESSION, DETECTOR)
 
@@ -99,19 +100,17 @@ class BagMovers:
         lines = [f"{len(self.movers)} movers; {looked}"]
         if self.left_out:
             lines[0] += f"; {self.left_out} of {self.dwells} dwells were left out"
-        if self.movers:
-            place = f"{'east m':>11}{'north m':>11}{'height m':>10}{'+-':>7}"
-            along = f"{'along m/s':>11}{'+-':>7}" if any(_along(seen.mover) for seen in self.movers) else ""
-            lines.append(f"{'dwell':>6}{place}{'mm/s':>11}{'+-':>7}{'by walk m/s':>13}{'+-':>7}{along}")
+        rows = [["dwell", "east m", "north m", "height m", "+-", "mm/s", "+-", "by walk m/s", "+-"]]
+        with_along = any(_along(seen.mover) for seen in self.movers)
+        rows[0] += ["along m/s", "+-"] if with_along else []
         for seen in self.movers:
             one = seen.summary()
-            place = f"{one['east_m']:11.3f}{one['north_m']:11.3f}{one['height_m']:10.3f}{one['height_sigma_m']:7.3f}"
-            speed = f"{1e3 * one['radial_velocity_mps']:11.2f}{1e3 * one['radial_velocity_sigma_mps']:7.2f}"
-            walk = f"{one['walk_velocity_mps']:13.2f}{one['walk_velocity_sigma_mps']:7.2f}"
-            along = "".join(
-                f"{value:{width}.2f}" for value, width in zip(_along(seen.mover).values(), (11, 7), strict=False)
-            )
-            lines.append(f"{seen.dwell:6d}{place}{speed}{walk}{along}")
+            row = [f"{one[key]:.3f}" for key in ("east_m", "north_m", "height_m", "height_sigma_m")]
+            row += [f"{1e3 * one[key]:.2f}" for key in ("radial_velocity_mps", "radial_velocity_sigma_mps")]
+            row += [f"{one[key]:.2f}" for key in ("walk_velocity_mps", "walk_velocity_sigma_mps")]
+            along = ("along_velocity_mps", "along_velocity_sigma_mps") if with_along else ()
+            rows.append([str(seen.dwell), *row, *(number_text(one.get(key), ".2f") for key in along)])
+        lines += [aligned(rows)] if self.movers else []
         if not all(seen.mover.resolved for seen in self.movers):
             period = 1e3 * self.movers[0].mover.ambiguity
             lines.append(

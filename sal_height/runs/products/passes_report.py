@@ -12,10 +12,9 @@ from matplotlib.axes import Axes
 
 from sal_height.elevation import Validity
 from sal_height.graph.picture import HEIGHTS, colour_bar, page
-from sal_height.graph.tables import ABSENT
 from sal_height.numeric import F64, error_statistics
 from sal_height.passes import PassHeights, PassSettings, ReferencePoint
-from sal_height.tables import aligned
+from sal_height.tables import ABSENT, aligned
 
 FREE_GAUGE = (
     "No reference point ties the passes: heights count from the median of the bright points that tie them, which is "

@@ -25,7 +25,9 @@ from sal_height.response import (
 )
 from sal_height.response.image import AXES, Image
 from sal_height.runs.responses.images import images_of
+from sal_height.runs.responses.irf import CUT, cut_entry
 from sal_height.runs.responses.pictures import draw_psf
+from sal_height.tables import aligned, number_text
 
 Entry = dict[str, Any]
 
@@ -160,12 +162,7 @@ def _entry(number: int | None, group: list[Image], report: PsfReport, *, noise_k
         "azimuth": figures.get("azimuth"),
         "targets": _target_entries(group, report),
         "verdicts": _verdicts(report),
-        "disagreement": {
-            "range": or_null(transfer.range.disagreement),
-            "azimuth": or_null(transfer.azimuth.disagreement),
-        }
-        if transfer
-        else None,
+        "disagreement": {axis: or_null(getattr(transfer, axis).disagreement) for axis in AXES} if transfer else None,
         "speckle": _speckle_entry(report, None if noise_known else NOISE_UNKNOWN),
         "pointing": _pointing_entries(report.pointing),
         "superposition": _linearity_entry(report),
@@ -174,12 +171,8 @@ def _entry(number: int | None, group: list[Image], report: PsfReport, *, noise_k
 
 
 def _axis_entry(one: AxisSpread, spacing: float) -> Entry:
-    cut = one.cut
     return {
-        "width_px": or_null(cut.width),
-        "width_m": or_null(cut.width * spacing),
-        "pslr_db": or_null(cut.pslr_db),
-        "islr_db": or_null(cut.islr_db),
+        **cut_entry(one.cut, spacing),
         "anomalous_sidelobes": [
             {
                 "position_px": sidelobe.position,
@@ -309,14 +302,12 @@ def _lines(entry: Entry) -> list[str]:
     channel = "" if entry["channel"] is None else f", channel {entry['channel']}"
     lines = [f"{first}{channel}{f', {count} images' if count > 1 else ''}"]
     if entry["range"]:
-        lines.append(f"{'':10}{'px':>9}{'m':>9}{'PSLR dB':>9}{'ISLR dB':>9}")
-    for axis in AXES if entry["range"] else ():
-        numbers = [entry[axis][key] for key in ("width_px", "width_m", "pslr_db", "islr_db")]
-        lines.append(f"{axis:10}" + "".join(f"{_shown(number):>9}" for number in numbers))
+        rows = [[axis, *(number_text(entry[axis][key], ".3f") for key in CUT)] for axis in AXES]
+        lines.append(aligned([["", "px", "m", "PSLR dB", "ISLR dB"], *rows]))
     for axis in AXES if entry["range"] else ():
         lines += [
-            f"anomalous sidelobe in {axis} at {one['position_px']:+.1f} px, {_shown(one['position_m'])} m: "
-            f"{one['level_db']:.1f} dB, {_shown(one['significance'], '.1f')} standard errors"
+            f"anomalous sidelobe in {axis} at {one['position_px']:+.1f} px, {number_text(one['position_m'], '.3f')} m: "
+            f"{one['level_db']:.1f} dB, {number_text(one['significance'], '.1f')} standard errors"
             for one in entry[axis]["anomalous_sidelobes"]
         ]
     counted = ", ".join(f"{number} {verdict}" for verdict, number in entry["verdicts"].items())
@@ -346,7 +337,3 @@ def _speckle_lines(entry: Entry) -> list[str]:
         )
         lines += [one["remark"]] if one["remark"] else []
     return lines
-
-
-def _shown(number: float | None, form: str = ".3f") -> str:
-    return "-" if number is None else format(number, form)

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
-from cyclopts import Parameter, Token
+from cyclopts import Parameter
 from cyclopts.validators import Number
 
 from sal_height.commands._options import (
@@ -18,6 +16,7 @@ from sal_height.commands._options import (
     INTERRUPTED,
     PROCESSING,
     Bag,
+    DwellRange,
     Estimators,
     Flag,
     GraphOptions,
@@ -56,14 +55,6 @@ app = command(
     "messages were dropped, no image was made, or heights are missing or extra; with --against, or without --param, "
     "also: heights differ by more than the tolerance",
 )
-
-
-def _range(_type: type, tokens: Sequence[Token]) -> tuple[int, int]:
-    """The two numbers of FIRST:LAST."""
-    match = re.fullmatch(r"(\d{1,10}):(\d{1,10})", tokens[0].value)
-    if not match or not int(match[1]) <= int(match[2]) < 2**32:
-        raise ValueError(f"{tokens[0].value!r} is not of the form FIRST:LAST, for example 10:19")
-    return int(match[1]), int(match[2])
 
 
 Clock: TypeAlias = Annotated[
@@ -108,10 +99,7 @@ def replay(
     out: OutputFolder = None,
     param: NodeParameters = (),
     estimators: Estimators = (),
-    dwells: Annotated[
-        tuple[int, int] | None,
-        Parameter(metavar="FIRST:LAST", n_tokens=1, accepts_keys=False, show_default=False, converter=_range),
-    ] = None,
+    dwells: DwellRange = None,
     start: Annotated[float, Parameter(metavar="S", validator=Number(gte=0))] = 0.0,
     end: Annotated[float | None, Parameter(metavar="S", validator=Number(gte=0))] = None,
     entry: Annotated[Literal["phase_history", "slc", "heights"], Parameter(name="--from")] = "phase_history",

@@ -57,7 +57,7 @@ def errors_of(bag: Path) -> F64:
     Shape (strips, images, 2).
     """
     scheme, ml = plan(bag, {}, ("ml",)), ESTIMATORS["ml"]
-    settings = parameters_of(ml.node, scheme.parameters.get(ml.node, {}))
+    settings = parameters_of(ml.node, scheme.values.get(ml.node, {}))
     found: list[tuple[float, float]] = []
     for made in BagRun(scheme, ["sar_compression"]).results():
         if isinstance(made.result, Product) and isinstance(images := made.result.item, Images):

@@ -81,7 +81,7 @@ def test_jobs_and_results_that_are_larger_than_pipes_do_not_wait_for_each_other(
     before = signal.signal(signal.SIGALRM, give_up)
     signal.alarm(120)
     try:
-        run = BagRun(scheme, scheme.stages, jobs=2, wanted=["slc", "ml/height"])
+        run = BagRun(scheme, scheme.chain.stages, jobs=2, wanted=["slc", "ml/height"])
         ports = [made.result.port for made in run.results() if isinstance(made.result, Product)]
     finally:
         signal.alarm(0)

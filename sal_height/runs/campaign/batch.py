@@ -35,8 +35,8 @@ from sal_height.graph.reporting import PARAMETERS, merged
 from sal_height.io import bag_name, write_text, writing
 from sal_height.messages.kinds import write_heights
 from sal_height.numeric import available_processors
-from sal_height.runs.chain.chain_runs import BagRun, Scheme, plan
-from sal_height.runs.chain.entry import Part
+from sal_height.runs.chain.chain_runs import BagRun, plan
+from sal_height.runs.chain.replay_parameters import ReplayPlan
 from sal_height.runs.replay.judge import verdict_of
 from sal_height.runs.truth.report import read_accuracy, read_images, recorded_flight
 
@@ -76,11 +76,10 @@ def process_case(case: Case, jobs: int) -> dict[str, Any]:
 
     def make(new: Path) -> dict[str, Any]:
         scheme = plan(case.bag, case.given, case.estimators)
-        topics = [f"{HEIGHTS[node]}/height" for node in scheme.stages if node in HEIGHTS]
+        topics = [f"{HEIGHTS[node]}/height" for node in scheme.chain.stages if node in HEIGHTS]
         begun, images = time.monotonic(), 0
-        run = BagRun(scheme, scheme.stages, jobs=jobs, wanted=topics)
-        reader = Part(namespace=scheme.namespace).open(case.bag)
-        custom_data = {**reader.custom_data, PARAMETERS: json.dumps(scheme.parameters)}
+        run = BagRun(scheme, scheme.chain.stages, jobs=jobs, wanted=topics)
+        custom_data = {**scheme.reader.custom_data, PARAMETERS: json.dumps(scheme.values)}
         with BagWriter(new / "bag", custom_data) as bag:
             for topic in topics:
                 bag.add_topic(f"/{topic}", HEIGHT_TYPE)
@@ -102,13 +101,14 @@ def process_case(case: Case, jobs: int) -> dict[str, Any]:
             "images": images,
             "seconds": time.monotonic() - begun,
         }
-        return row | _judged(reader, new / "bag", scheme)
+        return row | _judged(scheme, new / "bag")
 
     return _once(case.folder, make)
 
 
-def _judged(reader: BagReader, made: Path, scheme: Scheme) -> dict[str, Any]:
+def _judged(scheme: ReplayPlan, made: Path) -> dict[str, Any]:
     """Columns on the heights: fraction, sigma, and comparison with those in the bag and with the truth."""
+    reader = scheme.reader
     recorded = [topic.name for topic in reader.topics.values() if topic.type_name == HEIGHT_TYPE and topic.count]
     compared = compare_bags(reader, BagReader(made), ROUNDING, recorded)
     columns: dict[str, Any] = {"against_recorded": verdict_of(compared) if compared else ""}
@@ -120,7 +120,7 @@ def _judged(reader: BagReader, made: Path, scheme: Scheme) -> dict[str, Any]:
     flight = recorded_flight(reader)
     if flight is None:
         return columns
-    for prefix, numbers in read_accuracy(made, flight, list(scheme.stages)).statistics.items():
+    for prefix, numbers in read_accuracy(made, flight, scheme.chain.stages).statistics.items():
         for name in ACCURACY:
             columns[f"{prefix}_{name}"] = numbers.get(name)
     return columns

@@ -49,6 +49,8 @@ class ReplayPlan:
     """Dwells, parameters and changes of a replay.
 
     Attributes:
+        reader: reader of the bag.
+        chain: the nodes at work.
         values: values of the nodes' parameters at the start.
         sources: origins of the values of all parameters of the nodes at work, by node and name.
         changes: changes before dwells.
@@ -61,9 +63,11 @@ class ReplayPlan:
         mountings: mountings of sensors (config_hash) on the platform, where the flight had others than described.
     """
 
-    values: dict[str, dict[str, Any]]
+    reader: BagReader
+    chain: ReplayNodes
+    values: NodeParameters
     sources: dict[str, dict[str, str]]
-    changes: list[DwellChanges]
+    changes: Sequence[DwellChanges]
     listed: list[dict[str, Any]]
     warnings: list[str]
     dwells: DwellRange
@@ -76,6 +80,11 @@ class ReplayPlan:
     def first(self) -> DwellKey | None:
         """The first of the dwells that are played, if it was searched for."""
         return next(iter(self.frames), None)
+
+    @property
+    def epoch_ns(self) -> int:
+        """Time of the first pulse of the first dwell, ns."""
+        return min(dwell.stamp_ns for dwell in self.frames)
 
     @property
     def plays_calibrations(self) -> bool:
@@ -165,6 +174,8 @@ def processing_of(
     for warning in warnings:
         _LOG.warning("Bag %s: %s", reader.path, warning)
     return ReplayPlan(
+        reader,
+        chain,
         values,
         _of_stages(sources, chain.stages),
         _scheduled_changes(timeline.dwells, dwells, changes, calibrations),

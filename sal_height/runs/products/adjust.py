@@ -17,7 +17,6 @@ from sal_height.adjustment import (
 )
 from sal_height.bag.copies import kept_packing
 from sal_height.bag.described import sensors_of
-from sal_height.bag.namespace import NamespacedReader
 from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import CALIBRATION_TYPE, FIX_TYPE, FRAME_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter
@@ -31,8 +30,9 @@ from sal_height.graph.catalogue import NodeParameters, check_estimator, paramete
 from sal_height.graph.reporting import PARAMETERS, reporting
 from sal_height.imaging import correct_track
 from sal_height.io import bag_name, new_folder, writing
-from sal_height.runs.chain.chain_runs import COMPRESSION, BagRun, Scheme, only_sensor, plan
+from sal_height.runs.chain.chain_runs import COMPRESSION, BagRun, only_sensor, plan
 from sal_height.runs.chain.entry import Part
+from sal_height.runs.chain.replay_parameters import ReplayPlan
 from sal_height.runs.products.adjustment_report import draw_adjustment, summary_of
 from sal_height.topics import ODOMETRY, SLC
 
@@ -80,12 +80,12 @@ def adjust_bag(
     for sensor in sensors:
         check_estimator(estimator, sensor)
     scheme = plan(bag, given, (estimator,))
-    compression = scheme.parameters.get(COMPRESSION, {})
+    compression = scheme.values.get(COMPRESSION, {})
     stated = {name: compression[name] for name in KNOWN if compression.get(name)}
     settings = AdjustmentSettings(**{**stated, **wanted})
     folder = new_folder(out)
     with reporting(folder, {"bag": bag.name, "settings": settings.model_dump()}) as report:
-        reader = NamespacedReader(scheme.bag, scheme.namespace)
+        reader = scheme.reader
         run = BagRun(scheme, [COMPRESSION, ESTIMATORS[estimator].node], jobs=jobs, wanted=[SLC, f"{estimator}/height"])
         mounting = only_sensor(run).mounting
         dwells = sorted(_observe(run, estimator), key=lambda dwell: dwell.seconds)
@@ -110,7 +110,7 @@ def adjust_bag(
             known = {**KNOWN, "map_axes": "enu", "body_axes": "flu"}
         else:
             odometry, known = None, {}
-        custom = {PARAMETERS: json.dumps({**scheme.parameters, COMPRESSION: {**compression, **known}})}
+        custom = {PARAMETERS: json.dumps({**scheme.values, COMPRESSION: {**compression, **known}})}
         _write(reader, folder / "bag", {**custom, ADJUSTED_FROM: bag_name(bag)}, odometry)
     return summary, warnings
 
@@ -133,10 +133,10 @@ def _observe(run: BagRun, estimator: str) -> Iterator[ObservedDwell]:
 
 
 def _corrected_odometry(
-    scheme: Scheme, reader: BagReader, corrected: Callable[[Sequence[PlatformState]], list[PlatformState]]
+    scheme: ReplayPlan, reader: BagReader, corrected: Callable[[Sequence[PlatformState]], list[PlatformState]]
 ) -> Iterator[bytes | None]:
     """The samples of the odometry in the order of the bag, serialized; None: one that cannot be used."""
-    frames = parameters_of(COMPRESSION, scheme.parameters.get(COMPRESSION, {})).frames
+    frames = parameters_of(COMPRESSION, scheme.values.get(COMPRESSION, {})).frames
     states: list[PlatformState | None] = []
     for recorded in reader.messages([f"/{ODOMETRY}"]):
         try:

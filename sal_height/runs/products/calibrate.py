@@ -20,7 +20,7 @@ from sal_height.graph.plan import DEFAULT, Execution, Outcome, Plan
 from sal_height.graph.reporting import PARAMETERS, conclude, merged, reporting
 from sal_height.io import new_folder, or_null, writing
 from sal_height.numeric import C128, F64, Bool
-from sal_height.runs.chain.chain_runs import COMPRESSION, plan
+from sal_height.runs.chain.chain_runs import COMPRESSION, TAKEN, plan
 from sal_height.runs.chain.entry import Part, contents
 from sal_height.runs.replay.by_calls import perform_by_calls
 from sal_height.tables import aligned, number_text
@@ -66,7 +66,7 @@ def calibrate(
     wanted = {CALIBRATOR: {"dwells": min(dwells, MOST_DWELLS), "dwell_step": 1, "file": str(out / CALIBRATION)}}
     check_parameters(parameters, STAGES)
     scheme = plan(bag, merged(merged(unweighted, wanted), parameters), for_heights=False)
-    values = {name: scheme.parameters.get(name, {}) for name in STAGES}
+    values = {name: scheme.values.get(name, {}) for name in STAGES}
     folder = new_folder(out)
     with reporting(folder, {"bag": bag.name, "warnings": scheme.warnings}) as report:
         asked = Plan(
@@ -77,7 +77,7 @@ def calibrate(
             values,
             len(scheme.frames),
             {PARAMETERS: json.dumps(values)},
-            [SENSOR_INFO, *scheme.topics],
+            [SENSOR_INFO, *TAKEN],
         )
         outcome = perform_by_calls(asked, scheme, execution, jobs)
         conclude(outcome, values, report)

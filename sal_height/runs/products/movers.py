@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from sal_height.bag.described import sensors_of
-from sal_height.bag.namespace import NamespacedReader
 from sal_height.engine.movers import MOVERS, ImageMovers, MoverDetection
 from sal_height.engine.stage import DwellKey, Product
 from sal_height.errors import UserError
@@ -21,7 +20,8 @@ from sal_height.graph.plan import DwellChanges
 from sal_height.graph.reporting import reporting
 from sal_height.io import new_folder
 from sal_height.movers import Mover, MoverSettings, check_sensor
-from sal_height.runs.chain.chain_runs import COMPRESSION, BagRun, Scheme, plan
+from sal_height.runs.chain.chain_runs import COMPRESSION, BagRun, plan
+from sal_height.runs.chain.replay_parameters import ReplayPlan
 from sal_height.sensor import Sensor
 from sal_height.tables import aligned, number_text
 
@@ -143,7 +143,7 @@ def find_in_bag(
     settings = MoverSettings(**(wanted or {}))
     scheme = plan(bag, given or {}, ("ml",))
     with reporting(new_folder(out), {"bag": bag.name, "settings": settings.model_dump()}) as report:
-        sensors, _ = sensors_of(NamespacedReader(scheme.bag, scheme.namespace))
+        sensors, _ = sensors_of(scheme.reader)
         for sensor in sensors.values():
             check_sensor(sensor)
         first, scheme = _with_columns(scheme, sensors, given or {})
@@ -175,16 +175,16 @@ def find_in_bag(
     return BagMovers(seen, candidates, len(looked), dwells, run.losses.dwells, warnings)
 
 
-def _settings_for(scheme: Scheme, sensors: Mapping[str, Sensor], given: NodeParameters, dwell: DwellKey) -> Any:
+def _settings_for(scheme: ReplayPlan, sensors: Mapping[str, Sensor], given: NodeParameters, dwell: DwellKey) -> Any:
     """Settings of the compression: of spotlight a column for each Doppler frequency, as many as pulses."""
-    settings = parameters_of(COMPRESSION, scheme.parameters.get(COMPRESSION, {}))
+    settings = parameters_of(COMPRESSION, scheme.values.get(COMPRESSION, {}))
     sensor = sensors.get(dwell.sensor)
     if sensor is None or sensor.mode != "spotlight" or "cols" in given.get(COMPRESSION, {}):
         return settings
     return settings.changed(cols=sensor.pulse_count)
 
 
-def _with_columns(scheme: Scheme, sensors: Mapping[str, Sensor], given: NodeParameters) -> tuple[Any, Scheme]:
+def _with_columns(scheme: ReplayPlan, sensors: Mapping[str, Sensor], given: NodeParameters) -> tuple[Any, ReplayPlan]:
     """Settings of the compression at the first dwell, and the scheme with those of dwells of other sensors."""
     dwells = sorted(scheme.frames, key=lambda dwell: scheme.frames[dwell].first_ns)
     first = _settings_for(scheme, sensors, given, dwells[0])

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from sal_height import messages
-from sal_height.bag.namespace import NamespacedReader
 from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import FIX_TYPE, HEIGHT_TYPE
 from sal_height.bag.writer import BagWriter
@@ -124,7 +123,7 @@ def _gathered(
             raise UserError(f"Bag {bag} is named twice; name each bag once.")
     for bag in bags:
         scheme = plan(bag, given or {}, for_heights=False)
-        readers.append(NamespacedReader(scheme.bag, scheme.namespace))
+        readers.append(scheme.reader)
         run = BagRun(scheme, [COMPRESSION], jobs=jobs, wanted=[SLC])
         passes += _passes_of(run, f"images of {bag.name}")
         warnings += [f"Bag {bag}: {sentence}" for sentence in (*scheme.warnings, *run.losses.sentences.values())]
@@ -144,7 +143,7 @@ def _passes_of(run: BagRun, doing: str) -> list[tuple[Pass, F64]]:
             run.losses.add("passes", Loss(made.dwell, 0, "cannot be processed", sentence))
             continue
         several = len(run.scheme.frames) > 1
-        name = run.scheme.bag.name
+        name = run.scheme.reader.path.name
         passes.append(_pass_of(source, f"{name} dwell {number}" if several else name))
     return passes
 

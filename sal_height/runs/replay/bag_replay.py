@@ -24,7 +24,6 @@ from sal_height.graph.reporting import PARAMETERS, RELIEF_MAP, conclude, merged,
 from sal_height.io import new_folder, or_null, writing
 from sal_height.messages import AIR, AIR_TYPES
 from sal_height.response import measure_brightest
-from sal_height.runs.chain.chain_runs import Scheme
 from sal_height.runs.chain.entry import FROM_HEIGHTS, MAPPER, WHOLE, Part, chain_of
 from sal_height.runs.chain.recorded_images import recorded_slc
 from sal_height.runs.chain.replay_parameters import ReplayPlan, processing_of
@@ -364,7 +363,7 @@ def replay(
             announces=playing.clock == LOCKSTEP and part.entry == FRAMES,
             frames=processing.frames,
         )
-        outcome = _perform(plan, execution, reader, processing, jobs)
+        outcome = _perform(plan, execution, processing, jobs)
         conclude(outcome, values, report)
         compared = {}
         all_made = not estimators and part.entry != FROM_HEIGHTS
@@ -385,9 +384,7 @@ def replay(
     return Replay(outcome, compared, accuracy, images)
 
 
-def _perform(
-    plan: Plan, execution: Execution, reader: NamespacedReader, processing: ReplayPlan, jobs: int | None
-) -> Outcome:
+def _perform(plan: Plan, execution: Execution, processing: ReplayPlan, jobs: int | None) -> Outcome:
     """Process the dwells by nodes, or without them.
 
     Raises:
@@ -399,21 +396,7 @@ def _perform(
         return perform(plan, execution)
     from sal_height.runs.replay.by_calls import perform_by_calls  # noqa: PLC0415 (not needed by nodes)
 
-    scheme = Scheme(
-        reader.path,
-        reader.namespace,
-        (),
-        tuple(plan.stages),
-        plan.parameters,
-        tuple(plan.changes),
-        plan.frames,
-        plan.mountings,
-        tuple(processing.warnings),
-        tuple(topic for topic in plan.played if topic != SENSOR_INFO),
-        processing.dwells,
-        reader.renamed,
-    )
-    return perform_by_calls(plan, scheme, execution, jobs)
+    return perform_by_calls(plan, processing, execution, jobs)
 
 
 def jobs_without_ros(asked: int | None) -> int | None:

@@ -88,7 +88,7 @@ def test_the_values_of_a_bag_do_not_depend_on_the_defaults_of_today(name: str) -
     scheme = plan(BAGS / name, {})
     live = Feed.of_bag(BAGS / name).parameters
     for node, values in stated.items():
-        for found in (processing.values, scheme.parameters, live):
+        for found in (processing.values, scheme.values, live):
             assert parameters_of(node, found[node]) == parameters_of(node, values)
             assert all(
                 getattr(parameters_of(node, found[node]), name) != OTHER[node][name]
@@ -99,7 +99,7 @@ def test_the_values_of_a_bag_do_not_depend_on_the_defaults_of_today(name: str) -
         assert {sources[one] for one in sources.keys() - values.keys()} <= {"default"}
     assert processing.sources["sar_compression"]["rows"] == "custom data of the bag"
     assert processing.sources["sar_compression"]["azimuth_window"] == "provenance"
-    assert (processing.warnings, processing.changes, scheme.warnings) == ([], [], ())
+    assert (processing.warnings, processing.changes, scheme.warnings) == ([], [], [])
 
 
 @pytest.mark.usefixtures("other_defaults")

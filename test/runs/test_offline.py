@@ -14,11 +14,10 @@ from typing import Any
 import made_offline
 import pytest
 from helpers import assert_one_sentence
-from rewritten_bag import rewritten
+from rewritten_bag import copied, rewritten
 
 from sal_height.bag.compare import CHANGED, EQUAL, WITHIN, compare_bags
 from sal_height.bag.reader import BagMessage, BagReader
-from sal_height.bag.writer import BagWriter
 from sal_height.engine.stage import Product
 from sal_height.errors import UserError
 from sal_height.messages import serialize
@@ -189,13 +188,8 @@ def test_the_mounting_is_that_on_tf_static(up_m: float, verdicts: set[str], reco
     transform.transform.translation = Vector3(x=arm.x, y=arm.y, z=arm.z + up_m)
     transform.transform.rotation = mounting.rotation
     static = serialize(TFMessage(transforms=[transform]))
-    with BagWriter(tmp_path / "bag", reader.custom_data) as bag:
-        for topic in reader.topics.values():
-            bag.add_topic(topic.name, topic.type_name, topic.offered_qos)
-        bag.add_topic("/tf_static", TFMessage.__msgtype__)
-        bag.write("/tf_static", static, reader.begin_ns, reader.begin_ns)
-        for one in reader.messages():
-            bag.write(one.topic, one.cdr, one.log_time_ns, one.publish_time_ns)
+    first = BagMessage("/tf_static", TFMessage.__msgtype__, static, reader.begin_ns, reader.begin_ns)
+    with_more(recorded / "bag", tmp_path / "bag", first)
     for jobs in (1, 2):
         row = made_offline.make(tmp_path / "bag", tmp_path / f"{jobs}", jobs, **FROM_TF)
         assert (row["dwells"], row["dropped"]) == (2, 0)
@@ -234,14 +228,9 @@ def of_topic(reader: BagReader, topic: str) -> tuple[BagMessage, Any]:
 
 def with_more(bag: Path, folder: Path, *more: BagMessage) -> Path:
     """A bag with more messages, which come before those that are as late."""
-    reader = BagReader(bag)
-    with BagWriter(folder, reader.custom_data) as out:
-        types = {one.topic: one.type_name for one in more}
-        for name, type_name in {**types, **{topic.name: topic.type_name for topic in reader.topics.values()}}.items():
-            out.add_topic(name, type_name)
-        for one in sorted([*more, *reader.messages()], key=lambda message: message.log_time_ns):
-            out.write(one.topic, one.cdr, one.log_time_ns, one.publish_time_ns)
-    return folder
+    messages = sorted([*more, *BagReader(bag).messages()], key=lambda message: message.log_time_ns)
+    new = {one.topic: one.type_name for one in more if one.topic not in BagReader(bag).topics}
+    return copied(bag, folder, messages, more=new)
 
 
 def test_the_first_of_contradictory_descriptions_stays_in_force_and_those_that_are_none_are_told(

@@ -11,6 +11,7 @@ from matplotlib.colors import Normalize
 from PIL import Image
 
 from sal_height.bag import qos
+from sal_height.bag.reader import BagReader
 from sal_height.bag.writer import BagWriter
 from sal_height.elevation import ESTIMATORS
 from sal_height.geometry.grid import Grid
@@ -19,8 +20,9 @@ from sal_height.messages import serialize
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, KeyValue
 from sal_height.relief import GroundEstimate, HeightField, Surface
 from sal_height.runs.campaign.campaign_picture import _style
-from sal_height.runs.live.latency_picture import draw_run, published_latencies
+from sal_height.runs.live.latency_picture import draw_run
 from sal_height.runs.products.calibrate import beyond_error
+from sal_height.runs.replay.judge import published_latencies
 from sal_height.runs.responses.pictures import corners, draw_image, ground_steps
 from sal_height.runs.truth.comparison import PublishedErrors, SurfaceComparison
 from sal_height.runs.truth.height_picture import ground_picture, height_limits, percent_text
@@ -257,7 +259,7 @@ def test_latencies_of_a_bag_are_those_that_nodes_told_over_time(tmp_path: Path) 
                 states.append(DiagnosticStatus(name=name, values=[KeyValue(key=k, value=str(v)) for k, v in values]))
             stamp = 10**9 + step * 500_000_000
             bag.write("/diagnostics", serialize(DiagnosticArray(status=states)), stamp, stamp)
-    found = published_latencies(tmp_path / "run" / "bag")
+    found = published_latencies(BagReader(tmp_path / "run" / "bag"))
     assert found.keys() == {"ml_height", "map"}
     np.testing.assert_allclose(found["ml_height"], [[0.0, 0.5], [4.0, 5.0], [9.0, 8.0]])
     np.testing.assert_allclose(found["map"], [[0.5], [1.0], [2.0]])

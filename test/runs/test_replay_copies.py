@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -40,16 +38,6 @@ def test_a_cut_bag_gives_the_heights_of_its_dwells(number: int, recorded: Path, 
         assert compare(tmp_path / "cut", tmp_path / "replay" / "bag")["/tracked/height"].verdict == EQUAL
 
 
-def test_a_cut_by_time_gives_the_heights_of_its_dwells(recorded: Path, tmp_path: Path, replay: Any) -> None:
-    """From the first frame of the second dwell on."""
-    frames = list(BagReader(recorded / "bag").messages(["/phase_history"]))
-    cut(recorded / "bag", tmp_path / "cut", Range(begin_ns=frames[8].log_time_ns))
-    compared = replay(tmp_path / "cut", tmp_path / "replay", {}).compared
-    for topic in ("/ml/height", "/monopulse/height"):
-        assert compared[topic].verdict == EQUAL
-        assert compared[topic].matched == 1
-
-
 @pytest.mark.parametrize("version", [0, pytest.param(1, marks=pytest.mark.thorough)])
 def test_an_upgraded_bag_gives_the_heights_of_the_old_one(version: int, tmp_path: Path, replay: Any) -> None:
     """With the parameters of the old one, which lie in a file beside that of version 0."""
@@ -61,13 +49,3 @@ def test_an_upgraded_bag_gives_the_heights_of_the_old_one(version: int, tmp_path
     assert set(compared) == {"/ml/height", "/monopulse/height", "/tracked/height"}
     assert all(result.verdict == EQUAL and result.matched == 2 for result in compared.values())
     assert all(result.verdict == EQUAL for result in compare(old, new).values())
-
-
-def test_a_bag_of_sqlite3_gives_the_heights_recorded_in_it(recorded: Path, tmp_path: Path, replay: Any) -> None:
-    """As rosbags writes it; the parameters are those in the provenance of its heights."""
-    convert = [str(Path(sys.executable).with_name("rosbags-convert")), "--src", str(recorded / "bag")]
-    converted = tmp_path / "converted"
-    subprocess.run([*convert, "--dst", str(converted), "--dst-storage", "sqlite3"], check=True, timeout=600)  # noqa: S603
-    compared = replay(converted, tmp_path / "replay", {}).compared
-    assert set(compared) == {"/ml/height", "/monopulse/height", "/tracked/height"}
-    assert all(result.verdict == EQUAL and result.matched == 2 for result in compared.values())

@@ -223,6 +223,10 @@ def test_interrupting_leaves_a_whole_bag_and_runs_go_on_side_by_side(two_dwells:
         assert program.poll() is None  # still going on
         program.send_signal(signal.SIGTERM)
         output, log = program.communicate(timeout=600)
+    with bag.open("rb") as stream:
+        assert make_reader(stream).get_summary() is not None  # its recorder had time to end it
+    with rasterio.open(out / "relief_map.tif") as relief:
+        assert relief.read(4).sum() > 0
     assert (second.dwells, second.losses) == (1, [])
     assert second.stages["sar_compression"].received == 8  # and nothing of the other sensor
     assert program.returncode == 130, log

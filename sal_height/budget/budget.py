@@ -33,9 +33,6 @@ ALBEDO, BACKSCATTER_DB = 0.3, -10.0
 DEFOCUSING_RAD = np.pi / 4
 """Phase at the ends of the aperture that widens a response noticeably."""
 
-PAIRED_ECHO_DB = -20.0
-"""Power of the paired echoes that a vibration makes on both sides of each target."""
-
 SENSITIVITY = "sensitivity to uncorrected errors"
 """Heading of what an error of a unit does, whether the preset has it or not."""
 
@@ -258,7 +255,8 @@ class Budget:
         arm = flight.slant_range_m * np.sin(flight.look_angle_rad)
         shift = flight.slant_range_m / flight.speed_mps
         acceleration = DEFOCUSING_RAD * wavelength / (2 * np.pi) / (time / 2) ** 2
-        vibration = 2 * 10 ** (PAIRED_ECHO_DB / 20) * wavelength / (4 * np.pi)
+        echo_db = -20.0  # power of the paired echoes that a vibration makes on both sides of each target
+        vibration = 2 * 10 ** (echo_db / 20) * wavelength / (4 * np.pi)
         yield BudgetEntry(group, "roll_m_per_urad", "height error per µrad of roll", 1e-6 * arm, "m")
         yield BudgetEntry(
             group, "range_m_per_m", "height error per metre of range", -np.cos(flight.look_angle_rad).item(), "m"

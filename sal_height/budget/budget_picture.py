@@ -47,10 +47,6 @@ def draw_budget(
         swath.set_ylim(bottom=0)
 
 
-SHARES = (2, 99)
-"""Percentiles that the darkest and the brightest grey stand for."""
-
-
 def powers_db(image: HeightImage) -> F64:
     """Power of all surfaces of each pixel over that of the noise, dB, shape (rows, cols); NaN where it is not known.
 
@@ -78,7 +74,7 @@ def draw_powers(axes: Axes, images: Sequence[HeightImage], factor: float) -> tup
     """
     levels = [powers_db(image) for image in images]
     values = np.concatenate([level.ravel() for level in levels])
-    norm = Normalize(*np.nanpercentile(values, SHARES))
+    norm = Normalize(*np.nanpercentile(values, (2, 99)))  # of the darkest and the brightest grey
     grids = [messages.grid_from_message(image.grid) for image in images]
     for grid, level in zip(grids, levels, strict=True):
         sides = [float(grid.points(0, col)[0]) * factor for col in (-0.5, grid.cols - 0.5)]

@@ -41,10 +41,6 @@ def write_film(heights: RecordedHeights, path: Path) -> int:
 
     Colours mean the same in all frames. The file appears under its name when it is complete.
 
-    Args:
-        heights: heights of a bag.
-        path: file to write, .gif or .mp4.
-
     Raises:
         UserError: another suffix, no program ffmpeg for .mp4, no valid height, or the file cannot be written.
     """

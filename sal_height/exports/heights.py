@@ -95,11 +95,7 @@ class RecordedHeights:
         return self.reader.topics[self.topic].count
 
     def dwells(self, task: str) -> Iterator[DwellHeights]:
-        """The images one after the other, with a progress bar; those that cannot be used are left out and logged.
-
-        Args:
-            task: task that is shown in the bar.
-        """
+        """The images one after the other, with a progress bar; those that cannot be used are left out and logged."""
         left_out, why = 0, ""
         for recorded in tqdm(self.reader.messages([self.topic]), total=self.count, desc=task, unit="dwell", delay=1):
             try:

@@ -18,9 +18,6 @@ from sal_height.geometry import Projection
 from sal_height.io import writing_whole
 from sal_height.numeric import Bool
 
-POINT_FORMAT = 6
-"""Format with returns, flags and GPS time, which LAS 1.4 needs for a system in well-known text."""
-
 GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
 LEAP_SECONDS = tuple(
     round((datetime(year, month, 1, tzinfo=UTC) - GPS_EPOCH).total_seconds())
@@ -48,10 +45,6 @@ def write_las(heights: RecordedHeights, path: Path) -> int:
     Returns of a pixel are in the order of their power, the strongest first. Heights that the relief tracker has
     interpolated have the flag "synthetic". Points have no coordinate system where the origin of the map is not known.
     A file with the suffix .laz is compressed. It appears under its name when it is complete.
-
-    Args:
-        heights: heights of a bag.
-        path: file to write, .las or .laz.
 
     Raises:
         UserError: the package laspy is not installed, the suffix is another one, there is no height, or the file cannot
@@ -91,7 +84,8 @@ def gps_time(stamp_ns: int) -> float:
 
 
 def _header(laspy: Any, projection: Projection | None) -> Any:
-    header = laspy.LasHeader(version="1.4", point_format=POINT_FORMAT)
+    # Point format 6 has returns, flags and GPS time; LAS 1.4 needs it for a system in well-known text.
+    header = laspy.LasHeader(version="1.4", point_format=6)
     scale = 1e-4  # step of coordinates, m: a 32-bit number of them reaches 214 km to either side
     header.scales = np.full(3, scale)
     header.system_identifier, header.generating_software = "sal_height", "sal_height"

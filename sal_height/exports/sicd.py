@@ -213,11 +213,6 @@ def _write(sicd: Any, path: Path, image: PlacedImage, name: str) -> None:
 def metadata_of(sicd: Any, image: PlacedImage, name: str) -> Any:
     """The metadata of an image, an lxml tree.
 
-    Args:
-        sicd: package `sarkit.sicd`.
-        image: image with its position on the earth.
-        name: name of the image (CoreName).
-
     Raises:
         UserError: the antenna sees no ground at a corner of the image.
     """
@@ -299,13 +294,6 @@ def _direction(image: PlacedImage, direction: F64, spacing: float, band: float, 
 
     Pixels contain no more than the band 1 / spacing. Where they are farther apart than the band needs, as pixels at the
     resolution of a weighted band are, its edges alias into 1 / spacing, which is stated as the band of the response.
-
-    Args:
-        image: image with its position on the earth.
-        direction: unit vector (map) in which the index grows.
-        spacing: spacing of pixels, m.
-        band: band of spatial frequencies, cycles/m.
-        name: name of the window over the band.
     """
     held = min(band, 1 / spacing)
     weights = window(name, WINDOW_NODES)
@@ -352,12 +340,7 @@ def _timeline(image: PlacedImage) -> dict[str, Any]:
 
 
 def _positions(image: PlacedImage, centre: F64) -> F64:
-    """Coefficients of the positions of the antenna over time, earth-centred, earth-fixed, m: a straight track.
-
-    Args:
-        image: image with its position on the earth.
-        centre: scene centre point, earth-centred, earth-fixed, m.
-    """
+    """Coefficients of the positions of the antenna over time, earth-centred, earth-fixed, m: a straight track."""
     aperture, velocity = image.aperture, image.in_space(image.aperture.velocity)
     return np.stack(
         [centre + image.in_space(aperture.position - image.centre) - image.reference_time * velocity, velocity]

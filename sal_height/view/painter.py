@@ -42,19 +42,6 @@ from sal_height.view.drawings import (
     coloured,
 )
 
-PIECE_NS = 200_000_000
-"""Least length of a piece that is drawn, ns."""
-
-MOST_PLACES = 4096
-"""Greatest number of positions that wait; of more, the oldest are dropped."""
-
-DRAWN_PLACES = 32
-"""Approximate number of positions drawn per piece; it is short, and a platform is inert."""
-
-FARTHEST_M, LONGEST_NS = 5.0, 5_000_000_000
-"""Greatest distance (m), in addition to half the path, of a position from the one before moved on by its velocity, and
-greatest time between both (ns) at which they are joined."""
-
 
 class Piece(NamedTuple):
     """A part of a track without gaps.
@@ -80,7 +67,7 @@ class Track:
     def add(self, state: PlatformState, received_ns: int) -> int:
         """Take a state in; the time from the first that waits to it, ns."""
         self._states.append(state)
-        del self._states[:-MOST_PLACES]
+        del self._states[:-4096]  # more would not be needed, and the oldest are dropped
         self._received_ns = received_ns
         return abs(state.stamp_ns - self._states[0].stamp_ns)
 
@@ -97,16 +84,20 @@ class Track:
 
 
 def _piece(states: list[PlatformState], received_ns: int) -> Piece:
-    kept = np.unique(np.linspace(0, len(states) - 1, min(len(states), DRAWN_PLACES)).round().astype(int))
+    # About 32 positions are enough for a short piece, as a platform is inert.
+    kept = np.unique(np.linspace(0, len(states) - 1, min(len(states), 32)).round().astype(int))
     return Piece(states[-1].stamp_ns, received_ns, np.array([states[i].position for i in kept]))
 
 
 def _joined(one: PlatformState, other: PlatformState) -> bool:
-    """True if a platform can have gone from one state to the other."""
+    """True if a platform can have gone from one state to the other.
+
+    Within 5 s it may be up to 5 m, in addition to half the path, from where the velocity of the first one leads.
+    """
     step_ns = other.stamp_ns - one.stamp_ns
     way = one.velocity * step_ns * 1e-9
     off = float(np.linalg.norm(other.position - one.position - way))
-    return 0 < step_ns <= LONGEST_NS and off <= FARTHEST_M + 0.5 * float(np.linalg.norm(way))
+    return 0 < step_ns <= 5_000_000_000 and off <= 5.0 + 0.5 * float(np.linalg.norm(way))
 
 
 HEIGHT_IMAGE, COMPLEX_IMAGE = "sal_height_msgs/msg/HeightImage", "sal_height_msgs/msg/ComplexImage"
@@ -132,21 +123,8 @@ TOLD = "messages/{}"
 ORIGIN = "messages/origin"
 """Path of the message that states the origin of the points."""
 
-UNSETTLED_NS = 5_000_000_000
-"""A track is not drawn before the first height image, near which the origin is then, unless it is that long, ns."""
-
 MOST_PATHS = 1000
 """Names that time series may have: a viewer keeps each of them, and messages could bring ever new ones."""
-
-REMEMBERED = 64
-"""Images that decide which power is white."""
-
-RADIUS = 0.4
-"""Radius of points, in diagonals of a pixel: those of a closed surface nearly touch."""
-
-DECIBELS = 10.0
-LEAST_POWER = 1e-30
-"""Stands for no power at all, -300 dB."""
 
 
 def is_shown(topic: str, type_name: str, namespace: str = "") -> bool:
@@ -218,7 +196,7 @@ class Painter:
             spans: spans of the colours; None: those of the last images.
         """
         self._map_frame = map_frame
-        self._spans, self._power = spans or Spans(), Span(1.0, 99.9, REMEMBERED)
+        self._spans, self._power = spans or Spans(), Span(1.0, 99.9, images=64)
         self._origin: Any = None
         self._surfaces: dict[str, int] = {}
         self._tracks: dict[str, Track] = {}
@@ -277,7 +255,8 @@ class Painter:
         if away := math.hypot(east, north):
             self._sensor = -east / away, -north / away
         self._surfaces[path] = max(len(field.surfaces), self._surfaces.get(path, 0))
-        radius = RADIUS * float(np.hypot(field.grid.row_spacing, field.grid.col_spacing))
+        # In diagonals of a pixel: points of a closed surface nearly touch.
+        radius = 0.4 * float(np.hypot(field.grid.row_spacing, field.grid.col_spacing))
         names = [f"{WORLD}/{path}/surface_{number + 1}" for number in range(self._surfaces[path])]
         clouds = [self._cloud(name, one, radius) for name, one in zip(names, field.surfaces, strict=False)]
         clouds += [_no_cloud(name) for name in names[len(clouds) :]]  # or the viewer would keep those of another dwell
@@ -344,7 +323,7 @@ class Painter:
         collected.drawn = len(collected.channels)
         self._channels[topic] = max(collected.drawn, self._channels.get(topic, 0))
         mean = collected.total / collected.drawn
-        decibels = DECIBELS * np.log10(np.maximum(mean, LEAST_POWER))
+        decibels = 10 * np.log10(np.maximum(mean, 1e-30))  # -300 dB stands for no power at all
         self._power.add(decibels[mean > 0])
         self._stamp_ns = collected.stamp_ns
         picture = Picture(f"{topic}/power", coloured(decibels, self._power.ends, "gray"))
@@ -355,7 +334,8 @@ class Painter:
         state = state_of_pose(pose, Frames(self._map_frame, pose.child_frame_id))
         track = self._tracks.setdefault(topic.removesuffix("/odometry"), Track())
         waits_ns = track.add(state, received_ns)
-        if waits_ns >= (PIECE_NS if self._origin is not None else UNSETTLED_NS):
+        # The first height image, near which the origin is then, is waited for during 5 s of track.
+        if waits_ns >= (200_000_000 if self._origin is not None else 5_000_000_000):
             yield from self._finish_tracks()
 
     def _finish_tracks(self) -> Iterator[Sheet]:

@@ -153,8 +153,6 @@ HAND_OVER_S = 60.0
 Parts: TypeAlias = tuple[Any, ...]
 """Archetypes of the package of the viewer, which make one entity."""
 
-LINE_COLOUR = (255, 255, 255)
-
 
 def rerun() -> Any:
     """The package of the viewer, which takes half a second to import.
@@ -269,7 +267,7 @@ class Screen:
 
     def _line(self, line: Line) -> Parts:
         width = self._rr.Radius.ui_points(1.5)
-        return (self._rr.LineStrips3D([line.places], colors=[LINE_COLOUR], radii=[width]),)
+        return (self._rr.LineStrips3D([line.places], colors=[(255, 255, 255)], radii=[width]),)
 
     def _number(self, number: Number) -> Parts:
         return (self._rr.Scalars([number.value]),)

@@ -89,9 +89,6 @@ SKIPPED = "messages/view"
 
 UNREADABLE, UNEXPECTED = "unreadable", "unexpected"
 
-MOST_SURFACES = 10_000
-"""Surfaces of a bag that decide which heights the colours stand for: all that are read beforehand."""
-
 TELL_PERIOD_S, LOOK_PERIOD_S = 1.0, 0.1
 
 
@@ -184,7 +181,7 @@ def _said(error: Exception) -> str:
 
 def show_bag(recorded: Recorded, screen: Screen, map_frame: str = MAP_FRAME) -> Shown:
     """Show all messages of a bag; `map_frame` is the name of the frame that all positions are in."""
-    spans = Spans(MOST_SURFACES)
+    spans = Spans(10_000)  # surfaces: all that are read beforehand
     for received in recorded.some_heights():
         with suppress(Exception):  # it is met again when it is to be drawn
             spans.add(field_from_message(received.read(), map_frame))
@@ -201,14 +198,7 @@ def show_bag(recorded: Recorded, screen: Screen, map_frame: str = MAP_FRAME) -> 
 
 
 def show_live(listener: Listener, screen: Screen, is_over: Callable[[], bool], map_frame: str = MAP_FRAME) -> Shown:
-    """Show what a live graph publishes, until it is over or the user interrupts.
-
-    Args:
-        listener: listener to the graph, entered as a context.
-        screen: screen on which the messages are shown.
-        is_over: function that is called repeatedly; True ends the display.
-        map_frame: name of the frame that all positions are in.
-    """
+    """Show what a live graph publishes, all positions in `map_frame`, until it is over or the user interrupts."""
     artist = Artist(Painter(map_frame), screen, Subject())
     reported: dict[tuple[str, str], int] = {}
     due = time.monotonic() + TELL_PERIOD_S

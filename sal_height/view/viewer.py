@@ -24,11 +24,6 @@ START = "import sys; from rerun_cli.__main__ import main; sys.exit(main())"
 START_S = 30.0
 """Longest time until a viewer listens."""
 
-WINDOW_S = 0.5
-"""Time in which a viewer that listens already finds out that it cannot open a window."""
-
-LOOK_S = 0.05
-
 
 class Viewer:
     """A viewer that runs; as a context manager, it ends with the context.
@@ -75,7 +70,7 @@ class Viewer:
             self.check()
             if time.monotonic() > deadline:
                 raise UserError(f"The Rerun viewer was not ready within {START_S:g} s; start it again.")
-            time.sleep(LOOK_S)
+            time.sleep(0.05)
 
     def is_open(self) -> bool:
         """True if it has not ended."""
@@ -130,7 +125,7 @@ def open_window(memory_mb: int) -> Viewer:
     (port,) = free_ports(1)
     with ExitStack() as stack:
         viewer = stack.enter_context(Viewer(["--hide-welcome-screen", "--expect-data-soon"], port, memory_mb))
-        time.sleep(WINDOW_S)
+        time.sleep(0.5)  # by then one that listens has found out that it cannot open a window
         viewer.check()
         stack.pop_all()
     return viewer

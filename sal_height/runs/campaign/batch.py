@@ -66,10 +66,6 @@ class Case:
 def process_case(case: Case, jobs: int) -> dict[str, Any]:
     """Make the heights of a bag, track them and judge them, unless that is done; returns a row of the summary.
 
-    Args:
-        case: the bag, and how it is processed.
-        jobs: dwells that are processed side by side.
-
     Raises:
         UserError: the bag cannot be used, a parameter is not allowed, or the heights cannot be written.
     """
@@ -245,63 +241,44 @@ def run_campaign(campaign: Campaign, out: Path, workers: Workers) -> list[dict[s
     for case in cases:
         check_parameters(case.given)
     _enter(campaign, out)
-    progress = _Progress(cases)
-    remaining, processes = len(progress.remaining), workers.count or available_processors()
-    if remaining == 1 and not workers.scheduler:
-        progress.go_on_here(processes)
-    elif remaining:
-        with _client(replace(workers, count=min(processes, remaining))) as client:
-            progress.go_on(client, 1 if workers.scheduler else max(1, processes // remaining))
-    rows = progress.rows()
-    _write_summary(rows, out / SUMMARY)
+    rows = {number: known(case.folder) for number, case in enumerate(cases) if is_done(case.folder)}
+    remaining = {number: case for number, case in enumerate(cases) if number not in rows}
+    with tqdm(total=len(remaining), unit="bag", desc="batch", disable=not remaining) as progress:
+        for number, (row, failure) in _processed(remaining, workers):
+            case = cases[number]
+            rows[number] = {"bag": str(case.bag), **case.values, "failure": failure} if failure else row
+            progress.update()
+    in_order = [rows[number] for number in range(len(cases))]
+    _write_summary(in_order, out / SUMMARY)
     if campaign.varied:
         from sal_height.runs.campaign.campaign_picture import draw_settings  # noqa: PLC0415 (brings Matplotlib)
 
         with writing(out / PICTURE):
-            draw_settings(rows, list(campaign.varied), out / PICTURE)
-    return rows
+            draw_settings(in_order, list(campaign.varied), out / PICTURE)
+    return in_order
 
 
-class _Progress:
-    """Parts of a campaign that are done, and those that remain to be done."""
+def _processed(cases: Mapping[int, Case], workers: Workers) -> Iterator[tuple[int, tuple[Any, str]]]:
+    """The number of each case, with its row, or None and the reason of its failure: one alone is processed here.
 
-    def __init__(self, cases: Sequence[Case]) -> None:
-        """Find the tasks that are done already."""
-        self._cases = cases
-        self._rows = {number: known(case.folder) for number, case in enumerate(cases) if is_done(case.folder)}
+    Raises:
+        UserError: Dask is not installed, or there is no cluster.
+    """
+    processes = workers.count or available_processors()
+    if len(cases) == 1 and not workers.scheduler:
+        ((number, case),) = cases.items()
+        yield number, attempt(process_case, case, processes)
+    elif cases:
+        jobs = 1 if workers.scheduler else max(1, processes // len(cases))
+        with _client(replace(workers, count=min(processes, len(cases)))) as client:
+            from distributed import as_completed  # noqa: PLC0415 (an extra)
 
-    @property
-    def remaining(self) -> list[int]:
-        """Numbers of the cases that are not done."""
-        return [number for number in range(len(self._cases)) if number not in self._rows]
-
-    def rows(self) -> list[dict[str, Any]]:
-        """A row for each case."""
-        return [self._rows[number] for number in range(len(self._cases))]
-
-    def go_on(self, client: Any, jobs: int) -> None:
-        """Have a cluster do what remains, each case with a number of jobs."""
-        from distributed import as_completed  # noqa: PLC0415 (an extra)
-
-        numbers = {
-            client.submit(attempt, process_case, self._cases[number], jobs, pure=False): number
-            for number in self.remaining
-        }
-        with tqdm(total=len(numbers), unit="bag", desc="batch") as progress:
+            numbers = {
+                client.submit(attempt, process_case, case, jobs, pure=False): number for number, case in cases.items()
+            }
             for future in as_completed(list(numbers)):
-                found = future.result() if future.status == "finished" else (None, _lost(future))
-                self._enter(numbers[future], found)
-                progress.update()
-
-    def go_on_here(self, jobs: int) -> None:
-        """Do what remains in this process, with a number of jobs."""
-        for number in tqdm(self.remaining, unit="bag", desc="batch"):
-            self._enter(number, attempt(process_case, self._cases[number], jobs))
-
-    def _enter(self, number: int, found: tuple[Any, str]) -> None:
-        row, failure = found
-        case = self._cases[number]
-        self._rows[number] = {"bag": str(case.bag), **case.values, "failure": failure} if failure else row
+                lost = f"A worker ended while it worked on it: {future.exception()}"
+                yield numbers[future], future.result() if future.status == "finished" else (None, lost)
 
 
 def attempt(function: Callable[..., Any], *arguments: Any) -> tuple[Any, str]:
@@ -312,11 +289,6 @@ def attempt(function: Callable[..., Any], *arguments: Any) -> tuple[Any, str]:
         return None, str(error)
     except Exception as error:  # noqa: BLE001 (the other bags are to be processed)
         return None, f"Unexpected failure, please report it: {type(error).__name__}: {error}"
-
-
-def _lost(future: Any) -> str:
-    """Reason for which a task has no result."""
-    return f"A worker ended while it worked on it: {future.exception()}"
 
 
 @contextmanager

@@ -174,11 +174,7 @@ def chain_of(reader: BagReader, entry: str, estimators: Collection[str]) -> Repl
 
 
 def contents(reader: BagReader, entry: str = FRAMES) -> tuple[Sensor, int]:
-    """The sensor of a bag, and the number of its dwells.
-
-    Args:
-        reader: reader of the bag.
-        entry: topic of the dwells, phase_history or slc.
+    """The sensor of a bag, and the number of its dwells on topic `entry`, phase_history or slc.
 
     Raises:
         UserError: there is no sensor info that is valid, or nothing on that topic.

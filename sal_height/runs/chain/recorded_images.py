@@ -27,9 +27,6 @@ from sal_height.topics import SLC
 
 _LOG = logging.getLogger(__name__)
 
-WINDOW_NODES = 1025
-"""Weights of a window of which the shape of noise is computed."""
-
 
 def bag_images(path: Path, jobs: int = 1) -> Iterator[Image]:
     """Every ComplexImage of a bag as an image to be measured, in recorded order; arguments as of `recorded_slc`."""
@@ -101,7 +98,8 @@ def _noise_shape(message: Any, grid: Grid, sensor: Sensor) -> ShapedNoise | None
         slant_range = float(np.linalg.norm(grid.points(grid.rows / 2, grid.cols / 2) - aperture.position))
         width = azimuth_resolution(sensor, aperture, slant_range)
     steps = grid.row_spacing / sensor.range_resolution, grid.col_spacing / width
-    weights = [window(str(name), WINDOW_NODES) for name in names]
+    nodes = 1025  # weights of a window of which the shape of noise is computed
+    weights = [window(str(name), nodes) for name in names]
     return ShapedNoise.weighted(weights[0], weights[1], steps)
 
 

@@ -33,9 +33,6 @@ CONTROLS = (SENSOR_INFO, CALIBRATION)
 TOGETHER = 8
 """Jobs that a worker is sent at a time, at most: heights are estimated together."""
 
-ENDS_WITHIN_S = 5.0
-"""Longest wait for a worker to end."""
-
 AHEAD = 2
 """Batches of jobs that a worker may have at a time; it is sent the next one once it has returned one of them."""
 
@@ -175,7 +172,7 @@ class SideBySide(Chain):
             with suppress(OSError):  # it may have ended
                 worker.pipe.send_bytes(b"")
         for worker in self._workers:
-            worker.process.join(ENDS_WITHIN_S)
+            worker.process.join(5.0)  # longest wait, s
             if worker.process.is_alive():
                 worker.process.kill()
                 worker.process.join()

@@ -79,12 +79,7 @@ class FlightRecord:
     """
 
     def __init__(self, reader: BagReader, dwell_topics: Sequence[str] = ("/phase_history",)) -> None:
-        """Read a bag up to its end, or up to where it is damaged, which is reported when it is played.
-
-        Args:
-            reader: reader of the bag.
-            dwell_topics: topics with the frames that dwells are made of, or with their images or heights instead.
-        """
+        """Read a bag up to its end, or up to where it is damaged, which is reported when it is played."""
         self.dwells: dict[DwellKey, LogTimes] = {}
         self.stages: dict[DwellKey, dict[str, Mapping[str, Any]]] = {}
         self.applied: dict[DwellKey, str] = {}

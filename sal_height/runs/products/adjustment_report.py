@@ -22,9 +22,6 @@ from sal_height.graph.picture import page
 from sal_height.numeric import root_mean_square
 from sal_height.tables import ABSENT, aligned
 
-DETERMINED = 0.9
-"""Fraction of its prior below which the standard deviation of a parameter must be for it to be determined."""
-
 NAMES = (
     *(f"boresight {axis} (rad)" for axis in "xyz"),
     *(f"lever arm {axis} (m)" for axis in "xyz"),
@@ -57,7 +54,7 @@ def summary_of(
                 "error": float(common[number]),
                 "sigma": float(sigmas[number]),
                 "known_to": float(prior[number]),
-                "determined": bool(sigmas[number] <= DETERMINED * prior[number]),
+                "determined": bool(sigmas[number] <= 0.9 * prior[number]),  # else the prior alone decides
             }
             for number in estimated
         },

@@ -22,9 +22,6 @@ FREE_GAUGE = (
 )
 SEVERAL = (Validity.TWO_SCATTERERS, Validity.THREE_SCATTERERS)
 
-SIDELOBE_OF_NOTE = 0.25
-"""Fraction of the power above which the greatest sidelobe is warned of."""
-
 
 @dataclass(frozen=True, eq=False)
 class ReferenceComparison:
@@ -91,7 +88,7 @@ def warnings_of(result: PassHeights, comparisons: Sequence[ReferenceComparison],
                 f"point at {east:g}, {north:g}, {up:g} m is visible."
             )
     ambiguity = result.ambiguity
-    if ambiguity.sidelobe > SIDELOBE_OF_NOTE:
+    if ambiguity.sidelobe > 0.25:  # fraction of the power
         found.append(
             f"The passes see {ambiguity.sidelobe:.2g} of a point's power {ambiguity.at:.3g} m above and below it, too; "
             "heights of weak points may be wrong by that."

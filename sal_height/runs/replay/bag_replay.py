@@ -123,10 +123,6 @@ class Remapping:
     def check(self, played: Sequence[str], stages: Sequence[str]) -> None:
         """Refuse names of topics that no node of the run has, or that two topics would have in common.
 
-        Args:
-            played: topics of the player.
-            stages: names of the nodes that process.
-
         Raises:
             UserError: there is such a name.
         """
@@ -266,11 +262,7 @@ class Replay:
     images: Sequence[Mapping[str, Any]]
 
     def shortfalls(self, changed: bool) -> list[str]:
-        """Warnings on everything that the replay lacks or has differently.
-
-        Args:
-            changed: True if it was made with other parameters than the recording, so that values may differ.
-        """
+        """Warnings on what the replay lacks or, unless parameters of the recording were `changed`, has differently."""
         made = self.images or any(
             account.published_on.get(f"{HEIGHTS[name]}/height")
             for name, account in self.outcome.stages.items()

@@ -37,12 +37,6 @@ LOSS_TYPE = "sal_height_msgs/msg/DwellLoss"
 def perform_by_calls(plan: Plan, processing: ReplayPlan, execution: Execution, jobs: int) -> Outcome:
     """Process the dwells of a bag by calls, and write inputs and products to a new one.
 
-    Args:
-        plan: plan of the same replay through nodes.
-        processing: how the dwells of the bag are processed.
-        execution: topics to record in addition.
-        jobs: dwells that are processed side by side.
-
     Raises:
         UserError: a parameter is not allowed, or no stage makes a topic that is to be recorded.
     """

@@ -32,9 +32,6 @@ from sal_height.response import (
     estimate_transfer_function,
 )
 
-SHARES = (20.0, 99.9)
-"""Percentiles of the power that black and white stand for: targets are far above all else, noise has no least power."""
-
 
 def draw_image(image: C64, grid: Grid, title: str, path: Path) -> None:
     """Write a PNG of the power of a focused image in dB below its peak, where its pixels are on the ground, north up.
@@ -47,7 +44,8 @@ def draw_image(image: C64, grid: Grid, title: str, path: Path) -> None:
     """
     power = np.abs(image) ** 2
     level = decibels(power / np.nanmax(power))
-    black, white = np.percentile(level[np.isfinite(level)], SHARES)
+    # Targets are far above all else, and noise has no least power.
+    black, white = np.percentile(level[np.isfinite(level)], (20.0, 99.9))
     with page(path, 0.88 * COLUMN_WIDTH, COLUMN_WIDTH) as figure:
         axes = figure.subplots()
         shown = axes.imshow(level, POWERS, vmin=black, vmax=white, origin="lower", interpolation="nearest")
@@ -170,17 +168,8 @@ def decibels(power: F64) -> F64:
         return 10 * np.log10(power)
 
 
-CHIPS_SHOWN = 4
-"""Number of targets whose chips are drawn, as in the paper."""
-
-PHASE_KNOWN = 3.0
-"""Standard errors that the modulus of a response must exceed for its phase to be drawn."""
-
 FAINTEST_DB = -50
 """Lowest level of chips and point-spread functions in the picture, dB of the peak."""
-
-TEXT_WIDTH = 135
-"""Characters in a line of the text below the panels."""
 
 COLUMNS = 4
 """Panels side by side."""
@@ -199,12 +188,6 @@ def draw_psf(report: PsfReport, title: str, reasons: Sequence[str], path: Path) 
     """Write a PNG: chips, responses of targets and of speckle, point-spread function, pointing, and text.
 
     A quantity that is not determined has no panel, but its reason in the text.
-
-    Args:
-        report: report of the measurement.
-        title: title of the picture.
-        reasons: remark for each quantity that is not determined.
-        path: path of the picture.
     """
     panels, text = list(_panels(report)), _text(report, reasons)
     rows = math.ceil(len(panels) / COLUMNS)
@@ -221,7 +204,7 @@ def draw_psf(report: PsfReport, title: str, reasons: Sequence[str], path: Path) 
 
 def _panels(report: PsfReport) -> Iterator[Panel]:
     """Functions that draw the panels, in their order."""
-    shown = report.targets[:CHIPS_SHOWN]
+    shown = report.targets[:4]  # as in the paper
     for index, target in enumerate(shown):
         yield partial(_draw_chip, target=target, index=index)
     if report.transfer:
@@ -288,7 +271,7 @@ def _draw_phase(axes: Axes, letter: str, axis: AxisTransfer, singles: Sequence[A
 
 def _phase(axis: AxisTransfer) -> F64:
     """Phase of a response, rad; NaN where it is not known."""
-    known = np.abs(axis.response) > PHASE_KNOWN * axis.sigma
+    known = np.abs(axis.response) > 3 * axis.sigma
     return np.where(known, np.angle(axis.response), np.nan)
 
 
@@ -348,7 +331,7 @@ def _text(report: PsfReport, reasons: Sequence[str]) -> str:
             f"Superposition of targets and speckle: p = {found.p_value:.3g}, chi-square {found.chi_square:.1f} of "
             f"{found.freedom}, in chips of {report.linearity_rows} rows.",
         )
-    return "\n".join(textwrap.fill(line, TEXT_WIDTH, subsequent_indent="    ") for line in lines)
+    return "\n".join(textwrap.fill(line, 135, subsequent_indent="    ") for line in lines)
 
 
 def _decibels(amplitude: F64) -> F64:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -151,6 +152,7 @@ def _entry(number: int | None, group: list[Image], report: PsfReport, *, noise_k
     """The entry of psf.json."""
     spacing = _spacing(group)
     spread, transfer = report.spread, report.transfer
+    verdicts = Counter(str(one) for survey in report.surveys for one in survey.verdicts.elements())
     measured = (spread.range, spread.azimuth) if spread else ()
     figures = {axis: _axis_entry(one, metres) for axis, one, metres in zip(AXES, measured, spacing, strict=False)}
     return {
@@ -161,7 +163,7 @@ def _entry(number: int | None, group: list[Image], report: PsfReport, *, noise_k
         "range": figures.get("range"),
         "azimuth": figures.get("azimuth"),
         "targets": _target_entries(group, report),
-        "verdicts": _verdicts(report),
+        "verdicts": verdicts,
         "disagreement": {axis: or_null(getattr(transfer, axis).disagreement) for axis in AXES} if transfer else None,
         "speckle": _speckle_entry(report, None if noise_known else NOISE_UNKNOWN),
         "pointing": _pointing_entries(report.pointing),
@@ -195,14 +197,6 @@ def _target_entries(group: list[Image], report: PsfReport) -> list[Entry]:
             over = 10 * float(np.log10(target.over_clutter))
             entries.append({"image": index, "row": row, "col": col, "position_m": place, "over_clutter_db": over})
     return entries
-
-
-def _verdicts(report: PsfReport) -> dict[str, int]:
-    counts: dict[str, int] = {}
-    for survey in report.surveys:
-        for verdict, count in survey.verdicts.items():
-            counts[str(verdict)] = counts.get(str(verdict), 0) + count
-    return counts
 
 
 def _speckle_entry(report: PsfReport, remark: str | None) -> Entry | None:

@@ -13,9 +13,6 @@ from sal_height.numeric import F64, I64, U8, Bool, Index, mean_of
 from sal_height.relief import HeightField
 from sal_height.simulation.lit_surfaces import LitSurfaces
 
-WIDE = 0.1
-"""Standard deviation of the elevations of a single surface from which on it is an extended one, beamwidths."""
-
 TRUE_ORDERS = ("shadow", "one", "two", "three or more", "extended")
 """True contents of a pixel: rows of the confusion table."""
 
@@ -159,7 +156,7 @@ def true_order(truth: LitSurfaces, beamwidth: float) -> I64:
     """Number in TRUE_ORDERS of the contents of each pixel, -1 for one without scatterers that is not in shadow."""
     one, three = TRUE_ORDERS.index("one"), TRUE_ORDERS.index("three or more")
     several = np.minimum(truth.count - 1 + one, three)
-    wide = (truth.count == 1) & (truth.spread[0] >= WIDE * beamwidth)
+    wide = (truth.count == 1) & (truth.spread[0] >= 0.1 * beamwidth)  # an extended surface
     return np.select(
         [truth.shadow, wide, truth.count > 0], [TRUE_ORDERS.index("shadow"), TRUE_ORDERS.index("extended"), several], -1
     ).astype(np.int64)

@@ -40,12 +40,6 @@ from sal_height.simulation import Preset
 SHADOW, NO_ANSWER = "0.35", "0.8"
 """Greys of cells without a height: where only noise was found, and where the signal gave no height."""
 
-COLUMNS = 4
-"""Height, surfaces in a pixel, error and sigma."""
-
-REACH_PIXELS = 1.25
-"""Distance from a cell's middle within which the nearest surface is drawn in it, pixels on level ground."""
-
 
 @dataclass(frozen=True, eq=False)
 class GroundPicture:
@@ -82,7 +76,7 @@ def ground_picture(judgement: Judged) -> GroundPicture:
     first = ground_inside.min(axis=0)
     shape = np.ptp(ground_inside, axis=0) + 1
     middle = (ground_inside[:, ::-1] + 0.5) * ground.size
-    reach = REACH_PIXELS / CELL_PIXELS * ground.size
+    reach = 1.25 / CELL_PIXELS * ground.size  # 1.25 pixels on level ground, m
     distance, nearest = cKDTree(errors.place[:, :2]).query(middle, distance_upper_bound=reach)
     found = np.isfinite(distance)
     chosen = np.where(found, nearest, 0)
@@ -111,12 +105,6 @@ def draw_heights(judgements: Mapping[str, Judged], images: Sequence[HeightImage]
 
     All heights have one colour scale, all errors another, centred on zero, and all sigmas a third. Tracked heights
     look like those that they are tracked from: only their errors and sigmas are shown, in the first row.
-
-    Args:
-        judgements: comparisons of each estimator with the truth, by prefix of its topics.
-        images: images of the estimator whose CNR is shown.
-        preset: preset that was flown.
-        path: path of the picture.
     """
     pictures = {name: ground_picture(one) for name, one in judgements.items()}
     own = [name for name in pictures if name != PREFIX]
@@ -124,7 +112,7 @@ def draw_heights(judgements: Mapping[str, Judged], images: Sequence[HeightImage]
     first = next(iter(pictures.values()))
     tall = float(np.clip(1.45 * np.ptp(first.extent[2:]) / np.ptp(first.extent[:2]), 1.1, 2.2)) + 0.3
     with page(path, 1.25 + tall * (1 + len(own))) as figure:
-        axes = figure.subplots(1 + len(own), COLUMNS, squeeze=False)
+        axes = figure.subplots(1 + len(own), 4, squeeze=False)  # height, surfaces in a pixel, error and sigma
         terrain = _draw_truth(axes[0, 0], first, scales)
         powers = _draw_powers(axes[0, 1], images, scales.factor)
         for row, name in enumerate(own, start=1):

@@ -71,13 +71,7 @@ def recorded_flight(reader: BagReader) -> SimulatedFlight | None:
 
 
 def read_accuracy(bag: Path, flight: SimulatedFlight, stages: Sequence[str]) -> Accuracy:
-    """Compare the heights in a bag with the truth.
-
-    Args:
-        bag: bag of a run or replay of the flight.
-        flight: the flight.
-        stages: names of nodes; only height nodes among them are compared.
-    """
+    """Compare the heights of a flight in a bag with the truth, those of the height nodes among `stages`."""
     wanted = [HEIGHTS[name] for name in stages if name in HEIGHTS]
     images = {prefix: found for prefix, found in read_images(bag).items() if prefix in wanted}
     surfaces = {dwell: flight.surface(dwell) for dwell in {one.dwell for found in images.values() for one in found}}
@@ -177,13 +171,7 @@ class _Pixels:
 
 
 def mosaic(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Mapping[int, VisibleSurface]) -> Mosaic:
-    """Combine the height images of one estimator into ground cells, and compare them with the true heights.
-
-    Args:
-        images: height images of a simulated flight.
-        flight: the flight.
-        surfaces: visible surfaces of each dwell.
-    """
+    """Combine the height images of one estimator into ground cells, and compare them with the true heights."""
     parts = [_pixels(image, flight, surfaces[image.dwell]) for image in images]
     pixels = _Pixels(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(_Pixels)))
     grid = images[0].grid
@@ -332,14 +320,7 @@ def true_ground(
     flight: SimulatedFlight,
     surfaces: Mapping[int, VisibleSurface],
 ) -> TrueGround:
-    """The terrain of a simulated flight in the cells of an estimate.
-
-    Args:
-        estimate: estimate of the ground.
-        images: images from which it was made.
-        flight: the flight.
-        surfaces: lit surfaces of each dwell.
-    """
+    """The terrain of a simulated flight in the cells of an estimate."""
     height, lit, inside = (np.full(estimate.height.shape, value) for value in (np.nan, False, False))
     first = np.floor(np.array([estimate.north, estimate.east]) / estimate.cell_size).astype(np.intp)
     for image in images:

@@ -34,8 +34,6 @@ from sal_height.runs.truth.report import Accuracy, read_accuracy, read_images
 from sal_height.simulation import Preset, SimulatedFlight, flight_of
 from sal_height.topics import MAP_ORIGIN
 
-"""File of the relief map in the folder of a run."""
-
 
 @dataclass(frozen=True)
 class Flown:
@@ -111,12 +109,7 @@ def fly(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
 
 
 def processing_of(flight: SimulatedFlight, estimators: list[str]) -> dict[str, dict[str, Any]]:
-    """Parameters of the nodes that follow from the size of a preset's images, its looks and its position on the earth.
-
-    Args:
-        flight: flight whose dwells are processed.
-        estimators: the height nodes.
-    """
+    """Parameters of the nodes that follow from a preset: size of its images, looks, and position on the earth."""
     preset = flight.preset
     looks = {"range_looks": preset.looks[0], "azimuth_looks": preset.looks[1]}
     own = {

@@ -87,6 +87,11 @@ def one_word(metavar: str, convert: Callable[[Token], Any], **more: Any) -> Para
     )
 
 
+def repeated(metavar: str, **more: Any) -> Parameter:
+    """A parameter that takes one value, and may be repeated; `more` are other arguments of it."""
+    return Parameter(metavar=metavar, consume_multiple=False, show_default=False, **more)
+
+
 def _pair_of(kind: type, separator: str, form: str) -> Callable[[Token], tuple[Any, Any]]:
     """Converter of texts such as 2x2 to a pair of numbers."""
 
@@ -194,14 +199,12 @@ def _places(_type: type, tokens: Sequence[Token]) -> tuple[tuple[float, ...], ..
 
 Places: TypeAlias = Annotated[
     tuple[tuple[float, float, float], ...],
-    Parameter(
-        metavar="EAST,NORTH,HEIGHT",
+    repeated(
+        "EAST,NORTH,HEIGHT",
         n_tokens=1,
         accepts_keys=False,
         allow_leading_hyphen=True,
         converter=_places,
-        consume_multiple=False,
-        show_default=False,
         negative=(),
     ),
 ]
@@ -228,27 +231,13 @@ ElevationByAzimuth: TypeAlias = Annotated[
 
 NodeParameters: TypeAlias = Annotated[
     tuple[str, ...],
-    Parameter(
-        name="--param",
-        metavar="NODE.NAME=VALUE",
-        consume_multiple=False,
-        show_default=False,
-        help="Set a parameter of a node; may be repeated.",
-    ),
+    repeated("NODE.NAME=VALUE", name="--param", help="Set a parameter of a node; may be repeated."),
 ]
-
 
 Settings: TypeAlias = Annotated[
     tuple[str, ...],
-    Parameter(
-        name="--set",
-        metavar="NAME=VALUE",
-        consume_multiple=False,
-        show_default=False,
-        help="Change a setting of the measurement; may be repeated.",
-    ),
+    repeated("NAME=VALUE", name="--set", help="Change a setting of the measurement; may be repeated."),
 ]
-
 
 Estimators: TypeAlias = Annotated[
     tuple[str, ...],
@@ -270,10 +259,8 @@ class GraphOptions:
 
     record: Annotated[
         tuple[str, ...],
-        Parameter(
-            metavar="TOPIC",
-            consume_multiple=False,
-            show_default=False,
+        repeated(
+            "TOPIC",
             help="Record this topic, too, such as slc (the complex images); may be repeated.",
         ),
     ] = ()

@@ -28,6 +28,7 @@ from sal_height.commands._options import (
     complain,
     node_parameters,
     output_folder,
+    repeated,
 )
 from sal_height.io import bag_name
 
@@ -78,10 +79,8 @@ Loop: TypeAlias = Annotated[
 
 Remap: TypeAlias = Annotated[
     tuple[str, ...],
-    Parameter(
-        metavar="OLD:=NEW",
-        consume_multiple=False,
-        show_default=False,
+    repeated(
+        "OLD:=NEW",
         help="Give topic OLD the name NEW, as in ROS: a topic of the bag that nodes know as NEW, or else a topic of "
         "the nodes, which is published and recorded as NEW then. May be repeated.",
     ),

@@ -55,7 +55,6 @@ def judgement_of(place: list[list[float]], sigma: list[float], ghost: list[bool]
         nearest=np.where(ghost, np.nan, 0.1),
         own=np.full(count, 0.1),
         ghost=np.array(ghost),
-        true_order=np.ones(count, dtype=np.int64),
     )
     comparison = SurfaceComparison(errors, 2, 2, 2, 0, 1, 0, np.zeros((5, 7), dtype=np.int64))
     inside = np.array([True, True, True, False])
@@ -108,9 +107,8 @@ def errors_of(nearest: list[float], sigma: list[float]) -> PublishedErrors:
     count = len(nearest)
     place = np.zeros((count, 3))
     ghost = ~np.isfinite(nearest)
-    order = np.ones(count, dtype=np.int64)
     off, validity = np.array(nearest), np.zeros(count, np.uint8)
-    return PublishedErrors(place, validity, np.array(sigma), off, off, ghost, order)
+    return PublishedErrors(place, validity, np.array(sigma), off, off, ghost)
 
 
 def test_every_published_surface_is_counted_in_the_histogram() -> None:

@@ -22,11 +22,11 @@ from sal_height import messages
 from sal_height.bag.compare import CHANGED, WITHIN, compare_bags
 from sal_height.bag.reader import BagReader
 from sal_height.bag.tolerance import Tolerance, Tolerances
-from sal_height.budget.budget_picture import powers_db
 from sal_height.elevation import Validity, scatterer_count
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import recorded_topics
 from sal_height.relief.map import ReliefMap
+from sal_height.runs.truth.height_picture import powers_db
 from sal_height.runs.truth.profile import _profile, draw_profile
 from sal_height.runs.truth.report import read_images
 from sal_height.runs.truth.simulate import fly, run

@@ -17,7 +17,7 @@ from sal_height.imaging.pixels import azimuth_resolution, slant_plane_grid
 from sal_height.messages import to_floats
 from sal_height.messages.types import ComplexImage, HeightImage, Provenance
 from sal_height.relief.heights import HeightField, Surface
-from sal_height.runs.truth.report import mosaic, statistics
+from sal_height.runs.truth.report import CELL_PIXELS, mosaic, statistics
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
 from sal_height.simulation.scene import Scene
@@ -66,9 +66,10 @@ def test_exact_heights_of_a_strip_have_the_error_that_was_added_and_join(flight:
     assert numbers["rms_m"] == pytest.approx(0.25, abs=1e-5)
     assert numbers["cells"] > 200
     assert numbers["ghost_pixels"] == 0
-    assert np.ptp(result.east) == pytest.approx(3 * 0.64, abs=0.15)
-    whole = np.isfinite(result.height).mean(axis=1) > 0
-    assert np.isfinite(result.height[whole][1:-1]).all()  # no seam between two images
+    step = CELL_PIXELS * images[0].grid.col_spacing
+    assert (result.error.shape[1] - 1) * step == pytest.approx(3 * 0.64, abs=0.15)
+    whole = np.isfinite(result.error).mean(axis=1) > 0
+    assert np.isfinite(result.error[whole][1:-1]).all()  # no seam between two images
 
 
 def test_bound_of_a_strip_knows_that_every_column_is_seen_from_abeam(flight: SimulatedFlight) -> None:

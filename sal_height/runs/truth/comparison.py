@@ -46,7 +46,6 @@ class PublishedErrors:
         own: height minus that of the true surface it should be, m: the strongest chooses the nearest, the others the
             nearest of the rest; NaN where nothing is left.
         ghost: True where neither the pixel nor a neighbour has a lit surface.
-        true_order: number in TRUE_ORDERS of the pixel's contents; -1: a pixel without scatterers next to one with some.
     """
 
     place: F64
@@ -55,7 +54,6 @@ class PublishedErrors:
     nearest: F64
     own: F64
     ghost: Bool
-    true_order: I64
 
     @property
     def own_beyond_5_sigma(self) -> float:
@@ -133,7 +131,6 @@ def compare(field: HeightField, truth: LitSurfaces, beamwidth: float) -> Surface
                 nearest=nearest[there],
                 own=_nearest(free, surface.height)[1][there],
                 ghost=shadow[there],
-                true_order=order[there],
             )
         )
         free = _without_nearest(free, surface.height)

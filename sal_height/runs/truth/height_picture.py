@@ -17,13 +17,14 @@ from matplotlib.image import AxesImage
 from matplotlib.patches import Patch
 from scipy.spatial import cKDTree
 
-from sal_height.budget.budget_picture import draw_powers
+from sal_height import messages
 from sal_height.engine.tracker import PREFIX
 from sal_height.graph.picture import (
     ERRORS,
     FAULT,
     HEIGHTS,
     LEAST_POINTS,
+    POWERS,
     SIGMAS,
     colour_bar,
     log_norm,
@@ -114,7 +115,7 @@ def draw_heights(judgements: Mapping[str, Judged], images: Sequence[HeightImage]
     with page(path, 1.25 + tall * (1 + len(own))) as figure:
         axes = figure.subplots(1 + len(own), 4, squeeze=False)  # height, surfaces in a pixel, error and sigma
         terrain = _draw_truth(axes[0, 0], first, scales)
-        powers = _draw_powers(axes[0, 1], images, scales.factor)
+        powers = draw_powers(axes[0, 1], images, scales.factor)
         for row, name in enumerate(own, start=1):
             _draw_found(axes[row, 0], name, pictures[name], judgements[name], scales)
             _draw_confusion(axes[row, 1], judgements[name].comparison.confusion, row == len(own))
@@ -183,10 +184,46 @@ def _draw_truth(axis: Axes, picture: GroundPicture, scales: _Scales) -> mpl.cm.S
     return mpl.cm.ScalarMappable(scales.height, HEIGHTS)
 
 
-def _draw_powers(axis: Axes, images: Sequence[HeightImage], factor: float) -> tuple[AxesImage, F64]:
-    drawn = draw_powers(axis, images, factor)
-    axis.set_title("CNR of all surfaces of a pixel\nby range, from near to far")
-    return drawn
+def powers_db(image: HeightImage) -> F64:
+    """Power of all surfaces of each pixel over that of the noise, dB, shape (rows, cols); NaN where it is not known.
+
+    It is the carrier-to-noise ratio of one look that the estimator states for each surface, in a detector that looks
+    straight at it: the image without the beams. Pixels without a height have it, too.
+    """
+    surfaces = messages.field_from_message(image).surfaces
+    # Of a surface beyond the first, where it is there; of the first, whether it has a height or not.
+    linear = [
+        np.where(np.isfinite(one.height) | (number == 0), 10 ** (one.cnr_db / 10), 0.0)
+        for number, one in enumerate(surfaces)
+    ]
+    with np.errstate(divide="ignore"):
+        level = 10 * np.log10(np.sum(linear, axis=0))
+    return np.where(np.isfinite(level), level, np.nan)
+
+
+def draw_powers(axes: Axes, images: Sequence[HeightImage], factor: float) -> tuple[AxesImage, F64]:
+    """Draw the pixels of all dwells side by side; returns the last image, and all values (dB).
+
+    Args:
+        axes: axes to draw on.
+        images: heights of one estimator.
+        factor: units of length in a metre.
+    """
+    levels = [powers_db(image) for image in images]
+    values = np.concatenate([level.ravel() for level in levels])
+    norm = Normalize(*np.nanpercentile(values, (2, 99)))  # of the darkest and the brightest grey
+    grids = [messages.grid_from_message(image.grid) for image in images]
+    for grid, level in zip(grids, levels, strict=True):
+        sides = [float(grid.points(0, col)[0]) * factor for col in (-0.5, grid.cols - 0.5)]
+        depth = grid.rows * grid.row_spacing * factor
+        extent = (sides[0], sides[1], -depth / 2, depth / 2)
+        shown = axes.imshow(level, POWERS, norm, extent=extent, origin="lower", interpolation="nearest", aspect="equal")
+    ends = np.array([grid.points(0, [-0.5, grid.cols - 0.5])[:, 0] for grid in grids]) * factor
+    axes.set(xlim=(ends.min(), ends.max()), ylim=(-depth / 2, depth / 2), facecolor="0.7")
+    axes.set_title("CNR of all surfaces of a pixel\nby range, from near to far")
+    if grids[0].row_direction[1] < 0:  # what is far is in the south, below
+        axes.invert_yaxis()
+    return shown, values
 
 
 def _draw_found(axis: Axes, name: str, picture: GroundPicture, judgement: Judged, scales: _Scales) -> None:

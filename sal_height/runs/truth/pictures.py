@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, Normalize
+from matplotlib.colors import BoundaryNorm, ListedColormap, Normalize
 from matplotlib.patches import Patch
 from scipy.spatial import cKDTree
 from scipy.special import ndtr
@@ -109,11 +109,11 @@ def draw_ground(estimate: GroundEstimate, truth: TrueGround, path: Path) -> None
         axes = figure.subplots(2, 3)
         axes[0, 0].imshow(shaded(lit, steps, heights), **how)
         axes[0, 1].imshow(shaded(estimate.height, steps, heights), **how)
-        _show(axes[0, 2], error, ERRORS, errors, how)
-        _show(axes[1, 0], estimate.kind.astype(float), *kinds, how)
+        axes[0, 2].imshow(error, ERRORS, errors, **how)
+        axes[1, 0].imshow(estimate.kind.astype(float), *kinds, **how)
         _draw_shares(axes[1, 1], estimate, truth)
         sigmas = log_norm(estimate.sigma)
-        _show(axes[1, 2], estimate.sigma, SIGMAS, sigmas, how)
+        axes[1, 2].imshow(estimate.sigma, SIGMAS, sigmas, **how)
         for axis, title in zip(
             axes.flat,
             ("truth: lit terrain", "estimate", "error where lit", "what heights rest on", "fraction of cells", "sigma"),
@@ -133,10 +133,6 @@ def draw_ground(estimate: GroundEstimate, truth: TrueGround, path: Path) -> None
             for kind, colour in zip(GroundKind, KIND_COLOURS, strict=True)
         ]
         figure.legend(handles=patches, loc="outside lower center", ncols=4, frameon=False)
-
-
-def _show(axis: Axes, values: F64, colours: str | Colormap, norm: Normalize, how: dict[str, Any]) -> None:
-    axis.imshow(values, colours, norm, **how)
 
 
 def kind_shares(estimate: GroundEstimate, cells: Bool) -> F64:

@@ -116,14 +116,10 @@ CELL_PIXELS = 1.5
 
 @dataclass(frozen=True)
 class Mosaic:
-    """Height images of a run in ground cells, each the mean of its pixels weighted by 1 / sigma^2; NaN where unseen.
+    """Errors of height images in ground cells, each the mean of its pixels weighted by 1 / sigma^2; NaN where unseen.
 
     Attributes:
-        east: centres of the cells, arc distance east of the map origin, m, shape (cols,).
-        north: centres of the cells, arc distance north, m, shape (rows,).
-        height: estimated height, m, shape (rows, cols).
-        error: estimate minus true height of the same pixels with the same weights, m; without pixels that have no
-            scatterer.
+        error: estimated minus true height, m, shape (rows, cols); without pixels that have no scatterer.
         sigma: predicted standard deviation, m, with the mean of those that pose and beams leave, which no average
             reduces; of tracked pixels, whose errors are common, that of one.
         bound: Cramer-Rao bound averaged over speckle for all looks in the cell, m.
@@ -133,9 +129,6 @@ class Mosaic:
         ghosts: valid pixels in which there is no scatterer.
     """
 
-    east: F64
-    north: F64
-    height: F64
     error: F64
     sigma: F64
     bound: F64
@@ -194,9 +187,6 @@ def mosaic(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Map
         information = total(np.where(real, 1 / pixels.bound**2, 0.0)) / count
         own, common = total(weight**2 * (pixels.sigma**2 - pixels.common**2)), total(weight * pixels.common)
         return Mosaic(
-            east=(first_col + np.arange(shape[1])) * step[1],
-            north=(first_row + np.arange(shape[0])) * step[0],
-            height=total(weight * pixels.height) / weights,
             error=error,
             sigma=(total(weight * pixels.sigma) if images[0].estimator == PREFIX else np.sqrt(own + common**2))
             / weights,

@@ -25,7 +25,7 @@ from sal_height.runs.products.adjust import ADJUSTED_FROM
 from sal_height.settings import settings_of
 from sal_height.simulation.scenes import street
 
-BAGS = Path(__file__).parents[3] / "bags"
+BAG = str(Path(__file__).parents[3] / "bags" / "sal_spotlight")
 KNOWN = ["--set", "boresight_sigma_rad=3e-5", "--set", "lever_arm_sigma_m=0.01"]
 
 
@@ -165,35 +165,23 @@ def test_passes_that_do_not_overlap_are_said(tmp_path: Path, capsys: pytest.Capt
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ([str(BAGS / "sal_spotlight"), "--target", "1,2"], "Option --target is '1,2'; it must be EAST,NORTH,HEIGHT"),
-        ([str(BAGS / "sal_spotlight"), "--target", "nan,0,0"], "Option --target is 'nan,0,0'; numbers must be at most"),
-        ([str(BAGS / "sal_spotlight"), "--target", "0,0,1e300"], "'0,0,1e300'; numbers must be at most 1e+06 m"),
-        (
-            [str(BAGS / "sal_spotlight"), "--target", "-inf,0,0"],
-            "Option --target is '-inf,0,0'; numbers must be at most",
-        ),
-        ([str(BAGS / "sal_spotlight"), "--terrain", "x.npz", "--terrain-sigma", "-1"], "Must be >= 0.0001"),
-        ([str(BAGS / "sal_spotlight"), "--terrain", "x.npz", "--terrain-sigma", "0"], "Must be >= 0.0001"),
-        ([str(BAGS / "sal_spotlight"), "--terrain", "x.npz", "--terrain-sigma", "nan"], "--terrain-sigma"),
-        ([str(BAGS / "sal_spotlight"), "--terrain", "x.npz", "--terrain-sigma", "1001"], "Must be <= 1000"),
-        ([str(BAGS / "sal_spotlight"), "--terrain-sigma", "0.1"], "Option --terrain-sigma has no meaning without"),
-        ([str(BAGS / "sal_spotlight"), "--set", "boresight=1"], "boresight"),
-        ([str(BAGS / "sal_spotlight"), "--set", "correlation_s=0"], "correlation_s"),
-        ([str(BAGS / "sal_spotlight"), "--terrain", "nowhere.tif"], "Elevation model nowhere.tif is not a readable"),
-        ([str(BAGS / "sal_spotlight"), "--terrain", "README.md"], "Elevation model README.md has the suffix '.md'"),
-        ([str(BAGS / "sal_spotlight"), "--targets", "nowhere.csv"], "Cannot read nowhere.csv with targets"),
-        (
-            [str(BAGS / "sal_spotlight"), "--estimator", "mll"],
-            "Estimator 'mll' does not exist; allowed are monopulse, ml, ",
-        ),
-        (
-            [str(BAGS / "sal_spotlight"), "--estimator", "movers"],
-            "Estimator 'movers' does not exist; allowed are monopulse, ml, ",
-        ),
-        (
-            [str(BAGS / "sal_spotlight"), "--estimator", "adjusted"],
-            "Estimator 'adjusted' does not exist; allowed are monopulse",
-        ),
+        ([BAG, "--target", "1,2"], "Option --target is '1,2'; it must be EAST,NORTH,HEIGHT"),
+        ([BAG, "--target", "nan,0,0"], "Option --target is 'nan,0,0'; numbers must be at most"),
+        ([BAG, "--target", "0,0,1e300"], "'0,0,1e300'; numbers must be at most 1e+06 m"),
+        ([BAG, "--target", "-inf,0,0"], "Option --target is '-inf,0,0'; numbers must be at most"),
+        ([BAG, "--terrain", "x.npz", "--terrain-sigma", "-1"], "Must be >= 0.0001"),
+        ([BAG, "--terrain", "x.npz", "--terrain-sigma", "0"], "Must be >= 0.0001"),
+        ([BAG, "--terrain", "x.npz", "--terrain-sigma", "nan"], "--terrain-sigma"),
+        ([BAG, "--terrain", "x.npz", "--terrain-sigma", "1001"], "Must be <= 1000"),
+        ([BAG, "--terrain-sigma", "0.1"], "Option --terrain-sigma has no meaning without"),
+        ([BAG, "--set", "boresight=1"], "boresight"),
+        ([BAG, "--set", "correlation_s=0"], "correlation_s"),
+        ([BAG, "--terrain", "nowhere.tif"], "Elevation model nowhere.tif is not a readable"),
+        ([BAG, "--terrain", "README.md"], "Elevation model README.md has the suffix '.md'"),
+        ([BAG, "--targets", "nowhere.csv"], "Cannot read nowhere.csv with targets"),
+        ([BAG, "--estimator", "mll"], "Estimator 'mll' does not exist; allowed are monopulse, ml, "),
+        ([BAG, "--estimator", "movers"], "Estimator 'movers' does not exist; allowed are monopulse, ml, "),
+        ([BAG, "--estimator", "adjusted"], "Estimator 'adjusted' does not exist; allowed are monopulse"),
         (["nowhere"], "nowhere"),
     ],
 )

@@ -95,7 +95,7 @@ def adjust(
     from sal_height.adjustment import References, Target, Terrain, read_targets
     from sal_height.geometry.elevation_model import read_elevation_model
     from sal_height.runs.products.adjust import adjust_bag
-    from sal_height.runs.products.adjustment_report import adjustment_table, has_comparisons, tells_nothing
+    from sal_height.runs.products.adjustment_report import adjustment_table, determines_nothing, has_comparisons
 
     if terrain_sigma is not None and not terrain:
         raise UserError("Option --terrain-sigma has no meaning without --terrain, whose heights it is about.")
@@ -110,4 +110,4 @@ def adjust(
     corrected = f"heights with the corrected odometry: sal-height replay {folder}/bag"
     kept = f"{folder}/bag has the odometry as it was"
     print(f"see {folder}/adjustment.png; {corrected if has_comparisons(summary) else kept}")
-    return FAILED if tells_nothing(summary) else DONE
+    return FAILED if determines_nothing(summary) else DONE

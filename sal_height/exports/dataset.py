@@ -58,8 +58,8 @@ def write_netcdf(heights: RecordedHeights, path: Path) -> int:
         UserError: a package is not installed, grids differ in size, or the file cannot be written.
     """
     dataset = _joined(heights, "netcdf")
-    with unfinished(path) as beside:
-        dataset.to_netcdf(beside, engine="h5netcdf", encoding=_compressed(dataset), unlimited_dims=["dwell"])
+    with unfinished(path) as partial:
+        dataset.to_netcdf(partial, engine="h5netcdf", encoding=_compressed(dataset), unlimited_dims=["dwell"])
     return int(dataset.sizes["dwell"])
 
 
@@ -71,20 +71,18 @@ def write_zarr(heights: RecordedHeights, path: Path) -> int:
     """
     _xarray(heights)
     check_new_folder(path)
-    beside, count = path.with_name(f".{path.name}.part"), 0
+    partial, count = path.with_name(f".{path.name}.part"), 0
     with writing(path):
         try:
             for batch in _batches(heights, "zarr"):
-                if count:
-                    batch.to_zarr(beside, append_dim="dwell", consolidated=False)
-                else:
-                    batch.to_zarr(beside, mode="w", consolidated=False)
+                how = {"append_dim": "dwell"} if count else {"mode": "w"}
+                batch.to_zarr(partial, consolidated=False, **how)
                 count += batch.sizes["dwell"]
             if path.is_dir():
                 path.rmdir()
-            beside.replace(path)
+            partial.replace(path)
         finally:
-            shutil.rmtree(beside, ignore_errors=True)
+            shutil.rmtree(partial, ignore_errors=True)
     return count
 
 
@@ -109,7 +107,7 @@ def _batches(heights: RecordedHeights, task: str) -> Iterator[Any]:
     Raises:
         UserError: there is no dwell, or their grids differ in size.
     """
-    held: list[DwellHeights] = []
+    batch: list[DwellHeights] = []
     shape: tuple[int, ...] = ()
     surfaces = 0
     for dwell in heights.dwells(task):
@@ -119,15 +117,14 @@ def _batches(heights: RecordedHeights, task: str) -> Iterator[Any]:
             raise UserError(
                 f"Topic {heights.topic} of bag {heights.reader.path} has images of {len(dwell.field.surfaces)} "
                 f"surfaces of {dwell.field.validity.shape} pixels at dwell {dwell.dwell}, and of {surfaces} of {shape} "
-                "before; "
-                "arrays need one size; cut the bag with sal-height bag cut --dwells."
+                "before; arrays need one size; cut the bag with sal-height bag cut --dwells."
             )
-        held.append(dwell)
-        if len(held) == BATCH:
-            yield _dataset_of(heights, held)
-            held = []
-    if held:
-        yield _dataset_of(heights, held)
+        batch.append(dwell)
+        if len(batch) == BATCH:
+            yield _dataset_of(heights, batch)
+            batch = []
+    if batch:
+        yield _dataset_of(heights, batch)
     elif not shape:
         raise UserError(f"Topic {heights.topic} of bag {heights.reader.path} has no readable image.")
 

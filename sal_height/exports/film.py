@@ -58,8 +58,8 @@ def write_film(heights: RecordedHeights, path: Path) -> int:
     if not seen:
         raise UserError(f"Topic {heights.topic} of bag {heights.reader.path} has no valid height.")
     frames_per_second = 5
-    with unfinished(path) as beside:
-        _draw(heights, seen, writers[SUFFIXES[suffix]](fps=frames_per_second), beside)
+    with unfinished(path) as partial:
+        _draw(heights, seen, writers[SUFFIXES[suffix]](fps=frames_per_second), partial)
     return len(seen)
 
 

@@ -80,12 +80,12 @@ class RecordedHeights:
             UserError: the bag cannot be read, it has no such heights, or the system does not suit the position.
         """
         reader = open_bag(bag, None, [topic] if topic else [PREFERRED])
-        held = sorted(name for name, one in reader.topics.items() if one.type_name == HEIGHT_TYPE and one.count)
-        if not held:
+        known = sorted(name for name, one in reader.topics.items() if one.type_name == HEIGHT_TYPE and one.count)
+        if not known:
             raise UserError(f"Bag {bag} has no height images; make some: sal-height replay {bag}.")
-        if topic and topic not in held:
-            raise UserError(f"Bag {bag} has no heights on topic {topic!r}; there are {', '.join(held)}.")
-        chosen = topic or (PREFERRED if PREFERRED in held else held[0])
+        if topic and topic not in known:
+            raise UserError(f"Bag {bag} has no heights on topic {topic!r}; there are {', '.join(known)}.")
+        chosen = topic or (PREFERRED if PREFERRED in known else known[0])
         place = None if crs == LOCAL else origin or origin_in(reader)
         return cls(reader, chosen, None if place is None else Projection.of(crs, place))
 

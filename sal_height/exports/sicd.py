@@ -295,7 +295,7 @@ def _direction(image: PlacedImage, direction: F64, spacing: float, band: float, 
     Pixels contain no more than the band 1 / spacing. Where they are farther apart than the band needs, as pixels at the
     resolution of a weighted band are, its edges alias into 1 / spacing, which is stated as the band of the response.
     """
-    held = min(band, 1 / spacing)
+    covered = min(band, 1 / spacing)
     weights = window(name, WINDOW_NODES)
     uniform_width = 0.8859  # width at half power of the response to an unweighted band, times the band
     width = uniform_width / band * (1.0 if name == "rectangular" else broadening(weights))
@@ -304,19 +304,19 @@ def _direction(image: PlacedImage, direction: F64, spacing: float, band: float, 
         "SS": spacing,
         "ImpRespWid": width,
         "Sgn": SIGN,
-        "ImpRespBW": held,
+        "ImpRespBW": covered,
         "KCtr": 2 / image.sensor.wavelength * float(image.sight[0] @ direction),
-        "DeltaK1": -held / 2,
-        "DeltaK2": held / 2,
+        "DeltaK1": -covered / 2,
+        "DeltaK2": covered / 2,
     }
     named, parameters = WINDOWS[name]
     same_band = 1e-4  # relative difference of two bands that are the same
-    if name == "rectangular" and held < band * (1 - same_band):
+    if name == "rectangular" and covered < band * (1 - same_band):
         return element  # a band that is cut has not the response of an even one
     element["WgtType"] = {"WindowName": named, "Parameter": list(parameters.items())}
     if name != "rectangular":
         frequency, nodes = (
-            np.linspace(-reach, reach, n) for reach, n in ((held / 2, WEIGHTS), (band / 2, WINDOW_NODES))
+            np.linspace(-reach, reach, n) for reach, n in ((covered / 2, WEIGHTS), (band / 2, WINDOW_NODES))
         )
         element["WgtFunct"] = np.interp(frequency, nodes, weights / weights.max())
     return element

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -43,50 +43,40 @@ from sal_height.view.drawings import (
 )
 
 
-class Piece(NamedTuple):
-    """A part of a track without gaps.
+class Track:
+    """The positions of a platform that have not been drawn yet.
 
     Attributes:
-        stamp_ns: time of its last position, ns since the epoch.
-        received_ns: time at which that arrived, ns since the epoch.
-        places: positions in map, shape (positions, 3), m.
+        received_ns: time at which the last one arrived, ns since the epoch.
     """
-
-    stamp_ns: int
-    received_ns: int
-    places: F64
-
-
-class Track:
-    """The places of a platform that have not been drawn yet."""
 
     def __init__(self) -> None:
         self._states: list[PlatformState] = []
-        self._received_ns = 0
+        self.received_ns = 0
 
     def add(self, state: PlatformState, received_ns: int) -> int:
-        """Take a state in; the time from the first that waits to it, ns."""
+        """Accept a state; the time from the first that waits to it, ns."""
         self._states.append(state)
         del self._states[:-4096]  # more would not be needed, and the oldest are dropped
-        self._received_ns = received_ns
+        self.received_ns = received_ns
         return abs(state.stamp_ns - self._states[0].stamp_ns)
 
-    def pieces(self) -> list[Piece]:
-        """Positions that wait, cut where the platform, or its clock, cannot have gone from one to the next.
+    def pieces(self) -> list[tuple[int, F64]]:
+        """Stamp of the end (ns) and positions (m in map) of each part without gaps, shape (positions, 3).
 
-        The last position is kept as the first of the next piece.
+        They are cut where the platform, or its clock, cannot have gone from one to the next. The last position is kept
+        as the first of the next piece. About 32 positions are enough for a short piece, as a platform is inert.
         """
         states = self._states
         cuts = [i + 1 for i, (one, other) in enumerate(pairwise(states)) if not _joined(one, other)]
         parts = [states[begin:end] for begin, end in zip([0, *cuts], [*cuts, len(states)], strict=True)]
         self._states = states[-1:]
-        return [_piece(part, self._received_ns) for part in parts if len(part) > 1]
-
-
-def _piece(states: list[PlatformState], received_ns: int) -> Piece:
-    # About 32 positions are enough for a short piece, as a platform is inert.
-    kept = np.unique(np.linspace(0, len(states) - 1, min(len(states), 32)).round().astype(int))
-    return Piece(states[-1].stamp_ns, received_ns, np.array([states[i].position for i in kept]))
+        found = []
+        for part in parts:
+            if len(part) > 1:
+                kept = np.unique(np.linspace(0, len(part) - 1, min(len(part), 32)).round().astype(int))
+                found.append((part[-1].stamp_ns, np.array([part[i].position for i in kept])))
+        return found
 
 
 def _joined(one: PlatformState, other: PlatformState) -> bool:
@@ -341,10 +331,10 @@ class Painter:
     def _finish_tracks(self) -> Iterator[Sheet]:
         """The pieces of the tracks that have not been drawn yet."""
         for path, track in self._tracks.items():
-            for piece in track.pieces():
-                notes = self._settle(piece.places[0] * [1.0, 1.0, 0.0])
-                line = Line(f"{WORLD}/{path}/track", self._placed(piece.places))
-                yield Sheet(piece.stamp_ns, piece.received_ns, (line, *notes))
+            for stamp_ns, places in track.pieces():
+                notes = self._settle(places[0] * [1.0, 1.0, 0.0])
+                line = Line(f"{WORLD}/{path}/track", self._placed(places))
+                yield Sheet(stamp_ns, track.received_ns, (line, *notes))
 
     def _paint_accounts(self, _: str, message: DiagnosticArray, received_ns: int) -> Iterator[Sheet]:
         """The numbers of the nodes that process dwells, and why they left out messages."""

@@ -60,7 +60,7 @@ class Deployment(StrictKeys):
 
 
 def load_deployment(path: Path) -> Deployment:
-    """The deployment in a YAML file; `deployed_nodes.members_of` checks whether its nodes are allowed.
+    """The deployment in a YAML file; `members_of` checks whether its nodes are allowed.
 
     Raises:
         UserError: it cannot be read, is no YAML, or has a key that is missing, unknown or of another type.

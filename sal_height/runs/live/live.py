@@ -213,7 +213,7 @@ def live(
         show: function called once a second with the accounts received so far.
 
     Raises:
-        UserError: the bag or a parameter cannot be used, nodes do not come up, or one ends.
+        UserError: the bag or a parameter cannot be used, nodes do not start, or one ends.
     """
     values = check_parameters(merged(merged(consumers(feed.nodes), feed.parameters), parameters))
     stages = ["sar_compression", *feed.nodes, *((TRACKER, MAPPER) if feed.nodes else ())]

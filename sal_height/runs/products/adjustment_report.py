@@ -70,27 +70,27 @@ def summary_of(
         "shifts_m": shifts.tolist(),
         "shift_sigmas_m": np.sqrt([one.diagonal() for one in spread]).tolist(),
     }
-    return summary, _sentences(summary, references, adjustment)
+    return summary, _warnings(summary, references, adjustment)
 
 
-def _sentences(summary: dict[str, Any], references: References, adjustment: Adjustment) -> list[str]:
-    sentences = []
+def _warnings(summary: dict[str, Any], references: References, adjustment: Adjustment) -> list[str]:
+    warnings = []
     if references.targets and not any(one.is_target for one in adjustment.comparisons):
-        sentences.append(
+        warnings.append(
             f"None of the {len(references.targets)} targets was seen where it should be, brighter than all around it; "
             "the result is without them."
         )
     if adjustment.refused_ground is not None:
-        sentences.append(
+        warnings.append(
             f"{describe_ground(adjustment.refused_ground)}, more than --terrain-sigma and what is known of the dwells "
             "allow; the result is without it."
         )
     elif references.terrain and not any(one.is_absolute and not one.is_target for one in adjustment.comparisons):
-        sentences.append(
+        warnings.append(
             "The elevation model has no heights where the dwells lie, or agrees with none; the result is without it."
         )
     if not summary["comparisons"]:
-        sentences.append(
+        warnings.append(
             "No two dwells were found to show the same ground: they were compared with known ground, but not with each "
             "other. Fly passes that overlap."
             if summary["comparisons_with_known_ground"]
@@ -98,26 +98,26 @@ def _sentences(summary: dict[str, Any], references: References, adjustment: Adju
             "odometry as it was. Fly passes that overlap, or give targets or an elevation model."
         )
     elif lonely := summary["dwells_without_comparison"]:
-        sentences.append(
+        warnings.append(
             f"{lonely} dwells overlap with no other, or show too little to be recognised, and lie where odometry and "
             "their neighbours put them."
         )
     if against := summary["comparisons_that_contradict"]:
-        sentences.append(
+        warnings.append(
             f"{against} of {len(adjustment.comparisons)} comparisons contradict the others: some dwells were taken for "
             "another place, and may be off by more than is stated; fly longer passes, or give targets or an elevation "
             "model."
         )
     loose = [name for name, one in summary["parameters"].items() if not one["determined"]]
     if loose:
-        sentences.append(f"These dwells do not determine: {', '.join(loose)}; what was known beforehand stays.")
+        warnings.append(f"These dwells do not determine: {', '.join(loose)}; what was known beforehand stays.")
     if not summary["comparisons_with_known_ground"]:
         east, north, up = summary["sigma_of_all_dwells_m"]
-        sentences.append(
+        warnings.append(
             f"Without known ground all dwells together may lie off by {east:.2g} m east, {north:.2g} m north and "
             f"{up:.2g} m up (1 sigma)."
         )
-    return sentences
+    return warnings
 
 
 def has_comparisons(summary: dict[str, Any]) -> bool:
@@ -125,7 +125,7 @@ def has_comparisons(summary: dict[str, Any]) -> bool:
     return bool(summary["comparisons"] or summary["comparisons_with_known_ground"])
 
 
-def tells_nothing(summary: dict[str, Any]) -> bool:
+def determines_nothing(summary: dict[str, Any]) -> bool:
     """True if all priors stay: no dwell was compared, nor did Doppler centroids determine a parameter."""
     return not has_comparisons(summary) and not any(one["determined"] for one in summary["parameters"].values())
 

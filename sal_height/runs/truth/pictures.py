@@ -1,4 +1,4 @@
-"""Pictures of a run beside its truth: its point cloud, its ground, and its errors over their standard deviations."""
+"""Pictures of a run and its truth: its point cloud, its ground, and its errors over their standard deviations."""
 
 from __future__ import annotations
 

@@ -25,6 +25,7 @@ from rosbags.highlevel import AnyReader
 from sal_height.bag.compare import CHANGED, EQUAL, WITHIN, compare_bags
 from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.bag.tolerance import Tolerance, Tolerances
+from sal_height.bag.upgrade import upgrade
 from sal_height.commands import main
 from sal_height.errors import UserError
 from sal_height.graph.plan import Execution
@@ -173,6 +174,20 @@ def test_all_versions_of_the_reference_bag_give_the_same_heights(tmp_path: Path,
         for result in compared.values():
             assert {name for name, one in result.fields.items() if one.different} <= {"header.stamp"}
             assert (result.verdict, result.matched) == (WITHIN if version == "version_0" else EQUAL, 2)
+
+
+@pytest.mark.parametrize("version", [0, pytest.param(1, marks=pytest.mark.thorough)])
+def test_an_upgraded_bag_gives_the_heights_of_the_old_one(version: int, tmp_path: Path, replay: Any) -> None:
+    """With the parameters of the old one, which lie in a file beside that of version 0."""
+    old, new = BAGS / f"version_{version}", tmp_path / "new"
+    upgrade(old, new)
+    for bag in (old, new):
+        replay(bag, tmp_path / f"replay_{bag.name}", {})
+    bags = [BagReader(folder) for folder in (tmp_path / f"replay_{old.name}" / "bag", tmp_path / "replay_new" / "bag")]
+    compared = compare_bags(*bags)
+    assert set(compared) == {"/ml/height", "/monopulse/height", "/tracked/height"}
+    assert all(result.verdict == EQUAL and result.matched == 2 for result in compared.values())
+    assert all(result.verdict == EQUAL for result in compare_bags(BagReader(old), BagReader(new)).values())
 
 
 def test_the_tolerance_of_the_reference_test_notices_a_wrong_range(tmp_path: Path, replay: Any) -> None:

@@ -1,27 +1,122 @@
-"""The report of a stripmap run: its heights against the truth of the strip."""
+"""What a report says of ground, strips and surfaces, on estimates with known errors."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers import blocks
 
 from sal_height import messages
+from sal_height.elevation import ESTIMATORS
 from sal_height.elevation.looks.looks import look_grid
 from sal_height.errors import UserError
 from sal_height.geometry.frames import aperture_at
 from sal_height.geometry.trajectory import locate_at_elevation
+from sal_height.imaging import ImageSettings, image_beams
 from sal_height.imaging.pixels import azimuth_resolution, slant_plane_grid
 from sal_height.messages import to_floats
 from sal_height.messages.types import ComplexImage, HeightImage, Provenance
+from sal_height.pipeline import Compressor, heights
+from sal_height.relief import GroundEstimate, GroundKind
 from sal_height.relief.heights import HeightField, Surface
-from sal_height.runs.truth.report import CELL_PIXELS, mosaic, statistics
+from sal_height.runs.truth.comparison import PublishedErrors, compare
+from sal_height.runs.truth.pictures import draw_ground
+from sal_height.runs.truth.report import CELL_PIXELS, TrueGround, ground_statistics, mosaic, read_accuracy, statistics
+from sal_height.runs.truth.surface_report import as_flown, true_surfaces
+from sal_height.simulation import flight_of, load_preset
 from sal_height.simulation.flight import SimulatedFlight
-from sal_height.simulation.preset import load_preset
+from sal_height.simulation.impairments import Impairments
+from sal_height.simulation.odometry_errors import OdometryErrors
+from sal_height.simulation.preset import Preset
 from sal_height.simulation.scene import Scene
 from sal_height.simulation.truth import truth_image
+
+SHAPE = (40, 50)
+SEED = 3  # of the recorded flight
+
+
+def a_ground() -> tuple[GroundEstimate, TrueGround]:
+    """Level ground with a step of 1 m at row 20, a tenth of the cells 0.2 m too high, and shadow in the last rows."""
+    rng = np.random.default_rng(1)
+    terrain = np.where(np.arange(SHAPE[0]) < 20, 1.0, 0.0)[:, None] * np.ones(SHAPE)
+    height = terrain + rng.normal(0.0, 0.01, SHAPE)
+    height[20] = 1.0  # the edge, one cell off
+    height[:, :5] += 0.2
+    kind = np.full(SHAPE, GroundKind.MEASURED, np.uint8)
+    kind[:, 45:] = GroundKind.INTERPOLATED
+    kind[36:] = GroundKind.SHADOW
+    height[36:] = np.nan
+    sigma = np.where(np.isnan(height), np.nan, 0.01)
+    shadow = np.zeros(SHAPE, dtype=bool)
+    shadow[36:] = True
+    estimate = GroundEstimate(0.0, 0.0, 0.05, height, sigma, kind, np.ones(SHAPE, np.uint32))
+    return estimate, TrueGround(terrain, ~shadow, shadow)
+
+
+def test_errors_are_counted_by_what_heights_rest_on() -> None:
+    estimate, truth = a_ground()
+    found = ground_statistics(estimate, truth, 0.06)
+    assert found["right"] == pytest.approx(0.9 * 35 / 36, abs=0.001)  # an edge that is one cell off is wrong
+    assert found["lit"] == {"measured": 0.9, "interpolated": 0.1, "shadow": 0.0, "unseen": 0.0}
+    assert found["shadow"]["shadow"] == 1.0
+    assert found["measured"]["cells"] == 36 * 45
+    assert found["measured"]["beyond_5_sigma"] == pytest.approx(1 - 8 / 9 * 35 / 36, abs=0.005)
+    assert found["interpolated"]["within_1_sigma"] == pytest.approx(0.68, abs=0.1)  # 180 cells: standard error 0.035
+
+
+def test_the_picture_is_written(tmp_path: Path) -> None:
+    draw_ground(*a_ground(), tmp_path / "ground.png")
+    assert (tmp_path / "ground.png").stat().st_size > 10_000
+
+
+def test_ground_with_too_many_cells_is_left_out_of_the_report(
+    recorded: Path, two_dwells: Preset, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A single height far off may stretch the ground; the rest of the report is made all the same."""
+    flight = flight_of(two_dwells, SEED)
+    whole = read_accuracy(recorded / "bag", flight, ["ml_height"]).statistics["ml"]
+    assert "ground" in whole
+    monkeypatch.setattr("sal_height.runs.truth.report.MAX_CELLS", 100)
+    without = read_accuracy(recorded / "bag", flight, ["ml_height"]).statistics["ml"]
+    assert without == {name: value for name, value in whole.items() if name != "ground"}
+    (said,) = caplog.messages
+    assert "ml" in said
+    assert "100" in said
+
+
+def errors_with(position_m: float, name: str, seed: int) -> PublishedErrors:
+    """Of an image of the street whose odometry errs by a constant of this size in each coordinate, and says so."""
+    preset = load_preset(name)
+    preset = replace(preset, impairments=Impairments(odometry=OdometryErrors(position_m=position_m)))
+    flight, estimator = flight_of(preset, seed), ESTIMATORS["ml"]
+    settings, compressor = ImageSettings(rows=preset.image.rows, cols=preset.image.cols), Compressor()
+    for dwell in range(3):
+        slc = compressor.add(flight.phase_history(dwell), flight.track(dwell), flight.sensor, settings)
+    assert slc
+    looks = estimator.settings(range_looks=preset.looks[0], azimuth_looks=preset.looks[1])
+    field = heights(slc, flight.sensor, estimator, looks)
+    beams = image_beams(flight.sensor, settings.azimuth_window)
+    seen, aperture = as_flown(field, slc.aperture, flight, 2)
+    truth = true_surfaces(seen, aperture, beams, flight, flight.surface(2))
+    return compare(field, truth, flight.sensor.beamwidth).errors
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("name", ["small", "sal_stripmap"])
+def test_odometry_that_errs_moves_heights_up_and_changes_nothing_else(name: str, seed: int) -> None:
+    """By 0.1 m: the heights' errors are those with exact odometry and one that all share, to 1 mm, at steps as well.
+
+    That is less than half a kerb, so that the nearest surface remains the nearest, but for 2 % of a strip's pixels at
+    most. Seen from where the odometry says, a third of them has other errors.
+    """
+    exact, off = errors_with(0.0, name, seed), errors_with(0.1, name, seed)
+    assert len(off.nearest) == len(exact.nearest)
+    common = off.nearest - exact.nearest
+    assert np.nanmean(np.abs(common - np.nanmedian(common)) > 1e-3) <= (0.02 if name == "sal_stripmap" else 0.0)
+    assert np.nanmin(off.sigma) > 0.1
 
 
 @pytest.fixture(scope="module")

@@ -77,7 +77,8 @@ class Budget:
             UserError: beams that leave the quarter between nadir and horizon, or a parameter that is not allowed.
         """
         self.preset, self.sensor, self.assumed = preset, preset.make_sensor(), assumed
-        usual = _usual_backscatter(self.sensor.wavelength, preset.flight.look_angle_rad)
+        is_radar = self.sensor.wavelength >= RADIO_M
+        usual = 10 ** (BACKSCATTER_DB / 10) if is_radar else diffuse_backscatter(ALBEDO, preset.flight.look_angle_rad)
         self.backscatter = usual if assumed.backscatter is None else assumed.backscatter
         self._settings = image_settings(preset)
         self.link = self._link()
@@ -316,20 +317,9 @@ def _elevation_width(sensor: Sensor) -> float:
     return last - first + sensor.beamwidth
 
 
-def _usual_backscatter(wavelength: float, incidence: float) -> float:
-    """Radar cross-section per area that is assumed of the ground, by wavelength (m) and angle of incidence (rad)."""
-    return diffuse_backscatter(ALBEDO, incidence) if wavelength < RADIO_M else 10 ** (BACKSCATTER_DB / 10)
-
-
 @dataclass(frozen=True)
 class DrawnUp:
-    """A budget as it was written.
-
-    Attributes:
-        entries: its numbers.
-        notes: notes on what these leave out.
-        refusals: messages with which a run refuses the preset.
-    """
+    """A budget as written: its numbers, what they leave out, and messages with which a run refuses the preset."""
 
     entries: list[BudgetEntry]
     notes: list[str]

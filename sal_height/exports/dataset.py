@@ -58,8 +58,10 @@ def write_netcdf(heights: RecordedHeights, path: Path) -> int:
         UserError: a package is not installed, grids differ in size, or the file cannot be written.
     """
     dataset = _joined(heights, "netcdf")
+    arrays = [name for name, variable in dataset.variables.items() if variable.ndim > 1]
+    encoding = {name: {"zlib": True, "complevel": 1} for name in arrays}
     with unfinished(path) as partial:
-        dataset.to_netcdf(partial, engine="h5netcdf", encoding=_compressed(dataset), unlimited_dims=["dwell"])
+        dataset.to_netcdf(partial, engine="h5netcdf", encoding=encoding, unlimited_dims=["dwell"])
     return int(dataset.sizes["dwell"])
 
 
@@ -95,10 +97,6 @@ def _joined(heights: RecordedHeights, task: str) -> Any:
     xarray = _xarray(heights)
     batches = list(_batches(heights, task))
     return xarray.concat(batches, "dwell", data_vars="minimal", coords="minimal", compat="override", join="exact")
-
-
-def _compressed(dataset: Any) -> dict[str, dict[str, Any]]:
-    return {name: {"zlib": True, "complevel": 1} for name, variable in dataset.variables.items() if variable.ndim > 1}
 
 
 def _batches(heights: RecordedHeights, task: str) -> Iterator[Any]:

@@ -22,7 +22,7 @@ from sal_height.elevation import ORDERS, Validity, scatterer_count
 from sal_height.errors import UserError
 from sal_height.geometry import UTM, ApertureState, Origin, Projection, sphere_coordinates
 from sal_height.graph.catalogue import MAPPERS
-from sal_height.numeric import F64, U8
+from sal_height.numeric import F64
 from sal_height.relief import HeightField, ProjectedAxes, ReliefMap, check_geotiff, fitting_cell_size, write_geotiff
 from sal_height.runs.chain.recorded_parameters import recorded_parameters
 
@@ -139,16 +139,13 @@ def origin_in(reader: BagReader) -> Origin | None:
     return None
 
 
-def found_order(field: HeightField) -> U8:
-    """Index of `order_probability` that was found in each pixel: 0 to 3 scatterers, 4 an extended surface."""
-    return np.where(field.validity == Validity.EXTENDED, ORDERS - 1, scatterer_count(field.validity)).astype(np.uint8)
-
-
 def probability_of_order(field: HeightField) -> F64:
     """Probability of the number of scatterers that was found in each pixel, shape (rows, cols); NaN: not known."""
     if field.order_probability is None:
         return np.full(field.validity.shape, np.nan)
-    return np.take_along_axis(field.order_probability, found_order(field)[..., None], axis=-1)[..., 0]
+    is_extended = field.validity == Validity.EXTENDED
+    order = np.where(is_extended, ORDERS - 1, scatterer_count(field.validity)).astype(np.uint8)
+    return np.take_along_axis(field.order_probability, order[..., None], axis=-1)[..., 0]
 
 
 def write_map(heights: RecordedHeights, path: Path, cell_size: float = 0.0) -> tuple[int, int]:

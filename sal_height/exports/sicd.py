@@ -124,7 +124,8 @@ class PlacedImage:
         aperture = messages.aperture_from_message(message.aperture)
         samples = messages.complex_view(message.samples, grid.shape)
         if np.cross(grid.row_direction, grid.col_direction)[2] < 0:
-            grid, samples = reversed_columns(grid), samples[:, ::-1]
+            grid = replace(grid, origin=grid.points(0, grid.cols - 1), col_direction=-grid.col_direction)
+            samples = samples[:, ::-1]
         ranges = ranges_of_phase(grid, aperture)
         away = ranges - ranges[_middle(grid)[0], -1 if aperture.sliding else _middle(grid)[1]]
         turned = samples * np.exp(SIGN * 4j * np.pi / sensor.wavelength * away)
@@ -184,11 +185,6 @@ class PlacedImage:
         rows, cols = self.grid.shape
         corners = self.grid.points([0, 0, rows - 1, rows - 1], [0, cols - 1, 0, cols - 1])
         return np.asarray((corners - self.aperture.position) @ self.passing)
-
-
-def reversed_columns(grid: Grid) -> Grid:
-    """The grid of an image whose last column is made the first."""
-    return replace(grid, origin=grid.points(0, grid.cols - 1), col_direction=-grid.col_direction)
 
 
 def _middle(grid: Grid) -> tuple[int, int]:

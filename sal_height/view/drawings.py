@@ -128,12 +128,7 @@ class ReceivedMessage(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """An image in colours.
-
-    Attributes:
-        path: name in the viewer.
-        pixels: colours (red, green, blue), shape (rows, columns, 3).
-    """
+    """An image: its name in the viewer, and colours (red, green, blue), shape (rows, columns, 3)."""
 
     path: str
     pixels: U8
@@ -141,12 +136,7 @@ class Picture:
 
 @dataclass(frozen=True, eq=False)
 class Classes:
-    """An image of the values of `Validity`.
-
-    Attributes:
-        path: name in the viewer.
-        values: values of `Validity`, shape (rows, columns).
-    """
+    """An image: its name in the viewer, and values of `Validity`, shape (rows, columns)."""
 
     path: str
     values: U8
@@ -175,12 +165,7 @@ class Cloud:
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """A line through positions.
-
-    Attributes:
-        path: name in the viewer.
-        places: positions from the origin of the drawing, m, shape (places, 3).
-    """
+    """A line: its name in the viewer, and positions from the origin of the drawing, m, shape (positions, 3)."""
 
     path: str
     places: F32

@@ -211,7 +211,8 @@ class Screen:
                 self.recording.set_time(STAMP, timestamp=np.datetime64(sheet.stamp_ns, "ns"))
             self.recording.set_time(CLOCK, timestamp=np.datetime64(sheet.received_ns, "ns"))
             for drawing in sheet.drawings:
-                self.recording.log(path_of(drawing), *self._parts(drawing))
+                parts = [part for part in drawing.path.split("/") if part]  # names of others may have empty ones
+                self.recording.log(parts, *self._parts(drawing))
 
     def waits_s(self) -> float:
         """For how long the viewer has been waited for, s."""
@@ -259,11 +260,6 @@ class Screen:
                 return (rr.Scalars([drawing.value]),)
             case Note():
                 return (rr.TextLog(drawing.text, level="WARN"),)
-
-
-def path_of(drawing: Drawing) -> list[str]:
-    """The parts of the path of a drawing, any text; names of others may have empty ones."""
-    return [part for part in drawing.path.split("/") if part]
 
 
 @contextmanager

@@ -54,7 +54,8 @@ class Recorded:
 
     def some_heights(self) -> Iterator[ReceivedMessage]:
         """Up to 64 height images of every topic, evenly spread over the bag."""
-        heights = {name: self._reader.topics[name].count for name in self.topics if self._is_height(name)}
+        topics = [self._reader.topics[name] for name in self.topics]
+        heights = {topic.name: topic.count for topic in topics if topic.type_name == HEIGHT_IMAGE}
         seen = dict.fromkeys(heights, 0)
         for received in self._messages(list(heights)):
             number, count = seen[received.topic], heights[received.topic]
@@ -66,9 +67,6 @@ class Recorded:
     def __iter__(self) -> Iterator[ReceivedMessage]:
         """All messages, in the order in which they were recorded."""
         return self._messages(self.topics)
-
-    def _is_height(self, name: str) -> bool:
-        return self._reader.topics[name].type_name == HEIGHT_IMAGE
 
     def _messages(self, topics: list[str]) -> Iterator[ReceivedMessage]:
         recorded = self._reader.messages(topics) if topics else iter(())

@@ -38,11 +38,6 @@ def products_of(reader: BagReader) -> list[str]:
     return heights or [topic for topic in [f"/{IMAGES}"] if topic in reader.topics]
 
 
-def states_processing(reader: BagReader) -> bool:
-    """True if a bag has anything that states how dwells were processed."""
-    return bool(products_of(reader) or {"/calibration", PARAMETER_EVENTS} & reader.topics.keys())
-
-
 class Said(NamedTuple):
     """A node published that parameters have these values.
 
@@ -228,7 +223,7 @@ def timeline_of(reader: BagReader, dwell_topics: Sequence[str] = ("/phase_histor
     Returns:
         The timeline; an empty one if nothing in the bag states how dwells were processed.
     """
-    if not states_processing(reader):
+    if not (products_of(reader) or {"/calibration", PARAMETER_EVENTS} & reader.topics.keys()):
         return Timeline()
     record = FlightRecord(reader, dwell_topics)
     timeline = Timeline(record.dwells)

@@ -224,7 +224,8 @@ def live(
     air = [topic for topic in AIR if any(item.topic == topic for item in playlist.items)]
     check_air(values, [feed.sensor], air, f"Bag {feed.bag}")
     interval_s = 1 / (playlist.dwell_rate_hz * how.rate)
-    budget_s = how.budget_s or _budget_of(feed) or max(3 * interval_s, 0.2)
+    of_preset = json.loads(feed.custom_data.get(PRESET, "{}")).get("latency_budget_s")
+    budget_s = how.budget_s or of_preset or max(3 * interval_s, 0.2)
     steps = 3  # nodes that a dwell passes one after the other: compression, heights and tracker
     shares = {name: {"latency_budget_s": budget_s / steps} for name in stages if name != MAPPER}
     # The map has no latency budget: a dwell is as good for it a second later, and a large map is published that long.
@@ -375,8 +376,3 @@ class Beginning:
             self._asked_at = time.monotonic()
             self._asked = self._conductor.ask()
         return self._begun
-
-
-def _budget_of(feed: Feed) -> float | None:
-    """The latency budget in the preset of a simulated sensor, if it states one."""
-    return json.loads(feed.custom_data.get(PRESET, "{}")).get("latency_budget_s")

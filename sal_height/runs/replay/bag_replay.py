@@ -115,11 +115,6 @@ class Remapping:
     of_bag: Mapping[str, str] = field(default_factory=dict)
     of_nodes: Mapping[str, str] = field(default_factory=dict)
 
-    @property
-    def in_new_bag(self) -> dict[str, str]:
-        """The names by which nodes know the topics of the bag that is made, by those that they have there."""
-        return {f"/{new}": f"/{old}" for old, new in self.of_nodes.items()}
-
     def check(self, played: Sequence[str], stages: Sequence[str]) -> None:
         """Refuse names of topics that no node of the run has, or that two topics would have in common.
 
@@ -363,7 +358,7 @@ def replay(
         judged = [f"/{p}/height" for p in prefixes if p != HEIGHTS[TRACKER] or processing.begins_with_bag]
         judged = [topic for topic in judged if topic in golden.topics]
         if judged and not outcome.interrupted:
-            new = NamespacedReader(made, "", remapping.in_new_bag)
+            new = NamespacedReader(made, "", {f"/{name}": f"/{topic}" for topic, name in remapping.of_nodes.items()})
             first_pass = processing.is_of_first_pass if playing.loops > 1 else None
             compared = compare_bags(golden, new, against.tolerances, judged, processing.plays, first_pass)
             draw_worst_dwell(golden, new, compared, folder)

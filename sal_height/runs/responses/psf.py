@@ -151,6 +151,8 @@ def _spacing(group: list[Image]) -> tuple[float, float]:
 def _entry(number: int | None, group: list[Image], report: PsfReport, *, noise_known: bool) -> Entry:
     """The entry of psf.json."""
     spacing = _spacing(group)
+    why = "Widths in metres need the pixel spacing, which an array file does not contain; measure a bag."
+    no_metres = {} if np.isfinite(spacing).all() else {"metres": why}
     spread, transfer = report.spread, report.transfer
     verdicts = Counter(str(one) for survey in report.surveys for one in survey.verdicts.elements())
     measured = (spread.range, spread.azimuth) if spread else ()
@@ -168,7 +170,7 @@ def _entry(number: int | None, group: list[Image], report: PsfReport, *, noise_k
         "speckle": _speckle_entry(report, None if noise_known else NOISE_UNKNOWN),
         "pointing": _pointing_entries(report.pointing),
         "superposition": _linearity_entry(report),
-        "undetermined": {**report.undetermined, **_missing_figures(figures, report), **_missing_metres(spacing)},
+        "undetermined": {**report.undetermined, **_missing_figures(figures, report), **no_metres},
     }
 
 
@@ -252,12 +254,6 @@ def _missing_figures(figures: dict[str, Entry], report: PsfReport) -> dict[str, 
     if report.transfer and report.transfer.targets < 2:
         reasons["disagreement"] = "Agreement between targets needs at least two targets."
     return reasons
-
-
-def _missing_metres(spacing: tuple[float, float]) -> dict[str, str]:
-    if np.isfinite(spacing).all():
-        return {}
-    return {"metres": "Widths in metres need the pixel spacing, which an array file does not contain; measure a bag."}
 
 
 def _arrays(report: PsfReport) -> dict[str, npt.NDArray[Any]]:

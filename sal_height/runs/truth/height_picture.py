@@ -37,6 +37,7 @@ from sal_height.numeric import F64, half_width
 from sal_height.runs.truth.comparison import FOUND_ORDERS, TRUE_ORDERS
 from sal_height.runs.truth.surface_report import CELL_PIXELS, Judged
 from sal_height.simulation import Preset
+from sal_height.tables import number_text
 
 SHADOW, NO_ANSWER = "0.35", "0.8"
 """Greys of cells without a height: where only noise was found, and where the signal gave no height."""
@@ -122,9 +123,12 @@ def draw_heights(judgements: Mapping[str, Judged], images: Sequence[HeightImage]
         for axis, name in zip(axes[:, 2:], [PREFIX, *own], strict=True):
             if name in pictures:
                 _draw_error(axis[0], name, pictures[name], judgements[name], scales)
-                _draw_sigma(axis[1], name, pictures[name], scales)
+                _show(axis[1], pictures[name], pictures[name].sigma, scales.sigma, SIGMAS, scales.factor)
+                axis[1].set_title(f"sigma, {name}")
             else:
-                _say_none(axis)
+                for panel in axis:
+                    panel.set_axis_off()
+                axis[0].text(0.5, 0.5, "no tracked heights", ha="center", va="center", transform=axis[0].transAxes)
         _name_axes(axes, scales.unit)
         edges = scales.factor * np.array([one.extent for one in pictures.values()])
         for axis in axes[:, [0, 2, 3]].flat:
@@ -229,26 +233,14 @@ def draw_powers(axes: Axes, images: Sequence[HeightImage], factor: float) -> tup
 def _draw_found(axis: Axes, name: str, picture: GroundPicture, judgement: Judged, scales: _Scales) -> None:
     ground = judgement.ground
     _show(axis, picture, picture.height, scales.height, HEIGHTS, scales.factor)
-    axis.set_title(
-        f"{title_of(name)}\n{_percent(ground.shares['right'])} of lit ground right to {ground.tolerance:.2g} m"
-    )
+    right = number_text(ground.shares["right"], ".1f", 100.0)
+    axis.set_title(f"{title_of(name)}\n{right} % of lit ground right to {ground.tolerance:.2g} m")
 
 
 def _draw_error(axis: Axes, name: str, picture: GroundPicture, judgement: Judged, scales: _Scales) -> None:
     _show(axis, picture, picture.error, scales.error, ERRORS, scales.factor)
     _show(axis, picture, picture.ghost, Normalize(0, 1), ListedColormap([FAULT]), scales.factor)
     axis.set_title(f"error, {name}\ns68 {_s68(judgement.comparison.errors.nearest):.2g} m")
-
-
-def _draw_sigma(axis: Axes, name: str, picture: GroundPicture, scales: _Scales) -> None:
-    _show(axis, picture, picture.sigma, scales.sigma, SIGMAS, scales.factor)
-    axis.set_title(f"sigma, {name}")
-
-
-def _say_none(axes: npt.NDArray[Any]) -> None:
-    for axis in axes:
-        axis.set_axis_off()
-    axes[0].text(0.5, 0.5, "no tracked heights", ha="center", va="center", transform=axes[0].transAxes)
 
 
 def _name_axes(axes: npt.NDArray[Any], unit: str) -> None:
@@ -332,10 +324,6 @@ def percent_text(share: float) -> str:
     if rounded == 0:
         return "<1"
     return ">99" if rounded == 100 and share < 1 else str(rounded)
-
-
-def _percent(share: float | None) -> str:
-    return "-" if share is None else f"{100 * share:.1f} %"
 
 
 def _s68(error: F64) -> float:

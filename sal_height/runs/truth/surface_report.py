@@ -77,12 +77,7 @@ class GroundCoverage:
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """The height images of one estimator compared with the truth.
-
-    Attributes:
-        comparison: comparison of pixels and published surfaces.
-        ground: coverage of the ground.
-    """
+    """The height images of one estimator against the truth: pixels with published surfaces, and lit ground."""
 
     comparison: SurfaceComparison
     ground: GroundCoverage

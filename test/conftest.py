@@ -35,7 +35,7 @@ LONGEST_FIRST = (
     *("test_soak.py", "test_golden.py", "test_tutorials.py", "runs/replay/test_replay.py", "runs/live/test_live.py"),
     *("runs/test_supervisor.py", "runs/campaign/test_batch.py", "runs/test_ensemble.py", "figures/test_figures.py"),
     *("test_notebooks.py", "runs/test_adjusted_run.py", "runs/products/test_calibrate.py", "runs/test_lockstep.py"),
-    *("commands/test_program.py", "runs/products/test_movers.py", "runs/test_run.py", "runs/test_strip_run.py"),
+    *("commands/test_program.py", "runs/products/test_movers.py", "runs/test_run.py"),
 )
 """Files that take 10 s of processor time or more, or wait for programs, the longest first."""
 

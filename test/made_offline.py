@@ -8,7 +8,7 @@ from typing import Any
 from sal_height.bag.compare import compare_bags
 from sal_height.bag.reader import BagReader
 from sal_height.bag.tolerance import EXACT, Tolerances
-from sal_height.runs.campaign.campaign import Case, process_case
+from sal_height.runs.campaign.batch import Case, process_case
 
 
 def make(bag: Path, folder: Path, jobs: int = 1, **given: Any) -> dict[str, Any]:

@@ -39,6 +39,10 @@ SURE = 7.5
 of `sal_passes` without common ground, seven exceed 4, where a car ends as another does elsewhere, and the greatest is
 7.1."""
 
+ROUGH_POINTS, FINE_POINTS, STRIP_POINTS = 300, 800, 3000
+"""Most points that are compared of joined dwells, whose search is far and rough, of single ones, and of joined images
+of strips."""
+
 
 @dataclass(frozen=True, eq=False)
 class Rarity:
@@ -128,11 +132,6 @@ def _misfits(points: Points, surface: GriddedSurface, cells: Index) -> F64:
     sigma = np.sqrt(2) * np.hypot(points.sigma, points.roughness)
     best = np.log((1 - OUTLIERS) / (np.sqrt(2 * np.pi) * sigma * density) + OUTLIERS)
     return np.asarray(best - likelihood[0])
-
-
-ROUGH_POINTS, FINE_POINTS, STRIP_POINTS = 300, 800, 3000
-"""Most points that are compared of joined dwells, whose search is far and rough, of single ones, and of joined images
-of strips."""
 
 
 @dataclass(frozen=True, eq=False)

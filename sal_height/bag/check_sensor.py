@@ -25,6 +25,11 @@ from sal_height.numeric import I64
 from sal_height.renamed import with_new_names
 from sal_height.sensor import Sensor
 
+GAPLESS_NS = 50_000_000
+"""Longest interval of odometry that nodes do not treat as a gap, ns (odometry_interval_s)."""
+
+RECORD_ALL = "Record it, too; the chain cannot work without."
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -70,12 +75,6 @@ def some(cases: Sequence[object]) -> str:
     most = 3  # are named
     named = "; ".join(map(str, cases[:most]))
     return f"{named}; and {len(cases) - most} more" if len(cases) > most else named
-
-
-GAPLESS_NS = 50_000_000
-"""Longest interval of odometry that nodes do not treat as a gap, ns (odometry_interval_s)."""
-
-RECORD_ALL = "Record it, too; the chain cannot work without."
 
 
 class SensorCheck:

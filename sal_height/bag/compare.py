@@ -26,6 +26,17 @@ TIMES = {"builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"}
 NUMBERS_OF_SAMPLES = {"complex_float32": "<f4", "complex_int16": "<i2"}
 """Type of the numbers in `samples`, two of which make a sample, by the name of their encoding."""
 
+EDGES: F64 = np.concatenate([[0.0], 10.0 ** (np.arange(-20 * 20, 20 * 20 + 1) / 20), [np.inf]])
+"""Limits of the bins of differences for quantiles, twenty per decade."""
+
+EQUAL, WITHIN, CHANGED = "equal", "within tolerance", "changed"
+"""Verdicts, the best first."""
+
+NOT_COMPARED = frozenset({"provenance", "order"})
+"""Fields of messages that describe their making, not their result."""
+
+NOTHING: NDArray[Any] = np.zeros(0)
+
 
 def fields_of(message: Any, without: frozenset[str] = frozenset()) -> dict[str, NDArray[Any]]:
     """All values of a message, as arrays of one dimension by name.
@@ -84,10 +95,6 @@ def _samples(data: Any, numbers: str | None) -> NDArray[Any]:
         return values
     real, imaginary = values.astype(np.float32).reshape(-1, 2).T
     return (real + 1j * imaginary).astype(np.complex64)
-
-
-EDGES: F64 = np.concatenate([[0.0], 10.0 ** (np.arange(-20 * 20, 20 * 20 + 1) / 20), [np.inf]])
-"""Limits of the bins of differences for quantiles, twenty per decade."""
 
 
 class WorstValue(NamedTuple):
@@ -212,13 +219,6 @@ class FieldDifference:
         if excess > self._farthest:
             self._farthest = excess
             self.worst = WorstValue(dwell, index, str(golden[index]), str(made[index]))
-
-
-EQUAL, WITHIN, CHANGED = "equal", "within tolerance", "changed"
-"""Verdicts, the best first."""
-
-NOT_COMPARED = frozenset({"provenance", "order"})
-"""Fields of messages that describe their making, not their result."""
 
 
 class Key(NamedTuple):
@@ -395,9 +395,6 @@ def _compare(golden: Any, made: Any, tolerances: Tolerances, dwell: int, result:
         known = result.fields.setdefault(name, FieldDifference())
         if outside := known.add(one, other, allowed, dwell):
             result.outside[dwell] += outside
-
-
-NOTHING: NDArray[Any] = np.zeros(0)
 
 
 def _confusion(golden: NDArray[Any], made: NDArray[Any]) -> Counter[tuple[str, str]]:

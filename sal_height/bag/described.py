@@ -22,6 +22,10 @@ from sal_height.topics import MAP_ORIGIN, ODOMETRY, PHASE_HISTORY, SENSOR_INFO, 
 FRAMES, IMAGES = PHASE_HISTORY, SLC
 """Topics with the samples of dwells, and with their images."""
 
+PARAMETER_EVENTS, PARAMETER_EVENT_TYPE = "/parameter_events", "rcl_interfaces/msg/ParameterEvent"
+
+_LOG = logging.getLogger(__name__)
+
 
 @dataclass(frozen=True)
 class SensorTopics:
@@ -69,9 +73,6 @@ def sensors_in(topics: Mapping[str, Topic]) -> list[SensorTopics]:
     return sorted(found, key=lambda sensor: sensor.namespace)
 
 
-PARAMETER_EVENTS, PARAMETER_EVENT_TYPE = "/parameter_events", "rcl_interfaces/msg/ParameterEvent"
-
-
 def after(known: ParameterEvent | None, event: ParameterEvent) -> ParameterEvent:
     """All parameters of a node after an event, as an event of new parameters; `known`: the parameters before."""
     values = {parameter.name: parameter for parameter in (known.new_parameters if known else ())}
@@ -79,9 +80,6 @@ def after(known: ParameterEvent | None, event: ParameterEvent) -> ParameterEvent
     for parameter in event.deleted_parameters:
         values.pop(parameter.name, None)
     return ParameterEvent(node=event.node, stamp=event.stamp, new_parameters=list(values.values()))
-
-
-_LOG = logging.getLogger(__name__)
 
 
 def origin_of(reader: BagReader) -> Origin | None:

@@ -42,6 +42,20 @@ from sal_height.messages import BrokenMessage
 from sal_height.messages.codec import SHIPPED, recorded_types
 from sal_height.messages.definition import Definition, known_definition, shipped_definition
 
+_MESSAGE = struct.Struct("<BQHIQQ")
+"""Opcode and length of a message, its channel, number, and times of reception and publication, ns."""
+
+HEAD_BYTES = 8192
+"""Bytes of a frame that are read first; more follow if it has more pulses."""
+
+ZEROS_BYTES = 64
+"""First bytes of a frame; if all are zero, the file is damaged there."""
+
+PULSE_BYTES = 16
+"""Bytes of the time and reference range of a pulse."""
+
+__all__ = ["BagMessage", "BagReader", "Topic"]
+
 
 def is_stored_otherwise(path: Path) -> bool:
     """True if a bag, a folder or a file, is stored in another way than as plain MCAP files.
@@ -142,19 +156,6 @@ def _profiles(path: Path) -> dict[str, tuple[Qos, ...]]:
     return found
 
 
-_MESSAGE = struct.Struct("<BQHIQQ")
-"""Opcode and length of a message, its channel, number, and times of reception and publication, ns."""
-
-HEAD_BYTES = 8192
-"""Bytes of a frame that are read first; more follow if it has more pulses."""
-
-ZEROS_BYTES = 64
-"""First bytes of a frame; if all are zero, the file is damaged there."""
-
-PULSE_BYTES = 16
-"""Bytes of the time and reference range of a pulse."""
-
-
 class TimedPart(NamedTuple):
     """Reception of a frame, ns, and its dwell."""
 
@@ -235,9 +236,6 @@ def _read_frame(stream: BinaryIO, at: int, size: int) -> Frame:
         return read(size)  # a text may be longer than the bytes read before
     needed = text_bytes + PULSE_BYTES * len(frame.pulse_time)
     return frame if needed <= HEAD_BYTES else read(needed)
-
-
-__all__ = ["BagMessage", "BagReader", "Topic"]
 
 
 class LogTimes(NamedTuple):

@@ -50,6 +50,16 @@ from sal_height.tables import aligned
 UNKNOWN = "(unknown)"
 """Text in place of the topic of messages whose channel is no longer described."""
 
+OPCODES = frozenset(Opcode)
+
+COMPRESSION = HEAD.size + 28
+"""Position of the name of the compression in a chunk: after times, size and checksum."""
+
+LENGTH = struct.Struct("<Q")
+
+CHUNK = re.compile(rb"(?=%c.{%d}(?:\0{4}|\x03\0{3}lz4|\x04\0{3}zstd))" % (Opcode.CHUNK, COMPRESSION - 1), re.DOTALL)
+"""Start of a chunk, at every position."""
+
 
 @dataclass(frozen=True)
 class Gap:
@@ -195,17 +205,6 @@ def _span(stream: BinaryIO, place: int, limit: int, *, is_open: bool, has_chunks
     if following <= limit:
         return RecordSpan(place, HEAD.size + length, opcode)
     return RecordSpan(place, limit - place, opcode, whole=False) if is_open and not has_chunks else lost
-
-
-OPCODES = frozenset(Opcode)
-
-COMPRESSION = HEAD.size + 28
-"""Position of the name of the compression in a chunk: after times, size and checksum."""
-
-LENGTH = struct.Struct("<Q")
-
-CHUNK = re.compile(rb"(?=%c.{%d}(?:\0{4}|\x03\0{3}lz4|\x04\0{3}zstd))" % (Opcode.CHUNK, COMPRESSION - 1), re.DOTALL)
-"""Start of a chunk, at every position."""
 
 
 def is_known(opcode: int) -> bool:

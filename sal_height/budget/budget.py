@@ -12,12 +12,12 @@ import numpy as np
 from scipy.constants import speed_of_light
 
 from sal_height.budget.budget_errors import BudgetEntry, Situation, describe_autofocus, error_entries, image_settings
-from sal_height.budget.budget_picture import draw_budget
 from sal_height.elevation import stochastic_crb
 from sal_height.errors import UserError
 from sal_height.geometry import RADIO_M, AirPath, ApertureState, locate_at_height, path_through_air
+from sal_height.graph.picture import page
 from sal_height.imaging import azimuth_resolution, image_beams
-from sal_height.io import new_folder, write_text
+from sal_height.io import new_folder, write_text, writing
 from sal_height.numeric import F64
 from sal_height.relief import position_jacobian, vertical
 from sal_height.sensor import Sensor, aperture_length, lit_doppler, spectrum_sensor
@@ -77,7 +77,8 @@ class Budget:
             UserError: beams that leave the quarter between nadir and horizon, or a parameter that is not allowed.
         """
         self.preset, self.sensor, self.assumed = preset, preset.make_sensor(), assumed
-        usual = _usual_backscatter(self.sensor.wavelength, preset.flight.look_angle_rad)
+        is_radar = self.sensor.wavelength >= RADIO_M
+        usual = 10 ** (BACKSCATTER_DB / 10) if is_radar else diffuse_backscatter(ALBEDO, preset.flight.look_angle_rad)
         self.backscatter = usual if assumed.backscatter is None else assumed.backscatter
         self._settings = image_settings(preset)
         self.link = self._link()
@@ -255,8 +256,8 @@ class Budget:
         arm = flight.slant_range_m * np.sin(flight.look_angle_rad)
         shift = flight.slant_range_m / flight.speed_mps
         acceleration = DEFOCUSING_RAD * wavelength / (2 * np.pi) / (time / 2) ** 2
-        paired_echo_db = -20.0  # power of the paired echoes that a vibration makes on both sides of each target
-        vibration = 2 * 10 ** (paired_echo_db / 20) * wavelength / (4 * np.pi)
+        echo_db = -20.0  # power of the paired echoes that a vibration makes on both sides of each target
+        vibration = 2 * 10 ** (echo_db / 20) * wavelength / (4 * np.pi)
         yield BudgetEntry(group, "roll_m_per_urad", "height error per µrad of roll", 1e-6 * arm, "m")
         yield BudgetEntry(
             group, "range_m_per_m", "height error per metre of range", -np.cos(flight.look_angle_rad).item(), "m"
@@ -316,20 +317,9 @@ def _elevation_width(sensor: Sensor) -> float:
     return last - first + sensor.beamwidth
 
 
-def _usual_backscatter(wavelength: float, incidence: float) -> float:
-    """Radar cross-section per area that is assumed of the ground, by wavelength (m) and angle of incidence (rad)."""
-    return diffuse_backscatter(ALBEDO, incidence) if wavelength < RADIO_M else 10 ** (BACKSCATTER_DB / 10)
-
-
 @dataclass(frozen=True)
 class DrawnUp:
-    """A budget as it was written.
-
-    Attributes:
-        entries: its numbers.
-        notes: notes on what these leave out.
-        refusals: messages with which a run refuses the preset.
-    """
+    """A budget as written: its numbers, what they leave out, and messages with which a run refuses the preset."""
 
     entries: list[BudgetEntry]
     notes: list[str]
@@ -358,3 +348,33 @@ def budget(preset: Preset, assumed: Assumptions, out: Path) -> DrawnUp:
         out / PICTURE,
     )
     return drawn
+
+
+def draw_budget(
+    name: str, by_power: tuple[F64, F64], by_place: tuple[F64, F64], point: tuple[float, float], path: Path
+) -> None:
+    """Write a PNG: sigma of a height by noise over the mean power, and over the swath.
+
+    Args:
+        name: name of the preset.
+        by_power: mean power transmitted (W), and sigma (m) in the middle of the swath.
+        by_place: elevation from the middle of the beams (beamwidths), and sigma (m).
+        point: power (W) and sigma (m) of the budget.
+        path: path of the picture.
+
+    Raises:
+        UserError: it cannot be written.
+    """
+    with writing(path), page(path, 2.6) as figure:
+        power, swath = figure.subplots(1, 2)
+        power.loglog(*by_power)
+        power.plot(*point, "o", color="black", label=f"{point[0]:.3g} W: {point[1]:.2g} m")
+        power.set(xlabel="mean power transmitted (W)", ylabel="sigma of a height by noise (m)")
+        power.set_title(f"{name}: what a power gives, middle of the swath")
+        power.legend(frameon=False)
+        swath.plot(*by_place)
+        swath.set(xlabel="elevation from the middle (beamwidths)", ylabel="sigma of a height by noise (m)")
+        swath.set_title("over the swath, at that power")
+        for axes in (power, swath):
+            axes.grid(which="both")
+        swath.set_ylim(bottom=0)

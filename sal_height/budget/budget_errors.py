@@ -32,6 +32,11 @@ from sal_height.simulation import Preset, laser_structure, swings_little
 from sal_height.tables import aligned
 from sal_height.theory import AperturePhase, phase_of_line, phase_of_structure, sum_of_phases
 
+GROUP = "errors of this preset"
+
+QUARTIC_REST = np.sqrt((4 / 7) ** 2 / 5 + (8 / 35) ** 2 / 9)
+"""Rms of x^4 over -1 < x < 1 about its mean and slope, by Legendre's polynomials: x^4 = 1/5 + 4/7 P2 + 8/35 P4."""
+
 
 @dataclass(frozen=True)
 class BudgetEntry:
@@ -68,12 +73,6 @@ def budget_table(entries: Sequence[BudgetEntry]) -> str:
 def _number(value: float) -> str:
     """A number with four digits that count, and without an exponent."""
     return np.format_float_positional(value, precision=4, unique=False, fractional=False, trim="-").rstrip(".")
-
-
-GROUP = "errors of this preset"
-
-QUARTIC_REST = np.sqrt((4 / 7) ** 2 / 5 + (8 / 35) ** 2 / 9)
-"""Rms of x^4 over -1 < x < 1 about its mean and slope, by Legendre's polynomials: x^4 = 1/5 + 4/7 P2 + 8/35 P4."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,6 +23,9 @@ from sal_height.numeric import C64, C128, F64, WORKERS, window
 from sal_height.response import CHIP, PointTarget, PointTargetSettings, estimate_transfer_function, find_targets
 from sal_height.sensor import Channels, Sensor, spectrum_sensor, whitened_channels, with_powers
 
+TARGET_MEMORY = 2**27
+"""Bytes of the chips of point targets that are kept: 2048 of 64 x 64 pixels, where 25 per dwell would be 1.6 MB."""
+
 
 class Sighting(NamedTuple):
     """A reference target in the images of a dwell.
@@ -71,10 +74,6 @@ def find_reference_target(
     _, elevation, squint = angles_of(target, aperture_at(target, aperture), look_side)
     samples = pixels[:, row - reach + int(down), col - reach + int(right)].astype(np.complex128)
     return Sighting(samples, float(elevation), float(squint))
-
-
-TARGET_MEMORY = 2**27
-"""Bytes of the chips of point targets that are kept: 2048 of 64 x 64 pixels, where 25 per dwell would be 1.6 MB."""
 
 
 class Calibrator:

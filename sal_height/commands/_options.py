@@ -70,18 +70,39 @@ def epilogue(examples: str, failure: str | None = None) -> str:
     return f"examples:\n{examples.strip(chr(10))}\n\nexit status:\n{statuses}"
 
 
-def _pair_of(kind: type, separator: str, form: str) -> Any:
+def one_word(metavar: str, convert: Callable[[Token], Any], **more: Any) -> Parameter:
+    """A parameter whose value is one word of the command line, or of each repetition.
+
+    Args:
+        metavar: form of the word, as the help shows it.
+        convert: function that reads the word.
+        more: other arguments of the parameter.
+    """
+    return Parameter(
+        metavar=metavar,
+        n_tokens=1,
+        accepts_keys=False,
+        converter=lambda _type, tokens: convert(tokens[0]),
+        **more,
+    )
+
+
+def repeated(metavar: str, **more: Any) -> Parameter:
+    """A parameter that takes one value, and may be repeated; `more` are other arguments of it."""
+    return Parameter(metavar=metavar, consume_multiple=False, show_default=False, **more)
+
+
+def _pair_of(kind: type, separator: str, form: str) -> Callable[[Token], tuple[Any, Any]]:
     """Converter of texts such as 2x2 to a pair of numbers."""
 
-    def convert(_type: type, tokens: Sequence[Token]) -> tuple[Any, Any]:
-        text = tokens[0].value
-        first, found, second = text.partition(separator)
+    def convert(token: Token) -> tuple[Any, Any]:
+        first, found, second = token.value.partition(separator)
         try:
             if found and re.fullmatch(r"[\d.]+", first) and re.fullmatch(r"[\d.]+", second):
                 return kind(first), kind(second)
         except ValueError:
             pass
-        raise ValueError(f"{text!r} is not of the form {form}")
+        raise ValueError(f"{token.value!r} is not of the form {form}")
 
     return convert
 
@@ -101,15 +122,16 @@ def allowed(what: str, is_allowed: Callable[[float], bool]) -> Callable[[type, f
     return check
 
 
-def _place(_type: type, tokens: Sequence[Token]) -> dict[str, float]:
+def _place(token: Token) -> dict[str, float]:
     """Converter of a text such as 48.1,11.3,560 to the keys of a preset's origin."""
-    text = tokens[0].value
     try:
-        numbers = [float(number) for number in text.split(",")]
+        numbers = [float(number) for number in token.value.split(",")]
     except ValueError:
         numbers = []
     if len(numbers) not in {2, 3}:
-        raise ValueError(f"{text!r} is not of the form LAT,LON or LAT,LON,H in degrees and m, such as 48.1,11.3,560")
+        raise ValueError(
+            f"{token.value!r} is not of the form LAT,LON or LAT,LON,H in degrees and m, such as 48.1,11.3,560"
+        )
     return dict(zip(("latitude_deg", "longitude_deg", "height_m"), numbers, strict=False))
 
 
@@ -139,132 +161,91 @@ Trials: TypeAlias = Annotated[int, Parameter(metavar="N", help="Number of Monte 
 
 RangeByAzimuth: TypeAlias = Annotated[
     tuple[int, int] | None,
-    Parameter(
-        metavar="RxA",
-        n_tokens=1,
-        accepts_keys=False,
-        converter=_pair_of(int, "x", "RxA with whole numbers, for example 2x2"),
-        validator=_positive,
-    ),
+    one_word("RxA", _pair_of(int, "x", "RxA with whole numbers, for example 2x2"), validator=_positive),
 ]
 
 Place: TypeAlias = Annotated[
-    dict[str, float] | None,
-    Parameter(
-        metavar="LAT,LON[,H]", n_tokens=1, accepts_keys=False, negative=(), allow_leading_hyphen=True, converter=_place
-    ),
+    dict[str, float] | None, one_word("LAT,LON[,H]", _place, negative=(), allow_leading_hyphen=True)
 ]
 
 
-def check_near(token: Token, numbers: Sequence[float]) -> None:
-    """Check that numbers in m are as near to the origin of map as positions in files of targets must be.
+def metres(token: Token, form: str, example: str) -> tuple[float, ...]:
+    """The numbers of a text such as 12.5,-3,1.2, in m, as near to the origin of map as those in files of targets.
+
+    Args:
+        token: text of an option.
+        form: names of the numbers, such as EAST,NORTH,HEIGHT.
+        example: text of that form.
 
     Raises:
-        UserError: a number is too great.
+        UserError: the text has another form, or a number is too great.
     """
     from sal_height.adjustment.targets import FARTHEST_M
 
+    try:
+        numbers = tuple(map(float, token.value.split(",")))
+    except ValueError:
+        numbers = ()
+    if len(numbers) != len(form.split(",")):
+        raise UserError(f"Option {token.keyword} is {token.value!r}; it must be {form} in m, for example {example}.")
     if not all(abs(number) <= FARTHEST_M for number in numbers):  # NaN is refused, too
         raise UserError(f"Option {token.keyword} is {token.value!r}; numbers must be at most {FARTHEST_M:g} m.")
+    return numbers
 
 
-def _places(_type: type, tokens: Sequence[Token]) -> tuple[tuple[float, float, float], ...]:
-    places = []
-    for token in tokens:
-        try:
-            east, north, height = map(float, token.value.split(","))
-        except ValueError:
-            raise UserError(
-                f"Option {token.keyword} is {token.value!r}; it must be EAST,NORTH,HEIGHT in m, for example "
-                "12.5,-3,1.2."
-            ) from None
-        check_near(token, (east, north, height))
-        places.append((east, north, height))
-    return tuple(places)
+def _places(_type: type, tokens: Sequence[Token]) -> tuple[tuple[float, ...], ...]:
+    return tuple(metres(token, "EAST,NORTH,HEIGHT", "12.5,-3,1.2") for token in tokens)
 
 
 Places: TypeAlias = Annotated[
     tuple[tuple[float, float, float], ...],
-    Parameter(
-        metavar="EAST,NORTH,HEIGHT",
+    repeated(
+        "EAST,NORTH,HEIGHT",
         n_tokens=1,
         accepts_keys=False,
         allow_leading_hyphen=True,
         converter=_places,
-        consume_multiple=False,
-        show_default=False,
         negative=(),
     ),
 ]
 """Positions in map, of an option that may be repeated."""
 
 PixelPosition: TypeAlias = Annotated[
-    tuple[int, int] | None,
-    Parameter(
-        metavar="ROW,COL",
-        n_tokens=1,
-        accepts_keys=False,
-        converter=_pair_of(int, ",", "ROW,COL with whole numbers, for example 120,45"),
-    ),
+    tuple[int, int] | None, one_word("ROW,COL", _pair_of(int, ",", "ROW,COL with whole numbers, for example 120,45"))
 ]
 
-DwellRange: TypeAlias = Annotated[
-    tuple[int, int] | None,
-    Parameter(
-        metavar="FIRST:LAST",
-        n_tokens=1,
-        accepts_keys=False,
-        converter=_pair_of(int, ":", "FIRST:LAST with whole numbers, for example 10:19"),
-    ),
-]
+
+def _range(token: Token) -> tuple[int, int]:
+    """The two numbers of FIRST:LAST."""
+    match = re.fullmatch(r"(\d{1,10}):(\d{1,10})", token.value)
+    if not match or not int(match[1]) <= int(match[2]) < 2**32:
+        raise ValueError(f"{token.value!r} is not of the form FIRST:LAST, for example 10:19")
+    return int(match[1]), int(match[2])
+
+
+DwellRange: TypeAlias = Annotated[tuple[int, int] | None, one_word("FIRST:LAST", _range, show_default=False)]
 
 ElevationByAzimuth: TypeAlias = Annotated[
-    tuple[float, float],
-    Parameter(
-        metavar="ExA",
-        n_tokens=1,
-        accepts_keys=False,
-        converter=_pair_of(float, "x", "ExA with two numbers, for example 0.6x1.2"),
-    ),
+    tuple[float, float], one_word("ExA", _pair_of(float, "x", "ExA with two numbers, for example 0.6x1.2"))
 ]
 
 NodeParameters: TypeAlias = Annotated[
     tuple[str, ...],
-    Parameter(
-        name="--param",
-        metavar="NODE.NAME=VALUE",
-        consume_multiple=False,
-        show_default=False,
-        help="Set a parameter of a node; may be repeated.",
-    ),
+    repeated("NODE.NAME=VALUE", name="--param", help="Set a parameter of a node; may be repeated."),
 ]
-
 
 Settings: TypeAlias = Annotated[
     tuple[str, ...],
-    Parameter(
-        name="--set",
-        metavar="NAME=VALUE",
-        consume_multiple=False,
-        show_default=False,
-        help="Change a setting of the measurement; may be repeated.",
-    ),
+    repeated("NAME=VALUE", name="--set", help="Change a setting of the measurement; may be repeated."),
 ]
-
-
-def _names(_type: type, tokens: Sequence[Token]) -> tuple[str, ...]:
-    return tuple(name.strip() for name in tokens[0].value.split(","))
-
 
 Estimators: TypeAlias = Annotated[
     tuple[str, ...],
-    Parameter(
+    one_word(
+        "NAME,NAME",
+        lambda token: tuple(name.strip() for name in token.value.split(",")),
         name="--estimators",
-        metavar="NAME,NAME",
-        n_tokens=1,
-        accepts_keys=False,
         show_default=False,
-        converter=_names,
         help="Height estimators, for example ml,capon,music; adjusted is those of ml, or of the first, moved to where "
         "earlier dwells saw the same ground; movers adds what moves. Default: the standard ones that suit the sensor.",
     ),
@@ -278,10 +259,8 @@ class GraphOptions:
 
     record: Annotated[
         tuple[str, ...],
-        Parameter(
-            metavar="TOPIC",
-            consume_multiple=False,
-            show_default=False,
+        repeated(
+            "TOPIC",
             help="Record this topic, too, such as slc (the complex images); may be repeated.",
         ),
     ] = ()

@@ -95,7 +95,7 @@ def adjust(
     from sal_height.adjustment import References, Target, Terrain, read_targets
     from sal_height.geometry.elevation_model import read_elevation_model
     from sal_height.runs.products.adjust import adjust_bag
-    from sal_height.runs.products.adjustment_report import adjustment_table, has_comparisons, tells_nothing
+    from sal_height.runs.products.adjustment_report import adjustment_table, determines_nothing, has_comparisons
 
     if terrain_sigma is not None and not terrain:
         raise UserError("Option --terrain-sigma has no meaning without --terrain, whose heights it is about.")
@@ -103,10 +103,11 @@ def adjust(
     known = (*(Target(*place) for place in target), *(read_targets(targets) if targets else ()))
     references = References(known, ground)
     folder = output_folder(out, f"adjust_{bag_name(bag)}")
-    adjusted = adjust_bag(bag, folder, estimator, node_parameters(param), settings_values(set_), references, jobs)
-    print(adjustment_table(adjusted.summary))
-    complain(adjusted.warnings)
-    corrected = f"heights with the corrected odometry: sal-height replay {adjusted.bag}"
-    kept = f"{adjusted.bag} has the odometry as it was"
-    print(f"see {folder}/adjustment.png; {corrected if has_comparisons(adjusted.summary) else kept}")
-    return FAILED if tells_nothing(adjusted.summary) else DONE
+    given, wanted = node_parameters(param), settings_values(set_)
+    summary, warnings = adjust_bag(bag, folder, estimator, given, wanted, references, jobs)
+    print(adjustment_table(summary))
+    complain(warnings)
+    corrected = f"heights with the corrected odometry: sal-height replay {folder}/bag"
+    kept = f"{folder}/bag has the odometry as it was"
+    print(f"see {folder}/adjustment.png; {corrected if has_comparisons(summary) else kept}")
+    return FAILED if determines_nothing(summary) else DONE

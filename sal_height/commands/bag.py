@@ -25,6 +25,7 @@ from sal_height.commands._options import (
     command,
     complain,
     output_folder,
+    repeated,
 )
 from sal_height.io import bag_name
 
@@ -189,7 +190,7 @@ def diff(
     other: Annotated[Path, Parameter(name="OTHER", help="Bag that is judged.")],
     /,
     *,
-    topic: Annotated[tuple[str, ...], Parameter(metavar="TOPIC", consume_multiple=False, show_default=False)] = (),
+    topic: Annotated[tuple[str, ...], repeated("TOPIC")] = (),
     tolerance: Tolerance = None,
     out: OutputFolder = None,
 ) -> int:

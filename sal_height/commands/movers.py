@@ -53,11 +53,11 @@ def movers(
 
     use_one_blas_thread()
 
-    from sal_height.runs.products.movers import find_in_bag
+    from sal_height.runs.products.movers import find_in_bag, movers_table
 
     folder = output_folder(out, f"movers_{bag_name(bag)}")
-    found = find_in_bag(bag, folder, node_parameters(param), settings_values(set_), jobs)
-    print(found.table())
-    complain(found.warnings)
+    summary, warnings = find_in_bag(bag, folder, node_parameters(param), settings_values(set_), jobs)
+    print(movers_table(summary))
+    complain(warnings)
     print(f"see {folder}/report.json")
     return DONE

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
-from cyclopts import Parameter, Token
+from cyclopts import Parameter
 
 from sal_height.commands._options import (
     DONE,
@@ -16,14 +15,14 @@ from sal_height.commands._options import (
     OutputFolder,
     Places,
     Settings,
-    check_near,
     command,
     complain,
+    metres,
     node_parameters,
+    one_word,
     output_folder,
     settings_values,
 )
-from sal_height.errors import UserError
 
 EXAMPLES = """
   sal-height import gotcha pass1/*.mat --out out/pass1
@@ -33,17 +32,6 @@ EXAMPLES = """
 """
 
 app = command("passes", PROCESSING, EXAMPLES)
-
-
-def _centre(_type: type, tokens: Sequence[Token]) -> tuple[float, float]:
-    try:
-        east, north = map(float, tokens[0].value.split(","))
-    except ValueError:
-        raise UserError(
-            f"Option --centre is {tokens[0].value!r}; it must be EAST,NORTH in m, for example 10,-3."
-        ) from None
-    check_near(tokens[0], (east, north))
-    return east, north
 
 
 @app.default
@@ -56,12 +44,10 @@ def passes(
     compare: Places = (),
     centre: Annotated[
         tuple[float, float] | None,
-        Parameter(
-            metavar="EAST,NORTH",
-            n_tokens=1,
-            accepts_keys=False,
+        one_word(
+            "EAST,NORTH",
+            lambda token: metres(token, "EAST,NORTH", "10,-3"),
             allow_leading_hyphen=True,
-            converter=_centre,
             negative=(),
         ),
     ] = None,
@@ -100,8 +86,8 @@ def passes(
     references += [ReferencePoint(np.array(place)) for place in compare]
     folder = output_folder(out, "passes")
     given, wanted = node_parameters(param), settings_values(set_)
-    made = heights_of_bags(bags, folder, estimator, given, wanted, references, centre, jobs)
-    print(passes_table(made.summary))
-    complain(made.warnings)
+    summary, warnings = heights_of_bags(bags, folder, estimator, given, wanted, references, centre, jobs)
+    print(passes_table(summary))
+    complain(warnings)
     print(f"see {folder}/passes.png and {folder}/report.json")
     return DONE

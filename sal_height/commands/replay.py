@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
-from cyclopts import Parameter, Token
+from cyclopts import Parameter
 from cyclopts.validators import Number
 
 from sal_height.commands._options import (
@@ -18,6 +16,7 @@ from sal_height.commands._options import (
     INTERRUPTED,
     PROCESSING,
     Bag,
+    DwellRange,
     Estimators,
     Flag,
     GraphOptions,
@@ -29,6 +28,7 @@ from sal_height.commands._options import (
     complain,
     node_parameters,
     output_folder,
+    repeated,
 )
 from sal_height.io import bag_name
 
@@ -58,14 +58,6 @@ app = command(
 )
 
 
-def _range(_type: type, tokens: Sequence[Token]) -> tuple[int, int]:
-    """The two numbers of FIRST:LAST."""
-    match = re.fullmatch(r"(\d{1,10}):(\d{1,10})", tokens[0].value)
-    if not match or not int(match[1]) <= int(match[2]) < 2**32:
-        raise ValueError(f"{tokens[0].value!r} is not of the form FIRST:LAST, for example 10:19")
-    return int(match[1]), int(match[2])
-
-
 Clock: TypeAlias = Annotated[
     Literal["lockstep", "paced", "burst"],
     Parameter(
@@ -87,10 +79,8 @@ Loop: TypeAlias = Annotated[
 
 Remap: TypeAlias = Annotated[
     tuple[str, ...],
-    Parameter(
-        metavar="OLD:=NEW",
-        consume_multiple=False,
-        show_default=False,
+    repeated(
+        "OLD:=NEW",
         help="Give topic OLD the name NEW, as in ROS: a topic of the bag that nodes know as NEW, or else a topic of "
         "the nodes, which is published and recorded as NEW then. May be repeated.",
     ),
@@ -108,10 +98,7 @@ def replay(
     out: OutputFolder = None,
     param: NodeParameters = (),
     estimators: Estimators = (),
-    dwells: Annotated[
-        tuple[int, int] | None,
-        Parameter(metavar="FIRST:LAST", n_tokens=1, accepts_keys=False, show_default=False, converter=_range),
-    ] = None,
+    dwells: DwellRange = None,
     start: Annotated[float, Parameter(metavar="S", validator=Number(gte=0))] = 0.0,
     end: Annotated[float | None, Parameter(metavar="S", validator=Number(gte=0))] = None,
     entry: Annotated[Literal["phase_history", "slc", "heights"], Parameter(name="--from")] = "phase_history",
@@ -154,9 +141,8 @@ def replay(
     from sal_height.bag.tolerance import ROUNDING, read_tolerances
     from sal_height.graph.tables import comparison_table, images_table, results_table
     from sal_height.runs.chain.entry import Part
-    from sal_height.runs.replay.bag_replay import Against
+    from sal_height.runs.replay.bag_replay import Against, Playing
     from sal_height.runs.replay.bag_replay import replay as play_again
-    from sal_height.runs.replay.playing import Playing
 
     if processes:
         complain(["Option --processes has no effect on a replay; --jobs 2 processes two dwells side by side."])

@@ -13,6 +13,9 @@ from sal_height.engine.stage import Loss, Notice
 WARNED = "warned by "
 """Prefix of the kinds of warnings on dwells that are used all the same."""
 
+ALL_CHANNELS = -1
+"""Value of `channel`: the dwell as a whole."""
+
 
 @dataclass
 class Losses:
@@ -87,10 +90,6 @@ class Losses:
     def as_json(self) -> dict[str, Any]:
         """All counts and messages."""
         return vars(self)
-
-
-ALL_CHANNELS = -1
-"""Value of `channel`: the dwell as a whole."""
 
 
 class Doubt(NamedTuple):

@@ -1,13 +1,12 @@
 """Export for other programs: the heights of a bag as point clouds, maps and labelled arrays, and its complex images.
 
-Read `heights` first (the height images of a bag, located on the earth), then `las` (points), `dataset` (arrays with
-names and units, as netCDF and Zarr), `cog` (a map), `film` (dwell by dwell) and `sicd` (complex images).
+Read `heights` first (the height images of a bag, located on the earth, and their map), then `las` (points), `dataset`
+(arrays with names and units, as netCDF and Zarr), `film` (dwell by dwell) and `sicd` (complex images).
 """
 
-from sal_height.exports.cog import write_map
 from sal_height.exports.dataset import open_heights, write_netcdf, write_zarr
 from sal_height.exports.film import write_film
-from sal_height.exports.heights import DwellHeights, RecordedHeights
+from sal_height.exports.heights import DwellHeights, RecordedHeights, write_map
 from sal_height.exports.las import write_las
 from sal_height.exports.sicd import write_sicd
 

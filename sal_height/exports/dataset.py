@@ -58,8 +58,10 @@ def write_netcdf(heights: RecordedHeights, path: Path) -> int:
         UserError: a package is not installed, grids differ in size, or the file cannot be written.
     """
     dataset = _joined(heights, "netcdf")
-    with unfinished(path) as beside:
-        dataset.to_netcdf(beside, engine="h5netcdf", encoding=_compressed(dataset), unlimited_dims=["dwell"])
+    arrays = [name for name, variable in dataset.variables.items() if variable.ndim > 1]
+    encoding = {name: {"zlib": True, "complevel": 1} for name in arrays}
+    with unfinished(path) as partial:
+        dataset.to_netcdf(partial, engine="h5netcdf", encoding=encoding, unlimited_dims=["dwell"])
     return int(dataset.sizes["dwell"])
 
 
@@ -71,20 +73,18 @@ def write_zarr(heights: RecordedHeights, path: Path) -> int:
     """
     _xarray(heights)
     check_new_folder(path)
-    beside, count = path.with_name(f".{path.name}.part"), 0
+    partial, count = path.with_name(f".{path.name}.part"), 0
     with writing(path):
         try:
             for batch in _batches(heights, "zarr"):
-                if count:
-                    batch.to_zarr(beside, append_dim="dwell", consolidated=False)
-                else:
-                    batch.to_zarr(beside, mode="w", consolidated=False)
+                how = {"append_dim": "dwell"} if count else {"mode": "w"}
+                batch.to_zarr(partial, consolidated=False, **how)
                 count += batch.sizes["dwell"]
             if path.is_dir():
                 path.rmdir()
-            beside.replace(path)
+            partial.replace(path)
         finally:
-            shutil.rmtree(beside, ignore_errors=True)
+            shutil.rmtree(partial, ignore_errors=True)
     return count
 
 
@@ -99,17 +99,13 @@ def _joined(heights: RecordedHeights, task: str) -> Any:
     return xarray.concat(batches, "dwell", data_vars="minimal", coords="minimal", compat="override", join="exact")
 
 
-def _compressed(dataset: Any) -> dict[str, dict[str, Any]]:
-    return {name: {"zlib": True, "complevel": 1} for name, variable in dataset.variables.items() if variable.ndim > 1}
-
-
 def _batches(heights: RecordedHeights, task: str) -> Iterator[Any]:
     """Datasets of some dwells each.
 
     Raises:
         UserError: there is no dwell, or their grids differ in size.
     """
-    held: list[DwellHeights] = []
+    batch: list[DwellHeights] = []
     shape: tuple[int, ...] = ()
     surfaces = 0
     for dwell in heights.dwells(task):
@@ -119,15 +115,14 @@ def _batches(heights: RecordedHeights, task: str) -> Iterator[Any]:
             raise UserError(
                 f"Topic {heights.topic} of bag {heights.reader.path} has images of {len(dwell.field.surfaces)} "
                 f"surfaces of {dwell.field.validity.shape} pixels at dwell {dwell.dwell}, and of {surfaces} of {shape} "
-                "before; "
-                "arrays need one size; cut the bag with sal-height bag cut --dwells."
+                "before; arrays need one size; cut the bag with sal-height bag cut --dwells."
             )
-        held.append(dwell)
-        if len(held) == BATCH:
-            yield _dataset_of(heights, held)
-            held = []
-    if held:
-        yield _dataset_of(heights, held)
+        batch.append(dwell)
+        if len(batch) == BATCH:
+            yield _dataset_of(heights, batch)
+            batch = []
+    if batch:
+        yield _dataset_of(heights, batch)
     elif not shape:
         raise UserError(f"Topic {heights.topic} of bag {heights.reader.path} has no readable image.")
 

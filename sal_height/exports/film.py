@@ -41,10 +41,6 @@ def write_film(heights: RecordedHeights, path: Path) -> int:
 
     Colours mean the same in all frames. The file appears under its name when it is complete.
 
-    Args:
-        heights: heights of a bag.
-        path: file to write, .gif or .mp4.
-
     Raises:
         UserError: another suffix, no program ffmpeg for .mp4, no valid height, or the file cannot be written.
     """
@@ -62,8 +58,8 @@ def write_film(heights: RecordedHeights, path: Path) -> int:
     if not seen:
         raise UserError(f"Topic {heights.topic} of bag {heights.reader.path} has no valid height.")
     frames_per_second = 5
-    with unfinished(path) as beside:
-        _draw(heights, seen, writers[SUFFIXES[suffix]](fps=frames_per_second), beside)
+    with unfinished(path) as partial:
+        _draw(heights, seen, writers[SUFFIXES[suffix]](fps=frames_per_second), partial)
     return len(seen)
 
 

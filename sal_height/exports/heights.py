@@ -1,4 +1,4 @@
-"""The height images of a bag, and their position on the earth."""
+"""The height images of a bag, their position on the earth, and their map as a Cloud-Optimized GeoTIFF."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from sal_height.elevation import ORDERS, Validity, scatterer_count
 from sal_height.errors import UserError
 from sal_height.geometry import UTM, ApertureState, Origin, Projection, sphere_coordinates
 from sal_height.graph.catalogue import MAPPERS
-from sal_height.numeric import F64, U8
-from sal_height.relief import HeightField
+from sal_height.numeric import F64
+from sal_height.relief import HeightField, ProjectedAxes, ReliefMap, check_geotiff, fitting_cell_size, write_geotiff
 from sal_height.runs.chain.recorded_parameters import recorded_parameters
 
 _LOG = logging.getLogger(__name__)
@@ -80,12 +80,12 @@ class RecordedHeights:
             UserError: the bag cannot be read, it has no such heights, or the system does not suit the position.
         """
         reader = open_bag(bag, None, [topic] if topic else [PREFERRED])
-        held = sorted(name for name, one in reader.topics.items() if one.type_name == HEIGHT_TYPE and one.count)
-        if not held:
+        known = sorted(name for name, one in reader.topics.items() if one.type_name == HEIGHT_TYPE and one.count)
+        if not known:
             raise UserError(f"Bag {bag} has no height images; make some: sal-height replay {bag}.")
-        if topic and topic not in held:
-            raise UserError(f"Bag {bag} has no heights on topic {topic!r}; there are {', '.join(held)}.")
-        chosen = topic or (PREFERRED if PREFERRED in held else held[0])
+        if topic and topic not in known:
+            raise UserError(f"Bag {bag} has no heights on topic {topic!r}; there are {', '.join(known)}.")
+        chosen = topic or (PREFERRED if PREFERRED in known else known[0])
         place = None if crs == LOCAL else origin or origin_in(reader)
         return cls(reader, chosen, None if place is None else Projection.of(crs, place))
 
@@ -95,11 +95,7 @@ class RecordedHeights:
         return self.reader.topics[self.topic].count
 
     def dwells(self, task: str) -> Iterator[DwellHeights]:
-        """The images one after the other, with a progress bar; those that cannot be used are left out and logged.
-
-        Args:
-            task: task that is shown in the bar.
-        """
+        """The images one after the other, with a progress bar; those that cannot be used are left out and logged."""
         left_out, why = 0, ""
         for recorded in tqdm(self.reader.messages([self.topic]), total=self.count, desc=task, unit="dwell", delay=1):
             try:
@@ -143,13 +139,40 @@ def origin_in(reader: BagReader) -> Origin | None:
     return None
 
 
-def found_order(field: HeightField) -> U8:
-    """Index of `order_probability` that was found in each pixel: 0 to 3 scatterers, 4 an extended surface."""
-    return np.where(field.validity == Validity.EXTENDED, ORDERS - 1, scatterer_count(field.validity)).astype(np.uint8)
-
-
 def probability_of_order(field: HeightField) -> F64:
     """Probability of the number of scatterers that was found in each pixel, shape (rows, cols); NaN: not known."""
     if field.order_probability is None:
         return np.full(field.validity.shape, np.nan)
-    return np.take_along_axis(field.order_probability, found_order(field)[..., None], axis=-1)[..., 0]
+    is_extended = field.validity == Validity.EXTENDED
+    order = np.where(is_extended, ORDERS - 1, scatterer_count(field.validity)).astype(np.uint8)
+    return np.take_along_axis(field.order_probability, order[..., None], axis=-1)[..., 0]
+
+
+def write_map(heights: RecordedHeights, path: Path, cell_size: float = 0.0) -> tuple[int, int]:
+    """Write the map of the scatterers of all dwells, as node relief_mapper makes it; returns its rows and columns.
+
+    Args:
+        heights: heights of a bag.
+        path: file to write.
+        cell_size: side of a cell, m; 0: that of the pixels.
+
+    Raises:
+        UserError: the package rasterio is not installed, there is no height, the map has too many cells, or the file
+            cannot be written.
+    """
+    check_geotiff(path)
+    axes = ProjectedAxes.around(heights.projection) if heights.projection else None
+    grown, last_ns = None, 0
+    most_cells = 100_000_000  # greatest number of cells of a map: 400 MB for each of its layers
+    for dwell in heights.dwells("cog"):
+        field, aperture = axes.field(dwell.field, dwell.aperture) if axes else (dwell.field, dwell.aperture)
+        grown = grown or ReliefMap(cell_size or fitting_cell_size(field.grid, aperture), most_cells)
+        grown.add(field)
+        last_ns = max(last_ns, dwell.stamp_ns)
+    relief = grown.relief() if grown else None
+    if relief is None:
+        raise UserError(f"Topic {heights.topic} of bag {heights.reader.path} has no valid height.")
+    placed = axes.relief(relief) if axes else relief
+    write_geotiff(path, placed, heights.projection, last_ns, heights.facts)
+    rows, cols = placed.height.shape
+    return rows, cols

@@ -46,10 +46,6 @@ def write_las(heights: RecordedHeights, path: Path) -> int:
     interpolated have the flag "synthetic". Points have no coordinate system where the origin of the map is not known.
     A file with the suffix .laz is compressed. It appears under its name when it is complete.
 
-    Args:
-        heights: heights of a bag.
-        path: file to write, .las or .laz.
-
     Raises:
         UserError: the package laspy is not installed, the suffix is another one, there is no height, or the file cannot
             be written.
@@ -88,8 +84,8 @@ def gps_time(stamp_ns: int) -> float:
 
 
 def _header(laspy: Any, projection: Projection | None) -> Any:
-    point_format = 6  # format with returns, flags and GPS time, which LAS 1.4 needs for a system in well-known text
-    header = laspy.LasHeader(version="1.4", point_format=point_format)
+    # Point format 6 has returns, flags and GPS time; LAS 1.4 needs it for a system in well-known text.
+    header = laspy.LasHeader(version="1.4", point_format=6)
     scale = 1e-4  # step of coordinates, m: a 32-bit number of them reaches 214 km to either side
     header.scales = np.full(3, scale)
     header.system_identifier, header.generating_software = "sal_height", "sal_height"

@@ -121,7 +121,8 @@ class PlacedImage:
         aperture = messages.aperture_from_message(message.aperture)
         samples = messages.complex_view(message.samples, grid.shape)
         if np.cross(grid.row_direction, grid.col_direction)[2] < 0:
-            grid, samples = reversed_columns(grid), samples[:, ::-1]
+            grid = replace(grid, origin=grid.points(0, grid.cols - 1), col_direction=-grid.col_direction)
+            samples = samples[:, ::-1]
         ranges = ranges_of_phase(grid, aperture)
         away = ranges - ranges[_middle(grid)[0], -1 if aperture.sliding else _middle(grid)[1]]
         turned = samples * np.exp(SIGN * 4j * np.pi / sensor.wavelength * away)
@@ -183,11 +184,6 @@ class PlacedImage:
         return np.asarray((corners - self.aperture.position) @ self.passing)
 
 
-def reversed_columns(grid: Grid) -> Grid:
-    """The grid of an image whose last column is made the first."""
-    return replace(grid, origin=grid.points(0, grid.cols - 1), col_direction=-grid.col_direction)
-
-
 def _middle(grid: Grid) -> tuple[int, int]:
     """Row and column of the scene centre point."""
     return grid.rows // 2, grid.cols // 2
@@ -209,11 +205,6 @@ def _write(sicd: Any, path: Path, image: PlacedImage, name: str) -> None:
 
 def metadata_of(sicd: Any, image: PlacedImage, name: str) -> Any:
     """The metadata of an image, an lxml tree.
-
-    Args:
-        sicd: package `sarkit.sicd`.
-        image: image with its position on the earth.
-        name: name of the image (CoreName).
 
     Raises:
         UserError: the antenna sees no ground at a corner of the image.
@@ -298,15 +289,8 @@ def _direction(image: PlacedImage, direction: F64, spacing: float, band: float, 
 
     Pixels contain no more than the band 1 / spacing. Where they are farther apart than the band needs, as pixels at the
     resolution of a weighted band are, its edges alias into 1 / spacing, which is stated as the band of the response.
-
-    Args:
-        image: image with its position on the earth.
-        direction: unit vector (map) in which the index grows.
-        spacing: spacing of pixels, m.
-        band: band of spatial frequencies, cycles/m.
-        name: name of the window over the band.
     """
-    held = min(band, 1 / spacing)
+    covered = min(band, 1 / spacing)
     weights = window(name, WINDOW_NODES)
     uniform_width = 0.8859  # width at half power of the response to an unweighted band, times the band
     width = uniform_width / band * (1.0 if name == "rectangular" else broadening(weights))
@@ -315,19 +299,19 @@ def _direction(image: PlacedImage, direction: F64, spacing: float, band: float, 
         "SS": spacing,
         "ImpRespWid": width,
         "Sgn": SIGN,
-        "ImpRespBW": held,
+        "ImpRespBW": covered,
         "KCtr": 2 / image.sensor.wavelength * float(image.sight[0] @ direction),
-        "DeltaK1": -held / 2,
-        "DeltaK2": held / 2,
+        "DeltaK1": -covered / 2,
+        "DeltaK2": covered / 2,
     }
     named, parameters = WINDOWS[name]
     same_band = 1e-4  # relative difference of two bands that are the same
-    if name == "rectangular" and held < band * (1 - same_band):
+    if name == "rectangular" and covered < band * (1 - same_band):
         return element  # a band that is cut has not the response of an even one
     element["WgtType"] = {"WindowName": named, "Parameter": list(parameters.items())}
     if name != "rectangular":
         frequency, nodes = (
-            np.linspace(-reach, reach, n) for reach, n in ((held / 2, WEIGHTS), (band / 2, WINDOW_NODES))
+            np.linspace(-reach, reach, n) for reach, n in ((covered / 2, WEIGHTS), (band / 2, WINDOW_NODES))
         )
         element["WgtFunct"] = np.interp(frequency, nodes, weights / weights.max())
     return element
@@ -351,12 +335,7 @@ def _timeline(image: PlacedImage) -> dict[str, Any]:
 
 
 def _positions(image: PlacedImage, centre: F64) -> F64:
-    """Coefficients of the positions of the antenna over time, earth-centred, earth-fixed, m: a straight track.
-
-    Args:
-        image: image with its position on the earth.
-        centre: scene centre point, earth-centred, earth-fixed, m.
-    """
+    """Coefficients of the positions of the antenna over time, earth-centred, earth-fixed, m: a straight track."""
     aperture, velocity = image.aperture, image.in_space(image.aperture.velocity)
     return np.stack(
         [centre + image.in_space(aperture.position - image.centre) - image.reference_time * velocity, velocity]

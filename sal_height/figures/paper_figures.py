@@ -28,53 +28,22 @@ from sal_height.io import new_folder, write_text, writing
 
 mpl.use("Agg")
 
-
-def draw(figure: Figure, curves: Sequence[Curve], path: Path) -> None:
-    """Write a PNG with axes for each quantity; black dots are the closed forms, bars the standard errors."""
-    wide = 2 if len(figure.axes) == 4 else len(figure.axes)
-    high = len(figure.axes) // wide
-    picture = Picture(figsize=(7.2 * wide, 0.5 + 4.6 * high), dpi=110, layout="constrained")
-    panels = picture.subplots(high, wide, squeeze=False).ravel()
-    for panel, (quantity, (horizontal, vertical)) in zip(panels, figure.axes.items(), strict=True):
-        for curve in (curve for curve in curves if curve.quantity == quantity):
-            _draw_curve(panel, curve)
-        panel.set(title=quantity, xlabel=horizontal, ylabel=vertical)
-        panel.grid(alpha=0.3)
-        panel.legend(fontsize="x-small", loc="center left", bbox_to_anchor=(1.0, 0.5))
-    picture.suptitle(figure.title)
-    canvas = FigureCanvasAgg(picture)
-    canvas.draw()  # type: ignore[no-untyped-call] # once, and not twice as savefig does
-    Image.fromarray(np.asarray(canvas.buffer_rgba())).save(path)  # type: ignore[no-untyped-call]
-
-
-def _draw_curve(panel: Axes, curve: Curve) -> None:
-    steps = curve.style.startswith("steps")
-    panel.errorbar(
-        curve.x,
-        curve.value,
-        yerr=curve.standard_error if np.any(curve.standard_error) else None,
-        linestyle="-" if steps else curve.style,
-        drawstyle=curve.style if steps else "default",
-        color=f"C{curve.colour}",
-        label=curve.case,
-        linewidth=1.2,
-        elinewidth=0.8,
-    )
-    panel.plot(curve.x, curve.closed_form, "k.", markersize=2.5)
-
-
 COLUMNS = ("figure", "curve", "x", "value", "standard_error", "closed_form")
 
 LEAST_TRIALS = 100
 """Least number of trials; with fewer, standard errors of quantiles mean nothing."""
 
 _ELEVATION = "elevation (beamwidths)"
+
 _PAIR_AXES = {
     "amplitude": (_ELEVATION, "amplitude of sum and difference"),
     "discriminant": (_ELEVATION, "discriminant"),
 }
+
 _NOISE_AXES = ("discriminant without noise", "of the estimated discriminant")
+
 _TRUE = "true elevation (beamwidths)"
+
 _LENGTH = "correlation length of the relief (m)"
 
 FIGURES = {
@@ -144,6 +113,40 @@ FIGURES = {
     **PSF_FIGURES,
 }
 """Figures by name: those of the SAL paper by its numbers, then those on the relief paper and the PSF paper."""
+
+
+def draw(figure: Figure, curves: Sequence[Curve], path: Path) -> None:
+    """Write a PNG with axes for each quantity; black dots are the closed forms, bars the standard errors."""
+    wide = 2 if len(figure.axes) == 4 else len(figure.axes)
+    high = len(figure.axes) // wide
+    picture = Picture(figsize=(7.2 * wide, 0.5 + 4.6 * high), dpi=110, layout="constrained")
+    panels = picture.subplots(high, wide, squeeze=False).ravel()
+    for panel, (quantity, (horizontal, vertical)) in zip(panels, figure.axes.items(), strict=True):
+        for curve in (curve for curve in curves if curve.quantity == quantity):
+            _draw_curve(panel, curve)
+        panel.set(title=quantity, xlabel=horizontal, ylabel=vertical)
+        panel.grid(alpha=0.3)
+        panel.legend(fontsize="x-small", loc="center left", bbox_to_anchor=(1.0, 0.5))
+    picture.suptitle(figure.title)
+    canvas = FigureCanvasAgg(picture)
+    canvas.draw()  # type: ignore[no-untyped-call] # once, and not twice as savefig does
+    Image.fromarray(np.asarray(canvas.buffer_rgba())).save(path)  # type: ignore[no-untyped-call]
+
+
+def _draw_curve(panel: Axes, curve: Curve) -> None:
+    steps = curve.style.startswith("steps")
+    panel.errorbar(
+        curve.x,
+        curve.value,
+        yerr=curve.standard_error if np.any(curve.standard_error) else None,
+        linestyle="-" if steps else curve.style,
+        drawstyle=curve.style if steps else "default",
+        color=f"C{curve.colour}",
+        label=curve.case,
+        linewidth=1.2,
+        elinewidth=0.8,
+    )
+    panel.plot(curve.x, curve.closed_form, "k.", markersize=2.5)
 
 
 def make_figures(names: Sequence[str], out: Path, trials: int, seed: int) -> list[dict[str, Any]]:

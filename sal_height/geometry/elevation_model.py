@@ -19,6 +19,10 @@ from sal_height.geometry.geodesy import Origin
 from sal_height.geometry.projection import Projection
 from sal_height.numeric import F64, bilinear
 
+LOWEST, HIGHEST = -12000.0, 9000.0  # m, elevations that occur on Earth
+
+NO_DATA = (-9999.0, -32768.0)  # elevations that usually mean no data where a file does not declare it
+
 
 @dataclass(frozen=True, eq=False)
 class ElevationModel:
@@ -147,10 +151,6 @@ def _inside(row: F64, col: F64, shape: tuple[int, int]) -> tuple[int, int, int, 
             break
         ends[worst] += -1 if worst % 2 else 1
     return ends[0], ends[1], ends[2], ends[3]
-
-
-LOWEST, HIGHEST = -12000.0, 9000.0  # m, elevations that occur on Earth
-NO_DATA = (-9999.0, -32768.0)  # elevations that usually mean no data where a file does not declare it
 
 
 def read_elevation_model(path: Path) -> ElevationModel:

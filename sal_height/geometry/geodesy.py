@@ -29,6 +29,12 @@ BODY_AXES = {"flu": np.eye(3), "frd": np.diag([1.0, -1.0, -1.0])}
 """Axes x, y, z of a platform by name: forward, left, up or forward, right, down. The matrix makes vectors in FLU of
 those in them."""
 
+TOPOCENTRIC = (
+    "+proj=pipeline +step +proj=cart +ellps=WGS84 "
+    "+step +proj=topocentric +ellps=WGS84 +lat_0={latitude!r} +lon_0={longitude!r} +h_0={height!r}"
+)
+"""Pipeline of PROJ from geodetic to map coordinates; the origin is in degrees and m."""
+
 
 @dataclass(frozen=True)
 class Axes:
@@ -93,13 +99,6 @@ class Axes:
 
 ROS_AXES = Axes()
 """East, north, up and forward, left, up."""
-
-
-TOPOCENTRIC = (
-    "+proj=pipeline +step +proj=cart +ellps=WGS84 "
-    "+step +proj=topocentric +ellps=WGS84 +lat_0={latitude!r} +lon_0={longitude!r} +h_0={height!r}"
-)
-"""Pipeline of PROJ from geodetic to map coordinates; the origin is in degrees and m."""
 
 
 def local_axes(latitude: float, longitude: float) -> F64:

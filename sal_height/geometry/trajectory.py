@@ -19,6 +19,12 @@ from sal_height.geometry.frames import AT_BASE_LINK, ApertureState, Mounting, an
 from sal_height.geometry.motion import STEADY, Motion, attitude_between, rotation_matrix
 from sal_height.numeric import F64, in_parallel
 
+GREATEST_POSE = np.array([1e5, 1e5, 1e5, np.pi, np.pi, np.pi])
+"""Standard deviations of an unknown pose, m and rad."""
+
+GREATEST_VELOCITY = np.array([1e3, 1e3, 1e3])
+"""Standard deviations of an unknown velocity, m/s."""
+
 
 def locate_at_elevation(
     elevation: npt.ArrayLike, slant_range: npt.ArrayLike, along: npt.ArrayLike, aperture: ApertureState, look_side: int
@@ -89,13 +95,6 @@ def _located(
 
     in_parallel(fill_part, len(found), 2**14)  # points for which another thread pays
     return positions
-
-
-GREATEST_POSE = np.array([1e5, 1e5, 1e5, np.pi, np.pi, np.pi])
-"""Standard deviations of an unknown pose, m and rad."""
-
-GREATEST_VELOCITY = np.array([1e3, 1e3, 1e3])
-"""Standard deviations of an unknown velocity, m/s."""
 
 
 @dataclass(frozen=True, eq=False)

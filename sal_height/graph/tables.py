@@ -9,10 +9,7 @@ from sal_height.bag.compare import TopicComparison
 from sal_height.engine.registry import STAGES, takes_heights
 from sal_height.graph.catalogue import HEIGHTS
 from sal_height.graph.plan import Outcome
-from sal_height.tables import aligned
-
-ABSENT = "-"
-"""Stands for a number that does not exist, such as the bias of an estimator without valid pixels."""
+from sal_height.tables import ABSENT, aligned, number_text
 
 
 def results_table(outcome: Outcome, accuracy: Mapping[str, Mapping[str, Any]]) -> str:
@@ -34,11 +31,11 @@ def results_table(outcome: Outcome, accuracy: Mapping[str, Mapping[str, Any]]) -
                     prefix,
                     str(account.published_on.get(f"{prefix}/height", 0)),
                     str(sum(account.dropped.values())),
-                    _number(errors.get("valid"), ".1f", 100.0),
-                    _number(errors.get("bias_m"), "+.4g"),
-                    _number(errors.get("s68_m"), ".4g"),
-                    ABSENT if takes_heights(STAGES[node]) else _number(errors.get("crb_m"), ".4g"),
-                    _number(errors.get("within_1_sigma"), ".1f", 100.0),
+                    number_text(errors.get("valid"), ".1f", 100.0),
+                    number_text(errors.get("bias_m"), "+.4g"),
+                    number_text(errors.get("s68_m"), ".4g"),
+                    ABSENT if takes_heights(STAGES[node]) else number_text(errors.get("crb_m"), ".4g"),
+                    number_text(errors.get("within_1_sigma"), ".1f", 100.0),
                 ]
             )
     return aligned([heading, *rows])
@@ -99,9 +96,9 @@ def campaign_table(rows: Sequence[Mapping[str, Any]], varied: Sequence[str]) -> 
     heading = ["bag", *varied, "dwells", "dropped", "s", "against recorded", *numbers]
     lines = []
     for row in rows:
-        done = [str(row.get("dwells", ABSENT)), str(row.get("dropped", ABSENT)), _number(row.get("seconds"), ".3g")]
+        done = [str(row.get("dwells", ABSENT)), str(row.get("dropped", ABSENT)), number_text(row.get("seconds"), ".3g")]
         verdict = "failed" if row["failure"] else row["against_recorded"] or ABSENT
-        measured = [_number(row.get(name), ".3g") for name in numbers]
+        measured = [number_text(row.get(name), ".3g") for name in numbers]
         lines.append([row["bag"], *(str(row[name]) for name in varied), *done, verdict, *measured])
     return aligned([heading, *lines])
 
@@ -110,8 +107,4 @@ def images_table(images: Sequence[Mapping[str, Any]]) -> str:
     """The brightest target of each image of a single channel."""
     heading = ["dwell", "peak over median dB", "width of rows m", "width of columns m"]
     keys = ("peak_over_median_db", "row_width_3db_m", "col_width_3db_m")
-    return aligned([heading, *([str(one["dwell"]), *(_number(one[key], ".4g") for key in keys)] for one in images)])
-
-
-def _number(value: float | None, form: str, scale: float = 1.0) -> str:
-    return ABSENT if value is None else format(scale * value, form)
+    return aligned([heading, *([str(one["dwell"]), *(number_text(one[key], ".4g") for key in keys)] for one in images)])

@@ -16,6 +16,10 @@ from sal_height.sensor import Sensor, processed_angle
 
 MAX_PIXELS = 2**24  # of an image: 128 MB per channel as complex64
 
+TAPER_NODES = 1025  # of the tabulated azimuth window, which is interpolated linearly between them
+
+ASPECTS = 8  # directions, of the Gauss-Legendre rule, in which beams are averaged over the processed angle
+
 
 def azimuth_resolution(sensor: Sensor, aperture: ApertureState, slant_range: float) -> float:
     """Wavelength * range / (2 * synthetic aperture length), m: also the spacing of independent azimuth cells."""
@@ -148,9 +152,6 @@ def _unit(vector: F64, what: str) -> F64:
     return vector / length
 
 
-TAPER_NODES = 1025  # of the tabulated azimuth window, which is interpolated linearly between them
-
-
 @dataclass(frozen=True)
 class Processing:
     """Weights of a compression; the same for every detector.
@@ -189,9 +190,6 @@ class Processing:
     def taper(self) -> F32:
         """The azimuth window over the processed angle, at TAPER_NODES even sines from end to end."""
         return window(self.azimuth_window, TAPER_NODES).astype(np.float32)
-
-
-ASPECTS = 8  # directions, of the Gauss-Legendre rule, in which beams are averaged over the processed angle
 
 
 def image_beams(sensor: Sensor, azimuth_window: str) -> Beams:

@@ -33,6 +33,8 @@ from sal_height.topics import MAP_ORIGIN
 
 Positive = Annotated[Float, Gt(0)]
 
+SENSOR_INFO, ODOMETRY, FRAMES = (f"/{name}" for name in (topics.SENSOR_INFO, topics.ODOMETRY, topics.PHASE_HISTORY))
+
 
 @dataclass(frozen=True)
 class Description(StrictKeys):
@@ -110,9 +112,6 @@ def read_description(path: Path | str) -> Description:
     """
     content = read_yaml(Path(path), f"Sensor {path}", f"File {path} cannot be read.")
     return validated(Description, content, f"Sensor {path}")
-
-
-SENSOR_INFO, ODOMETRY, FRAMES = (f"/{name}" for name in (topics.SENSOR_INFO, topics.ODOMETRY, topics.PHASE_HISTORY))
 
 
 @dataclass(frozen=True, eq=False)

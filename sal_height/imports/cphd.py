@@ -28,6 +28,12 @@ from sal_height.imports.sarkit_files import (
 )
 from sal_height.numeric import C64, F64, blocks, chirp_z, outer_phasors
 
+GEOMETRY = ("TxTime", "TxPos", "TxVel", "RcvTime", "RcvPos", "RcvVel", "SRPPos", "SC0", "SCSS")
+"""Parameters of each pulse that are read; AmpSF and SIGNAL if they are there."""
+
+NEEDED = {"FX": GEOMETRY, "TOA": (*GEOMETRY, "FX1", "FX2")}
+"""Parameters that are read of samples over frequency, and of those over time of arrival."""
+
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
@@ -150,13 +156,6 @@ def _at(samples: C64, first: F64, spacing: F64, offset: F64, step: float, count:
         result[pulses] *= outer_phasors(-2 * np.pi * first[pulses], frequencies)
         result[pulses] *= np.exp(-2j * np.pi * first[pulses] * offset[pulses])[:, None]
     return result
-
-
-GEOMETRY = ("TxTime", "TxPos", "TxVel", "RcvTime", "RcvPos", "RcvVel", "SRPPos", "SC0", "SCSS")
-"""Parameters of each pulse that are read; AmpSF and SIGNAL if they are there."""
-
-NEEDED = {"FX": GEOMETRY, "TOA": (*GEOMETRY, "FX1", "FX2")}
-"""Parameters that are read of samples over frequency, and of those over time of arrival."""
 
 
 def import_cphd(path: Path, out: Path, channel: str = "") -> int:

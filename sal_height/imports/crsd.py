@@ -38,6 +38,12 @@ GRID = ("X0", "Y0", "XSS", "YSS")
 QUANTITIES = ("Gain", "Phase")
 """Quantities in an array of gains (dB) and phases (cycles)."""
 
+OF_VECTORS = ("RcvStart", "RcvPos", "RcvVel", "RefPhi0", "RefFreq", "DFIC0", "FICRate", "SIGNAL", "TxPulseIndex")
+"""Parameters of each received vector that are read; AmpSF if it is there."""
+
+OF_PULSES = ("TxTime", "TxPos", "TxVel", "TXmt", "PhiX0", "FxFreq0", "FxRate")
+"""Parameters of each transmitted pulse that are read."""
+
 
 @dataclass(frozen=True, eq=False)
 class Beam:
@@ -150,13 +156,6 @@ def _around_middle(holds: Any) -> slice:
     middle, misses = len(holds) // 2, np.flatnonzero(~holds)
     before, after = misses[misses < middle], misses[misses >= middle]
     return slice(int(before[-1]) + 1 if before.size else 0, int(after[0]) if after.size else len(holds))
-
-
-OF_VECTORS = ("RcvStart", "RcvPos", "RcvVel", "RefPhi0", "RefFreq", "DFIC0", "FICRate", "SIGNAL", "TxPulseIndex")
-"""Parameters of each received vector that are read; AmpSF if it is there."""
-
-OF_PULSES = ("TxTime", "TxPos", "TxVel", "TXmt", "PhiX0", "FxFreq0", "FxRate")
-"""Parameters of each transmitted pulse that are read."""
 
 
 @dataclass(frozen=True, eq=False)

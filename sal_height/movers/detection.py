@@ -33,6 +33,9 @@ from sal_height.numeric import C64, C128, F64, Bool, Index, vertex
 from sal_height.sensor import MAX_SHARE, Sensor
 from sal_height.settings import Settings, setting
 
+MARGIN = 4
+"""Margin at the edge of an image without candidates, pixels: the response is cut off there."""
+
 
 class MoverSettings(Settings):
     """Candidates of the search, and the likelihood that a mover must have."""
@@ -196,10 +199,6 @@ def _places(bins: Bins) -> tuple[F64, C128]:
     """Positions in an image, a quarter of a cell apart, cells, and the waves of the bins, shape (bins, positions)."""
     places = np.arange(-len(bins.frequencies) / 2, len(bins.frequencies) / 2, 0.25)
     return places, np.exp(2j * np.pi * bins.frequencies[:, None] * places)
-
-
-MARGIN = 4
-"""Margin at the edge of an image without candidates, pixels: the response is cut off there."""
 
 
 def check_sensor(sensor: Sensor) -> None:

@@ -10,6 +10,8 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 Topics = Mapping[str, str]
 """Content of each topic of a node."""
 
+INACTIVE = "the node is not active; activate it, as by `ros2 lifecycle set NODE activate`"
+
 
 class Role:
     """Part of a node's class; the defaults are those of a node that nothing special is known of."""
@@ -40,9 +42,6 @@ class Role:
 
     completes_file: ClassVar[bool] = False
     """True if the node completes a file when it ends, so that it has to be asked to and waited for."""
-
-
-INACTIVE = "the node is not active; activate it, as by `ros2 lifecycle set NODE activate`"
 
 
 class Managed(LifecycleNode):

@@ -13,6 +13,9 @@ from sal_height.numeric.arrays import F64, Bool
 QUANTILES = (0.16, 0.84)
 """Quantiles between which s68 is half the width; those of one standard deviation are 0.1587 and 0.8413, 0.6 % wider."""
 
+MEDIAN_ERROR = float(np.sqrt(np.pi / 2))
+"""Standard error of a median of many normal numbers over that of their mean."""
+
 
 @dataclass(frozen=True)
 class ErrorStatistics:
@@ -90,7 +93,3 @@ def mean_of(values: F64 | Bool) -> float:
 def fraction_of(part: int, whole: int) -> float:
     """Fraction that a part is of a whole; NaN if the whole is empty."""
     return part / whole if whole else math.nan
-
-
-MEDIAN_ERROR = float(np.sqrt(np.pi / 2))
-"""Standard error of a median of many normal numbers over that of their mean."""

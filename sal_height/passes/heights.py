@@ -18,6 +18,16 @@ from sal_height.passes.points import PointDetections, find_points
 from sal_height.passes.settings import PassSettings
 from sal_height.passes.tie import Candidates, Tie, loosest, tie_passes
 
+ESTIMATORS_OF_PASSES = ("ml", "capon")
+"""Estimators of elevation that accept complex beams, and test of a single look if one scatterer explains it."""
+
+OF_POINTS: Mapping[str, Any] = {"range_looks": 1, "azimuth_looks": 1, "misfit_fraction": 0.0}
+"""Settings of the estimators for points: one look, whose residuals are noise and errors of the passes only.
+
+The misfit that is allowed for ground, as parts of a pixel differ in elevation, would give heights to points that have
+changed between the passes.
+"""
+
 
 def check_tie(
     tie: Tie, points: Candidates, array: PassArray, settings: PassSettings, rng: np.random.Generator
@@ -64,17 +74,6 @@ def check_tie(
         "but for one or two of a hundred that agree by chance."
     )
     return [few]
-
-
-ESTIMATORS_OF_PASSES = ("ml", "capon")
-"""Estimators of elevation that accept complex beams, and test of a single look if one scatterer explains it."""
-
-OF_POINTS: Mapping[str, Any] = {"range_looks": 1, "azimuth_looks": 1, "misfit_fraction": 0.0}
-"""Settings of the estimators for points: one look, whose residuals are noise and errors of the passes only.
-
-The misfit that is allowed for ground, as parts of a pixel differ in elevation, would give heights to points that have
-changed between the passes.
-"""
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,6 +22,17 @@ from sal_height.response.speckle_spectra import Pointing, SpeckleSpectra, estima
 from sal_height.response.speckle_tiles import REASONS, TILE, SpeckleSettings, SpeckleTiles, find_pure_speckle
 from sal_height.response.transfer_function import TransferFunction, estimate_transfer_function
 
+Part = TypeVar("Part")
+
+LONG_CHIPS = (256, 128, 64)
+"""Rows of the chips that are compared with speckle, the first that contain a target: long ones truncate less."""
+
+NOISE_UNKNOWN = (
+    "The power of receiver noise is not known: tiles pass for speckle because neighbours in azimuth correlate, which "
+    "those of noise do only where an azimuth filter is narrower than the sampling."
+)
+"""Remark on speckle that was found without knowing the noise."""
+
 
 def steadied(images: Sequence[Complex]) -> tuple[list[Complex], list[F64]]:
     """Turn the pixels until all columns of all images have the Doppler centroid of their mean.
@@ -59,18 +70,6 @@ def _neighbours(image: Complex) -> tuple[C128, float]:
     smooth = uniform_filter1d(straight, columns, mode="constant")
     error = np.sqrt(np.mean(np.abs(straight - smooth) ** 2) / (2 * columns)) if len(products) else 0.0
     return smooth * np.exp(1j * bend * np.arange(len(products))), float(error)
-
-
-Part = TypeVar("Part")
-
-LONG_CHIPS = (256, 128, 64)
-"""Rows of the chips that are compared with speckle, the first that contain a target: long ones truncate less."""
-
-NOISE_UNKNOWN = (
-    "The power of receiver noise is not known: tiles pass for speckle because neighbours in azimuth correlate, which "
-    "those of noise do only where an azimuth filter is narrower than the sampling."
-)
-"""Remark on speckle that was found without knowing the noise."""
 
 
 class PsfSettings(PointTargetSettings, SpeckleSettings):

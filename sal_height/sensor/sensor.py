@@ -20,6 +20,20 @@ from sal_height.numeric import C64, C128, F64, Bool
 NUFFT_TOLERANCE = 1e-7
 """Relative error of the non-uniform FFTs: less than the rounding of complex64 samples."""
 
+MAX_SHARE = 8e-4
+"""Greatest fraction of clipped real and imaginary parts: the distortion of Gaussian samples is then -40 dB.
+
+By Bussgang's theorem, which the tests evaluate."""
+
+MAX_DETECTORS = 128
+"""Greatest number of detectors: estimators keep M x M numbers per pixel and direction."""
+
+MODES = ("spotlight", "stripmap")
+"""Steering of the antenna: pointed at the scene during a dwell, or fixed to the body."""
+
+WAVEFORMS = ("spectrum", "chirp", "deramped")
+"""Kinds of fast-time samples: frequencies, the echo of a linear FM pulse, or that echo mixed with a replica."""
+
 
 def lit_angle(beams: Beams) -> float:
     """Return the angle along the flight, to each side of the middle of all beams, that main lobes illuminate, rad.
@@ -55,12 +69,6 @@ def processed_angle(sensor: Sensor) -> float:
 def aperture_length(sensor: Sensor, slant_range: float) -> float:
     """Return the length of the synthetic aperture of a target at `slant_range` (m), in m."""
     return processed_angle(sensor) * slant_range
-
-
-MAX_SHARE = 8e-4
-"""Greatest fraction of clipped real and imaginary parts: the distortion of Gaussian samples is then -40 dB.
-
-By Bussgang's theorem, which the tests evaluate."""
 
 
 def clipped(samples: C64, full_scale: float) -> C64:
@@ -100,16 +108,6 @@ def count_saturated(history: PhaseHistory, sensor: Sensor) -> PhaseHistory:
 def _shares(samples: C64, limit: np.float32) -> F64:
     parts = (np.ascontiguousarray(frame).view(np.float32) for frame in samples)
     return np.array([np.mean(np.abs(part) >= limit) for part in parts])
-
-
-MAX_DETECTORS = 128
-"""Greatest number of detectors: estimators keep M x M numbers per pixel and direction."""
-
-MODES = ("spotlight", "stripmap")
-"""Steering of the antenna: pointed at the scene during a dwell, or fixed to the body."""
-
-WAVEFORMS = ("spectrum", "chirp", "deramped")
-"""Kinds of fast-time samples: frequencies, the echo of a linear FM pulse, or that echo mixed with a replica."""
 
 
 @dataclass(frozen=True)

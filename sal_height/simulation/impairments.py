@@ -33,6 +33,11 @@ from sal_height.simulation.harmonics import Harmonics
 from sal_height.simulation.odometry_errors import EXACT, OdometryErrors
 from sal_height.simulation.phase_errors import AT_REST, Vibration
 
+MOST_SWING_BEAMWIDTHS = 0.5
+"""Greatest swing of the antenna: the beams' middle stays within the band that a dwell may have (`imaging.checks`)."""
+
+JITTER_LINES = 100
+
 
 @dataclass(frozen=True)
 class Turbulence(StrictKeys):
@@ -91,10 +96,6 @@ class VegetationWind(StrictKeys):
         """Velocities (m/s) of scatterers, away from the sensor."""
         moving = rng.uniform(size=count) >= self.still_share
         return rng.laplace(scale=self.rms_velocity_mps / np.sqrt(2), size=count) * moving
-
-
-MOST_SWING_BEAMWIDTHS = 0.5
-"""Greatest swing of the antenna: the beams' middle stays within the band that a dwell may have (`imaging.checks`)."""
 
 
 @dataclass(frozen=True)
@@ -182,9 +183,6 @@ class AntennaSwing(StrictKeys):
         """Angle (rad) by which the beams point ahead at times (s) after the start of the first dwell."""
         turn = 2 * np.pi * np.asarray(seconds, dtype=np.float64) / self.period_s + self.phase_rad
         return self.amplitude_rad * np.sin(turn)
-
-
-JITTER_LINES = 100
 
 
 @dataclass(frozen=True)

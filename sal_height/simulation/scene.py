@@ -16,6 +16,16 @@ from sal_height.numeric import F64, Bool, Index, bilinear
 from sal_height.simulation._terrain_kernels import divide_cuts, mark_lit, see
 from sal_height.simulation.canopy import CANOPY_LAYERS, Canopy
 
+SAMPLES_PER_CELL = 2
+"""Scatterers per resolution cell in range and in azimuth, each: enough for fully developed speckle.
+
+One in azimuth suffices where time matters: each amplitude is Gaussian, and the power of an unweighted image stays even
+with strips as far apart as its resolution.
+"""
+
+LAYERS = 15
+"""Layers of scatterers in height; odd, so that one is the terrain. An extent of 3.5 beams has 4 layers in a beam."""
+
 
 def find_walls(north: F64, height: F64, elevation: F64) -> tuple[Bool, F64]:
     """Mask of the feet of walls that face the sensor and are lit in cuts through the terrain, and the walls' heights.
@@ -218,17 +228,6 @@ def joined(surfaces: Sequence[VisibleSurface]) -> VisibleSurface:
     names = [entry.name for entry in fields(VisibleSurface)]
     parts = ([getattr(surface, name).T for surface in filled] for name in names)
     return VisibleSurface(*(np.concatenate(values, axis=-1).T for values in parts))
-
-
-SAMPLES_PER_CELL = 2
-"""Scatterers per resolution cell in range and in azimuth, each: enough for fully developed speckle.
-
-One in azimuth suffices where time matters: each amplitude is Gaussian, and the power of an unweighted image stays even
-with strips as far apart as its resolution.
-"""
-
-LAYERS = 15
-"""Layers of scatterers in height; odd, so that one is the terrain. An extent of 3.5 beams has 4 layers in a beam."""
 
 
 def visible_surface(

@@ -7,7 +7,7 @@ import time
 from collections import Counter, deque
 from functools import partial
 from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
@@ -33,20 +33,6 @@ WAIT_S = 0.2
 TOO_SLOW, LOST = "arrived while too many waited to be drawn", "got lost on their way"
 
 
-class _Item(NamedTuple):
-    """A message that waits."""
-
-    topic: str
-    type_name: str
-    received_ns: int
-    cdr: bytes
-
-    @property
-    def size(self) -> int:
-        """Memory that it takes, bytes."""
-        return len(self.cdr) + ITEM_BYTES
-
-
 class Listener:
     """Receives messages in a thread of its own; the oldest are left out if too many wait.
 
@@ -66,7 +52,7 @@ class Listener:
         """
         self._namespace, self._most_bytes = namespace, most_bytes
         self._changed = threading.Condition()
-        self._waiting: deque[_Item] = deque()
+        self._waiting: deque[tuple[int, ReceivedMessage]] = deque()
         self._size = 0
         self._left_out: Counter[tuple[str, str]] = Counter()
         self._over = threading.Event()
@@ -94,10 +80,9 @@ class Listener:
                 self._changed.wait(WAIT_S)
             if not self._waiting:
                 return None
-            item = self._waiting.popleft()
-            self._size -= item.size
-        read = partial(deserialize, item.cdr, item.type_name, shared=True)
-        return ReceivedMessage(item.topic, item.type_name, item.received_ns, read)
+            size, message = self._waiting.popleft()
+            self._size -= size
+        return message
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -123,22 +108,25 @@ class Listener:
                 self._left_out[topic, LOST] += event.total_count_change
 
         def take(cdr: bytes) -> None:
-            self._take(_Item(topic, type_name, time.time_ns(), cdr))
+            message = ReceivedMessage(
+                topic, type_name, time.time_ns(), partial(deserialize, cdr, type_name, shared=True)
+            )
+            self._take(len(cdr) + ITEM_BYTES, message)
 
         events = SubscriptionEventCallbacks(message_lost=guarded(lose, self._fail))
         return self._node.create_subscription(
             message_class(type_name), topic, guarded(take, self._fail), QOS, event_callbacks=events, raw=True
         )
 
-    def _take(self, item: _Item) -> None:
-        """Let a message wait, and leave out the oldest ones beyond the limit of memory."""
+    def _take(self, size: int, message: ReceivedMessage) -> None:
+        """Let a message of this size (bytes) wait, and leave out the oldest ones beyond the limit of memory."""
         with self._changed:
-            while self._waiting and self._size + item.size > self._most_bytes:
-                oldest = self._waiting.popleft()
-                self._size -= oldest.size
+            while self._waiting and self._size + size > self._most_bytes:
+                freed, oldest = self._waiting.popleft()
+                self._size -= freed
                 self._left_out[oldest.topic, TOO_SLOW] += 1
-            self._waiting.append(item)
-            self._size += item.size
+            self._waiting.append((size, message))
+            self._size += size
             self._changed.notify()
 
     def _fail(self, error: Exception) -> None:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -24,70 +24,23 @@ from sal_height.messages.types import ComplexImage, DiagnosticArray, HeightImage
 from sal_height.nodes.accounts.account import STAGE, Account
 from sal_height.numeric import F32, F64
 from sal_height.relief import Surface
-from sal_height.view.colours import Span, Spans, coloured
-from sal_height.view.drawings import Classes, Cloud, Drawing, Line, Note, Number, Picture, ReceivedMessage, Sheet
-
-FARTHEST_M, LONGEST_NS = 5.0, 5_000_000_000
-"""Greatest distance (m), in addition to half the path, of a position from the one before moved on by its velocity, and
-greatest time between both (ns) at which they are joined."""
-
-
-class Piece(NamedTuple):
-    """A part of a track without gaps.
-
-    Attributes:
-        stamp_ns: time of its last position, ns since the epoch.
-        received_ns: time at which that arrived, ns since the epoch.
-        places: positions in map, shape (positions, 3), m.
-    """
-
-    stamp_ns: int
-    received_ns: int
-    places: F64
-
-
-class Track:
-    """The places of a platform that have not been drawn yet."""
-
-    def __init__(self) -> None:
-        self._states: list[PlatformState] = []
-        self._received_ns = 0
-
-    def add(self, state: PlatformState, received_ns: int) -> int:
-        """Take a state in; the time from the first that waits to it, ns."""
-        self._states.append(state)
-        most_places = 4096  # greatest number of positions that wait; of more, the oldest are dropped
-        del self._states[:-most_places]
-        self._received_ns = received_ns
-        return abs(state.stamp_ns - self._states[0].stamp_ns)
-
-    def pieces(self) -> list[Piece]:
-        """Positions that wait, cut where the platform, or its clock, cannot have gone from one to the next.
-
-        The last position is kept as the first of the next piece.
-        """
-        states = self._states
-        cuts = [i + 1 for i, (one, other) in enumerate(pairwise(states)) if not _joined(one, other)]
-        parts = [states[begin:end] for begin, end in zip([0, *cuts], [*cuts, len(states)], strict=True)]
-        self._states = states[-1:]
-        return [_piece(part, self._received_ns) for part in parts if len(part) > 1]
-
-
-def _piece(states: list[PlatformState], received_ns: int) -> Piece:
-    drawn_places = 32  # approximate number of positions drawn per piece; it is short, and a platform is inert
-    kept = np.unique(np.linspace(0, len(states) - 1, min(len(states), drawn_places)).round().astype(int))
-    return Piece(states[-1].stamp_ns, received_ns, np.array([states[i].position for i in kept]))
-
-
-def _joined(one: PlatformState, other: PlatformState) -> bool:
-    """True if a platform can have gone from one state to the other."""
-    step_ns = other.stamp_ns - one.stamp_ns
-    way = one.velocity * step_ns * 1e-9
-    off = float(np.linalg.norm(other.position - one.position - way))
-    return 0 < step_ns <= LONGEST_NS and off <= FARTHEST_M + 0.5 * float(np.linalg.norm(way))
-
+from sal_height.view.drawings import (
+    Classes,
+    Cloud,
+    Drawing,
+    Line,
+    Note,
+    Number,
+    Picture,
+    ReceivedMessage,
+    Sheet,
+    Span,
+    Spans,
+    coloured,
+)
 
 HEIGHT_IMAGE, COMPLEX_IMAGE = "sal_height_msgs/msg/HeightImage", "sal_height_msgs/msg/ComplexImage"
+
 ODOMETRY, DIAGNOSTICS = "nav_msgs/msg/Odometry", "diagnostic_msgs/msg/DiagnosticArray"
 
 WORLD = "map"
@@ -112,6 +65,53 @@ ORIGIN = "messages/origin"
 
 MOST_PATHS = 1000
 """Names that time series may have: a viewer keeps each of them, and messages could bring ever new ones."""
+
+
+class Track:
+    """The positions of a platform that have not been drawn yet.
+
+    Attributes:
+        received_ns: time at which the last one arrived, ns since the epoch.
+    """
+
+    def __init__(self) -> None:
+        self._states: list[PlatformState] = []
+        self.received_ns = 0
+
+    def add(self, state: PlatformState, received_ns: int) -> int:
+        """Accept a state; the time from the first that waits to it, ns."""
+        self._states.append(state)
+        del self._states[:-4096]  # more would not be needed, and the oldest are dropped
+        self.received_ns = received_ns
+        return abs(state.stamp_ns - self._states[0].stamp_ns)
+
+    def pieces(self) -> list[tuple[int, F64]]:
+        """Stamp of the end (ns) and positions (m in map) of each part without gaps, shape (positions, 3).
+
+        They are cut where the platform, or its clock, cannot have gone from one to the next. The last position is kept
+        as the first of the next piece. About 32 positions are enough for a short piece, as a platform is inert.
+        """
+        states = self._states
+        cuts = [i + 1 for i, (one, other) in enumerate(pairwise(states)) if not _joined(one, other)]
+        parts = [states[begin:end] for begin, end in zip([0, *cuts], [*cuts, len(states)], strict=True)]
+        self._states = states[-1:]
+        found = []
+        for part in parts:
+            if len(part) > 1:
+                kept = np.unique(np.linspace(0, len(part) - 1, min(len(part), 32)).round().astype(int))
+                found.append((part[-1].stamp_ns, np.array([part[i].position for i in kept])))
+        return found
+
+
+def _joined(one: PlatformState, other: PlatformState) -> bool:
+    """True if a platform can have gone from one state to the other.
+
+    Within 5 s it may be up to 5 m, in addition to half the path, from where the velocity of the first one leads.
+    """
+    step_ns = other.stamp_ns - one.stamp_ns
+    way = one.velocity * step_ns * 1e-9
+    off = float(np.linalg.norm(other.position - one.position - way))
+    return 0 < step_ns <= 5_000_000_000 and off <= 5.0 + 0.5 * float(np.linalg.norm(way))
 
 
 def is_shown(topic: str, type_name: str, namespace: str = "") -> bool:
@@ -183,8 +183,7 @@ class Painter:
             spans: spans of the colours; None: those of the last images.
         """
         self._map_frame = map_frame
-        remembered = 64  # images that decide which power is white
-        self._spans, self._power = spans or Spans(), Span(1.0, 99.9, remembered)
+        self._spans, self._power = spans or Spans(), Span(1.0, 99.9, images=64)
         self._origin: Any = None
         self._surfaces: dict[str, int] = {}
         self._tracks: dict[str, Track] = {}
@@ -243,8 +242,8 @@ class Painter:
         if away := math.hypot(east, north):
             self._sensor = -east / away, -north / away
         self._surfaces[path] = max(len(field.surfaces), self._surfaces.get(path, 0))
-        radius_pixels = 0.4  # radius of points, in diagonals of a pixel: those of a closed surface nearly touch
-        radius = radius_pixels * float(np.hypot(field.grid.row_spacing, field.grid.col_spacing))
+        # In diagonals of a pixel: points of a closed surface nearly touch.
+        radius = 0.4 * float(np.hypot(field.grid.row_spacing, field.grid.col_spacing))
         names = [f"{WORLD}/{path}/surface_{number + 1}" for number in range(self._surfaces[path])]
         clouds = [self._cloud(name, one, radius) for name, one in zip(names, field.surfaces, strict=False)]
         clouds += [_no_cloud(name) for name in names[len(clouds) :]]  # or the viewer would keep those of another dwell
@@ -309,7 +308,7 @@ class Painter:
         collected.drawn = len(collected.channels)
         self._channels[topic] = max(collected.drawn, self._channels.get(topic, 0))
         mean = collected.total / collected.drawn
-        decibels = 10.0 * np.log10(np.maximum(mean, 1e-30))  # -300 dB stands for no power
+        decibels = 10 * np.log10(np.maximum(mean, 1e-30))  # -300 dB stands for no power at all
         self._power.add(decibels[mean > 0])
         self._stamp_ns = collected.stamp_ns
         picture = Picture(f"{topic}/power", coloured(decibels, self._power.ends, "gray"))
@@ -319,19 +318,17 @@ class Painter:
         state = state_from_message(message, Frames(self._map_frame, message.child_frame_id))
         track = self._tracks.setdefault(topic.removesuffix("/odometry"), Track())
         waits_ns = track.add(state, received_ns)
-        piece_ns = 200_000_000  # least length of a piece that is drawn, ns
-        # A track is not drawn before the first height image, near which the origin is then, unless it is that long, ns.
-        unsettled_ns = 5_000_000_000
-        if waits_ns >= (piece_ns if self._origin is not None else unsettled_ns):
+        # The first height image, near which the origin is then, is waited for during 5 s of track.
+        if waits_ns >= (200_000_000 if self._origin is not None else 5_000_000_000):
             yield from self._finish_tracks()
 
     def _finish_tracks(self) -> Iterator[Sheet]:
         """The pieces of the tracks that have not been drawn yet."""
         for path, track in self._tracks.items():
-            for piece in track.pieces():
-                notes = self._settle(piece.places[0] * [1.0, 1.0, 0.0])
-                line = Line(f"{WORLD}/{path}/track", self._placed(piece.places))
-                yield Sheet(piece.stamp_ns, piece.received_ns, (line, *notes))
+            for stamp_ns, places in track.pieces():
+                notes = self._settle(places[0] * [1.0, 1.0, 0.0])
+                line = Line(f"{WORLD}/{path}/track", self._placed(places))
+                yield Sheet(stamp_ns, track.received_ns, (line, *notes))
 
     def _paint_accounts(self, _: str, message: DiagnosticArray, received_ns: int) -> Iterator[Sheet]:
         """The numbers of the nodes that process dwells, and why they left out messages."""

@@ -8,15 +8,25 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
 from sal_height.elevation import Validity
 from sal_height.errors import UserError
 from sal_height.io import writing
-from sal_height.view.colours import EMPTY, VALIDITY_COLOURS
-from sal_height.view.drawings import Classes, Cloud, Drawing, Line, Note, Number, Picture, Sheet
+from sal_height.view.drawings import (
+    EMPTY,
+    VALIDITY_COLOURS,
+    Classes,
+    Cloud,
+    Drawing,
+    Line,
+    Note,
+    Number,
+    Picture,
+    Sheet,
+)
 from sal_height.view.painter import WORLD, Subject
 from sal_height.view.viewer import Viewer, open_window, serve_page
 
@@ -25,6 +35,18 @@ BEST_FIRST = ("tracked", "adjusted", "ml", "capon", "music", "canopy_ground", "s
 
 EYE = np.radians(30.0), np.radians(35.0)
 """Direction from which the points are seen: angle from that of the sensor, and above the horizon, rad."""
+
+VERSION = "0.41"
+"""Version of Rerun, whose interface changes from one version to the next."""
+
+STAMP, CLOCK = "stamp", "clock"
+"""Timelines: the time of the sensor, and that at which messages arrived."""
+
+STUCK_S, LOOK_S = 30.0, 0.5
+"""A viewer that takes nothing for so long is ended."""
+
+HAND_OVER_S = 60.0
+"""Longest time that what was drawn last takes to the viewer."""
 
 
 def blueprint(subject: Subject, history_s: float) -> Any:
@@ -128,24 +150,6 @@ def _platform(path: str) -> str:
     return f"{_namespace(path)}/platform".strip("/")
 
 
-VERSION = "0.41"
-"""Version of Rerun, whose interface changes from one version to the next."""
-
-STAMP, CLOCK = "stamp", "clock"
-"""Timelines: the time of the sensor, and that at which messages arrived."""
-
-STUCK_S, LOOK_S = 30.0, 0.5
-"""A viewer that takes nothing for so long is ended."""
-
-HAND_OVER_S = 60.0
-"""Longest time that what was drawn last takes to the viewer."""
-
-Parts: TypeAlias = tuple[Any, ...]
-"""Archetypes of the package of the viewer, which make one entity."""
-
-LINE_COLOUR = (255, 255, 255)
-
-
 def rerun() -> Any:
     """The package of the viewer, which takes half a second to import.
 
@@ -191,14 +195,6 @@ class Screen:
         self.recording = self._rr.RecordingStream("sal_height", send_properties=True)
         self.recording.set_log_time_enabled(False)
         self.recording.send_recording_name(name)
-        self._makers: dict[type, Callable[[Any], Parts]] = {
-            Picture: self._picture,
-            Classes: self._classes,
-            Cloud: self._cloud,
-            Line: self._line,
-            Number: self._number,
-            Note: self._note,
-        }
 
     def begin(self) -> None:
         """Log properties that do not change."""
@@ -209,7 +205,13 @@ class Screen:
     def show(self, sheet: Sheet) -> None:
         """Add drawings; it waits while the viewer has too much to take."""
         with self._waiting():
-            self._show(sheet)
+            self.recording.reset_time()
+            if sheet.stamp_ns is not None:
+                self.recording.set_time(STAMP, timestamp=np.datetime64(sheet.stamp_ns, "ns"))
+            self.recording.set_time(CLOCK, timestamp=np.datetime64(sheet.received_ns, "ns"))
+            for drawing in sheet.drawings:
+                parts = [part for part in drawing.path.split("/") if part]  # names of others may have empty ones
+                self.recording.log(parts, *self._parts(drawing))
 
     def waits_s(self) -> float:
         """For how long the viewer has been waited for, s."""
@@ -229,14 +231,6 @@ class Screen:
         finally:
             self._waiting_since = None
 
-    def _show(self, sheet: Sheet) -> None:
-        self.recording.reset_time()
-        if sheet.stamp_ns is not None:
-            self.recording.set_time(STAMP, timestamp=np.datetime64(sheet.stamp_ns, "ns"))
-        self.recording.set_time(CLOCK, timestamp=np.datetime64(sheet.received_ns, "ns"))
-        for drawing in sheet.drawings:
-            self.recording.log(path_of(drawing), *self._makers[type(drawing)](drawing))
-
     def arrange(self, subject: Subject) -> None:
         """Arrange the views for what has been drawn."""
         self.recording.send_blueprint(blueprint(subject, self._history_s))
@@ -246,31 +240,25 @@ class Screen:
         with suppress(RuntimeError):
             self.recording.flush(timeout_sec=HAND_OVER_S)
 
-    def _picture(self, picture: Picture) -> Parts:
-        return (self._rr.Image(picture.pixels),)
-
-    def _classes(self, classes: Classes) -> Parts:
-        return (self._rr.SegmentationImage(classes.values),)
-
-    def _cloud(self, cloud: Cloud) -> Parts:
-        flat = self._rr.components.PointShading.Flat
-        points = self._rr.Points3D(cloud.places, colors=cloud.colours, radii=[cloud.radius], point_shading=flat)
-        return points, self._rr.AnyValues(height_m=cloud.height, sigma_m=cloud.sigma)
-
-    def _line(self, line: Line) -> Parts:
-        width = self._rr.Radius.ui_points(1.5)
-        return (self._rr.LineStrips3D([line.places], colors=[LINE_COLOUR], radii=[width]),)
-
-    def _number(self, number: Number) -> Parts:
-        return (self._rr.Scalars([number.value]),)
-
-    def _note(self, note: Note) -> Parts:
-        return (self._rr.TextLog(note.text, level="WARN"),)
-
-
-def path_of(drawing: Drawing) -> list[str]:
-    """The parts of the path of a drawing, any text; names of others may have empty ones."""
-    return [part for part in drawing.path.split("/") if part]
+    def _parts(self, drawing: Drawing) -> tuple[Any, ...]:
+        """Archetypes of the package of the viewer, which make one entity."""
+        rr = self._rr
+        match drawing:
+            case Picture():
+                return (rr.Image(drawing.pixels),)
+            case Classes():
+                return (rr.SegmentationImage(drawing.values),)
+            case Cloud():
+                how = {"radii": [drawing.radius], "point_shading": rr.components.PointShading.Flat}
+                points = rr.Points3D(drawing.places, colors=drawing.colours, **how)
+                return points, rr.AnyValues(height_m=drawing.height, sigma_m=drawing.sigma)
+            case Line():
+                width = rr.Radius.ui_points(1.5)
+                return (rr.LineStrips3D([drawing.places], colors=[(255, 255, 255)], radii=[width]),)
+            case Number():
+                return (rr.Scalars([drawing.value]),)
+            case Note():
+                return (rr.TextLog(drawing.text, level="WARN"),)
 
 
 @contextmanager

@@ -13,11 +13,17 @@ from sal_height.bag.reader import BagReader
 from sal_height.errors import Rejected, UserError
 from sal_height.graph.processes import Interruption
 from sal_height.messages import MAP_FRAME, field_from_message
-from sal_height.view.colours import Spans
-from sal_height.view.drawings import Note, ReceivedMessage, Sheet
+from sal_height.view.drawings import Note, ReceivedMessage, Sheet, Spans
 from sal_height.view.listener import Listener
 from sal_height.view.painter import COMPLEX_IMAGE, DIAGNOSTICS, HEIGHT_IMAGE, Painter, Subject, estimator_of, is_shown
 from sal_height.view.screen import Screen
+
+SKIPPED = "messages/view"
+"""Path of the log of what was left out here."""
+
+UNREADABLE, UNEXPECTED = "unreadable", "unexpected"
+
+TELL_PERIOD_S, LOOK_PERIOD_S = 1.0, 0.1
 
 
 class Recorded:
@@ -55,7 +61,8 @@ class Recorded:
 
     def some_heights(self) -> Iterator[ReceivedMessage]:
         """Up to 64 height images of every topic, evenly spread over the bag."""
-        heights = {name: self._reader.topics[name].count for name in self.topics if self._is_height(name)}
+        topics = [self._reader.topics[name] for name in self.topics]
+        heights = {topic.name: topic.count for topic in topics if topic.type_name == HEIGHT_IMAGE}
         seen = dict.fromkeys(heights, 0)
         for received in self._messages(list(heights)):
             number, count = seen[received.topic], heights[received.topic]
@@ -67,9 +74,6 @@ class Recorded:
     def __iter__(self) -> Iterator[ReceivedMessage]:
         """All messages, in the order in which they were recorded."""
         return self._messages(self.topics)
-
-    def _is_height(self, name: str) -> bool:
-        return self._reader.topics[name].type_name == HEIGHT_IMAGE
 
     def _messages(self, topics: list[str]) -> Iterator[ReceivedMessage]:
         recorded = self._reader.messages(topics) if topics else iter(())
@@ -83,14 +87,6 @@ class Recorded:
                 continue
             read = partial(self._reader.decode, message.type_name, message.cdr)
             yield ReceivedMessage(message.topic, message.type_name, message.log_time_ns, read)
-
-
-SKIPPED = "messages/view"
-"""Path of the log of what was left out here."""
-
-UNREADABLE, UNEXPECTED = "unreadable", "unexpected"
-
-TELL_PERIOD_S, LOOK_PERIOD_S = 1.0, 0.1
 
 
 @dataclass
@@ -182,9 +178,7 @@ def _said(error: Exception) -> str:
 
 def show_bag(recorded: Recorded, screen: Screen, map_frame: str = MAP_FRAME) -> Shown:
     """Show all messages of a bag; `map_frame` is the name of the frame that all positions are in."""
-    # Surfaces of a bag that decide which heights the colours stand for: all that are read beforehand.
-    most_surfaces = 10_000
-    spans = Spans(most_surfaces)
+    spans = Spans(10_000)  # surfaces: all that are read beforehand
     for received in recorded.some_heights():
         with suppress(Exception):  # it is met again when it is to be drawn
             spans.add(field_from_message(received.read(), map_frame))
@@ -201,14 +195,7 @@ def show_bag(recorded: Recorded, screen: Screen, map_frame: str = MAP_FRAME) -> 
 
 
 def show_live(listener: Listener, screen: Screen, is_over: Callable[[], bool], map_frame: str = MAP_FRAME) -> Shown:
-    """Show what a live graph publishes, until it is over or the user interrupts.
-
-    Args:
-        listener: listener to the graph, entered as a context.
-        screen: screen on which the messages are shown.
-        is_over: function that is called repeatedly; True ends the display.
-        map_frame: name of the frame that all positions are in.
-    """
+    """Show what a live graph publishes, all positions in `map_frame`, until it is over or the user interrupts."""
     artist = Artist(Painter(map_frame), screen, Subject())
     reported: dict[tuple[str, str], int] = {}
     due = time.monotonic() + TELL_PERIOD_S

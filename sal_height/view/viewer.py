@@ -121,10 +121,9 @@ def open_window(memory_mb: int) -> Viewer:
         UserError: it does not start, as where there is no display.
     """
     (port,) = free_ports(1)
-    window_s = 0.5  # time in which a viewer that listens already finds out that it cannot open a window
     with ExitStack() as stack:
         viewer = stack.enter_context(Viewer(["--hide-welcome-screen", "--expect-data-soon"], port, memory_mb))
-        time.sleep(window_s)
+        time.sleep(0.5)  # by then one that listens has found out that it cannot open a window
         viewer.check()
         stack.pop_all()
     return viewer

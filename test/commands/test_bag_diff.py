@@ -6,9 +6,9 @@ import json
 from pathlib import Path
 
 import pytest
+from rewritten_bag import rewritten
 
-from sal_height.bag.reader import BagReader
-from sal_height.bag.writer import BagWriter
+from sal_height.bag.reader import BagMessage
 from sal_height.commands import main
 from sal_height.messages import deserialize, serialize
 from sal_height.messages.types import HeightImage
@@ -18,20 +18,17 @@ BAG = Path(__file__).parents[2] / "bags" / "version_3"
 
 def moved(folder: Path, metres: float) -> Path:
     """A copy of the bag whose first height of ml in each dwell lies higher."""
-    reader = BagReader(BAG)
-    with BagWriter(folder) as bag:
-        for topic in reader.topics.values():
-            bag.add_topic(topic.name, topic.type_name)
-        for message in reader.messages():
-            cdr = message.cdr
-            if message.topic == "/ml/height":
-                image = deserialize(cdr, HeightImage)
-                place = next(n for n, validity in enumerate(image.validity) if validity == HeightImage.OK)
-                image.surfaces[0].height = image.surfaces[0].height.copy()
-                image.surfaces[0].height[place] += metres
-                cdr = serialize(image)
-            bag.write(message.topic, cdr, message.log_time_ns, message.log_time_ns)
-    return folder
+
+    def higher(message: BagMessage, _: int) -> BagMessage:
+        if message.topic != "/ml/height":
+            return message
+        image = deserialize(message.cdr, HeightImage)
+        place = next(n for n, validity in enumerate(image.validity) if validity == HeightImage.OK)
+        image.surfaces[0].height = image.surfaces[0].height.copy()
+        image.surfaces[0].height[place] += metres
+        return message._replace(cdr=serialize(image))
+
+    return rewritten(BAG, folder, higher)
 
 
 def diff(tmp_path: Path, other: Path, *words: str) -> int:

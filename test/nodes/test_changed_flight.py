@@ -27,8 +27,7 @@ from sal_height.runs.chain import replay_parameters
 from sal_height.runs.chain.entry import Part
 from sal_height.runs.chain.recorded_parameters import recorded_parameters
 from sal_height.runs.chain.timeline import Timeline, timeline_of
-from sal_height.runs.replay.bag_replay import replay
-from sal_height.runs.replay.playing import Playing
+from sal_height.runs.replay.bag_replay import Playing, replay
 
 SENSOR_TOPICS = ["/sensor_info", "/platform/odometry", "/phase_history"]
 HEIGHTS = ["/ml/height", "/monopulse/height"]

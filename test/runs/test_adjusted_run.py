@@ -89,7 +89,7 @@ def test_where_odometry_is_not_played_they_are_left_out_or_refused(folder: Path,
 def test_a_batch_leaves_them_out(folder: Path) -> None:
     """Its bags are tracked as before; that it refuses to make them is in test_batch."""
     scheme = plan(folder / "run" / "bag", {})
-    assert "height_adjuster" not in {*scheme.stages, *scheme.makers}
+    assert "height_adjuster" not in {*scheme.chain.stages, *scheme.chain.makers}
 
 
 @pytest.mark.usefixtures("flown")

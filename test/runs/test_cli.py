@@ -53,13 +53,6 @@ def test_what_cannot_be_used_is_named_in_one_sentence(
     assert "Traceback" not in complaint
 
 
-def test_an_output_folder_in_use_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "mine.txt").write_text("mine")
-    assert main(["run", "--preset", "small", "--out", str(tmp_path)]) == 2
-    assert "not empty" in capsys.readouterr().err
-    assert [p.name for p in tmp_path.iterdir()] == ["mine.txt"]
-
-
 @pytest.fixture(scope="module")
 def beside(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder in which a run with options had to choose its output folder beside one that is in use."""
@@ -103,8 +96,6 @@ def test_without_out_the_next_free_folder_is_taken(
     assert main(["replay", "out/small_2/bag/bag_0.mcap"]) == 0
     assert Path("out/replay_small_2/report.json").is_file()
     assert "out/replay_small_2/report.json" in capsys.readouterr().out
-    assert main(["run", "--preset", "small", "--out", "out/small"]) == 2
-    assert "not empty" in capsys.readouterr().err
 
 
 def test_dropped_messages_end_a_run_with_status_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

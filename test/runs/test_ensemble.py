@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
@@ -131,20 +130,6 @@ def test_nodes_in_processes_give_the_same_heights_as_nodes_in_one(
     for topic, result in compared.items():
         assert result.matched == held[topic].count > 0
         assert not any(one.different for one in result.fields.values())
-
-
-def test_an_interrupted_run_says_so_in_its_report_and_its_files_are_whole(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    words = ["run", "--preset", "small", "--dwells", "90"]
-    program = ended(words, out, out / "bag" / "bag_0.mcap", signal.SIGINT)
-    assert (program.status, program.nodes) == (130, {})
-    assert "Traceback" not in program.log
-    report = json.loads((out / "report.json").read_text())
-    assert report["interrupted"] is True
-    assert 1 <= report["dwells"] < 90
-    assert_is_whole(out / "bag" / "bag_0.mcap")
-    with rasterio.open(out / "relief_map.tif") as relief:
-        assert relief.read(4).sum() > 0
 
 
 def test_a_node_whose_parent_has_ended_does_not_begin() -> None:

@@ -14,19 +14,18 @@ from typing import Any
 import made_offline
 import pytest
 from helpers import assert_one_sentence
-from rewritten_bag import rewritten
+from rewritten_bag import copied, rewritten
 
 from sal_height.bag.compare import CHANGED, EQUAL, WITHIN, compare_bags
 from sal_height.bag.reader import BagMessage, BagReader
-from sal_height.bag.writer import BagWriter
 from sal_height.engine.stage import Product
 from sal_height.errors import UserError
 from sal_height.messages import serialize
 from sal_height.messages.types import Calibration, Header, TFMessage, TransformStamped, Vector3
-from sal_height.runs.campaign.campaign import Case
+from sal_height.runs.campaign.batch import Case
 from sal_height.runs.chain import side_by_side
 from sal_height.runs.chain.chain_runs import BagRun, plan
-from sal_height.runs.chain.flight_record import FlightRecord
+from sal_height.runs.chain.timeline import FlightRecord
 from sal_height.runs.live.sensor_bag import record_sensor
 from sal_height.runs.replay.bag_replay import replay
 from sal_height.simulation import load_preset
@@ -81,7 +80,7 @@ def test_jobs_and_results_that_are_larger_than_pipes_do_not_wait_for_each_other(
     before = signal.signal(signal.SIGALRM, give_up)
     signal.alarm(120)
     try:
-        run = BagRun(scheme, scheme.stages, jobs=2, wanted=["slc", "ml/height"])
+        run = BagRun(scheme, scheme.chain.stages, jobs=2, wanted=["slc", "ml/height"])
         ports = [made.result.port for made in run.results() if isinstance(made.result, Product)]
     finally:
         signal.alarm(0)
@@ -189,13 +188,8 @@ def test_the_mounting_is_that_on_tf_static(up_m: float, verdicts: set[str], reco
     transform.transform.translation = Vector3(x=arm.x, y=arm.y, z=arm.z + up_m)
     transform.transform.rotation = mounting.rotation
     static = serialize(TFMessage(transforms=[transform]))
-    with BagWriter(tmp_path / "bag", reader.custom_data) as bag:
-        for topic in reader.topics.values():
-            bag.add_topic(topic.name, topic.type_name, topic.offered_qos)
-        bag.add_topic("/tf_static", TFMessage.__msgtype__)
-        bag.write("/tf_static", static, reader.begin_ns, reader.begin_ns)
-        for one in reader.messages():
-            bag.write(one.topic, one.cdr, one.log_time_ns, one.publish_time_ns)
+    first = BagMessage("/tf_static", TFMessage.__msgtype__, static, reader.begin_ns, reader.begin_ns)
+    with_more(recorded / "bag", tmp_path / "bag", first)
     for jobs in (1, 2):
         row = made_offline.make(tmp_path / "bag", tmp_path / f"{jobs}", jobs, **FROM_TF)
         assert (row["dwells"], row["dropped"]) == (2, 0)
@@ -234,14 +228,9 @@ def of_topic(reader: BagReader, topic: str) -> tuple[BagMessage, Any]:
 
 def with_more(bag: Path, folder: Path, *more: BagMessage) -> Path:
     """A bag with more messages, which come before those that are as late."""
-    reader = BagReader(bag)
-    with BagWriter(folder, reader.custom_data) as out:
-        types = {one.topic: one.type_name for one in more}
-        for name, type_name in {**types, **{topic.name: topic.type_name for topic in reader.topics.values()}}.items():
-            out.add_topic(name, type_name)
-        for one in sorted([*more, *reader.messages()], key=lambda message: message.log_time_ns):
-            out.write(one.topic, one.cdr, one.log_time_ns, one.publish_time_ns)
-    return folder
+    messages = sorted([*more, *BagReader(bag).messages()], key=lambda message: message.log_time_ns)
+    new = {one.topic: one.type_name for one in more if one.topic not in BagReader(bag).topics}
+    return copied(bag, folder, messages, more=new)
 
 
 def test_the_first_of_contradictory_descriptions_stays_in_force_and_those_that_are_none_are_told(

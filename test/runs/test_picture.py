@@ -11,6 +11,7 @@ from matplotlib.colors import Normalize
 from PIL import Image
 
 from sal_height.bag import qos
+from sal_height.bag.reader import BagReader
 from sal_height.bag.writer import BagWriter
 from sal_height.elevation import ESTIMATORS
 from sal_height.geometry.grid import Grid
@@ -19,8 +20,9 @@ from sal_height.messages import serialize
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, KeyValue
 from sal_height.relief import GroundEstimate, HeightField, Surface
 from sal_height.runs.campaign.campaign_picture import _style
-from sal_height.runs.live.latency_picture import draw_run, published_latencies
-from sal_height.runs.products.pictures import beyond_error
+from sal_height.runs.live.latency_picture import draw_run
+from sal_height.runs.products.calibrate import beyond_error
+from sal_height.runs.replay.judge import published_latencies
 from sal_height.runs.responses.pictures import corners, draw_image, ground_steps
 from sal_height.runs.truth.comparison import PublishedErrors, SurfaceComparison
 from sal_height.runs.truth.height_picture import ground_picture, height_limits, percent_text
@@ -53,7 +55,6 @@ def judgement_of(place: list[list[float]], sigma: list[float], ghost: list[bool]
         nearest=np.where(ghost, np.nan, 0.1),
         own=np.full(count, 0.1),
         ghost=np.array(ghost),
-        true_order=np.ones(count, dtype=np.int64),
     )
     comparison = SurfaceComparison(errors, 2, 2, 2, 0, 1, 0, np.zeros((5, 7), dtype=np.int64))
     inside = np.array([True, True, True, False])
@@ -106,9 +107,8 @@ def errors_of(nearest: list[float], sigma: list[float]) -> PublishedErrors:
     count = len(nearest)
     place = np.zeros((count, 3))
     ghost = ~np.isfinite(nearest)
-    order = np.ones(count, dtype=np.int64)
     off, validity = np.array(nearest), np.zeros(count, np.uint8)
-    return PublishedErrors(place, validity, np.array(sigma), off, off, ghost, order)
+    return PublishedErrors(place, validity, np.array(sigma), off, off, ghost)
 
 
 def test_every_published_surface_is_counted_in_the_histogram() -> None:
@@ -257,7 +257,7 @@ def test_latencies_of_a_bag_are_those_that_nodes_told_over_time(tmp_path: Path) 
                 states.append(DiagnosticStatus(name=name, values=[KeyValue(key=k, value=str(v)) for k, v in values]))
             stamp = 10**9 + step * 500_000_000
             bag.write("/diagnostics", serialize(DiagnosticArray(status=states)), stamp, stamp)
-    found = published_latencies(tmp_path / "run" / "bag")
+    found = published_latencies(BagReader(tmp_path / "run" / "bag"))
     assert found.keys() == {"ml_height", "map"}
     np.testing.assert_allclose(found["ml_height"], [[0.0, 0.5], [4.0, 5.0], [9.0, 8.0]])
     np.testing.assert_allclose(found["map"], [[0.5], [1.0], [2.0]])

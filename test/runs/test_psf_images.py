@@ -32,7 +32,7 @@ from sal_height.response.report import PsfSettings, report_on
 from sal_height.response.transfer_function import centred
 from sal_height.runs.chain.recorded_images import bag_images
 from sal_height.runs.responses import psf as psf_module
-from sal_height.runs.responses.psf_picture import draw_psf
+from sal_height.runs.responses.pictures import draw_psf
 
 SIDE, TAPES, NOISE, SPUR = 768, 2, 0.2, 0.3
 RANGE, SWINGING = RangeFault(), AzimuthFault(swing=0.03, swing_period=2 * SIDE)
@@ -512,7 +512,6 @@ def test_a_shorter_chip_is_taken_for_superposition_and_said(tmp_path: Path, caps
         (one, ["--chip", "200x64"], "A chip of 200 x 64 pixels does not fit the image of 128 x 128"),
         (lambda: one()[:3], [], "each side must be 4 pixels or more"),
         (one, ["--channel", "0"], "image.npy has no image of the requested"),
-        (one, ["--out", "."], "not empty"),
     ],
 )
 def test_what_cannot_be_used_is_said_in_one_sentence(
@@ -535,11 +534,3 @@ def test_images_of_different_heights_are_not_pooled(tmp_path: Path, capsys: pyte
     np.save(tmp_path / "b.npy", one()[:100])
     assert main(["psf", str(tmp_path / "a.npy"), str(tmp_path / "b.npy"), "--out", str(tmp_path / "out")]) == 2
     assert_one_sentence(capsys.readouterr().err.splitlines()[-1].removeprefix("sal-height: "), "as many rows")
-
-
-def test_the_help_teaches(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["psf", "--help"]) == 0
-    said = capsys.readouterr().out
-    for words in ("sal-height psf tape.npy", "range_window=rectangular", "--record slc", "measured together"):
-        assert words in said
-    assert main(["psf", "tape.npy", "--chip", "64"]) == 2

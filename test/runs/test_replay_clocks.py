@@ -24,8 +24,7 @@ from sal_height.graph.plan import DwellChanges, Execution, Plan
 from sal_height.nodes.host import StageNode
 from sal_height.runs.chain.entry import Part
 from sal_height.runs.chain.replay_parameters import ReplayPlan
-from sal_height.runs.replay.bag_replay import replay
-from sal_height.runs.replay.playing import Playing
+from sal_height.runs.replay.bag_replay import Playing, replay
 from sal_height.runs.truth.simulate import fly
 from sal_height.simulation.preset import Preset
 
@@ -150,7 +149,7 @@ def test_what_does_not_go_together_is_refused(recorded: Path, tmp_path: Path) ->
 def test_only_what_happened_before_the_first_dwell_can_be_repeated() -> None:
     def changed_before(dwell: int) -> ReplayPlan:
         changes = [DwellChanges(DwellKey("", dwell, dwell), {"ml_height": {"range_looks": 2}})]
-        return ReplayPlan({}, {}, changes, [], [], DwellRange(), 3, True, {DwellKey("", 0, 0): ALWAYS})
+        return ReplayPlan(None, None, {}, {}, changes, [], [], DwellRange(), 3, True, {DwellKey("", 0, 0): ALWAYS})
 
     Playing("burst", loops=2).check(changed_before(0))
     Playing("burst").check(changed_before(1))

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 from helpers import assert_one_sentence
+from rewritten_bag import copied
 from written_bag import changed, frame, key, told, written
 
 from sal_height.bag.namespace import NamespacedReader, open_bag
 from sal_height.bag.reader import BagReader
-from sal_height.bag.writer import BagWriter
 from sal_height.commands import main
 from sal_height.errors import UserError
 from sal_height.runs.chain.entry import Part
@@ -23,16 +23,9 @@ HEIGHTS = {"/ml/height", "/monopulse/height", "/tracked/height"}
 
 def moved(bag: Path, copy: Path, namespaces: Sequence[str], outside: Sequence[str] = ("/diagnostics",)) -> Path:
     """A bag with the messages of another one in namespaces, in each of them."""
-    reader = BagReader(bag)
-    names = {t: [t] if t in outside else [f"{space}{t}" for space in namespaces] for t in reader.topics}
-    with BagWriter(copy, reader.custom_data) as writer:
-        for topic in reader.topics.values():
-            for name in names[topic.name]:
-                writer.add_topic(name, topic.type_name, topic.offered_qos)
-        for message in reader.messages():
-            for name in names[message.topic]:
-                writer.write(name, message.cdr, message.log_time_ns, message.log_time_ns)
-    return copy
+    return copied(
+        bag, copy, names=lambda topic: [topic] if topic in outside else [f"{space}{topic}" for space in namespaces]
+    )
 
 
 @pytest.mark.parametrize("outside", [["/diagnostics"], ["/diagnostics", "/platform/odometry"]])

@@ -1,4 +1,4 @@
-"""Parts of a bag: some of its dwells, and replays that begin with its images or heights."""
+"""Parts of a bag: some of its dwells, cut out or chosen, and replays that begin with its images or heights."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ import pytest
 import rasterio
 from helpers import assert_one_sentence
 
-from sal_height.bag.compare import EQUAL
+from sal_height.bag.compare import EQUAL, compare_bags
+from sal_height.bag.copies import Range, cut
 from sal_height.bag.reader import BagReader
 from sal_height.commands import main
 from sal_height.errors import UserError
@@ -143,3 +144,22 @@ def test_the_command_takes_a_part(
     for wrong in ("3:2", "3", "a:b", f"0:{2**32}", "-1:2"):
         assert main(["replay", str(flown / "bag"), f"--dwells={wrong}"]) == 2
         assert "FIRST:LAST" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("number", [pytest.param(0, marks=pytest.mark.thorough), 1])
+def test_a_cut_bag_gives_the_heights_of_its_dwells(number: int, recorded: Path, tmp_path: Path, replay: Any) -> None:
+    """Value for value; those of the tracker depend on the dwells before."""
+    cut(recorded / "bag", tmp_path / "cut", Range(dwells=(number, number)))
+    result = replay(tmp_path / "cut", tmp_path / "replay", {})
+    assert not result.outcome.losses
+    for topic in ("/ml/height", "/monopulse/height"):
+        compared = result.compared[topic]
+        assert compared.verdict == EQUAL
+        assert (compared.matched, compared.missing, compared.extra) == (1, 0, 0)
+        (height,) = BagReader(tmp_path / "cut").messages([topic])
+        (replayed,) = BagReader(tmp_path / "replay" / "bag").messages([topic])
+        assert height.cdr == [m.cdr for m in BagReader(recorded / "bag").messages([topic])][number]
+        assert BagReader(recorded / "bag").decode(replayed.type_name, replayed.cdr).dwell == number
+    if number == 0:
+        tracked = compare_bags(BagReader(tmp_path / "cut"), BagReader(tmp_path / "replay" / "bag"))["/tracked/height"]
+        assert tracked.verdict == EQUAL

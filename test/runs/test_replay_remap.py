@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
 from helpers import assert_one_sentence
 from rclpy.parameter import Parameter
+from rewritten_bag import copied
 
 from sal_height.bag.namespace import NamespacedReader
 from sal_height.bag.reader import BagReader
-from sal_height.bag.writer import BagWriter
 from sal_height.commands import main
 from sal_height.errors import UserError
 from sal_height.nodes.playing.player import Player
 from sal_height.nodes.transport.graph import Graph
 from sal_height.runs.chain.entry import Part
-from sal_height.runs.replay.bag_replay import Remapping, Replay, remapping_of, replay
-from sal_height.runs.replay.playing import IN_LOCKSTEP, Playing
+from sal_height.runs.replay.bag_replay import IN_LOCKSTEP, Playing, Remapping, Replay, remapping_of, replay
 
 HEIGHTS = {"/ml/height", "/monopulse/height", "/tracked/height"}
 FOREIGN = {"/sensor_info": "/radar/info", "/platform/odometry": "/odom", "/phase_history": "/radar/raw"}
@@ -29,25 +27,13 @@ THOROUGH_LOCKSTEP, THOROUGH_BURST = (
 )
 
 
-def with_names(bag: Path, copy: Path, names: Mapping[str, str]) -> Path:
-    """A bag with the messages of another one, under other names."""
-    reader = BagReader(bag)
-    with BagWriter(copy, reader.custom_data) as writer:
-        for topic in reader.topics.values():
-            writer.add_topic(names.get(topic.name, topic.name), topic.type_name, topic.offered_qos)
-        for message in reader.messages():
-            name = names.get(message.topic, message.topic)
-            writer.write(name, message.cdr, message.log_time_ns, message.log_time_ns)
-    return copy
-
-
 def verdicts(result: Replay) -> dict[str, tuple[int, str]]:
     return {topic: (one.matched, one.verdict) for topic, one in result.compared.items()}
 
 
 @pytest.mark.parametrize("playing", [THOROUGH_LOCKSTEP, Playing("paced")], ids=["lockstep", "paced"])
 def test_a_bag_with_foreign_names_is_played(playing: Playing, recorded: Path, tmp_path: Path) -> None:
-    bag = with_names(recorded / "bag", tmp_path / "bag", FOREIGN)
+    bag = copied(recorded / "bag", tmp_path / "bag", names=lambda topic: [FOREIGN.get(topic, topic)])
     with pytest.raises(UserError, match="has no messages on /sensor_info"):
         replay(bag, tmp_path / "out", {})
     rules = [f"{new}:={old}" for old, new in FOREIGN.items()]
@@ -106,7 +92,7 @@ def options(rules: list[str]) -> list[str]:
 
 def test_a_topic_in_a_namespace_gets_its_name_there(recorded: Path, tmp_path: Path) -> None:
     names = {topic: f"/lidar{topic}" for topic in FOREIGN} | {"/phase_history": "/lidar/raw"}
-    bag = with_names(recorded / "bag", tmp_path / "bag", names)
+    bag = copied(recorded / "bag", tmp_path / "bag", names=lambda topic: [names.get(topic, topic)])
     rule = "/lidar/raw:=/lidar/phase_history"
     reader = Part().open(bag, remapping_of([rule], bag, "phase_history").of_bag)
     assert reader.namespace == "/lidar"

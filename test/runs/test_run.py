@@ -1,4 +1,4 @@
-"""What a run leaves behind, read by others than its writer."""
+"""What a run leaves behind, read by others than its writer: of dwells, of strips, and of flights through air."""
 
 from __future__ import annotations
 
@@ -8,28 +8,35 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import rasterio
+from helpers import assert_one_sentence
 from mcap.reader import make_reader
 from PIL import Image
+from rewritten_bag import rewritten
 from rosbags.highlevel import AnyReader
 
 from sal_height import messages
-from sal_height.bag.compare import CHANGED, WITHIN, compare_bags
+from sal_height.bag.check import check_bag
+from sal_height.bag.compare import CHANGED, EQUAL, WITHIN, compare_bags
 from sal_height.bag.reader import BagReader
 from sal_height.bag.tolerance import Tolerance, Tolerances
-from sal_height.budget.budget_picture import powers_db
 from sal_height.elevation import Validity, scatterer_count
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import recorded_topics
 from sal_height.relief.map import ReliefMap
+from sal_height.runs.live.sensor_bag import record_sensor
+from sal_height.runs.truth.height_picture import powers_db
 from sal_height.runs.truth.profile import _profile, draw_profile
 from sal_height.runs.truth.report import read_images
-from sal_height.runs.truth.simulate import fly, run
+from sal_height.runs.truth.simulate import Flown, fly, run
+from sal_height.simulation.air import SimulatedAir
 from sal_height.simulation.flight import flight_of
 from sal_height.simulation.impairments import Impairments
 from sal_height.simulation.odometry_errors import OdometryErrors
@@ -224,6 +231,10 @@ def test_interrupting_leaves_a_whole_bag_and_runs_go_on_side_by_side(two_dwells:
         assert program.poll() is None  # still going on
         program.send_signal(signal.SIGTERM)
         output, log = program.communicate(timeout=600)
+    with bag.open("rb") as stream:
+        assert make_reader(stream).get_summary() is not None  # its recorder had time to end it
+    with rasterio.open(out / "relief_map.tif") as relief:
+        assert relief.read(4).sum() > 0
     assert (second.dwells, second.losses) == (1, [])
     assert second.stages["sar_compression"].received == 8  # and nothing of the other sensor
     assert program.returncode == 130, log
@@ -287,3 +298,94 @@ def test_images_beside_the_scene_are_told_in_a_sentence(two_dwells: Preset, tmp_
     with pytest.raises(UserError, match=r"none of the images lies on the scene.*lower the errors"):
         run(beside, SEED, tmp_path / "run", {})
     assert json.loads((tmp_path / "run" / "report.json").read_text())["estimators"]["monopulse"]["cells"] == 0
+
+
+DWELLS = 4
+
+
+def test_strip_images_join_and_their_heights_are_right(tmp_path: Path, replay: Any) -> None:
+    preset = load_preset("sal_stripmap")
+    preset = dataclasses.replace(
+        preset,
+        sensor=dataclasses.replace(preset.sensor, detectors=5, sample_count=40),
+        flight=dataclasses.replace(preset.flight, gust_mps=1.0),
+        image=dataclasses.replace(preset.image, rows=24, cols=64),
+        dwells=DWELLS,
+    )
+    fly(preset, 5, tmp_path / "run", {})
+    report = json.loads((tmp_path / "run" / "report.json").read_text())
+    assert report["stages"]["sar_compression"]["dropped"] == {}
+    reader = BagReader(tmp_path / "run" / "bag")
+    images = [reader.decode(m.type_name, m.cdr) for m in reader.messages(["/ml/height"])]
+    # Pulses held: DWELLS blocks of 256, less an aperture of 310; two pulses a column, columns in multiples of 64.
+    assert sum(image.grid.cols for image in images) == (DWELLS * 256 - 310) // 2 // 64 * 4
+    grids = [messages.grid_from_message(image.grid) for image in images]
+    for one, other in pairwise(grids):
+        end = one.points(0.0, one.cols - 1 + 0.5 + 0.5 * other.col_spacing / one.col_spacing)
+        np.testing.assert_allclose(end, other.origin, atol=1e-6 * one.col_spacing)
+    errors = report["estimators"]["ml"]
+    assert errors["valid"] > 0.6
+    assert abs(errors["bias_m"]) < 3 * errors["sigma_m"] / np.sqrt(errors["cells"])
+    assert errors["rms_m"] < 2 * errors["crb_m"]
+    compared = replay(tmp_path / "run" / "bag", tmp_path / "again", {}).compared
+    assert [result.verdict for result in compared.values()] == ["equal"] * 3
+
+
+AIR = SimulatedAir(temperature_k=300.0, pressure_pa=99_000.0, humidity=0.5, height_m=200.0, map_height_m=150.0)
+HEARD = {"sar_compression": {"air": "topics", "map_height_m": 150.0}}
+SMALL = load_preset("small")
+PRESET = replace(SMALL, dwells=3, estimators=("ml",), processing=HEARD, impairments=replace(SMALL.impairments, air=AIR))
+STRIP = load_preset("sal_stripmap")
+STRIP_IN_AIR = replace(
+    STRIP, dwells=4, estimators=("ml",), processing=HEARD, impairments=replace(STRIP.impairments, air=AIR)
+)
+TOPICS = [f"/{topic}" for topic in messages.AIR]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("air")
+
+
+@pytest.fixture(scope="module")
+def flown(folder: Path) -> Flown:
+    return fly(PRESET, 2, folder / "run", {})
+
+
+def test_the_compression_hears_the_air_of_a_run(flown: Flown, folder: Path) -> None:
+    """Which is that at the platform, so that heights are right, by half a metre otherwise."""
+    assert flown.outcome.losses == []
+    assert abs(flown.accuracy.statistics["ml"]["bias_m"]) < 0.02
+    told = flown.flight.probed_air(0)[0].values
+    for image in read_images(folder / "run" / "bag")["ml"]:
+        stage = messages.stages_of(image.provenance.parameters)["sar_compression"]
+        assert {name: stage[f"heard_air.{name}"] for name in told if name != "air_humidity"} == pytest.approx(
+            {name: value for name, value in told.items() if name != "air_humidity"}
+        )
+
+
+@pytest.mark.usefixtures("flown")
+def test_a_replay_hears_it_again(folder: Path, replay: Any, tmp_path: Path) -> None:
+    found = replay(folder / "run" / "bag", tmp_path / "replay", {})
+    assert found.outcome.losses == []
+    assert {one.verdict for one in found.compared.values()} == {EQUAL}
+
+
+@pytest.mark.thorough
+def test_a_strip_and_its_replay_hear_it(replay: Any, tmp_path: Path) -> None:
+    flown = fly(STRIP_IN_AIR, 2, tmp_path / "strip", {})
+    assert flown.outcome.losses == []
+    assert abs(flown.accuracy.statistics["ml"]["bias_m"]) < 0.02
+    found = replay(tmp_path / "strip" / "bag", tmp_path / "strip replay", {})
+    assert found.outcome.losses == []
+    assert {one.verdict for one in found.compared.values()} == {EQUAL}
+
+
+def test_a_recorded_sensor_has_it_and_a_bag_without_it_is_found(tmp_path: Path) -> None:
+    bag = record_sensor(PRESET, 2, tmp_path / "bag")
+    assert all(BagReader(bag).topics[topic].count == 1 for topic in TOPICS)
+    assert check_bag(bag, lambda *_: None) == []
+    silent = rewritten(bag, tmp_path / "silent", lambda one, _: None if one.topic in TOPICS else one)
+    (found,) = check_bag(silent, lambda *_: None)
+    assert_one_sentence(found.sentence, "no messages on /air/pressure, /air/temperature, which", "air is topics")
+    assert_one_sentence(found.fix, "sar_compression.air=standard")

@@ -19,8 +19,22 @@ from sal_height.errors import Rejected
 from sal_height.messages import deserialize, field_from_message, to_floats, to_stamp
 from sal_height.messages.types import ComplexImage, HeightImage, Odometry
 from sal_height.nodes.accounts.account import Account
-from sal_height.view.colours import EMPTY, VALIDITY_COLOURS, Span, Spans, coloured
-from sal_height.view.drawings import Classes, Cloud, Drawing, Line, Note, Number, Picture, ReceivedMessage, Sheet
+from sal_height.view.drawings import (
+    EMPTY,
+    VALIDITY_COLOURS,
+    Classes,
+    Cloud,
+    Drawing,
+    Line,
+    Note,
+    Number,
+    Picture,
+    ReceivedMessage,
+    Sheet,
+    Span,
+    Spans,
+    coloured,
+)
 from sal_height.view.painter import (
     COMPLEX_IMAGE,
     DIAGNOSTICS,

@@ -29,6 +29,9 @@ from sal_height.sensor import Channels, Sensor, sum_difference_channels, whitene
 Estimate = Callable[[Looks, Beams, Any], ElevationEstimate]
 """From looks and beams of the estimator's channels, and its own settings, to the elevation of every pixel."""
 
+MakeChannels = Callable[[C128, C128], Channels]
+"""Function of noise covariance and channel matrix of a sensor that returns the channels of an estimator."""
+
 
 def estimate_dwells(
     estimate: Estimate, observed: Sequence[tuple[Looks, Beams]], settings: Any
@@ -84,10 +87,6 @@ def _apart(estimate: ElevationEstimate, columns: DwellColumns) -> list[Elevation
         )
         for dwell in range(columns.dwells)
     ]
-
-
-MakeChannels = Callable[[C128, C128], Channels]
-"""Function of noise covariance and channel matrix of a sensor that returns the channels of an estimator."""
 
 
 def has_several_detectors(sensor: Sensor) -> bool:

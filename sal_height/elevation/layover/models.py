@@ -33,6 +33,10 @@ DETECTED = np.ones(256, np.bool_)
 DETECTED[[Validity.NO_SIGNAL, Validity.LOW_CNR, Validity.MISSING_DATA]] = False
 """True for each `Validity` of a pixel with a detected signal."""
 
+PIXELS_AT_ONCE = 512  # pixels whose models are fitted at a time
+
+MOST = 3  # greatest number of scatterers of a pixel
+
 
 def resolve(
     estimate: ElevationEstimate, peaks: SinglePeaks, looks: Looks, beams: Beams, settings: LayoverSettings
@@ -143,10 +147,6 @@ def _with_scatterers(
     validity[here[0][detected], here[1][detected]] = reason[detected]
     scatterers = tuple(Scatterer(*fields[:, n]) for n in range(MOST))
     return ElevationEstimate(scatterers, validity.astype(np.uint8), probability)
-
-
-PIXELS_AT_ONCE = 512  # pixels whose models are fitted at a time
-MOST = 3  # greatest number of scatterers of a pixel
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,6 +27,15 @@ SPECKLE_RATE = 0.003
 A pixel has 12 ordered pairs of neighbours; of the pixels between such a pair only the weak ones are affected.
 """
 
+Values = npt.NDArray[Any]
+
+Indices = slice | Index
+
+Covariance: TypeAlias = F32 | C64
+
+NUMBERS_KEPT = 2**20
+"""Greatest number of elements of all covariances that are kept: 4 or 8 MB, 4096 pixels of 16 detectors."""
+
 
 def foreign_power(power: F64, mean_power: F64, noise: float, down: AxisLooks, across: AxisLooks, deviation: F64) -> F64:
     """Expected power of scatterers elsewhere in each pixel, mean of its looks, shape of `mean_power`.
@@ -81,9 +90,6 @@ def _speckle_contrast(down: AxisLooks, across: AxisLooks) -> F64:
     return np.asarray(fdtri(degrees, degrees, 1 - SPECKLE_RATE)[row_of[:, None], col_of])
 
 
-Values = npt.NDArray[Any]
-
-
 @dataclass(frozen=True)
 class DwellColumns:
     """Dwells of equal width, side by side in one image; pixels of different dwells are not neighbours.
@@ -136,13 +142,6 @@ class DwellColumns:
         by_dwell = values.reshape(*values.shape[:2], self.dwells, self.cols)
         mean: F64 = uniform_filter(by_dwell, size, axes=(1, 3), mode="nearest")
         return mean.reshape(values.shape)
-
-
-Indices = slice | Index
-Covariance: TypeAlias = F32 | C64
-
-NUMBERS_KEPT = 2**20
-"""Greatest number of elements of all covariances that are kept: 4 or 8 MB, 4096 pixels of 16 detectors."""
 
 
 class Covariances(Protocol):

@@ -55,6 +55,10 @@ from sal_height.settings import setting
 SLOPE_COLUMNS = ["angle_rad", "gamma"]
 """Columns in the first line of a slope table's file."""
 
+Inverse = Callable[[Beams, F64, F64, DwellColumns], PairElevation]
+"""Function of the pair of beams, gamma (rows, cols), the squint of each column (rad) and the columns of each dwell that
+returns elevations."""
+
 
 @dataclass(frozen=True)
 class SlopeTable:
@@ -124,11 +128,6 @@ def read_slope_table(path: Path) -> SlopeTable:
     except ValueError as error:
         raise UserError(f"Slope table {path} has a row that is not two numbers; all must be: {error}.") from error
     return SlopeTable(angle, gamma)
-
-
-Inverse = Callable[[Beams, F64, F64, DwellColumns], PairElevation]
-"""Function of the pair of beams, gamma (rows, cols), the squint of each column (rad) and the columns of each dwell that
-returns elevations."""
 
 
 def _dwell_by_dwell(invert: Callable[[Beams, F64, F64], Inversion]) -> Inverse:

@@ -49,6 +49,8 @@ ITERATIONS = 30  # maximum number of iterations of a round
 CHANGE = 0.05  # rms change of the phase (rad) below which the iterations of a round end, and the rounds
 LIKE_ROWS = 8  # neighbouring range cells of one half, so that a target with its first sidelobes is seldom in both
 
+MOST_RESPONSES = 2**25  # detectors x points x pulses: 0.5 GB, of which there are four copies at a time
+
 
 def focus_targets(responses: Complex, half_width: int, brightness: float) -> tuple[F64, float]:
     """Phase error from bright targets, rad, shape (pulses,), and its standard error, rad.
@@ -201,9 +203,6 @@ def _outside(responses: Complex, within: Complex) -> F64:
 
 def _rms(values: F64) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-MOST_RESPONSES = 2**25  # detectors x points x pulses: 0.5 GB, of which there are four copies at a time
 
 
 class AutofocusSettings(Settings):

@@ -33,6 +33,8 @@ from sal_height.numeric import C128, F32, F64, Bool, Complex
 MAIN_LOBE = 0.03  # least power of the beam over its greatest where the spectrum is evaluated
 ORDERS = np.arange(1, 7)  # of the polynomials
 
+LIKE_ROWS = 5  # range cells over which channels are correlated: terrain takes more to cross a beam
+
 
 def uneven_trend(modes: Complex, snr: F64, coherence: Coherence) -> float:
     """Standard deviation of the trend from pulse to pulse by uneven ground, rad.
@@ -68,9 +70,6 @@ def _brighter_by(found: F32, snr: F64, spectrum: F64, u: F64) -> float:
     of_orders = np.linalg.lstsq(shapes * by_power[:, None], logarithm * by_power)[0][1:]
     of_step = (1 / (2 * ORDERS - 1) + 1 / (2 * ORDERS + 3)) / 4
     return float(np.sqrt(of_step[0] * np.mean(of_orders[1:] ** 2 / of_step[1:])))
-
-
-LIKE_ROWS = 5  # range cells over which channels are correlated: terrain takes more to cross a beam
 
 
 @dataclass(frozen=True, eq=False)

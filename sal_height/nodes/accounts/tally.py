@@ -18,6 +18,9 @@ from sal_height.nodes.accounts.account import CALIBRATIONS, DWELLS, Account
 
 _RESIDENT = re.compile(r"(RssAnon|RssFile):\s+(\d+) kB")
 
+OF_NODE = {"jobs", "ready"}
+"""Numbers of an account that do not follow from counts."""
+
 
 def process_numbers() -> dict[str, Any]:
     """Processor time, s, number, and memory, MB (Linux), of this process, as fields of an account.
@@ -30,10 +33,6 @@ def process_numbers() -> dict[str, Any]:
         resident = {name: int(kilobytes) for name, kilobytes in _RESIDENT.findall(status)}
         numbers["memory_mb"] = round(sum(resident.values()) * 1024 / 1e6, 1)
     return numbers
-
-
-OF_NODE = {"jobs", "ready"}
-"""Numbers of an account that do not follow from counts."""
 
 
 class Tally:

@@ -29,6 +29,14 @@ OURS = Path("/proc/self")
 _PORT_LOCK = re.compile(rf"{SHARED_MEMORY}/({SEGMENT}port\d+){LOCK}( \(deleted\))?")
 _MAPPED = re.compile(r"\S+ \S+ \S+ \S+ (\d+) +(\S+)")
 
+DOMAINS = range(1, 101)
+"""Domains to choose from: 0 is everybody's default, and above 100 the ports are among those that Linux hands out."""
+
+_next = itertools.count(os.getpid())  # where to look first: each process, and each of its runs, at another place
+
+DomainChoice: TypeAlias = int | Literal["free", "environment"]
+"""A domain by its number, a free one, or the one that the environment variables of ROS state."""
+
 
 class Ports:
     """The ports of this process, which other processes find by their names."""
@@ -70,15 +78,6 @@ def _mapped() -> set[tuple[str, int]]:
     """Name and file number of every port that this process has in its memory."""
     found = _MAPPED.findall((OURS / "maps").read_text(encoding="utf-8"))
     return {(Path(path).name, int(inode)) for inode, path in found if path.startswith(f"{SHARED_MEMORY}/{SEGMENT}")}
-
-
-DOMAINS = range(1, 101)
-"""Domains to choose from: 0 is everybody's default, and above 100 the ports are among those that Linux hands out."""
-
-_next = itertools.count(os.getpid())  # where to look first: each process, and each of its runs, at another place
-
-DomainChoice: TypeAlias = int | Literal["free", "environment"]
-"""A domain by its number, a free one, or the one that the environment variables of ROS state."""
 
 
 def first_port(domain: int) -> int:

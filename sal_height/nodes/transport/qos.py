@@ -8,6 +8,13 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProf
 from sal_height.bag import qos
 from sal_height.bag.qos import Qos
 
+INSTRUMENT_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Instruments: a best-effort subscription receives from any publisher."""
+
+TF_QOS = QoSProfile(depth=100)
+
+TF_STATIC_QOS = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
 
 def to_profile(qos: Qos) -> QoSProfile:
     """The profile of rclpy for a quality of service."""
@@ -41,9 +48,3 @@ def from_profile(profile: QoSProfile) -> Qos:
 
 FRAMES_QOS, ODOMETRY_QOS, LATCHED_QOS = map(to_profile, (qos.FRAMES, qos.ODOMETRY, qos.LATCHED))
 """Phase histories and images, platform states, and sensor info and the like."""
-
-INSTRUMENT_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Instruments: a best-effort subscription receives from any publisher."""
-
-TF_QOS = QoSProfile(depth=100)
-TF_STATIC_QOS = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -6,7 +6,9 @@ import itertools
 import json
 import logging
 import os
+import shutil
 import signal
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -14,17 +16,148 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from tqdm import tqdm
 
 from sal_height import __version__
+from sal_height.bag.compare import compare_bags
+from sal_height.bag.reader import BagReader
+from sal_height.bag.tolerance import ROUNDING
+from sal_height.bag.topics import HEIGHT_TYPE
+from sal_height.bag.writer import BagWriter
+from sal_height.engine.height_items import Heights
 from sal_height.engine.movers import MOVERS
+from sal_height.engine.stage import Product
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import ADJUSTER, HEIGHTS, NodeParameters, check_parameters
 from sal_height.graph.processes import ONE_THREAD
-from sal_height.graph.reporting import merged
+from sal_height.graph.reporting import PARAMETERS, merged
 from sal_height.io import bag_name, write_text, writing
+from sal_height.messages.kinds import write_heights
 from sal_height.numeric import available_processors
-from sal_height.runs.campaign.campaign import Case, is_done, known, process_case
+from sal_height.runs.chain.chain_runs import BagRun, plan
+from sal_height.runs.chain.replay_parameters import ReplayPlan
+from sal_height.runs.replay.judge import verdict_of
+from sal_height.runs.truth.report import read_accuracy, read_images, recorded_flight
+
+DONE = "done.json"
+"""File in the folder of a part, or of a bag, with its result; it is written last."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A bag and the parameters it is processed with.
+
+    Attributes:
+        bag: folder of the bag, or its file.
+        folder: folder of its results.
+        values: values of parameters that are varied, by "node.name".
+        given: parameters of nodes that replace recorded ones, with those that are varied.
+        estimators: names of those whose heights are made; none: as `chain_of` has it.
+    """
+
+    bag: Path
+    folder: Path
+    values: Mapping[str, Any]
+    given: NodeParameters
+    estimators: tuple[str, ...] = ()
+
+
+def process_case(case: Case, jobs: int) -> dict[str, Any]:
+    """Make the heights of a bag, track them and judge them, unless that is done; returns a row of the summary.
+
+    Raises:
+        UserError: the bag cannot be used, a parameter is not allowed, or the heights cannot be written.
+    """
+
+    def make(new: Path) -> dict[str, Any]:
+        scheme = plan(case.bag, case.given, case.estimators)
+        topics = [f"{HEIGHTS[node]}/height" for node in scheme.chain.stages if node in HEIGHTS]
+        begun, images = time.monotonic(), 0
+        run = BagRun(scheme, scheme.chain.stages, jobs=jobs, wanted=topics)
+        custom_data = {**scheme.reader.custom_data, PARAMETERS: json.dumps(scheme.values)}
+        with BagWriter(new / "bag", custom_data) as bag:
+            for topic in topics:
+                bag.add_topic(f"/{topic}", HEIGHT_TYPE)
+            for made in run.results():
+                if isinstance(made.result, Product) and isinstance(item := made.result.item, Heights):
+                    time_ns = run.time_of(item.key)
+                    for cdr in write_heights(item):
+                        bag.write(f"/{made.result.port}", cdr, time_ns, time_ns)
+                    images += 1
+        losses = run.losses
+        row = {
+            "bag": str(case.bag),
+            **case.values,
+            "failure": "",
+            "dwells": len(scheme.frames),
+            "dropped": losses.dropped.total(),
+            "drops": json.dumps(losses.dropped),
+            "warnings": json.dumps([*scheme.warnings, *losses.sentences.values()]),
+            "images": images,
+            "seconds": time.monotonic() - begun,
+        }
+        return row | _judged(scheme, new / "bag")
+
+    return _once(case.folder, make)
+
+
+def _judged(scheme: ReplayPlan, made: Path) -> dict[str, Any]:
+    """Columns on the heights: fraction, sigma, and comparison with those in the bag and with the truth."""
+    reader = scheme.reader
+    recorded = [topic.name for topic in reader.topics.values() if topic.type_name == HEIGHT_TYPE and topic.count]
+    compared = compare_bags(reader, BagReader(made), ROUNDING, recorded)
+    columns: dict[str, Any] = {"against_recorded": verdict_of(compared) if compared else ""}
+    for prefix, images in read_images(made).items():
+        sigma = np.concatenate([image.surfaces[0].sigma for image in images if image.surfaces])
+        known_sigma = np.isfinite(sigma)
+        columns[f"{prefix}_with_height"] = float(np.mean(known_sigma)) if known_sigma.size else None
+        columns[f"{prefix}_median_sigma_m"] = float(np.median(sigma[known_sigma])) if known_sigma.any() else None
+    flight = recorded_flight(reader)
+    if flight is None:
+        return columns
+    for prefix, numbers in read_accuracy(made, flight, scheme.chain.stages).statistics.items():
+        for name in ACCURACY:
+            columns[f"{prefix}_{name}"] = numbers.get(name)
+    return columns
+
+
+ACCURACY = ("valid", "two_scatterers", "bias_m", "rms_m", "s68_m", "sigma_m", "within_1_sigma", "beyond_5_sigma")
+"""Numbers of the accuracy, as report.json has them, that the summary has of each estimator."""
+
+
+def _once(folder: Path, make: Callable[[Path], dict[str, Any]]) -> dict[str, Any]:
+    """Have a folder made unless it is done, and return its result.
+
+    The folder is made next to its final name, and moved there once it is whole.
+    """
+    if is_done(folder):
+        return known(folder)
+    new = folder.with_name(f"{folder.name}.unfinished")
+    shutil.rmtree(new, ignore_errors=True)
+    new.mkdir(parents=True)
+    begun = time.monotonic()
+    try:
+        result = make(new)
+    except BaseException:
+        shutil.rmtree(new, ignore_errors=True)
+        raise
+    result.setdefault("seconds", time.monotonic() - begun)
+    write_text(new / DONE, json.dumps(result, indent=2) + "\n")
+    new.rename(folder)
+    return result
+
+
+def is_done(folder: Path) -> bool:
+    """True if a folder has been made."""
+    return (folder / DONE).is_file()
+
+
+def known(folder: Path) -> dict[str, Any]:
+    """Result in a folder that has been made."""
+    found: dict[str, Any] = json.loads((folder / DONE).read_text(encoding="utf-8"))
+    return found
+
 
 CAMPAIGN, SUMMARY, PICTURE = "campaign.json", "summary.parquet", "comparison.png"
 """Files in the output folder: the request, a row for each bag and setting, and the settings compared."""
@@ -108,63 +241,44 @@ def run_campaign(campaign: Campaign, out: Path, workers: Workers) -> list[dict[s
     for case in cases:
         check_parameters(case.given)
     _enter(campaign, out)
-    progress = _Progress(cases)
-    remaining, processes = len(progress.remaining), workers.count or available_processors()
-    if remaining == 1 and not workers.scheduler:
-        progress.go_on_here(processes)
-    elif remaining:
-        with _client(replace(workers, count=min(processes, remaining))) as client:
-            progress.go_on(client, 1 if workers.scheduler else max(1, processes // remaining))
-    rows = progress.rows()
-    _write_summary(rows, out / SUMMARY)
+    rows = {number: known(case.folder) for number, case in enumerate(cases) if is_done(case.folder)}
+    remaining = {number: case for number, case in enumerate(cases) if number not in rows}
+    with tqdm(total=len(remaining), unit="bag", desc="batch", disable=not remaining) as progress:
+        for number, (row, failure) in _processed(remaining, workers):
+            case = cases[number]
+            rows[number] = {"bag": str(case.bag), **case.values, "failure": failure} if failure else row
+            progress.update()
+    in_order = [rows[number] for number in range(len(cases))]
+    _write_summary(in_order, out / SUMMARY)
     if campaign.varied:
         from sal_height.runs.campaign.campaign_picture import draw_settings  # noqa: PLC0415 (brings Matplotlib)
 
         with writing(out / PICTURE):
-            draw_settings(rows, list(campaign.varied), out / PICTURE)
-    return rows
+            draw_settings(in_order, list(campaign.varied), out / PICTURE)
+    return in_order
 
 
-class _Progress:
-    """Parts of a campaign that are done, and those that remain to be done."""
+def _processed(cases: Mapping[int, Case], workers: Workers) -> Iterator[tuple[int, tuple[Any, str]]]:
+    """The number of each case, with its row, or None and the reason of its failure: one alone is processed here.
 
-    def __init__(self, cases: Sequence[Case]) -> None:
-        """Find the tasks that are done already."""
-        self._cases = cases
-        self._rows = {number: known(case.folder) for number, case in enumerate(cases) if is_done(case.folder)}
+    Raises:
+        UserError: Dask is not installed, or there is no cluster.
+    """
+    processes = workers.count or available_processors()
+    if len(cases) == 1 and not workers.scheduler:
+        ((number, case),) = cases.items()
+        yield number, attempt(process_case, case, processes)
+    elif cases:
+        jobs = 1 if workers.scheduler else max(1, processes // len(cases))
+        with _client(replace(workers, count=min(processes, len(cases)))) as client:
+            from distributed import as_completed  # noqa: PLC0415 (an extra)
 
-    @property
-    def remaining(self) -> list[int]:
-        """Numbers of the cases that are not done."""
-        return [number for number in range(len(self._cases)) if number not in self._rows]
-
-    def rows(self) -> list[dict[str, Any]]:
-        """A row for each case."""
-        return [self._rows[number] for number in range(len(self._cases))]
-
-    def go_on(self, client: Any, jobs: int) -> None:
-        """Have a cluster do what remains, each case with a number of jobs."""
-        from distributed import as_completed  # noqa: PLC0415 (an extra)
-
-        numbers = {
-            client.submit(attempt, process_case, self._cases[number], jobs, pure=False): number
-            for number in self.remaining
-        }
-        with tqdm(total=len(numbers), unit="bag", desc="batch") as progress:
+            numbers = {
+                client.submit(attempt, process_case, case, jobs, pure=False): number for number, case in cases.items()
+            }
             for future in as_completed(list(numbers)):
-                found = future.result() if future.status == "finished" else (None, _lost(future))
-                self._enter(numbers[future], found)
-                progress.update()
-
-    def go_on_here(self, jobs: int) -> None:
-        """Do what remains in this process, with a number of jobs."""
-        for number in tqdm(self.remaining, unit="bag", desc="batch"):
-            self._enter(number, attempt(process_case, self._cases[number], jobs))
-
-    def _enter(self, number: int, found: tuple[Any, str]) -> None:
-        row, failure = found
-        case = self._cases[number]
-        self._rows[number] = {"bag": str(case.bag), **case.values, "failure": failure} if failure else row
+                lost = f"A worker ended while it worked on it: {future.exception()}"
+                yield numbers[future], future.result() if future.status == "finished" else (None, lost)
 
 
 def attempt(function: Callable[..., Any], *arguments: Any) -> tuple[Any, str]:
@@ -175,11 +289,6 @@ def attempt(function: Callable[..., Any], *arguments: Any) -> tuple[Any, str]:
         return None, str(error)
     except Exception as error:  # noqa: BLE001 (the other bags are to be processed)
         return None, f"Unexpected failure, please report it: {type(error).__name__}: {error}"
-
-
-def _lost(future: Any) -> str:
-    """Reason for which a task has no result."""
-    return f"A worker ended while it worked on it: {future.exception()}"
 
 
 @contextmanager

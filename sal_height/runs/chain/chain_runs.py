@@ -8,7 +8,7 @@ from __future__ import annotations
 import bisect
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import replace
 from itertools import accumulate, islice
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,9 +16,8 @@ from typing import Any, NamedTuple
 from tqdm import tqdm
 
 from sal_height.bag.described import sensors_of
-from sal_height.bag.namespace import NamespacedReader
-from sal_height.bag.played import ALL, DwellRange, chosen, read_contents
-from sal_height.bag.reader import BagMessage, LogTimes
+from sal_height.bag.played import ALL, chosen, read_contents
+from sal_height.bag.reader import BagMessage
 from sal_height.calibration import Calibration
 from sal_height.engine.air import AIR_PARAMETERS
 from sal_height.engine.calibrations import StatedCalibration
@@ -28,12 +27,10 @@ from sal_height.engine.losses import Losses
 from sal_height.engine.registry import STAGES
 from sal_height.engine.stage import FOREVER_NS, DwellKey, FileProduct, Loss, Notice, Stage, reason_of
 from sal_height.errors import UserError
-from sal_height.geometry import Mounting
 from sal_height.graph.catalogue import ADJUSTER, DETECTOR, NodeParameters, consumers, parameters_of
-from sal_height.graph.plan import DwellChanges
 from sal_height.messages.kinds import kind_of_topic
 from sal_height.runs.chain.entry import Part, chain_of
-from sal_height.runs.chain.replay_parameters import processing_of
+from sal_height.runs.chain.replay_parameters import ReplayPlan, processing_of
 from sal_height.runs.chain.side_by_side import SideBySide
 from sal_height.sensor import Sensor
 from sal_height.stage_files import read_inputs, write_product
@@ -57,45 +54,7 @@ class _Read(NamedTuple):
     is_broken: bool = False
 
 
-@dataclass(frozen=True)
-class Scheme:
-    """Scheme by which the dwells of a bag are processed.
-
-    Attributes:
-        bag: folder of the bag, or its file.
-        namespace: namespace of its topics; empty: no namespace.
-        makers: height nodes whose heights are made.
-        stages: stages that process, in their order.
-        parameters: parameters of all nodes at the first dwell, by node and name.
-        changes: changes before later dwells.
-        frames: times when the frames of each dwell were recorded.
-        mountings: mountings of sensors on the platform, where the flight had others than their descriptions state.
-        warnings: warnings on what cannot be done as in flight.
-        topics: topics that are fed in the order of the bag.
-        dwells: dwells that are processed.
-        renamed: other names of topics by those that are recorded.
-    """
-
-    bag: Path
-    namespace: str
-    makers: tuple[str, ...]
-    stages: tuple[str, ...]
-    parameters: NodeParameters
-    changes: tuple[DwellChanges, ...]
-    frames: Mapping[DwellKey, LogTimes]
-    mountings: Mapping[str, Mounting]
-    warnings: tuple[str, ...]
-    topics: tuple[str, ...] = TAKEN
-    dwells: DwellRange = ALL
-    renamed: Mapping[str, str] = field(default_factory=dict)
-
-    @property
-    def epoch_ns(self) -> int:
-        """Time of the first pulse of the first dwell, ns."""
-        return min(dwell.stamp_ns for dwell in self.frames)
-
-
-def plan(bag: Path, given: NodeParameters, estimators: Collection[str] = (), *, for_heights: bool = True) -> Scheme:
+def plan(bag: Path, given: NodeParameters, estimators: Collection[str] = (), *, for_heights: bool = True) -> ReplayPlan:
     """Find out how the dwells of a bag were processed in flight, and what of that the user wants otherwise.
 
     Args:
@@ -110,32 +69,24 @@ def plan(bag: Path, given: NodeParameters, estimators: Collection[str] = (), *, 
     part = Part()
     reader = part.open(bag)
     chain = chain_of(reader, PHASE_HISTORY, estimators)
-    makers, stages = (
-        [name for name in names if name not in (ADJUSTER, DETECTOR)] for names in (chain.makers, chain.stages)
+    made_here = replace(
+        chain,
+        makers=[name for name in chain.makers if name not in (ADJUSTER, DETECTOR)],
+        stages=[name for name in chain.stages if name not in (ADJUSTER, DETECTOR)],
     )
-    if for_heights and not makers:
+    if for_heights and not made_here.makers:
         raise UserError(f"Bag {bag} is of a sensor with one detector, of which no heights can be made.")
-    processing = processing_of(reader, chain, part, consumers(makers), given)
+    processing = processing_of(reader, chain, part, consumers(made_here.makers), given)
     if not processing.frames:
         raise UserError(f"Bag {bag} has no readable frame on topic {PHASE_HISTORY}; see `sal-height bag check {bag}`.")
-    return Scheme(
-        bag,
-        reader.namespace,
-        tuple(makers),
-        tuple(stages),
-        processing.values,
-        tuple(processing.changes),
-        processing.frames,
-        processing.mountings,
-        tuple(processing.warnings),
-    )
+    return replace(processing, chain=made_here)
 
 
 class BagRun:
     """The dwells of a bag, processed by stages that are joined by calls.
 
     Attributes:
-        scheme: scheme of the bag.
+        scheme: how the dwells of the bag are processed.
         sensors: sensors that the bag describes, by config_hash.
         losses: losses so far.
         files: contents of the files that stages have made so far.
@@ -143,9 +94,10 @@ class BagRun:
 
     def __init__(
         self,
-        scheme: Scheme,
+        scheme: ReplayPlan,
         names: Sequence[str],
         *,
+        topics: Sequence[str] = TAKEN,
         jobs: int = 1,
         wanted: Collection[str] = (),
         settings: Mapping[str, Any] | None = None,
@@ -153,8 +105,9 @@ class BagRun:
         """Make the stages.
 
         Args:
-            scheme: scheme of the bag.
+            scheme: how the dwells of the bag are processed.
             names: names of the stages, in the order of the data.
+            topics: topics that are fed in the order of the bag.
             jobs: dwells that are processed side by side.
             wanted: ports whose products are needed, if several jobs work.
             settings: settings of stages that replace those of the scheme.
@@ -165,16 +118,16 @@ class BagRun:
         self.scheme = scheme
         self.losses = Losses()
         self.files: list[FileProduct] = []
-        self._reader = NamespacedReader(scheme.bag, scheme.namespace, scheme.renamed)
+        self._reader, self._topics = scheme.reader, topics
         self.sensors, refused = sensors_of(self._reader) if self._has(SENSOR_INFO) else ({}, [])
         for error in refused:
             self.losses.note("sensor info", str(error))
         given = settings or {}
-        self.settings = {name: given.get(name, parameters_of(name, scheme.parameters.get(name, {}))) for name in names}
+        self.settings = {name: given.get(name, parameters_of(name, scheme.values.get(name, {}))) for name in names}
         if COMPRESSION in self.settings and self.settings[COMPRESSION].mounting_from_tf and not self._has(TF_STATIC):
             raise UserError(
-                f"Bag {scheme.bag} has no topic {TF_STATIC}, from which parameter mounting_from_tf takes the place of "
-                "the sensor; record it with the flight, or set sar_compression.mounting_from_tf to false."
+                f"Bag {scheme.reader.path} has no topic {TF_STATIC}, from which parameter mounting_from_tf takes the "
+                "place of the sensor; record it with the flight, or set sar_compression.mounting_from_tf to false."
             )
         self.stages: dict[str, Stage] = {}
         for name, values in self.settings.items():
@@ -280,13 +233,13 @@ class BagRun:
         for recorded in self._messages([TF_STATIC]):
             yield from self._feed(chain, TF_STATIC, recorded, None)
         yield from chain.nothing_before(TF_STATIC, FOREVER_NS)
-        for port in set(AIR_PARAMETERS).intersection(self.scheme.topics):  # earlier dwells have waited for it
+        for port in set(AIR_PARAMETERS).intersection(self._topics):  # earlier dwells have waited for it
             for recorded in islice(self._messages([port]), 1):
                 for item in self._read(port, recorded).items:  # a refused one is counted where it is fed
                     yield from chain.feed(port, item)
         messages = self._chosen()
         if doing:
-            topics = (self._reader.topics[_topic_of(port)] for port in self.scheme.topics if self._has(port))
+            topics = (self._reader.topics[_topic_of(port)] for port in self._topics if self._has(port))
             messages = tqdm(messages, total=sum(topic.count for topic in topics), unit="message", desc=doing)
         for recorded in messages:
             yield from self._announced(chain, recorded.log_time_ns)
@@ -309,8 +262,8 @@ class BagRun:
     def _chosen(self) -> Iterator[BagMessage]:
         """The messages of the dwells that are processed, and what belongs to them."""
         if self.scheme.dwells == ALL:
-            return self._messages(self.scheme.topics)
-        return (one.recorded for one in chosen(read_contents(self._messages(self.scheme.topics)), self.scheme.dwells))
+            return self._messages(self._topics)
+        return (one.recorded for one in chosen(read_contents(self._messages(self._topics)), self.scheme.dwells))
 
     def _announced(self, chain: Chain, now_ns: int) -> Iterator[Made]:
         """Let the stages know which dwells have had their last frame before a time of the bag."""
@@ -356,6 +309,7 @@ def only_sensor(run: BagRun) -> Sensor:
     """
     if len(run.sensors) > 1:
         names = ", ".join(sensor.name for sensor in run.sensors.values())
-        raise UserError(f"Bag {run.scheme.bag} describes several sensors ({names}); cut it by `sal-height bag cut`.")
+        bag = run.scheme.reader.path
+        raise UserError(f"Bag {bag} describes several sensors ({names}); cut it by `sal-height bag cut`.")
     (sensor,) = run.sensors.values()
     return sensor

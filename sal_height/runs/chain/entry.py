@@ -71,18 +71,13 @@ class Part:
         heights = [f"{name}/height" for name in ESTIMATORS]
         return open_bag(bag, self.namespace, heights if self.entry == FROM_HEIGHTS else [self.entry], renamed)
 
-    @property
-    def is_limited(self) -> bool:
-        """True if some dwells may be left out."""
-        return replace(self, entry=FRAMES, namespace=None) != WHOLE
-
     def dwells_of(self, recorded: Sequence[DwellKey]) -> DwellRange:
         """The dwells that are played, of those in a bag, in its order.
 
         Raises:
             UserError: the part is empty.
         """
-        if not self.is_limited:
+        if replace(self, entry=FRAMES, namespace=None) == WHOLE:
             return ALL
         origin_ns = recorded[0].stamp_ns if recorded else 0
         end_ns = LATEST_NS if math.isinf(self.end_s) else min(LATEST_NS, origin_ns + round(self.end_s * 1e9))
@@ -174,11 +169,7 @@ def chain_of(reader: BagReader, entry: str, estimators: Collection[str]) -> Repl
 
 
 def contents(reader: BagReader, entry: str = FRAMES) -> tuple[Sensor, int]:
-    """The sensor of a bag, and the number of its dwells.
-
-    Args:
-        reader: reader of the bag.
-        entry: topic of the dwells, phase_history or slc.
+    """The sensor of a bag, and the number of its dwells on topic `entry`, phase_history or slc.
 
     Raises:
         UserError: there is no sensor info that is valid, or nothing on that topic.

@@ -98,8 +98,8 @@ def _noise_shape(message: Any, grid: Grid, sensor: Sensor) -> ShapedNoise | None
         slant_range = float(np.linalg.norm(grid.points(grid.rows / 2, grid.cols / 2) - aperture.position))
         width = azimuth_resolution(sensor, aperture, slant_range)
     steps = grid.row_spacing / sensor.range_resolution, grid.col_spacing / width
-    window_nodes = 1025  # weights of a window of which the shape of noise is computed
-    weights = [window(str(name), window_nodes) for name in names]
+    nodes = 1025  # weights of a window of which the shape of noise is computed
+    weights = [window(str(name), nodes) for name in names]
     return ShapedNoise.weighted(weights[0], weights[1], steps)
 
 

@@ -40,8 +40,16 @@ from sal_height.errors import UserError
 from sal_height.graph.catalogue import HEIGHTS, SETTABLE, TRACKER, NodeParameters, check_parameters, placed
 from sal_height.graph.reporting import PARAMETERS, merged
 from sal_height.renamed import ENDED, with_new_names
-from sal_height.runs.chain.flight_record import products_of
-from sal_height.runs.chain.timeline import EVENT, PROVENANCE, Change, Parameter, Timeline, Value, timeline_of
+from sal_height.runs.chain.timeline import (
+    EVENT,
+    PROVENANCE,
+    Change,
+    Parameter,
+    Timeline,
+    Value,
+    products_of,
+    timeline_of,
+)
 from sal_height.settings import settings_of
 from sal_height.topics import MAP_ORIGIN
 

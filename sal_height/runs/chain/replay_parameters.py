@@ -22,9 +22,17 @@ from sal_height.graph.reporting import merged
 from sal_height.messages import to_ns
 from sal_height.renamed import with_new_names
 from sal_height.runs.chain.entry import Part, ReplayNodes, check_given
-from sal_height.runs.chain.flight_record import FlightRecord
 from sal_height.runs.chain.recorded_parameters import RecordedParameters, parameters_in, recorded_at_start
-from sal_height.runs.chain.timeline import NO_FILE, PROVENANCE, Applied, Change, Parameter, Timeline, timeline_of
+from sal_height.runs.chain.timeline import (
+    NO_FILE,
+    PROVENANCE,
+    Applied,
+    Change,
+    FlightRecord,
+    Parameter,
+    Timeline,
+    timeline_of,
+)
 from sal_height.settings import settings_of
 
 _LOG = logging.getLogger(__name__)
@@ -41,6 +49,8 @@ class ReplayPlan:
     """Dwells, parameters and changes of a replay.
 
     Attributes:
+        reader: reader of the bag.
+        chain: the nodes at work.
         values: values of the nodes' parameters at the start.
         sources: origins of the values of all parameters of the nodes at work, by node and name.
         changes: changes before dwells.
@@ -53,9 +63,11 @@ class ReplayPlan:
         mountings: mountings of sensors (config_hash) on the platform, where the flight had others than described.
     """
 
-    values: dict[str, dict[str, Any]]
+    reader: BagReader
+    chain: ReplayNodes
+    values: NodeParameters
     sources: dict[str, dict[str, str]]
-    changes: list[DwellChanges]
+    changes: Sequence[DwellChanges]
     listed: list[dict[str, Any]]
     warnings: list[str]
     dwells: DwellRange
@@ -68,6 +80,11 @@ class ReplayPlan:
     def first(self) -> DwellKey | None:
         """The first of the dwells that are played, if it was searched for."""
         return next(iter(self.frames), None)
+
+    @property
+    def epoch_ns(self) -> int:
+        """Time of the first pulse of the first dwell, ns."""
+        return min(dwell.stamp_ns for dwell in self.frames)
 
     @property
     def plays_calibrations(self) -> bool:
@@ -157,6 +174,8 @@ def processing_of(
     for warning in warnings:
         _LOG.warning("Bag %s: %s", reader.path, warning)
     return ReplayPlan(
+        reader,
+        chain,
         values,
         _of_stages(sources, chain.stages),
         _scheduled_changes(timeline.dwells, dwells, changes, calibrations),

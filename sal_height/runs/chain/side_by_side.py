@@ -171,9 +171,8 @@ class SideBySide(Chain):
                 worker.process.kill()
             with suppress(OSError):  # it may have ended
                 worker.pipe.send_bytes(b"")
-        ends_within_s = 5.0  # longest wait for a worker to end
         for worker in self._workers:
-            worker.process.join(ends_within_s)
+            worker.process.join(5.0)  # longest wait, s
             if worker.process.is_alive():
                 worker.process.kill()
                 worker.process.join()

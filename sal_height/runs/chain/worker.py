@@ -26,12 +26,7 @@ SHARED = (Sensor, Settings, Calibration)
 
 
 class Remote(NamedTuple):
-    """Jobs of one stage that a worker is sent together.
-
-    Attributes:
-        stage: number of the stage.
-        jobs: jobs to be processed.
-    """
+    """Jobs of one stage, by its number, that a worker is sent together."""
 
     stage: int
     jobs: Sequence[Job]
@@ -48,11 +43,7 @@ class Scheduled(NamedTuple):
 
 @dataclass(frozen=True)
 class Unsent:
-    """Stands for an item of a product that is not needed outside the worker.
-
-    Attributes:
-        messages: number of messages that it would be.
-    """
+    """Stands for an item of a product that is not needed outside the worker, and the messages it would be."""
 
     messages: int
 
@@ -65,12 +56,7 @@ def count_messages(item: Any) -> int:
 
 
 class Control(NamedTuple):
-    """An item that the stages of a worker accept in addition to dwells.
-
-    Attributes:
-        port: port of the item.
-        item: item, such as the description of a sensor.
-    """
+    """An item that the stages of a worker accept on a port in addition to dwells, such as a sensor."""
 
     port: str
     item: Any

@@ -18,6 +18,11 @@ from sal_height.graph.ensemble import Member
 from sal_height.graph.node_classes import NODES
 from sal_height.nodes.accounts.account import DIAGNOSTICS, PROGRESS
 
+NAME = r"[A-Za-z_]\w*"
+
+OF_ROS: Mapping[str, type] = {"use_sim_time": bool, "start_type_description_service": bool}
+"""Parameters that every node of ROS has, and the type of their values."""
+
 
 def _nothing_is_empty(value: Any) -> Any:
     return {} if value is None else value
@@ -60,19 +65,13 @@ class Deployment(StrictKeys):
 
 
 def load_deployment(path: Path) -> Deployment:
-    """The deployment in a YAML file; `deployed_nodes.members_of` checks whether its nodes are allowed.
+    """The deployment in a YAML file; `members_of` checks whether its nodes are allowed.
 
     Raises:
         UserError: it cannot be read, is no YAML, or has a key that is missing, unknown or of another type.
     """
     unreadable = f"Configuration {path} cannot be read; it must be a YAML file that lists nodes (see docs/live.md)."
     return validated(Deployment, read_yaml(path, f"Configuration {path}", unreadable), f"Configuration {path}")
-
-
-NAME = r"[A-Za-z_]\w*"
-
-OF_ROS: Mapping[str, type] = {"use_sim_time": bool, "start_type_description_service": bool}
-"""Parameters that every node of ROS has, and the type of their values."""
 
 
 def members_of(deployment: Deployment) -> list[Member]:

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from sal_height.bag.reader import BagReader
 from sal_height.graph.catalogue import HEIGHTS
 from sal_height.graph.picture import look_of, page
 from sal_height.io import writing
-from sal_height.nodes.accounts.account import DIAGNOSTICS, Account
 from sal_height.numeric import F64
+from sal_height.runs.replay.judge import published_latencies
 
 LATENCIES = "latency.png"
 """File in the folder of a live run."""
@@ -33,36 +30,12 @@ def draw_run(folder: Path) -> bool:
     Raises:
         UserError: the bag cannot be read, or the picture not be written.
     """
-    latencies = published_latencies(folder / "bag")
+    latencies = published_latencies(BagReader(folder / "bag"))
     if latencies:
         budget_s = float(json.loads((folder / "report.json").read_text())["latency_budget_s"])
         with writing(folder / LATENCIES):
             draw_latencies(latencies, budget_s, folder / LATENCIES)
     return bool(latencies)
-
-
-def published_latencies(bag: Path) -> dict[str, F64]:
-    """Latencies that the nodes published in a bag, by node.
-
-    Args:
-        bag: bag with topic diagnostics.
-
-    Returns:
-        Time since the first diagnostics (s), median and 95th percentile (ms) of the node's last thousand dwells, shape
-        (3, times); nodes that published none are left out.
-    """
-    reader, topic = BagReader(bag), f"/{DIAGNOSTICS.removeprefix('/')}"
-    published: dict[str, list[tuple[float, float, float]]] = {}
-    begin_ns = None
-    for recorded in reader.messages([topic]) if topic in reader.topics else ():
-        begin_ns = recorded.log_time_ns if begin_ns is None else begin_ns
-        for status in reader.decode(recorded.type_name, recorded.cdr).status:
-            account = Account.of_status(status)
-            latencies = account.latency_p50_ms, account.latency_p95_ms
-            if all(map(math.isfinite, latencies)):
-                time_s = (recorded.log_time_ns - begin_ns) * 1e-9
-                published.setdefault(status.name, []).append((time_s, *latencies))
-    return {node: np.array(rows).T for node, rows in published.items()}
 
 
 def _looks(nodes: Sequence[str]) -> dict[str, tuple[str, Any]]:
@@ -74,13 +47,7 @@ def _looks(nodes: Sequence[str]) -> dict[str, tuple[str, Any]]:
 
 
 def draw_latencies(latencies: Mapping[str, F64], budget_s: float, path: Path) -> None:
-    """Write a PNG: median and 95th percentile of each node's latency over time, and the latency budget of a dwell.
-
-    Args:
-        latencies: result of `published_latencies`, at least one node.
-        budget_s: latency budget from a dwell to its heights, s.
-        path: path of the picture.
-    """
+    """Write a PNG: median and 95th percentile of each node's latency over time, and the latency budget of a dwell."""
     looks = _looks(list(latencies))
     with page(path, 2.9) as figure:
         panels = figure.subplots(1, 2, sharex=True, sharey=True)

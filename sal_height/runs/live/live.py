@@ -45,19 +45,18 @@ from sal_height.numeric import available_processors
 from sal_height.pipeline import Compressor, heights
 from sal_height.rehearsal import made_up_heights, rehearse_heights
 from sal_height.relief import PriorEstimate, track
+from sal_height.runs.chain.entry import MAPPER
 from sal_height.runs.live.sensor_bag import Feed
 from sal_height.sensor import Sensor
 from sal_height.topics import ODOMETRY, SENSOR_INFO
 
+_LOG = logging.getLogger(__name__)
+
+SOURCE = "paced_player"
+
 
 def make_tables(sensor: Sensor, stages: list[str], values: Mapping[str, Mapping[str, Any]]) -> None:
-    """Process a made-up dwell, so that nodes that are forked later find all tables made and all code loaded.
-
-    Args:
-        sensor: sensor whose dwells will arrive.
-        stages: names of the processing nodes.
-        values: values of their parameters.
-    """
+    """Process a made-up dwell, so that nodes that are forked later find all tables made and all code loaded."""
     parameters = {name: NODES[name].parameters(**values.get(name, {})) for name in stages}
     rng = np.random.default_rng(0)
     with suppress(UserError):  # its node will say why
@@ -74,13 +73,6 @@ def core_rate_hz(
 
     It is an upper bound of what the graph achieves: messages need time as well. Infinity: there are too few
     dwells to estimate it.
-
-    Args:
-        playlist: dwells to process.
-        sensor: sensor of the dwells.
-        stages: names of the processing nodes.
-        values: values of their parameters.
-        processors: number of processors that the nodes may use.
     """
     parameters = {name: NODES[name].parameters(**values.get(name, {})) for name in stages}
     estimators = _estimators(stages)
@@ -88,7 +80,6 @@ def core_rate_hz(
     compressor, prior = Compressor(), PriorEstimate()
     begun: float | None = None
     dwells, spent_s = 0, 0.0
-    test_s = 0.25  # processor time of the test, s, after the first dwell, which is slower than the others
     for frames in playlist.frames():
         try:
             history = messages.history_from_messages(frames)
@@ -105,7 +96,7 @@ def core_rate_hz(
             begun = time.process_time()
             continue
         dwells, spent_s = dwells + 1, time.process_time() - begun
-        if spent_s > test_s:
+        if spent_s > 0.25:  # after the first dwell, which is slower than the others
             break
     return processors * dwells / spent_s if dwells else math.inf
 
@@ -124,18 +115,6 @@ def _track_of(states: list[PlatformState], begin_ns: int, end_ns: int) -> Trajec
 def _estimators(stages: list[str]) -> dict[str, ElevationEstimator]:
     """Estimators of the stages that estimate heights, by the name of the stage."""
     return {name: stage.estimator for name in stages if issubclass(stage := STAGES[name], HeightStage)}
-
-
-_LOG = logging.getLogger(__name__)
-
-SOURCE = "paced_player"
-
-LEAST_BUDGET_S = 0.2
-BUDGET_DWELLS = 3
-"""The latency budget, unless a preset states one: that many dwell intervals, or LEAST_BUDGET_S if that is more."""
-
-MAPPER, MAP_QUEUE = "relief_mapper", 256
-"""The map has no latency budget: a dwell is as good for it a second later, and a large map is published that long."""
 
 
 @dataclass(frozen=True)
@@ -232,7 +211,7 @@ def live(
         show: function called once a second with the accounts received so far.
 
     Raises:
-        UserError: the bag or a parameter cannot be used, nodes do not come up, or one ends.
+        UserError: the bag or a parameter cannot be used, nodes do not start, or one ends.
     """
     values = check_parameters(merged(merged(consumers(feed.nodes), feed.parameters), parameters))
     stages = ["sar_compression", *feed.nodes, *((TRACKER, MAPPER) if feed.nodes else ())]
@@ -243,10 +222,12 @@ def live(
     air = [topic for topic in AIR if any(item.topic == topic for item in playlist.items)]
     check_air(values, [feed.sensor], air, f"Bag {feed.bag}")
     interval_s = 1 / (playlist.dwell_rate_hz * how.rate)
-    budget_s = how.budget_s or _budget_of(feed) or max(BUDGET_DWELLS * interval_s, LEAST_BUDGET_S)
-    nodes_passed = 3  # nodes that a dwell passes one after the other: compression, heights and tracker
-    shares = {name: {"latency_budget_s": budget_s / nodes_passed} for name in stages if name != MAPPER}
-    values = merged({**shares, MAPPER: {"max_queued_dwells": MAP_QUEUE}}, values)
+    of_preset = json.loads(feed.custom_data.get(PRESET, "{}")).get("latency_budget_s")
+    budget_s = how.budget_s or of_preset or max(3 * interval_s, 0.2)
+    steps = 3  # nodes that a dwell passes one after the other: compression, heights and tracker
+    shares = {name: {"latency_budget_s": budget_s / steps} for name in stages if name != MAPPER}
+    # The map has no latency budget: a dwell is as good for it a second later, and a large map is published that long.
+    values = merged({**shares, MAPPER: {"max_queued_dwells": 256}}, values)
     source = {"bag": str(feed.bag), "rate": how.rate, "max_memory_mb": 1 + int(playlist.size / 1e6) * 2}
     folder = new_folder(out)
     topics = [f"{HEIGHTS[name]}/height" for name in stages if name in HEIGHTS]
@@ -389,13 +370,7 @@ class Beginning:
         if not self._begun and self._asked and self._asked.done() and self._asked.result().success:
             self._clock.begin_ns = int(self._asked.result().message)
             self._begun, self._asked = True, None
-        ask_period_s = 1.0  # time after which a sensor that has not answered is asked again
-        if not self._begun and time.monotonic() - self._asked_at > ask_period_s:
+        if not self._begun and time.monotonic() - self._asked_at > 1.0:  # s
             self._asked_at = time.monotonic()
             self._asked = self._conductor.ask()
         return self._begun
-
-
-def _budget_of(feed: Feed) -> float | None:
-    """The latency budget in the preset of a simulated sensor, if it states one."""
-    return json.loads(feed.custom_data.get(PRESET, "{}")).get("latency_budget_s")

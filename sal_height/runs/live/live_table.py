@@ -115,12 +115,7 @@ def live_table(watched: Watched, now: float) -> Group:
 
 @dataclass
 class Attended:
-    """Progress of a deployment.
-
-    Attributes:
-        book: the accounts of all nodes of the graph, those of others too.
-        elapsed_s: time since its nodes were started.
-    """
+    """Accounts of all nodes of the graph, those of others too, and time since its nodes were started, s."""
 
     book: AccountBook
     elapsed_s: float

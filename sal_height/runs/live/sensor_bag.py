@@ -27,7 +27,7 @@ from sal_height.graph.reporting import PARAMETERS, PRESET, SEED, merged
 from sal_height.nodes.playing.playlist import Playlist
 from sal_height.runs.chain.entry import contents
 from sal_height.runs.chain.recorded_parameters import recorded_parameters
-from sal_height.runs.truth.simulate import processing_of
+from sal_height.runs.truth.simulate import parameters_of_flight
 from sal_height.sensor import Sensor
 from sal_height.simulation import Preset, SimulatedFlight, flight_of
 from sal_height.topics import MAP_ORIGIN, ODOMETRY, SENSOR_INFO
@@ -153,5 +153,5 @@ def _topics_of(flight: SimulatedFlight) -> dict[str, tuple[str, Qos]]:
 def _custom_data(flight: SimulatedFlight) -> dict[str, str]:
     """Custom data of the bag of a simulated sensor: preset, seed and the like."""
     preset = flight.preset
-    values = merged(processing_of(flight, suited(flight.sensor, preset.estimators)), preset.processing)
+    values = merged(parameters_of_flight(flight, suited(flight.sensor, preset.estimators)), preset.processing)
     return {PARAMETERS: json.dumps(values), PRESET: json.dumps(dataclasses.asdict(preset)), SEED: str(flight.seed)}

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from sal_height import messages
 from sal_height.adjustment import (
-    UNKNOWN_GROUND,
-    Adjustment,
     AdjustmentSettings,
     ObservedDwell,
     References,
@@ -20,26 +17,23 @@ from sal_height.adjustment import (
 )
 from sal_height.bag.copies import kept_packing
 from sal_height.bag.described import sensors_of
-from sal_height.bag.namespace import NamespacedReader
 from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import CALIBRATION_TYPE, FIX_TYPE, FRAME_TYPE, ODOMETRY_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.elevation import ESTIMATORS
 from sal_height.engine.height_items import Heights
-from sal_height.engine.image_items import Images, Source
-from sal_height.engine.losses import Losses
+from sal_height.engine.image_items import Images
 from sal_height.engine.stage import DwellKey, Loss, Product
 from sal_height.errors import Rejected, UserError
-from sal_height.geometry import Mounting, PlatformState, Trajectory
+from sal_height.geometry import PlatformState, Trajectory
 from sal_height.graph.catalogue import NodeParameters, check_estimator, parameters_of, suited
 from sal_height.graph.reporting import PARAMETERS, reporting
 from sal_height.imaging import correct_track
 from sal_height.io import bag_name, new_folder, writing
-from sal_height.runs.chain.chain_runs import COMPRESSION, BagRun, Scheme, only_sensor, plan
+from sal_height.runs.chain.chain_runs import COMPRESSION, BagRun, only_sensor, plan
 from sal_height.runs.chain.entry import Part
-from sal_height.runs.products.adjustment_report import summary_of
-from sal_height.runs.products.pictures import draw_adjustment
-from sal_height.sensor import Sensor
+from sal_height.runs.chain.replay_parameters import ReplayPlan
+from sal_height.runs.products.adjustment_report import draw_adjustment, summary_of
 from sal_height.topics import ODOMETRY, SLC
 
 ADJUSTED_FROM = "adjusted_from"
@@ -51,30 +45,15 @@ KNOWN = {"boresight_sigma_rad": 0.0, "lever_arm_sigma_m": 0.0, "odometry_delay_s
 """Parameters of the compression whose errors the covariance of the corrected odometry contains."""
 
 
-@dataclass(frozen=True, eq=False)
-class AdjustedBag:
-    """Result of the adjustment of a bag.
-
-    Attributes:
-        summary: numbers of the report.
-        warnings: warnings on what could not be done.
-        bag: the new one.
-    """
-
-    summary: dict[str, Any]
-    warnings: list[str]
-    bag: Path
-
-
 def adjust_bag(
     bag: Path,
     out: Path,
-    estimator: str = "ml",
-    given: NodeParameters | None = None,
-    wanted: Mapping[str, Any] | None = None,
-    references: References = UNKNOWN_GROUND,
-    jobs: int = 1,
-) -> AdjustedBag:
+    estimator: str,
+    given: NodeParameters,
+    wanted: Mapping[str, Any],
+    references: References,
+    jobs: int,
+) -> tuple[dict[str, Any], list[str]]:
     """Adjust the dwells of a bag to each other; leaves report.json, adjustment.png and a new bag in `out`.
 
     Args:
@@ -86,8 +65,11 @@ def adjust_bag(
         references: known ground.
         jobs: dwells that are processed side by side.
 
+    Returns:
+        The numbers of the report, and warnings on what could not be done.
+
     Raises:
-        UserError: the bag cannot be used, or a parameter or a setting is not allowed.
+        UserError: the bag cannot be used, no dwell of it can be adjusted, or a parameter or a setting is not allowed.
     """
     sensors = sensors_of(Part().open(bag))[0].values()
     if not any(map(suited, sensors)):
@@ -97,16 +79,24 @@ def adjust_bag(
         )
     for sensor in sensors:
         check_estimator(estimator, sensor)
-    scheme = plan(bag, given or {}, (estimator,))
-    compression = scheme.parameters.get(COMPRESSION, {})
+    scheme = plan(bag, given, (estimator,))
+    compression = scheme.values.get(COMPRESSION, {})
     stated = {name: compression[name] for name in KNOWN if compression.get(name)}
-    settings = AdjustmentSettings(**{**stated, **(wanted or {})})
+    settings = AdjustmentSettings(**{**stated, **wanted})
     folder = new_folder(out)
     with reporting(folder, {"bag": bag.name, "settings": settings.model_dump()}) as report:
-        reader = NamespacedReader(scheme.bag, scheme.namespace)
-        found = _adjusted(scheme, jobs, estimator, settings, references, report)
-        adjustment, mounting, summary = found.adjustment, found.mounting, found.summary
-        warnings = [*scheme.warnings, *found.losses.described(len(scheme.frames)), *found.sentences]
+        reader = scheme.reader
+        run = BagRun(scheme, [COMPRESSION, ESTIMATORS[estimator].node], jobs=jobs, wanted=[SLC, f"{estimator}/height"])
+        mounting = only_sensor(run).mounting
+        dwells = sorted(_observe(run, estimator), key=lambda dwell: dwell.seconds)
+        left_out = run.losses.described(len(scheme.frames))
+        report |= {"dwells": len(dwells), **run.losses.counts()}
+        if not dwells:
+            why = " ".join(left_out or ["No dwell could be compressed."])
+            raise UserError(f"Bag {bag} has no dwell that can be adjusted. {why}")
+        adjustment = adjust(dwells, mounting, settings, references)
+        summary, sentences = summary_of(adjustment, dwells, mounting, settings, references)
+        warnings = [*scheme.warnings, *left_out, *sentences]
         report |= {**summary, "warnings": warnings}
         with writing(folder / "adjustment.png"):
             draw_adjustment(adjustment, folder / "adjustment.png")
@@ -120,45 +110,12 @@ def adjust_bag(
             known = {**KNOWN, "map_axes": "enu", "body_axes": "flu"}
         else:
             odometry, known = None, {}
-        custom = {PARAMETERS: json.dumps({**scheme.parameters, COMPRESSION: {**compression, **known}})}
+        custom = {PARAMETERS: json.dumps({**scheme.values, COMPRESSION: {**compression, **known}})}
         _write(reader, folder / "bag", {**custom, ADJUSTED_FROM: bag_name(bag)}, odometry)
-    return AdjustedBag(summary, warnings, folder / "bag")
+    return summary, warnings
 
 
-@dataclass(frozen=True, eq=False)
-class _Found:
-    """The adjustment of a bag, the mounting as described, the losses, and numbers and warnings of the report."""
-
-    adjustment: Adjustment
-    mounting: Mounting
-    losses: Losses
-    summary: dict[str, Any]
-    sentences: list[str]
-
-
-def _adjusted(
-    scheme: Scheme,
-    jobs: int,
-    estimator: str,
-    settings: AdjustmentSettings,
-    references: References,
-    report: dict[str, Any],
-) -> _Found:
-    """Adjust the dwells of a bag by their heights.
-
-    The number of dwells, and of those left out, is in the report even if they cannot be adjusted.
-
-    Raises:
-        UserError: no dwell can be adjusted.
-    """
-    run = BagRun(scheme, [COMPRESSION, ESTIMATORS[estimator].node], jobs=jobs, wanted=[SLC, f"{estimator}/height"])
-    dwells, sensor, losses = _in_order(run, _observe(run, estimator, run.losses), report)
-    adjustment = adjust(dwells, sensor.mounting, settings, references)
-    summary, sentences = summary_of(adjustment, dwells, sensor.mounting, settings, references)
-    return _Found(adjustment, sensor.mounting, losses, summary, sentences)
-
-
-def _observe(run: BagRun, estimator: str, losses: Losses) -> Iterator[ObservedDwell]:
+def _observe(run: BagRun, estimator: str) -> Iterator[ObservedDwell]:
     """The dwells of a bag with heights of an estimator."""
     node, images = ESTIMATORS[estimator].node, dict[DwellKey, Images]()
     for made in run.results("dwells"):
@@ -168,41 +125,18 @@ def _observe(run: BagRun, estimator: str, losses: Losses) -> Iterator[ObservedDw
         if isinstance(item, Images):
             images[item.key] = item
         elif isinstance(item, Heights) and (source := images.pop(item.key).source) is not None:
+            track = correct_track(Trajectory(source.states, motion=source.settings.motion), source.settings)
             try:
-                yield ObservedDwell.of(
-                    item.field, source.slc, source.sensor, _track_of(source), source.pulses, run.scheme.epoch_ns
-                )
+                yield ObservedDwell.of(item.field, source.slc, source.sensor, track, source.pulses, run.scheme.epoch_ns)
             except Rejected as few:
-                losses.add(node, Loss(item.key, 0, few.reason, str(few)))
-
-
-def _track_of(source: Source) -> Trajectory:
-    """The track of base_link during a dwell."""
-    track: Trajectory = correct_track(Trajectory(source.states, motion=source.settings.motion), source.settings)
-    return track
-
-
-def _in_order(
-    run: BagRun, observed: Iterator[ObservedDwell], report: dict[str, Any]
-) -> tuple[list[ObservedDwell], Sensor, Losses]:
-    """The dwells of a bag in the order of time, their sensor, and the losses; the report is updated.
-
-    Raises:
-        UserError: no dwell can be adjusted, or the bag describes several sensors.
-    """
-    sensor, dwells, losses = only_sensor(run), list(observed), run.losses
-    report |= {"dwells": len(dwells), **losses.counts()}
-    if not dwells:
-        why = losses.described(len(run.scheme.frames)) or ["No dwell could be compressed."]
-        raise UserError(f"Bag {run.scheme.bag} has no dwell that can be adjusted. {' '.join(why)}")
-    return sorted(dwells, key=lambda dwell: dwell.seconds), sensor, losses
+                run.losses.add(node, Loss(item.key, 0, few.reason, str(few)))
 
 
 def _corrected_odometry(
-    scheme: Scheme, reader: BagReader, corrected: Callable[[Sequence[PlatformState]], list[PlatformState]]
+    scheme: ReplayPlan, reader: BagReader, corrected: Callable[[Sequence[PlatformState]], list[PlatformState]]
 ) -> Iterator[bytes | None]:
     """The samples of the odometry in the order of the bag, serialized; None: one that cannot be used."""
-    frames = parameters_of(COMPRESSION, scheme.parameters.get(COMPRESSION, {})).frames
+    frames = parameters_of(COMPRESSION, scheme.values.get(COMPRESSION, {})).frames
     states: list[PlatformState | None] = []
     for recorded in reader.messages([f"/{ODOMETRY}"]):
         try:

@@ -1,8 +1,9 @@
-"""Results of an adjustment, in numbers and warnings."""
+"""Results of an adjustment, in numbers, warnings and a picture."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,9 +18,9 @@ from sal_height.adjustment import (
     stated_sigmas,
 )
 from sal_height.geometry import Mounting
-from sal_height.graph.tables import ABSENT
+from sal_height.graph.picture import page
 from sal_height.numeric import root_mean_square
-from sal_height.tables import aligned
+from sal_height.tables import ABSENT, aligned
 
 NAMES = (
     *(f"boresight {axis} (rad)" for axis in "xyz"),
@@ -47,15 +48,13 @@ def summary_of(
     met = {number for one in adjustment.comparisons for side in one.dwells for number in side if number >= 0}
     absolute = sum(one.is_absolute for one in adjustment.comparisons)
     better = corrected_mounting(mounting, adjustment)
-    # Fraction of its prior below which the standard deviation of a parameter must be for it to be determined.
-    determined_below = 0.9
     summary = {
         "parameters": {
             NAMES[number]: {
                 "error": float(common[number]),
                 "sigma": float(sigmas[number]),
                 "known_to": float(prior[number]),
-                "determined": bool(sigmas[number] <= determined_below * prior[number]),
+                "determined": bool(sigmas[number] <= 0.9 * prior[number]),  # else the prior alone decides
             }
             for number in estimated
         },
@@ -71,27 +70,27 @@ def summary_of(
         "shifts_m": shifts.tolist(),
         "shift_sigmas_m": np.sqrt([one.diagonal() for one in spread]).tolist(),
     }
-    return summary, _sentences(summary, references, adjustment)
+    return summary, _warnings(summary, references, adjustment)
 
 
-def _sentences(summary: dict[str, Any], references: References, adjustment: Adjustment) -> list[str]:
-    sentences = []
+def _warnings(summary: dict[str, Any], references: References, adjustment: Adjustment) -> list[str]:
+    warnings = []
     if references.targets and not any(one.is_target for one in adjustment.comparisons):
-        sentences.append(
+        warnings.append(
             f"None of the {len(references.targets)} targets was seen where it should be, brighter than all around it; "
             "the result is without them."
         )
     if adjustment.refused_ground is not None:
-        sentences.append(
+        warnings.append(
             f"{describe_ground(adjustment.refused_ground)}, more than --terrain-sigma and what is known of the dwells "
             "allow; the result is without it."
         )
     elif references.terrain and not any(one.is_absolute and not one.is_target for one in adjustment.comparisons):
-        sentences.append(
+        warnings.append(
             "The elevation model has no heights where the dwells lie, or agrees with none; the result is without it."
         )
     if not summary["comparisons"]:
-        sentences.append(
+        warnings.append(
             "No two dwells were found to show the same ground: they were compared with known ground, but not with each "
             "other. Fly passes that overlap."
             if summary["comparisons_with_known_ground"]
@@ -99,26 +98,26 @@ def _sentences(summary: dict[str, Any], references: References, adjustment: Adju
             "odometry as it was. Fly passes that overlap, or give targets or an elevation model."
         )
     elif lonely := summary["dwells_without_comparison"]:
-        sentences.append(
+        warnings.append(
             f"{lonely} dwells overlap with no other, or show too little to be recognised, and lie where odometry and "
             "their neighbours put them."
         )
     if against := summary["comparisons_that_contradict"]:
-        sentences.append(
+        warnings.append(
             f"{against} of {len(adjustment.comparisons)} comparisons contradict the others: some dwells were taken for "
             "another place, and may be off by more than is stated; fly longer passes, or give targets or an elevation "
             "model."
         )
     loose = [name for name, one in summary["parameters"].items() if not one["determined"]]
     if loose:
-        sentences.append(f"These dwells do not determine: {', '.join(loose)}; what was known beforehand stays.")
+        warnings.append(f"These dwells do not determine: {', '.join(loose)}; what was known beforehand stays.")
     if not summary["comparisons_with_known_ground"]:
         east, north, up = summary["sigma_of_all_dwells_m"]
-        sentences.append(
+        warnings.append(
             f"Without known ground all dwells together may lie off by {east:.2g} m east, {north:.2g} m north and "
             f"{up:.2g} m up (1 sigma)."
         )
-    return sentences
+    return warnings
 
 
 def has_comparisons(summary: dict[str, Any]) -> bool:
@@ -126,7 +125,7 @@ def has_comparisons(summary: dict[str, Any]) -> bool:
     return bool(summary["comparisons"] or summary["comparisons_with_known_ground"])
 
 
-def tells_nothing(summary: dict[str, Any]) -> bool:
+def determines_nothing(summary: dict[str, Any]) -> bool:
     """True if all priors stay: no dwell was compared, nor did Doppler centroids determine a parameter."""
     return not has_comparisons(summary) and not any(one["determined"] for one in summary["parameters"].values())
 
@@ -139,8 +138,11 @@ def adjustment_table(summary: dict[str, Any]) -> str:
     lines = []
     if summary["parameters"]:
         heading = ["shared by all dwells", "known to", "found", "+-"]
-        rows = [[name, f"{one['known_to']:.3g}", *_found(one)] for name, one in summary["parameters"].items()]
-        lines += [aligned([heading, *rows]), ""]
+        rows = [heading]
+        for name, one in summary["parameters"].items():
+            found = [f"{one['error']:+.3g}", f"{one['sigma']:.2g}"] if one["determined"] else [ABSENT, ABSENT]
+            rows.append([name, f"{one['known_to']:.3g}", *found])
+        lines += [aligned(rows), ""]
     heading = ["surfaces of dwells", "east m", "north m", "up m"]
     kinds = {
         "misalignment before, rms": "shifts_rms_m",
@@ -154,8 +156,28 @@ def adjustment_table(summary: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _found(parameter: dict[str, Any]) -> tuple[str, str]:
-    """Estimate of a parameter, and its standard deviation."""
-    if not parameter["determined"]:
-        return ABSENT, ABSENT
-    return f"{parameter['error']:+.3g}", f"{parameter['sigma']:.2g}"
+def draw_adjustment(adjustment: Adjustment, path: Path) -> None:
+    """Write a PNG: shifts of the dwells with their sigmas, and differences of comparisons before and after."""
+    shifts, covariance = adjustment.shifts
+    sigmas = np.sqrt([one.diagonal() for one in covariance])
+    before, after = adjustment.differences
+    with page(path, 4.4) as figure:
+        for column, (axis, name) in enumerate(zip(figure.subplots(2, 3).T, ("east", "north", "up"), strict=True)):
+            top, below = axis
+            top.errorbar(np.arange(len(shifts)), shifts[:, column], sigmas[:, column], fmt=".", ms=3, lw=0.8)
+            top.set(title=f"How far {name} dwells were misaligned", xlabel="dwell", ylabel="m")
+            top.axhline(0.0, color="k", lw=0.5)
+            for values, label in ((before, "before"), (after, "after")):
+                if len(values):
+                    size = np.sort(np.abs(values[:, column]))
+                    below.step(
+                        np.maximum(size, 1e-4), (np.arange(len(size)) + 1) / len(size), label=label, where="post"
+                    )
+            below.set(
+                title=f"Differences {name} between dwells that overlap",
+                xlabel="m",
+                ylabel="fraction below",
+                xscale="log",
+            )
+            if len(after):
+                below.legend(loc="lower right")

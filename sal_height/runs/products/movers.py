@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from sal_height.bag.described import sensors_of
-from sal_height.bag.namespace import NamespacedReader
 from sal_height.engine.movers import MOVERS, ImageMovers, MoverDetection
 from sal_height.engine.stage import DwellKey, Product
 from sal_height.errors import UserError
@@ -21,104 +20,64 @@ from sal_height.graph.plan import DwellChanges
 from sal_height.graph.reporting import reporting
 from sal_height.io import new_folder
 from sal_height.movers import Mover, MoverSettings, check_sensor
-from sal_height.runs.chain.chain_runs import COMPRESSION, BagRun, Scheme, plan
+from sal_height.runs.chain.chain_runs import COMPRESSION, BagRun, plan
+from sal_height.runs.chain.replay_parameters import ReplayPlan
 from sal_height.sensor import Sensor
+from sal_height.tables import aligned, number_text
 
 STAGES_OF_MOVERS = (COMPRESSION, DETECTOR)
 
 
-@dataclass(frozen=True, eq=False)
-class SeenMover:
-    """A mover, and in which image it was seen.
-
-    Attributes:
-        dwell: number of the block that completed the image.
-        stamp_ns: stamp of its first pulse, ns since the epoch.
-        mover: estimates of the mover.
-    """
-
-    dwell: int
-    stamp_ns: int
-    mover: Mover
-
-    def summary(self) -> dict[str, Any]:
-        """Entries of the report on the mover."""
-        east, north, height = (float(value) for value in sphere_coordinates(self.mover.position))
-        one = self.mover
-        return {
-            "dwell": self.dwell,
-            "stamp_ns": self.stamp_ns,
-            "east_m": east,
-            "north_m": north,
-            "height_m": height,
-            "covariance_m2": one.covariance.tolist(),
-            "height_sigma_m": one.sigma,
-            "radial_velocity_mps": one.radial_velocity,
-            "radial_velocity_sigma_mps": one.velocity_sigma,
-            "ambiguity_mps": one.ambiguity,
-            "ambiguity_resolved": one.resolved,
-            "walk_velocity_mps": one.walk_velocity,
-            "walk_velocity_sigma_mps": one.walk_sigma,
-            **_along(one),
-            "found_by_walk": one.walks,
-            "likelihood_ratio": one.likelihood_ratio,
-            "cnr_db": one.cnr_db,
-        }
+def _entry(found: ImageMovers, mover: Mover) -> dict[str, Any]:
+    """Entries of the report on a mover of an image, which the block of that dwell completed."""
+    east, north, height = (float(value) for value in sphere_coordinates(mover.position))
+    entry = {
+        "dwell": found.key.number,
+        "stamp_ns": found.key.stamp_ns,
+        "east_m": east,
+        "north_m": north,
+        "height_m": height,
+        "covariance_m2": mover.covariance.tolist(),
+        "height_sigma_m": mover.sigma,
+        "radial_velocity_mps": mover.radial_velocity,
+        "radial_velocity_sigma_mps": mover.velocity_sigma,
+        "ambiguity_mps": mover.ambiguity,
+        "ambiguity_resolved": mover.resolved,
+        "walk_velocity_mps": mover.walk_velocity,
+        "walk_velocity_sigma_mps": mover.walk_sigma,
+        "found_by_walk": mover.walks,
+        "likelihood_ratio": mover.likelihood_ratio,
+        "cnr_db": mover.cnr_db,
+    }
+    if not np.isnan(mover.along_sigma):
+        entry |= {"along_velocity_mps": mover.along_velocity, "along_velocity_sigma_mps": mover.along_sigma}
+    return entry
 
 
-def _along(one: Mover) -> dict[str, float]:
-    """Entries of the report on the along-track velocity; empty if it cannot be estimated."""
-    if np.isnan(one.along_sigma):
-        return {}
-    return {"along_velocity_mps": one.along_velocity, "along_velocity_sigma_mps": one.along_sigma}
-
-
-@dataclass(frozen=True, eq=False)
-class BagMovers:
-    """Movers of a bag.
-
-    Attributes:
-        movers: movers in the order of time.
-        candidates: number of pixels that were examined.
-        images: number of images.
-        dwells: number of dwells in the bag.
-        left_out: number of dwells in which nothing could be searched.
-        warnings: warnings on data that were not used, and on data used with reservations.
-    """
-
-    movers: Sequence[SeenMover]
-    candidates: int
-    images: int
-    dwells: int
-    left_out: int
-    warnings: Sequence[str]
-
-    def table(self) -> str:
-        """A line for each mover."""
-        looked = f"{self.candidates} bright pixels of {self.images} images were looked at"
-        lines = [f"{len(self.movers)} movers; {looked}"]
-        if self.left_out:
-            lines[0] += f"; {self.left_out} of {self.dwells} dwells were left out"
-        if self.movers:
-            place = f"{'east m':>11}{'north m':>11}{'height m':>10}{'+-':>7}"
-            along = f"{'along m/s':>11}{'+-':>7}" if any(_along(seen.mover) for seen in self.movers) else ""
-            lines.append(f"{'dwell':>6}{place}{'mm/s':>11}{'+-':>7}{'migration m/s':>15}{'+-':>7}{along}")
-        for seen in self.movers:
-            one = seen.summary()
-            place = f"{one['east_m']:11.3f}{one['north_m']:11.3f}{one['height_m']:10.3f}{one['height_sigma_m']:7.3f}"
-            speed = f"{1e3 * one['radial_velocity_mps']:11.2f}{1e3 * one['radial_velocity_sigma_mps']:7.2f}"
-            migration = f"{one['walk_velocity_mps']:15.2f}{one['walk_velocity_sigma_mps']:7.2f}"
-            along = "".join(
-                f"{value:{width}.2f}" for value, width in zip(_along(seen.mover).values(), (11, 7), strict=False)
-            )
-            lines.append(f"{seen.dwell:6d}{place}{speed}{migration}{along}")
-        if not all(seen.mover.resolved for seen in self.movers):
-            period = 1e3 * self.movers[0].mover.ambiguity
-            lines.append(
-                f"Velocities in mm/s that differ by multiples of {period:.4g} mm/s look the same; those by range "
-                "migration do not."
-            )
-        return "\n".join(lines)
+def movers_table(summary: Mapping[str, Any]) -> str:
+    """The report as a table with a line for each mover."""
+    movers = summary["movers"]
+    lines = [
+        f"{len(movers)} movers; {summary['candidates']} bright pixels of {summary['images']} images were looked at"
+    ]
+    if summary["dwells_left_out"]:
+        lines[0] += f"; {summary['dwells_left_out']} of {summary['dwells']} dwells were left out"
+    rows = [["dwell", "east m", "north m", "height m", "+-", "mm/s", "+-", "by walk m/s", "+-"]]
+    is_along = any("along_velocity_mps" in one for one in movers)
+    along = ("along_velocity_mps", "along_velocity_sigma_mps") if is_along else ()
+    rows[0] += ["along m/s", "+-"] if along else []
+    for one in movers:
+        row = [f"{one[key]:.3f}" for key in ("east_m", "north_m", "height_m", "height_sigma_m")]
+        row += [f"{1e3 * one[key]:.2f}" for key in ("radial_velocity_mps", "radial_velocity_sigma_mps")]
+        row += [f"{one[key]:.2f}" for key in ("walk_velocity_mps", "walk_velocity_sigma_mps")]
+        rows.append([str(one["dwell"]), *row, *(number_text(one.get(key), ".2f") for key in along)])
+    lines += [aligned(rows)] if movers else []
+    if not all(one["ambiguity_resolved"] for one in movers):
+        lines.append(
+            "Velocities in mm/s that differ by multiples of "
+            f"{1e3 * movers[0]['ambiguity_mps']:.4g} mm/s look the same; those by the walk through rows do not."
+        )
+    return "\n".join(lines)
 
 
 def find_in_bag(
@@ -127,7 +86,7 @@ def find_in_bag(
     given: NodeParameters | None = None,
     wanted: Mapping[str, Any] | None = None,
     jobs: int = 1,
-) -> BagMovers:
+) -> tuple[dict[str, Any], list[str]]:
     """Compress the strips or dwells of a bag and find what moves; leaves report.json in `out`.
 
     Args:
@@ -137,6 +96,9 @@ def find_in_bag(
         wanted: settings of the search by name.
         jobs: dwells that are processed side by side.
 
+    Returns:
+        The numbers of the report, and warnings on data that were not used or used with reservations.
+
     Raises:
         UserError: the bag cannot be used or has no image in which movers could be found, or a parameter or a setting is
             not allowed.
@@ -144,7 +106,7 @@ def find_in_bag(
     settings = MoverSettings(**(wanted or {}))
     scheme = plan(bag, given or {}, ("ml",))
     with reporting(new_folder(out), {"bag": bag.name, "settings": settings.model_dump()}) as report:
-        sensors, _ = sensors_of(NamespacedReader(scheme.bag, scheme.namespace))
+        sensors, _ = sensors_of(scheme.reader)
         for sensor in sensors.values():
             check_sensor(sensor)
         first, scheme = _with_columns(scheme, sensors, given or {})
@@ -152,11 +114,11 @@ def find_in_bag(
         run = BagRun(scheme, STAGES_OF_MOVERS, jobs=jobs, wanted=[MOVERS], settings={COMPRESSION: first, DETECTOR: own})
         items = (made.result.item for made in run.results("images") if isinstance(made.result, Product))
         found = [item for item in items if isinstance(item, ImageMovers)]
-        looked, seen = [one.looked for one in found], [mover for one in found for mover in _seen(one)]
-        dwells = len(scheme.frames)
-        said = run.losses.described(dwells)
+        looked = [one.looked for one in found]
+        said = run.losses.described(len(scheme.frames))
         warnings = [*scheme.warnings, *said]
-        report |= {"dwells": dwells, **run.losses.counts(), "warnings": warnings}
+        summary: dict[str, Any] = {"dwells": len(scheme.frames), "dwells_left_out": run.losses.dwells}
+        report.update({**summary, **run.losses.counts(), "warnings": warnings})
         if not looked:
             raise UserError(f"Bag {bag} has no image in which movers could be looked for. {' '.join(said)}".rstrip())
         candidates = sum(one.candidates for one in looked)
@@ -165,27 +127,28 @@ def find_in_bag(
                 f"No pixel is {settings.prominence_db:g} dB brighter than what is around it, so none was looked at; "
                 "set prominence_db to less."
             )
-        report |= {
+        summary |= {
             "images": len(looked),
             "candidates": candidates,
             "expected_false_alarms_at_most": settings.false_alarm_rate * candidates,
             "fastest_mps": min((one.fastest for one in looked), default=0.0),
             "ground_lag_rad": [list(one.ground_lag) for one in looked],
-            "movers": [one.summary() for one in seen],
+            "movers": [_entry(one, mover) for one in found for mover in _in_order(one)],
         }
-    return BagMovers(seen, candidates, len(looked), dwells, run.losses.dwells, warnings)
+        report.update(summary)
+    return summary, warnings
 
 
-def _settings_for(scheme: Scheme, sensors: Mapping[str, Sensor], given: NodeParameters, dwell: DwellKey) -> Any:
+def _settings_for(scheme: ReplayPlan, sensors: Mapping[str, Sensor], given: NodeParameters, dwell: DwellKey) -> Any:
     """Settings of the compression: of spotlight a column for each Doppler frequency, as many as pulses."""
-    settings = parameters_of(COMPRESSION, scheme.parameters.get(COMPRESSION, {}))
+    settings = parameters_of(COMPRESSION, scheme.values.get(COMPRESSION, {}))
     sensor = sensors.get(dwell.sensor)
     if sensor is None or sensor.mode != "spotlight" or "cols" in given.get(COMPRESSION, {}):
         return settings
     return settings.changed(cols=sensor.pulse_count)
 
 
-def _with_columns(scheme: Scheme, sensors: Mapping[str, Sensor], given: NodeParameters) -> tuple[Any, Scheme]:
+def _with_columns(scheme: ReplayPlan, sensors: Mapping[str, Sensor], given: NodeParameters) -> tuple[Any, ReplayPlan]:
     """Settings of the compression at the first dwell, and the scheme with those of dwells of other sensors."""
     dwells = sorted(scheme.frames, key=lambda dwell: scheme.frames[dwell].first_ns)
     first = _settings_for(scheme, sensors, given, dwells[0])
@@ -197,8 +160,7 @@ def _with_columns(scheme: Scheme, sensors: Mapping[str, Sensor], given: NodePara
     return first, replace(scheme, changes=tuple(changes))
 
 
-def _seen(found: ImageMovers) -> list[SeenMover]:
+def _in_order(found: ImageMovers) -> list[Mover]:
     """Movers of an image, in the order of the flight."""
     direction = found.images.slc.aperture.direction
-    in_order = sorted(found.looked.movers, key=lambda one: float(np.dot(one.position, direction)))
-    return [SeenMover(found.key.number, found.key.stamp_ns, one) for one in in_order]
+    return sorted(found.looked.movers, key=lambda one: float(np.dot(one.position, direction)))

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sal_height import messages
-from sal_height.bag.namespace import NamespacedReader
 from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import FIX_TYPE, HEIGHT_TYPE
 from sal_height.bag.writer import BagWriter
-from sal_height.elevation import ESTIMATORS, ElevationEstimator, HeightSettings, Validity
+from sal_height.elevation import ESTIMATORS, Validity
 from sal_height.engine.frame_items import history_of
 from sal_height.engine.image_items import Images, Source
 from sal_height.engine.provenance import Provenance
@@ -41,25 +39,9 @@ from sal_height.passes import (
 from sal_height.pipeline import corrected_spectrum
 from sal_height.relief import HeightField, Surface
 from sal_height.runs.chain.chain_runs import COMPRESSION, BagRun, plan
-from sal_height.runs.products.passes_report import ReferenceComparison, compared, summary_of, warnings_of
-from sal_height.runs.products.pictures import draw_passes
+from sal_height.runs.products.passes_report import compared, draw_passes, summary_of, warnings_of
 from sal_height.settings import Settings
 from sal_height.topics import SLC
-
-
-@dataclass(frozen=True, eq=False)
-class FromPasses:
-    """Heights from the passes of some bags.
-
-    Attributes:
-        summary: numbers of the report.
-        comparisons: comparisons with reference points.
-        warnings: warnings on data left out.
-    """
-
-    summary: dict[str, Any]
-    comparisons: Sequence[ReferenceComparison]
-    warnings: list[str]
 
 
 def heights_of_bags(
@@ -71,7 +53,7 @@ def heights_of_bags(
     references: Sequence[ReferencePoint] = (),
     centre: tuple[float, float] | None = None,
     jobs: int = 1,
-) -> FromPasses:
+) -> tuple[dict[str, Any], list[str]]:
     """Make heights from bags; leaves report.json, passes.png and, if there are heights, a bag with them in `out`.
 
     Args:
@@ -84,65 +66,54 @@ def heights_of_bags(
         centre: east and north of the middle of the scene, m; None: where the passes look, in the median.
         jobs: dwells of a bag that are compressed side by side.
 
+    Returns:
+        The numbers of the report, and warnings on data left out.
+
     Raises:
         UserError: a bag cannot be used, too few passes go together, or a setting is not allowed.
     """
-    maker = _estimator_named(estimator)
+    if estimator not in ESTIMATORS_OF_PASSES:
+        names = ", ".join(ESTIMATORS_OF_PASSES)
+        raise UserError(f"Option --estimator is {estimator!r}; of passes allowed are {names}.")
+    maker = ESTIMATORS[estimator]
     of_passes = {name: value for name, value in (wanted or {}).items() if name in PassSettings.model_fields}
     of_estimator = {name: value for name, value in (wanted or {}).items() if name not in of_passes}
     settings = PassSettings(**of_passes)
     height_settings = maker.settings(**{**OF_POINTS, **of_estimator})
-    _check_one_look(height_settings)
+    looks = height_settings.range_looks, height_settings.azimuth_looks
+    if looks != (1, 1):
+        raise UserError(
+            f"Settings range_looks and azimuth_looks are {looks[0]} and {looks[1]}; points are seen by single pixels: "
+            "both must be 1."
+        )
     folder = new_folder(out)
     known = {"bags": [bag.name for bag in bags], "estimator": estimator, "settings": settings.model_dump()}
     with reporting(folder, known) as report:
-        gathered = _gathered(bags, given, jobs)
-        aims = np.median([aim for _, aim in gathered.passes], axis=0) if gathered.passes else np.zeros(3)
-        middle = np.array([*(aims[:2] if centre is None else centre), settings.ground_m])
-        passes = [one for one, _ in gathered.passes]
-        report |= {"passes_given": len(passes), "centre_m": middle.tolist(), "warnings": gathered.warnings}
+        gathered, warnings, first = _gathered(bags, given, jobs)
+        passes, aims = [one for one, _ in gathered], [aim for _, aim in gathered]
+        middle = np.median(aims, axis=0) if aims else np.zeros(3)
+        middle = np.array([*(middle[:2] if centre is None else centre), settings.ground_m])
+        report |= {"passes_given": len(passes), "centre_m": middle.tolist(), "warnings": warnings}
         result = heights_from_passes(passes, middle, maker, height_settings, settings, references)
         comparisons = [compared(one, result, settings) for one in references]
-        warnings = [*gathered.warnings, *warnings_of(result, comparisons, settings)]
+        warnings = [*warnings, *warnings_of(result, comparisons, settings)]
         summary = summary_of(result, comparisons, settings)
         report |= {**summary, "warnings": warnings}
         with writing(folder / "passes.png"):
             draw_passes(result, comparisons, folder / "passes.png")
         if len(result.found.points.height):
-            _write_bag(folder / "bag", result, estimator, height_settings, gathered.first)
-    return FromPasses(summary, comparisons, warnings)
+            _write_bag(folder / "bag", result, estimator, height_settings, first)
+    return summary, warnings
 
 
-def _estimator_named(name: str) -> ElevationEstimator:
-    if name not in ESTIMATORS_OF_PASSES:
-        raise UserError(f"Option --estimator is {name!r}; of passes allowed are {', '.join(ESTIMATORS_OF_PASSES)}.")
-    return ESTIMATORS[name]
+def _gathered(
+    bags: Sequence[Path], given: NodeParameters | None, jobs: int
+) -> tuple[list[tuple[Pass, F64]], list[str], BagReader]:
+    """The passes of all bags, each with the point that it aims at (m in map), warnings, and a reader of the first bag.
 
-
-def _check_one_look(settings: HeightSettings) -> None:
-    if settings.range_looks * settings.azimuth_looks != 1:
-        raise UserError(
-            f"Settings range_looks and azimuth_looks are {settings.range_looks} and {settings.azimuth_looks}; points "
-            "are seen by single pixels: both must be 1."
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class Gathered:
-    """The passes of all bags.
-
-    Attributes:
-        passes: passes with the point that each aims at, m in map, shape (3,).
-        first: reader of the first bag.
-        warnings: warnings on dwells that could not be used.
+    Raises:
+        UserError: a bag is named twice, or cannot be used.
     """
-
-    passes: Sequence[tuple[Pass, F64]]
-    first: BagReader
-    warnings: list[str]
-
-
-def _gathered(bags: Sequence[Path], given: NodeParameters | None, jobs: int) -> Gathered:
     passes: list[tuple[Pass, F64]] = []
     warnings: list[str] = []
     readers = []
@@ -152,11 +123,11 @@ def _gathered(bags: Sequence[Path], given: NodeParameters | None, jobs: int) -> 
             raise UserError(f"Bag {bag} is named twice; name each bag once.")
     for bag in bags:
         scheme = plan(bag, given or {}, for_heights=False)
-        readers.append(NamespacedReader(scheme.bag, scheme.namespace))
+        readers.append(scheme.reader)
         run = BagRun(scheme, [COMPRESSION], jobs=jobs, wanted=[SLC])
         passes += _passes_of(run, f"images of {bag.name}")
         warnings += [f"Bag {bag}: {sentence}" for sentence in (*scheme.warnings, *run.losses.sentences.values())]
-    return Gathered(passes, readers[0], warnings)
+    return passes, warnings, readers[0]
 
 
 def _passes_of(run: BagRun, doing: str) -> list[tuple[Pass, F64]]:
@@ -172,7 +143,7 @@ def _passes_of(run: BagRun, doing: str) -> list[tuple[Pass, F64]]:
             run.losses.add("passes", Loss(made.dwell, 0, "cannot be processed", sentence))
             continue
         several = len(run.scheme.frames) > 1
-        name = run.scheme.bag.name
+        name = run.scheme.reader.path.name
         passes.append(_pass_of(source, f"{name} dwell {number}" if several else name))
     return passes
 

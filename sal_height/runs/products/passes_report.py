@@ -1,16 +1,20 @@
-"""Report of heights from passes, and the comparison with points of known position."""
+"""Report and picture of heights from passes, and the comparison with points of known position."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from sal_height.elevation import Validity
+from sal_height.graph.picture import HEIGHTS, colour_bar, page
 from sal_height.numeric import F64, error_statistics
 from sal_height.passes import PassHeights, PassSettings, ReferencePoint
+from sal_height.tables import ABSENT, aligned
 
 FREE_GAUGE = (
     "No reference point ties the passes: heights count from the median of the bright points that tie them, which is "
@@ -84,8 +88,7 @@ def warnings_of(result: PassHeights, comparisons: Sequence[ReferenceComparison],
                 f"point at {east:g}, {north:g}, {up:g} m is visible."
             )
     ambiguity = result.ambiguity
-    sidelobe_of_note = 0.25  # fraction of the power above which the greatest sidelobe is warned of
-    if ambiguity.sidelobe > sidelobe_of_note:
+    if ambiguity.sidelobe > 0.25:  # fraction of the power
         found.append(
             f"The passes see {ambiguity.sidelobe:.2g} of a point's power {ambiguity.at:.3g} m above and below it, too; "
             "heights of weak points may be wrong by that."
@@ -159,12 +162,13 @@ def _height_errors(comparisons: Sequence[ReferenceComparison]) -> dict[str, Any]
 
 def passes_table(summary: dict[str, Any]) -> str:
     """The report as a table for the terminal."""
-    lines = [f"{'pass':<28}{'elevation':>10}{'shift m':>9}{'offset m':>9}{'coherence':>10}"]
+    rows = [["pass", "elevation", "shift m", "offset m", "coherence"]]
     for one in summary["passes"]:
         shift = float(np.hypot(one["shift_range_m"], one["shift_along_m"]))
         offset = float(np.hypot(one["offset_along_m"], one["offset_across_m"]))
         degrees = np.degrees(one["elevation_over_horizon_rad"])
-        lines.append(f"{one['name'][:27]:<28}{degrees:9.3f}°{shift:9.3f}{offset:9.3f}{one['coherence']:10.3f}")
+        rows.append([one["name"], f"{degrees:.3f}°", f"{shift:.3f}", f"{offset:.3f}", f"{one['coherence']:.3f}"])
+    lines = [aligned(rows)]
     ambiguity, tie = summary["ambiguity"], summary["tie"]
     lines.append(
         f"tied by {tie['points']} points, {tie['references']} of them references; heights resolved to "
@@ -179,10 +183,53 @@ def passes_table(summary: dict[str, Any]) -> str:
         lines.append(
             f"{several} of {summary['bright_pixels']} bright pixels contain several points, which get no height"
         )
-    if summary["references"]:
-        lines.append(f"{'reference east':>15}{'north':>10}{'height':>9}{'error m':>9}{'+-':>8}")
+    rows = [["reference", "east", "north", "height", "error m", "+-"]]
     for one in summary["references"]:
-        position = f"{one['east_m']:15.3f}{one['north_m']:10.3f}{one['height_m']:9.3f}"
-        found = f"{one['error_height_m']:9.3f}{one['sigma_m']:8.3f}" if one["found"] else f"{'not found':>17}"
-        lines.append(position + found + (" tied" if one["ties"] else ""))
-    return "\n".join(lines)
+        position = [f"{one[key]:.3f}" for key in ("east_m", "north_m", "height_m")]
+        found = [f"{one[key]:.3f}" if one["found"] else ABSENT for key in ("error_height_m", "sigma_m")]
+        kind = "tied" if one["ties"] else "compared"
+        rows.append([kind if one["found"] else f"{kind}, not found", *position, *found])
+    return "\n".join([*lines, aligned(rows)] if summary["references"] else lines)
+
+
+def draw_passes(result: PassHeights, comparisons: Sequence[ReferenceComparison], path: Path) -> None:
+    """Write a PNG: the map of the points on the left; on the right heights over range, and the array response."""
+    with page(path, 5.6) as figure:
+        panels = figure.subplot_mosaic([["plan", "profile"], ["plan", "response"]], width_ratios=[1.2, 1.0])
+        _draw_plan(panels["plan"], result, comparisons)
+        _draw_profile(panels["profile"], result, comparisons)
+        _draw_response(panels["response"], result)
+
+
+def _draw_plan(axis: Axes, result: PassHeights, comparisons: Sequence[ReferenceComparison]) -> None:
+    points = result.found.points
+    east, north, height = points.positions.T
+    limits = np.percentile(height, [1, 99]) if len(height) else (0.0, 1.0)
+    size = 4 + 20 * np.clip(np.log10(np.maximum(points.power, 1.0)) / 4, 0, 1)
+    drawn = axis.scatter(east, north, c=height, s=size, cmap=HEIGHTS, vmin=limits[0], vmax=limits[1], linewidths=0)
+    for one in comparisons:
+        axis.plot(*one.reference.position[:2], marker="+", color="k", ms=9)
+    colour_bar(drawn, axis, "height (m)", height, orientation="horizontal", aspect=40, pad=0.02)
+    axis.set(aspect="equal", xlabel="east (m)", ylabel="north (m)", title=f"{len(height)} points, + reference points")
+
+
+def _draw_profile(axis: Axes, result: PassHeights, comparisons: Sequence[ReferenceComparison]) -> None:
+    points, array = result.found.points, result.array
+    sight = array.axes[0] * np.array([1.0, 1.0, 0.0])
+    sight /= np.linalg.norm(sight)
+    away = (points.positions - array.centre) @ sight
+    axis.errorbar(away, points.height, 2 * points.total_sigma, fmt=".", ms=3, lw=0.6)
+    for one in comparisons:
+        axis.plot((one.reference.position - array.centre) @ sight, one.reference.position[2], "k+", ms=9)
+    axis.set(xlabel="ground range (m)", ylabel="height (m), 2 sigma")
+
+
+def _draw_response(axis: Axes, result: PassHeights) -> None:
+    ambiguity = result.ambiguity
+    axis.plot(ambiguity.offsets, ambiguity.response, lw=1.0)
+    axis.set(
+        xlabel="error of height (m)",
+        ylabel="fraction of power",
+        ylim=(0, 1),
+        title=f"{len(result.array.passes)} passes: greatest sidelobe {ambiguity.sidelobe:.2g}",
+    )

@@ -2,33 +2,29 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from sal_height import messages
 from sal_height.bag.reader import BagReader
 from sal_height.elevation import ESTIMATORS, PROFILES, Validity
 from sal_height.errors import UserError
 from sal_height.geometry import aperture_at, height_of, locate_at_elevation, sphere_coordinates
-from sal_height.graph.reporting import PRESET
+from sal_height.graph.picture import page
 from sal_height.imaging import Slc
 from sal_height.io import writing
 from sal_height.numeric import F64
 from sal_height.pipeline import elevations
 from sal_height.relief import height_field
 from sal_height.runs.chain.recorded_images import recorded_slc
+from sal_height.runs.truth.report import recorded_flight
 from sal_height.sensor import Sensor
-from sal_height.simulation import Scene, flight_of, parse_preset
-
-mpl.use("Agg")
+from sal_height.simulation import Scene
 
 GROUND = ESTIMATORS["canopy_ground"]
 
@@ -108,8 +104,9 @@ def tomogram(bag: Path, folder: Path, looks: tuple[int, int], row: int | None, j
             )
         )
     folder.mkdir(parents=True, exist_ok=True)
+    flight = recorded_flight(BagReader(bag))
     with writing(folder / "tomogram.png"):
-        _draw(cuts, _scene_of(bag), folder / "tomogram.png")
+        _draw(cuts, flight.scene if flight else None, folder / "tomogram.png")
     return sum(int(np.isfinite(cut.ground).sum()) for cut in cuts)
 
 
@@ -123,36 +120,27 @@ def _dwells(bag: Path, jobs: int) -> Iterator[tuple[Slc, Sensor]]:
             yield messages.slc_from_messages(images), sensor
 
 
-def _scene_of(bag: Path) -> Scene | None:
-    """The scene that a simulated flight in the bag saw."""
-    reader = BagReader(bag)
-    if PRESET not in reader.custom_data:
-        return None
-    return flight_of(parse_preset(json.loads(reader.custom_data[PRESET]), f"in bag {bag}"), 0).scene
-
-
 def _draw(cuts: Sequence[TomogramCut], scene: Scene | None, path: Path) -> None:
     """Write a PNG with one panel for each estimator of a profile."""
-    figure = Figure(figsize=(12, 3.4 * len(PROFILES)), layout="constrained")
     shown_db = 25.0  # range of the colours below the greatest value of each cut, dB
-    for axis, title in zip(figure.subplots(len(PROFILES), 1, sharex=True, sharey=True), PROFILES, strict=True):
-        most = max(np.nanmax(cut.profiles[title]) for cut in cuts)
-        for cut in cuts:
-            with np.errstate(divide="ignore"):
-                shade = np.maximum(10 * np.log10(cut.profiles[title] / most), -shown_db)
-            # Each column is drawn at both of its sides, so that it is as wide as its pixel.
-            sides = np.ravel(cut.along[:, None] + cut.width * np.array([-0.5, 0.5]))
-            heights, shade = np.repeat(cut.heights, 2, axis=0), np.repeat(shade, 2, axis=0)
-            across = np.broadcast_to(sides[:, None], heights.shape)
-            shown = axis.pcolormesh(across, heights, shade, vmin=-shown_db, vmax=0, cmap="magma", shading="gouraud")
-            axis.errorbar(cut.along, cut.ground, 2 * cut.sigma, fmt=".", color="cyan", ms=5, lw=1.5)
-        if scene:
-            _draw_truth(axis, cuts, scene)
-        axis.set(title=title, ylabel="height (m)")
-        figure.colorbar(shown, ax=axis, label="dB below the greatest")
-    axis.set_xlabel("distance along the flight (m)")
-    figure.suptitle("Reflectivity over height. Cyan: estimated ground, 2 sigma. White: true ground and canopy top.")
-    figure.savefig(path, dpi=110)
+    with page(path, 2.1 * len(PROFILES)) as figure:
+        for axis, title in zip(figure.subplots(len(PROFILES), 1, sharex=True, sharey=True), PROFILES, strict=True):
+            most = max(np.nanmax(cut.profiles[title]) for cut in cuts)
+            for cut in cuts:
+                with np.errstate(divide="ignore"):
+                    shade = np.maximum(10 * np.log10(cut.profiles[title] / most), -shown_db)
+                # Each column is drawn at both of its sides, so that it is as wide as its pixel.
+                sides = np.ravel(cut.along[:, None] + cut.width * np.array([-0.5, 0.5]))
+                heights, shade = np.repeat(cut.heights, 2, axis=0), np.repeat(shade, 2, axis=0)
+                across = np.broadcast_to(sides[:, None], heights.shape)
+                shown = axis.pcolormesh(across, heights, shade, vmin=-shown_db, vmax=0, cmap="magma", shading="gouraud")
+                axis.errorbar(cut.along, cut.ground, 2 * cut.sigma, fmt=".", color="cyan", ms=3, lw=1.0)
+            if scene:
+                _draw_truth(axis, cuts, scene)
+            axis.set(title=title, ylabel="height (m)")
+            figure.colorbar(shown, ax=axis, label="dB below the greatest")
+        axis.set_xlabel("distance along the flight (m)")
+        figure.suptitle("Reflectivity over height. Cyan: estimated ground, 2 sigma. White: true ground and canopy top.")
 
 
 def _draw_truth(axis: Axes, cuts: Sequence[TomogramCut], scene: Scene) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 from sal_height.bag.compare import CHANGED, TopicComparison, compare_bags
 from sal_height.bag.described import FRAMES, IMAGES
 from sal_height.bag.namespace import NamespacedReader, open_bag
-from sal_height.bag.played import LOCKSTEP
+from sal_height.bag.played import LOCKSTEP, PACED
 from sal_height.bag.reader import BagReader
 from sal_height.bag.tolerance import ROUNDING, Tolerances
 from sal_height.bag.topics import FRAME_TYPE, HEIGHT_TYPE, IMAGE_TYPE, ODOMETRY_TYPE, SENSOR_TYPE
@@ -24,12 +24,10 @@ from sal_height.graph.reporting import PARAMETERS, RELIEF_MAP, conclude, merged,
 from sal_height.io import new_folder, or_null, writing
 from sal_height.messages import AIR, AIR_TYPES
 from sal_height.response import measure_brightest
-from sal_height.runs.chain.chain_runs import Scheme
 from sal_height.runs.chain.entry import FROM_HEIGHTS, MAPPER, WHOLE, Part, chain_of
 from sal_height.runs.chain.recorded_images import recorded_slc
 from sal_height.runs.chain.replay_parameters import ReplayPlan, processing_of
 from sal_height.runs.replay.judge import as_json, draw_worst_dwell
-from sal_height.runs.replay.playing import IN_LOCKSTEP, Playing
 from sal_height.runs.truth.report import read_accuracy, recorded_flight
 from sal_height.topics import CALIBRATION, ODOMETRY, SENSOR_INFO
 
@@ -42,6 +40,70 @@ KNOWN: Mapping[str, str] = {
     **{f"/{prefix}/height": HEIGHT_TYPE for prefix in HEIGHTS.values()},
 }
 """Topics that a replay reads from a bag: the names by which nodes know them, and their types."""
+
+_LOG = logging.getLogger(__name__)
+
+HEIGHT_TOPICS = [f"{prefix}/height" for prefix in HEIGHTS.values()]
+
+
+@dataclass(frozen=True)
+class Playing:
+    """Start, rate and repetitions of the playback of a bag.
+
+    Attributes:
+        clock: name of the clock, one of `player.CLOCKS`.
+        rate: seconds of the sensor in a second; None: 1, if the clock has a rate at all.
+        loops: number of times that the bag is played.
+    """
+
+    clock: str = LOCKSTEP
+    rate: float | None = None
+    loops: int = 1
+
+    def __post_init__(self) -> None:
+        """Refuse values that contradict the clock.
+
+        Raises:
+            UserError: a value contradicts the clock.
+        """
+        if self.rate is not None and self.clock != PACED:
+            raise UserError(f"Option --rate has no meaning with --clock {self.clock}; give it with --clock {PACED}.")
+        if self.loops > 1 and self.clock == LOCKSTEP:
+            raise UserError(
+                f"Option --loop has no meaning with --clock {LOCKSTEP}; give it with --clock paced or burst."
+            )
+
+    def check(self, processing: ReplayPlan) -> None:
+        """Refuse to repeat what changed in flight: the nodes would go into the next pass with what the last one left.
+
+        Raises:
+            UserError: something changed after the first dwell that is played.
+        """
+        if self.loops > 1 and (
+            late := [one.dwell.number for one in processing.changes if one.dwell != processing.first]
+        ):
+            raise UserError(
+                f"Option --loop cannot repeat what changed in flight before dwell {late[0]}; set the parameters for "
+                "all dwells by --param, or choose dwells without a change by --dwells."
+            )
+
+    @property
+    def is_paced(self) -> bool:
+        """True if the player publishes the time of the sensor."""
+        return self.clock == PACED
+
+    @property
+    def for_player(self) -> dict[str, Any]:
+        """Parameters of the player."""
+        rate = {} if self.rate is None else {"rate": float(self.rate)}
+        return {"clock": self.clock, "loops": self.loops, **rate}
+
+    def report(self) -> dict[str, Any]:
+        """Entries of the report on the playback."""
+        return {"clock": self.clock, "rate": (self.rate or 1.0) if self.is_paced else None, "loops": self.loops}
+
+
+IN_LOCKSTEP = Playing()
 
 
 @dataclass(frozen=True)
@@ -56,17 +118,8 @@ class Remapping:
     of_bag: Mapping[str, str] = field(default_factory=dict)
     of_nodes: Mapping[str, str] = field(default_factory=dict)
 
-    @property
-    def in_new_bag(self) -> dict[str, str]:
-        """The names by which nodes know the topics of the bag that is made, by those that they have there."""
-        return {f"/{new}": f"/{old}" for old, new in self.of_nodes.items()}
-
     def check(self, played: Sequence[str], stages: Sequence[str]) -> None:
         """Refuse names of topics that no node of the run has, or that two topics would have in common.
-
-        Args:
-            played: topics of the player.
-            stages: names of the nodes that process.
 
         Raises:
             UserError: there is such a name.
@@ -168,9 +221,6 @@ def _topics_of(played: Sequence[str], stages: Collection[str]) -> set[str]:
     return {*played, CALIBRATION, *(topic for topic in named if not topic.startswith(("/", "<")))}
 
 
-_LOG = logging.getLogger(__name__)
-
-
 @dataclass(frozen=True)
 class Against:
     """Tolerances and folder of the comparison with the golden heights.
@@ -185,8 +235,6 @@ class Against:
 
 
 RECORDED = Against()
-
-HEIGHT_TOPICS = [f"{prefix}/height" for prefix in HEIGHTS.values()]
 
 
 @dataclass(frozen=True)
@@ -207,11 +255,7 @@ class Replay:
     images: Sequence[Mapping[str, Any]]
 
     def shortfalls(self, changed: bool) -> list[str]:
-        """Warnings on everything that the replay lacks or has differently.
-
-        Args:
-            changed: True if it was made with other parameters than the recording, so that values may differ.
-        """
+        """Warnings on what the replay lacks or, unless parameters of the recording were `changed`, has differently."""
         made = self.images or any(
             account.published_on.get(f"{HEIGHTS[name]}/height")
             for name, account in self.outcome.stages.items()
@@ -304,7 +348,7 @@ def replay(
             announces=playing.clock == LOCKSTEP and part.entry == FRAMES,
             frames=processing.frames,
         )
-        outcome = _perform(plan, execution, reader, processing, jobs)
+        outcome = _perform(plan, execution, processing, jobs)
         conclude(outcome, values, report)
         compared = {}
         all_made = not estimators and part.entry != FROM_HEIGHTS
@@ -312,7 +356,7 @@ def replay(
         judged = [f"/{p}/height" for p in prefixes if p != HEIGHTS[TRACKER] or processing.begins_with_bag]
         judged = [topic for topic in judged if topic in golden.topics]
         if judged and not outcome.interrupted:
-            new = NamespacedReader(made, "", remapping.in_new_bag)
+            new = NamespacedReader(made, "", {f"/{name}": f"/{topic}" for topic, name in remapping.of_nodes.items()})
             first_pass = processing.is_of_first_pass if playing.loops > 1 else None
             compared = compare_bags(golden, new, against.tolerances, judged, processing.plays, first_pass)
             draw_worst_dwell(golden, new, compared, folder)
@@ -325,9 +369,7 @@ def replay(
     return Replay(outcome, compared, accuracy, images)
 
 
-def _perform(
-    plan: Plan, execution: Execution, reader: NamespacedReader, processing: ReplayPlan, jobs: int | None
-) -> Outcome:
+def _perform(plan: Plan, execution: Execution, processing: ReplayPlan, jobs: int | None) -> Outcome:
     """Process the dwells by nodes, or without them.
 
     Raises:
@@ -339,21 +381,7 @@ def _perform(
         return perform(plan, execution)
     from sal_height.runs.replay.by_calls import perform_by_calls  # noqa: PLC0415 (not needed by nodes)
 
-    scheme = Scheme(
-        reader.path,
-        reader.namespace,
-        (),
-        tuple(plan.stages),
-        plan.parameters,
-        tuple(plan.changes),
-        plan.frames,
-        plan.mountings,
-        tuple(processing.warnings),
-        tuple(topic for topic in plan.played if topic != SENSOR_INFO),
-        processing.dwells,
-        reader.renamed,
-    )
-    return perform_by_calls(plan, scheme, execution, jobs)
+    return perform_by_calls(plan, processing, execution, jobs)
 
 
 def jobs_without_ros(asked: int | None) -> int | None:

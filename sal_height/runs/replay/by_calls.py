@@ -7,7 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from sal_height.bag import qos
@@ -24,7 +24,8 @@ from sal_height.messages.accounts import loss_to_message
 from sal_height.messages.codec import SHIPPED
 from sal_height.messages.kinds import kind_of, kind_of_topic
 from sal_height.nodes.accounts.account import Account
-from sal_height.runs.chain.chain_runs import BagRun, Scheme
+from sal_height.runs.chain.chain_runs import BagRun
+from sal_height.runs.chain.replay_parameters import ReplayPlan
 from sal_height.runs.chain.worker import count_messages
 from sal_height.topics import CALIBRATION, LOSSES, ODOMETRY, SENSOR_INFO
 
@@ -33,14 +34,8 @@ _LOG = logging.getLogger(__name__)
 LOSS_TYPE = "sal_height_msgs/msg/DwellLoss"
 
 
-def perform_by_calls(plan: Plan, scheme: Scheme, execution: Execution, jobs: int) -> Outcome:
+def perform_by_calls(plan: Plan, processing: ReplayPlan, execution: Execution, jobs: int) -> Outcome:
     """Process the dwells of a bag by calls, and write inputs and products to a new one.
-
-    Args:
-        plan: plan of the same replay through nodes.
-        scheme: scheme of the bag.
-        execution: topics to record in addition.
-        jobs: dwells that are processed side by side.
 
     Raises:
         UserError: a parameter is not allowed, or no stage makes a topic that is to be recorded.
@@ -51,7 +46,9 @@ def perform_by_calls(plan: Plan, scheme: Scheme, execution: Execution, jobs: int
     interrupted = False
     began = time.monotonic()
     with ExitStack() as stack:
-        run = BagRun(scheme, plan.stages, jobs=jobs, wanted=wanted)
+        scheme = replace(processing, values=plan.parameters)
+        topics = [topic for topic in plan.played if topic != SENSOR_INFO]
+        run = BagRun(scheme, plan.stages, topics=topics, jobs=jobs, wanted=wanted)
         interruption = stack.enter_context(Interruption())
         recording = _Recording(run, plan, wanted)
         stack.callback(recording.bag.close)

@@ -1,4 +1,4 @@
-"""Judge a bag by a golden one: equal, within the tolerance, or changed, with a picture of the worst dwell."""
+"""Judge a bag by a golden one: equal, within the tolerance, or changed; a picture of the worst dwell, and latencies."""
 
 from __future__ import annotations
 
@@ -7,18 +7,19 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from sal_height.bag.compare import CHANGED, EQUAL, WITHIN, TopicComparison
 from sal_height.bag.reader import BagReader
 from sal_height.bag.tolerance import Tolerances
 from sal_height.errors import UserError
 from sal_height.io import writing
 from sal_height.nodes.accounts.account import DIAGNOSTICS, Account
+from sal_height.numeric import F64
 
 PICTURE = "comparison.png"
 
-DIAGNOSTICS_RECORDED = f"/{DIAGNOSTICS.removeprefix('/')}"
-
-PASSING = frozenset({DIAGNOSTICS_RECORDED, "/parameter_events", "/progress", "/rosout"})
+PASSING = frozenset({DIAGNOSTICS, "/parameter_events", "/progress", "/rosout"})
 """Topics that say how a run went, which is another time never the same."""
 
 
@@ -49,7 +50,9 @@ def as_json(
     Raises:
         UserError: a bag cannot be read.
     """
-    latencies = _latencies(golden), _latencies(made)
+    latencies = [
+        {node: float(rows[1, -1]) for node, rows in published_latencies(one).items()} for one in (golden, made)
+    ]
     return {
         "verdict": verdict_of(compared),
         "golden": golden.path.name,
@@ -75,12 +78,21 @@ def topics_to_compare(golden: BagReader, made: BagReader, named: Collection[str]
     return wanted or [topic for topic in known if topic not in PASSING]
 
 
-def _latencies(bag: BagReader) -> dict[str, float]:
-    """Median latency of each node, ms, as it published it last in a bag."""
-    found = {}
-    for recorded in bag.messages([DIAGNOSTICS_RECORDED]) if DIAGNOSTICS_RECORDED in bag.topics else ():
+def published_latencies(bag: BagReader) -> dict[str, F64]:
+    """Latencies that the nodes published in a bag, by node.
+
+    Returns:
+        Time since the first diagnostics (s), median and 95th percentile (ms) of the node's last thousand dwells, shape
+        (3, times); nodes that published none are left out.
+    """
+    published: dict[str, list[tuple[float, float, float]]] = {}
+    begin_ns = None
+    for recorded in bag.messages([DIAGNOSTICS]) if DIAGNOSTICS in bag.topics else ():
+        begin_ns = recorded.log_time_ns if begin_ns is None else begin_ns
         for status in bag.decode(recorded.type_name, recorded.cdr).status:
-            latency = Account.of_status(status).latency_p50_ms
-            if not math.isnan(latency):
-                found[status.name] = latency
-    return found
+            account = Account.of_status(status)
+            latencies = account.latency_p50_ms, account.latency_p95_ms
+            if all(map(math.isfinite, latencies)):
+                time_s = (recorded.log_time_ns - begin_ns) * 1e-9
+                published.setdefault(status.name, []).append((time_s, *latencies))
+    return {node: np.array(rows).T for node, rows in published.items()}

@@ -15,9 +15,13 @@ from sal_height.response import CutResponse, ImpulseResponse, chip_around, measu
 from sal_height.response.image import AXES, Image, image_name
 from sal_height.runs.responses.images import images_of
 from sal_height.runs.responses.pictures import DrawnTarget, draw_responses
+from sal_height.tables import aligned, number_text
 
 MOST_DRAWN = 8
 """Greatest number of targets in the picture: the first ones. More would make it unreadable."""
+
+CUT = ("width_px", "width_m", "pslr_db", "islr_db")
+"""Entries of a report on a cut through a response."""
 
 
 def irf(
@@ -71,13 +75,16 @@ def irf(
 
 def response_table(entries: list[dict[str, Any]]) -> str:
     """Format the entries of irf.json as a table; a dash stands for a quantity that the image does not show."""
-    cut = f"{'px':>9}{'m':>9}{'PSLR dB':>9}{'ISLR dB':>9}"
-    lines = [f"{'':18}{'range':>9}{'':27}{'azimuth':>9}", f"{'row':>9}{'col':>9}{cut}{cut}{'peak dB':>9}{'entropy':>9}"]
+    heading = ["image", "row", "col"]
+    for axis in AXES:
+        heading += [f"{axis} px", "m", "PSLR dB", "ISLR dB"]
+    rows = [[*heading, "peak dB", "entropy"]]
     for entry in entries:
-        cuts = [entry[axis][key] for axis in AXES for key in ("width_px", "width_m", "pslr_db", "islr_db")]
+        cuts = [entry[axis][key] for axis in AXES for key in CUT]
         numbers = [entry["row"], entry["col"], *cuts, entry["peak_over_median_db"], entry["entropy"]]
-        shown = "".join(f"{'-' if number is None else format(number, '.3f'):>9}" for number in numbers)
-        lines.append(f"{shown}  {image_name(entry['image'], entry['topic'], entry['dwell'], entry['channel'])}")
+        name = image_name(entry["image"], entry["topic"], entry["dwell"], entry["channel"])
+        rows.append([name, *(number_text(number, ".3f") for number in numbers)])
+    lines = [aligned(rows)]
     coarse = sum(any((entry[axis]["width_px"] or 1) < 1 for axis in AXES) for entry in entries)
     if coarse:
         lines.append(
@@ -89,13 +96,11 @@ def response_table(entries: list[dict[str, Any]]) -> str:
 
 def window_table() -> str:
     """Format a table of what each window costs and gains, measured on an ideal point response."""
-    heading = f"{'window':12}{'PSLR dB':>9}{'ISLR dB':>9}{'width bins':>12}{'broadening':>12}{'noise gain':>12}"
-    lines = [
-        f"{name:12}{w.response.pslr_db:9.2f}{w.response.islr_db:9.2f}{w.response.width:12.4f}{w.broadening:12.4f}"
-        f"{w.noise_gain:12.4f}"
-        for name, w in measure_windows().items()
-    ]
-    return "\n".join([heading, *lines])
+    rows = [["window", "PSLR dB", "ISLR dB", "width bins", "broadening", "noise gain"]]
+    for name, one in measure_windows().items():
+        levels = [f"{one.response.pslr_db:.2f}", f"{one.response.islr_db:.2f}"]
+        rows.append([name, *levels, *(f"{cost:.4f}" for cost in (one.response.width, one.broadening, one.noise_gain))])
+    return aligned(rows)
 
 
 def _entry(image: Image, response: ImpulseResponse) -> dict[str, Any]:
@@ -111,13 +116,14 @@ def _entry(image: Image, response: ImpulseResponse) -> dict[str, Any]:
         "row": response.row,
         "col": response.col,
         "position_m": grid.points(response.row, response.col).tolist() if grid else None,
-        **{axis: _cut_entry(*cuts[axis]) for axis in AXES},
+        **{axis: cut_entry(*cuts[axis]) for axis in AXES},
         "peak_over_median_db": or_null(response.peak_over_median_db),
         "entropy": response.entropy,
     }
 
 
-def _cut_entry(cut: CutResponse, spacing: float) -> dict[str, float | None]:
+def cut_entry(cut: CutResponse, spacing: float) -> dict[str, float | None]:
+    """Entries of a report on a cut, by CUT, of an image with this pixel spacing (m)."""
     return {
         "width_px": or_null(cut.width),
         "width_m": or_null(cut.width * spacing),

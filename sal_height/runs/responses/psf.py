@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,9 @@ from sal_height.response import (
 )
 from sal_height.response.image import AXES, Image
 from sal_height.runs.responses.images import images_of
-from sal_height.runs.responses.psf_picture import draw_psf
+from sal_height.runs.responses.irf import CUT, cut_entry
+from sal_height.runs.responses.pictures import draw_psf
+from sal_height.tables import aligned, number_text
 
 Entry = dict[str, Any]
 
@@ -148,7 +151,10 @@ def _spacing(group: list[Image]) -> tuple[float, float]:
 def _entry(number: int | None, group: list[Image], report: PsfReport, *, noise_known: bool) -> Entry:
     """The entry of psf.json."""
     spacing = _spacing(group)
+    why = "Widths in metres need the pixel spacing, which an array file does not contain; measure a bag."
+    no_metres = {} if np.isfinite(spacing).all() else {"metres": why}
     spread, transfer = report.spread, report.transfer
+    verdicts = Counter(str(one) for survey in report.surveys for one in survey.verdicts.elements())
     measured = (spread.range, spread.azimuth) if spread else ()
     figures = {axis: _axis_entry(one, metres) for axis, one, metres in zip(AXES, measured, spacing, strict=False)}
     return {
@@ -159,27 +165,18 @@ def _entry(number: int | None, group: list[Image], report: PsfReport, *, noise_k
         "range": figures.get("range"),
         "azimuth": figures.get("azimuth"),
         "targets": _target_entries(group, report),
-        "verdicts": _verdicts(report),
-        "disagreement": {
-            "range": or_null(transfer.range.disagreement),
-            "azimuth": or_null(transfer.azimuth.disagreement),
-        }
-        if transfer
-        else None,
+        "verdicts": verdicts,
+        "disagreement": {axis: or_null(getattr(transfer, axis).disagreement) for axis in AXES} if transfer else None,
         "speckle": _speckle_entry(report, None if noise_known else NOISE_UNKNOWN),
         "pointing": _pointing_entries(report.pointing),
         "superposition": _linearity_entry(report),
-        "undetermined": {**report.undetermined, **_missing_figures(figures, report), **_missing_metres(spacing)},
+        "undetermined": {**report.undetermined, **_missing_figures(figures, report), **no_metres},
     }
 
 
 def _axis_entry(one: AxisSpread, spacing: float) -> Entry:
-    cut = one.cut
     return {
-        "width_px": or_null(cut.width),
-        "width_m": or_null(cut.width * spacing),
-        "pslr_db": or_null(cut.pslr_db),
-        "islr_db": or_null(cut.islr_db),
+        **cut_entry(one.cut, spacing),
         "anomalous_sidelobes": [
             {
                 "position_px": sidelobe.position,
@@ -202,14 +199,6 @@ def _target_entries(group: list[Image], report: PsfReport) -> list[Entry]:
             over = 10 * float(np.log10(target.over_clutter))
             entries.append({"image": index, "row": row, "col": col, "position_m": place, "over_clutter_db": over})
     return entries
-
-
-def _verdicts(report: PsfReport) -> dict[str, int]:
-    counts: dict[str, int] = {}
-    for survey in report.surveys:
-        for verdict, count in survey.verdicts.items():
-            counts[str(verdict)] = counts.get(str(verdict), 0) + count
-    return counts
 
 
 def _speckle_entry(report: PsfReport, remark: str | None) -> Entry | None:
@@ -267,12 +256,6 @@ def _missing_figures(figures: dict[str, Entry], report: PsfReport) -> dict[str, 
     return reasons
 
 
-def _missing_metres(spacing: tuple[float, float]) -> dict[str, str]:
-    if np.isfinite(spacing).all():
-        return {}
-    return {"metres": "Widths in metres need the pixel spacing, which an array file does not contain; measure a bag."}
-
-
 def _arrays(report: PsfReport) -> dict[str, npt.NDArray[Any]]:
     """The arrays of psf.npz: those that could be estimated."""
     rows, cols = report.chip
@@ -309,14 +292,12 @@ def _lines(entry: Entry) -> list[str]:
     channel = "" if entry["channel"] is None else f", channel {entry['channel']}"
     lines = [f"{first}{channel}{f', {count} images' if count > 1 else ''}"]
     if entry["range"]:
-        lines.append(f"{'':10}{'px':>9}{'m':>9}{'PSLR dB':>9}{'ISLR dB':>9}")
-    for axis in AXES if entry["range"] else ():
-        numbers = [entry[axis][key] for key in ("width_px", "width_m", "pslr_db", "islr_db")]
-        lines.append(f"{axis:10}" + "".join(f"{_shown(number):>9}" for number in numbers))
+        rows = [[axis, *(number_text(entry[axis][key], ".3f") for key in CUT)] for axis in AXES]
+        lines.append(aligned([["", "px", "m", "PSLR dB", "ISLR dB"], *rows]))
     for axis in AXES if entry["range"] else ():
         lines += [
-            f"anomalous sidelobe in {axis} at {one['position_px']:+.1f} px, {_shown(one['position_m'])} m: "
-            f"{one['level_db']:.1f} dB, {_shown(one['significance'], '.1f')} standard errors"
+            f"anomalous sidelobe in {axis} at {one['position_px']:+.1f} px, {number_text(one['position_m'], '.3f')} m: "
+            f"{one['level_db']:.1f} dB, {number_text(one['significance'], '.1f')} standard errors"
             for one in entry[axis]["anomalous_sidelobes"]
         ]
     counted = ", ".join(f"{number} {verdict}" for verdict, number in entry["verdicts"].items())
@@ -346,7 +327,3 @@ def _speckle_lines(entry: Entry) -> list[str]:
         )
         lines += [one["remark"]] if one["remark"] else []
     return lines
-
-
-def _shown(number: float | None, form: str = ".3f") -> str:
-    return "-" if number is None else format(number, form)

@@ -46,7 +46,6 @@ class PublishedErrors:
         own: height minus that of the true surface it should be, m: the strongest chooses the nearest, the others the
             nearest of the rest; NaN where nothing is left.
         ghost: True where neither the pixel nor a neighbour has a lit surface.
-        true_order: number in TRUE_ORDERS of the pixel's contents; -1: a pixel without scatterers next to one with some.
     """
 
     place: F64
@@ -55,7 +54,6 @@ class PublishedErrors:
     nearest: F64
     own: F64
     ghost: Bool
-    true_order: I64
 
     @property
     def own_beyond_5_sigma(self) -> float:
@@ -133,7 +131,6 @@ def compare(field: HeightField, truth: LitSurfaces, beamwidth: float) -> Surface
                 nearest=nearest[there],
                 own=_nearest(free, surface.height)[1][there],
                 ghost=shadow[there],
-                true_order=order[there],
             )
         )
         free = _without_nearest(free, surface.height)
@@ -156,9 +153,7 @@ def true_order(truth: LitSurfaces, beamwidth: float) -> I64:
     """Number in TRUE_ORDERS of the contents of each pixel, -1 for one without scatterers that is not in shadow."""
     one, three = TRUE_ORDERS.index("one"), TRUE_ORDERS.index("three or more")
     several = np.minimum(truth.count - 1 + one, three)
-    # Standard deviation of the elevations of a single surface from which on it is an extended one, beamwidths.
-    extended = 0.1
-    wide = (truth.count == 1) & (truth.spread[0] >= extended * beamwidth)
+    wide = (truth.count == 1) & (truth.spread[0] >= 0.1 * beamwidth)  # an extended surface
     return np.select(
         [truth.shadow, wide, truth.count > 0], [TRUE_ORDERS.index("shadow"), TRUE_ORDERS.index("extended"), several], -1
     ).astype(np.int64)

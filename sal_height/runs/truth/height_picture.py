@@ -17,13 +17,14 @@ from matplotlib.image import AxesImage
 from matplotlib.patches import Patch
 from scipy.spatial import cKDTree
 
-from sal_height.budget.budget_picture import draw_powers
+from sal_height import messages
 from sal_height.engine.tracker import PREFIX
 from sal_height.graph.picture import (
     ERRORS,
     FAULT,
     HEIGHTS,
     LEAST_POINTS,
+    POWERS,
     SIGMAS,
     colour_bar,
     log_norm,
@@ -36,12 +37,10 @@ from sal_height.numeric import F64, half_width
 from sal_height.runs.truth.comparison import FOUND_ORDERS, TRUE_ORDERS
 from sal_height.runs.truth.surface_report import CELL_PIXELS, Judged
 from sal_height.simulation import Preset
+from sal_height.tables import number_text
 
 SHADOW, NO_ANSWER = "0.35", "0.8"
 """Greys of cells without a height: where only noise was found, and where the signal gave no height."""
-
-COLUMNS = 4
-"""Height, surfaces in a pixel, error and sigma."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,9 +78,7 @@ def ground_picture(judgement: Judged) -> GroundPicture:
     first = ground_inside.min(axis=0)
     shape = np.ptp(ground_inside, axis=0) + 1
     middle = (ground_inside[:, ::-1] + 0.5) * ground.size
-    # Distance from a cell's middle within which the nearest surface is drawn in it, pixels on level ground.
-    reach_pixels = 1.25
-    reach = reach_pixels / CELL_PIXELS * ground.size
+    reach = 1.25 / CELL_PIXELS * ground.size  # 1.25 pixels on level ground, m
     distance, nearest = cKDTree(errors.place[:, :2]).query(middle, distance_upper_bound=reach)
     found = np.isfinite(distance)
     chosen = np.where(found, nearest, 0)
@@ -110,12 +107,6 @@ def draw_heights(judgements: Mapping[str, Judged], images: Sequence[HeightImage]
 
     All heights have one colour scale, all errors another, centred on zero, and all sigmas a third. Tracked heights
     look like those that they are tracked from: only their errors and sigmas are shown, in the first row.
-
-    Args:
-        judgements: comparisons of each estimator with the truth, by prefix of its topics.
-        images: images of the estimator whose CNR is shown.
-        preset: preset that was flown.
-        path: path of the picture.
     """
     pictures = {name: ground_picture(one) for name, one in judgements.items()}
     own = [name for name in pictures if name != PREFIX]
@@ -123,18 +114,21 @@ def draw_heights(judgements: Mapping[str, Judged], images: Sequence[HeightImage]
     first = next(iter(pictures.values()))
     tall = float(np.clip(1.45 * np.ptp(first.extent[2:]) / np.ptp(first.extent[:2]), 1.1, 2.2)) + 0.3
     with page(path, 1.25 + tall * (1 + len(own))) as figure:
-        axes = figure.subplots(1 + len(own), COLUMNS, squeeze=False)
+        axes = figure.subplots(1 + len(own), 4, squeeze=False)  # height, surfaces in a pixel, error and sigma
         terrain = _draw_truth(axes[0, 0], first, scales)
-        powers = _draw_powers(axes[0, 1], images, scales.factor)
+        powers = draw_powers(axes[0, 1], images, scales.factor)
         for row, name in enumerate(own, start=1):
             _draw_found(axes[row, 0], name, pictures[name], judgements[name], scales)
             _draw_confusion(axes[row, 1], judgements[name].comparison.confusion, row == len(own))
         for axis, name in zip(axes[:, 2:], [PREFIX, *own], strict=True):
             if name in pictures:
                 _draw_error(axis[0], name, pictures[name], judgements[name], scales)
-                _draw_sigma(axis[1], name, pictures[name], scales)
+                _show(axis[1], pictures[name], pictures[name].sigma, scales.sigma, SIGMAS, scales.factor)
+                axis[1].set_title(f"sigma, {name}")
             else:
-                _say_none(axis)
+                for panel in axis:
+                    panel.set_axis_off()
+                axis[0].text(0.5, 0.5, "no tracked heights", ha="center", va="center", transform=axis[0].transAxes)
         _name_axes(axes, scales.unit)
         edges = scales.factor * np.array([one.extent for one in pictures.values()])
         for axis in axes[:, [0, 2, 3]].flat:
@@ -194,35 +188,59 @@ def _draw_truth(axis: Axes, picture: GroundPicture, scales: _Scales) -> mpl.cm.S
     return mpl.cm.ScalarMappable(scales.height, HEIGHTS)
 
 
-def _draw_powers(axis: Axes, images: Sequence[HeightImage], factor: float) -> tuple[AxesImage, F64]:
-    drawn = draw_powers(axis, images, factor)
-    axis.set_title("CNR of all surfaces of a pixel\nby range, from near to far")
-    return drawn
+def powers_db(image: HeightImage) -> F64:
+    """Power of all surfaces of each pixel over that of the noise, dB, shape (rows, cols); NaN where it is not known.
+
+    It is the carrier-to-noise ratio of one look that the estimator states for each surface, in a detector that looks
+    straight at it: the image without the beams. Pixels without a height have it, too.
+    """
+    surfaces = messages.field_from_message(image).surfaces
+    # Of a surface beyond the first, where it is there; of the first, whether it has a height or not.
+    linear = [
+        np.where(np.isfinite(one.height) | (number == 0), 10 ** (one.cnr_db / 10), 0.0)
+        for number, one in enumerate(surfaces)
+    ]
+    with np.errstate(divide="ignore"):
+        level = 10 * np.log10(np.sum(linear, axis=0))
+    return np.where(np.isfinite(level), level, np.nan)
+
+
+def draw_powers(axes: Axes, images: Sequence[HeightImage], factor: float) -> tuple[AxesImage, F64]:
+    """Draw the pixels of all dwells side by side; returns the last image, and all values (dB).
+
+    Args:
+        axes: axes to draw on.
+        images: heights of one estimator.
+        factor: units of length in a metre.
+    """
+    levels = [powers_db(image) for image in images]
+    values = np.concatenate([level.ravel() for level in levels])
+    norm = Normalize(*np.nanpercentile(values, (2, 99)))  # of the darkest and the brightest grey
+    grids = [messages.grid_from_message(image.grid) for image in images]
+    for grid, level in zip(grids, levels, strict=True):
+        sides = [float(grid.points(0, col)[0]) * factor for col in (-0.5, grid.cols - 0.5)]
+        depth = grid.rows * grid.row_spacing * factor
+        extent = (sides[0], sides[1], -depth / 2, depth / 2)
+        shown = axes.imshow(level, POWERS, norm, extent=extent, origin="lower", interpolation="nearest", aspect="equal")
+    ends = np.array([grid.points(0, [-0.5, grid.cols - 0.5])[:, 0] for grid in grids]) * factor
+    axes.set(xlim=(ends.min(), ends.max()), ylim=(-depth / 2, depth / 2), facecolor="0.7")
+    axes.set_title("CNR of all surfaces of a pixel\nby range, from near to far")
+    if grids[0].row_direction[1] < 0:  # what is far is in the south, below
+        axes.invert_yaxis()
+    return shown, values
 
 
 def _draw_found(axis: Axes, name: str, picture: GroundPicture, judgement: Judged, scales: _Scales) -> None:
     ground = judgement.ground
     _show(axis, picture, picture.height, scales.height, HEIGHTS, scales.factor)
-    axis.set_title(
-        f"{title_of(name)}\n{_percent(ground.shares['right'])} of lit ground right to {ground.tolerance:.2g} m"
-    )
+    right = number_text(ground.shares["right"], ".1f", 100.0)
+    axis.set_title(f"{title_of(name)}\n{right} % of lit ground right to {ground.tolerance:.2g} m")
 
 
 def _draw_error(axis: Axes, name: str, picture: GroundPicture, judgement: Judged, scales: _Scales) -> None:
     _show(axis, picture, picture.error, scales.error, ERRORS, scales.factor)
     _show(axis, picture, picture.ghost, Normalize(0, 1), ListedColormap([FAULT]), scales.factor)
     axis.set_title(f"error, {name}\ns68 {_s68(judgement.comparison.errors.nearest):.2g} m")
-
-
-def _draw_sigma(axis: Axes, name: str, picture: GroundPicture, scales: _Scales) -> None:
-    _show(axis, picture, picture.sigma, scales.sigma, SIGMAS, scales.factor)
-    axis.set_title(f"sigma, {name}")
-
-
-def _say_none(axes: npt.NDArray[Any]) -> None:
-    for axis in axes:
-        axis.set_axis_off()
-    axes[0].text(0.5, 0.5, "no tracked heights", ha="center", va="center", transform=axes[0].transAxes)
 
 
 def _name_axes(axes: npt.NDArray[Any], unit: str) -> None:
@@ -306,10 +324,6 @@ def percent_text(share: float) -> str:
     if rounded == 0:
         return "<1"
     return ">99" if rounded == 100 and share < 1 else str(rounded)
-
-
-def _percent(share: float | None) -> str:
-    return "-" if share is None else f"{100 * share:.1f} %"
 
 
 def _s68(error: F64) -> float:

@@ -1,4 +1,4 @@
-"""Pictures of a run beside its truth: its point cloud, its ground, and its errors over their standard deviations."""
+"""Pictures of a run and its truth: its point cloud, its ground, and its errors over their standard deviations."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, Normalize
+from matplotlib.colors import BoundaryNorm, ListedColormap, Normalize
 from matplotlib.patches import Patch
 from scipy.spatial import cKDTree
 from scipy.special import ndtr
@@ -30,8 +30,8 @@ from sal_height.graph.picture import (
 from sal_height.numeric import F64, I64, Bool
 from sal_height.relief import GroundEstimate, GroundKind
 from sal_height.runs.truth.comparison import PublishedErrors
-from sal_height.runs.truth.ground_report import TrueGround
 from sal_height.runs.truth.height_picture import height_limits
+from sal_height.runs.truth.report import TrueGround
 from sal_height.runs.truth.surface_report import Judged
 from sal_height.simulation import Preset
 
@@ -39,6 +39,12 @@ AZIMUTH, TILT = np.radians(35.0), np.radians(38.0)
 """Direction from which the cloud is seen: clockwise from the sensor's side, and above the horizon, rad."""
 VIEW_WIDTH = 0.48 * WIDTH
 """Width of each of the two views, inches."""
+
+KIND_COLOURS = ("#1b7837", "#f0a830", "0.25", "0.9")
+"""Colours of the kinds in the order of their values."""
+
+EDGES = np.linspace(-8.0, 8.0, 65)
+"""Edges of the bins, in sigmas; errors beyond them are counted in the outermost bins."""
 
 
 def cloud_of(judgements: Mapping[str, Judged]) -> tuple[str, PublishedErrors]:
@@ -86,10 +92,6 @@ def projected(place: F64, side: float) -> tuple[F64, F64, F64]:
     return right, np.cos(TILT) * height - np.sin(TILT) * towards, -np.cos(TILT) * towards - np.sin(TILT) * height
 
 
-KIND_COLOURS = ("#1b7837", "#f0a830", "0.25", "0.9")
-"""Colours of the kinds in the order of their values."""
-
-
 def draw_ground(estimate: GroundEstimate, truth: TrueGround, path: Path) -> None:
     """Write a PNG of the ground of a simulated flight, north up; grey where there is no lit terrain, or no height."""
     rows, cols = estimate.height.shape
@@ -109,11 +111,11 @@ def draw_ground(estimate: GroundEstimate, truth: TrueGround, path: Path) -> None
         axes = figure.subplots(2, 3)
         axes[0, 0].imshow(shaded(lit, steps, heights), **how)
         axes[0, 1].imshow(shaded(estimate.height, steps, heights), **how)
-        _show(axes[0, 2], error, ERRORS, errors, how)
-        _show(axes[1, 0], estimate.kind.astype(float), *kinds, how)
+        axes[0, 2].imshow(error, ERRORS, errors, **how)
+        axes[1, 0].imshow(estimate.kind.astype(float), *kinds, **how)
         _draw_shares(axes[1, 1], estimate, truth)
         sigmas = log_norm(estimate.sigma)
-        _show(axes[1, 2], estimate.sigma, SIGMAS, sigmas, how)
+        axes[1, 2].imshow(estimate.sigma, SIGMAS, sigmas, **how)
         for axis, title in zip(
             axes.flat,
             ("truth: lit terrain", "estimate", "error where lit", "what heights rest on", "fraction of cells", "sigma"),
@@ -135,10 +137,6 @@ def draw_ground(estimate: GroundEstimate, truth: TrueGround, path: Path) -> None
         figure.legend(handles=patches, loc="outside lower center", ncols=4, frameon=False)
 
 
-def _show(axis: Axes, values: F64, colours: str | Colormap, norm: Normalize, how: dict[str, Any]) -> None:
-    axis.imshow(values, colours, norm, **how)
-
-
 def kind_shares(estimate: GroundEstimate, cells: Bool) -> F64:
     """Fractions of some cells by what their heights rest on, in the order of GroundKind; all 0 without cells."""
     count = np.bincount(estimate.kind[cells], minlength=len(GroundKind))
@@ -156,10 +154,6 @@ def _draw_shares(axis: Axes, estimate: GroundEstimate, truth: TrueGround) -> Non
     counts = [np.count_nonzero(cells) for cells in (truth.lit, truth.shadow)]
     axis.set_yticks((0, 1), [f"lit\n({counts[0]})", f"in shadow\n({counts[1]})"])
     axis.set(xlabel="%", xlim=(0, 100), ylim=(1.6, -0.6), box_aspect=rows / cols)
-
-
-EDGES = np.linspace(-8.0, 8.0, 65)
-"""Edges of the bins, in sigmas; errors beyond them are counted in the outermost bins."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,12 +29,6 @@ MARKERS = ("o", "s", "D")
 def draw_profile(images: Mapping[str, Sequence[HeightImage]], source: str, flight: SimulatedFlight, path: Path) -> bool:
     """Draw the heights of the column that `column_of_greatest_relief` chooses as a PNG.
 
-    Args:
-        images: images of a run, by the prefix of their estimator's topics.
-        source: prefix of the heights that were tracked.
-        flight: flight that was simulated.
-        path: path of the picture.
-
     Returns:
         Whether there were tracked heights to draw.
     """

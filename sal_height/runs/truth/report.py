@@ -1,4 +1,4 @@
-"""Accuracy of a run: errors of every estimator against the true heights, in ground coordinates."""
+"""Accuracy of a run: errors of every estimator against the true heights and ground, in ground coordinates."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from sal_height.io import or_null
 from sal_height.messages import field_from_message
 from sal_height.messages.types import HeightImage
 from sal_height.numeric import F64, Bool, error_statistics, mean_of
-from sal_height.relief import GroundEstimate, height_variance
-from sal_height.runs.truth.ground_report import TrueGround, ground_of, ground_statistics, true_ground
+from sal_height.relief import GroundEstimate, GroundKind, GroundMap, fine_cell_size, ground_spacings, height_variance
 from sal_height.runs.truth.surface_report import (
+    COVERAGE,
     TOLERANCE_BEAMWIDTHS,
     Judged,
     height_beamwidth,
@@ -36,8 +36,16 @@ from sal_height.runs.truth.surface_report import (
     surface_statistics,
 )
 from sal_height.simulation import SimulatedFlight, VisibleSurface, flight_of, parse_preset, truth_image
+from sal_height.simulation.lit_surfaces import ground_cells
 
 _LOG = logging.getLogger(__name__)
+
+BEFORE_BOUND = ("bias_m", "rms_m", "median_m", "s68_m", "sigma_m")
+
+AFTER_BOUND = ("within_1_sigma", "beyond_5_sigma")
+
+MAX_CELLS = 4_000_000
+"""Greatest number of cells of an estimate, as of the parameter of ground_mapper."""
 
 
 @dataclass(frozen=True)
@@ -70,20 +78,19 @@ def recorded_flight(reader: BagReader) -> SimulatedFlight | None:
 
 
 def read_accuracy(bag: Path, flight: SimulatedFlight, stages: Sequence[str]) -> Accuracy:
-    """Compare the heights in a bag with the truth.
-
-    Args:
-        bag: bag of a run or replay of the flight.
-        flight: the flight.
-        stages: names of nodes; only height nodes among them are compared.
-    """
+    """Compare the heights of a flight in a bag with the truth, those of the height nodes among `stages`."""
     wanted = [HEIGHTS[name] for name in stages if name in HEIGHTS]
     images = {prefix: found for prefix, found in read_images(bag).items() if prefix in wanted}
     surfaces = {dwell: flight.surface(dwell) for dwell in {one.dwell for found in images.values() for one in found}}
     heights = {prefix: judged(found, flight, surfaces) for prefix, found in images.items()}
     grounds = {}
     for prefix in images.keys() - {HEIGHTS[TRACKER]}:
-        if estimate := _ground_of(prefix, images[prefix]):
+        try:
+            estimate = ground_of(images[prefix])
+        except Rejected as error:  # heights are so far apart that it has too many cells
+            _LOG.warning("The ground of %s is not reported: %s", prefix, error)
+            continue
+        if estimate:
             grounds[prefix] = estimate, true_ground(estimate, images[prefix], flight, surfaces)
     numbers = {}
     for prefix in wanted:
@@ -99,15 +106,6 @@ def read_accuracy(bag: Path, flight: SimulatedFlight, stages: Sequence[str]) -> 
     return Accuracy(with_heights, grounds, numbers)
 
 
-def _ground_of(prefix: str, images: Sequence[HeightImage]) -> GroundEstimate | None:
-    """Estimate the ground; None, with a warning, where heights are so far apart that it has too many cells."""
-    try:
-        return ground_of(images)
-    except Rejected as error:
-        _LOG.warning("The ground of %s is not reported: %s", prefix, error)
-        return None
-
-
 def read_images(bag: Path) -> dict[str, list[HeightImage]]:
     """The height images in a bag by the prefix of their estimator's topics; estimators without any are left out."""
     reader = BagReader(bag)
@@ -121,14 +119,10 @@ def read_images(bag: Path) -> dict[str, list[HeightImage]]:
 
 @dataclass(frozen=True)
 class Mosaic:
-    """Height images of a run in ground cells, each the mean of its pixels weighted by 1 / sigma^2; NaN where unseen.
+    """Errors of height images in ground cells, each the mean of its pixels weighted by 1 / sigma^2; NaN where unseen.
 
     Attributes:
-        east: centres of the cells, arc distance east of the map origin, m, shape (cols,).
-        north: centres of the cells, arc distance north, m, shape (rows,).
-        height: estimated height, m, shape (rows, cols).
-        error: estimate minus true height of the same pixels with the same weights, m; without pixels that have no
-            scatterer.
+        error: estimated minus true height, m, shape (rows, cols); without pixels that have no scatterer.
         sigma: predicted standard deviation, m, with the mean of those that pose and beams leave, which no average
             reduces; of tracked pixels, whose errors are common, that of one.
         bound: Cramer-Rao bound averaged over speckle for all looks in the cell, m.
@@ -138,9 +132,6 @@ class Mosaic:
         ghosts: valid pixels in which there is no scatterer.
     """
 
-    east: F64
-    north: F64
-    height: F64
     error: F64
     sigma: F64
     bound: F64
@@ -176,13 +167,7 @@ class _Pixels:
 
 
 def mosaic(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Mapping[int, VisibleSurface]) -> Mosaic:
-    """Combine the height images of one estimator into ground cells, and compare them with the true heights.
-
-    Args:
-        images: height images of a simulated flight.
-        flight: the flight.
-        surfaces: visible surfaces of each dwell.
-    """
+    """Combine the height images of one estimator into ground cells, and compare them with the true heights."""
     parts = [_pixels(image, flight, surfaces[image.dwell]) for image in images]
     pixels = _Pixels(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(_Pixels)))
     grid = images[0].grid
@@ -206,9 +191,6 @@ def mosaic(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Map
         information = total(np.where(real, 1 / pixels.bound**2, 0.0)) / count
         own, common = total(weight**2 * (pixels.sigma**2 - pixels.common**2)), total(weight * pixels.common)
         return Mosaic(
-            east=(first_col + np.arange(shape[1])) * step[1],
-            north=(first_row + np.arange(shape[0])) * step[0],
-            height=total(weight * pixels.height) / weights,
             error=error,
             sigma=(total(weight * pixels.sigma) if images[0].estimator == PREFIX else np.sqrt(own + common**2))
             / weights,
@@ -223,10 +205,6 @@ def mosaic(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Map
 def _share(images: Sequence[HeightImage], validity: int) -> float:
     """Fraction of the pixels that have this validity, averaged over the images."""
     return float(np.mean([np.mean(np.asarray(image.validity) == validity) for image in images]))
-
-
-BEFORE_BOUND = ("bias_m", "rms_m", "median_m", "s68_m", "sigma_m")
-AFTER_BOUND = ("within_1_sigma", "beyond_5_sigma")
 
 
 def statistics(result: Mosaic | None) -> dict[str, Any]:
@@ -290,3 +268,79 @@ def _pixels(image: HeightImage, flight: SimulatedFlight, visible: VisibleSurface
         bound[valid],
         truth.single[valid],
     )
+
+
+def ground_of(images: Sequence[HeightImage]) -> GroundEstimate | None:
+    """Estimate the ground from all height images of one estimator at once; None: they have no surface.
+
+    Raises:
+        Rejected: the ground seen has more than MAX_CELLS cells.
+    """
+    fields = [messages.field_from_message(image) for image in images]
+    grid = fields[0].grid
+    ground = GroundMap(fine_cell_size(grid), max(ground_spacings(grid)), MAX_CELLS)
+    for field, image in zip(fields, images, strict=True):
+        ground.enter(field, messages.aperture_from_message(image.aperture))
+    ground.settle()
+    return ground.estimate()
+
+
+@dataclass(frozen=True, eq=False)
+class TrueGround:
+    """The terrain in the cells of an estimate; arrays of its shape (rows, cols).
+
+    Attributes:
+        height: height of the terrain, m; NaN outside the scene and the images.
+        lit: cells that are lit and inside the array in some dwell.
+        shadow: cells that are inside the array in some dwell, and lit in none.
+    """
+
+    height: F64
+    lit: Bool
+    shadow: Bool
+
+
+def true_ground(
+    estimate: GroundEstimate,
+    images: Sequence[HeightImage],
+    flight: SimulatedFlight,
+    surfaces: Mapping[int, VisibleSurface],
+) -> TrueGround:
+    """The terrain of a simulated flight in the cells of an estimate."""
+    height, lit, inside = (np.full(estimate.height.shape, value) for value in (np.nan, False, False))
+    first = np.floor(np.array([estimate.north, estimate.east]) / estimate.cell_size).astype(np.intp)
+    for image in images:
+        grid, aperture = messages.grid_from_message(image.grid), messages.aperture_from_message(image.aperture)
+        beams = image_beams(flight.sensor, messages.recorded_window(image.provenance, "azimuth"))
+        surface, side = surfaces[image.dwell], flight.sensor.look_side
+        cells = ground_cells(flight.scene, surface, aperture, grid, beams, side, estimate.cell_size)
+        place = cells.number - first
+        there = np.all((place >= 0) & (place < np.array(height.shape)), axis=1)
+        at = tuple(place[there].T)
+        height[at] = cells.height[there]
+        lit[at] |= (cells.lit & cells.inside)[there]
+        inside[at] |= cells.inside[there]
+    return TrueGround(height, lit, inside & ~lit)
+
+
+def ground_statistics(estimate: GroundEstimate, truth: TrueGround, tolerance: float) -> dict[str, Any]:
+    """Part `ground` of a report: how much of the lit ground is known, and the errors of measured and other heights.
+
+    `right`: fraction of the lit cells with a height right to `tolerance` (m); `lit` and `shadow`: fractions of cells by
+    what their heights rest on. The error of each published height is that from the terrain in the middle of its cell,
+    next to an edge, too, which sigma has to allow for.
+    """
+    error = estimate.height - truth.height
+    kinds = {kind.name.lower(): estimate.kind == kind for kind in GroundKind}
+    found: dict[str, Any] = {
+        "cell_m": estimate.cell_size,
+        "tolerance_m": tolerance,
+        "right": or_null(mean_of((np.abs(error) < tolerance)[truth.lit])),
+        "lit": {name: or_null(mean_of(cells[truth.lit])) for name, cells in kinds.items()},
+        "shadow": {name: or_null(mean_of(cells[truth.shadow])) for name, cells in kinds.items()},
+    }
+    for name in ("measured", "interpolated"):
+        cells = kinds[name] & np.isfinite(error)
+        errors = error_statistics(error[cells], estimate.sigma[cells])
+        found[name] = {"cells": errors.count, **errors.in_metres(COVERAGE)}
+    return found

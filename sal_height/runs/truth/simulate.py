@@ -86,7 +86,7 @@ def fly(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
     flight.surface(0)  # refuses a flight outside the scene before anything is started
     folder = new_folder(out)
     settings = folder / "preset.yaml"
-    values = merged(processing_of(flight, estimators), parameters)
+    values = merged(parameters_of_flight(flight, estimators), parameters)
     simulator = {"preset": str(settings), "seed": seed, "period_s": 0.0}
     relief = {"file": str(folder / RELIEF_MAP)} if find_spec("rasterio") else {}
     stages = ["sar_compression", *estimators, TRACKER, "relief_mapper"]
@@ -108,13 +108,8 @@ def fly(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
     return Flown(flight, outcome, accuracy, height_sources(stages, values)[TRACKER].removesuffix("/height"))
 
 
-def processing_of(flight: SimulatedFlight, estimators: list[str]) -> dict[str, dict[str, Any]]:
-    """Parameters of the nodes that follow from the size of a preset's images, its looks and its position on the earth.
-
-    Args:
-        flight: flight whose dwells are processed.
-        estimators: the height nodes.
-    """
+def parameters_of_flight(flight: SimulatedFlight, estimators: list[str]) -> dict[str, dict[str, Any]]:
+    """Parameters of the nodes that follow from a preset: size of its images, looks, and position on the earth."""
     preset = flight.preset
     looks = {"range_looks": preset.looks[0], "azimuth_looks": preset.looks[1]}
     own = {

@@ -77,12 +77,7 @@ class GroundCoverage:
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """The height images of one estimator compared with the truth.
-
-    Attributes:
-        comparison: comparison of pixels and published surfaces.
-        ground: coverage of the ground.
-    """
+    """The height images of one estimator against the truth: pixels with published surfaces, and lit ground."""
 
     comparison: SurfaceComparison
     ground: GroundCoverage
@@ -123,15 +118,7 @@ def as_flown(
 def true_surfaces(
     field: HeightField, aperture: ApertureState, beams: Beams, flight: SimulatedFlight, surface: VisibleSurface
 ) -> LitSurfaces:
-    """The lit surfaces of the pixels of a height image.
-
-    Args:
-        field: the heights (`as_flown`).
-        aperture: aperture from which they were seen (`as_flown`).
-        beams: beams as images have them.
-        flight: flight that was simulated.
-        surface: lit surface of the dwell.
-    """
+    """The lit surfaces of the pixels of a height image."""
     sensor = flight.sensor
     connected = max(CONNECTED, 1.5 * flight.scene.layer_spacing / height_beamwidth(flight))
     cell = sensor.range_resolution, azimuth_resolution(sensor, aperture, flight.preset.flight.slant_range_m)
@@ -139,13 +126,7 @@ def true_surfaces(
 
 
 def judged(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Mapping[int, VisibleSurface]) -> Judged:
-    """Compare all height images of one estimator with what their dwells saw.
-
-    Args:
-        images: images of a simulated flight.
-        flight: the flight.
-        surfaces: lit surfaces of each dwell.
-    """
+    """Compare all height images of one estimator with what their dwells saw."""
     sensor, track = flight.sensor, flight.preset.flight
     across = height_beamwidth(flight)
     spacing = images[0].grid

@@ -25,8 +25,7 @@ from sal_height.bag.reader import BagReader
 from sal_height.commands import main
 from sal_height.errors import UserError
 from sal_height.runs.campaign import batch
-from sal_height.runs.campaign.batch import CAMPAIGN, PICTURE, SUMMARY, Campaign, Workers, run_campaign
-from sal_height.runs.campaign.campaign import DONE
+from sal_height.runs.campaign.batch import CAMPAIGN, DONE, PICTURE, SUMMARY, Campaign, Workers, run_campaign
 
 HEIGHTS = ["/ml/height", "/monopulse/height", "/tracked/height"]
 DEADLINE_S = 600.0

@@ -19,8 +19,7 @@ from sal_height.errors import UserError
 from sal_height.graph.catalogue import HEIGHTS
 from sal_height.runs.chain.entry import Part
 from sal_height.runs.live.sensor_bag import record_sensor
-from sal_height.runs.products.calibrate import CALIBRATION, calibrate
-from sal_height.runs.products.pictures import beam_width
+from sal_height.runs.products.calibrate import CALIBRATION, beam_width, calibrate
 from sal_height.runs.truth.report import read_accuracy
 from sal_height.runs.truth.simulate import fly
 from sal_height.simulation.flight import flight_of

@@ -17,7 +17,7 @@ from sal_height.errors import UserError
 from sal_height.messages import deserialize, serialize
 from sal_height.messages.types import Odometry
 from sal_height.runs.live.sensor_bag import record_sensor
-from sal_height.runs.products.movers import find_in_bag
+from sal_height.runs.products.movers import find_in_bag, movers_table
 from sal_height.runs.truth.simulate import fly
 from sal_height.simulation.preset import TargetSettings, load_preset
 
@@ -44,23 +44,23 @@ def recorded(folder: Path, preset: str, **changes: object) -> Path:
 def test_a_mover_is_in_the_report(tmp_path: Path) -> None:
     target = TargetSettings(0.4, 1.0, 1.0, 30.0, radial_velocity_mps=0.005)
     bag = recorded(tmp_path / "bag", "sal_stripmap", targets=(target,))
-    found = find_in_bag(bag, tmp_path / "out", wanted={"false_alarm_rate": 1e-3})
+    found, _ = find_in_bag(bag, tmp_path / "out", wanted={"false_alarm_rate": 1e-3})
     report = json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8"))
     (one,) = report["movers"]
     assert one["east_m"] == pytest.approx(0.4, abs=0.03)
     assert one["north_m"] == pytest.approx(1.0, abs=0.03)
     assert one["height_m"] == pytest.approx(1.0, abs=0.03)
     assert one["radial_velocity_mps"] == pytest.approx(0.005, abs=4 * one["radial_velocity_sigma_mps"])
-    assert report["images"] == found.images == 8
+    assert report["images"] == found["images"] == 8
     assert report["expected_false_alarms_at_most"] == pytest.approx(1e-3 * report["candidates"])
-    assert f"{1e3 * one['radial_velocity_mps']:.2f}" in found.table()
+    assert f"{1e3 * one['radial_velocity_mps']:.2f}" in movers_table(found)
 
 
 def test_a_mover_over_spotlight_dwells_is_in_the_report(tmp_path: Path) -> None:
     """The images have a column for each Doppler frequency, though the flight's have 12."""
     target = TargetSettings(0.1, 0.5, 0.8, 30.0, radial_velocity_mps=8.003)
     bag = recorded(tmp_path / "bag", "small", targets=(target,), dwells=5)
-    found = find_in_bag(bag, tmp_path / "out")
+    found, _ = find_in_bag(bag, tmp_path / "out")
     report = json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8"))
     (one,) = report["movers"]
     assert one["dwell"] == 2
@@ -68,16 +68,17 @@ def test_a_mover_over_spotlight_dwells_is_in_the_report(tmp_path: Path) -> None:
     assert one["height_m"] == pytest.approx(0.8, abs=0.03)
     assert one["walk_velocity_mps"] == pytest.approx(8.003, abs=4 * one["walk_velocity_sigma_mps"])
     assert one["found_by_walk"]
-    assert report["images"] == found.images == 5
+    assert report["images"] == found["images"] == 5
 
 
 def test_a_bag_whose_dwells_tell_no_movers_is_refused_and_of_what_is_dim_a_sentence_tells(tmp_path: Path) -> None:
     bag = recorded(tmp_path / "bag", "small", dwells=1)
     with pytest.raises(UserError, match="overlaps with none"):
         find_in_bag(bag, tmp_path / "out")
-    told = find_in_bag(recorded(tmp_path / "two", "small", dwells=2), tmp_path / "dim", wanted={"prominence_db": 60.0})
-    assert told.candidates == 0
-    assert_one_sentence(told.warnings[-1], "60 dB", "prominence_db")
+    dim = recorded(tmp_path / "two", "small", dwells=2)
+    told, warnings = find_in_bag(dim, tmp_path / "dim", wanted={"prominence_db": 60.0})
+    assert told["candidates"] == 0
+    assert_one_sentence(warnings[-1], "60 dB", "prominence_db")
     with pytest.raises(UserError, match=r"12 columns; .* 48 columns"):
         find_in_bag(bag, tmp_path / "narrow", given={"sar_compression": {"cols": 12}})
 
@@ -85,16 +86,16 @@ def test_a_bag_whose_dwells_tell_no_movers_is_refused_and_of_what_is_dim_a_sente
 def test_what_the_compression_warns_of_is_told_once_and_counted(tmp_path: Path) -> None:
     """As the node counts it: odometry in doubt, phase that is not to be trusted, a strip without an image yet."""
     bag = rewritten(recorded(tmp_path / "dwells", "small", dwells=3), tmp_path / "doubted", without_covariance)
-    found = find_in_bag(bag, tmp_path / "odometry")
+    _, warnings = find_in_bag(bag, tmp_path / "odometry")
     assert report_of(tmp_path / "odometry")["warned"] == {"sar_compression: odometry": 3}
-    (said,) = [one for one in found.warnings if "odometry" in one]
+    (said,) = [one for one in warnings if "odometry" in one]
     assert said.startswith(
         "There is a warning on 3 of 3 dwells (sar_compression: odometry). Dwell 0: The covariance of"
     )
     noisy = recorded(tmp_path / "noisy", "small", dwells=3, cnr_db=-25.0)
-    found = find_in_bag(noisy, tmp_path / "autofocus", {"sar_compression": {"autofocus": "always"}})
+    _, warnings = find_in_bag(noisy, tmp_path / "autofocus", {"sar_compression": {"autofocus": "always"}})
     assert report_of(tmp_path / "autofocus")["warned"] == {"sar_compression: autofocus": 3}
-    assert sum("warning on 3 of 3 dwells (sar_compression: autofocus)" in one for one in found.warnings) == 1
+    assert sum("warning on 3 of 3 dwells (sar_compression: autofocus)" in one for one in warnings) == 1
     short = replace(load_preset("sal_stripmap").sensor, pulse_count=32)
     strip = recorded(tmp_path / "strip", "sal_stripmap", dwells=2, sensor=short)
     with pytest.raises(
@@ -113,9 +114,9 @@ def test_how_many_dwells_were_left_out_is_said(tmp_path: Path) -> None:
         return one._replace(cdr=one.cdr[:40]) if number == 9 else None
 
     bag = rewritten(recorded(tmp_path / "whole", "small", dwells=6), tmp_path / "bag", incomplete)
-    found = find_in_bag(bag, tmp_path / "out")
-    assert found.table().splitlines()[0].endswith(" of 4 images were looked at; 2 of 6 dwells were left out")
-    told = " ".join(found.warnings)
+    found, warnings = find_in_bag(bag, tmp_path / "out")
+    assert movers_table(found).splitlines()[0].endswith(" of 4 images were looked at; 2 of 6 dwells were left out")
+    told = " ".join(warnings)
     assert (
         "2 of 6 dwells were left out (sar_compression: incomplete dwell). Dwell 0: channels [1] did not arrive" in told
     )

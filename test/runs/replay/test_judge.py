@@ -32,7 +32,8 @@ def write(folder: Path, heights: dict[int, np.ndarray], latency_ms: float = 5.0)
             message.surfaces = [Surface(height=values.ravel().astype(np.float32))]
             bag.write("/ml/height", serialize(message), dwell, dwell)
         for time, latency in ((0, 1.0), (99, latency_ms)):
-            status = DiagnosticStatus(name="ml_height", values=[KeyValue(key="latency_p50_ms", value=str(latency))])
+            values = [KeyValue(key=f"latency_{name}_ms", value=str(latency)) for name in ("p50", "p95")]
+            status = DiagnosticStatus(name="ml_height", values=values)
             bag.write("/diagnostics", serialize(DiagnosticArray(status=[status])), time, time)
     return BagReader(folder)
 

@@ -9,7 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +19,13 @@ from helpers import AS_VERSION_2, assert_one_sentence
 from PIL import Image
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rewritten_bag import copied
 from rosbags.highlevel import AnyReader
 
 from sal_height.bag.compare import CHANGED, EQUAL, WITHIN, compare_bags
+from sal_height.bag.copies import upgrade
 from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.bag.tolerance import Tolerance, Tolerances
-from sal_height.bag.writer import BagWriter
 from sal_height.commands import main
 from sal_height.errors import UserError
 from sal_height.graph.plan import Execution
@@ -145,7 +146,7 @@ def test_a_topic_that_nobody_publishes_cannot_be_recorded(recorded: Path, tmp_pa
 def test_the_tolerance_of_a_file_decides(recorded: Path, tmp_path: Path, replay_words: list[str]) -> None:
     """The platform 0.1 mm higher: heights are, too, and all else moves with it."""
     reader = BagReader(recorded / "bag")
-    moved = copy_of(recorded / "bag", tmp_path / "moved", [lifted(reader, message) for message in reader.messages()])
+    moved = copied(recorded / "bag", tmp_path / "moved", [lifted(reader, message) for message in reader.messages()])
     file = tmp_path / "tolerances.yaml"
     words = [*replay_words, str(moved), "--against", str(recorded / "bag"), "--tolerance", str(file)]
     for height, verdict in ((1e-6, "changed"), (1e-3, "within tolerance")):
@@ -175,10 +176,24 @@ def test_all_versions_of_the_reference_bag_give_the_same_heights(tmp_path: Path,
             assert (result.verdict, result.matched) == (WITHIN if version == "version_0" else EQUAL, 2)
 
 
+@pytest.mark.parametrize("version", [0, pytest.param(1, marks=pytest.mark.thorough)])
+def test_an_upgraded_bag_gives_the_heights_of_the_old_one(version: int, tmp_path: Path, replay: Any) -> None:
+    """With the parameters of the old one, which lie in a file beside that of version 0."""
+    old, new = BAGS / f"version_{version}", tmp_path / "new"
+    upgrade(old, new)
+    for bag in (old, new):
+        replay(bag, tmp_path / f"replay_{bag.name}", {})
+    bags = [BagReader(folder) for folder in (tmp_path / f"replay_{old.name}" / "bag", tmp_path / "replay_new" / "bag")]
+    compared = compare_bags(*bags)
+    assert set(compared) == {"/ml/height", "/monopulse/height", "/tracked/height"}
+    assert all(result.verdict == EQUAL and result.matched == 2 for result in compared.values())
+    assert all(result.verdict == EQUAL for result in compare_bags(BagReader(old), BagReader(new)).values())
+
+
 def test_the_tolerance_of_the_reference_test_notices_a_wrong_range(tmp_path: Path, replay: Any) -> None:
     """A reference range that is off by a tenth of a millimetre moves the heights by more than the tolerance."""
     reader = BagReader(REFERENCE)
-    moved = copy_of(REFERENCE, tmp_path / "moved", [lifted(reader, message) for message in reader.messages()])
+    moved = copied(REFERENCE, tmp_path / "moved", [lifted(reader, message) for message in reader.messages()])
     compared = replay(moved, tmp_path / "replay", {}).compared
     assert {result.verdict for result in compared.values()} == {CHANGED}
 
@@ -207,7 +222,7 @@ def test_a_dwell_that_lost_a_frame_is_counted_and_the_others_are_exact(
 ) -> None:
     messages = list(BagReader(recorded / "bag").messages())
     third = [message for message in messages if message.topic == "/phase_history"][2]
-    torn = copy_of(recorded / "bag", tmp_path / "torn", [message for message in messages if message is not third])
+    torn = copied(recorded / "bag", tmp_path / "torn", [message for message in messages if message is not third])
     compared = replay(torn, tmp_path / "replay", {"sar_compression": {"timeout_s": 1.5}}).compared
     assert (compared["/ml/height"].matched, compared["/ml/height"].missing) == (1, 1)
     assert not any(one.different for one in compared["/ml/height"].fields.values())
@@ -224,7 +239,7 @@ def test_dwells_that_lie_among_each_other_are_exact(recorded: Path, tmp_path: Pa
     half = len(frames) // 2
     in_turn = [frame for pair in zip(frames[:half], frames[half:], strict=True) for frame in pair]
     in_order = [m._replace(log_time_ns=n) for n, m in enumerate([*others, *in_turn, *odometry])]
-    mixed = copy_of(recorded / "bag", tmp_path / "mixed", in_order)
+    mixed = copied(recorded / "bag", tmp_path / "mixed", in_order)
     compared = replay(mixed, tmp_path / "replay", {}).compared
     assert all(result.verdict == EQUAL and result.matched == 2 for result in compared.values())
 
@@ -235,7 +250,7 @@ def test_a_replay_that_drops_everything_says_that_all_is_missing(
     """Without odometry no frame can be focused."""
     messages = [m for m in BagReader(recorded / "bag").messages() if m.topic != "/platform/odometry"]
     parameters = json.dumps({"sar_compression": {"timeout_s": 0.2}})
-    without = copy_of(recorded / "bag", tmp_path / "without", messages, {"parameters": parameters})
+    without = copied(recorded / "bag", tmp_path / "without", messages, custom_data={"parameters": parameters})
     out = tmp_path / "replay"
     compared = replay(without, out, {}).compared
     assert {topic: (r.matched, r.missing) for topic, r in compared.items()} == {
@@ -303,7 +318,7 @@ def test_a_step_ends_with_a_dwell_even_if_each_lacks_a_frame(recorded: Path, tmp
             frame = reader.decode(recorded_frame.type_name, recorded_frame.cdr)
             frame.dwell = dwell
             frames.append(recorded_frame._replace(cdr=serialize(frame), log_time_ns=2**62 + len(frames)))
-    bag = copy_of(recorded / "bag", tmp_path / "bag", [*others, *frames])
+    bag = copied(recorded / "bag", tmp_path / "bag", [*others, *frames])
     player = graph.add(Player(context=graph.context, parameter_overrides=[Parameter("bag", value=str(bag))]))
     player.step()
     assert graph.spin_until(lambda: not player.jobs, 20.0)
@@ -336,24 +351,24 @@ def test_a_bag_without_parameters_is_processed_with_the_defaults_and_that_is_sai
     recorded: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """As a bag recorded in flight; one that was made with the defaults alone holds that it was."""
-    known = copy_of(recorded / "bag", tmp_path / "known", [], {"parameters": "{}"})
+    known = copied(recorded / "bag", tmp_path / "known", [], custom_data={"parameters": "{}"})
     assert recorded_parameters(BagReader(known)) == {}
     assert not caplog.messages
-    unknown = copy_of(recorded / "bag", tmp_path / "unknown", [], {"note": "no parameters"})
+    unknown = copied(recorded / "bag", tmp_path / "unknown", [], custom_data={"note": "no parameters"})
     assert recorded_parameters(BagReader(unknown)) == {}
     (said,) = caplog.messages
     assert_one_sentence(said, str(unknown), "defaults", "--param")
 
 
-@pytest.mark.parametrize("source", ["version_3", "fresh"])
+@pytest.mark.parametrize(("source", "storage"), [("version_3", "mcap"), ("fresh", "mcap"), ("fresh", "sqlite3")])
 def test_a_bag_that_rosbags_convert_has_written_gives_the_heights_recorded_in_it(
-    source: str, recorded: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture, replay: Any
+    source: str, storage: str, recorded: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture, replay: Any
 ) -> None:
     """It has no custom data any more; the parameters are in the provenance of its heights."""
     bag = recorded / "bag" if source == "fresh" else REFERENCE
     convert = [str(Path(sys.executable).with_name("rosbags-convert")), "--src", str(bag)]
     converted = tmp_path / "converted"
-    subprocess.run([*convert, "--dst", str(converted), "--dst-storage", "mcap"], check=True, timeout=600)  # noqa: S603
+    subprocess.run([*convert, "--dst", str(converted), "--dst-storage", storage], check=True, timeout=600)  # noqa: S603
     assert PARAMETERS not in BagReader(converted).custom_data
     compared = replay(converted, tmp_path / "replay", {}).compared
     assert set(compared) == {"/ml/height", "/monopulse/height", "/tracked/height"}
@@ -375,7 +390,9 @@ def test_parameters_of_a_bag_are_checked(beside: bool, recorded: Path, tmp_path:
             "ml_height": "must map node names",
         }.items()
     ):
-        bag = copy_of(recorded / "bag", tmp_path / str(number), messages, {} if beside else {"parameters": text})
+        bag = copied(
+            recorded / "bag", tmp_path / str(number), messages, custom_data={} if beside else {"parameters": text}
+        )
         if beside:
             (bag / "parameters.yaml").write_text(text)
         with pytest.raises(UserError, match=said):
@@ -438,28 +455,9 @@ def test_what_is_not_gotcha_is_refused(tmp_path: Path) -> None:
         import_gotcha([tmp_path / "a.mat"], tmp_path / "bag")
 
 
-def validity(bag: Path, topic: str) -> list[np.ndarray]:
-    reader = BagReader(bag)
-    return [np.array(reader.decode(m.type_name, m.cdr).validity) for m in reader.messages([topic])]
-
-
-def copy_of(
-    bag: Path, copy: Path, messages: Iterable[BagMessage], custom_data: Mapping[str, str] | None = None
-) -> Path:
-    """A bag with the topics and custom data of another one, and these messages, each in a chunk of its own."""
-    reader = BagReader(bag)
-    with BagWriter(copy, reader.custom_data if custom_data is None else custom_data) as writer:
-        for topic in reader.topics.values():
-            writer.add_topic(topic.name, topic.type_name, topic.offered_qos)
-        for message in messages:
-            writer.write(message.topic, message.cdr, message.log_time_ns, message.log_time_ns)
-            writer.flush()
-    return copy
-
-
 def damaged_copy(bag: Path, copy: Path) -> Path:
     """A bag with one bit of its last frame turned."""
-    copy_of(bag, copy, BagReader(bag).messages())
+    copied(bag, copy)
     last = max(BagReader(copy).messages(["/phase_history"]), key=lambda message: message.log_time_ns)
     (file,) = copy.glob("*.mcap")
     content = bytearray(file.read_bytes())

@@ -102,9 +102,9 @@ def test_array_of_one_image(azimuth_axis: int, tmp_path: Path, capsys: pytest.Ca
     check_picture(tmp_path / "out" / "irf.png", 1)
     said = capsys.readouterr().out
     shown = next(line for line in said.splitlines() if "point.npy" in line).split()
-    assert float(shown[0]) == pytest.approx(entry["row"], abs=6e-4)
-    assert float(shown[2]) == pytest.approx(entry["range"]["width_px"], abs=6e-4)
-    assert shown[3] == "-"
+    assert float(shown[1]) == pytest.approx(entry["row"], abs=6e-4)
+    assert float(shown[3]) == pytest.approx(entry["range"]["width_px"], abs=6e-4)
+    assert shown[4] == "-"
     assert "narrower than a pixel" not in said
 
 

@@ -1,0 +1,216 @@
+"""What a report says of ground, strips and surfaces, on estimates with known errors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers import blocks
+
+from sal_height import messages
+from sal_height.elevation import ESTIMATORS
+from sal_height.elevation.looks.looks import look_grid
+from sal_height.errors import UserError
+from sal_height.geometry.frames import aperture_at
+from sal_height.geometry.trajectory import locate_at_elevation
+from sal_height.imaging import ImageSettings, image_beams
+from sal_height.imaging.pixels import azimuth_resolution, slant_plane_grid
+from sal_height.messages import to_floats
+from sal_height.messages.types import ComplexImage, HeightImage, Provenance
+from sal_height.pipeline import Compressor, heights
+from sal_height.relief import GroundEstimate, GroundKind
+from sal_height.relief.heights import HeightField, Surface
+from sal_height.runs.truth.comparison import PublishedErrors, compare
+from sal_height.runs.truth.pictures import draw_ground
+from sal_height.runs.truth.report import TrueGround, ground_statistics, mosaic, read_accuracy, statistics
+from sal_height.runs.truth.surface_report import as_flown, true_surfaces
+from sal_height.simulation import flight_of, load_preset
+from sal_height.simulation.flight import SimulatedFlight
+from sal_height.simulation.impairments import Impairments
+from sal_height.simulation.lit_surfaces import truth_image
+from sal_height.simulation.odometry_errors import OdometryErrors
+from sal_height.simulation.preset import Preset
+from sal_height.simulation.scene import Scene
+
+SHAPE = (40, 50)
+SEED = 3  # of the recorded flight
+
+
+def a_ground() -> tuple[GroundEstimate, TrueGround]:
+    """Level ground with a step of 1 m at row 20, a tenth of the cells 0.2 m too high, and shadow in the last rows."""
+    rng = np.random.default_rng(1)
+    terrain = np.where(np.arange(SHAPE[0]) < 20, 1.0, 0.0)[:, None] * np.ones(SHAPE)
+    height = terrain + rng.normal(0.0, 0.01, SHAPE)
+    height[20] = 1.0  # the edge, one cell off
+    height[:, :5] += 0.2
+    kind = np.full(SHAPE, GroundKind.MEASURED, np.uint8)
+    kind[:, 45:] = GroundKind.INTERPOLATED
+    kind[36:] = GroundKind.SHADOW
+    height[36:] = np.nan
+    sigma = np.where(np.isnan(height), np.nan, 0.01)
+    shadow = np.zeros(SHAPE, dtype=bool)
+    shadow[36:] = True
+    estimate = GroundEstimate(0.0, 0.0, 0.05, height, sigma, kind, np.ones(SHAPE, np.uint32))
+    return estimate, TrueGround(terrain, ~shadow, shadow)
+
+
+def test_errors_are_counted_by_what_heights_rest_on() -> None:
+    estimate, truth = a_ground()
+    found = ground_statistics(estimate, truth, 0.06)
+    assert found["right"] == pytest.approx(0.9 * 35 / 36, abs=0.001)  # an edge that is one cell off is wrong
+    assert found["lit"] == {"measured": 0.9, "interpolated": 0.1, "shadow": 0.0, "unseen": 0.0}
+    assert found["shadow"]["shadow"] == 1.0
+    assert found["measured"]["cells"] == 36 * 45
+    assert found["measured"]["beyond_5_sigma"] == pytest.approx(1 - 8 / 9 * 35 / 36, abs=0.005)
+    assert found["interpolated"]["within_1_sigma"] == pytest.approx(0.68, abs=0.1)  # 180 cells: standard error 0.035
+
+
+def test_the_picture_is_written(tmp_path: Path) -> None:
+    draw_ground(*a_ground(), tmp_path / "ground.png")
+    assert (tmp_path / "ground.png").stat().st_size > 10_000
+
+
+def test_ground_with_too_many_cells_is_left_out_of_the_report(
+    recorded: Path, two_dwells: Preset, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A single height far off may stretch the ground; the rest of the report is made all the same."""
+    flight = flight_of(two_dwells, SEED)
+    whole = read_accuracy(recorded / "bag", flight, ["ml_height"]).statistics["ml"]
+    assert "ground" in whole
+    monkeypatch.setattr("sal_height.runs.truth.report.MAX_CELLS", 100)
+    without = read_accuracy(recorded / "bag", flight, ["ml_height"]).statistics["ml"]
+    assert without == {name: value for name, value in whole.items() if name != "ground"}
+    (said,) = caplog.messages
+    assert "ml" in said
+    assert "100" in said
+
+
+def errors_with(position_m: float, name: str, seed: int) -> PublishedErrors:
+    """Of an image of the street whose odometry errs by a constant of this size in each coordinate, and says so."""
+    preset = load_preset(name)
+    preset = replace(preset, impairments=Impairments(odometry=OdometryErrors(position_m=position_m)))
+    flight, estimator = flight_of(preset, seed), ESTIMATORS["ml"]
+    settings, compressor = ImageSettings(rows=preset.image.rows, cols=preset.image.cols), Compressor()
+    for dwell in range(3):
+        slc = compressor.add(flight.phase_history(dwell), flight.track(dwell), flight.sensor, settings)
+    assert slc
+    looks = estimator.settings(range_looks=preset.looks[0], azimuth_looks=preset.looks[1])
+    field = heights(slc, flight.sensor, estimator, looks)
+    beams = image_beams(flight.sensor, settings.azimuth_window)
+    seen, aperture = as_flown(field, slc.aperture, flight, 2)
+    truth = true_surfaces(seen, aperture, beams, flight, flight.surface(2))
+    return compare(field, truth, flight.sensor.beamwidth).errors
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("name", ["small", "sal_stripmap"])
+def test_odometry_that_errs_moves_heights_up_and_changes_nothing_else(name: str, seed: int) -> None:
+    """By 0.1 m: the heights' errors are those with exact odometry and one that all share, to 1 mm, at steps as well.
+
+    That is less than half a kerb, so that the nearest surface remains the nearest, but for 2 % of a strip's pixels at
+    most. Seen from where the odometry says, a third of them has other errors.
+    """
+    exact, off = errors_with(0.0, name, seed), errors_with(0.1, name, seed)
+    assert len(off.nearest) == len(exact.nearest)
+    common = off.nearest - exact.nearest
+    assert np.nanmean(np.abs(common - np.nanmedian(common)) > 1e-3) <= (0.02 if name == "sal_stripmap" else 0.0)
+    assert np.nanmin(off.sigma) > 0.1
+
+
+@pytest.fixture(scope="module")
+def flight() -> SimulatedFlight:
+    preset = load_preset("sal_stripmap")
+    nodes = np.linspace(-20, 20, 81)
+    scene = Scene("level", nodes, nodes, np.full((81, 81), 0.4), np.ones((81, 81)))
+    return SimulatedFlight(preset, preset.make_sensor(), scene, preset.dwells, seed=1)
+
+
+def exact_image(flight: SimulatedFlight, dwell: int, error: float) -> HeightImage:
+    """The height image that shows the truth plus `error` (m)."""
+    sensor, aperture, preset = flight.sensor, flight.aperture(dwell), flight.preset
+    slc_grid = slant_plane_grid(sensor, aperture, 5000.0, preset.image.rows, preset.image.cols, 1.19)
+    grid = look_grid(slc_grid, *blocks(*preset.looks))
+    cell = sensor.range_resolution * azimuth_resolution(sensor, aperture, 5000.0)
+    truth = truth_image(flight.surface(dwell), aperture, grid, cell, sensor.beams)
+    first, last = sensor.beams.span
+    seen = (truth.elevation > first) & (truth.elevation < last)
+    points = grid.pixels()
+    there = aperture_at(points, aperture)
+    sight = points - there.position
+    slant_range = np.linalg.norm(sight, axis=-1)
+    positions = locate_at_elevation(truth.elevation, slant_range, sight @ there.direction, there, sensor.look_side)
+    height, sigma = np.where(seen, truth.height + error, np.nan), np.where(seen, 0.01, np.nan)
+    positions = np.where(seen[..., None], positions, np.nan)
+    surface = Surface.at(positions, height, sigma, 0 * sigma)
+    field = HeightField(grid, np.where(seen, 0, 1).astype(np.uint8), (surface,))
+    slc = ComplexImage(dwell=dwell)
+    image = messages.height_to_message(field, aperture, preset.looks, "ml", slc, Provenance())
+    image.header.frame_id = "map"
+    return image
+
+
+def test_exact_heights_of_a_strip_have_the_error_that_was_added_and_join(flight: SimulatedFlight) -> None:
+    dwells = (3, 4, 5)
+    images = [exact_image(flight, dwell, 0.25) for dwell in dwells]
+    assert all(image.aperture.sliding for image in images)
+    result = mosaic(images, flight, {dwell: flight.surface(dwell) for dwell in dwells})
+    numbers = statistics(result)
+    assert numbers["bias_m"] == pytest.approx(0.25, abs=1e-5)
+    assert numbers["rms_m"] == pytest.approx(0.25, abs=1e-5)
+    assert numbers["cells"] > 200
+    assert numbers["ghost_pixels"] == 0
+    step = 1.5 * images[0].grid.col_spacing
+    assert (result.error.shape[1] - 1) * step == pytest.approx(3 * 0.64, abs=0.15)
+    whole = np.isfinite(result.error).mean(axis=1) > 0
+    assert np.isfinite(result.error[whole][1:-1]).all()  # no seam between two images
+
+
+def test_bound_of_a_strip_knows_that_every_column_is_seen_from_abeam(flight: SimulatedFlight) -> None:
+    """From the middle of the image its sides lie 0.38 beamwidths off, where the amplitude is sinc(0.38) = 0.78."""
+    image = exact_image(flight, 4, 0.0)
+    bounds = []
+    for sliding in (True, False):
+        image.aperture.sliding = sliding
+        bounds.append(mosaic([image], flight, {4: flight.surface(4)}).bound)
+    ratio = bounds[1] / bounds[0]
+    row = ratio[np.isfinite(ratio).all(axis=1)]
+    assert len(row) > 5
+    np.testing.assert_allclose(row[:, [0, -1]], 1 / np.sinc(0.36), rtol=0.07)
+    np.testing.assert_allclose(row[:, row.shape[1] // 2], 1, rtol=0.03)
+
+
+def test_cells_of_tracked_heights_are_as_sure_as_one_pixel(flight: SimulatedFlight) -> None:
+    """Others have the sigma of a mean of independent pixels, which are one to four in a cell."""
+    image = exact_image(flight, 4, 0.0)
+    sigmas = {}
+    for estimator in ("ml", "tracked"):
+        image.estimator = estimator
+        sigma = mosaic([image], flight, {4: flight.surface(4)}).sigma
+        sigmas[estimator] = sigma[np.isfinite(sigma)]
+    np.testing.assert_allclose(sigmas["tracked"], 0.01, rtol=1e-6)
+    counts = (0.01 / sigmas["ml"]) ** 2
+    np.testing.assert_allclose(counts, np.rint(counts), atol=1e-3)
+    assert counts.max() > 1.5
+
+
+def test_what_pose_leaves_is_not_averaged_away(flight: SimulatedFlight) -> None:
+    """The same dwell twice, and an error of 3 cm that all pixels share: half of the own variance, and all of it."""
+    image, dwells = exact_image(flight, 4, 0.0), {4: flight.surface(4)}
+    own = mosaic([image, image], flight, dwells).sigma
+    first = image.surfaces[0]
+    common = np.zeros((len(first.height), 6), np.float32)
+    common[:, 5] = np.where(np.isnan(first.height), np.nan, 0.03**2)
+    first.common_covariance = to_floats(common)
+    first.sigma = to_floats(np.hypot(np.asarray(first.sigma), 0.03))
+    seen = np.isfinite(own)
+    together = mosaic([image, image], flight, dwells).sigma
+    np.testing.assert_allclose(together[seen], np.hypot(own[seen], 0.03), rtol=1e-4)
+    assert own[seen].max() < 0.0072
+
+
+def test_a_flight_beside_the_scene_is_refused_at_its_first_dwell(flight: SimulatedFlight) -> None:
+    far = replace(flight, scene=replace(flight.scene, east=flight.scene.east + 500))
+    with pytest.raises(UserError, match="no terrain"):
+        far.surface(0)

@@ -49,7 +49,7 @@ def replay_and_compare(
     """
     from sal_height.bag.compare import CHANGED  # noqa: PLC0415 (ROS only for tests that need it)
     from sal_height.bag.tolerance import ROUNDING, read_tolerances  # noqa: PLC0415
-    from sal_height.graph.tables import comparison_table  # noqa: PLC0415
+    from sal_height.graph.reporting import comparison_table  # noqa: PLC0415
     from sal_height.runs.replay.bag_replay import Against, replay  # noqa: PLC0415
     from sal_height.runs.replay.judge import verdict_of  # noqa: PLC0415
 

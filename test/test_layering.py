@@ -285,7 +285,7 @@ def test_what_needs_no_ros_can_be_imported_where_ros_is_not(modules: list[str], 
 
 def test_shell_cannot_be_imported_where_ros_is_not() -> None:
     """Or else the test above would prove nothing."""
-    result = import_without(ROS, ["sal_height.graph.conductor"])
+    result = import_without(ROS, ["sal_height.graph.ensemble"])
     assert result.returncode != 0
     assert "blocked: " in result.stderr
 

@@ -207,7 +207,7 @@ def diff(
     from sal_height.bag.compare import CHANGED, compare_bags
     from sal_height.bag.reader import BagReader
     from sal_height.bag.tolerance import ROUNDING, read_tolerances
-    from sal_height.graph.tables import comparison_table
+    from sal_height.graph.reporting import comparison_table
     from sal_height.io import new_folder, write_text
     from sal_height.runs.replay.judge import as_json, draw_worst_dwell, topics_to_compare, verdict_of
 

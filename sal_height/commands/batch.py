@@ -67,7 +67,7 @@ def batch(
         scheduler: Address of a Dask cluster that does the work instead; it must see the same files.
         dwells: Has no effect any more.
     """
-    from sal_height.graph.tables import campaign_table
+    from sal_height.graph.reporting import campaign_table
     from sal_height.runs.campaign.batch import SUMMARY, Campaign, Workers, run_campaign
 
     given, varied = _settings(param)

@@ -139,7 +139,7 @@ def replay(
 
     from sal_height.bag.played import MOST
     from sal_height.bag.tolerance import ROUNDING, read_tolerances
-    from sal_height.graph.tables import comparison_table, images_table, results_table
+    from sal_height.graph.reporting import comparison_table, images_table, results_table
     from sal_height.runs.chain.entry import Part
     from sal_height.runs.replay.bag_replay import Against, Playing
     from sal_height.runs.replay.bag_replay import replay as play_again

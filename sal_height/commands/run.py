@@ -78,8 +78,7 @@ def run(
         processes: Has no effect any more: the nodes of a run share a process.
         out: Output folder, new or empty. Default: out/PRESET, or the next free of out/PRESET_2, ….
     """
-    from sal_height.graph.reporting import RELIEF_MAP
-    from sal_height.graph.tables import achieved, results_table
+    from sal_height.graph.reporting import RELIEF_MAP, achieved, results_table
     from sal_height.runs.truth.simulate import run as simulate
     from sal_height.simulation import load_preset
 

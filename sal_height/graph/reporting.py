@@ -1,21 +1,24 @@
-"""Common parts of `run`, `replay` and `calibrate`: their report.json, and the handling of an outcome."""
+"""Common parts of `run`, `replay` and `calibrate`: report.json, tables on the terminal, handling of an outcome."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from sal_height import __version__
 from sal_height.bag import files
+from sal_height.bag.compare import TopicComparison
+from sal_height.engine.registry import STAGES, takes_heights
 from sal_height.errors import UserError
-from sal_height.graph.catalogue import NodeParameters
+from sal_height.graph.catalogue import HEIGHTS, NodeParameters
 from sal_height.graph.plan import Outcome
 from sal_height.io import or_null, write_text
 from sal_height.nodes.accounts.account import Account
 from sal_height.renamed import with_new_names
+from sal_height.tables import ABSENT, aligned, number_text
 
 PARAMETERS = files.PARAMETERS
 """Name of the nodes' parameters (JSON) in the custom data of a bag."""
@@ -85,3 +88,101 @@ def _stage(account: Account) -> dict[str, Any]:
         "latency_p50_ms": or_null(account.latency_p50_ms),
         "latency_p95_ms": or_null(account.latency_p95_ms),
     }
+
+
+def results_table(outcome: Outcome, accuracy: Mapping[str, Mapping[str, Any]]) -> str:
+    """Height images, messages dropped and, where the truth is known, the errors of each estimator.
+
+    The bound is that of the looks of a pixel; it does not apply to heights to which neighbours contribute.
+
+    Args:
+        outcome: outcome of the run.
+        accuracy: statistics of each estimator (`report.statistics`) by prefix of its topics; empty: no truth is known.
+    """
+    heading = ["estimator", "images", "inputs dropped", "valid %", "bias m", "s68 m", "bound m", "within 1 sigma %"]
+    rows = []
+    for node, prefix in HEIGHTS.items():
+        if node in outcome.stages:
+            account, errors = outcome.stages[node], accuracy.get(prefix, {})
+            rows.append(
+                [
+                    prefix,
+                    str(account.published_on.get(f"{prefix}/height", 0)),
+                    str(sum(account.dropped.values())),
+                    number_text(errors.get("valid"), ".1f", 100.0),
+                    number_text(errors.get("bias_m"), "+.4g"),
+                    number_text(errors.get("s68_m"), ".4g"),
+                    ABSENT if takes_heights(STAGES[node]) else number_text(errors.get("crb_m"), ".4g"),
+                    number_text(errors.get("within_1_sigma"), ".1f", 100.0),
+                ]
+            )
+    return aligned([heading, *rows])
+
+
+def achieved(accuracy: Mapping[str, Mapping[str, Any]]) -> str:
+    """Summary of the estimator with the smallest errors, and its bound; empty without errors.
+
+    Args:
+        accuracy: statistics of each estimator (`report.statistics`) by prefix of its topics.
+    """
+    known = {name: errors for name, errors in accuracy.items() if errors.get("s68_m") and errors.get("crb_m")}
+    bounded = [name for node, name in HEIGHTS.items() if name in known and not takes_heights(STAGES[node])]
+    if not bounded:
+        return ""
+    best = min(bounded, key=lambda name: float(known[name]["s68_m"]))
+    error, bound = (_length(float(known[best][key])) for key in ("s68_m", "crb_m"))
+    return f"Heights of {best} are right to {error} (s68); the Cramér-Rao bound of their looks is {bound}."
+
+
+def _length(metres: float) -> str:
+    """A length as people write it."""
+    return f"{1000 * metres:.1f} mm" if metres < 0.1 else f"{metres:.2f} m"
+
+
+def comparison_table(compared: Mapping[str, TopicComparison]) -> str:
+    """Comparison of topics with the golden ones, and a line on each field that is beyond its tolerance."""
+    heading = ["topic", "verdict", "compared", "missing", "extra", "values", "different", "beyond tolerance"]
+    rows = []
+    for topic, result in compared.items():
+        fields = result.fields.values()
+        counts = [result.matched, result.missing, result.extra, sum(one.values for one in fields)]
+        counts += [sum(one.different for one in fields), sum(one.outside for one in fields)]
+        rows.append([topic, result.verdict, *map(str, counts)])
+    changes = list(_changes(compared))
+    named = 5
+    if len(changes) > named:
+        changes[named:] = [f"{len(changes) - named} more fields changed; the report lists them."]
+    return "\n".join([aligned([heading, *rows]), *changes])
+
+
+def _changes(compared: Mapping[str, TopicComparison]) -> Iterator[str]:
+    """Lines on the fields with values beyond the tolerance, for all topics with the same worst value together."""
+    said: dict[str, list[str]] = {}
+    for topic, result in compared.items():
+        for name, one in result.fields.items():
+            if one.outside and one.worst:
+                worst = one.worst
+                where = f"dwell {worst.dwell}" + (f", value {worst.position}" if one.values > result.matched else "")
+                said.setdefault(f"{name} is {worst.made} instead of {worst.golden} in {where}", []).append(topic)
+    return (f"{what} ({', '.join(topics)})." for what, topics in said.items())
+
+
+def campaign_table(rows: Sequence[Mapping[str, Any]], varied: Sequence[str]) -> str:
+    """Results of each bag and setting of a campaign; sigma and error are those of all estimators, in m."""
+    endings = ("median_sigma_m", "s68_m")
+    numbers = [name for name in dict.fromkeys(key for row in rows for key in row) if name.endswith(endings)]
+    heading = ["bag", *varied, "dwells", "dropped", "s", "against recorded", *numbers]
+    lines = []
+    for row in rows:
+        done = [str(row.get("dwells", ABSENT)), str(row.get("dropped", ABSENT)), number_text(row.get("seconds"), ".3g")]
+        verdict = "failed" if row["failure"] else row["against_recorded"] or ABSENT
+        measured = [number_text(row.get(name), ".3g") for name in numbers]
+        lines.append([row["bag"], *(str(row[name]) for name in varied), *done, verdict, *measured])
+    return aligned([heading, *lines])
+
+
+def images_table(images: Sequence[Mapping[str, Any]]) -> str:
+    """The brightest target of each image of a single channel."""
+    heading = ["dwell", "peak over median dB", "width of rows m", "width of columns m"]
+    keys = ("peak_over_median_db", "row_width_3db_m", "col_width_3db_m")
+    return aligned([heading, *([str(one["dwell"]), *(number_text(one[key], ".4g") for key in keys)] for one in images)])

@@ -23,11 +23,10 @@ from sal_height.beams import Beams
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import aperture_at
 from sal_height.imaging import Slc
-from sal_height.movers.ground import ground_lag, spectra_of_image
 from sal_height.movers.likelihood import HYPOTHESES
 from sal_height.movers.migration import Migration, Migrations, about_ranges
 from sal_height.movers.mover import MIGRATING, Looked, Mover, MoverMeasurement, mover_of, peak_of, without_ambiguities
-from sal_height.movers.search import Search, Seen
+from sal_height.movers.search import Search, Seen, ground_lag, spectra_of_image
 from sal_height.movers.spectrum import Bins
 from sal_height.numeric import C64, C128, F64, Bool, Index, vertex
 from sal_height.sensor import MAX_SHARE, Sensor

@@ -24,10 +24,9 @@ from sal_height.beams import Beams, column_squint
 from sal_height.geometry import locate_at_elevation
 from sal_height.imaging import Slc
 from sal_height.movers.dwell_images import DwellImage
-from sal_height.movers.ground import ground_lag
 from sal_height.movers.likelihood import MODEL_ERROR, POWERS_IN_DWELLS, ratio_in_dwells
 from sal_height.movers.migration import LEAST_PART, REACH
-from sal_height.movers.search import ELEVATION_STEP
+from sal_height.movers.search import ELEVATION_STEP, ground_lag
 from sal_height.movers.spectrum import point_response
 from sal_height.numeric import C64, C128, F64, Bool, Index
 from sal_height.sensor import Sensor

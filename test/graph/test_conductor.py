@@ -7,7 +7,7 @@ from pathlib import Path
 from helpers import publisher_of
 from rclpy.node import Node
 
-from sal_height.graph.conductor import Conductor
+from sal_height.graph.ensemble import Conductor
 from sal_height.graph.plan import Plan
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, KeyValue
 from sal_height.nodes.transport.graph import Graph

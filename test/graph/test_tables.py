@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sal_height.graph.tables import achieved
+from sal_height.graph.reporting import achieved
 
 
 @pytest.mark.parametrize(

@@ -15,9 +15,8 @@ import numpy as np
 from sal_height.beams import Beams
 from sal_height.elevation.array.estimate import ElevationEstimate, Scatterer
 from sal_height.elevation.array.height_settings import HeightSettings
-from sal_height.elevation.estimators.capon import CaponSettings, capon_elevation
 from sal_height.elevation.estimators.maximum_likelihood import MlSettings, ml_elevation
-from sal_height.elevation.estimators.music import MusicSettings, music_elevation
+from sal_height.elevation.estimators.spectra import CaponSettings, MusicSettings, capon_elevation, music_elevation
 from sal_height.elevation.looks.looks import DwellColumns, Looks
 from sal_height.elevation.monopulse.pairs import MonopulseSettings, monopulse_elevation
 from sal_height.elevation.monopulse.sum_difference import SumDifferenceSettings, sum_difference_elevation

@@ -27,16 +27,24 @@ from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.io import free_folder
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus
-from sal_height.nodes.accounts.account import DIAGNOSTICS, ON_THE_WAY, PROGRESS, RECORDER, Account
+from sal_height.nodes.accounts.account import (
+    DIAGNOSTICS,
+    NOT_WRITTEN,
+    ON_THE_WAY,
+    PROGRESS,
+    QUEUE_FULL,
+    RECORDER,
+    Account,
+    TopicCounts,
+)
 from sal_height.nodes.accounts.publisher import AccountPublisher
 from sal_height.nodes.accounts.tally import process_numbers
-from sal_height.nodes.accounts.topic_counts import NOT_WRITTEN, QUEUE_FULL, TopicCounts
 from sal_height.nodes.managed import Role, Topics
 from sal_height.nodes.parameters import LiveParameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.recording.parameter_reader import ASK_PERIOD_S, ParameterReader
 from sal_height.nodes.recording.recorder_parameters import RecorderParameters, Selection
-from sal_height.nodes.transport.callbacks import guarded, with_times
+from sal_height.nodes.transport.graph import guarded, with_times
 from sal_height.nodes.transport.message_types import message_class
 from sal_height.nodes.transport.qos import from_profile
 

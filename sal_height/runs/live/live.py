@@ -26,8 +26,7 @@ from sal_height.errors import UserError
 from sal_height.geometry import PlatformState, Trajectory
 from sal_height.graph.air import check_air
 from sal_height.graph.catalogue import DETECTOR, HEIGHTS, TRACKER, check_parameters, consumers
-from sal_height.graph.conductor import Conductor
-from sal_height.graph.ensemble import Ensemble, members_of
+from sal_height.graph.ensemble import Conductor, Ensemble, members_of
 from sal_height.graph.node_classes import NODES
 from sal_height.graph.plan import RECORDER, Execution, Plan
 from sal_height.graph.processes import Interruption, process_age_s, run_in_copy

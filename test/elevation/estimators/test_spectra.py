@@ -26,9 +26,14 @@ from sal_height.beams.array import Beams
 from sal_height.beams.pattern import PATTERNS
 from sal_height.elevation.array.bounds import speckle_crb
 from sal_height.elevation.array.estimate import ElevationEstimate, Validity
-from sal_height.elevation.estimators.capon import CaponSettings, capon_elevation, deviation_factor
 from sal_height.elevation.estimators.maximum_likelihood import MlSettings, ml_elevation
-from sal_height.elevation.estimators.music import MusicSettings, music_elevation
+from sal_height.elevation.estimators.spectra import (
+    CaponSettings,
+    MusicSettings,
+    capon_elevation,
+    deviation_factor,
+    music_elevation,
+)
 from sal_height.elevation.looks.looks import Looks
 from sal_height.errors import UserError
 

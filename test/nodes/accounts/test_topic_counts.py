@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sal_height.nodes.accounts.account import ON_THE_WAY
-from sal_height.nodes.accounts.topic_counts import TopicCounts
+from sal_height.nodes.accounts.account import ON_THE_WAY, TopicCounts
 
 
 def of(*numbers: int | None, publishers: int = 1) -> TopicCounts:

@@ -29,8 +29,7 @@ from sal_height.bag.tolerance import Tolerance, Tolerances
 from sal_height.commands import main
 from sal_height.errors import UserError
 from sal_height.graph.plan import Execution
-from sal_height.graph.reporting import PARAMETERS
-from sal_height.graph.tables import comparison_table
+from sal_height.graph.reporting import PARAMETERS, comparison_table
 from sal_height.imports.gotcha import import_gotcha
 from sal_height.messages import serialize
 from sal_height.messages.types import SensorInfo

@@ -1,14 +1,20 @@
-"""Elevation by Capon's method: the direction with the greatest output power of a minimum-variance beamformer.
+"""Elevation by the spectra of a pixel's covariance: Capon's method and MUSIC.
 
-The beamformer that passes a scatterer with the unit response u = a / |a| undistorted and suppresses everything else has
-the output power 1 / (u^H R^-1 u) (Capon, Proceedings of the IEEE 57, 1969; Lombardini and Montanari, IEEE Trans.
-Aerospace and Electronic Systems 38, 2002, for several scatterers in a SAR pixel). The unit response is needed because
-detectors near the ends of the array receive less power of a scatterer: with a itself, Capon's maximum would be there.
+Capon: the direction with the greatest output power of a minimum-variance beamformer. The beamformer that passes a
+scatterer with the unit response u = a / |a| undistorted and suppresses everything else has the output power 1 / (u^H
+R^-1 u) (Capon, Proceedings of the IEEE 57, 1969; Lombardini and Montanari, IEEE Trans. Aerospace and Electronic
+Systems 38, 2002, for several scatterers in a SAR pixel). The unit response is needed because detectors near the ends
+of the array receive less power of a scatterer: with a itself, Capon's maximum would be there. To be invertible with
+few looks K, the mean covariance R / K is loaded with some noise powers (Carlson, IEEE Trans. AES 24, 1988). Much
+loading gives maximum likelihood, little a noisier estimate that separates scatterers better.
 
-To be invertible with few looks K, the mean covariance R / K is loaded with some noise powers (Carlson, IEEE Trans.
-AES 24, 1988). Much loading gives maximum likelihood, little a noisier estimate that separates scatterers better.
+MUSIC: the direction whose response lies nearest to the strongest eigenvectors of the covariance. The eigenvectors of
+the `order` greatest eigenvalues span the signal subspace, the others E_n the noise subspace; the peak is that of 1 /
+(u^H E_n E_n^H u) (Schmidt, IEEE Trans. Antennas and Propagation 34, 1986). Of order 1 its asymptotic variance is the
+stochastic Cramer-Rao bound (Stoica and Nehorai, IEEE Trans. Acoustics, Speech and Signal Processing 37, 1989, eq. 3.12
+for one source), as is that of maximum likelihood.
 
-It does not search for a second scatterer. A weak one within the resolution leaves the pixel with a single peak and
+Capon does not search for a second scatterer. A weak one within the resolution leaves the pixel with a single peak and
 displaces it; the power along the slope of the response shows by how much (`misfit_factor`).
 """
 
@@ -23,7 +29,9 @@ from sal_height.elevation.layover.extended import free_looks
 from sal_height.elevation.layover.single import PixelNoise
 from sal_height.elevation.layover.two_channels import in_two_channels
 from sal_height.elevation.looks.looks import Covariance, Looks
+from sal_height.errors import UserError
 from sal_height.numeric import F64
+from sal_height.sensor import MAX_DETECTORS
 from sal_height.settings import setting
 
 
@@ -99,3 +107,35 @@ def deviation_factor(count: F64, beams: Beams, loading: float) -> F64:
     mean = (root - excess) / (2 * loading)
     mean_square = mean / loading - samples * ((excess + 2) / root - 1) / (2 * loading)
     return np.sqrt(mean_square) / mean
+
+
+class MusicSettings(ArraySettings):
+    """Settings of MUSIC."""
+
+    order: int = setting(
+        1, "dimensions of the signal subspace; fewer than there are detectors", minimum=1, maximum=MAX_DETECTORS - 1
+    )
+
+
+def music_elevation(looks: Looks, beams: Beams, settings: MusicSettings) -> ElevationEstimate:
+    """Elevation of the highest peak of MUSIC's spectrum in every pixel.
+
+    Of order 2 a second scatterer close by displaces it less, but a single one is estimated with more noise: sigma is
+    that of maximum likelihood over sqrt(1 - (order - 1) / (M - 1)), because the additional eigenvectors take order - 1
+    of the M - 1 dimensions in which the response can turn. Arguments as in `ml_elevation`.
+
+    Raises:
+        UserError: the order is not less than the number of detectors; or as in `ml_elevation`.
+    """
+    order, count = settings.order, beams.count
+    if order >= count:
+        raise UserError(f"The order of MUSIC is {order} with {count} detectors; it must be less than that.")
+
+    def spectrum(covariance: Covariance, _count: F64) -> Covariance:
+        signal = np.linalg.eigh(covariance)[1][:, :, -order:]
+        return signal @ np.swapaxes(signal.conj(), 1, 2)
+
+    peaks = peaks_by_spectrum(spectrum, looks, beams, settings)
+    estimate = estimate_of(peaks, looks, beams, settings)
+    estimate = estimate.with_sigma(estimate.sigma / np.sqrt(1 - (order - 1) / (count - 1)))
+    return in_two_channels(estimate, peaks, looks, beams, settings) if count == 2 else estimate

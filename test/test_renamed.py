@@ -24,7 +24,13 @@ from sal_height.graph.node_classes import PROCESSING
 from sal_height.graph.reporting import merged
 from sal_height.renamed import PARAMETERS, VALUES, with_new_names
 from sal_height.runs.campaign.batch import Campaign
-from sal_height.runs.chain.recorded_parameters import RecordedParameters, recorded_parameters
+from sal_height.runs.chain.recorded_parameters import (
+    CUSTOM_DATA,
+    RecordedParameters,
+    recorded_at_start,
+    recorded_parameters,
+)
+from sal_height.runs.chain.timeline import timeline_of
 from sal_height.settings import settings_of, unknown_name
 from sal_height.simulation import load_preset
 
@@ -96,16 +102,15 @@ def test_bags_that_state_old_names_are_read_with_new_ones(as_file: bool, tmp_pat
     assert not PARAMETERS.keys() & values["sar_compression"].keys()
 
 
-@pytest.mark.parametrize(("strength", "warnings"), [(0.0, 0), (0.75, 1)])
+@pytest.mark.parametrize(("strength", "is_reported"), [(0.0, False), (0.75, True)])
 def test_a_parameter_that_has_ended_is_left_out_and_reported_where_it_changed_heights(
-    strength: float, warnings: int, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    strength: float, is_reported: bool, tmp_path: Path
 ) -> None:
-    bag = shutil.copytree(BAG, tmp_path / "bag")
-    reader = BagReader(bag)
+    reader = BagReader(shutil.copytree(BAG, tmp_path / "bag"))
     reader.custom_data = {CUSTOM: json.dumps({"ml_height": {"prior_strength": strength}})}
-    assert "prior_strength" not in recorded_parameters(reader)["ml_height"]
-    assert len(caplog.messages) == warnings
-    assert all("prior_strength=0.75" in message for message in caplog.messages)
+    timeline = timeline_of(reader)
+    assert "prior_strength" not in recorded_at_start(reader, timeline).values["ml_height"]
+    assert (timeline.forgotten.get(("ml_height", "prior_strength")) == CUSTOM_DATA) == is_reported
 
 
 def test_a_node_refuses_old_names_and_values_and_names_the_new(graph: Graph) -> None:

@@ -1,4 +1,4 @@
-"""Check the messages of one sensor: descriptions, whole dwells, and odometry around their pulses."""
+"""Findings of a check, and the check of one sensor: descriptions, whole dwells, and odometry around their pulses."""
 
 from __future__ import annotations
 

@@ -15,10 +15,7 @@ from sal_height.bag.files import FileIndex, bag_files, read_log_times
 from sal_height.bag.reader import BagReader, Topic
 from sal_height.errors import UserError
 from sal_height.numeric import I64
-from sal_height.tables import aligned
-
-ABSENT = "-"
-"""Text in place of a number that does not exist, such as the rate of a single message."""
+from sal_height.tables import ABSENT, aligned
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Effects of the errors of a preset on positions and heights, one by one, if nothing corrects them.
 
-Each function is of one impairment, and gives nothing where the preset has none. Errors that are constant are given by
-their size, random ones by their standard deviation.
+Each generator of entries is of one impairment, and gives nothing where the preset has none. Errors that are constant
+are given by their size, random ones by their standard deviation. `budget_table` prints all entries of a budget.
 """
 
 from __future__ import annotations

@@ -3,12 +3,12 @@
 Every estimator is a function `estimate(looks, beams, settings)` that returns an `ElevationEstimate`. Read `looks` first
 (the covariance of the channels in each pixel; `cell_response`: the part of it that neighbouring pixels contribute),
 then `estimate` (the result and the reasons for an invalid pixel), `likelihood` with `search` (one scatterer, by the
-whole array), `several` (two and three scatterers in a pixel),
-`extended` (one surface that is spread over elevation), `order` (probability of each of these models), `layover` (choice
-of the model of each pixel) and `maximum_likelihood`, which joins these; `capon` and `music` (the two spectra known from
-tomography, on the same search), `monopulse` (pairs; sum and difference), `bounds` (the Cramér-Rao bounds), `registry`
-(the estimators by name) and `dwells` (several dwells at once). `profile` gives the reflectivity at all elevations of a
-pixel, for tomography of vegetation, and `canopy_ground` the ground below it.
+whole array), `several` (two and three scatterers in a pixel), `extended` (one surface that is spread over elevation),
+`order` (probability of each of these models), `models` (choice of the model of each pixel) and `maximum_likelihood`,
+which joins these; `spectra` (Capon and MUSIC, known from tomography, on the same search), `monopulse` (pairs; sum and
+difference), `bounds` (the Cramér-Rao bounds) and `registry` (the estimators by name, one dwell or several). `profile`
+gives the reflectivity at all elevations of a pixel, for tomography of vegetation, and `canopy_ground` the ground below
+it.
 """
 
 from sal_height.elevation.array.beam_error import common_deviation

@@ -33,7 +33,7 @@ def locate_at_elevations(
     look_side: int,
     positions: F64,
 ) -> None:
-    """Fill the positions of `locate.locate_at_elevation`.
+    """Fill the positions of `trajectory.locate_at_elevation`.
 
     The direction fulfils A sin(squint) + B cos(squint) = cone, as in `frames.squint_on_cone`, which gives
 
@@ -78,7 +78,7 @@ def locate_at_heights(
     earth: float,
     positions: F64,
 ) -> None:
-    """Fill the positions of `locate.locate_at_height`.
+    """Fill the positions of `trajectory.locate_at_height`.
 
     Arguments as in `locate_at_elevations`, with heights and the radius of the `earth` in m.
     """

@@ -1,4 +1,4 @@
-"""The classes of all nodes by name; what runs know of a node are the attributes of its class (`nodes.role`)."""
+"""The classes of all nodes by name; what runs know of a node are the attributes of its class (`nodes.managed`)."""
 
 from __future__ import annotations
 

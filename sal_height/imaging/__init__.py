@@ -1,9 +1,9 @@
 """Image formation: from the phase history of a dwell or strip to single-look complex images of all detectors.
 
-Read `focus` and `strip_focus` first (`focus_dwell`, `StripFocuser`: the whole of it), then `pixels` (image grids and
-their noise), `weighting` (spectral windows), `corrections` (known errors), `checks` (dwells that alias are
-refused), `formers` (backprojection and the fast ones), `autofocus` (phase errors common to all detectors), `strip`
-(blocks that join) and `beams_in_images` (patterns in strip images).
+Read `focus` and `strip_focus` first (`focus_dwell`, `StripFocuser`: the whole of it), then `pixels` (image grids,
+their noise, windows, and beams in strip images), `corrections` (known errors), `checks` (dwells that alias are
+refused), `formers` (backprojection and the fast ones), `autofocus` (phase errors common to all detectors) and `strip`
+(blocks that join).
 """
 
 from sal_height.imaging.autofocus.gradient import apply_phase, is_for_speckle

@@ -1,4 +1,4 @@
-"""Pixel grids of SAR images and the noise power that they contain."""
+"""Pixel grids of SAR images, their noise power, the windows of their spectra, and the beams as strips contain them."""
 
 from __future__ import annotations
 

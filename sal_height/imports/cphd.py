@@ -222,7 +222,7 @@ def _check_kind(path: Path, tree: Any) -> None:
             f"File {path} has phase history in the domain {domain}; FX (fast-time frequencies) and TOA (time of "
             "arrival) are read."
         )
-    kind = tree.findtext("{*}CollectionID/{*}CollectType") or "MONOSTATIC"
+    kind = tree.findtext("{*}CollectionID/{*}CollectType", "MONOSTATIC")
     check_plain(path, kind, tree.findtext("{*}Data/{*}SignalCompressionID"))
     if tree.findtext("{*}Global/{*}SGN") not in {"-1", "+1", "1"}:
         raise UserError(

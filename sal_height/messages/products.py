@@ -175,8 +175,6 @@ def slc_to_messages(
     slc: Slc,
     frame: ChannelFrame | ComplexImage,
     provenance: ProvenanceMessage,
-    map_frame: str = MAP_FRAME,
-    air_delay: str = "",
 ) -> list[ComplexImage]:
     """Return one ComplexImage for each channel, with the labels of `frame`.
 
@@ -186,11 +184,9 @@ def slc_to_messages(
         slc: images of all channels.
         frame: frame with the stamp and the dwell.
         provenance: provenance of the images.
-        map_frame: name of the frame of positions.
-        air_delay: state of the air delay, ComplexImage.AIR_REMOVED or AIR_LEFT; empty: not known.
     """
     key, place = DwellKey("", frame.dwell, to_ns(frame.header.stamp)), Place(slc.grid, Aperture.of(slc.aperture))
-    made = [image_to_message(one) for one in Images(key, map_frame, slc, place, Provenance(), air_delay).channels()]
+    made = [image_to_message(one) for one in Images(key, MAP_FRAME, slc, place, Provenance()).channels()]
     for one in made:
         one.provenance = provenance
     return made

@@ -359,7 +359,7 @@ class StageNode(WorkerNode):
 
 
 def node_of(stage: type[Stage], *, settable: bool = True) -> type[StageNode]:
-    """The class of a stage's node, with what runs know of it (`nodes.role`).
+    """The class of a stage's node, with what runs know of it (`nodes.managed`).
 
     Args:
         stage: class of the stage.

@@ -382,7 +382,7 @@ class WorkerNode(Role, Managed):
 
     def diagnostics(self) -> DiagnosticArray:
         """The stage's account and state, as the conventions have them."""
-        return self._account_publisher.messages(self.account())[0]
+        return self._account_publisher.diagnostics(self.account())
 
     @property
     def source_warning(self) -> str:

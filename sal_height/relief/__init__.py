@@ -1,12 +1,12 @@
 """From elevation to heights on the ground, tracked over pixels and gathered from many dwells.
 
 Read `heights` first (elevation, range and Doppler to height, position and sigma) with `position_error` (covariance of
-the position; error of height at a fixed position), `slope` (slope of the ground, from neighbours) and `rows` (rows
-estimated apart), then `smoothing` (Gauss-Markov smoothing along range and along-track, with the `settings`), `prior`
-(prior of the smoothing, from many dwells), `tracked` (positions of the smoothed heights), `ground` (ground from all
-surfaces of all dwells, with `layers`, `membrane` and `visibility`), `cell_map` (a map that grows with the ground seen),
-`map` (mean of all dwells), `ground_map` (map of the ground), `projected` (map in UTM or the like) and `geotiff` (map as
-a file).
+the position; error of height at a fixed position), and `slope` (slope of the ground, from neighbours), then `smoothing`
+(Gauss-Markov smoothing along range and along-track, with the `settings`), `prior` (prior of the smoothing, from many
+dwells), `tracked` (positions of the smoothed heights), `ground` (ground from all surfaces of all dwells, with `layers`,
+also of rows estimated apart, `membrane` and `visibility`), `cell_map` (a map that grows with the ground seen), `map`
+(mean of all dwells), `ground_map` (map of the ground), `projected` (map in UTM or the like) and `geotiff` (map as a
+file).
 """
 
 from sal_height.relief.cell_map import CellMap, Relief

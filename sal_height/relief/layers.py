@@ -2,7 +2,7 @@
 
 A cell has several layers where surfaces are above each other, as at a wall. Measurements of the same piece are
 merged with the weights of their errors, so that the memory of a map grows with the ground that was seen, not with the
-dwells.
+dwells. Heights of rows that were estimated apart are joined here, too.
 """
 
 from __future__ import annotations

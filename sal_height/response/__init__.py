@@ -2,8 +2,8 @@
 
 Read `impulse` first (width, PSLR and ISLR of a point), then `point_targets` (finding them), `transfer_function` and
 `point_spread` (the function that follows), `speckle_tiles` and `speckle_spectra` (the same from pure speckle),
-`linearity` (a test that both agree, as they do if the system is linear), `doppler` (one band in azimuth for all
-columns) and `report` (all of it for the images of one receiver).
+`linearity` (a test that both agree, as they do if the system is linear), and `report` (all of it for the images of
+one receiver, in one band in azimuth for all columns).
 """
 
 from sal_height.response.impulse import (

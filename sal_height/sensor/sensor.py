@@ -432,7 +432,7 @@ class PhaseHistory:
         pulse_times: times of the pulses after the stamp, shape (pulses,), s.
         reference_range: range to which each pulse's phase refers, shape (pulses,), m.
         samples: complex64, shape (detectors, pulses, samples).
-        saturated_share: fraction of clipped samples in the dwell of each pulse (`receivers.saturated_shares`), shape
+        saturated_share: fraction of clipped samples in the dwell of each pulse (`saturated_shares`), shape
             (channels, pulses); None: not counted.
     """
 

@@ -1,8 +1,8 @@
 """Closed forms and Monte Carlo trials as references for estimators, figures and tests.
 
-Read `discriminator_noise` first (laws of the pair's discriminant), then `relief_radar` (the relief paper's radar),
-`array_trials` (fast draws of pixels for Monte Carlo), `link_budget` (power and CNR) and `aperture_phase` (effect of
-random phases on images). Nothing that processes data imports from here.
+Read `discriminator_noise` first (laws of the pair's discriminant), then `array_trials` (fast draws of pixels for Monte
+Carlo), `link_budget` (power and CNR, and the relief paper's radar) and `aperture_phase` (effect of random phases on
+images). Nothing that processes data imports from here.
 """
 
 from sal_height.theory.aperture_phase import AperturePhase, phase_of_line, phase_of_structure, sum_of_phases

@@ -1,4 +1,4 @@
-"""Link budget: the mean transmitted power for a carrier-to-noise ratio, and the ratio for a power.
+"""Link budget: mean power for a carrier-to-noise ratio, and the reverse; gain and slope of the relief paper's radar.
 
 It applies to radar and to coherent lidar: both receive the echo of a resolution cell in one mode of the antenna,
 sum it coherently over the aperture, and compare its energy with the energy of the noise in one mode (Skolnik,

@@ -1,4 +1,4 @@
-"""Drawings of messages: surfaces, their colours, and the numbers of the nodes."""
+"""Drawings of messages: surfaces, their colours, the track, and the numbers of the nodes."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 """The estimators of elevation by name.
 
-`registry` lists them; `maximum_likelihood`, `capon` and `music` each join the steps of `array` and `layover`, and
-`dwells` estimates several dwells at once.
+`registry` lists them, and estimates several dwells at once; `maximum_likelihood` and `spectra` (Capon, MUSIC) each join
+the steps of `array` and `layover`.
 """

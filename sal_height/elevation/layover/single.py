@@ -187,7 +187,7 @@ class SingleScatterers:
     def of(
         cls, estimate: ElevationEstimate, peaks: SinglePeaks, looks: Looks, beams: Beams, settings: LayoverSettings
     ) -> Self:
-        """Single scatterers of `peaks` in receivers' noise powers; other arguments as in `layover.resolve`."""
+        """Single scatterers of `peaks` in receivers' noise powers; other arguments as in `models.resolve`."""
         noise = PixelNoise.of(peaks, looks, beams)
         peaks, levels = peaks.over(noise.raised), Levels.of(noise, looks, beams, settings)
         return cls(estimate, peaks, noise, levels, Spread.of(peaks, noise, levels, looks))

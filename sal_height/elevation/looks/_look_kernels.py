@@ -137,7 +137,7 @@ def sum_across(first: Index, weights: F64, samples: F64, sums: F64) -> None:
 
 @compiled
 def find_edges(power: F64, contrast: F64, noise: F64, apart: tuple[int, int], edge: Bool) -> None:
-    """See `noise_floor.is_edge_of_shadow`; beyond an edge the image is continued by its edge."""
+    """See `looks.is_edge_of_shadow`; beyond an edge the image is continued by its edge."""
     rows, cols = power.shape
     for r in range(rows):
         before, after = max(r - apart[0], 0), min(r + apart[0], rows - 1)

@@ -1,4 +1,4 @@
-"""Multi-looking: the channels' covariance in each height pixel, summed over the SLC pixels that are its looks."""
+"""Multi-looking: the channels' covariance in each height pixel, summed over its looks; its noise floor."""
 
 from __future__ import annotations
 
@@ -180,7 +180,7 @@ class Looks:
             all its scatterers are at one elevation.
         unplaced: fraction of the variance of the ranges in a pixel that is within its samples, where the position of
             their power is unknown.
-        dwells: number of dwells side by side (`dwells.estimate_dwells`); with several, `level_spread` and `unplaced`
+        dwells: number of dwells side by side (`registry.estimate_dwells`); with several, `level_spread` and `unplaced`
             are those of each column, shape (cols,).
     """
 

@@ -12,7 +12,7 @@ adds over both. The choice of g depends on the scene:
   middle, with nothing windowed, and errors of any size can be followed. `phase_linking` then compares pulses that are
   farther apart as well.
 * Bright targets in a wide scene (radar): g is the response around each target, centred and windowed in azimuth, see
-  `bright_targets`.
+  `focus_targets`.
 
 It needs only the responses of pulses at points, so it is valid for any trajectory.
 """

@@ -1,7 +1,7 @@
 """The account of a node: its message counts, as its messages on /progress and its status on /diagnostics carry them.
 
-Nodes make both messages with `to_messages`, and programs that watch a graph read them with `of_message` and
-`of_status`. NodeAccount describes the numbers; `messages.accounts` has their names on /diagnostics.
+Nodes make both messages with `to_progress` and `to_diagnostics`, and programs that watch a graph read them with
+`of_message` and `of_status`. NodeAccount describes the numbers; `messages.accounts` has their names on /diagnostics.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class Account:
         unpublished: dwells that are processed and whose products follow later; None: all products follow at once.
         last_drop: warning that says why messages were last left out; empty if none were.
         kind: kind of the account, STAGE, RECORDER or OTHER.
-        level: level of DiagnosticStatus.
+        level: level of DiagnosticStatus; like the next two, it is set in accounts that nodes make of themselves only.
         state: reason for the level, in a few words.
         hardware_id: name of the sensor that the node works for; empty: none yet.
     """
@@ -148,23 +148,26 @@ class Account:
         texts = {**{key: str(number) for key, number in self.numbers.items()}, LAST_DROP: self.last_drop}
         return [KeyValue(key=key, value=text) for key, text in texts.items() if text]
 
-    def to_messages(self, node: str, stamp_ns: int) -> tuple[DiagnosticArray, NodeAccount]:
-        """The account as messages on /diagnostics and on /progress.
+    def to_progress(self, node: str, stamp_ns: int) -> NodeAccount:
+        """The account as a message on /progress.
 
         Args:
             node: name of the node with its namespace, without leading slash.
             stamp_ns: time of the node's clock, ns.
         """
-        header = Header(stamp=to_stamp(stamp_ns))
         values = {name: getattr(self, name) for name in _MESSAGE_FIELDS}
         values["unpublished"] = self.unpublished or 0
         for name in (*COUNTED.values(), EVENTS):
             slash = "/" if name in OF_TOPICS else ""
             values[name] = [Count(name=f"{slash}{key}", count=count) for key, count in values[name].items()]
+        return NodeAccount(header=Header(stamp=to_stamp(stamp_ns)), node=node, **values)
+
+    def to_diagnostics(self, node: str, stamp_ns: int) -> DiagnosticArray:
+        """The account as a message on /diagnostics; arguments as for `to_progress`."""
         status = DiagnosticStatus(
             level=self.level, name=node, message=self.state, hardware_id=self.hardware_id, values=self.to_values()
         )
-        return DiagnosticArray(header=header, status=[status]), NodeAccount(header=header, node=node, **values)
+        return DiagnosticArray(header=Header(stamp=to_stamp(stamp_ns)), status=[status])
 
     def after(self, earlier: Account) -> Account:
         """This account, with the counts of an earlier process of the same node added.

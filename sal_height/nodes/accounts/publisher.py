@@ -35,16 +35,19 @@ class AccountPublisher:
     def publish(self, current: Callable[[], Account]) -> None:
         """Publish what `current` returns on both topics."""
         with suppress(RCLError):
-            diagnostics, progress = self.messages(current())
-            publish(self._diagnostics, diagnostics)
-            publish(self._progress, progress)
+            account = current()
+            publish(self._diagnostics, self.diagnostics(account))
+            publish(self._progress, account.to_progress(self._name, self._now_ns()))
 
     def publish_progress(self, current: Callable[[], Account]) -> None:
         """Publish what `current` returns on /progress, if somebody follows."""
         with suppress(RCLError):
             if self.followers:
-                publish(self._progress, self.messages(current())[1])
+                publish(self._progress, current().to_progress(self._name, self._now_ns()))
 
-    def messages(self, account: Account) -> tuple[DiagnosticArray, NodeAccount]:
-        """The account as messages on /diagnostics and on /progress, at the time of the node's clock."""
-        return account.to_messages(self._name, int(self._node.get_clock().now().nanoseconds))
+    def diagnostics(self, account: Account) -> DiagnosticArray:
+        """The account as a message on /diagnostics, at the time of the node's clock."""
+        return account.to_diagnostics(self._name, self._now_ns())
+
+    def _now_ns(self) -> int:
+        return int(self._node.get_clock().now().nanoseconds)

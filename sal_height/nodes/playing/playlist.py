@@ -1,4 +1,4 @@
-"""Lists of messages to play, with the times at which the sensor delivered them: of a whole bag, or of whole dwells.
+"""Lists of messages to play, with the times at which the sensor delivered them: a whole bag, or dwells; and clocks.
 
 Odometry is delivered at its stamp, a frame after its last pulse. In a bag that is played as it is, a message without
 such a time, as the description of a sensor or one on the air, follows its predecessor in the bag.

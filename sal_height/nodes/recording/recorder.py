@@ -391,7 +391,7 @@ class Recorder(Role, Node):
 
     def diagnostics(self) -> DiagnosticArray:
         """The account and state, as the conventions have them."""
-        return self._account_publisher.messages(self.account())[0]
+        return self._account_publisher.diagnostics(self.account())
 
     def _flush(self) -> None:
         try:

@@ -92,7 +92,7 @@ One that was killed is assumed to run until nothing has been received of it for 
 And they ask five times a second, every 3 s by default, what of their messages has not arrived, to send it again.
 
 The ports of one that stands still are assumed dead after 5 s, 1 s by default, when nobody sends to it any more.
-A sender makes the port again with each message, and one that goes on meanwhile may never be reached again (`ports`).
+A sender makes the port again with each message, and one that goes on meanwhile may never be reached again (`domain`).
 Those of a process that was killed are not known to be dead as long: none that starts takes one (`leftovers`).
 """
 

@@ -178,6 +178,9 @@ def recorded_at_start(
             reader.path,
         )
     custom = custom or {}
+    for node, name in [(node, name) for node, of_node in custom.items() for name in ENDED.keys() & of_node.keys()]:
+        del custom[node][name]
+        timeline.forgotten.setdefault(Parameter(node, name), CUSTOM_DATA)
     made = {HEIGHTS[node] for node in (*makers, TRACKER) if node in HEIGHTS}
     start = {parameter: value for parameter, value in timeline.start.items() if parameter.node in nodes}
     unmade = {parameter: value for parameter, value in start.items() if _is_unmade(parameter, value.value, made)}
@@ -250,13 +253,7 @@ def _custom_data(reader: BagReader) -> dict[str, dict[str, Any]] | None:
     values = values or {}
     if not (isinstance(values, dict) and all(isinstance(entry, dict) for entry in values.values())):
         raise UserError(f"The parameters of bag {reader.path} must map node names to mappings of names to values.")
-    renamed = {node: with_new_names(entry) for node, entry in values.items()}
-    for node, name in [(node, name) for node, entry in renamed.items() for name in ENDED.keys() & entry.keys()]:
-        _LOG.warning(
-            "Bag %s: node %s had %s=%r in flight (%s), a parameter that has ended; heights may differ.",
-            *(reader.path, node, name, renamed[node].pop(name), CUSTOM_DATA),
-        )
-    return renamed
+    return {node: with_new_names(entry) for node, entry in values.items()}
 
 
 def _read(text: str) -> Any:

@@ -1,4 +1,4 @@
-"""`sal-height live`: the graph with a sensor that does not wait for it, and the account of its dwells."""
+"""`sal-height live`: the graph with a sensor that does not wait for it, a test of the core before, and the account."""
 
 from __future__ import annotations
 

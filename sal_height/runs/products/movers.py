@@ -62,7 +62,7 @@ def movers_table(summary: Mapping[str, Any]) -> str:
     ]
     if summary["dwells_left_out"]:
         lines[0] += f"; {summary['dwells_left_out']} of {summary['dwells']} dwells were left out"
-    rows = [["dwell", "east m", "north m", "height m", "+-", "mm/s", "+-", "by walk m/s", "+-"]]
+    rows = [["dwell", "east m", "north m", "height m", "+-", "mm/s", "+-", "migration m/s", "+-"]]
     is_along = any("along_velocity_mps" in one for one in movers)
     along = ("along_velocity_mps", "along_velocity_sigma_mps") if is_along else ()
     rows[0] += ["along m/s", "+-"] if along else []
@@ -75,7 +75,7 @@ def movers_table(summary: Mapping[str, Any]) -> str:
     if not all(one["ambiguity_resolved"] for one in movers):
         lines.append(
             "Velocities in mm/s that differ by multiples of "
-            f"{1e3 * movers[0]['ambiguity_mps']:.4g} mm/s look the same; those by the walk through rows do not."
+            f"{1e3 * movers[0]['ambiguity_mps']:.4g} mm/s look the same; those by range migration do not."
         )
     return "\n".join(lines)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ from sal_height.elevation import ESTIMATORS, PROFILES, Validity
 from sal_height.errors import UserError
 from sal_height.geometry import aperture_at, height_of, locate_at_elevation, sphere_coordinates
 from sal_height.graph.picture import page
+from sal_height.graph.reporting import PRESET
 from sal_height.imaging import Slc
 from sal_height.io import writing
 from sal_height.numeric import F64
@@ -27,6 +29,9 @@ from sal_height.sensor import Sensor
 from sal_height.simulation import Scene
 
 GROUND = ESTIMATORS["canopy_ground"]
+
+
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +109,12 @@ def tomogram(bag: Path, folder: Path, looks: tuple[int, int], row: int | None, j
             )
         )
     folder.mkdir(parents=True, exist_ok=True)
-    flight = recorded_flight(BagReader(bag))
+    reader = BagReader(bag)
+    flight = recorded_flight(reader)
+    if flight is None and PRESET in reader.custom_data:
+        _LOG.warning(
+            "Bag %s: its simulated scene cannot be made again, so that the picture lacks the true ground.", bag
+        )
     with writing(folder / "tomogram.png"):
         _draw(cuts, flight.scene if flight else None, folder / "tomogram.png")
     return sum(int(np.isfinite(cut.ground).sum()) for cut in cuts)

@@ -72,7 +72,7 @@ def test_an_account_is_the_same_on_both_topics(rng: np.random.Generator) -> None
         9, 8, 7, 1, 2, True, 3, 0, 5, **counts, **topics, offered_hz=2.5, cpu_s=0.25, pid=77, last_drop="So."
     )
     account = replace(account, latency_p50_ms=float(rng.random()), dropped_last_minute={"some reason": 1})
-    diagnostics, message = account.to_messages("a/b", 3_000_000_001)
+    diagnostics, message = (make("a/b", 3_000_000_001) for make in (account.to_diagnostics, account.to_progress))
     (status,) = deserialize(serialize(diagnostics), DiagnosticArray).status
     assert account.numbers["published./ml/height"] == 5
     assert repr(Account.of_status(status)) == repr(account)

@@ -168,6 +168,7 @@ def test_status_1_is_explained_where_it_can_occur(
         (["replay"], "BAG"),
         (["replay", "a", "b"], "more arguments than the command takes: 'b'"),
         (["irf", "a.npy", "--azimuth-axis", "2"], "--azimuth-axis"),
+        (["psf", "a.npy", "--chip", "64"], "of the form RxA"),
         (["import", "gotcha"], "FILE"),
         (["fly"], 'Unknown command "fly"'),
     ],

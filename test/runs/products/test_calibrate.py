@@ -115,7 +115,7 @@ def test_a_replay_with_a_calibration_has_it_in_its_bag_which_replays_equal(
     first = bag_replay.replay(recorded / "bag", tmp_path / "first", applied, estimators=["ml"], jobs=1)
     assert first.compared["/ml/height"].verdict != EQUAL
     assert BagReader(tmp_path / "first" / "bag").topics["/calibration"].count == 1
-    again = bag_replay.replay(tmp_path / "first" / "bag", tmp_path / "again", {}, jobs=1)
+    again = bag_replay.replay(tmp_path / "first" / "bag", tmp_path / "again", {}, jobs=1, part=Part(last=0))
     assert again.compared["/ml/height"].verdict == EQUAL
     report = json.loads((tmp_path / "again" / "report.json").read_text())
     assert report["parameters"]["sar_compression"]["calibration"] == "topic"

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from _pytest.mark import ParameterSet
 from scipy.constants import speed_of_light
 from scipy.spatial.transform import Rotation
 
@@ -309,11 +310,17 @@ def publisher_of(node: Any, kind: type[Any], topic: str, qos: Any) -> PlainPubli
 
 def thorough(*cases: Any) -> list[Any]:
     """Cases of a parametrised test that only `make thorough` runs; tuples hold one value for each parameter."""
-    values = [case if isinstance(case, tuple) else (case,) for case in cases]
-    return [pytest.param(*one, marks=pytest.mark.thorough) for one in values]
+    return [_thorough(case) for case in cases]
+
+
+def _thorough(case: Any) -> ParameterSet:
+    if isinstance(case, ParameterSet):
+        return case._replace(marks=[*case.marks, pytest.mark.thorough])
+    return pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=pytest.mark.thorough)
 
 
 def few(count: int, cases: Iterable[Any]) -> list[Any]:
     """The cases of a parametrised test, of which `make test` runs the first `count` and `make thorough` all."""
     cases = list(cases)
+    assert count < len(cases), "make test runs all"
     return [*cases[:count], *thorough(*cases[count:])]

@@ -14,6 +14,7 @@ import rasterio
 import sarkit.sicd
 from helpers import refused
 from scipy.io import savemat
+from written_arrays import write_hdf5, write_mat73
 
 from sal_height.array_files import complex_images, named_arrays
 from sal_height.commands import main
@@ -30,6 +31,7 @@ ROWS, COLS = 40, 30
 RNG = np.random.default_rng(1)
 IMAGE = (RNG.normal(size=(ROWS, COLS)) + 1j * RNG.normal(size=(ROWS, COLS))).astype(np.complex64)
 OTHER = (1j * IMAGE).astype(np.complex64)
+POWER = np.arange(24.0).reshape(2, 3, 4)
 
 
 def write_tiff(path: Path) -> None:
@@ -152,6 +154,18 @@ def test_arrays_of_several_shapes_and_none_are_refused(tmp_path: Path) -> None:
     for name, words in (("a.mat", "complex arrays of several shapes"), ("b.mat", "has 0 complex arrays")):
         with refused(UserError, name, words):
             list(images_of(tmp_path / name, None, None, 1))
+
+
+@pytest.mark.parametrize(("name", "write"), [("a.h5", write_hdf5), ("a.mat", write_mat73)])
+def test_named_arrays_are_as_they_were_written(name: str, write: Callable[..., None], tmp_path: Path) -> None:
+    """Complex and real ones, of two and three axes, which MATLAB has in reverse."""
+    arrays = {"image": IMAGE, "power": POWER}
+    write(tmp_path / name, **arrays)
+    found = named_arrays(tmp_path / name)
+    assert found.keys() == arrays.keys()
+    for key, expected in arrays.items():
+        assert found[key].dtype == expected.dtype
+        np.testing.assert_array_equal(found[key], expected)
 
 
 def test_named_arrays_are_not_read_from_images(tmp_path: Path) -> None:

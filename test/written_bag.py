@@ -16,6 +16,7 @@ from sal_height.messages.parameters import parameter_of
 from sal_height.messages.types import (
     Calibration,
     ChannelFrame,
+    ComplexImage,
     HeightImage,
     NavSatFix,
     ParameterEvent,
@@ -25,7 +26,7 @@ from sal_height.messages.types import (
 
 TOPICS = {
     ChannelFrame: "/phase_history",
-    HeightImage: "/ml/height",
+    ComplexImage: "/slc",
     ParameterEvent: "/parameter_events",
     Calibration: "/calibration",
     SensorInfo: "/sensor_info",
@@ -43,12 +44,12 @@ def frame(dwell: int, channel: int = 0) -> ChannelFrame:
     return message
 
 
-def heights(dwell: int, calibration: str = "", **stages: Mapping[str, Any]) -> HeightImage:
+def heights(dwell: int, calibration: str = "", estimator: str = "ml", **stages: Mapping[str, Any]) -> HeightImage:
     """A height image whose provenance states the parameters of these stages."""
     provenance = Provenance(calibration_id=calibration)
     for name, values in stages.items():
         provenance.parameters = messages.with_stage(provenance.parameters, name, values)
-    message = HeightImage(dwell=dwell, estimator="ml", provenance=provenance)
+    message = HeightImage(dwell=dwell, estimator=estimator, provenance=provenance)
     message.header.stamp = messages.to_stamp(key(dwell).stamp_ns)
     return message
 
@@ -79,8 +80,12 @@ def written_apart(
     """A bag with these messages in namespaces, such as "/lidar", one after the other."""
     listed = [(space, message) for space, messages_there in recorded.items() for message in messages_there]
     with BagWriter(folder, custom_data or {}) as writer:
-        for space, kind in {(space, type(message)) for space, message in listed}:
-            writer.add_topic(f"{space}{TOPICS[kind]}", kind.__msgtype__, [qos.FRAMES])
+        for topic, kind in {(f"{space}{_topic_of(message)}", type(message)) for space, message in listed}:
+            writer.add_topic(topic, kind.__msgtype__, [qos.FRAMES])
         for time_ns, (space, message) in enumerate(listed, 1):
-            writer.write(f"{space}{TOPICS[type(message)]}", serialize(message), time_ns, time_ns)
+            writer.write(f"{space}{_topic_of(message)}", serialize(message), time_ns, time_ns)
     return BagReader(folder)
+
+
+def _topic_of(message: Any) -> str:
+    return f"/{message.estimator}/height" if isinstance(message, HeightImage) else TOPICS[type(message)]

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from flown_passes import BORESIGHT, flown, flown_as, preset_of
-from helpers import few, thorough
+from helpers import assert_one_sentence, few, thorough
 
 from benchmarks.passes import FlownPasses, observed
 from sal_height.adjustment import Adjustment, AdjustmentSettings, ObservedDwell, References, Target, Terrain, adjust
@@ -120,12 +120,12 @@ def test_targets_are_as_good() -> None:
         2,
         [
             References((Target(0.0, 1.0, 40.0),)),
-            References((Target(1000.0, 0.0, 0.0),)),
             References(terrain=Terrain(lambda east, north: np.full_like(east + north, np.nan), 0.1)),
+            References((Target(1000.0, 0.0, 0.0),)),
             References(terrain=Terrain(lambda east, north: np.full_like(east + north, 300.0), 0.1)),
         ],
     ),
-    ids=["target too high", "target elsewhere", "no terrain", "terrain too high"],
+    ids=["target too high", "no terrain", "target elsewhere", "terrain too high"],
 )
 def test_references_that_are_not_there_change_nothing(references: References) -> None:
     passes = flown()
@@ -228,6 +228,16 @@ def test_comparisons_that_contradict_the_others_are_said() -> None:
         assert (
             any("contradict the others: some dwells were taken for another place" in one for one in said) == contradict
         )
+
+
+def test_a_dwell_that_is_compared_with_known_ground_only_is_said() -> None:
+    passes = flown()
+    mounting, (dwell, *_) = passes.flight.sensor.mounting, passes.dwells
+    ground = References(terrain=Terrain(passes.flight.scene.heights, 0.02))
+    summary, said = summary_of(adjust([dwell], mounting, SETTINGS, ground), [dwell], mounting, SETTINGS, ground)
+    assert (summary["comparisons"], summary["comparisons_with_known_ground"] > 0) == (0, True)
+    (warning,) = (one for one in said if one.startswith("No two dwells"))
+    assert_one_sentence(warning.partition(". Fly")[0] + ".", "compared with known ground, but not with each other")
 
 
 @pytest.mark.thorough

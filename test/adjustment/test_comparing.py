@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers import thorough
 
-from sal_height.adjustment import UNKNOWN_GROUND, AdjustmentSettings, ObservedDwell, Stated
+from sal_height.adjustment import UNKNOWN_GROUND, AdjustmentSettings, ObservedDwell, Stated, adjust
 from sal_height.adjustment.comparing import (
     STRIP_POINTS,
     SURE,
@@ -65,6 +65,18 @@ def compared_after(
 def test_a_strip_is_not_compared_with_what_it_goes_on_from(seconds: float, sliding: bool, count: int) -> None:
     """Within `strip_s`, 1 s, its images show other ground; dwells of spotlight may show the same."""
     assert len(compared_after(seconds, sliding=sliding)) == count
+
+
+@pytest.mark.parametrize(("sliding", "count"), [(True, 2), (False, 1)])
+def test_images_of_strips_are_compared_as_part_of_their_strip_and_alone_and_dwells_once(
+    sliding: bool, count: int
+) -> None:
+    stated = Stated(0.0, np.diag([1e-4] * 3 + [1e-12] * 3), 1e-8 * np.eye(3))
+    images = [
+        replace(image, stated=replace(stated, seconds=image.stated.seconds))
+        for image in images_after(60.0, sliding=sliding)
+    ]
+    assert len(adjust(images, SENSOR.mounting, SETTINGS).comparisons) == count
 
 
 def points_of(count: int) -> Points:

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from helpers import few, refused
+from helpers import refused
 from stated_errors import ERRORS, Error, displaced, foretold, layout_of
 
 from sal_height.adjustment import AdjustmentSettings, ObservedDwell
@@ -114,7 +114,7 @@ NAVIGATED = [
 ]
 
 
-@pytest.mark.parametrize("heading", few(6, HEADING))
+@pytest.mark.parametrize("heading", HEADING)
 @pytest.mark.parametrize("name", [name for name in NAVIGATED if name != "velocity x"])
 def test_surfaces_move_as_foretold(name: str, heading: str) -> None:
     """Of strips whose phases are left alone; within 4 mm, a twentieth of a pixel, and 3 %."""

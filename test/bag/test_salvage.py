@@ -290,6 +290,7 @@ def test_whatever_byte_is_damaged_no_message_is_changed_and_the_account_is_right
 ) -> None:
     """Two hundred and forty bytes in all; one chunk of three messages is lost at most, and status 1 says so."""
     data, messages = mixed_bag(tmp_path / "bag", compression)
+    known = set(BagReader(tmp_path / "bag").topics)
     rng = np.random.default_rng(7)
     lossless = refused = 0
     for _ in range(120):
@@ -303,7 +304,9 @@ def test_whatever_byte_is_damaged_no_message_is_changed_and_the_account_is_right
             continue
         assert found <= messages
         assert count == len(found) >= len(messages) - 3
-        assert BagReader(tmp_path / "out").custom_data in ({"parameters": "{}"}, {})
+        reader = BagReader(tmp_path / "out")
+        assert reader.custom_data in ({"parameters": "{}"}, {})
+        assert set(reader.topics) <= known
         assert f"{count} messages recovered" in said.out
         if count < len(messages):
             assert status == 1
@@ -312,6 +315,22 @@ def test_whatever_byte_is_damaged_no_message_is_changed_and_the_account_is_right
         assert lost == len(messages) - count
     assert refused <= 3
     assert 24 < lossless < 117
+
+
+@pytest.mark.parametrize("compression", ["lz4", "zstd"])
+@pytest.mark.parametrize("part", [0.0, 0.5])
+def test_a_chunk_that_cannot_be_decompressed_is_left_out(
+    part: float, compression: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One byte is damaged of the compressed records: the first of all, and one in the middle."""
+    data, messages = mixed_bag(tmp_path / "bag", compression)
+    chunk = read_index(tmp_path / "bag" / "bag_0.mcap").summary.chunk_indexes[5]
+    damaged = bytearray(data)
+    damaged[chunk.chunk_start_offset + chunk.chunk_length - round((1 - part) * chunk.compressed_size)] ^= 0xFF
+    status, found, count = saved_by_command(bytes(damaged), tmp_path)
+    assert (status, count, len(found)) == (1, len(messages) - 3, len(messages) - 3)
+    assert found <= messages
+    assert f"{count} messages recovered" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])

@@ -120,6 +120,18 @@ def test_stated_errors_know_what_rows_have_in_common() -> None:
     assert np.sqrt(np.mean(np.array(ratios) ** 2)) == pytest.approx(1, abs=0.14)
 
 
+def test_rows_that_repeat_each_other_state_no_smaller_errors() -> None:
+    """Every pixel once, or four times in its column: four times independent pixels would halve the errors."""
+    rng, beams = np.random.default_rng(3), make_beams("jinc", 4)
+    elevation = rng.uniform(*beams.span, 2000)
+    samples = draw_samples(rng, beams, elevation, np.zeros(2000), 10.0, looks=4)
+    columns = covariance(samples, True).reshape(20, 100, 4, 4)
+    once, repeated = (
+        sigmas(calibrate_beams(Looks.of(pixels, 4), beams)) for pixels in (columns, columns.repeat(4, axis=0))
+    )
+    assert repeated / once == pytest.approx(1, abs=0.15)
+
+
 def test_variance_between_groups_is_that_of_their_sums() -> None:
     """40 000 groups of three scores, one of them common to the group: 1 + 2^2, within 2 %."""
     rng = np.random.default_rng(2)

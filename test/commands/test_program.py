@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import assert_one_sentence, few
+from helpers import assert_one_sentence
 
 import sal_height.commands
 from sal_height import __version__
@@ -94,7 +94,7 @@ def test_the_module_is_the_program() -> None:
     assert result.stdout == f"sal_height {__version__}\n"
 
 
-@pytest.mark.parametrize("also_errors", few(3, [False, True]), ids=["stdout", "stdout and stderr"])
+@pytest.mark.parametrize("also_errors", [False, True], ids=["stdout", "stdout and stderr"])
 @pytest.mark.parametrize(
     "words", [["--help"], ["--version"], ["montecarlo", "pair", "--trials", "10"], ["replay"]], ids=" ".join
 )
@@ -168,6 +168,7 @@ def test_status_1_is_explained_where_it_can_occur(
         (["replay"], "BAG"),
         (["replay", "a", "b"], "more arguments than the command takes: 'b'"),
         (["irf", "a.npy", "--azimuth-axis", "2"], "--azimuth-axis"),
+        (["psf", "a.npy", "--chip", "64"], "of the form RxA"),
         (["import", "gotcha"], "FILE"),
         (["fly"], 'Unknown command "fly"'),
     ],

@@ -43,18 +43,18 @@ def test_theory_holds_at_every_point(name: str) -> None:
         [
             ("relief_snr", "steady_mean", lambda gamma, snr: gamma * snr / (snr + 1)),
             ("relief_hybrid", "hybrid_gain", lambda coupling, loss: coupling**2 / loss),
+            ("relief_geometry", "EARTH_RADIUS", 6_378_137.0),
             ("relief_hybrid", "hybrid_gain", lambda coupling, loss: 2 * coupling**2 / loss**0.8),
             ("relief_order", "steady_mean", lambda gamma, snr: gamma * snr / (snr + 1)),
             ("relief_order", "steady_looks_mean", lambda gamma, snr, pulses: gamma * -np.expm1(-snr) + 0 * pulses),
             ("relief_order", "SteadyLaw", lambda gamma, snr: SteadyLaw(gamma, 1.1 * snr)),
-            ("relief_geometry", "EARTH_RADIUS", 6_378_137.0),
             ("relief_geometry", "_flat_law", lambda theta, slant_range: 10_000 - slant_range * np.cos(theta + 1e-13)),
             ("relief_discriminator", "SLOPES", dict.fromkeys(relief.SLOPES, relief.SLOPES["gaussian"])),
         ],
     ),
 )
 def test_a_wrong_closed_form_is_noticed(name: str, theory: str, wrong: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Another target's mean; a factor; an exponent; no loss of coherence; 10 % of SNR; another earth; 1e-13 rad."""
+    """Another target's mean; a factor; another earth; an exponent; no loss of coherence; 10 % of SNR; 1e-13 rad."""
     monkeypatch.setattr(relief, theory, wrong)
     assert failed(RELIEF_FIGURES[name].curves(40_000, SEED))
 

@@ -140,6 +140,19 @@ class StageChain(Flown):
         return {name: stage.summary() for name, stage in self.stages.items()}
 
 
+def heights_of_messages(chain: StageChain) -> HeightImage:
+    """The height image that another ml_height, with default settings, makes of the one dwell of images of a chain.
+
+    It reads them from messages, where the chain hands over the images themselves.
+    """
+    graph = StageGraph()
+    graph.add("ml_height")
+    graph.publish(TOPICS[SensorInfo], chain.sensor_info())
+    graph.publish("slc", *chain.graph.heard["slc"])
+    (image,) = graph.heard["ml/height"]
+    return image
+
+
 class Chain(Flown):
     """sar_compression and height nodes in one graph; frames go in by hand, heights are collected."""
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from chain_fixture import DETECTORS, START_NS, StageChain, next_dwell_is_exact, same_heights
+from chain_fixture import DETECTORS, START_NS, StageChain, heights_of_messages, next_dwell_is_exact, same_heights
 
 from sal_height import messages
 from sal_height.engine.frame_items import check_frame
@@ -321,6 +321,12 @@ def silent(frame: ChannelFrame) -> None:
     frame.samples = messages.to_bytes(np.zeros(len(frame.samples), np.uint8))
 
 
+def left_out_of(image: HeightImage) -> list[int]:
+    """Channels that an estimator has left out."""
+    node = "ml_height" if image.estimator == "ml" else image.estimator
+    return list(messages.stages_of(image.provenance.parameters)[node]["channels_left_out"])
+
+
 def test_a_loud_and_a_dead_detector_leave_heights_of_the_others(chain: StageChain) -> None:
     info, frames = chain.sensor_info(), chain.frames(0)
     info.channels.noise_power = [1.0, 900.0] + [1.0] * 6
@@ -330,8 +336,7 @@ def test_a_loud_and_a_dead_detector_leave_heights_of_the_others(chain: StageChai
     for estimator in ("monopulse", "ml"):
         image = chain.heights[estimator, 0]
         assert np.count_nonzero(np.isfinite(image.surfaces[0].height)) > 20
-        stage = messages.stages_of(image.provenance.parameters)["ml_height" if estimator == "ml" else estimator]
-        assert list(stage["channels_left_out"]) == [4]
+        assert left_out_of(image) == [4]
 
 
 def test_a_detector_that_sends_nothing_leaves_heights_of_the_others(flight: Any) -> None:
@@ -340,7 +345,9 @@ def test_a_detector_that_sends_nothing_leaves_heights_of_the_others(flight: Any)
     frames = chain.frames(0)
     chain.publish(chain.sensor_info(), *chain.odometry(0), *frames[:4], *frames[5:])
     chain.await_heights(0)
-    without = dict(chain.heights)
+    without, of_messages = dict(chain.heights), heights_of_messages(chain)
+    assert same_heights(of_messages, without["ml", 0])
+    assert left_out_of(of_messages) == left_out_of(without["ml", 0]) == [4]
     chain.heights.clear()
     for frame in frames:
         frame.dwell = 7

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from chain_fixture import START_NS, StageChain, same_heights
+from chain_fixture import START_NS, StageChain, heights_of_messages, same_heights
 from helpers import assert_one_sentence
 
 from sal_height import messages
@@ -50,6 +50,7 @@ def test_a_strong_scene_at_a_low_full_scale_is_marked(flight: SimulatedFlight) -
         assert not any(np.isfinite(np.array(surface.height)).any() for surface in image.surfaces)
         chain.wait(lambda s=stage: chain.accounts()[s].get("ignored.saturated") == 1, "the count")
         assert_one_sentence(chain.stages[stage].last_rejection.partition(": ")[2], "Dwell 0", "max_saturated_fraction")
+    assert same_heights(heights_of_messages(chain), heights["ml", 0])
 
 
 @pytest.mark.parametrize(("limit", "marked"), [(1.0, False), (0.0, True)])

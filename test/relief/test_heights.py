@@ -21,6 +21,7 @@ from sal_height.imaging.formers.backprojection import backproject
 from sal_height.imaging.pixels import Processing, slant_plane_grid
 from sal_height.numeric.windows import broadening, noise_gain, window
 from sal_height.relief.heights import HeightField, height_field
+from sal_height.relief.position_error import height_variance, pose_covariance
 from sal_height.sensor.sensor import PhaseHistory
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.preset import load_preset
@@ -134,6 +135,25 @@ def test_level_flight_turns_roll_and_height_of_the_platform_into_height() -> Non
         moved[axis] = pose_sigma(make_aperture(), covariance, 1, 14.5, 9.5)
     np.testing.assert_allclose([moved[2], moved[3]], [0.2, 1e-4 * 5000 * np.sin(np.pi / 4)], rtol=1e-3)
     assert max(moved[0], moved[1], moved[4], moved[5]) < 1e-3
+
+
+@pytest.mark.parametrize("side", [1, -1], ids=["right", "left"])
+@pytest.mark.parametrize("sliding", [False, True], ids=["spotlight", "stripmap"])
+def test_the_pose_adds_to_sigma_what_it_adds_to_the_position_along_the_vertical(side: int, sliding: bool) -> None:
+    """At a squint, of a flight that turns and descends, with errors that depend on each other."""
+    factor = 1e-3 * np.random.default_rng(5).standard_normal((6, 6)) * [[1.0], [1.0], [1.0], [0.1], [0.1], [0.1]]
+    covariance = factor @ factor.T
+    aperture = replace(make_aperture(angles=TILTED, velocity=(49.0, 4.0, -2.0)), sliding=sliding)
+    pixel = slant_grid(aperture, side).points(3.0, 1900.0)
+    here = aperture_at(pixel, aperture)
+    sight = pixel - here.position
+    along = sight @ aperture.direction
+    assert abs(along) > 30.0
+    point = locate_at_elevation(np.pi / 4, np.linalg.norm(sight), along, here, side)
+    expected = pose_covariance(point, replace(aperture, covariance=covariance))
+    assert expected is not None
+    found = pose_sigma(aperture, covariance, side, 3.0, 1900.0)
+    assert found**2 == pytest.approx(float(height_variance(expected, point)), rel=1e-4)
 
 
 def test_pixels_without_a_usable_elevation_have_no_height() -> None:

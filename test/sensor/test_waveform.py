@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from alos import forest_echoes
 from helpers import (
     RAW_WAVEFORMS,
     circular,
@@ -317,30 +318,23 @@ RAYLEIGH = float(np.sqrt(4 / np.pi - 1))
 @pytest.fixture(scope="module")
 def alos(shared_data: Callable[[str], Path]) -> tuple[Sensor, np.ndarray]:
     """Raw echoes of ALOS PALSAR over rain forest, and the sensor as its file describes it."""
-    h5py = pytest.importorskip("h5py")
-    (path,) = shared_data("alos_palsar").glob("ALPSRP*.h5")
-    with h5py.File(path) as file:
-        swath = file["science/LSAR/RRSD/swaths/frequencyA/txH"]
-        table, codes = swath["rxH/BFPQLUT"][:], swath["rxH/HH"][:]
-        slope, duration = float(swath["chirpSlope"][()]), float(swath["chirpDuration"][()])
-        spacing, carrier = float(swath["slantRangeSpacing"][()]), float(swath["centerFrequency"][()])
-    raw = (table[codes["r"]] + 1j * table[codes["i"]]).astype(np.complex64)
+    echoes = forest_echoes(shared_data)
     sensor = make_sensor(
-        wavelength=speed_of_light / carrier,
-        bandwidth=abs(slope) * duration,
-        sample_count=raw.shape[1],
-        pulse_count=raw.shape[0],
+        wavelength=speed_of_light / echoes.carrier,
+        bandwidth=abs(echoes.slope) * echoes.duration,
+        sample_count=echoes.raw.shape[1],
+        pulse_count=echoes.raw.shape[0],
         pulse_repetition_frequency=2150.538,
         elevation_diameter=8.9,
         azimuth_diameter=8.9,
         elevation_boresights=(0.6,),
         noise_power=(0.0,),
         waveform="chirp",
-        chirp_rate=slope,
-        pulse_duration=duration,
-        sampling_rate=speed_of_light / (2 * spacing),
+        chirp_rate=echoes.slope,
+        pulse_duration=echoes.duration,
+        sampling_rate=echoes.rate,
     )
-    return sensor, raw[None]
+    return sensor, echoes.raw[None]
 
 
 def range_profiles(sensor: Sensor, raw: np.ndarray) -> np.ndarray:

@@ -140,8 +140,8 @@ def peak_sidelobe_db(power: np.ndarray) -> float:
     return float(10 * np.log10(max(power[:left].max(), power[right:].max()) / power[middle]))
 
 
-@pytest.mark.parametrize("former", few(2, ["backprojection", "fast"]))
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("former", ["backprojection", "fast"])
+@pytest.mark.parametrize("name", few(2, PRESETS))
 def test_point_focuses_in_gusts_as_on_a_straight_track(name: str, former: str) -> None:
     steps = np.arange(-96, 97) / 32
     calm, rough = (np.abs(azimuth_cut(gusty(name, gust), steps, former)) ** 2 for gust in (0.0, 1.0))

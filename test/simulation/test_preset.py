@@ -542,7 +542,10 @@ NUMBERS = [
         ("looks", [2, True], "looks.1 is True; it must be a number"),
         ("targets", [MOVER | {"power_db": 101.0}], "targets.0.power_db is 101.0; it must be less than or equal to 100"),
         *((key, True, f"{key} is True; it must be a number, not true or false") for key in NUMBERS),
-        *((key, 1, f"{key} is not a known key") for key in ("colour", "sensor.aperture", "flight.altitude_m")),
+        *(
+            (key, 1, f"{key} is not a known key")
+            for key in ("colour", "sensor.aperture", "flight.altitude_m", "image.depth")
+        ),
     ],
 )
 def test_wrong_values_are_named_by_their_place_and_shown_short(key: str, value: Any, said: str) -> None:

@@ -113,19 +113,6 @@ def climb_highest(
 
 
 @compiled
-def climb_uphill(matrices: F32, squints: Index, values: F32, pieces: F32, nodes: Index, position: F64) -> None:
-    """Climb from one node of each pixel's grid; arguments as in `climb_highest`."""
-    work, last = np.empty((3, pieces.shape[3]), np.float32), values.shape[1] - 1
-    for i in range(len(values)):
-        table, line, g = pieces[squints[i]], values[i], nodes[i]
-        while g < last and line[g + 1] >= line[g]:
-            g += 1
-        while g > 0 and line[g - 1] > line[g]:
-            g -= 1
-        position[i], _ = _climb(matrices[i], table, max(g - 1, 0), start_of_climb(line, g), min(g + 1, last), work)
-
-
-@compiled
 def is_behind_a_dip(line: F32, g: int) -> bool:
     """True if a higher neighbour of a node bends upwards: between peaks so near that the grid shows one only."""
     if g > 1 and line[g - 1] > line[g] and line[g - 2] + line[g] > 2 * line[g - 1]:

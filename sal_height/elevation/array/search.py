@@ -22,7 +22,6 @@ from sal_height.elevation.array._kernels import (
     TABLE_STEPS,
     TILE,
     climb_highest,
-    climb_uphill,
     evaluate_on_grid,
     fit_scatterer,
 )
@@ -275,18 +274,6 @@ class PeakSearch:
         """Objective of some pixels at all nodes of the grid, (pixels, grid nodes); errors as in `peaks`."""
         squints = self.every(len(covariance))
         return evaluate_on_grid(self._real(covariance), squints, self.tables.entries, self.tables.grid)
-
-    def peaks_uphill(self, covariance: Covariance, nodes: Index) -> F64:
-        """Find the elevation (rad) of the peak uphill of a node of the grid in each pixel; errors as in `peaks`.
-
-        Args:
-            covariance: shape (pixels, channels, channels).
-            nodes: node of the grid of each pixel, shape (pixels,).
-        """
-        position, matrices, squints = np.empty(len(covariance)), self._real(covariance), self.every(len(covariance))
-        values = evaluate_on_grid(matrices, squints, self.tables.entries, self.tables.grid)
-        climb_uphill(matrices, squints, values, self.tables.pieces, nodes, position)
-        return self.elevation(position)
 
     def _real(self, covariance: Covariance) -> F32:
         """Real matrices whose quadratic form with the real weights is that of the covariance."""

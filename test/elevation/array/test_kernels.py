@@ -122,21 +122,6 @@ def test_fit_is_that_of_the_weights_at_a_place(complex_beams: bool) -> None:
     np.testing.assert_allclose(found[2], turning, rtol=2e-3, atol=1e-6)
 
 
-def test_uphill_ends_at_the_peak_beside_the_highest_node_reached() -> None:
-    tables, matrices, squints = tables_of(make_beams("jinc")), pixels_of(16, 200, 4), mixed_squints(200)
-    values = kernels.evaluate_on_grid(matrices, squints, tables.entries, tables.grid)
-    start = np.random.default_rng(RNG_SEED).integers(0, values.shape[1], len(values))
-    found = np.empty(len(values))
-    kernels.climb_uphill(matrices, squints, values, tables.pieces, start, found)
-    for line, node, place in zip(values, start, found, strict=True):
-        top = node
-        while top + 1 < line.size and line[top + 1] >= line[top]:
-            top += 1
-        while top > 0 and line[top - 1] > line[top]:
-            top -= 1
-        assert abs(place / kernels.TABLE_STEPS - top) <= 1
-
-
 def images(channels: int) -> tuple[Array, Array]:
     """Images (channels, rows, cols), complex64, and the view of their real and imaginary parts."""
     slc = circular(np.random.default_rng([RNG_SEED, channels]), (channels, 7, 9)).astype(np.complex64)

@@ -63,6 +63,15 @@ def test_packets_are_small_if_the_network_loses_many(capsys: pytest.CaptureFixtu
     assert sizes == [0, 1]
 
 
+@pytest.mark.parametrize("packet_bytes", [1400, 9000])
+def test_messages_travel_in_packets_of_the_stated_size(packet_bytes: int) -> None:
+    """Of the participant; pieces of shared memory stay as they are."""
+    bare, sized = (
+        re.findall(r"<maxMessageSize>(\d+)<", settings_for(0, packet_bytes=size)) for size in (0, packet_bytes)
+    )
+    assert sorted(sized) == sorted([*bare, str(packet_bytes)])
+
+
 @pytest.mark.parametrize(("dwell_mb", "fewest"), [(0, 60), (100, 60)])
 def test_pieces_of_messages_are_far_smaller_than_what_no_message_fills(dwell_mb: float, fewest: int) -> None:
     """Of each 1024 bytes 32 are in reserve; with 6 of the largest pieces in it, senders fell silent for good."""

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers import assert_one_sentence
+from helpers import assert_one_sentence, refused
 from pydantic import create_model
 from written_bag import calibration, changed, frame, heights, key, told, written, written_apart
 
@@ -23,14 +23,16 @@ from sal_height.errors import UserError
 from sal_height.geometry import Origin
 from sal_height.graph.catalogue import SETTABLE, consumers, parameters_of
 from sal_height.graph.plan import DwellChanges
+from sal_height.messages.types import ComplexImage
 from sal_height.renamed import with_new_names
 from sal_height.runs.chain.chain_runs import plan
-from sal_height.runs.chain.entry import FROM_HEIGHTS, WHOLE, Part, ReplayNodes, chain_of
+from sal_height.runs.chain.entry import FROM_HEIGHTS, IMAGES, WHOLE, Part, ReplayNodes, chain_of
 from sal_height.runs.chain.recorded_parameters import recorded_parameters
 from sal_height.runs.chain.replay_parameters import ReplayPlan, processing_of
 from sal_height.runs.chain.timeline import OF_MACHINE
 from sal_height.runs.live.sensor_bag import Feed
 from sal_height.settings import settings_of
+from sal_height.simulation import load_preset
 
 BAGS = Path(__file__).parents[3] / "bags"
 ALL = sorted(folder.name for folder in BAGS.iterdir() if folder.is_dir())
@@ -218,6 +220,17 @@ def test_settings_say_which_of_them_name_files() -> None:
         "terrain",
     }
     assert all(one.names_file == one.description.startswith("path of") for one in entries)
+
+
+def test_of_images_no_heights_are_adjusted(tmp_path: Path) -> None:
+    """No odometry is played: a node that is asked for is refused, one that worked in flight is left out."""
+    info = messages.sensor_to_message(load_preset("small").make_sensor(), messages.to_stamp(0))
+    recorded = [info, *(ComplexImage(channel=channel) for channel in range(8)), heights(0)]
+    bag = written(tmp_path / "bag", [*recorded, heights(0, estimator="adjusted")])
+    with refused(UserError, "adjusted with the odometry", "replay from phase_history"):
+        chain_of(bag, IMAGES, ("ml", "adjusted"))
+    chain = chain_of(bag, IMAGES, ())
+    assert (chain.makers, chain.stages, chain.dwells) == (["ml_height"], ["ml_height", "relief_tracker"], 1)
 
 
 def test_heights_that_are_not_made_are_not_used(tmp_path: Path) -> None:

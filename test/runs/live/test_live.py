@@ -9,13 +9,14 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
 from sal_height.graph.plan import Execution
-from sal_height.runs.live.live import Live, Watched, core_rate_hz, live, warn_of_overload
+from sal_height.runs.live.live import Beginning, DwellClock, Live, Watched, core_rate_hz, live, warn_of_overload
 from sal_height.runs.live.sensor_bag import Feed, record_sensor
 from sal_height.runs.replay.bag_replay import replay
 from sal_height.simulation import load_preset
@@ -218,3 +219,41 @@ def test_a_flight_beside_its_scene_is_refused_before_it_is_simulated(tmp_path: P
     with pytest.raises(UserError, match="terrain"):
         Feed.simulated(beside, 1, tmp_path / "bag")
     assert not list(tmp_path.iterdir())
+
+
+class Asked:
+    """A conductor of which a sensor is asked to start; it answers at once, if at all.
+
+    Attributes:
+        answers: results to come, one for each question; None: no answer.
+        questions: number of times that it was asked.
+    """
+
+    def __init__(self, *answers: tuple[bool, str] | None) -> None:
+        self.answers, self.questions = list(answers), 0
+
+    def ask(self) -> SimpleNamespace:
+        answer = self.answers[self.questions]
+        self.questions += 1
+        result = answer and SimpleNamespace(success=answer[0], message=answer[1])
+        return SimpleNamespace(done=lambda: result is not None, result=lambda: result)
+
+
+def test_a_sensor_is_asked_to_start_until_it_does_and_again_after_its_node_was_restarted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Once a second: it is absent at first, then not ready. The clock begins as it answers."""
+    now_s = [0.0]
+    monkeypatch.setattr("sal_height.runs.live.live.time", SimpleNamespace(monotonic=lambda: now_s[0]))
+    asked, clock = Asked(None, (False, "not ready"), (True, "1234"), (True, "5678")), DwellClock(1.0, 0.0)
+    beginning = Beginning(asked, clock)  # type: ignore[arg-type]
+
+    def at(seconds: float) -> tuple[bool, int, int]:
+        now_s[0] = seconds
+        return beginning.has_begun(), asked.questions, clock.begin_ns
+
+    found = [at(seconds) for seconds in (100.0, 100.5, 101.1, 102.2, 102.3, 110.0)]
+    assert found == [(False, 1, 0), (False, 1, 0), (False, 2, 0), (False, 3, 0), (True, 3, 1234), (True, 3, 1234)]
+    beginning.forget()
+    assert at(110.1) == (False, 4, 1234)
+    assert at(110.2) == (True, 4, 5678)

@@ -12,6 +12,7 @@ import pytest
 from helpers import assert_one_sentence
 from rosbags.highlevel import AnyReader
 
+from sal_height.bag.compare import EQUAL
 from sal_height.bag.reader import BagReader
 from sal_height.calibration.files import load_calibration
 from sal_height.commands import main
@@ -20,6 +21,7 @@ from sal_height.graph.catalogue import HEIGHTS
 from sal_height.runs.chain.entry import Part
 from sal_height.runs.live.sensor_bag import record_sensor
 from sal_height.runs.products.calibrate import CALIBRATION, beam_width, calibrate
+from sal_height.runs.replay import bag_replay
 from sal_height.runs.truth.report import read_accuracy
 from sal_height.runs.truth.simulate import fly
 from sal_height.simulation.flight import flight_of
@@ -102,6 +104,23 @@ def test_heights_are_better_with_it(
     report = json.loads((tmp_path / "third" / "report.json").read_text())
     assert report["parameters"]["sar_compression"]["calibration"] == "topic"
     assert report["changes_in_flight"] == [{"dwell": 0, "calibration": found, "source": "provenance"}]
+
+
+def test_a_replay_with_a_calibration_has_it_in_its_bag_which_replays_equal(
+    recorded: Path, calibrated: Path, tmp_path: Path
+) -> None:
+    """Of two dwells, by calls: whose heights are other than those without it."""
+    file = calibrated / CALIBRATION
+    applied = {"sar_compression": {"calibration": str(file)}}
+    first = bag_replay.replay(recorded / "bag", tmp_path / "first", applied, estimators=["ml"], jobs=1)
+    assert first.compared["/ml/height"].verdict != EQUAL
+    assert BagReader(tmp_path / "first" / "bag").topics["/calibration"].count == 1
+    again = bag_replay.replay(tmp_path / "first" / "bag", tmp_path / "again", {}, jobs=1, part=Part(last=0))
+    assert again.compared["/ml/height"].verdict == EQUAL
+    report = json.loads((tmp_path / "again" / "report.json").read_text())
+    assert report["parameters"]["sar_compression"]["calibration"] == "topic"
+    changes = [{"dwell": 0, "calibration": load_calibration(file).id, "source": "provenance"}]
+    assert report["changes_in_flight"] == changes
 
 
 def test_rosbags_reads_the_calibration_by_the_schema_in_the_bag(calibrated: Path) -> None:

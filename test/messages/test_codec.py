@@ -64,7 +64,7 @@ def test_what_one_writes_the_other_reads(type_name: str, rng: np.random.Generato
     store, definition = get_typestore(Stores.EMPTY), shipped_definition(type_name)
     assert definition
     store.register(get_types_from_msg(definition.text, type_name))
-    for _ in range(10):
+    for _ in range(4):
         message = random_message(type_name, rng)
         cdr = serialize(message)
         assert_same_as_rclpy(message, read_by_rclpy(cdr, type_name))

@@ -333,6 +333,7 @@ def errors_of(bag: Path) -> F64:
     return np.array(found).reshape(STRIPS, IMAGES, 2)
 
 
+@pytest.mark.thorough
 def test_strips_of_a_bag_are_adjusted(adjusted_strips: Path) -> None:
     report = json.loads((adjusted_strips / "report.json").read_text())
     assert report["dwells"] == STRIPS * IMAGES
@@ -346,6 +347,7 @@ def test_strips_of_a_bag_are_adjusted(adjusted_strips: Path) -> None:
     assert "Without known ground all dwells together may lie off by" in " ".join(report["warnings"])
 
 
+@pytest.mark.thorough
 def test_a_replay_forms_strips_with_the_corrected_odometry_whose_heights_agree(
     strips: Path, adjusted_strips: Path
 ) -> None:

@@ -33,8 +33,9 @@ from sal_height.adjustment import (
 from sal_height.elevation import ESTIMATORS
 from sal_height.engine.compression import ODOMETRY_PORT
 from sal_height.engine.dwells import SENSOR_PORT, SENSORS_KEPT, DwellStage, WholeDwell
-from sal_height.engine.frame_items import LONGEST_DWELL, Aperture, check_geometry
+from sal_height.engine.frame_items import LONGEST_DWELL
 from sal_height.engine.gathering import Dwell
+from sal_height.engine.geometry_items import Aperture, check_geometry
 from sal_height.engine.height_items import Heights, heights_port, packed
 from sal_height.engine.heights import HEIGHTS_ABOUT
 from sal_height.engine.kept import RecentValues

@@ -14,8 +14,8 @@ from sal_height.elevation import ESTIMATORS, ElevationEstimator, Validity
 from sal_height.engine.calibrations import CALIBRATION_PORT, CALIBRATIONS_ARRIVED, Calibrations
 from sal_height.engine.compression import SLC_PORT
 from sal_height.engine.dwells import SENSOR_PORT, DwellStage, WholeDwell
-from sal_height.engine.frame_items import Aperture
 from sal_height.engine.gathering import Dwell
+from sal_height.engine.geometry_items import Aperture
 from sal_height.engine.height_items import Heights, packed
 from sal_height.engine.image_items import ChannelImage, Images, check_image, check_images
 from sal_height.engine.provenance import LEFT_OUT

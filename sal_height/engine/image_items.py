@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from sal_height.calibration import Calibration
-from sal_height.engine.frame_items import Aperture, Frame, are_equal, check_channel, check_geometry
+from sal_height.engine.frame_items import Frame, check_channel
+from sal_height.engine.geometry_items import Aperture, are_equal, check_geometry
 from sal_height.engine.losses import Doubt, FitTest
 from sal_height.engine.provenance import Provenance
 from sal_height.engine.stage import DwellKey

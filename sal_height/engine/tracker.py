@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from sal_height.elevation import ESTIMATORS
-from sal_height.engine.frame_items import Aperture
+from sal_height.engine.geometry_items import Aperture
 from sal_height.engine.height_items import Heights, heights_port, packed
 from sal_height.engine.heights import HEIGHTS_ABOUT
 from sal_height.engine.provenance import LEFT_OUT, Provenance

@@ -22,6 +22,7 @@ from sal_height.geometry.frames import (
 )
 from sal_height.geometry.geodesy import BODY_AXES, MAP_AXES, ROS_AXES, Axes, Origin
 from sal_height.geometry.grid import Grid, pixels_at, ranges_of_phase, without_range_phase
+from sal_height.geometry.motion import Motion, quaternion_of, rotation_matrix
 from sal_height.geometry.navigation import REORDERED_NS, Navigation, Sample
 from sal_height.geometry.projection import UTM, WGS_84, Projection, find_system
 from sal_height.geometry.refraction import (
@@ -38,15 +39,12 @@ from sal_height.geometry.refraction import (
 from sal_height.geometry.trajectory import (
     GREATEST_POSE,
     GREATEST_VELOCITY,
-    Motion,
     PlatformState,
     Trajectory,
     is_finite_covariance,
     known_covariance,
     locate_at_elevation,
     locate_at_height,
-    quaternion_of,
-    rotation_matrix,
 )
 
 __all__ = [

@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.geometry.frames import Mounting
-from sal_height.geometry.trajectory import PlatformState, quaternion_of, rotation_matrix
+from sal_height.geometry.motion import quaternion_of, rotation_matrix
+from sal_height.geometry.trajectory import PlatformState
 from sal_height.numeric import F64
 
 MAP_AXES = {

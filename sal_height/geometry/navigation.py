@@ -14,7 +14,8 @@ from scipy.interpolate import CubicHermiteSpline
 
 from sal_height.errors import Rejected
 from sal_height.geometry.geodesy import Origin
-from sal_height.geometry.trajectory import PlatformState, attitude_between, quaternion_of, rotation_matrix
+from sal_height.geometry.motion import attitude_between, quaternion_of, rotation_matrix
+from sal_height.geometry.trajectory import PlatformState
 from sal_height.numeric import F64
 
 REORDERED_NS = 1_000_000_000

@@ -26,7 +26,6 @@ from sal_height.messages.frames import (
     received_frame,
     state_from_message,
     state_to_message,
-    twist_covariance,
 )
 from sal_height.messages.navigation import (
     AIR,
@@ -100,6 +99,5 @@ __all__ = [
     "to_floats",
     "to_ns",
     "to_stamp",
-    "twist_covariance",
     "with_stage",
 ]

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.engine.frame_items import Aperture
+from sal_height.engine.geometry_items import Aperture
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import ApertureState, Grid
 from sal_height.messages.types import Aperture as ApertureMessage

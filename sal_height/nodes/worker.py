@@ -33,8 +33,8 @@ from sal_height.nodes.accounts.tally import Pace, Tally, process_numbers
 from sal_height.nodes.jobs import JobQueue, QueuedJob
 from sal_height.nodes.managed import INACTIVE, Managed, Role, Topics
 from sal_height.nodes.parameters import LiveParameters
+from sal_height.nodes.transport.callbacks import guarded
 from sal_height.nodes.transport.endpoints import QOS_OVERRIDES, RECENT_S, Inlet, Outlet
-from sal_height.nodes.transport.graph import guarded
 from sal_height.nodes.transport.message_types import class_of
 from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.topics import LOSSES

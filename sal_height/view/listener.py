@@ -15,7 +15,8 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from sal_height.messages import deserialize
-from sal_height.nodes.transport.graph import Graph, guarded
+from sal_height.nodes.transport.callbacks import guarded
+from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import message_class
 from sal_height.view.drawings import ReceivedMessage
 from sal_height.view.painter import is_shown

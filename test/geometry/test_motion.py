@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from sal_height.geometry import Motion, Mounting, PlatformState, Trajectory
-from sal_height.geometry.trajectory import attitude_between, quaternion_of, rotation_matrix
+from sal_height.geometry.motion import attitude_between, quaternion_of, rotation_matrix
 
 TRIALS, STEPS = 4000, 400
 

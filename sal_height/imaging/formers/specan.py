@@ -13,7 +13,7 @@ from scipy.spatial.distance import cdist
 
 from sal_height.geometry import Grid
 from sal_height.imaging.formers.backprojection import blank_invalid
-from sal_height.imaging.formers.range_doppler import straight_track
+from sal_height.imaging.formers.straight_track import straight_track
 from sal_height.imaging.pixels import Processing
 from sal_height.numeric import (
     C64,

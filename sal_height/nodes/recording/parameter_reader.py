@@ -15,8 +15,8 @@ from rclpy.task import Future
 from sal_height.bag.described import PARAMETER_EVENTS, after
 from sal_height.messages import BrokenMessage, deserialize, serialize, to_stamp
 from sal_height.messages.types import Parameter, ParameterEvent, ParameterValue
+from sal_height.nodes.transport.callbacks import guarded
 from sal_height.nodes.transport.endpoints import NAMELESS
-from sal_height.nodes.transport.graph import guarded
 
 ASK_PERIOD_S = 0.5
 """Period at which new nodes are looked for, s."""

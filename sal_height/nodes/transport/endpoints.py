@@ -16,7 +16,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from sal_height.nodes.transport.graph import guarded, with_times
+from sal_height.nodes.transport.callbacks import guarded, with_times
 from sal_height.nodes.transport.message_types import class_of, publish
 
 RECENT_S = 10.0

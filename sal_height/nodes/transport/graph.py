@@ -6,7 +6,6 @@ wait set of all its nodes' topics, timers and services for every message.
 
 from __future__ import annotations
 
-import functools
 import math
 import sys
 import threading
@@ -14,7 +13,7 @@ import time
 from collections.abc import Callable
 from contextlib import redirect_stderr
 from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import Self, TypeVar
 
 import rclpy
 from rclpy.context import Context
@@ -26,33 +25,6 @@ from rclpy.task import Future
 from sal_height.nodes.transport.middleware import provide_shared_memory
 
 NodeT = TypeVar("NodeT", bound=Node)
-
-
-def guarded(callback: Callable[..., Any], handle: Callable[[Exception], None]) -> Callable[..., Any]:
-    """The callback, except that an error in it goes to `handle`, and None is returned."""
-
-    @functools.wraps(callback)  # rclpy looks at the parameters of a callback
-    def call(*arguments: Any) -> Any:
-        try:
-            return callback(*arguments)
-        except Exception as error:  # noqa: BLE001 (no message may end the node)
-            handle(error)
-            return None
-
-    return call
-
-
-def with_times(callback: Callable[[Any, dict[str, Any]], Any]) -> Callable[..., Any]:
-    """A callback of a subscription that takes a message and the times of its transport, as executors call it.
-
-    EventsExecutor hands both over as one tuple, the other executors of rclpy one after the other.
-    """
-
-    @functools.wraps(callback)  # rclpy looks at the parameters of a callback
-    def call(*arguments: Any) -> Any:
-        return callback(*(arguments[0] if len(arguments) == 1 else arguments))
-
-    return call
 
 
 def events_executor(context: Context) -> Executor:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sal_height.imaging.formers.range_doppler import TAPS, resampling, straight_track
+from sal_height.imaging.formers.straight_track import TAPS, resampling, straight_track
 
 FORWARD = np.array([0.6, 0.8, 0.0])
 

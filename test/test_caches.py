@@ -20,6 +20,7 @@ from sal_height.elevation.looks.looks import _speckle_contrast
 from sal_height.elevation.monopulse.inverse_table import inverse_table
 from sal_height.elevation.monopulse.sum_difference import _slope_table
 from sal_height.engine.frame_items import _fault_of_pulses
+from sal_height.engine.provenance import Same
 from sal_height.numeric.range_profiles import _deconvolution
 from sal_height.numeric.windows import KEPT, _half_power_width, broadening, window
 from sal_height.pipeline.channels import _channels_and_beams
@@ -55,7 +56,7 @@ def new_contrast(samples: int) -> Any:
         (inverse_table, lambda number, _: inverse_table(make_beams(count=2), number)),
         (squared_pull, lambda *_: squared_pull(make_beams(count=2))),
         (sidelobe_fractions, lambda number, _: sidelobe_fractions(AxisResponse("taylor", 1.3), 1 + number)),
-        (_fault_of_pulses, lambda number, _: _fault_of_pulses(np.arange(2.0).tobytes(), np.full(2, number).tobytes())),
+        (_fault_of_pulses, lambda number, _: _fault_of_pulses(Same(np.arange(2.0)), Same(np.full(2, 1.0 + number)))),
         (_searches, lambda *_: PeakSearches.over(make_beams(), OBJECTIVES["normalised"], 0.0)),
     ],
     ids=[

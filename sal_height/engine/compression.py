@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple
@@ -37,9 +38,10 @@ from sal_height.engine.track import Arrival, OdometryHistory, longest_gap_s
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Motion, Mounting, PlatformState, Trajectory
 from sal_height.imaging import ImageSettings, Slc
+from sal_height.numeric import C64
 from sal_height.pipeline import Compressor
 from sal_height.rehearsal import once, rehearsed_slc
-from sal_height.sensor import Sensor
+from sal_height.sensor import PhaseHistory, Sensor
 from sal_height.settings import setting
 from sal_height.topics import CALIBRATION, ODOMETRY, PHASE_HISTORY, SENSOR_INFO, SLC, TF_STATIC
 
@@ -162,6 +164,8 @@ class Compression(DwellStage):
         # The heavy side.
         self._strips = RecentValues[Compressor](SENSORS_KEPT, Compressor)
         """Compressors of the blocks of each sensor in stripmap, by config_hash."""
+        self._spare: list[C64] = []
+        """Samples of the last spotlight dwell, whose memory the next one uses: new pages take longer than the copy."""
 
     @classmethod
     def inputs(cls, settings: Any) -> Sequence[Port]:
@@ -363,13 +367,15 @@ class Compression(DwellStage):
                 "lever_arm": list(supplies.mounting.lever_arm),
                 "rotation": list(supplies.mounting.rotation),
             }
-        history, calibration = history_of(whole.messages), supplies.calibration
+        history, calibration = self._history_of(whole), supplies.calibration
         track = Trajectory(supplies.states, motion=settings.motion)
         used = settings
         if supplies.air is not None:
             used = settings.changed(air="measured", **supplies.air)
             stated[USED_AIR] = supplies.air
         slc = compressor.add(history, track, sensor, used, calibration)
+        if sensor.mode != "stripmap":  # a strip keeps its samples
+            self._spare.append(history.samples)
         if slc is None:
             return None
         applied = calibration.id if calibration else sensor.calibration_id
@@ -379,6 +385,14 @@ class Compression(DwellStage):
         return slc, Images.made_of(
             whole.key, settings.map_frame, slc, provenance, air_delay=air_delay, order=job.order, source=source
         )
+
+    def _history_of(self, whole: WholeDwell) -> PhaseHistory:
+        """The phase history of a dwell, in memory that is spare if there is enough."""
+        first, spare = whole.messages[0], None
+        with suppress(IndexError):
+            spare = self._spare.pop()
+        fits = spare is not None and spare.shape == (len(whole.messages), first.pulse_count, first.sample_count)
+        return history_of(whole.messages, spare if fits else None)
 
     def _calibration_for(self, sensor: Sensor) -> Calibration | None:
         """The calibration to apply to a sensor's frames: that of the file, or its own if one has arrived."""

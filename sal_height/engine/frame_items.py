@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
+from typing import Any
 
 import numpy as np
 
+from sal_height.engine.provenance import Same
 from sal_height.engine.stage import DwellKey
 from sal_height.errors import Rejected
 from sal_height.numeric import C64, F32, F64, U8
@@ -18,6 +22,9 @@ LONGEST_DWELL = 3600.0
 
 GREATEST_RANGE = 1e8
 """Greatest reference range of a frame, m."""
+
+GREATEST_SCALE = 1e30
+"""Greatest scale of integer samples, with which all of them are within single precision."""
 
 COMPLEX_FLOAT32, COMPLEX_INT16 = "complex_float32", "complex_int16"
 
@@ -35,8 +42,8 @@ class Frame:
         channel: number of the channel.
         pulse_count: number of pulses.
         sample_count: samples in each pulse.
-        pulse_time: time of every pulse after the stamp, s, shape (pulses,).
-        reference_range: range to which each pulse's phase refers, m, shape (pulses,).
+        pulse_time: time of every pulse after the stamp, s, shape (pulses,); never changed.
+        reference_range: range to which each pulse's phase refers, m, shape (pulses,); never changed.
         encoding: name of the encoding, one of SAMPLE_BYTES.
         scale: unit of the receiver per integer step.
         samples: bytes of the samples, in the encoding.
@@ -55,6 +62,10 @@ class Frame:
     samples: U8
     size: int = 0
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """To be sent to another process: frames that share times and ranges do so there, too."""
+        return Frame, _values_of(self)
+
     @property
     def end_ns(self) -> int:
         """Time of the last pulse, ns."""
@@ -63,6 +74,9 @@ class Frame:
     def blank(self, channel: int) -> Frame:
         """A frame of zeros for a channel that is missing: estimators leave such a channel out as dead."""
         return replace(self, channel=channel, samples=np.zeros_like(self.samples))
+
+
+_values_of = attrgetter(*Frame.__slots__)
 
 
 def frames_of(history: PhaseHistory, sensor: Sensor, dwell: int, stamp_ns: int | None = None) -> list[Frame]:
@@ -113,17 +127,19 @@ def check_frame(frame: Frame, sensor: Sensor) -> None:
             "unknown encoding", f"{where}: encoding is {frame.encoding!r}; allowed are {', '.join(SAMPLE_BYTES)}."
         )
     size = SAMPLE_BYTES[frame.encoding] * expected[0] * expected[1]
-    wanted = {"samples": size, "pulse_time": expected[0], "reference_range": expected[0]}
-    for field, count in wanted.items():
+    for field, count in (("samples", size), ("pulse_time", expected[0]), ("reference_range", expected[0])):
         if len(getattr(frame, field)) != count:
             raise Rejected(
                 "wrong size", f"{where}: {field} has {len(getattr(frame, field))} entries; it must have {count}."
             )
-    if frame.encoding == COMPLEX_INT16 and not 0 < frame.scale < np.inf:
-        raise Rejected("wrong scale", f"{where}: scale is {frame.scale}; it must be finite and greater than 0.")
-    if not _are_finite(samples_of(frame).view(np.float32).ravel()):
+    if frame.encoding == COMPLEX_INT16 and not 0 < frame.scale <= GREATEST_SCALE:
+        raise Rejected(
+            "wrong scale",
+            f"{where}: scale is {frame.scale}; it must be greater than 0 and at most {GREATEST_SCALE:g}.",
+        )
+    if frame.encoding == COMPLEX_FLOAT32 and not _are_finite(samples_of(frame).view(np.float32).ravel()):
         raise Rejected("not finite", f"{where}: samples has NaN or infinite entries; all must be finite.")
-    if fault := _fault_of_pulses(frame.pulse_time.tobytes(), frame.reference_range.tobytes()):
+    if fault := _fault_of_pulses(Same(frame.pulse_time), Same(frame.reference_range)):
         raise Rejected(fault[0], f"{where}: {fault[1]}")
 
 
@@ -149,16 +165,21 @@ def samples_of(frame: Frame) -> C64:
     return scaled.view(np.complex64).reshape(shape)
 
 
-def history_of(frames: Sequence[Frame]) -> PhaseHistory:
+def history_of(frames: Sequence[Frame], samples: C64 | None = None) -> PhaseHistory:
     """The phase history of a dwell from the frames of all channels, in order, that `check_frame` has passed.
+
+    Args:
+        frames: frames of all channels.
+        samples: array to be filled and used as the samples, shape (channels, pulses, samples); None: a new one.
 
     Raises:
         Rejected: the channels differ in pulse times or reference ranges.
     """
     first = frames[0]
-    times, ranges = first.pulse_time.tobytes(), first.reference_range.tobytes()
     for frame in frames[1:]:
-        if frame.pulse_time.tobytes() != times or frame.reference_range.tobytes() != ranges:
+        if not (
+            _are_same(frame.pulse_time, first.pulse_time) and _are_same(frame.reference_range, first.reference_range)
+        ):
             raise Rejected(
                 "channels disagree",
                 f"Dwell {first.key.number}: channel {frame.channel} has other pulse times or reference ranges than "
@@ -168,20 +189,24 @@ def history_of(frames: Sequence[Frame]) -> PhaseHistory:
         stamp_ns=first.key.stamp_ns,
         pulse_times=np.array(first.pulse_time),
         reference_range=np.array(first.reference_range),
-        samples=np.stack([samples_of(frame) for frame in frames]),
+        samples=np.stack([samples_of(frame) for frame in frames], out=samples),
     )
+
+
+def _are_same(one: F64, other: F64) -> bool:
+    """True if two arrays have the same bytes."""
+    return one is other or one.tobytes() == other.tobytes()
 
 
 def _are_finite(numbers: F32) -> bool:
     """True if all numbers are finite, as they are if the sum of their squares is, which takes less time to find."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        return bool(np.isfinite(np.dot(numbers, numbers)) or np.isfinite(numbers).all())
+    return math.isfinite(np.vdot(numbers, numbers)) or bool(np.isfinite(numbers).all())
 
 
 @functools.lru_cache(maxsize=2)
-def _fault_of_pulses(pulse_time: bytes, reference_range: bytes) -> tuple[str, str] | None:
+def _fault_of_pulses(pulse_time: Same[F64], reference_range: Same[F64]) -> tuple[str, str] | None:
     """Fault of the times and ranges of a dwell's pulses, which all its frames share: reason and message; or None."""
-    times, ranges = np.frombuffer(pulse_time), np.frombuffer(reference_range)
+    times, ranges = pulse_time.one, reference_range.one
     for field, numbers in (("pulse_time", times), ("reference_range", ranges)):
         if not np.isfinite(numbers).all():
             return "not finite", f"{field} has NaN or infinite entries; all must be finite."

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -86,16 +87,27 @@ def received_frame(cdr: bytes) -> Frame:
     return frame_of(deserialize(cdr, ChannelFrame), len(cdr))
 
 
+@lru_cache(8)  # the frames of a dwell share theirs
+def _pulses_of(pulse_time: bytes, reference_range: bytes) -> tuple[F64, F64]:
+    """Times and ranges of pulses from their bytes."""
+    return np.frombuffer(pulse_time), np.frombuffer(reference_range)
+
+
+_key_of = lru_cache(8)(DwellKey)
+"""The key of a dwell: the same object for all its frames."""
+
+
 def frame_of(message: ChannelFrame, size: int = 0) -> Frame:
     """Return the frame that a ChannelFrame describes; `size`: bytes of the serialized message."""
+    pulse_time, reference_range = _pulses_of(message.pulse_time.tobytes(), message.reference_range.tobytes())
     return Frame(
-        DwellKey(message.config_hash, message.dwell, to_ns(message.header.stamp)),
+        _key_of(message.config_hash, message.dwell, to_ns(message.header.stamp)),
         message.header.frame_id,
         message.channel,
         message.pulse_count,
         message.sample_count,
-        message.pulse_time,
-        message.reference_range,
+        pulse_time,
+        reference_range,
         message.encoding,
         message.scale,
         message.samples,

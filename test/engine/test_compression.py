@@ -26,6 +26,7 @@ from same_items import are_same, difference
 from stage_cases import air_items
 
 from sal_height.engine.compression import Compression
+from sal_height.engine.frame_items import history_of
 from sal_height.engine.image_items import Images
 from sal_height.engine.stage import FOREVER_NS, Event, Stage
 from sal_height.engine.track import Arrival
@@ -236,6 +237,18 @@ def blocks() -> list[Item]:
 
 def strip_images(driven: Driven) -> list[Images]:
     return [one.item for one in driven.made]
+
+
+def test_samples_lie_where_those_of_the_dwell_before_lay_and_no_image_changes() -> None:
+    stage = Compression(Compression.settings(**SMALL))
+    driven = drive(stage, [accept(*item) for item in flight_items(small_flight(), dwells=[0, 1])])
+    (before,) = stage._spare
+    driven.deliver(flight_items(small_flight(), dwells=[2])[1:])
+    (after,) = stage._spare
+    assert after is before
+    assert np.array_equal(after, history_of([frame for _, frame in frames([2])]).samples)
+    assert not any(np.shares_memory(after, one.item.slc.images) for one in driven.made)
+    assert not difference(flown(), [one.item for one in driven.made])
 
 
 def test_blocks_of_a_strip_are_in_one_series_and_spotlight_dwells_in_none() -> None:

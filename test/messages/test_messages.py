@@ -195,6 +195,7 @@ def test_integer_samples_are_scaled(sensor: Sensor, rng: np.random.Generator) ->
         ("scale", 0.0, "wrong scale"),
         ("scale", float("nan"), "wrong scale"),
         ("scale", float("inf"), "wrong scale"),
+        ("scale", 1e31, "wrong scale"),
     ],
 )
 def test_samples_that_cannot_be_decoded_are_rejected(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 from helpers import make_aperture, make_sensor
@@ -13,6 +15,7 @@ from sal_height.geometry import Grid
 from sal_height.imaging import Slc
 from sal_height.messages import BrokenMessage, deserialize, received_frame, received_image, serialize
 from sal_height.messages.codec import SHIPPED
+from sal_height.messages.frames import _key_of, _pulses_of
 from sal_height.messages.products import _place_of
 from sal_height.messages.types import ChannelFrame, ComplexImage, Provenance
 
@@ -53,6 +56,20 @@ def test_samples_are_not_copied() -> None:
         received = read(cdr)
         assert np.shares_memory(received.samples, np.frombuffer(cdr, np.uint8))
         assert (received.size, received.key.sensor) == (len(cdr), "abc")
+
+
+def test_frames_of_a_dwell_share_times_ranges_and_key_also_when_they_are_sent() -> None:
+    frames = [
+        received_frame(serialize(ChannelFrame(channel=n, pulse_time=np.arange(3.0), reference_range=np.full(3, 5e3))))
+        for n in range(4)
+    ]
+    for some in (frames, pickle.loads(pickle.dumps(frames))):  # noqa: S301 (our own bytes)
+        assert [one.channel for one in some] == [0, 1, 2, 3]
+        for name in ("key", "pulse_time", "reference_range"):
+            assert all(getattr(one, name) is getattr(some[0], name) for one in some)
+    for number in range(100):
+        received_frame(serialize(ChannelFrame(dwell=number, pulse_time=np.arange(float(number)))))
+    assert max(cache.cache_info().currsize for cache in (_pulses_of, _key_of)) < 10
 
 
 def test_images_share_geometry_and_provenance_and_few_are_held() -> None:

@@ -36,6 +36,8 @@ SINGLE: tuple[tuple[type[Any], int], ...] = (
 )
 """Types of parameters by those of their values; bool is before int, of which it is a subclass."""
 
+SINGLE_TYPES = frozenset(kind for kind, _ in SINGLE)
+
 LISTS: tuple[tuple[type[Any], int], ...] = (
     (bytes, ParameterType.PARAMETER_BYTE_ARRAY),
     (bool, ParameterType.PARAMETER_BOOL_ARRAY),
@@ -59,21 +61,20 @@ def parameter_of(name: str, value: Any) -> Parameter:
     return Parameter(name=name)
 
 
-@lru_cache(KEPT, typed=True)
-def _kept_parameter(name: str, value: bool | float | str) -> Parameter:
+@lru_cache(KEPT)
+def _kept_parameter(name: str, value: Any, kind: str) -> Parameter:  # noqa: ARG001 (a part of the key)
     return parameter_of(name, value)
 
 
 def shared_parameter(name: str, value: Any) -> Parameter:
-    """The message of a parameter, which must not be changed: that of the same single value is the same object.
-
-    Zeros of floats are not shared, for 0.0 and -0.0 are equal.
+    """The message of a parameter, which must not be changed: that of the same value is the same object.
 
     Raises:
         TypeError: no parameter can have that value.
     """
-    is_single = isinstance(value, bool | int | float | str) and not (isinstance(value, float) and value == 0)
-    return _kept_parameter(name, value) if is_single else parameter_of(name, value)
+    # Equal values of other types are other parameters, and so are 0.0 and -0.0.
+    is_clear = value and type(value) in SINGLE_TYPES
+    return _kept_parameter(name, value, type(value).__name__ if is_clear else repr(value))
 
 
 def value_of(message: ParameterValue) -> Any:
@@ -88,10 +89,10 @@ def value_of(message: ParameterValue) -> Any:
     if not field:
         return None
     value = getattr(message, field)
+    if type(value) in SINGLE_TYPES:
+        return value
     if message.type == ParameterType.PARAMETER_BYTE_ARRAY:
         return [bytes([byte]) for byte in value]
-    if message.type < ParameterType.PARAMETER_BYTE_ARRAY:
-        return value
     return value.tolist() if hasattr(value, "tolist") else list(value)
 
 

@@ -7,25 +7,25 @@ the bytes, alignment from ENCAPSULATION.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
 
-from sal_height.engine.provenance import Same
 from sal_height.messages import cdr_parts as parts
 from sal_height.messages.definition import ARRAY, CODES, LIST, TEXT, Field, Layout
 from sal_height.messages.plain import DTYPES, Message, attribute, message_class
 
-SHARED = {"sal_height_msgs/msg/Provenance"}
-"""Types of which several messages may share an object. It must be the last field of those that have it."""
+SHARED: Mapping[str, int] = {"sal_height_msgs/msg/Provenance": 64}
+"""Types of which several messages may share an object, and the number of them whose bytes are cached. It must be the
+last field of those that have it."""
 
-KEPT = 16
-"""Number of cached shared objects, those used last."""
+PARTS: Mapping[str, int] = {"rcl_interfaces/msg/Parameter": 2048}
+"""Types of the elements of these that are cached one by one, for most are the same from one to the next."""
 
-WRITTEN_ONCE = {"sal_height_msgs/msg/Provenance": KEPT, "rcl_interfaces/msg/Parameter": 512}
-"""Types whose shared messages have their bytes cached, and the number of them: provenances and their parameters."""
+KEPT = {**SHARED, **PARTS}
+"""Types whose messages are cached, read and written, if they are never changed."""
 
 Order = Literal["<", ">"]
 """Order of bytes: the least significant first, or last."""
@@ -63,14 +63,15 @@ class Programs:
         Args:
             type_name: name of the type.
             order: order of bytes, "<" or ">".
-            shared: True if messages share their parts of the types SHARED.
+            shared: True if messages share their parts of the types SHARED and PARTS.
         """
         key = type_name, order, shared
         if key not in self._readers:
+            made = _ReaderSource(self, order, shared=shared).function(type_name)
             if shared and type_name in SHARED:
-                made = _shared_reader(self.reader(type_name, order, shared=False))
-            else:
-                made = _ReaderSource(self, order, shared=shared).function(type_name)
+                made = _shared_reader(made, SHARED[type_name])
+            elif shared and type_name in PARTS:
+                made = _parts_reader(made, PARTS[type_name])
             self._readers.setdefault(key, made)  # another thread may have been faster
         return self._readers[key]
 
@@ -79,14 +80,13 @@ class Programs:
 
         Args:
             type_name: name of the type.
-            shared: True if parts of the types WRITTEN_ONCE are never changed, so that their bytes can be cached.
+            shared: True if parts of the types SHARED and PARTS are never changed, so that their bytes can be cached.
         """
         key = type_name, shared
         if key not in self._writers:
-            if shared and type_name in WRITTEN_ONCE:
-                made = _shared_writer(_WriterSource(self, shared=True).function(type_name), WRITTEN_ONCE[type_name])
-            else:
-                made = _WriterSource(self, shared=shared).function(type_name)
+            made = _WriterSource(self, shared=shared).function(type_name)
+            if shared and type_name in KEPT:
+                made = _shared_writer(made, KEPT[type_name])
             self._writers.setdefault(key, made)
         return self._writers[key]
 
@@ -122,10 +122,15 @@ class Programs:
         return inner if field.is_message else (1, count * DTYPES[field.kind].itemsize)
 
 
-def _shared_reader(read: Read) -> Read:
-    """A function that reads a message at the end of the bytes, and returns the same object for the same bytes."""
+def _shared_reader(read: Read, most: int) -> Read:
+    """A function that reads a message at the end of the bytes, and returns the same object for the same bytes.
 
-    @lru_cache(KEPT)
+    Args:
+        read: function that reads the message.
+        most: number of messages that are kept, those used last.
+    """
+
+    @lru_cache(most)
     def kept(tail: bytes, place: int) -> tuple[Any, int]:
         begin = parts.ENCAPSULATION + place
         message, end = read(bytes(begin) + tail, begin)
@@ -138,19 +143,43 @@ def _shared_reader(read: Read) -> Read:
     return read_shared
 
 
-def _shared_writer(write: Write, kept_messages: int) -> Write:
-    """A function that writes a message that is never changed; caches the bytes of `kept_messages` messages."""
+def _parts_reader(read: Read, most: int) -> Read:
+    """A function that reads a message, and returns the same object where the bytes are those it read there last.
 
-    @lru_cache(kept_messages)
-    def kept(message: Same[Any], place: int) -> bytes:
-        made: list[Any] = []
-        write(message.one, made.append, parts.ENCAPSULATION + place)
-        return b"".join(made)
+    Args:
+        read: function that reads the message.
+        most: number of offsets for which a message is kept.
+    """
+    kept: dict[int, tuple[bytes, Any]] = {}
+
+    def read_part(cdr: bytes, at: int) -> tuple[Any, int]:
+        known, message = kept.get(at, (b"", None))
+        if known and cdr.startswith(known, at):
+            return message, at + len(known)
+        message, end = read(cdr, at)
+        if len(kept) >= most:
+            kept.clear()
+        kept[at] = cdr[at:end], message
+        return message, end
+
+    return read_part
+
+
+def _shared_writer(write: Write, most: int) -> Write:
+    """A function that writes a message that is never changed; caches the bytes of `most` messages."""
+    kept: dict[tuple[int, int], tuple[Any, bytes]] = {}  # with the message, so that no other one gets its identity
 
     def write_shared(message: Any, put: parts.Put, at: int) -> int:
-        made = kept(Same(message), at - parts.ENCAPSULATION & 7)
-        put(made)
-        return at + len(made)
+        key = id(message), at - parts.ENCAPSULATION & 7
+        found = kept.get(key)
+        if found is None:
+            made: list[Any] = []
+            write(message, made.append, parts.ENCAPSULATION + key[1])
+            if len(kept) >= most:
+                kept.clear()
+            found = kept[key] = message, b"".join(made)
+        put(found[1])
+        return at + len(found[1])
 
     return write_shared
 
@@ -258,7 +287,7 @@ class _ReaderSource(_Source):
         return variable
 
     def nested(self, type_name: str) -> str:
-        if self.programs.is_inlined(type_name) and not (self.shared and type_name in SHARED):
+        if self.programs.is_inlined(type_name) and not (self.shared and type_name in KEPT):
             return self.message(type_name)
         return self.call(f"{self.reader(type_name)}(cdr, at)")
 
@@ -341,7 +370,7 @@ class _WriterSource(_Source):
             self.add(CODES[field.kind], dtype.itemsize, dtype.itemsize, value)
 
     def nested(self, value: str, type_name: str) -> None:
-        if self.programs.is_inlined(type_name) and not (self.shared and type_name in WRITTEN_ONCE):
+        if self.programs.is_inlined(type_name) and not (self.shared and type_name in KEPT):
             self.message(value, type_name)
         else:
             self.call(f"{self.writer(type_name)}({value}, put, at)")

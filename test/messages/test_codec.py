@@ -16,20 +16,24 @@ from ros_messages import assert_same_as_rclpy, in_other_byte_order, of_rclpy, ra
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from sal_height.errors import UserError
-from sal_height.messages import BrokenMessage, deserialize, serialize, types
-from sal_height.messages.codec import SHIPPED, recorded_types
+from sal_height.messages import BrokenMessage, deserialize, programs, serialize, types
+from sal_height.messages.codec import SHIPPED, TypeStore, recorded_types
 from sal_height.messages.definition import (
     Definition,
     installed_definition,
     read_layout,
     share_folders,
     shipped_definition,
+    shipped_layout,
     shipped_texts,
 )
-from sal_height.messages.programs import KEPT
+from sal_height.messages.parameters import shared_parameter
+from sal_height.messages.programs import SHARED
 from sal_height.nodes.transport import message_types
 from sal_height.nodes.transport.message_types import class_of, message_class
 from tools.definitions import FILE, TFMESSAGE, content
+
+PROVENANCE, PARAMETER = "sal_height_msgs/msg/Provenance", "rcl_interfaces/msg/Parameter"
 
 ROOT = Path(__file__).parents[2]
 INSTALLED = sorted(name for name in shipped_texts() if name != TFMESSAGE[0])
@@ -239,12 +243,59 @@ def test_provenances_are_shared_and_few_are_kept() -> None:
         assert read(cdr) == image == fresh(cdr)
         assert read(cdr).provenance is read(cdr).provenance
         assert fresh(cdr).provenance is not fresh(cdr).provenance
-    for number in range(3 * KEPT):
+    for number in range(3 * SHARED[PROVENANCE]):
         read(serialize(types.HeightImage(provenance=types.Provenance(code_version=f"{number}"))))
-    kept = SHIPPED._programs.reader("sal_height_msgs/msg/Provenance", "<", shared=True).__closure__
-    assert kept
-    (cache,) = (cell.cell_contents for cell in kept)
-    assert cache.cache_info().currsize == KEPT
+    cache = kept_by(SHIPPED._programs.reader(PROVENANCE, "<", shared=True))
+    assert cache.cache_info().currsize == SHARED[PROVENANCE]
+
+
+def kept_by(function: Any) -> Any:
+    """What a function of the codec keeps."""
+    return dict(zip(function.__code__.co_freevars, (one.cell_contents for one in function.__closure__), strict=True))[
+        "kept"
+    ]
+
+
+def provenance(number: int, margin: str = "") -> types.Provenance:
+    """A provenance of three parameters, of which the second has that number."""
+    values = {"a": (1.5, 2.5), "b": number, "c": "text"}
+    return types.Provenance(margin, parameters=[shared_parameter(name, value) for name, value in values.items()])
+
+
+def test_of_provenances_that_differ_in_a_parameter_the_others_are_read_and_written_once() -> None:
+    read = SHIPPED.reader(types.HeightImage.__msgtype__, shared=True)
+    images = [types.HeightImage(provenance=provenance(number)) for number in (1, 2)]
+    written = [SHIPPED.serialize(image, shared=True) for image in images]
+    assert written == [serialize(image) for image in images]
+    one, other = (read(cdr) for cdr in written)
+    assert [one, other] == images
+    same = [a is b for a, b in zip(one.provenance.parameters, other.provenance.parameters, strict=True)]
+    assert same == [True, False, True]
+    kept = kept_by(SHIPPED._programs.writer("rcl_interfaces/msg/Parameter", shared=True))
+    first, second = ([id(one) for one in image.provenance.parameters] for image in images)
+    assert [a == b for a, b in zip(first, second, strict=True)] == same
+    assert {number for number, _ in kept} >= {*first, *second}
+
+
+@pytest.mark.parametrize("margin", ["x" * length for length in range(9)])
+def test_shared_parts_have_the_same_bytes_at_every_offset(margin: str) -> None:
+    for _ in range(2):  # made, and kept
+        image = types.HeightImage(provenance=provenance(3, margin))
+        assert SHIPPED.serialize(image, shared=True) == serialize(image)
+
+
+def test_few_parts_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(programs, "PARTS", {PARAMETER: 8})
+    monkeypatch.setattr(programs, "KEPT", {PROVENANCE: 4, PARAMETER: 8})
+    store = TypeStore(shipped_layout)
+    read = store.reader(types.HeightImage.__msgtype__, shared=True)
+    for number in range(40):
+        image = types.HeightImage(provenance=provenance(number, "x" * number))
+        assert read(store.serialize(image, shared=True)).provenance.parameters[1].value.integer_value == number
+    makers = store._programs
+    assert 0 < len(kept_by(makers.reader(PARAMETER, "<", shared=True))) <= 8
+    assert 0 < len(kept_by(makers.writer(PARAMETER, shared=True))) <= 8
+    assert 0 < len(kept_by(makers.writer(PROVENANCE, shared=True))) <= 4
 
 
 @pytest.mark.parametrize(

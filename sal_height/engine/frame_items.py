@@ -6,7 +6,6 @@ import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ import numpy as np
 from sal_height.engine.provenance import Same
 from sal_height.engine.stage import DwellKey
 from sal_height.errors import Rejected
-from sal_height.numeric import C64, F32, F64, U8
+from sal_height.numeric import C64, F32, F64, U8, by_fields
 from sal_height.sensor import PhaseHistory, Sensor
 
 LONGEST_DWELL = 3600.0
@@ -64,7 +63,7 @@ class Frame:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """To be sent to another process: frames that share times and ranges do so there, too."""
-        return Frame, _values_of(self)
+        return by_fields(self)
 
     @property
     def end_ns(self) -> int:
@@ -74,9 +73,6 @@ class Frame:
     def blank(self, channel: int) -> Frame:
         """A frame of zeros for a channel that is missing: estimators leave such a channel out as dead."""
         return replace(self, channel=channel, samples=np.zeros_like(self.samples))
-
-
-_values_of = attrgetter(*Frame.__slots__)
 
 
 def frames_of(history: PhaseHistory, sensor: Sensor, dwell: int, stamp_ns: int | None = None) -> list[Frame]:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Grid, quaternion_of, rotation_matrix
-from sal_height.numeric import F64
+from sal_height.numeric import F64, arrays_of, joined_bytes
 
 FARTHEST = 1e7
 """Greatest distance from the origin of the map, m: what is farther, or higher, is no place that a platform sees."""
@@ -58,6 +59,11 @@ class Aperture:
             state.sliding,
         )
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """To be sent to another process, with all arrays as one object."""
+        arrays = joined_bytes((self.position, self.velocity, self.covariance))
+        return _aperture_of, (arrays, self.orientation, self.length, self.sliding)
+
     @cached_property
     def state(self) -> ApertureState:
         """The same as images and heights are made with."""
@@ -81,6 +87,13 @@ class Aperture:
         )
 
     __hash__ = None  # type: ignore[assignment]
+
+
+def _aperture_of(
+    arrays: bytes, orientation: tuple[float, float, float, float], length: float, sliding: bool
+) -> Aperture:
+    position, velocity, covariance = arrays_of(arrays, ((3,), (3,), (6, 6)))
+    return Aperture(position, orientation, velocity, length, covariance, sliding)
 
 
 def are_equal(one: Grid, other: Grid) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from sal_height.engine.provenance import Provenance
 from sal_height.engine.stage import DwellKey, Notice, Port
 from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Grid, above_place
-from sal_height.numeric import F32, F64, U8, Bool
+from sal_height.numeric import F32, F64, U8, Bool, by_fields
 from sal_height.relief import HeightField, Surface, covariances_from_sigma, folded, is_covariance, unfolded
 
 LAYERS = ("height", "sigma", "cnr_db", "east", "north")
@@ -76,10 +77,19 @@ class PackedSurface:
             ),
         )
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """To be sent to another process, with all layers as one array."""
+        layers = by_fields(self)[1]
+        return _surface_of, (np.concatenate(layers), tuple(map(len, layers)))
+
     @property
     def size(self) -> int:
         """Bytes of the arrays."""
         return sum(getattr(self, one.name).nbytes for one in fields(self))
+
+
+def _surface_of(numbers: F32, sizes: Sequence[int]) -> PackedSurface:
+    return PackedSurface(*(numbers[end - size : end] for size, end in zip(sizes, accumulate(sizes), strict=True)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +126,10 @@ class Heights:
     order: int = 0
     doubts: tuple[Doubt, ...] = ()
     fit: tuple[FitTest, ...] = ()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """To be sent to another process, without the fields of float64."""
+        return by_fields(self)
 
     @property
     def size(self) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property, lru_cache
@@ -82,8 +83,13 @@ class Provenance:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """To be sent to another process, where those that state the same are the same object, too."""
+        return _received, (self._pickled,)
+
+    @cached_property
+    def _pickled(self) -> bytes:
+        """All that it states, as one object."""
         stated = self.code_version, self.config_hash, self.calibration_id, dict(self.parameters), self.autofocus_phase
-        return _restored, stated
+        return pickle.dumps(stated, protocol=5)
 
     @cached_property
     def stages(self) -> Mapping[str, Mapping[str, Any]]:
@@ -212,6 +218,12 @@ def _restored(
     """
     kept = np.array(phase, np.float32)
     return _first_alike(_Stated(Provenance(code_version, config_hash, calibration_id, parameters, kept)))
+
+
+@lru_cache(CACHED)
+def _received(pickled: bytes) -> Provenance:
+    """The provenance that another process has sent."""
+    return _restored(*pickle.loads(pickled))  # noqa: S301 (a process of ours wrote it)
 
 
 @lru_cache(CACHED)

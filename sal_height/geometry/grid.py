@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sal_height.geometry.frames import ApertureState
-from sal_height.numeric import F64, Complex
+from sal_height.numeric import F64, Complex, arrays_of, joined_bytes
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +33,11 @@ class Grid:
     col_spacing: float
     rows: int
     cols: int
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """To be sent to another process, with all vectors as one object."""
+        vectors = joined_bytes((self.origin, self.row_direction, self.col_direction))
+        return _grid_of, (vectors, self.row_spacing, self.col_spacing, self.rows, self.cols)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -113,3 +119,8 @@ def without_range_phase(image: Complex, grid: Grid, aperture: ApertureState, wav
         complex128 image, shape (rows, cols).
     """
     return image * np.exp(-4j * np.pi / wavelength * ranges_of_phase(grid, aperture))
+
+
+def _grid_of(vectors: bytes, row_spacing: float, col_spacing: float, rows: int, cols: int) -> Grid:
+    origin, row_direction, col_direction = arrays_of(vectors, ((3,), (3,), (3,)))
+    return Grid(origin, row_direction, col_direction, row_spacing, col_spacing, rows, cols)

@@ -6,6 +6,7 @@ import bisect
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +18,7 @@ from sal_height.geometry import _kernels as kernels
 from sal_height.geometry.earth import EARTH_RADIUS
 from sal_height.geometry.frames import AT_BASE_LINK, ApertureState, Mounting, antennas_of
 from sal_height.geometry.motion import STEADY, Motion, attitude_between, rotation_matrix
-from sal_height.numeric import F64, in_parallel
+from sal_height.numeric import F64, arrays_of, in_parallel, joined_bytes
 
 GREATEST_POSE = np.array([1e5, 1e5, 1e5, np.pi, np.pi, np.pi])
 """Standard deviations of an unknown pose, m and rad."""
@@ -116,6 +117,15 @@ class PlatformState:
     velocity: F64
     covariance: F64
     velocity_covariance: F64 = field(default_factory=lambda: np.zeros((3, 3)))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """To be sent to another process, with all numbers as one object."""
+        arrays = self.position, self.orientation, self.velocity, self.covariance, self.velocity_covariance
+        return _state_of, (self.stamp_ns, joined_bytes(arrays))
+
+
+def _state_of(stamp_ns: int, numbers: bytes) -> PlatformState:
+    return PlatformState(stamp_ns, *arrays_of(numbers, ((3,), (4,), (3,), (6, 6), (3, 3))))
 
 
 class Trajectory:

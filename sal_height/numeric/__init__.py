@@ -3,7 +3,8 @@
 Read `arrays` (types of arrays), `jit` (compilation of kernels) and `threads` (work in several threads, BLAS in one)
 first, then `windows` (spectral weights), `transforms` (of many rows; exp(j phase)), `error_statistics` (of errors and
 their predicted standard deviations), `bilinear` (interpolation on nodes), `range_profiles` (interpolation of
-band-limited profiles) and `vectors` (of three numbers, within compiled loops). Nothing here knows of sensors or images.
+band-limited profiles), `vectors` (of three numbers, within compiled loops) and `pickled` (objects for other processes).
+Nothing here knows of sensors or images.
 """
 
 from sal_height.numeric._kernels import cosine_and_sine, cosine_and_sine_of_part, tap_weights
@@ -19,6 +20,7 @@ from sal_height.numeric.error_statistics import (
     root_mean_square,
 )
 from sal_height.numeric.jit import compiled, compiled_with_nan, inlined, squared
+from sal_height.numeric.pickled import arrays_of, by_fields, joined_bytes
 from sal_height.numeric.range_profiles import (
     OVERSAMPLING,
     TAPS,
@@ -64,11 +66,13 @@ __all__ = [
     "ErrorStatistics",
     "Index",
     "Vector",
+    "arrays_of",
     "available_processors",
     "between_nodes",
     "bilinear",
     "blocks",
     "broadening",
+    "by_fields",
     "chirp_z",
     "compiled",
     "compiled_with_nan",
@@ -85,6 +89,7 @@ __all__ = [
     "in_parallel",
     "in_threads",
     "inlined",
+    "joined_bytes",
     "kernel_transform",
     "mean_of",
     "node_before",

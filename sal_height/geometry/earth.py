@@ -60,7 +60,10 @@ def above_place(x: npt.ArrayLike, y: npt.ArrayLike, height: npt.ArrayLike) -> F6
     z = sqrt((R + h)^2 - x^2 - y^2) - R, without cancellation; shape (..., 3). NaN where the sphere of that height does
     not reach (x, y).
     """
-    x, y, height = (np.asarray(value, dtype=np.float64) for value in np.broadcast_arrays(x, y, height))
+    x, y, height = (np.asarray(value, dtype=np.float64) for value in (x, y, height))
     growth = height * (2 * EARTH_RADIUS + height) - x**2 - y**2
+    place = np.empty((*growth.shape, 3))
+    place[..., 0], place[..., 1] = x, y
     with np.errstate(invalid="ignore"):
-        return np.stack([x, y, growth / (np.sqrt(EARTH_RADIUS**2 + growth) + EARTH_RADIUS)], axis=-1)
+        place[..., 2] = growth / (np.sqrt(EARTH_RADIUS**2 + growth) + EARTH_RADIUS)
+    return place

@@ -141,12 +141,12 @@ def write_messages(put: Put, at: int, messages: Sequence[Any], most: int, write:
 
 def write_numbers(put: Put, at: int, values: Any, most: int, kind: str, dtype: np.dtype[Any]) -> int:
     """Put a list of numbers, at most `most` (0: any number); returns the offset after it."""
-    numbers = np.ascontiguousarray(array_of(values, kind), dtype)
+    numbers = np.ascontiguousarray(values if isinstance(values, np.ndarray) else array_of(values, kind), dtype)
     at = write_count(put, at, numbers.size, most)
     if numbers.size:
         if padding := ENCAPSULATION - at & numbers.itemsize - 1:
             put(ZEROS[padding])
-        put(numbers.reshape(-1).view(np.uint8).data)
+        put(numbers)
         at += padding + numbers.nbytes
     return at
 

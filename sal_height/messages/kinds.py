@@ -42,7 +42,7 @@ from sal_height.messages.navigation import (
 from sal_height.messages.products import (
     heights_of,
     heights_to_message,
-    image_to_message,
+    images_to_messages,
     received_image,
     relief_to_message,
 )
@@ -109,7 +109,7 @@ def read_image(cdr: bytes, _: Any = None) -> list[ChannelImage]:
 
 def write_images(images: Images, _: Any = None) -> list[bytes]:
     """The serialized ComplexImage of each channel: those of a dwell differ in few fields."""
-    return [SHIPPED.serialize(image_to_message(image), shared=True) for image in images.channels()]
+    return [SHIPPED.serialize(image, shared=True) for image in images_to_messages(images)]
 
 
 def read_heights(cdr: bytes, _: Any = None) -> list[Heights]:

@@ -146,7 +146,7 @@ def image_of(message: ComplexImage, size: int = 0) -> ChannelImage:
         place_of(message),
         message.noise_power,
         message.saturated_share,
-        to_floats(message.samples),
+        np.asarray(message.samples, np.float32),
         provenance,
         message.air_delay,
         **doubts_of(message),
@@ -154,14 +154,24 @@ def image_of(message: ComplexImage, size: int = 0) -> ChannelImage:
     )
 
 
-def image_to_message(image: ChannelImage) -> ComplexImage:
-    """Return the ComplexImage that describes an image."""
+def images_to_messages(images: Images) -> list[ComplexImage]:
+    """Return the ComplexImage of each channel; they share grid, aperture and provenance, which must not be changed."""
+    shared = _place_to_messages(images.place)
+    return [_image_to_message(image, shared) for image in images.channels()]
+
+
+def _place_to_messages(place: Place) -> tuple[ImageGrid, ApertureMessage]:
+    return grid_to_message(place.grid), aperture_to_message(place.aperture)
+
+
+def _image_to_message(image: ChannelImage, place: tuple[ImageGrid, ApertureMessage]) -> ComplexImage:
+    grid, aperture = place
     return ComplexImage(
         header=Header(stamp=to_stamp(image.key.stamp_ns), frame_id=image.frame_id),
         dwell=image.key.number,
         channel=image.channel,
-        grid=grid_to_message(image.place.grid),
-        aperture=aperture_to_message(image.place.aperture),
+        grid=grid,
+        aperture=aperture,
         noise_power=image.noise_power,
         saturated_share=image.saturated_share,
         air_delay=image.air_delay,
@@ -186,7 +196,8 @@ def slc_to_messages(
         provenance: provenance of the images.
     """
     key, place = DwellKey("", frame.dwell, to_ns(frame.header.stamp)), Place(slc.grid, Aperture.of(slc.aperture))
-    made = [image_to_message(one) for one in Images(key, MAP_FRAME, slc, place, Provenance()).channels()]
+    images = Images(key, MAP_FRAME, slc, place, Provenance())
+    made = [_image_to_message(one, _place_to_messages(place)) for one in images.channels()]
     for one in made:
         one.provenance = provenance
     return made

@@ -87,13 +87,13 @@ def received_frame(cdr: bytes) -> Frame:
     return frame_of(deserialize(cdr, ChannelFrame), len(cdr))
 
 
-@lru_cache(8)  # the frames of a dwell share theirs
+@lru_cache(4)  # the frames of a dwell share theirs
 def _pulses_of(pulse_time: bytes, reference_range: bytes) -> tuple[F64, F64]:
     """Times and ranges of pulses from their bytes."""
     return np.frombuffer(pulse_time), np.frombuffer(reference_range)
 
 
-_key_of = lru_cache(8)(DwellKey)
+_key_of = lru_cache(4)(DwellKey)
 """The key of a dwell: the same object for all its frames."""
 
 

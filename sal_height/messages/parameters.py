@@ -69,9 +69,14 @@ def _kept_parameter(name: str, value: Any, kind: str) -> Parameter:  # noqa: ARG
 def shared_parameter(name: str, value: Any) -> Parameter:
     """The message of a parameter, which must not be changed: that of the same value is the same object.
 
+    Long texts and lists are not kept.
+
     Raises:
         TypeError: no parameter can have that value.
     """
+    longest = 256  # elements of a value that is kept
+    if isinstance(value, str | tuple) and len(value) > longest:
+        return parameter_of(name, value)
     # Equal values of other types are other parameters, and so are 0.0 and -0.0.
     is_clear = value and type(value) in SINGLE_TYPES
     return _kept_parameter(name, value, type(value).__name__ if is_clear else repr(value))

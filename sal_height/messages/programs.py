@@ -17,11 +17,11 @@ from sal_height.messages import cdr_parts as parts
 from sal_height.messages.definition import ARRAY, CODES, LIST, TEXT, Field, Layout
 from sal_height.messages.plain import DTYPES, Message, attribute, message_class
 
-SHARED: Mapping[str, int] = {"sal_height_msgs/msg/Provenance": 64}
+SHARED: Mapping[str, int] = {"sal_height_msgs/msg/Provenance": 16}
 """Types of which several messages may share an object, and the number of them whose bytes are cached. It must be the
 last field of those that have it."""
 
-PARTS: Mapping[str, int] = {"rcl_interfaces/msg/Parameter": 2048}
+PARTS: Mapping[str, int] = {"rcl_interfaces/msg/Parameter": 512}
 """Types of the elements of these that are cached one by one, for most are the same from one to the next."""
 
 KEPT = {**SHARED, **PARTS}
@@ -146,6 +146,8 @@ def _shared_reader(read: Read, most: int) -> Read:
 def _parts_reader(read: Read, most: int) -> Read:
     """A function that reads a message, and returns the same object where the bytes are those it read there last.
 
+    What is kept is read from a copy of its own bytes, for lists of numbers are views, and is not large.
+
     Args:
         read: function that reads the message.
         most: number of offsets for which a message is kept.
@@ -157,9 +159,14 @@ def _parts_reader(read: Read, most: int) -> Read:
         if known and cdr.startswith(known, at):
             return message, at + len(known)
         message, end = read(cdr, at)
+        largest = 4096  # bytes of a part that is kept
+        if end - at > largest:
+            return message, end
+        known, begin = cdr[at:end], parts.ENCAPSULATION + (at - parts.ENCAPSULATION & 7)
+        message, _ = read(bytes(begin) + known, begin)
         if len(kept) >= most:
             kept.clear()
-        kept[at] = cdr[at:end], message
+        kept[at] = known, message
         return message, end
 
     return read_part

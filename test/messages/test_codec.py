@@ -27,7 +27,7 @@ from sal_height.messages.definition import (
     shipped_layout,
     shipped_texts,
 )
-from sal_height.messages.parameters import shared_parameter
+from sal_height.messages.parameters import parameter_of, shared_parameter
 from sal_height.messages.programs import SHARED
 from sal_height.nodes.transport import message_types
 from sal_height.nodes.transport.message_types import class_of, message_class
@@ -275,6 +275,22 @@ def test_of_provenances_that_differ_in_a_parameter_the_others_are_read_and_writt
     first, second = ([id(one) for one in image.provenance.parameters] for image in images)
     assert [a == b for a, b in zip(first, second, strict=True)] == same
     assert {number for number, _ in kept} >= {*first, *second}
+
+
+def test_parts_that_are_kept_keep_little_else_alive() -> None:
+    """Views of the bytes of a message would keep all of it, and large parts are themselves many bytes."""
+    read = SHIPPED.reader(types.HeightImage.__msgtype__, shared=True)
+    values = {"small": tuple(bytes([one]) for one in range(8)), "large": (b"x",) * 10_000}
+    parameters = [parameter_of(name, value) for name, value in values.items()]
+    one, other = (
+        read(serialize(types.HeightImage(provenance=types.Provenance(version, "", "", parameters, np.zeros(100_000)))))
+        for version in "ab"
+    )
+    assert one.provenance.parameters == other.provenance.parameters == parameters
+    small, large = (a is b for a, b in zip(one.provenance.parameters, other.provenance.parameters, strict=True))
+    assert small
+    assert not large
+    assert len(one.provenance.parameters[0].value.byte_array_value.base) < 200
 
 
 @pytest.mark.parametrize("margin", ["x" * length for length in range(9)])

@@ -20,7 +20,7 @@ from sal_height.imaging import Centroid, ImageSettings, Placement, Slc
 from sal_height.imaging.pixels import image_beams
 from sal_height.messages import deserialize
 from sal_height.messages.codec import SHIPPED
-from sal_height.messages.parameters import KEPT, _kept_parameter
+from sal_height.messages.parameters import KEPT, _kept_parameter, shared_parameter
 from sal_height.messages.products import provenance_of, provenance_to_message
 from sal_height.messages.types import ComplexImage, HeightImage, Parameter, ParameterValue, Provenance, Surface
 from sal_height.settings import Settings
@@ -77,6 +77,12 @@ def test_parameters_kept_are_bounded() -> None:
         messages.with_stage([], "ml", {"value": number})
     info = _kept_parameter.cache_info()
     assert (info.misses, info.currsize) == (KEPT + 9, KEPT)
+
+
+@pytest.mark.parametrize(("count", "is_kept"), [(3, True), (300, False)])
+def test_lists_and_texts_that_are_not_long_are_kept(count: int, is_kept: bool) -> None:
+    for value in (("a",) * count, "a" * count, (0.0,) * count):
+        assert (shared_parameter("ml.value", value) is shared_parameter("ml.value", value)) == is_kept
 
 
 def test_what_follows_from_a_provenance_is_the_same_object_for_the_very_same_one_alone() -> None:

@@ -12,10 +12,10 @@ from distributed import Client, LocalCluster
 
 from benchmarks.replaying import without_truth
 from benchmarks.row import Row, load, sized
-from sal_height.graph.processes import ONE_THREAD
 from sal_height.runs.campaign.batch import Campaign, Workers, attempt, run_campaign
 from sal_height.runs.live.sensor_bag import record_sensor
 from sal_height.simulation import load_preset
+from sal_height.workers.processes import ONE_THREAD
 
 PRESET, DWELLS, COPIES = sized(("sal_spotlight", 60, 16), ("small", 1, 2))
 """Number of times that a bag is processed, under another name each time."""

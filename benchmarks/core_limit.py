@@ -20,7 +20,6 @@ from sal_height.bag.reader import BagReader
 from sal_height.elevation import ESTIMATORS
 from sal_height.geometry import Trajectory
 from sal_height.graph.catalogue import TRACKER, consumers, parameters_of, suited
-from sal_height.graph.processes import ONE_THREAD
 from sal_height.graph.reporting import merged
 from sal_height.nodes.playing.playlist import Playlist
 from sal_height.numeric import WORKERS
@@ -30,6 +29,7 @@ from sal_height.relief.map import fitting_cell_size
 from sal_height.runs.chain.entry import contents
 from sal_height.runs.chain.recorded_parameters import recorded_parameters
 from sal_height.sensor import PhaseHistory
+from sal_height.workers.processes import ONE_THREAD
 
 MAPPER, MOST_CELLS = "relief_mapper", 4_000_000
 """Node that averages the heights of all dwells, and the greatest number of cells of its map."""

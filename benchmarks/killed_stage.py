@@ -21,11 +21,11 @@ from rclpy.node import Node
 from benchmarks.live_runs import highest_rate, watch
 from benchmarks.row import Row, load, sized
 from sal_height.graph.plan import Execution
-from sal_height.graph.processes import ONE_THREAD
 from sal_height.nodes.transport.graph import Graph
 from sal_height.runs.live.live import Live, live
 from sal_height.runs.live.sensor_bag import Feed, record_sensor
 from sal_height.simulation import load_preset
+from sal_height.workers.processes import ONE_THREAD
 
 if TYPE_CHECKING:
     from sal_height.runs.live.live import Watched

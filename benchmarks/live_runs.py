@@ -20,7 +20,7 @@ from pathlib import Path
 
 from benchmarks.processes import Sample, Usage, memory_bytes, thread_cpu_s
 from benchmarks.row import sized
-from sal_height.graph.processes import ONE_THREAD
+from sal_height.workers.processes import ONE_THREAD
 
 PHASE_HISTORY = ("phase_history",)
 

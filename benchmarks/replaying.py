@@ -19,12 +19,12 @@ from benchmarks.core_limit import core_rate
 from benchmarks.row import Row, load, sized
 from sal_height.bag.reader import BagReader
 from sal_height.bag.writer import BagWriter
-from sal_height.graph.processes import ONE_THREAD
 from sal_height.graph.reporting import PRESET as PRESET_NAME
 from sal_height.graph.reporting import SEED
 from sal_height.nodes.playing.playlist import restamped
 from sal_height.runs.live.sensor_bag import record_sensor
 from sal_height.simulation import load_preset
+from sal_height.workers.processes import ONE_THREAD
 
 PRESET, FEW, TIMES = sized(("sal_spotlight", 32, 9), ("small", 2, 2))
 """Dwells of a flight, and how often it is flown in the other bag; the start of the program counts for neither."""

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import cyclopts
 
-from sal_height.graph.processes import ONE_THREAD
+from sal_height.workers.processes import ONE_THREAD
 
 if TYPE_CHECKING:
     from sal_height.runs.live.live import Watched

@@ -27,7 +27,7 @@ LAYERS = (
     ("pipeline",),
     ("rehearsal", "passes"),
     ("engine", "figures"),
-    ("messages", "stage_files"),
+    ("messages", "stage_files", "workers"),
     ("bag",),
     ("nodes",),
     ("graph",),

@@ -88,7 +88,7 @@ def adjust(
         terrain_sigma: Standard deviation of its heights. Default: 0.1 m.
         out: Output folder, new or empty. Default: out/adjust_BAG, or the next free of out/adjust_BAG_2, ….
     """
-    from sal_height.graph.processes import use_one_blas_thread
+    from sal_height.workers.processes import use_one_blas_thread
 
     use_one_blas_thread()
 

@@ -90,7 +90,7 @@ def live(
     import math
     import time
 
-    from sal_height.graph.processes import use_one_thread
+    from sal_height.workers.processes import use_one_thread
 
     if supervise and one_process:
         raise UserError("Options --supervise and --one-process exclude each other: nodes in one process end together.")
@@ -169,8 +169,8 @@ def _attend(config: Path, one_process: bool, supervise: bool, seconds: float, gr
     import dataclasses
     import time
 
-    from sal_height.graph.processes import use_one_thread
     from sal_height.runs.live.deployment import load_deployment
+    from sal_height.workers.processes import use_one_thread
 
     deployment = load_deployment(config)
     separate = not (one_process or deployment.one_process)

@@ -49,7 +49,7 @@ def movers(
     Args:
         out: Output folder, new or empty. Default: out/movers_BAG, or the next free of out/movers_BAG_2, ….
     """
-    from sal_height.graph.processes import use_one_blas_thread
+    from sal_height.workers.processes import use_one_blas_thread
 
     use_one_blas_thread()
 

@@ -132,7 +132,7 @@ def replay(
         against: Bag with the heights to compare with. Default: those of BAG.
         out: Output folder, new or empty. Default: out/replay_BAG, or the next free of out/replay_BAG_2, ….
     """
-    from sal_height.graph.processes import use_one_blas_thread
+    from sal_height.workers.processes import use_one_blas_thread
 
     if jobs:
         use_one_blas_thread()

@@ -26,13 +26,13 @@ from sal_height.errors import UserError
 from sal_height.graph.catalogue import stage_inputs
 from sal_height.graph.node_classes import NODES
 from sal_height.graph.plan import RECORDER, UNCOUNTED, Plan
-from sal_height.graph.processes import ONE_THREAD, Forked, can_fork, end_with_parent, name_process
 from sal_height.nodes.accounts.account import DIAGNOSTICS, OTHER, Account
 from sal_height.nodes.program import run_node
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import class_of
 from sal_height.nodes.transport.qos import FRAMES_QOS
 from sal_height.topics import ODOMETRY
+from sal_height.workers.processes import ONE_THREAD, Forked, can_fork, end_with_parent, name_process
 
 
 class Conductor(Node):

@@ -20,7 +20,6 @@ from sal_height.errors import UserError
 from sal_height.graph.catalogue import stage_inputs
 from sal_height.graph.ensemble import Ensemble, members_of
 from sal_height.graph.plan import DEFAULT, RECORDER, UNCOUNTED, Execution, Outcome, Plan
-from sal_height.graph.processes import Interruption
 from sal_height.nodes.accounts.account import Account
 from sal_height.nodes.host import StageNode
 from sal_height.nodes.playing.player import Player
@@ -29,6 +28,7 @@ from sal_height.nodes.transport.domain import ros_domain
 from sal_height.nodes.transport.endpoints import Inlet, Outlet
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.worker import WorkerNode
+from sal_height.workers.processes import Interruption
 
 
 class Ends(NamedTuple):

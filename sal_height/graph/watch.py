@@ -12,13 +12,13 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
 
-from sal_height.graph.processes import Interruption
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus
 from sal_height.nodes.accounts.account import DIAGNOSTICS, Account
 from sal_height.nodes.accounts.tally import Pace
 from sal_height.nodes.transport.domain import LOOK_S, LOST, DomainChoice, Ports, ros_domain
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
+from sal_height.workers.processes import Interruption
 
 MOST_NODES = 1000
 """Greatest number of nodes that are kept: a publisher of endless names uses no more memory."""

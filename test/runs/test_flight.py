@@ -16,9 +16,9 @@ from rclpy.parameter import Parameter
 import sal_height
 from sal_height.graph.ensemble import Member
 from sal_height.graph.node_classes import NODES
-from sal_height.graph.processes import ONE_THREAD
 from sal_height.nodes.transport.graph import Graph
 from sal_height.runs.live.deployment import load_deployment, members_of
+from sal_height.workers.processes import ONE_THREAD
 
 PACKAGE = Path(sal_height.__file__).parent
 FLIGHT = PACKAGE / "config" / "flight.yaml"

@@ -30,7 +30,6 @@ from sal_height.engine.movers import MOVERS
 from sal_height.engine.stage import Product
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import ADJUSTER, HEIGHTS, NodeParameters, check_parameters
-from sal_height.graph.processes import ONE_THREAD
 from sal_height.graph.reporting import PARAMETERS, merged
 from sal_height.io import bag_name, write_text, writing
 from sal_height.messages.kinds import write_heights
@@ -39,6 +38,7 @@ from sal_height.runs.chain.chain_runs import BagRun, plan
 from sal_height.runs.chain.replay_parameters import ReplayPlan
 from sal_height.runs.replay.judge import verdict_of
 from sal_height.runs.truth.report import read_accuracy, read_images, recorded_flight
+from sal_height.workers.processes import ONE_THREAD
 
 DONE = "done.json"
 """File in the folder of a part, or of a bag, with its result; it is written last."""

@@ -24,8 +24,9 @@ from typing import Any, Self
 from sal_height.engine.chain import Chain, Made
 from sal_height.engine.stage import DwellKey, Job, Product, Stage
 from sal_height.errors import UserError
-from sal_height.runs.chain.worker import Control, Pickler, Remote, Ring, Scheduled, Sent, Unpickler, Unsent, WorkerChain
+from sal_height.runs.chain.worker import Control, Remote, Scheduled, Sent, Unsent, WorkerChain
 from sal_height.topics import CALIBRATION, SENSOR_INFO
+from sal_height.workers.transfer import Pickler, Ring, Unpickler
 
 CONTROLS = (SENSOR_INFO, CALIBRATION)
 """Ports of controls, which are not dwells and which all workers must receive."""
@@ -65,7 +66,7 @@ class _Worker:
         file = io.BytesIO()
         if self.ring:
             self.ring.taken = 0
-        Pickler(file, self.known, self.ring).dump(message)
+        Pickler(file, self.known, self.ring.put if self.ring else None).dump(message)
         self.pipe.send_bytes(file.getbuffer())
         return self.ring.taken if self.ring else 0
 
@@ -101,7 +102,7 @@ def _ring_bytes(job: Job) -> int:
     A larger one would be slower: its memory is used in turn, and what was used last is at hand.
     """
     trial = Ring.of(MOST_RING_BYTES)
-    Pickler(io.BytesIO(), {}, trial).dump(job)
+    Pickler(io.BytesIO(), {}, trial.put).dump(job)
     return min(MOST_RING_BYTES, max(LEAST_RING_BYTES, (AHEAD + 1) * TOGETHER * trial.taken))
 
 

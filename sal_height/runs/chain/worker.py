@@ -1,28 +1,18 @@
-"""A worker process of the chain: its jobs, their transport, and the results of its stages."""
+"""A worker process of the chain: its jobs, and the results of its stages."""
 
 from __future__ import annotations
 
-import functools
 import io
-import mmap
 import os
-import pickle
 import signal
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple, TypeAlias
 
-import numpy as np
-
-from sal_height.calibration import Calibration
 from sal_height.engine.image_items import Images
 from sal_height.engine.stage import DwellKey, Job, Product, Rehearsal, Result, Stage
-from sal_height.sensor import Sensor
-from sal_height.settings import Settings
-
-SHARED = (Sensor, Settings, Calibration)
-"""Classes of objects that are never changed, and of which workers keep the ones that they were sent."""
+from sal_height.workers.transfer import Pickler, Ring, Unpickler, array_in
 
 
 class Remote(NamedTuple):
@@ -66,91 +56,6 @@ Sent: TypeAlias = tuple[int, DwellKey | None, Result]
 """Number of a stage, the dwell of a job, and its products or loss."""
 
 
-@dataclass
-class Ring:
-    """Memory shared by two processes; it is released in the order in which it was written."""
-
-    memory: mmap.mmap
-    size: int
-    at: int = 0
-    used: int = 0
-    taken: int = 0
-    """Bytes used by the current message."""
-
-    @classmethod
-    def of(cls, size: int) -> Ring:
-        """A ring of `size` bytes, shared by processes that are forked."""
-        return cls(mmap.mmap(-1, size), size)
-
-    def put(self, array: np.ndarray[Any, np.dtype[Any]]) -> int | None:
-        """Copy an array into the ring and return its offset; None: there is no room for it."""
-        room = -(-array.nbytes // 64) * 64
-        if not self.used:
-            self.at = 0
-        wraps = self.at + room > self.size
-        skipped = self.size - self.at if wraps else 0
-        if self.used + skipped + room > self.size:
-            return None
-        at = 0 if wraps else self.at
-        np.frombuffer(self.memory, array.dtype, array.size, at)[:] = array.reshape(-1)
-        self.at, self.used, self.taken = at + room, self.used + skipped + room, self.taken + skipped + room
-        return at
-
-    def release(self, taken: int) -> None:
-        """Release the bytes of the oldest message."""
-        self.used -= taken
-
-
-@functools.cache
-def _is_shared(kind: type) -> bool:
-    """True if objects of a class are sent once."""
-    return issubclass(kind, SHARED)
-
-
-class Pickler(pickle.Pickler):
-    """Sends shared objects once, and large arrays through the ring."""
-
-    def __init__(self, file: io.BytesIO, known: dict[int, tuple[int, Any]], ring: Ring | None) -> None:
-        super().__init__(file, protocol=5)
-        self._known, self._ring = known, ring
-
-    def persistent_id(self, obj: Any) -> Any:
-        """Substitute for an object that is not sent as it is; called for every one, however small."""
-        kind = type(obj)
-        if kind is np.ndarray:
-            least_shared_bytes = 16_384  # smaller arrays do not go through shared memory
-            if self._ring and obj.nbytes >= least_shared_bytes and obj.flags.c_contiguous:
-                at = self._ring.put(obj)
-                if at is not None:
-                    return "array", at, obj.dtype.str, obj.shape
-            return None
-        if not _is_shared(kind):  # type: ignore[arg-type]
-            return None
-        if id(obj) in self._known:
-            return "known", self._known[id(obj)][0]
-        number = len(self._known)
-        self._known[id(obj)] = number, obj
-        return "new", number, pickle.dumps(obj, protocol=5)
-
-
-class Unpickler(pickle.Unpickler):
-    """Reads what `Pickler` has written."""
-
-    def __init__(self, file: io.BytesIO, known: dict[int, Any], ring: Ring | None) -> None:
-        super().__init__(file)
-        self._known, self._ring = known, ring
-
-    def persistent_load(self, pid: Any) -> Any:
-        """The object that was sent otherwise."""
-        kind, *rest = pid
-        if kind == "array" and self._ring:
-            at, dtype, shape = rest
-            return np.frombuffer(self._ring.memory, dtype, int(np.prod(shape)), at).reshape(shape)
-        if kind == "new":
-            self._known[rest[0]] = pickle.loads(rest[1])  # noqa: S301 (our own process wrote it)
-        return self._known[rest[0]]
-
-
 @dataclass(frozen=True)
 class WorkerChain:
     """The stages of a chain as a worker process has them.
@@ -184,7 +89,7 @@ class WorkerChain:
                 sent = b""
             if not sent:
                 os._exit(0)
-            message = Unpickler(io.BytesIO(sent), known, ring).load()
+            message = Unpickler(io.BytesIO(sent), known, array_in(ring.memory) if ring else None).load()
             if isinstance(message, Scheduled):
                 self.stages[message.stage].schedule(message.before, message.port, message.item)
             elif isinstance(message, Control):

@@ -29,7 +29,6 @@ from sal_height.graph.catalogue import DETECTOR, HEIGHTS, TRACKER, check_paramet
 from sal_height.graph.ensemble import Conductor, Ensemble, members_of
 from sal_height.graph.node_classes import NODES
 from sal_height.graph.plan import RECORDER, Execution, Plan
-from sal_height.graph.processes import Interruption, process_age_s, run_in_copy
 from sal_height.graph.reporting import PARAMETERS, PRESET, merged, reporting
 from sal_height.graph.supervisor import Supervisor
 from sal_height.graph.watch import AccountBook, Watcher, looks
@@ -48,6 +47,7 @@ from sal_height.runs.chain.entry import MAPPER
 from sal_height.runs.live.sensor_bag import Feed
 from sal_height.sensor import Sensor
 from sal_height.topics import ODOMETRY, SENSOR_INFO
+from sal_height.workers.processes import Interruption, process_age_s, run_in_copy
 
 _LOG = logging.getLogger(__name__)
 

@@ -19,11 +19,11 @@ from rich.text import Text
 
 from sal_height.graph.ensemble import Ensemble, Member
 from sal_height.graph.plan import Execution
-from sal_height.graph.processes import Interruption
 from sal_height.graph.supervisor import Supervisor
 from sal_height.graph.watch import AccountBook, NodeAccount, Watcher, looks
 from sal_height.nodes.transport.domain import ros_domain
 from sal_height.runs.live.live import SOURCE, Watched
+from sal_height.workers.processes import Interruption
 
 GONE = "gone"
 

@@ -13,13 +13,13 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from sal_height.bag.described import PARAMETER_EVENTS
-from sal_height.graph.processes import Interruption
 from sal_height.graph.watch import looks
 from sal_height.io import check_new_folder, free_folder
 from sal_height.nodes.accounts.account import TopicCounts
 from sal_height.nodes.recording.recorder import Recorder
 from sal_height.nodes.transport.domain import DomainChoice, ros_domain
 from sal_height.nodes.transport.graph import Graph
+from sal_height.workers.processes import Interruption
 
 DEFAULT_FOLDER = Path("out/recorded")
 

@@ -22,7 +22,6 @@ from sal_height.bag.topics import FIX_TYPE, FRAME_TYPE, ODOMETRY_TYPE, SENSOR_TY
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import HEIGHTS, TRACKER, suited
-from sal_height.graph.processes import Forked, run_in_copy
 from sal_height.graph.reporting import PARAMETERS, PRESET, SEED, merged
 from sal_height.nodes.playing.playlist import Playlist
 from sal_height.runs.chain.entry import contents
@@ -31,8 +30,9 @@ from sal_height.runs.truth.simulate import parameters_of_flight
 from sal_height.sensor import Sensor
 from sal_height.simulation import Preset, SimulatedFlight, flight_of
 from sal_height.topics import MAP_ORIGIN, ODOMETRY, SENSOR_INFO
+from sal_height.workers.processes import Forked, run_in_copy
 
-tqdm.monitor_interval = 0  # no thread that refreshes slow bars: it would prevent `graph.processes.Forked`
+tqdm.monitor_interval = 0  # no thread that refreshes slow bars: it would prevent `workers.processes.Forked`
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,6 @@ from sal_height.engine.chain import Made
 from sal_height.engine.stage import DwellKey, Event, Loss, Notice, Port, Product
 from sal_height.errors import UserError
 from sal_height.graph.plan import UNCOUNTED, Execution, Outcome, Plan
-from sal_height.graph.processes import Interruption
 from sal_height.messages.accounts import loss_to_message
 from sal_height.messages.codec import SHIPPED
 from sal_height.messages.kinds import kind_of, kind_of_topic
@@ -28,6 +27,7 @@ from sal_height.runs.chain.chain_runs import BagRun
 from sal_height.runs.chain.replay_parameters import ReplayPlan
 from sal_height.runs.chain.worker import count_messages
 from sal_height.topics import CALIBRATION, LOSSES, ODOMETRY, SENSOR_INFO
+from sal_height.workers.processes import Interruption
 
 _LOG = logging.getLogger(__name__)
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from sal_height.engine.stage import Job
 from sal_height.runs.chain.side_by_side import BYTES_TOGETHER, TOGETHER, _together
-from sal_height.runs.chain.worker import Ring
+from sal_height.workers.transfer import Ring
 
 
 def test_arrays_that_fill_the_ring_exactly_begin_anew_at_its_start() -> None:

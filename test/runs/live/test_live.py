@@ -131,7 +131,7 @@ PRELUDE = """
 import os, signal, sys
 from dataclasses import replace
 from pathlib import Path
-from sal_height.graph.processes import use_one_thread
+from sal_height.workers.processes import use_one_thread
 use_one_thread()
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError

@@ -16,7 +16,7 @@ REFERENCE = Path(__file__).parents[2] / "bags" / "version_3"
 
 PRELUDE = """
 import json, os, signal, sys, threading
-from sal_height.graph.processes import Forked, can_fork, use_one_thread
+from sal_height.workers.processes import Forked, can_fork, use_one_thread
 use_one_thread()
 """
 
@@ -105,7 +105,7 @@ copy.kill()
 def test_work_is_done_beside_the_program_or_before_it_goes_on() -> None:
     """The latter where it has other threads."""
     code = """
-from sal_height.graph.processes import run_in_copy
+from sal_height.workers.processes import run_in_copy
 done = []
 copy = run_in_copy(lambda: done.append(1) or 0, "work")
 status = copy.wait(30.0)

@@ -81,6 +81,7 @@ setup(
             "sal-height = sal_height.commands:main",
             "simulator = sal_height.nodes.simulator:main",
             *(f"{node} = sal_height.nodes.processing:main" for node in (*height_nodes, *processing_nodes)),
+            "live_host = sal_height.nodes.live_host:main",
             "paced_player = sal_height.nodes.playing.player:main",
             "player = sal_height.nodes.playing.player:main",
             "recorder = sal_height.nodes.recording.recorder:main",

@@ -107,7 +107,7 @@ def _watch(result: Path) -> None:
     rate = RATE or SHARE * (highest_rate(lambda tried: watch(bag, tried, SEARCH_S), FIRST_GUESS)[0] or LEAST_RATE)
     kills = _Kills()
     how = Live(rate, FIRST_S + EVERY_S * KILLS + BACK_S, supervised=True)
-    watched = live(Feed.of_bag(bag), folder / "live", {}, how, Execution(processes=True), kills.show)
+    watched = live(Feed.of_bag(bag), folder / "live", {}, how, Execution("host"), kills.show)
     seen = {"rate": rate, "offered_hz": watched.offered_hz, "heights_hz": list(kills.counted())}
     result.write_text(json.dumps(seen), encoding="utf-8")
 

@@ -13,10 +13,11 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from enum import Enum
 from pathlib import Path
+from typing import Literal
 
 from benchmarks.processes import Sample, Usage, memory_bytes, thread_cpu_s
 from benchmarks.row import sized
@@ -43,12 +44,23 @@ IN_PARTS = ("buffer full", "incomplete dwell")
 class Nodes(Enum):
     """Processes that a graph consists of."""
 
+    HOST = "host"
+    """The live host has the stages, player and recorder have processes of their own."""
     SEPARATE = "separate"
     """Every node has a process of its own."""
     TOGETHER = "together"
     """All nodes are in one process."""
     IDLE = "idle"
     """Every node has a process of its own, and does nothing but receive and publish (`idle_nodes`)."""
+
+
+PROCESSES: Mapping[Nodes, Literal["host", "each", "one"]] = {
+    Nodes.HOST: "host",
+    Nodes.SEPARATE: "each",
+    Nodes.TOGETHER: "one",
+    Nodes.IDLE: "each",
+}
+"""Processes of each kind of graph, as `sal-height live` knows them."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +97,7 @@ class Seen:
 
 
 def watch(
-    bag: Path, rate: float, seconds: float, nodes: Nodes = Nodes.SEPARATE, record: Sequence[str] = PHASE_HISTORY
+    bag: Path, rate: float, seconds: float, nodes: Nodes = Nodes.HOST, record: Sequence[str] = PHASE_HISTORY
 ) -> Seen:
     """Run a graph.
 
@@ -156,7 +168,7 @@ def _watch_here(bag: Path, rate: float, seconds: float, nodes: Nodes, record: tu
 
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder, "live")
-        execution = Execution(processes=nodes is not Nodes.TOGETHER, record=record)
+        execution = Execution(PROCESSES[nodes], record=record)
         watched = live(Feed.of_bag(bag), out, {}, Live(rate, seconds), execution, show)
         recorded = sum(file.stat().st_size for file in (out / "bag").iterdir())
     beside = (SOURCE, RECORDER, f"spin {RECORDER}")

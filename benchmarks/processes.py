@@ -41,13 +41,9 @@ class Usage:
     def take(self) -> None:
         """Take note of this process and of all that it has started."""
         own, cpu_s, resident = os.getpid(), {}, {}
-        for folder in PROC.iterdir():
-            if not folder.name.isdecimal():
-                continue
+        for folder in _family():
             try:
-                parent, used_s = _parent_and_cpu(folder)
-                if own not in {parent, int(folder.name)}:
-                    continue
+                _, used_s = _parent_and_cpu(folder)
                 name = (folder / "comm").read_text(encoding="utf-8", errors="replace").strip()
                 pages = int((folder / "statm").read_text(encoding="ascii").split()[1])
             except OSError:  # it has ended meanwhile
@@ -70,12 +66,11 @@ class Usage:
 
 def memory_bytes() -> int:
     """Memory of this process and of all that it has started, what they share counted once (Pss), bytes."""
-    own, kilobytes = os.getpid(), 0
-    for folder in PROC.iterdir():
-        with suppress(OSError, IndexError):  # it has ended meanwhile, or is no process
-            if folder.name.isdecimal() and own in {int(folder.name), _parent_and_cpu(folder)[0]}:
-                lines = (folder / "smaps_rollup").read_text(encoding="ascii").splitlines()
-                kilobytes += next(int(line.split()[1]) for line in lines if line.startswith("Pss:"))
+    kilobytes = 0
+    for folder in _family():
+        with suppress(OSError):  # it has ended meanwhile
+            lines = (folder / "smaps_rollup").read_text(encoding="ascii").splitlines()
+            kilobytes += next(int(line.split()[1]) for line in lines if line.startswith("Pss:"))
     return 1024 * kilobytes
 
 
@@ -87,6 +82,23 @@ def thread_cpu_s() -> dict[str, float]:
         if folder.exists():
             used[thread.name] = _parent_and_cpu(folder)[1]
     return used
+
+
+def _family() -> list[Path]:
+    """Folders of this process and of all that it has started, or that these have."""
+    parents = {}
+    for folder in PROC.iterdir():
+        with suppress(OSError, IndexError):  # it has ended meanwhile
+            if folder.name.isdecimal():
+                parents[int(folder.name)] = _parent_and_cpu(folder)[0]
+    family = {os.getpid()}
+    for process in sorted(parents):
+        ancestor = process
+        while ancestor in parents and ancestor not in family:
+            ancestor = parents[ancestor]
+        if ancestor in family:
+            family.add(process)
+    return [PROC / str(process) for process in family]
 
 
 def _parent_and_cpu(folder: Path) -> tuple[int, float]:

@@ -36,7 +36,7 @@ LATENCY_SECONDS = sized(60.0, 2.0)
 ENDURANCE_SECONDS = sized(600.0, 2.0)
 MINUTE_S = sized(60.0, 0.6)
 
-ENDURING = sized(Nodes.SEPARATE, Nodes.TOGETHER)
+ENDURING = sized(Nodes.HOST, Nodes.TOGETHER)
 """Processes of the graph whose endurance is measured."""
 
 SEARCHED = sized(True, False)

@@ -341,7 +341,7 @@ def perform(run: Soak, preset: str, rate: float | None, budget: float | None) ->
             name: {"timeout_s": max(LEAST_WAIT_S, WAIT_S * rate)}
             for name in ("sar_compression", "ml_height", "monopulse")
         }
-        watched = live(Feed.of_bag(bag), folder / "live", patience, how, Execution(processes=True), run.show)
+        watched = live(Feed.of_bag(bag), folder / "live", patience, how, Execution("host"), run.show)
         replay(bag, folder / "lockstep", {}, estimators=["ml"])
         begin_ns = round(watched.began_at_s * 1e9)
         different = unlike_lockstep(folder / "live", folder / "lockstep" / "bag", run, begin_ns)

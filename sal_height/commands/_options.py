@@ -19,7 +19,7 @@ from sal_height.errors import UserError
 from sal_height.renamed import with_new_names
 
 if TYPE_CHECKING:
-    from sal_height.graph.plan import Execution
+    from sal_height.graph.plan import Execution, Processes
     from sal_height.nodes.transport.domain import DomainChoice
 
 DONE, FAILED, BAD_USE, INTERRUPTED, CUT_OFF = 0, 1, 2, 130, 141
@@ -288,7 +288,7 @@ class GraphOptions:
         ),
     ] = 120.0
 
-    def execution(self, processes: bool = False) -> Execution:
+    def execution(self, processes: Processes = "one") -> Execution:
         """The options as `perform` takes them.
 
         Raises:

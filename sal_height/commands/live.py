@@ -29,6 +29,7 @@ from sal_height.errors import UserError
 from sal_height.io import bag_name
 
 if TYPE_CHECKING:
+    from sal_height.graph.plan import Processes
     from sal_height.runs.live.sensor_bag import Feed
 
 EXAMPLES = """
@@ -55,6 +56,7 @@ def live(
     dwells: Annotated[int | None, Parameter(metavar="N", validator=Number(gte=1))] = None,
     budget: Annotated[float | None, Parameter(metavar="S", validator=Number(gt=0))] = None,
     one_process: Flag = False,
+    separate: Flag = False,
     supervise: Flag = False,
     seed: Annotated[int | None, Parameter(metavar="S", validator=Number(gte=0, lt=2**31))] = None,
     graph: GraphOptions = GRAPH,
@@ -82,8 +84,9 @@ def live(
         seconds: End after this time. Default: at Ctrl-C.
         dwells: Number of dwells to simulate. Default: the preset's.
         budget: Longest time from a dwell to its heights, s. Default: the preset's, or 3 dwell intervals, at least 0.2.
-        one_process: Run all nodes in one process instead of one each.
-        supervise: Start nodes again that have ended, after half a second at first and 30 s at most.
+        one_process: Run all nodes in one process, without workers.
+        separate: Run each node in a process of its own, instead of all that process dwells in one with workers.
+        supervise: Start processes again that have ended, after half a second at first and 30 s at most.
         seed: Seed of the random numbers. Default: 1.
         out: Output folder, new or empty. Default: out/live_PRESET, or the next free of out/live_PRESET_2, ….
     """
@@ -94,6 +97,7 @@ def live(
 
     if supervise and one_process:
         raise UserError("Options --supervise and --one-process exclude each other: nodes in one process end together.")
+    processes = _processes(one_process, separate, "Options --one-process and --separate exclude each other.")
     end_s = math.inf if seconds is None else seconds
     if config is not None:
         simulating = {"--preset": preset, "--bag": bag, "--rate": rate, "--dwells": dwells, "--budget": budget}
@@ -107,8 +111,8 @@ def live(
                 "--estimators": estimators,
             }
         )
-        return _attend(config, one_process, supervise, end_s, graph)
-    if not one_process:
+        return _attend(config, processes, supervise, end_s, graph)
+    if processes != "one":
         use_one_thread()
 
     with importing():
@@ -118,7 +122,7 @@ def live(
     feed, folder = _feed(preset or "sal_spotlight", bag, dwells, 1 if seed is None else seed, out, estimators)
     how = Live(rate or 1.0, end_s, budget or 0.0, supervise)
     with showing(lambda watched: live_table(watched, time.monotonic())) as show:
-        seen = live(feed, folder / "run", node_parameters(param), how, graph.execution(not one_process), show)
+        seen = live(feed, folder / "run", node_parameters(param), how, graph.execution(processes), show)
     from sal_height.runs.live.latency_picture import (  # brings Matplotlib, which nodes need not carry
         LATENCIES,
         draw_run,
@@ -164,8 +168,27 @@ def _refuse_beside_config(options: Mapping[str, object]) -> None:
         )
 
 
-def _attend(config: Path, one_process: bool, supervise: bool, seconds: float, graph: GraphOptions) -> int:
-    """Run the nodes of a configuration."""
+def _processes(one_process: bool, separate: bool, refusal: str) -> Processes:
+    """The processes that options or keys ask for.
+
+    Raises:
+        UserError: they contradict each other, with the message `refusal`.
+    """
+    if one_process and separate:
+        raise UserError(refusal)
+    return "one" if one_process else "each" if separate else "host"
+
+
+def _attend(config: Path, asked: Processes, supervise: bool, seconds: float, graph: GraphOptions) -> int:
+    """Run the nodes of a configuration.
+
+    Args:
+        config: its file.
+        asked: processes that the options ask for; "host": those that the file asks for.
+        supervise: True if processes are started again that have ended.
+        seconds: duration, s.
+        graph: further options.
+    """
     import dataclasses
     import time
 
@@ -173,10 +196,12 @@ def _attend(config: Path, one_process: bool, supervise: bool, seconds: float, gr
     from sal_height.workers.processes import use_one_thread
 
     deployment = load_deployment(config)
-    separate = not (one_process or deployment.one_process)
-    if supervise and not separate:
+    refusal = f"Configuration {config}: one_process and separate exclude each other."
+    stated = _processes(deployment.one_process, deployment.separate, refusal)
+    processes = stated if asked == "host" else asked
+    if supervise and processes == "one":
         raise UserError(f"Configuration {config}: one_process excludes --supervise: nodes in one process end together.")
-    if separate:
+    if processes != "one":
         use_one_thread()
 
     with importing():
@@ -187,7 +212,7 @@ def _attend(config: Path, one_process: bool, supervise: bool, seconds: float, gr
         members = members_of(deployment)
     except UserError as error:
         raise UserError(f"Configuration {config}: {error}") from error
-    execution = graph.execution(separate)
+    execution = graph.execution(processes)
     if graph.domain is None:
         execution = dataclasses.replace(execution, domain="environment")
     with showing(lambda seen: node_table(seen.book, time.monotonic(), f"{seen.elapsed_s:.0f} s")) as show:

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from itertools import chain
@@ -25,9 +25,10 @@ from sal_height.engine.air import AIR_PARAMETERS
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import stage_inputs
 from sal_height.graph.node_classes import NODES
-from sal_height.graph.plan import RECORDER, UNCOUNTED, Plan
+from sal_height.graph.plan import RECORDER, UNCOUNTED, Plan, Processes
 from sal_height.nodes.accounts.account import DIAGNOSTICS, OTHER, Account
-from sal_height.nodes.program import run_node
+from sal_height.nodes.processing import PROCESSING
+from sal_height.nodes.program import run_host, run_node
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import class_of
 from sal_height.nodes.transport.qos import FRAMES_QOS
@@ -94,6 +95,10 @@ class Conductor(Node):
                 self.accounts[status.name] = account
 
 
+HOST = "live host"
+"""Name of the process of all nodes of stages."""
+
+
 @dataclass(frozen=True)
 class Member:
     """A node of an ensemble.
@@ -151,28 +156,34 @@ def members_of(plan: Plan) -> list[Member]:
 
 
 class Ensemble:
-    """The nodes of a run, all in this process or each in its own, with a graph of this process; a context manager.
+    """The nodes of a run, in this process or in others, with a graph of this process; a context manager.
 
     At the end the first one is ended first.
 
     Attributes:
         members: nodes by name.
+        processes: nodes of each process, by its name; none: all are in this one.
         graph: context and executor of this process; once it is entered.
     """
 
-    def __init__(self, members: Iterable[Member], processes: bool) -> None:
+    def __init__(self, members: Iterable[Member], processes: Processes) -> None:
         """Choose the nodes; they are started on entering."""
         self.members = {member.name: member for member in members}
+        self.processes = grouped(self.members.values(), processes)
         self.graph: Graph
         self.nodes: dict[str, Any] = {}
         """The nodes of this process, by name."""
-        self._separate = processes
         self._processes: dict[str, subprocess.Popen[bytes] | Forked] = {}
 
     def ended(self) -> dict[str, int]:
-        """Exit statuses of the processes that have ended, by the name of their node."""
+        """Exit statuses of the processes that have ended, by their names."""
         statuses = {name: process.poll() for name, process in self._processes.items()}
         return {name: status for name, status in statuses.items() if status is not None}
+
+    def describe(self, process: str) -> str:
+        """Description of a process in messages: its node, or the live host with its nodes."""
+        names = ", ".join(member.name for member in self.processes[process])
+        return f"The live host ({names})" if process == HOST else f"Node {names}"
 
     def check(self) -> None:
         """Make sure that all processes still run.
@@ -181,15 +192,15 @@ class Ensemble:
             UserError: one has ended.
         """
         for name, status in self.ended().items():
-            raise UserError(f"Node {name} ended with status {status}; its message is above.")
+            raise UserError(f"{self.describe(name)} ended with status {status}; its message is above.")
 
-    def start_again(self, name: str) -> None:
-        """Start a node whose process has ended in a new one.
+    def start_again(self, process: str) -> None:
+        """Start a process again that has ended.
 
         Raises:
             UserError: it cannot be started.
         """
-        self._processes[name] = _process_of(self.members[name], forks=False)
+        self._processes[process] = _started(process, self.processes[process], forks=False)
 
     def __enter__(self) -> Self:
         """Start the nodes; if one cannot be, none is left.
@@ -201,12 +212,11 @@ class Ensemble:
         """
         with ExitStack() as on_failure:
             on_failure.callback(self._end_processes)
-            if self._separate:
-                forks = can_fork()
-                for name, member in self.members.items():
-                    self._processes[name] = _process_of(member, forks)
+            forks = can_fork()
+            for name, members in self.processes.items():
+                self._processes[name] = _started(name, members, forks)
             self.graph = on_failure.enter_context(Graph())
-            if not self._separate:
+            if not self.processes:
                 for member in self.members.values():
                     overrides = [Parameter(key, value=value) for key, value in member.parameters.items()]
                     self.nodes[member.name] = self.graph.add(
@@ -231,42 +241,68 @@ class Ensemble:
                 process.kill()
 
 
-def _process_of(member: Member, forks: bool) -> subprocess.Popen[bytes] | Forked:
-    """Start a node in a process of its own.
+def grouped(members: Iterable[Member], processes: Processes) -> dict[str, list[Member]]:
+    """The nodes of each process by its name, in the order in which these end.
 
     Args:
-        member: node to start.
+        members: nodes, in the order in which they end.
+        processes: processes that there are to be.
+    """
+    if processes == "one":
+        return {}
+    groups: dict[str, list[Member]] = {}
+    for member in members:
+        is_hosted = processes == "host" and (member.kind or member.name) in PROCESSING
+        groups.setdefault(HOST if is_hosted else member.name, []).append(member)
+    if HOST in groups:  # what makes something ends before what uses it
+        order = list(PROCESSING)
+        groups[HOST].sort(key=lambda one: (one.node.completes_file, order.index(one.kind or one.name)))
+    return groups
+
+
+def _started(process: str, members: Sequence[Member], forks: bool) -> subprocess.Popen[bytes] | Forked:
+    """Start a process.
+
+    Args:
+        process: its name.
+        members: its nodes.
         forks: True if the process goes on with what this one has imported and computed; else it starts without.
 
     Raises:
         UserError: it cannot be started.
     """
-    kind, parent, arguments = member.kind or member.name, os.getpid(), member.arguments
+    parent = os.getpid()
+    nodes = [(member.kind or member.name, member.arguments) for member in members]
     try:
         if forks:
-            return Forked(lambda: _run(kind, parent, arguments), member.name)
-        command = [sys.executable, "-m", __name__, member.name, kind, str(parent), *arguments]
+            return Forked(lambda: _run(process, parent, nodes), process)
+        command = [sys.executable, "-m", __name__, process, str(parent), json.dumps(nodes)]
         return subprocess.Popen(command, process_group=0, env=ONE_THREAD | os.environ)  # noqa: S603 (our nodes)
     except OSError as error:
-        raise UserError(f"Node {member.name} cannot be started in a process of its own: {error.strerror}.") from error
+        names = ", ".join(member.name for member in members)
+        raise UserError(f"Node {names} cannot be started in a process of its own: {error.strerror}.") from error
 
 
-def _run(kind: str, parent: int, arguments: list[str]) -> int:
-    """Run a node until the process `parent`, which started this one, ends, even if it is killed.
+def _run(process: str, parent: int, nodes: Sequence[tuple[str, list[str]]]) -> int:
+    """Run nodes until the process `parent`, which started this one, ends, even if it is killed.
 
     Those that complete a file are then asked to end; the others have nothing to finish. What a node waits
     for is not reported in its log, for all others of the run are starting.
     """
-    if not end_with_parent(parent, signal.SIGTERM if NODES[kind].completes_file else signal.SIGKILL):
+    completes = any(NODES[kind].completes_file for kind, _ in nodes)
+    if not end_with_parent(parent, signal.SIGTERM if completes else signal.SIGKILL):
         return 1
+    if process == HOST:
+        return run_host([(NODES[kind], own) for kind, own in nodes], sys.argv[:1], begin=lambda _: None)
+    (kind, arguments), *_ = nodes
     sys.argv[1:] = arguments
     return run_node(NODES[kind], begin=lambda _: None)
 
 
 def main() -> int:
-    """Run a node of the kind argv[2] as argv[1], until process argv[3], which started this one, ends."""
+    """Run nodes, as in argv[3], in a process of the name argv[1], until process argv[2], which started it, ends."""
     name_process(sys.argv[1])
-    return _run(sys.argv[2], int(sys.argv[3]), sys.argv[4:])
+    return _run(sys.argv[1], int(sys.argv[2]), json.loads(sys.argv[3]))
 
 
 if __name__ == "__main__":

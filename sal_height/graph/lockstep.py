@@ -228,7 +228,7 @@ def perform(plan: Plan, execution: Execution = DEFAULT) -> Outcome:
     with ros_domain(execution.domain):
         if execution.domain != "free":
             _look_for_company(plan)
-        with Interruption() as interruption, Ensemble(members_of(plan), processes=False) as ensemble:
+        with Interruption() as interruption, Ensemble(members_of(plan), "one") as ensemble:
             run = Lockstep(plan, ensemble)
             wait = _waiter(ensemble.graph, run, interruption, execution.timeout_s)
             began = time.monotonic()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from sal_height.bag.reader import LogTimes
 from sal_height.engine.compression import SENSOR
@@ -78,19 +78,24 @@ class Plan:
         return [self.remapped.get(topic, topic) for topic in topics]
 
 
+Processes = Literal["host", "each", "one"]
+"""Processes of a live graph: the stages in one process with workers, and each other node in its own; one for each node;
+or one for all."""
+
+
 @dataclass(frozen=True)
 class Execution:
     """Execution of a run; the heights do not depend on it.
 
     Attributes:
-        processes: True if each node of a live graph gets a process of its own; others run in one process.
+        processes: processes of a live graph; other graphs run in one process.
         domain: ROS domain of the nodes.
         record: topics to record in addition to those that the run needs, with or without leading slash.
         timeout_s: time without a working node or a moving message after which the run is given up, s. A dwell may
             last longer, as long as a node works on it.
     """
 
-    processes: bool = False
+    processes: Processes = "one"
     domain: DomainChoice = "free"
     record: Sequence[str] = ()
     timeout_s: float = 120.0

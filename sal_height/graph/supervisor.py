@@ -1,4 +1,4 @@
-"""Starts the nodes of an ensemble again whose processes have ended."""
+"""Starts the processes of an ensemble again that have ended."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from sal_height.graph.ensemble import Ensemble
 _LOG = logging.getLogger(__name__)
 
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.5, 30.0
-"""Time from the end of a node to its next start, s: it doubles from time to time, up to the longest."""
+"""Time from the end of a process to its next start, s: it doubles from time to time, up to the longest."""
 
 STEADY_S = 60.0
-"""Running time of a node, s, after which the wait for its next start is the shortest one again."""
+"""Running time of a process, s, after which the wait for its next start is the shortest one again."""
 
 
 @dataclass
 class _Fate:
-    """State of a node: time of its last start, delay before the next one, s, and the time at which that is due."""
+    """State of a process: time of its last start, delay before the next one, s, and the time at which that is due."""
 
     began: float
     wait_s: float = FIRST_WAIT_S
@@ -28,15 +28,15 @@ class _Fate:
 
 
 class Supervisor:
-    """Starts nodes again that have ended, each after a wait, and reports it."""
+    """Starts processes again that have ended, each after a wait, and reports it."""
 
     def __init__(self, ensemble: Ensemble, now: float) -> None:
         """Watch the processes of `ensemble` from the time `now`, s of the monotonic clock."""
         self._ensemble = ensemble
-        self._fates = {name: _Fate(now) for name in ensemble.members}
+        self._fates = {name: _Fate(now) for name in ensemble.processes}
 
     def look(self, now: float) -> list[str]:
-        """Report nodes that have ended, and start those again whose delay is over; returns their names."""
+        """Report processes that have ended, and start those again whose delay is over; returns their names."""
         started = []
         for name, status in self._ensemble.ended().items():
             fate = self._fates[name]
@@ -53,11 +53,11 @@ class Supervisor:
         return started
 
     def _await(self, name: str, fate: _Fate, now: float, what: str) -> None:
-        """Have a node started again in some time."""
+        """Have a process started again in some time."""
         if now - fate.began > STEADY_S:
             fate.wait_s = FIRST_WAIT_S
         fate.due = now + fate.wait_s
-        _LOG.warning("Node %s %s; it is started again in %.3g s.", name, what, fate.wait_s)
+        _LOG.warning("%s %s; it is started again in %.3g s.", self._ensemble.describe(name), what, fate.wait_s)
         fate.wait_s = min(2 * fate.wait_s, LONGEST_WAIT_S)
 
 

@@ -21,7 +21,9 @@ from sal_height.engine.calibrations import CALIBRATIONS_ARRIVED
 from sal_height.engine.compression import Compression
 from sal_height.engine.frames import StaticTransform
 from sal_height.engine.height_items import Heights
+from sal_height.engine.image_items import Images
 from sal_height.engine.navigation import Attitude, Fix, Pose, Twist
+from sal_height.engine.registry import STAGES
 from sal_height.engine.stage import (
     Answer,
     Decision,
@@ -41,13 +43,17 @@ from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Mounting, PlatformState
 from sal_height.messages.codec import SHIPPED
 from sal_height.messages.kinds import kind_of
+from sal_height.nodes.accounts.tally import cpu_of_thread
 from sal_height.nodes.managed import Topics
 from sal_height.nodes.parameters import parameter_of
+from sal_height.nodes.pooled import PooledJobs
+from sal_height.nodes.transport.endpoints import Inlet, Outlet
 from sal_height.nodes.transport.message_types import has_transforms
 from sal_height.nodes.transport.qos import FRAMES_QOS, INSTRUMENT_QOS, LATCHED_QOS, ODOMETRY_QOS, TF_STATIC_QOS
 from sal_height.nodes.viewing import VIEWERS
 from sal_height.nodes.worker import ENDED, WorkerNode
 from sal_height.stage_files import check_written, read_inputs, write_product
+from sal_height.workers.pool import Pool
 
 OF_KIND: Mapping[type, QoSProfile] = {
     PlatformState: ODOMETRY_QOS,
@@ -68,12 +74,17 @@ class StageNode(WorkerNode):
 
     stage_class: ClassVar[type[Stage]]
 
-    def __init__(self, **node_arguments: Any) -> None:
-        """Make the node; `node_arguments` go to rclpy's Node.
+    def __init__(self, pool: Pool | None = None, **node_arguments: Any) -> None:
+        """Make the node.
+
+        Args:
+            pool: workers for jobs that copies of the stage can process; None: a thread of the node processes them.
+            node_arguments: arguments of rclpy's Node.
 
         Raises:
             UserError: a parameter has a value that is not allowed, or a file cannot be used.
         """
+        self._pool, self._work_s = pool, 0.0
         super().__init__(self.stage_class.usual_name, **node_arguments)
         settings = self.current_parameters()
         try:
@@ -98,6 +109,28 @@ class StageNode(WorkerNode):
         if self.stage_class.concludes:
             self.context.on_shutdown(self.conclude)
 
+    def begin_work(self) -> None:
+        """Begin to process jobs, by the workers or on a thread of the node's own."""
+        if self._pool and self.stage_class.is_parallel and self.stage_class in STAGES.values():
+            jobs = PooledJobs(self, self.stage_class.usual_name, self._jobs, self._conclude_job)
+            self._pool.serve(jobs, later=self.takes_images)
+        else:
+            super().begin_work()
+
+    def usage(self) -> Mapping[str, Any]:
+        """Fields of an account; in a process with workers the processor time is that of the node's jobs.
+
+        What the other threads of that process need, which receive and publish, is in that of the node which receives
+        phase histories.
+        """
+        numbers = super().usage()
+        if self._pool is None:
+            return numbers
+        cpu_s = cpu_of_thread(self._worker) if self._worker else self._work_s
+        if not (self._worker or self.takes_images):
+            cpu_s += self._pool.cpu_s + cpu_of_thread(threading.main_thread())
+        return {**numbers, "cpu_s": round(cpu_s, 3)}
+
     def _offer_and_listen(self, settings: Any) -> None:
         """Make publishers and subscriptions of the ports.
 
@@ -105,6 +138,10 @@ class StageNode(WorkerNode):
             UserError: the messages of a port do not exist in this environment.
         """
         self._outlets, self._viewers, self._latched = {}, {}, set[str]()
+        self.joinable_outlets: list[tuple[Port, Outlet]] = []
+        """Publishers whose items subscribers of the same process can receive as they are."""
+        self.joinable_inlets: list[tuple[Port, Inlet, Callable[[Any, float], None]]] = []
+        """Subscriptions that can receive items as they are, each with what accepts these."""
         for port in self.stage_class.outputs(settings):
             kind = kind_of(port)
             self._outlets[port.name] = (
@@ -113,6 +150,8 @@ class StageNode(WorkerNode):
             )
             if port.latched:
                 self._latched.add(port.name)
+            else:
+                self.joinable_outlets.append((port, self._outlets[port.name][0]))
             if viewer := VIEWERS.get(port.kind):
                 self._viewers[port.name] = viewer(self, port)
         self._inlets_of = {port.name: self._listen_to(port, settings) for port in self.stage_class.inputs(settings)}
@@ -126,25 +165,22 @@ class StageNode(WorkerNode):
                 "source the installation, or state the mounting in sensor_info."
             )
 
-        def accept(item: Any) -> None:
-            if not port.counted or self.takes():
-                self._decide(lambda: self.stage.accept(port.name, item, time.monotonic()))
+        def accept(item: Any, complete_s: float | None = None) -> None:
+            if not port.counted or self.takes(_messages_of(item)):
+                self._decide(lambda: self.stage.accept(port.name, item, time.monotonic()), complete_s)
 
         def read(cdr: bytes) -> Sequence[Any]:
             try:
                 return kind.read(cdr, settings)
             except UserError as error:
-                if port.counted and self.takes():
-                    self.reject(1, self.unexpected(error))
-                elif not port.counted:
-                    self.ignore(kind.trouble or getattr(error, "reason", port.name), error)
+                self._count_unread(port, error)
                 return ()
 
         def receive(items: Sequence[Any]) -> None:
             for item in items:
                 accept(item)
 
-        return self.listen(
+        inlet = self.listen(
             SHIPPED.message_class(kind.type_name),
             port.name,
             receive,
@@ -152,6 +188,16 @@ class StageNode(WorkerNode):
             optional=port.optional,
             read=read,
         )
+        if not port.latched:
+            self.joinable_inlets.append((port, inlet, accept))
+        return inlet
+
+    def _count_unread(self, port: Port, error: UserError) -> None:
+        """Count a message on a port that cannot be read."""
+        if port.counted and self.takes():
+            self.reject(1, self.unexpected(error))
+        elif not port.counted:
+            self.ignore(kind_of(port).trouble or getattr(error, "reason", port.name), error)
 
     @property
     def is_ready(self) -> bool:
@@ -222,6 +268,8 @@ class StageNode(WorkerNode):
 
     def destroy_node(self) -> None:
         """Process or drop what waits, then end the node."""
+        for inlet in self.inlets:
+            inlet.leave()
         if hasattr(self, "_deciding"):
             if self.stage_class.concludes:
                 self.conclude()
@@ -240,8 +288,13 @@ class StageNode(WorkerNode):
     def _tick(self) -> None:
         self._decide(lambda: self.stage.advance(time.monotonic(), busy=self.jobs > 0))
 
-    def _decide(self, ask: Callable[[], Sequence[Decision]]) -> None:
-        """Ask the stage, and do what it decides."""
+    def _decide(self, ask: Callable[[], Sequence[Decision]], complete_s: float | None = None) -> None:
+        """Ask the stage, and do what it decides.
+
+        Args:
+            ask: function that returns what the stage decides.
+            complete_s: time at which the dwell that it decides on was complete, s of the monotonic clock; None: now.
+        """
         with self._deciding:
             now = self.current_parameters()
             if now is not self._settings_known:
@@ -250,21 +303,31 @@ class StageNode(WorkerNode):
             decisions = ask()
             self.hardware_id = self.stage.sensor_name
             for job in self._own_jobs(decisions):
-                self._enqueue(job)
+                self._enqueue(job, self.now_s() if complete_s is None else complete_s)
 
-    def _enqueue(self, job: Job) -> None:
+    def _enqueue(self, job: Job, complete_s: float) -> None:
         if self._ended and job.messages:
             self.reject(job.messages, ENDED, job.dwell)
-        else:
-            self.submit(job.messages, lambda: self._process_job(job), job.size, job)
+            return
+        self.submit(
+            job.messages, lambda: self._publish_results(self._results_of(job), complete_s), job.size, job, complete_s
+        )
+        if self._pool and not self._worker:
+            self._pool.wake()
 
-    def _process_job(self, job: Job) -> int:
-        """Process a job (on the worker thread), and publish its products; the number of messages published.
+    def _conclude_job(self, job: Job, results: Sequence[Result], complete_s: float, cpu_s: float) -> int:
+        """Notify the stage of the results of a job that a worker has processed, and publish them."""
+        self._work_s += cpu_s
+        self._decide(lambda: self.stage.note_done(job, results))
+        return self._publish_results(results, complete_s)
+
+    def _publish_results(self, results: Sequence[Result], complete_s: float) -> int:
+        """Publish the products of a job; the number of messages published.
 
         Raises:
             Rejected: the stage has left it out.
         """
-        published, losses = self._report(self._results_of(job))
+        published, losses = self._report(results, complete_s)
         if losses:
             raise Rejected(losses[0].reason, losses[0].sentence)
         return published
@@ -284,12 +347,12 @@ class StageNode(WorkerNode):
             self._decide(lambda job=job, results=results: self.stage.note_done(job, results))  # type: ignore[misc]
         return found
 
-    def _report(self, results: Sequence[Result]) -> tuple[int, list[Loss]]:
+    def _report(self, results: Sequence[Result], complete_s: float = 0.0) -> tuple[int, list[Loss]]:
         """Publish products, count and log the rest; the number of messages published, and the losses of jobs."""
         published, losses = 0, list[Loss]()
         for one in results:
             if isinstance(one, Product):
-                published += self._publish(one)
+                published += self._publish(one, complete_s)
             elif isinstance(one, Loss):
                 losses.append(one)
                 self._log_trace(one.trace)
@@ -310,14 +373,17 @@ class StageNode(WorkerNode):
         else:
             self.tally.note(event.name)
 
-    def _publish(self, product: Product) -> int:
+    def _publish(self, product: Product, complete_s: float) -> int:
         """Publish a product, and what viewers show of it while somebody subscribes; the number of its messages."""
         if not (self.is_active or product.port in self._latched):
             return 0
         outlet, kind = self._outlets[product.port]
+        outlet.hand_over(product.item, complete_s)
         with suppress(RCLError):  # the context may have ended: nobody is left to publish to
             if viewer := self._viewers.get(product.port):
                 viewer.publish(product.item)
+            if outlet.joined and not outlet.remote_subscribers:
+                return _messages_of(product.item)
             serialized = kind.write(product.item, self.current_parameters())
             for cdr in serialized:
                 outlet.publish(cdr)
@@ -356,6 +422,11 @@ class StageNode(WorkerNode):
             return False, late
         answer = answers[0] if answers else Answer(success=False, sentence="no answer")
         return answer.success and not self.failure, self.failure or answer.sentence
+
+
+def _messages_of(item: Any) -> int:
+    """Number of messages that an item is."""
+    return item.count if isinstance(item, Images) else 1
 
 
 def node_of(stage: type[Stage], *, settable: bool = True) -> type[StageNode]:

@@ -1,4 +1,4 @@
-"""The bounded queue of work between a node's callbacks and its worker thread."""
+"""The bounded queue of work between a node's callbacks and its worker thread, or the workers of a pool."""
 
 from __future__ import annotations
 
@@ -12,19 +12,21 @@ QueuePolicy = Literal["oldest", "newest"]
 
 
 class QueuedJob(NamedTuple):
-    """Work for the worker thread.
+    """Work of a node.
 
     Attributes:
-        run: function that does the work; must not raise.
+        run: function that does the work, and returns the number of messages that it has published.
         messages: number of messages that it consumes; 0: it is work of the node's own, which is never left out.
         size: size of these messages, bytes.
-        item: data that is worked on, for work that looks ahead.
+        item: data that is worked on, for work that looks ahead and for workers.
+        complete_s: time at which its dwell was complete, s of the monotonic clock.
     """
 
-    run: Callable[[], None]
+    run: Callable[[], int]
     messages: int
     size: int = 0
     item: Any = None
+    complete_s: float = 0.0
 
 
 class JobQueue:
@@ -34,7 +36,7 @@ class JobQueue:
         self._changed = threading.Condition()
         self._waiting: deque[QueuedJob] = deque()
         self._waiting_size = 0
-        self._running = False
+        self._running = 0
         self._closed = False
 
     def put(self, job: QueuedJob, capacity: int, capacity_bytes: float, policy: QueuePolicy) -> list[QueuedJob]:
@@ -65,10 +67,37 @@ class JobQueue:
     def get(self) -> QueuedJob | None:
         """Wait for the next job; the one before it is done. None: the queue is closed and empty."""
         with self._changed:
-            self._running = False
+            self._running = 0
             self._changed.wait_for(lambda: self._waiting or self._closed)
-            self._running = bool(self._waiting)
+            self._running = int(bool(self._waiting))
             return self._take() if self._waiting else None
+
+    def take(self, most: int, most_bytes: int, suits: Callable[[Any], bool]) -> list[QueuedJob]:
+        """The next jobs whose items suit, up to so many and so many bytes, or one; each runs until `note_done`."""
+        with self._changed:
+            taken, size, place = list[QueuedJob](), 0, 0
+            while place < len(self._waiting) and len(taken) < most:
+                job = self._waiting[place]
+                if not suits(job.item):
+                    place += 1
+                    continue
+                size += job.size
+                if taken and size > most_bytes:
+                    break
+                taken.append(self._take(place))
+            self._running += len(taken)
+            return taken
+
+    def note_done(self) -> None:
+        """One of the jobs that were taken is done."""
+        with self._changed:
+            self._running -= 1
+            self._changed.notify_all()
+
+    def wait_until_done(self, timeout_s: float) -> bool:
+        """Wait until no job waits or runs; False: some do after that time."""
+        with self._changed:
+            return self._changed.wait_for(lambda: not (self._waiting or self._running), timeout_s)
 
     def close(self) -> None:
         """Accept no more jobs; those that wait are still handed out."""
@@ -93,6 +122,11 @@ class JobQueue:
     def closed(self) -> bool:
         """True if no more jobs are accepted."""
         return self._closed
+
+    @property
+    def waiting(self) -> int:
+        """Number of jobs that wait."""
+        return len(self._waiting)
 
     @property
     def unfinished(self) -> int:

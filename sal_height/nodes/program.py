@@ -1,4 +1,4 @@
-"""A node as a program of its own, which the console scripts run."""
+"""A node as a program of its own, which the console scripts run, and several nodes that share workers."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError
@@ -17,27 +19,78 @@ from rclpy.signals import SignalHandlerOptions
 
 from sal_height.errors import UserError
 from sal_height.nodes.accounts.usage import announce, check_arguments, check_overrides, program_name, usage
+from sal_height.nodes.pooled import join
 from sal_height.nodes.transport.domain import LOOK_S, LOST, Ports
-from sal_height.nodes.transport.graph import executor_for
+from sal_height.nodes.transport.graph import events_executor
 from sal_height.nodes.transport.middleware import provide_shared_memory
+from sal_height.numeric import available_processors
+from sal_height.workers.pool import Pool
 
 
 def run_node(make: type[Node], begin: Callable[[Node], None] = announce) -> int:
     """Run one node until SIGINT or SIGTERM, or print what it does if --help is asked for.
-
-    A signal only ends the loop, so that it can cut neither a message nor the node's end.
 
     Args:
         make: class of the node.
         begin: function that is called with the node once it is made.
 
     Returns:
-        The exit status: 0, 1 if the node ended with a `failure` or lost a port of shared memory, or 2 with a message
-        on stderr if the arguments cannot be used.
+        The exit status, as of `run_nodes`.
     """
     if {"--help", "-h"} & set(sys.argv[1:]):
         sys.stdout.write(usage(make, program_name()))
         return 0
+    return _run_nodes([make], begin, sys.argv)
+
+
+def run_host(
+    members: Sequence[tuple[Callable[..., Node], list[str]]],
+    arguments: list[str],
+    begin: Callable[[Node], None] = announce,
+) -> int:
+    """Run nodes of stages in this process, with workers and items in common, until SIGINT or SIGTERM.
+
+    Args:
+        members: class of each node, and its own arguments of ROS, in the order of the data: that in which they end.
+        arguments: arguments of ROS for all nodes, after the name of the program.
+        begin: function that is called with each node once it is made.
+
+    Returns:
+        The exit status, as of `run_nodes`.
+    """
+    pool = Pool(available_processors())
+    try:
+        makes: list[Callable[[], Node]] = [partial(make, pool=pool, cli_args=own) for make, own in members]
+
+        def prepare(nodes: Sequence[Any]) -> None:
+            join(nodes)
+            pool.start()
+
+        return _run_nodes(makes, begin, arguments, prepare)
+    finally:
+        pool.close()
+
+
+def _run_nodes(
+    makes: Sequence[Callable[[], Node]],
+    begin: Callable[[Node], None],
+    arguments: list[str],
+    prepare: Callable[[Sequence[Any]], None] = lambda _: None,
+) -> int:
+    """Run nodes until SIGINT or SIGTERM.
+
+    A signal only ends the loop, so that it can cut neither a message nor the nodes' end.
+
+    Args:
+        makes: functions that make the nodes, in the order in which these end.
+        begin: function that is called with each node once it is made.
+        arguments: arguments of ROS for all nodes, after the name of the program.
+        prepare: function that is called with all nodes before they receive anything.
+
+    Returns:
+        The exit status: 0, 1 if a node ended with a `failure` or the process lost a port of shared memory, or 2 with a
+        message on stderr if the arguments cannot be used.
+    """
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
@@ -45,22 +98,28 @@ def run_node(make: type[Node], begin: Callable[[Node], None] = announce) -> int:
     # The thread that receives messages asks the worker for the interpreter several times for each; Python has 5 ms.
     sys.setswitchinterval(5e-4)
     try:
-        rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
-        check_arguments(sys.argv)
-        node = make()
-        check_overrides(node)
-        begin(node)
-        executor = executor_for(node)
-        lost = _spin(executor, node, stop)
-        executor.remove_node(node)
-        node.destroy_node()
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        check_arguments(arguments)
+        nodes = list[Node]()
+        for make in makes:
+            nodes.append(make())
+            check_overrides(nodes[-1])
+            begin(nodes[-1])
+        prepare(nodes)
+        executor = events_executor(nodes[0].context)
+        for node in nodes:
+            executor.add_node(node)
+        lost = _spin(executor, nodes[0], stop)
+        for node in nodes:
+            executor.remove_node(node)
+            node.destroy_node()
         executor.shutdown()
     except (UserError, RCLError, ParameterException) as error:
         sys.stderr.write(f"{' '.join(str(error).split())}\n")
         return 2
     finally:
         rclpy.try_shutdown()
-    return int(lost or bool(getattr(node, "failure", "")))
+    return int(lost or any(getattr(node, "failure", "") for node in nodes))
 
 
 def _spin(executor: Executor, node: Node, stop: threading.Event) -> bool:

@@ -8,10 +8,11 @@ import os
 import threading
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import Any, ClassVar
 
 from rclpy._rclpy_pybind11 import RCLError
@@ -84,7 +85,7 @@ class WorkerNode(Role, Managed):
         self.hardware_id = ""
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._jobs = JobQueue()
-        self._lost_at = -math.inf
+        self._lost_at = self._warned_at = -math.inf
         self._pace = Pace()
         self._slow_numbers: dict[str, Any] = {}
         """Last values of the fields of the account that take time to find."""
@@ -97,11 +98,16 @@ class WorkerNode(Role, Managed):
         self._account_publisher = AccountPublisher(self, self._on_match)
         self._losses = self.offer(DwellLoss, LOSSES)
         self.every(DIAGNOSTICS_PERIOD_S, self._measure_pace)
-        self._worker = threading.Thread(target=self._work, name=name, daemon=True)
-        self._worker.start()
+        self._worker: threading.Thread | None = None
+        self.begin_work()
         self.serve("~/reset", self._reset)
         if self.current_parameters().autostart:
             self.start()
+
+    def begin_work(self) -> None:
+        """Begin to process jobs, on a thread of the node's own."""
+        self._worker = threading.Thread(target=self._work, name=self.get_name(), daemon=True)
+        self._worker.start()
 
     def current_parameters(self) -> Any:
         """The parameters as they are now: a frozen object of the class `parameters`."""
@@ -187,7 +193,14 @@ class WorkerNode(Role, Managed):
 
         self.create_service(Trigger, name, respond)
 
-    def submit(self, messages: int, work: Callable[[], int], size: int = 0, item: Any = None) -> None:
+    def submit(
+        self,
+        messages: int,
+        work: Callable[[], int],
+        size: int = 0,
+        item: Any = None,
+        complete_s: float | None = None,
+    ) -> None:
         """Have `work` done on the worker thread.
 
         What it rejects or fails at is counted and logged, and does not end the node.
@@ -197,34 +210,38 @@ class WorkerNode(Role, Managed):
             work: function that returns the number of messages it published.
             size: size of the messages, bytes.
             item: data that is worked on; `waiting` gives it to work that looks ahead.
+            complete_s: time at which its dwell was complete, s of the monotonic clock; None: now.
         """
-        arrived = time.monotonic()
         if messages:
             self.tally.offer()
-
-        def run() -> None:
-            try:
-                self._check_budget(messages, time.monotonic() - arrived)
-                published = work()
-            except Exception as error:  # noqa: BLE001 (no message may end the node)
-                over = not (isinstance(error, UserError) or self.context.ok())  # nobody is left to publish to
-                self.reject(messages, ENDED if over else self.unexpected(error), _dwell_of(item))
-            else:
-                self.tally.finish(messages, published, time.monotonic() - arrived)
-            if messages:
-                self._account_publisher.publish_progress(self._counts)
-            else:
-                self._publish_account()  # the node may be ready now
-
         parameters = self.current_parameters()
         capacity, policy = parameters.max_queued_dwells, parameters.queue_policy
         full = (
             f"Processing falls behind: {capacity} dwells (max_queued_dwells) or {parameters.max_memory_mb} MB "
             f"(max_memory_mb) wait already, and the {policy} dwell was dropped (queue_policy)."
         )
-        for job in self._jobs.put(QueuedJob(run, messages, size, item), capacity, parameters.max_memory_bytes, policy):
+        queued = QueuedJob(work, messages, size, item, self.now_s() if complete_s is None else complete_s)
+        for job in self._jobs.put(queued, capacity, parameters.max_memory_bytes, policy):
             reason = ENDED if self._jobs.closed else Rejected("queue full", full)
             self.reject(job.messages, reason, _dwell_of(job.item))
+
+    def now_s(self) -> float:
+        """Time of the monotonic clock, s."""
+        return time.monotonic()
+
+    def settle(self, job: QueuedJob, work: Callable[[], int]) -> None:
+        """Do the work of a job, and count what becomes of it; nothing is raised."""
+        try:
+            published = work()
+        except Exception as error:  # noqa: BLE001 (no message may end the node)
+            over = not (isinstance(error, UserError) or self.context.ok())  # nobody is left to publish to
+            self.reject(job.messages, ENDED if over else self.unexpected(error), _dwell_of(job.item))
+        else:
+            self.tally.finish(job.messages, published, time.monotonic() - job.complete_s)
+        if job.messages:
+            self._account_publisher.publish_progress(self._counts)
+        else:
+            self._publish_account()  # the node may be ready now
 
     def wait_for(self, work: Callable[[], str]) -> str:
         """Have `work` done on the worker thread, after what waits, and wait for what it returns.
@@ -251,14 +268,14 @@ class WorkerNode(Role, Managed):
         """The items of the jobs that wait, in their order."""
         return self._jobs.items()
 
-    def _check_budget(self, messages: int, waited_s: float) -> None:
+    def check_budget(self, job: QueuedJob) -> None:
         """Leave a dwell out that has waited too long: later ones are worth more to those who watch.
 
         Raises:
             Rejected: it has.
         """
-        budget_s = self.current_parameters().latency_budget_s
-        if messages and 0 < budget_s < waited_s:
+        budget_s, waited_s = self.current_parameters().latency_budget_s, time.monotonic() - job.complete_s
+        if job.messages and 0 < budget_s < waited_s:
             raise Rejected(
                 "overload",
                 f"Dwells arrive faster than they are processed: one that had waited {waited_s:.3g} s was left "
@@ -266,11 +283,11 @@ class WorkerNode(Role, Managed):
                 f"than {budget_s:g} s (latency_budget_s).",
             )
 
-    def takes(self) -> bool:
-        """Count a message as received; True if it is to be processed: an inactive node drops it."""
-        self.tally.receive()
+    def takes(self, messages: int = 1) -> bool:
+        """Count messages as received; True if they are to be processed: an inactive node drops them."""
+        self.tally.receive(messages)
         if not self.is_active:
-            self.reject(1, Rejected("inactive", f"A message was left out: {INACTIVE}."))
+            self.reject(messages, Rejected("inactive", f"A message was left out: {INACTIVE}."))
         return self.is_active
 
     def _reset(self) -> tuple[bool, str]:
@@ -315,7 +332,13 @@ class WorkerNode(Role, Managed):
         self._lost_at = time.monotonic()
         self.tally.drop(messages, error.reason)
         self._publish_loss(messages, error, dwell)
-        self.get_logger().warning(f"Dropped {messages} ({error.reason}): {error}", throttle_duration_sec=1.0)
+        self._warn(f"Dropped {messages} ({error.reason}): {error}")
+
+    def _warn(self, sentence: str) -> None:
+        """Log a warning, but at most one in a second: rclpy's own throttle takes a millisecond for each call."""
+        if time.monotonic() - self._warned_at >= 1.0:
+            self._warned_at = time.monotonic()
+            self.get_logger().warning(sentence)
 
     def _publish_loss(self, messages: int, error: Rejected, dwell: DwellKey | None) -> None:
         loss = loss_to_message(
@@ -329,7 +352,7 @@ class WorkerNode(Role, Managed):
     def ignore(self, what: str, error: UserError) -> None:
         """Count a message of no dwell (sensor info, odometry, ...) that cannot be used, and log why."""
         self.count_ignored(what, error)
-        self.get_logger().warning(f"Ignored {what}: {error}", throttle_duration_sec=1.0)
+        self._warn(f"Ignored {what}: {error}")
 
     def count_ignored(self, what: str, error: UserError) -> None:
         """Count a message that cannot be used, or something else that goes wrong, without a word in the log."""
@@ -352,12 +375,16 @@ class WorkerNode(Role, Managed):
         """Its subscriptions."""
         return (*self._inlets, *self._optional)
 
+    def usage(self) -> Mapping[str, Any]:
+        """Processor time, number and memory of its process, as fields of an account."""
+        return process_numbers()
+
     def account(self) -> Account:
         """Its account as it is now, with its state."""
         subscribers = {_plain(outlet.topic): outlet.subscribers for outlet in self._offered}
         ready = {"ready": self.is_ready, "subscribers": subscribers}
         rates = zip(("offered_hz", "achieved_hz"), self._pace.rates(), strict=False)
-        self._slow_numbers = {**ready, **process_numbers(), **{name: round(rate, 2) for name, rate in rates}}
+        self._slow_numbers = {**ready, **self.usage(), **{name: round(rate, 2) for name, rate in rates}}
         account = self._counts()
         level, state = self._state(sum(account.dropped.values()) + sum(account.ignored.values()))
         return replace(account, level=level, state=state, hardware_id=self.hardware_id)
@@ -417,7 +444,10 @@ class WorkerNode(Role, Managed):
     def finish(self) -> None:
         """Finish all jobs that wait, and accept no more; may be called twice."""
         self._jobs.close()
-        self._worker.join()
+        if self._worker:
+            self._worker.join()
+        # Longest time that workers may take for the jobs that they have, s.
+        self._jobs.wait_until_done(30.0)
 
     def destroy_node(self) -> None:
         """Finish the job at hand, drop what still waits, publish the last account, and end the node."""
@@ -434,7 +464,11 @@ class WorkerNode(Role, Managed):
         thread = threading.get_native_id()
         os.setpriority(os.PRIO_PROCESS, thread, os.getpriority(os.PRIO_PROCESS, thread) + self.niceness)
         while job := self._jobs.get():
-            job.run()
+            self.settle(job, partial(self._run, job))
+
+    def _run(self, job: QueuedJob) -> int:
+        self.check_budget(job)
+        return job.run()
 
 
 def _dwell_of(item: Any) -> DwellKey | None:

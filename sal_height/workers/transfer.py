@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import functools
 import io
 import mmap
 import pickle
+import threading
+from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -13,11 +14,15 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from sal_height.calibration import Calibration
+from sal_height.engine.provenance import Provenance
 from sal_height.sensor import Sensor
 from sal_height.settings import Settings
 
-SHARED = (Sensor, Settings, Calibration)
+SHARED = (Sensor, Settings, Calibration, Provenance)
 """Classes of objects that are never changed, and of which a process keeps the ones that it was sent."""
+
+KEPT = 256
+"""Objects of these classes that the receiver keeps: the one whose last use is longest ago makes room for the next."""
 
 Array: TypeAlias = np.ndarray[Any, np.dtype[Any]]
 Put = Callable[[Array], int | None]
@@ -84,50 +89,87 @@ def array_in(memory: mmap.mmap) -> ArrayAt:
     return array_at
 
 
-@functools.cache
-def _is_shared(kind: type) -> bool:
-    """True if objects of a class are sent once."""
-    return issubclass(kind, SHARED)
+class Known:
+    """Shared objects that a receiver keeps, as their sender knows them."""
+
+    def __init__(self) -> None:
+        self._kept: OrderedDict[int, tuple[int, Any]] = OrderedDict()
+
+    def place_of(self, shared: Any) -> tuple[int, bool]:
+        """Place at which the receiver keeps an object, and whether it has it already; else it is to be sent."""
+        found = self._kept.get(id(shared))
+        if found is not None:
+            self._kept.move_to_end(id(shared))
+            return found[0], True
+        place = len(self._kept) if len(self._kept) < KEPT else self._kept.popitem(last=False)[1][0]
+        self._kept[id(shared)] = place, shared  # as long as it is kept, no other object has its identity
+        return place, False
 
 
 class Pickler(pickle.Pickler):
     """Sends shared objects once, and large arrays through shared memory."""
 
-    def __init__(self, file: io.BytesIO, known: dict[int, tuple[int, Any]], put: Put | None) -> None:
+    def __init__(self, file: io.BytesIO, known: Known, put: Put | None) -> None:
         super().__init__(file, protocol=5)
         self._known, self._put = known, put
 
-    def persistent_id(self, obj: Any) -> Any:
-        """Substitute for an object that is not sent as it is; called for every one, however small."""
+    def reducer_override(self, obj: Any) -> Any:
+        """Substitute for an object that is not sent as it is; called for instances of classes only, each once."""
         kind = type(obj)
         if kind is np.ndarray:
             least_shared_bytes = 16_384  # smaller arrays do not go through shared memory
             if self._put and obj.nbytes >= least_shared_bytes and obj.flags.c_contiguous:
                 at = self._put(obj)
                 if at is not None:
-                    return "array", at, obj.dtype.str, obj.shape
-            return None
-        if not _is_shared(kind):  # type: ignore[arg-type]
-            return None
-        if id(obj) in self._known:
-            return "known", self._known[id(obj)][0]
-        number = len(self._known)
-        self._known[id(obj)] = number, obj
-        return "new", number, pickle.dumps(obj, protocol=5)
+                    return _array_sent, (at, obj.dtype.str, obj.shape)
+        elif isinstance(obj, SHARED):
+            place, is_kept = self._known.place_of(obj)
+            return (_kept_object, (place,)) if is_kept else (_new_object, (place, pickle.dumps(obj, protocol=5)))
+        return NotImplemented
+
+
+_READING = threading.local()
+"""The `Unpickler` that reads in a thread, for the functions that stand for what is not sent as it is."""
+
+
+def _array_sent(at: int, dtype: str, shape: tuple[int, ...]) -> Array:
+    """The array at an offset of the shared memory."""
+    reading: Unpickler = _READING.unpickler
+    return reading.array_at(at, dtype, shape)
+
+
+def _kept_object(place: int) -> Any:
+    """The shared object that is kept at a place."""
+    return _READING.unpickler.known[place]
+
+
+def _new_object(place: int, sent: bytes) -> Any:
+    """A shared object, which is kept at a place from now on."""
+    _READING.unpickler.known[place] = made = pickle.loads(sent)  # noqa: S301 (our own process wrote it)
+    return made
 
 
 class Unpickler(pickle.Unpickler):
-    """Reads what `Pickler` has written."""
+    """Reads what `Pickler` has written.
+
+    Attributes:
+        known: shared objects that are kept, by their places.
+        array_at: function that returns the arrays in shared memory.
+    """
 
     def __init__(self, file: io.BytesIO, known: dict[int, Any], array_at: ArrayAt | None) -> None:
         super().__init__(file)
-        self._known, self._array_at = known, array_at
+        self.known = known
+        self.array_at = array_at or _no_array
 
-    def persistent_load(self, pid: Any) -> Any:
-        """The object that was sent otherwise."""
-        kind, *rest = pid
-        if kind == "array" and self._array_at:
-            return self._array_at(*rest)
-        if kind == "new":
-            self._known[rest[0]] = pickle.loads(rest[1])  # noqa: S301 (our own process wrote it)
-        return self._known[rest[0]]
+    def load(self) -> Any:
+        """The object that was written."""
+        _READING.unpickler = self
+        try:
+            return super().load()
+        finally:
+            del _READING.unpickler
+
+
+def _no_array(at: int, dtype: str, shape: tuple[int, ...]) -> Array:
+    raise ValueError(f"There is no shared memory that has an array of shape {shape} and type {dtype} at {at}.")

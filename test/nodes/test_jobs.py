@@ -11,7 +11,7 @@ from sal_height.nodes.jobs import JobQueue, QueuedJob, QueuePolicy
 
 
 def job(number: int, size: int = 1) -> QueuedJob:
-    return QueuedJob(lambda: None, number, size)
+    return QueuedJob(lambda: 0, number, size)
 
 
 def numbers(jobs: list[QueuedJob]) -> list[int]:
@@ -83,3 +83,22 @@ def test_a_closed_queue_hands_out_what_it_holds_and_takes_no_more() -> None:
     queue.close()
     assert numbers(queue.put(job(2), 10, math.inf, "oldest")) == [2]
     assert waiting(queue) == [1]
+
+
+def test_jobs_are_taken_that_suit_a_worker_up_to_so_many_and_so_many_bytes() -> None:
+    queue = JobQueue()
+    for number in range(1, 7):
+        queue.put(QueuedJob(lambda: 0, number, 10, number), 100, math.inf, "oldest")
+    assert numbers(queue.take(2, math.inf, lambda item: item % 2 == 0)) == [2, 4]
+    assert numbers(queue.take(5, 25, lambda _: True)) == [1, 3]
+    assert numbers(queue.take(5, 1, lambda _: True)) == [5]  # one in any case
+    assert (queue.waiting, queue.unfinished) == (1, 6)
+
+
+def test_a_queue_is_done_once_every_job_that_was_taken_is() -> None:
+    queue = JobQueue()
+    queue.put(QueuedJob(lambda: 0, 1), 1, math.inf, "oldest")
+    assert numbers(queue.take(1, math.inf, lambda _: True)) == [1]
+    assert not queue.wait_until_done(0.01)
+    queue.note_done()
+    assert queue.wait_until_done(0.0)

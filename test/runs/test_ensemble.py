@@ -21,17 +21,16 @@ from mcap.reader import make_reader
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
 from sal_height.graph.ensemble import Ensemble, Member
+from sal_height.numeric import available_processors
 
-NODES_OF_LIVE = [
-    "ml_height",
-    "monopulse",
+PROCESSES_OF_LIVE = [
+    "live host",
     "paced_player",
     "recorder",
-    "relief_mapper",
-    "relief_tracker",
-    "sar_compression",
+    *(f"worker {n}" for n in range(available_processors())),
+    "workers",
 ]
-"""Each process is called like its node: it was forked from the program, and did not start anew."""
+"""Each process is called like its node or its task: it was forked from the program, and did not start anew."""
 
 
 def wait_for(condition: Callable[[], bool], seconds: float = 600) -> None:
@@ -43,7 +42,9 @@ def wait_for(condition: Callable[[], bool], seconds: float = 600) -> None:
 
 
 def children(parent: int) -> list[int]:
-    return [int(pid) for pid in Path(f"/proc/{parent}/task/{parent}/children").read_text().split()]
+    """Processes that a process has started, or that these have."""
+    own = [int(pid) for pid in Path(f"/proc/{parent}/task/{parent}/children").read_text().split()]
+    return [*own, *(other for one in own if runs(one) for other in children(one))]
 
 
 def runs(process: int) -> bool:
@@ -109,7 +110,7 @@ def test_no_process_survives_the_program_and_its_files_are_whole(
     kind: str, status: int, request: pytest.FixtureRequest
 ) -> None:
     ended: Ended = request.getfixturevalue(kind)
-    assert sorted(ended.nodes.values()) == NODES_OF_LIVE
+    assert sorted(ended.nodes.values()) == PROCESSES_OF_LIVE
     wait_for(lambda: not any(runs(node) for node in ended.nodes))
     assert ended.status == status
     assert "Traceback" not in ended.log
@@ -135,7 +136,7 @@ def test_nodes_in_processes_give_the_same_heights_as_nodes_in_one(
 def test_a_node_whose_parent_has_ended_does_not_begin() -> None:
     nobody = subprocess.Popen([sys.executable, "-c", ""])
     nobody.wait(600)
-    words = [sys.executable, "-m", "sal_height.graph.ensemble", "monopulse", "monopulse", str(nobody.pid)]
+    words = [sys.executable, "-m", "sal_height.graph.ensemble", "monopulse", str(nobody.pid), '[["monopulse", []]]']
     assert subprocess.run(words, timeout=600, check=False).returncode == 1  # noqa: S603
 
 
@@ -150,6 +151,6 @@ def test_when_a_node_cannot_be_started_the_others_end(monkeypatch: pytest.Monkey
 
     monkeypatch.setattr(subprocess, "Popen", popen)
     members = [Member(name) for name in ("ml_height", "monopulse", "sar_compression")]
-    with pytest.raises(UserError, match="Node sar_compression cannot be started"), Ensemble(members, True):
+    with pytest.raises(UserError, match="Node sar_compression cannot be started"), Ensemble(members, "each"):
         pass
     assert [process.poll() is None for process in started] == [False, False]

@@ -56,8 +56,7 @@ def started(**changed: str) -> dict[str, Started]:
     for node in group.findall("node"):
         if filled(node.get("if", "true"), values) != "true":
             continue
-        name = node.attrib["name"]
-        words = ["-r", f"__node:={name}", "-r", f"__ns:=/{namespace}"]
+        words = ["-r", f"__ns:=/{namespace}"]
         words += [word for key, value in common for word in ("-p", f"{key}:={value}")]
         for entry in node.findall("param"):
             if "from" in entry.attrib:
@@ -68,8 +67,19 @@ def started(**changed: str) -> dict[str, Started]:
         topics = {entry.attrib["from"]: filled(entry.attrib["to"], values) for entry in node.findall("remap")}
         words += [word for old, new in topics.items() for word in ("-r", f"{old}:={new}")]
         assert node.attrib["pkg"] == "sal_height"
-        nodes[name] = Started(node.attrib["exec"], f"/{namespace}", topics, ["--ros-args", *words], dict(node.attrib))
+        for name, kind in hosted(node).items():
+            own = {old.removeprefix(f"{name}:"): new for old, new in topics.items() if old.startswith(f"{name}:")}
+            arguments = ["--ros-args", "-r", f"__node:={name}", *words]
+            nodes[name] = Started(kind, f"/{namespace}", own, arguments, dict(node.attrib))
     return nodes
+
+
+def hosted(node: ET.Element) -> dict[str, str]:
+    """Names and kinds of the nodes of a process."""
+    if node.attrib["exec"] != "live_host":
+        return {node.attrib["name"]: node.attrib["exec"]}
+    words = [word.partition(":=") for word in node.attrib["args"].split()]
+    return {name: kind or name for name, _, kind in words}
 
 
 def values_of(node: Node) -> dict[str, Any]:
@@ -150,6 +160,6 @@ def test_arguments_of_the_launch_file_reach_the_nodes(
 def test_nodes_come_back_end_in_time_and_share_the_processors() -> None:
     for node in started().values():
         assert node.options["respawn"] == "true"
-        assert ("sigkill_timeout" in node.options) == NODES[node.kind].completes_file
+        assert "sigkill_timeout" in node.options or not NODES[node.kind].completes_file
     environment = {entry.attrib["name"]: entry.attrib["value"] for entry in LAUNCH.iter("set_env")}
     assert environment == {name: f"$(env {name} {count})" for name, count in ONE_THREAD.items()}

@@ -37,12 +37,15 @@ DEADLINE_S = 600.0
 class Processes:
     """An ensemble whose processes end when the test says so."""
 
-    members: dict[str, Member]
+    processes: dict[str, list[Member]]
     statuses: dict[str, int] = field(default_factory=dict)
     failure: str = ""
 
     def ended(self) -> dict[str, int]:
         return dict(self.statuses)
+
+    def describe(self, name: str) -> str:
+        return f"Node {name}"
 
     def start_again(self, name: str) -> None:
         if self.failure:
@@ -51,7 +54,7 @@ class Processes:
 
 
 def supervised(*members: Member) -> tuple[Supervisor, Processes]:
-    processes = Processes({member.name: member for member in members})
+    processes = Processes({member.name: [member] for member in members})
     supervisor: Any = Supervisor(processes, 0.0)  # type: ignore[arg-type]
     return supervisor, processes
 
@@ -104,8 +107,15 @@ def test_the_end_of_a_node_and_what_follows_are_told(caplog: pytest.LogCaptureFi
 
 NODES = ["sar_compression", "ml_height", "relief_tracker", "relief_mapper", "recorder", "paced_player"]
 
+PROCESSES = {
+    "host": {"live host": "The live host (sar_compression, ml_height, relief_tracker, relief_mapper)", "recorder": ""},
+    "separate": {name: "" for name in NODES if name != "paced_player"},
+}
+"""Processes that are killed, with what messages call them unless it is their node."""
+
 CONFIGURATION = """
 namespace: lidar
+separate: {separate}
 nodes:
   paced_player:
     parameters: {{bag: {bag}, rate: 0.05}}
@@ -128,6 +138,7 @@ class Program:
     graph: Graph
     folder: Path
     stamps: dict[str, list[int]]
+    mode: str = "host"
     book: AccountBook = field(default_factory=AccountBook)
 
     def wait_for(self, condition: Callable[[], bool]) -> None:
@@ -190,18 +201,20 @@ def live(domain: int, *words: object) -> Iterator[subprocess.Popen[str]]:
             process.kill()
 
 
-@pytest.fixture(scope="module")
-def program(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Program]:
+@pytest.fixture(scope="module", params=["host", pytest.param("separate", marks=pytest.mark.thorough)])
+def program(
+    request: pytest.FixtureRequest, recorded: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Program]:
     folder = tmp_path_factory.mktemp("supervised")
     file = folder / "flight.yaml"
-    file.write_text(CONFIGURATION.format(bag=recorded / "bag", folder=folder))
+    file.write_text(CONFIGURATION.format(bag=recorded / "bag", folder=folder, separate=request.param == "separate"))
     with free_domain() as domain, Graph(domain) as graph, live(domain, file) as process:
         stamps: dict[str, list[int]] = {"ml/height": [], "tracked/height": []}
         node = graph.add(_listener(graph, stamps, "/lidar"))
         begin(graph, node)
         book = AccountBook()
         graph.add(Watcher(book, context=graph.context))
-        started = Program(process, graph, folder, stamps, book)
+        started = Program(process, graph, folder, stamps, request.param, book)
         started.wait_for(lambda: len(book.entries) == len(NODES))  # from now on the program counts their processes
         started.await_new("tracked/height")
         yield started
@@ -237,20 +250,19 @@ def begin(graph: Graph, node: Node) -> None:
     raise AssertionError("the sensor does not begin")
 
 
-@pytest.mark.parametrize("name", ["sar_compression", "ml_height", "relief_tracker", "relief_mapper", "recorder"])
-def test_a_node_that_is_killed_works_again_beside_the_others(name: str, program: Program) -> None:
-    others = {other: program.node(other) for other in ("sar_compression", "ml_height", "relief_tracker", "recorder")}
-    program.await_new("tracked/height")
-    killed = program.kill(name)
-    program.wait_for(lambda: program.node(name) not in (0, killed))
-    again = program.node(name)
-    program.await_new("tracked/height", 2)
-    program.await_new("ml/height", 2)
-    recorded = program.recorded
-    program.wait_for(lambda: program.recorded > recorded)
-    assert program.node(name) == again
-    others.pop(name, None)
-    assert {other: program.node(other) for other in others} == others
+def test_a_process_that_is_killed_works_again_beside_the_others(program: Program) -> None:
+    for name in PROCESSES[program.mode]:
+        others = {other: program.node(other) for other in PROCESSES[program.mode] if other != name}
+        program.await_new("tracked/height")
+        killed = program.kill(name)
+        program.wait_for(lambda name=name, killed=killed: program.node(name) not in (0, killed))
+        again = program.node(name)
+        program.await_new("tracked/height", 2)
+        program.await_new("ml/height", 2)
+        recorded = program.recorded
+        program.wait_for(lambda recorded=recorded: program.recorded > recorded)
+        assert program.node(name) == again
+        assert {other: program.node(other) for other in others} == others
 
 
 def test_a_sensor_that_is_started_anew_is_followed(program: Program) -> None:
@@ -274,13 +286,14 @@ def test_at_the_end_files_are_whole_and_restarts_are_told(program: Program) -> N
     mapper = program.book.entries["lidar/relief_mapper"]
     before = mapper.account.processed
     names = {Path(f"/proc/{pid}/comm").read_text().strip() for pid in children(program.process.pid)}
-    assert names == {name[:15] for name in NODES}
+    assert names == {name[:15] for name in (*PROCESSES[program.mode], "paced_player")}
     program.wait_for(lambda: mapper.account.processed > before)
     program.process.send_signal(signal.SIGINT)
     said, errors = program.process.communicate(timeout=DEADLINE_S)
     assert program.process.returncode == 0, errors
+    for name, called in {**PROCESSES[program.mode], "paced_player": ""}.items():
+        assert f"{called or f'Node {name}'} ended by SIGKILL; it is started again in 0.5 s." in errors
     for name in NODES:
-        assert f"Node {name} ended by SIGKILL; it is started again in 0.5 s." in errors
         assert f"\n{name} was started 2 times." in said
     assert "Traceback" not in errors
     recorded = BagReader(program.folder / "bag_2")

@@ -22,6 +22,13 @@ OF_NODE = {"jobs", "ready"}
 """Numbers of an account that do not follow from counts."""
 
 
+def cpu_of_thread(thread: threading.Thread) -> float:
+    """Processor time of a thread, s; 0: it does not run."""
+    if thread.ident is None or not thread.is_alive():
+        return 0.0
+    return time.clock_gettime(time.pthread_getcpuclockid(thread.ident))
+
+
 def process_numbers() -> dict[str, Any]:
     """Processor time, s, number, and memory, MB (Linux), of this process, as fields of an account.
 
@@ -58,10 +65,10 @@ class Tally:
         self.finished = 0
         """Dwells that were processed."""
 
-    def receive(self) -> None:
-        """A message was received."""
+    def receive(self, messages: int = 1) -> None:
+        """Messages were received."""
         with self._lock:
-            self._received += 1
+            self._received += messages
 
     def offer(self) -> None:
         """A dwell is complete and handed over for processing."""

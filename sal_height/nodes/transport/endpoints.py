@@ -45,11 +45,24 @@ class Outlet:
         self.publisher = publisher
         self.topic: str = publisher.topic_name
         self.published = 0
+        self.joined: list[Callable[[Any, float], None]] = []
+        """Subscribers of this process, which accept items as they are, with the time at which the dwell was
+        complete."""
 
     @property
     def subscribers(self) -> int:
+        """Number of subscriptions that receive its messages or items."""
+        return self.remote_subscribers + len(self.joined)
+
+    @property
+    def remote_subscribers(self) -> int:
         """Number of subscriptions that receive its messages."""
         return int(self.publisher.get_subscription_count())
+
+    def hand_over(self, item: Any, complete_s: float) -> None:
+        """Have the subscribers of this process accept an item of a dwell that was complete at a time, s."""
+        for accept in tuple(self.joined):
+            accept(item, complete_s)
 
     @property
     def keeps_all(self) -> bool:
@@ -140,17 +153,37 @@ class Inlet:
             )
 
         self._subscribe = subscribe
-        self.subscription = subscribe(QOS_OVERRIDES)
-
-    @property
-    def topic(self) -> str:
+        self.subscription: Subscription | None = subscribe(QOS_OVERRIDES)
+        self.topic = str(self.subscription.topic_name)
         """The topic, with its namespace."""
-        return str(self.subscription.topic_name)
+        self._leave = list[Callable[[], None]]()
+
+    def join(self, outlet: Outlet, accept: Callable[[Any, float], None]) -> None:
+        """Receive the items of a publisher of this process as they are, and no messages any more.
+
+        Args:
+            outlet: the publisher.
+            accept: callback for an item, and the time at which its dwell was complete, s.
+        """
+
+        def take(item: Any, complete_s: float) -> None:
+            self.heard_at = time.monotonic()
+            accept(item, complete_s)
+
+        self._node.destroy_subscription(self.subscription)
+        self.subscription = None
+        outlet.joined.append(take)
+        self._leave.append(lambda: outlet.joined.remove(take))
+
+    def leave(self) -> None:
+        """Receive no items any more."""
+        while self._leave:
+            self._leave.pop()()
 
     @property
     def publishers(self) -> int:
-        """Number of publishers from which messages arrive."""
-        return int(self.subscription.get_publisher_count())
+        """Number of publishers from which messages or items arrive."""
+        return len(self._leave) if self.subscription is None else int(self.subscription.get_publisher_count())
 
     @property
     def is_connected(self) -> bool:

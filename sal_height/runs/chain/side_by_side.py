@@ -26,7 +26,7 @@ from sal_height.engine.stage import DwellKey, Job, Product, Stage
 from sal_height.errors import UserError
 from sal_height.runs.chain.worker import Control, Remote, Scheduled, Sent, Unsent, WorkerChain
 from sal_height.topics import CALIBRATION, SENSOR_INFO
-from sal_height.workers.transfer import Pickler, Ring, Unpickler
+from sal_height.workers.transfer import Known, Pickler, Ring, Unpickler
 
 CONTROLS = (SENSOR_INFO, CALIBRATION)
 """Ports of controls, which are not dwells and which all workers must receive."""
@@ -51,7 +51,7 @@ class _Worker:
     process: Any
     pipe: Connection
     ring: Ring | None
-    known: dict[int, tuple[int, Any]] = field(default_factory=dict)
+    known: Known = field(default_factory=Known)
     received: dict[int, Any] = field(default_factory=dict)
     sent: deque[tuple[int, int, int]] = field(default_factory=deque)
     """Number of each message with jobs, the bytes that it uses of the ring, and the number of its jobs."""
@@ -102,7 +102,7 @@ def _ring_bytes(job: Job) -> int:
     A larger one would be slower: its memory is used in turn, and what was used last is at hand.
     """
     trial = Ring.of(MOST_RING_BYTES)
-    Pickler(io.BytesIO(), {}, trial.put).dump(job)
+    Pickler(io.BytesIO(), Known(), trial.put).dump(job)
     return min(MOST_RING_BYTES, max(LEAST_RING_BYTES, (AHEAD + 1) * TOGETHER * trial.taken))
 
 

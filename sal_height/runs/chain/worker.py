@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 from sal_height.engine.image_items import Images
 from sal_height.engine.stage import DwellKey, Job, Product, Rehearsal, Result, Stage
-from sal_height.workers.transfer import Pickler, Ring, Unpickler, array_in
+from sal_height.workers.transfer import Known, Pickler, Ring, Unpickler, array_in
 
 
 class Remote(NamedTuple):
@@ -80,7 +80,7 @@ class WorkerChain:
         for other in others:
             other.close()
         known: dict[int, Any] = {}
-        sent_back: dict[int, tuple[int, Any]] = {}
+        sent_back = Known()
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all; the parent ends in order
         while True:
             try:

@@ -56,12 +56,14 @@ class Deployment(StrictKeys):
     Attributes:
         nodes: nodes by name.
         namespace: namespace of all nodes that have none of their own; empty: no namespace.
-        one_process: True if all are in one process instead of one each.
+        one_process: True if all are in one process.
+        separate: True if each has a process of its own; else the stages have one together, with workers.
     """
 
     nodes: dict[str, Annotated[NodeEntry, BeforeValidator(_nothing_is_empty)]]
     namespace: str = ""
     one_process: bool = False
+    separate: bool = False
 
 
 def load_deployment(path: Path) -> Deployment:

@@ -223,8 +223,7 @@ def live(
     interval_s = 1 / (playlist.dwell_rate_hz * how.rate)
     of_preset = json.loads(feed.custom_data.get(PRESET, "{}")).get("latency_budget_s")
     budget_s = how.budget_s or of_preset or max(3 * interval_s, 0.2)
-    steps = 3  # nodes that a dwell passes one after the other: compression, heights and tracker
-    shares = {name: {"latency_budget_s": budget_s / steps} for name in stages if name != MAPPER}
+    shares = {name: {"latency_budget_s": share} for name, share in _budgets(stages, budget_s, execution).items()}
     # The map has no latency budget: a dwell is as good for it a second later, and a large map is published that long.
     values = merged({**shares, MAPPER: {"max_queued_dwells": 256}}, values)
     source = {"bag": str(feed.bag), "rate": how.rate, "max_memory_mb": 1 + int(playlist.size / 1e6) * 2}
@@ -261,6 +260,17 @@ def live(
         report.update(watched.as_json())
         report["parameters"] = values
     return watched
+
+
+def _budgets(stages: list[str], budget_s: float, execution: Execution) -> dict[str, float]:
+    """Longest time that a dwell may wait at each stage, s.
+
+    In the live host all count from the complete dwell: whoever cannot be in time is left out before it is compressed,
+    so that no work on it is lost. Else each stage counts from its own input, and a dwell passes three of them.
+    """
+    if execution.processes != "host":
+        return {name: budget_s / 3 for name in stages if name != MAPPER}
+    return {name: budget_s / 2 if name == "sar_compression" else budget_s for name in stages if name != MAPPER}
 
 
 def warn_of_overload(core_hz: float, sensor_hz: float, processors: int) -> None:

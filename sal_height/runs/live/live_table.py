@@ -167,7 +167,11 @@ def attend(
 
 
 def _refused(ensemble: Ensemble, book: AccountBook) -> bool:
-    """True if a node has ended by itself before it published an account, as one does that refuses its parameters."""
-    members = ensemble.members
-    named = {name: f"{members[name].namespace}/{name}".removeprefix("/") for name in members}
-    return any(status >= 0 and named[name] not in book.entries for name, status in ensemble.ended().items())
+    """True if a process has ended by itself before its nodes published an account, as if one refuses its parameters."""
+
+    def published(name: str) -> bool:
+        return any(
+            f"{member.namespace}/{member.name}".removeprefix("/") in book.entries for member in ensemble.processes[name]
+        )
+
+    return any(status >= 0 and not published(name) for name, status in ensemble.ended().items())

@@ -1,0 +1,428 @@
+"""A pool of worker processes that process the jobs of the stages of a live graph.
+
+Nodes keep their jobs in queues of their own. One thread, the pool's, gives a worker that has nothing to do the next
+ones: those of later stages first, so that a dwell which was begun is finished, and several dwells together where
+several wait. Arrays of jobs and products are in memory that all share. A worker that ends costs the dwells that it had;
+another one takes its place at once, made by a process that was forked before the graph had any thread.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import os
+import selectors
+import signal
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from multiprocessing.connection import Connection
+from typing import Any, NamedTuple, Protocol, TypeAlias
+
+import numpy as np
+
+from sal_height.engine.image_items import Images
+from sal_height.engine.registry import STAGES
+from sal_height.engine.stage import Job, Product, Rehearsal, Result, Stage
+from sal_height.errors import Rejected
+from sal_height.workers.arena import Arena, MemoryBlock, Region
+from sal_height.workers.processes import Forked, end_with_parent, name_process
+from sal_height.workers.transfer import Array, ArrayAt, Known, Pickler, Unpickler, array_in, copy_into
+
+MEMORY_BYTES = 1_000_000_000
+"""Shared memory for what workers work on, bytes, as long as the machine has it; what is not used takes none."""
+
+TOGETHER, BYTES_TOGETHER = 4, 32_000_000
+"""Dwells that a worker is given at a time, and bytes of their messages, at most: more would save little and wait."""
+
+NICENESS = 4
+"""Degree to which workers give way to the threads that receive and publish messages, as in nice(1)."""
+
+RESTART_S = 0.1
+"""Time from the end of a worker to the start of the next one, s."""
+
+
+class Batch(NamedTuple):
+    """Jobs of a node that a worker is given together.
+
+    Attributes:
+        kind: usual name of the stage.
+        name: name of the node.
+        jobs: jobs of one series, or without any.
+        room: block for the arrays of the products; None: there is none.
+    """
+
+    kind: str
+    name: str
+    jobs: Sequence[Job]
+    room: MemoryBlock | None
+
+
+HEAD = struct.Struct("<QQd")
+"""Start of the answer of a worker: bytes of the arrays of its products, bytes of them that are in the room of the
+batch, and processor time of the work, s. The results follow."""
+
+
+Suits = Callable[[Job | None], bool]
+"""Function that says whether a job may be given to a worker; None: work that no worker can do."""
+
+
+Entry: TypeAlias = Any
+"""A job as the queue of its node has it; `item` is the job of the stage, None: work that no worker can do."""
+
+
+class Client(Protocol):
+    """A node whose jobs a pool processes."""
+
+    @property
+    def kind(self) -> str:
+        """Usual name of its stage."""
+
+    @property
+    def name(self) -> str:
+        """Its name, unlike that of any other client."""
+
+    @property
+    def waiting_jobs(self) -> int:
+        """Number of jobs that wait."""
+
+    def take_jobs(self, most: int, most_bytes: int, suits: Suits) -> Sequence[Entry]:
+        """Take up to so many jobs and bytes of those that wait and suit a worker, in their order; one at least."""
+
+    def conclude(self, entry: Entry, results: Sequence[Result], cpu_s: float) -> None:
+        """Publish and count the results of a job, and the processor time that it took, s."""
+
+    def lose(self, entry: Entry, reason: Rejected) -> None:
+        """Count a job that was lost with its worker."""
+
+    def run_here(self, entry: Entry) -> None:
+        """Do work that no worker can do."""
+
+
+@dataclass
+class _Sent:
+    """A batch that a worker has: the client, its jobs, and blocks of the jobs' arrays and for those of the products."""
+
+    client: Client
+    entries: Sequence[Entry]
+    blocks: list[MemoryBlock]
+    room: MemoryBlock | None
+
+
+@dataclass(eq=False)
+class _Worker:
+    """A worker process, as the pool knows it."""
+
+    number: int
+    pid: int
+    pipe: Connection
+    known: Known = field(default_factory=Known)
+    received: dict[int, Any] = field(default_factory=dict)
+    sent: list[_Sent] = field(default_factory=list)
+
+
+WORKER_ENDED = "worker ended"
+"""Reason for which dwells are lost with their worker."""
+
+LOST = "The worker process that had the dwell ended, for example for lack of memory; those that follow go to another."
+
+
+class Pool:
+    """Worker processes, and the thread that gives them jobs and takes their results."""
+
+    def __init__(self, workers: int, memory_bytes: int = MEMORY_BYTES) -> None:
+        """Start the processes; this one must not have any thread yet.
+
+        Args:
+            workers: number of processes.
+            memory_bytes: memory that they share with this one, bytes.
+
+        Raises:
+            OSError: a process cannot be started.
+        """
+        self._arena = Arena(memory_bytes)
+        self._count = workers
+        self._control, theirs = socket.socketpair()
+        self._wakes, self._waker = socket.socketpair()
+        self._waker.setblocking(False)
+        parent = os.getpid()
+
+        def keep() -> int:
+            self._control.close()
+            return _keep_workers(theirs, workers, self._arena) if end_with_parent(parent, signal.SIGKILL) else 1
+
+        self._keeper = Forked(keep, "workers")
+        theirs.close()
+        self._workers: dict[int, _Worker] = {}
+        self._clients: list[list[Client]] = [[], []]
+        self._owners: dict[str, int] = {}
+        """Worker of each series."""
+        self._expected: dict[str, int] = {}
+        """Bytes of the arrays of the products of a job, by client."""
+        self._rehearsals: dict[int, int] = {}
+        """Workers that have not returned a rehearsal yet, by the identity of its entry."""
+        self._awake = self._closed = False
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._wakes, selectors.EVENT_READ)
+        self._selector.register(self._control, selectors.EVENT_READ)
+        self._thread = threading.Thread(target=self._run, name="pool", daemon=True)
+
+    def serve(self, client: Client, *, later: bool) -> None:
+        """Process the jobs of a node; `later`: they follow from the products of others, and are given first."""
+        self._clients[later].append(client)
+
+    def start(self) -> None:
+        """Begin to process jobs."""
+        self._thread.start()
+
+    def wake(self) -> None:
+        """Look for jobs: some may have been made."""
+        if threading.current_thread() is self._thread:
+            self._awake = True
+        else:
+            with suppress(OSError):  # it has been woken often enough, or is closed
+                self._waker.send(b"x")
+
+    @property
+    def cpu_s(self) -> float:
+        """Processor time of the thread that gives jobs and publishes results, s."""
+        if self._thread.ident is None or not self._thread.is_alive():
+            return 0.0
+        return time.clock_gettime(time.pthread_getcpuclockid(self._thread.ident))
+
+    @property
+    def worker_pids(self) -> list[int]:
+        """Numbers of the processes that work."""
+        return [worker.pid for worker in list(self._workers.values())]
+
+    def close(self) -> None:
+        """End the workers; jobs that they have are lost."""
+        self._closed = True
+        self.wake()
+        if self._thread.is_alive():
+            self._thread.join()
+        self._keeper.kill()
+        self._keeper.wait(10.0)
+        for one in (self._control, self._wakes, self._waker):
+            one.close()
+
+    def _run(self) -> None:
+        while not self._closed:
+            for key, _ in self._selector.select():
+                if isinstance(key.data, _Worker):
+                    if key.data in self._workers.values():
+                        self._receive(key.data)
+                elif key.fileobj is self._control:
+                    self._welcome()
+                else:
+                    self._wakes.recv(4096)
+            self._give()
+
+    def _welcome(self) -> None:
+        """Take a worker in that has started; what the one before it has returned is taken first."""
+        said, handles, _, _ = socket.recv_fds(self._control, 4096, 1)
+        if not handles:  # the keeper of the workers has ended
+            self._selector.unregister(self._control)
+            return
+        worker = _Worker(**json.loads(said), pipe=Connection(handles[0]))
+        while before := self._workers.get(worker.number):
+            self._receive(before)
+        self._workers[worker.number] = worker
+        self._selector.register(worker.pipe, selectors.EVENT_READ, worker)
+
+    def _receive(self, worker: _Worker) -> None:
+        """Take the results of a batch, or note that the worker has ended."""
+        try:
+            returned = worker.pipe.recv_bytes()
+        except (EOFError, OSError):
+            self._forget(worker)
+            return
+        sent = worker.sent.pop(0)
+        asked, used, cpu_s = HEAD.unpack_from(returned)
+        array_at = self._arrays_of(sent.room, used) if sent.room else None
+        results = Unpickler(io.BytesIO(memoryview(returned)[HEAD.size :]), worker.received, array_at).load()
+        for block in sent.blocks:
+            self._arena.release(block)
+        name, count = sent.client.name, len(sent.entries)
+        self._expected[name] = max(self._expected.get(name, 0), asked // count)
+        self._conclude(sent, lambda entry, place: sent.client.conclude(entry, results[place], cpu_s / count))
+
+    def _arrays_of(self, room: MemoryBlock, used: int) -> ArrayAt:
+        """Function that returns arrays in a room, which is given back once nobody uses any of them."""
+        room = self._arena.shrink(room, used)
+        whole = self._arena.bytes_of(room)
+
+        def array_at(at: int, dtype: str, shape: tuple[int, ...]) -> Array:
+            first = at - room.start
+            size = math.prod(shape) * np.dtype(dtype).itemsize
+            return whole[first : first + size].view(dtype).reshape(shape)
+
+        return array_at
+
+    def _forget(self, worker: _Worker) -> None:
+        """Count what a worker that has ended had, and have others go on with its series."""
+        self._selector.unregister(worker.pipe)
+        worker.pipe.close()
+        del self._workers[worker.number]
+        self._owners = {series: number for series, number in self._owners.items() if number != worker.number}
+        for sent in worker.sent:
+            for block in (*sent.blocks, *([sent.room] if sent.room else [])):
+                self._arena.release(block)
+            lose = sent.client.lose
+            self._conclude(sent, lambda entry, _, lose=lose: lose(entry, Rejected(WORKER_ENDED, LOST)))  # type: ignore[misc]
+
+    def _give(self) -> None:
+        """Give jobs to workers that have none, as long as there are any."""
+        self._awake = True
+        while self._awake:
+            self._awake = False
+            for worker in list(self._workers.values()):
+                if not worker.sent:
+                    self._give_to(worker)
+
+    def _give_to(self, worker: _Worker) -> None:
+        """Give a worker the next jobs: of the series that it has; else of later stages; else of the first ones."""
+        first, later = self._clients
+
+        def has_series(job: Job | None) -> bool:
+            return job is not None and bool(job.series) and self._owner(job, worker) == worker.number
+
+        def suits(job: Job | None) -> bool:
+            return job is None or not job.series or self._owner(job, worker) == worker.number
+
+        steps = [(first, has_series)] if worker.number in self._owners.values() else []
+        for clients, wanted in (*steps, (later, suits), (first, suits)):
+            taken = [(client, self._take_jobs(client, wanted)) for client in clients]
+            if batches := [(client, entries) for client, entries in taken if entries]:
+                self._send(worker, batches)
+            if worker.sent:
+                return
+
+    def _owner(self, job: Job, worker: _Worker) -> int:
+        """Number of the worker that has the series of a job: the one that is given its first job."""
+        return self._owners.setdefault(str(job.series), worker.number)
+
+    def _take_jobs(self, client: Client, suits: Suits) -> Sequence[Entry]:
+        """Take jobs of a client: the part of a worker of those that wait, if several have none."""
+        idle = sum(not one.sent for one in self._workers.values())
+        most = min(TOGETHER, math.ceil(client.waiting_jobs / max(1, idle)))
+        taken: list[Entry] = []
+        for entry in client.take_jobs(most, BYTES_TOGETHER, suits) if most else ():
+            if entry.item is None:
+                client.run_here(entry)
+            elif isinstance(entry.item.inputs, Rehearsal):
+                self._rehearsals[id(entry)] = len(self._workers)
+                for worker in list(self._workers.values()):
+                    self._send(worker, [(client, [entry])])
+            else:
+                taken.append(entry)
+        return taken
+
+    def _send(self, worker: _Worker, batches: Sequence[tuple[Client, Sequence[Entry]]]) -> None:
+        """Send a worker jobs of clients; one that has ended is noted once its end is read."""
+        blocks: list[MemoryBlock] = []
+
+        def put(array: Array) -> int | None:
+            at = self._arena.offset_of(array)
+            if at is None and (block := self._arena.allocate(array.nbytes)):
+                blocks.append(block)
+                at = block.start
+                copy_into(self._arena.memory, at, array)
+            return at
+
+        message = []
+        for client, entries in batches:
+            jobs = [entry.item for entry in entries]
+            expected = self._expected.get(client.name)
+            size = sum(job.size for job in jobs) if expected is None else expected * len(jobs)
+            room = self._arena.allocate(size)
+            message.append(Batch(client.kind, client.name, jobs, room))
+            worker.sent.append(_Sent(client, entries, [], room))
+        worker.sent[-1].blocks = blocks  # what the batches share is released after the last of them
+        file = io.BytesIO()
+        Pickler(file, worker.known, put).dump(message)
+        with suppress(OSError):
+            worker.pipe.send_bytes(file.getbuffer())
+
+    def _conclude(self, sent: _Sent, finish: Callable[[Entry, int], None]) -> None:
+        """Have a client finish each of the jobs of a batch; a rehearsal once all workers have returned it."""
+        for place, entry in enumerate(sent.entries):
+            left = self._rehearsals.pop(id(entry), 1) - 1
+            if left:
+                self._rehearsals[id(entry)] = left
+            else:
+                finish(entry, place)
+
+
+def _keep_workers(keeper_of: socket.socket, workers: int, arena: Arena) -> int:
+    """Start workers, and another one whenever one has ended, until this process is killed.
+
+    Args:
+        keeper_of: connection to the pool, which gets that of each worker.
+        workers: number of workers.
+        arena: memory that they share.
+    """
+    keeper = os.getpid()
+    numbers: dict[int, int] = {}
+
+    def start(number: int) -> None:
+        ours, theirs = socket.socketpair()
+        pid = os.fork()
+        if pid == 0:
+            keeper_of.close()
+            ours.close()
+            if end_with_parent(keeper, signal.SIGKILL):
+                name_process(f"worker {number}")
+                _serve(Connection(theirs.detach()), arena)
+            os._exit(0)
+        numbers[pid] = number
+        theirs.close()
+        socket.send_fds(keeper_of, [json.dumps({"number": number, "pid": pid}).encode()], [ours.fileno()])
+        ours.close()
+
+    for number in range(workers):
+        start(number)
+    while True:
+        ended, _ = os.wait()
+        time.sleep(RESTART_S)
+        start(numbers.pop(ended))
+
+
+def _serve(pipe: Connection, arena: Arena) -> None:
+    """Process the batches that the pool sends until it closes its end."""
+    known: dict[int, Any] = {}
+    returned = Known()
+    stages: dict[str, Stage] = {}
+    array_at = array_in(arena.memory)
+    os.nice(NICENESS)
+    while True:
+        try:
+            sent = pipe.recv_bytes()
+        except (EOFError, OSError):
+            return
+        began = time.process_time()
+        batches: list[Batch] = Unpickler(io.BytesIO(sent), known, array_at).load()
+        for batch in batches:
+            if batch.name not in stages:
+                stages[batch.name] = STAGES[batch.kind](batch.jobs[0].settings, {}, batch.name)
+            results = [[_to_send(one) for one in made] for made in stages[batch.name].process(batch.jobs)]
+            region = Region(arena.memory, batch.room)
+            file = io.BytesIO(bytes(HEAD.size))
+            file.seek(HEAD.size)
+            Pickler(file, returned, region.put).dump(results)
+            ended = time.process_time()
+            HEAD.pack_into(file.getbuffer(), 0, region.asked, region.used, ended - began)
+            began = ended
+            pipe.send_bytes(file.getbuffer())
+
+
+def _to_send(result: Result) -> Result:
+    """A result as it is sent: images without the data that they were compressed from, which no message has either."""
+    if isinstance(result, Product) and isinstance(result.item, Images):
+        return Product(result.port, replace(result.item, source=None))
+    return result

@@ -40,7 +40,7 @@ from sal_height.imaging.autofocus.phase_linking import (
     with_fitted_profile,
 )
 from sal_height.imaging.pixels import azimuth_resolution
-from sal_height.numeric import C64, C128, F64, Bool, Complex
+from sal_height.numeric import C64, C128, F64, Bool, Complex, outer_phasors
 from sal_height.sensor import NUFFT_TOLERANCE, PhaseHistory, Sensor
 from sal_height.settings import Settings, setting
 
@@ -166,7 +166,8 @@ def _refine(responses: Complex, half_width: int, brightness: float) -> F64 | Non
 
 def _picture(responses: Complex, half_width: int) -> F64:
     """Power of the azimuth cells around points, summed over the detectors, shape (points, 2 half_width + 1)."""
-    power = np.sum(np.abs(scipy.fft.fft(responses)) ** 2, axis=0)
+    spectra = scipy.fft.fft(responses)
+    power = np.sum(spectra.real**2 + spectra.imag**2, axis=0)
     return np.roll(power, half_width, axis=-1)[:, : 2 * half_width + 1]
 
 
@@ -365,11 +366,13 @@ def cell_responses(history: PhaseHistory, antenna: F64, sensor: Sensor, centre: 
     """
     delay = np.linalg.norm(centre - antenna, axis=-1) - history.reference_range
     half = sensor.sample_count // 2
-    number = np.arange(sensor.sample_count)
-    frequency = sensor.centre_wavenumber + sensor.wavenumber_step * (number - half)
-    in_order = -2 * np.pi / sensor.sample_count * half * number  # the nearest cell first, not that of the point
-    towards = history.samples * np.exp(1j * (frequency * delay[:, None] + in_order)).astype(np.complex64)
-    return scipy.fft.ifft(towards, norm="forward", overwrite_x=True).swapaxes(1, 2)
+    number = np.arange(sensor.sample_count, dtype=np.float64)
+    frequency = np.asarray(sensor.centre_wavenumber + sensor.wavenumber_step * (number - half), np.float64)
+    in_order = np.exp(
+        -2j * np.pi / sensor.sample_count * half * number
+    )  # the nearest cell first, not that of the point
+    towards = outer_phasors(delay, frequency) * in_order.astype(np.complex64)
+    return scipy.fft.ifft(history.samples * towards, norm="forward", overwrite_x=True).swapaxes(1, 2)
 
 
 def pulse_responses(history: PhaseHistory, antenna: F64, sensor: Sensor, weights: F64, points: F64) -> C128:

@@ -1,10 +1,27 @@
-"""Loops over pairs of pulses and over periodograms, compiled; a test compares each with its formula in NumPy."""
+"""Loops over responses, pairs of pulses and periodograms, compiled; a test compares each with its formula in NumPy."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from sal_height.numeric import C128, F32, F64, I64, Complex, Index, compiled
+
+
+@compiled
+def fill_blocks(responses: Complex, blocks: Complex) -> None:
+    """Copy the cells of responses in blocks, in the order in which the responses lie.
+
+    Args:
+        responses: shape (channels, pulses, cells).
+        blocks: array to fill with as many cells as it holds, shape (blocks, channels, pulses, cells of a block).
+    """
+    count, channels, pulses, like = blocks.shape
+    for channel in range(channels):
+        for pulse in range(pulses):
+            line = responses[channel, pulse]
+            for block in range(count):
+                for cell in range(like):
+                    blocks[block, channel, pulse, cell] = line[block * like + cell]
 
 
 @compiled

@@ -26,7 +26,7 @@ import numpy as np
 import scipy.linalg
 from numpy.lib.stride_tricks import sliding_window_view
 
-from sal_height.imaging.autofocus._kernels import find_eigenvectors, score_shifts, subtract_products
+from sal_height.imaging.autofocus._kernels import fill_blocks, find_eigenvectors, score_shifts, subtract_products
 from sal_height.imaging.autofocus.coherence import Coherence, periodograms
 from sal_height.imaging.autofocus.phase_error import PhaseInformation, phase_gradient
 from sal_height.numeric import C128, F32, F64, Bool, Complex
@@ -103,8 +103,9 @@ def signal_modes(responses: Complex, noise_covariance: F64 | C128) -> tuple[Comp
     """
     channels, cells, pulses = responses.shape
     like, samples = min(LIKE_ROWS, cells), min(LIKE_ROWS, cells) * pulses
-    blocks = responses.swapaxes(1, 2)[:, :, : cells // like * like].reshape(channels, pulses, -1, like)
-    alike = np.ascontiguousarray(blocks.transpose(2, 0, 1, 3)).reshape(-1, channels, samples)
+    blocks = np.empty((cells // like, channels, pulses, like), responses.dtype)
+    fill_blocks(np.ascontiguousarray(responses.swapaxes(1, 2)), blocks)  # they lie so, pulse by pulse
+    alike = blocks.reshape(-1, channels, samples)
     whitening = np.linalg.inv(np.linalg.cholesky(noise_covariance)).astype(responses.dtype)
     covariance = whitening @ (alike @ alike.conj().swapaxes(1, 2) / samples) @ whitening.conj().T
     values = np.linalg.eigvalsh(covariance)

@@ -8,6 +8,7 @@ import scipy.linalg
 from helpers import circular
 
 from sal_height.imaging.autofocus._kernels import (
+    fill_blocks,
     fill_information,
     fill_periodograms,
     find_eigenvectors,
@@ -30,6 +31,13 @@ def column_of_echoes(rng: np.random.Generator) -> np.ndarray:
     """First column of the covariance of a few waves in noise of power 1."""
     waves = np.exp(1j * np.arange(PULSES)[:, None] * rng.uniform(-1, 1, 5))
     return np.asarray(waves @ rng.uniform(1, 50, 5) + np.eye(PULSES)[0])
+
+
+def test_blocks_hold_neighbouring_cells() -> None:
+    """Of 17 cells the last two are left out."""
+    responses, found = circular(np.random.default_rng(7), (3, 4, 17)), np.empty((3, 3, 4, 5), np.complex128)
+    fill_blocks(responses, found)
+    np.testing.assert_array_equal(found, responses[..., :15].reshape(3, 4, 3, 5).transpose(2, 0, 1, 3))
 
 
 @pytest.mark.parametrize("lags", [0, 5, PULSES - 1])

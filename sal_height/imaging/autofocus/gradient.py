@@ -308,10 +308,7 @@ def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64,
     focus = Focus(np.zeros(sensor.pulse_count), np.inf)
     if on_speckle:
         cells = cell_responses(history, antenna, sensor, patches.mean(axis=(0, 1)))
-        modes, snr = signal_modes(cells, sensor.sample_count * sensor.noise_covariance)
-        coherence = beam_coherence(sensor, antenna)
-        fits = which_fit(modes, snr, coherence)
-        focus, responses = focus_speckle(modes[fits], snr[fits], coherence), modes[None, fits]
+        focus, responses = focus_cells(cells, antenna, sensor)
         uneven = hidden_trend(sensor, antenna, settings)
         focus = replace(focus, trend_error=float(np.hypot(focus.trend_error, uneven)))
     if focus.standard_error > settings.autofocus_max_error_rad:
@@ -325,6 +322,20 @@ def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64,
     sharper = sharpness(turned(responses, phase), half) / sharpness(responses, half)
     known = focus.standard_error <= settings.autofocus_max_error_rad
     return replace(focus, phase=phase, trusted=known and sharper >= 1 - settings.autofocus_max_blur)
+
+
+def focus_cells(cells: C64, antenna: F64, sensor: Sensor) -> tuple[Focus, Complex]:
+    """Phase error from the speckle of range cells, and the responses that it is estimated from, (1, modes, pulses).
+
+    Args:
+        cells: responses of the cells at the beam's middle (`cell_responses`), shape (detectors, cells, pulses).
+        antenna: position at each pulse, m, shape (pulses, 3).
+        sensor: wavelength, frequencies, beams and noise power.
+    """
+    modes, snr = signal_modes(cells, sensor.sample_count * sensor.noise_covariance)
+    coherence = beam_coherence(sensor, antenna)
+    fits = which_fit(modes, snr, coherence)
+    return focus_speckle(modes[fits], snr[fits], coherence), modes[None, fits]
 
 
 def is_for_speckle(sensor: Sensor, antenna: F64) -> bool:

@@ -5,18 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from typing import TypeVar
 
 import numpy as np
 import scipy.fft
 import scipy.linalg
-from numpy.lib.stride_tricks import as_strided
 
 from sal_height.imaging.autofocus._kernels import fill_information, fill_periodograms, invert_toeplitz
 from sal_height.numeric import C64, C128, F32, F64, Complex
 from sal_height.sensor import Sensor
-
-Array = TypeVar("Array", F64, C128, Complex)
 
 STEP_DIGITS = 0.01  # relative difference of the steps from pulse to pulse that have the same coherence
 
@@ -64,7 +60,11 @@ class Coherence:
         return snr * self.matrix + np.eye(len(self.matrix))
 
     def inverse_band(self, snr: float) -> C128:
-        """The inverse of `covariance` between pulses that are compared (`lower_band`), made once for each `snr`."""
+        """The inverse of `covariance` between pulses that are compared, made once for each `snr`.
+
+        It has the diagonals from the main one to that `lags` below it, shape (lags + 1, pulses), as the banded routines
+        of LAPACK have them: element (d, t) is that of row t + d and column t; 0 beyond the last row.
+        """
         if snr not in self._inverse_bands:
             diagonals = np.zeros((len(self.column), self.lags + 1), np.complex128)
             invert_toeplitz(self._noisy(snr), diagonals)
@@ -72,7 +72,7 @@ class Coherence:
         return self._inverse_bands[snr]
 
     def information(self, snr: float) -> F64:
-        """Fisher information of one response on the phases (`lower_band`), made once for each `snr`."""
+        """Fisher information of one response on the phases, as `inverse_band`, made once for each `snr`."""
         if snr not in self._informations:
             information = np.empty((len(self.column), self.lags + 1))
             fill_information(self._noisy(snr), self.inverse_band(snr).T, information)
@@ -120,18 +120,6 @@ def _beam_coherence(sensor: Sensor, pulses: int, step: int) -> Coherence:
     power = np.abs(sensor.beams.patterns[0].amplitude(np.zeros_like(beamwidths), beamwidths)) ** 2
     power += 1e-3 * power.max()  # so that the profile may grow where the beam has a null
     return Coherence(azimuth_waves(pulses), power / power.sum())
-
-
-def lower_band(matrix: Array, lags: int) -> Array:
-    """The diagonals of a square matrix, from the main one to that `lags` below it, shape (lags + 1, rows).
-
-    As the banded routines of LAPACK have them: element (d, t) is that of row t + d and column t; 0 beyond the last row.
-    """
-    rows = len(matrix)
-    padded = np.zeros((rows + lags, rows), matrix.dtype)
-    padded[:rows] = matrix
-    down, right = padded.strides
-    return np.asfortranarray(as_strided(padded, (lags + 1, rows), (down, down + right)))
 
 
 def periodograms(responses: Complex) -> F32:

@@ -140,7 +140,7 @@ class Likelihood:
     """Logarithm of the likelihood of phases: sum over t, s of turn_t weighted(t, s) conj(turn_s), turn = exp(j phase).
 
     Attributes:
-        weighted: Hermitian matrix of the sum, between pulses that are compared (`lower_band`).
+        weighted: Hermitian matrix of the sum, between pulses that are compared (`Coherence.inverse_band`).
         information: Fisher information on the phases.
     """
 

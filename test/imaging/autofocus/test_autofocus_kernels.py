@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 from helpers import circular
+from phase_errors import lower_band
 
 from sal_height.imaging.autofocus._kernels import (
     fill_blocks,
@@ -16,7 +17,6 @@ from sal_height.imaging.autofocus._kernels import (
     score_shifts,
     subtract_products,
 )
-from sal_height.imaging.autofocus.coherence import lower_band
 
 PULSES = 24
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from helpers import make_sensor
+from phase_errors import lower_band
 
-from sal_height.imaging.autofocus.coherence import azimuth_waves, beam_coherence, half_turns, lower_band
+from sal_height.imaging.autofocus.coherence import azimuth_waves, beam_coherence, half_turns
 
 WAY = 1.295e-3
 """From pulse to pulse, m."""
@@ -57,12 +58,6 @@ def test_filters_are_those_of_the_inverse_covariance(snr: float) -> None:
     weights = np.linalg.inv(coherence.covariance(snr)) @ coherence.waves
     np.testing.assert_allclose(filters, weights.conj(), atol=1e-6 * np.abs(weights).max())
     np.testing.assert_allclose(gain, np.einsum("ta,ta->a", weights.conj(), coherence.waves).real, rtol=1e-9)
-
-
-def test_a_band_holds_the_diagonals_below_the_main_one() -> None:
-    matrix = np.arange(16.0).reshape(4, 4)
-    np.testing.assert_array_equal(lower_band(matrix, 1), [[0, 5, 10, 15], [4, 9, 14, 0]])
-    np.testing.assert_array_equal(lower_band(matrix, 3)[3], [12, 0, 0, 0])
 
 
 def test_pulses_are_compared_over_many_times_what_their_speckle_has_in_common() -> None:

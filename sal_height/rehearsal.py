@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from sal_height.adjustment import AdjustmentSettings, AdjustmentWindow, ObservedDwell, Stated, corrected_heights
 from sal_height.elevation import ElevationEstimator, HeightSettings, Validity
 from sal_height.geometry import ApertureState, Grid, PlatformState, Trajectory, look_direction
-from sal_height.imaging import ImageSettings, Placement, Slc, image_beams
+from sal_height.imaging import ImageSettings, Placement, Slc, focus_cells, image_beams, is_for_speckle
+from sal_height.numeric import F64
 from sal_height.pipeline import Compressor, heights
 from sal_height.relief import HeightField, Surface
 from sal_height.sensor import PhaseHistory, Sensor, lit_angle, spectrum_sensor
@@ -70,6 +71,8 @@ def rehearsed_slc(
     times = np.arange(sensor.pulse_count) / sensor.pulse_repetition_frequency
     shape = sensor.detector_count, sensor.pulse_count, sensor.sample_count
     block_s = sensor.pulse_count / sensor.pulse_repetition_frequency
+    if settings.autofocus != "never":
+        _rehearse_autofocus(spectrum, times[:, None] * np.array([speed, 0.0, 0.0]), rng.spawn(1)[0])
     slc = None
     most_blocks = 16  # blocks of a strip after which it has an image, or is given up
     for block in range(1 if sensor.mode == "spotlight" else most_blocks):
@@ -82,6 +85,15 @@ def rehearsed_slc(
         if slc is not None:
             return slc
     return slc
+
+
+def _rehearse_autofocus(sensor: Sensor, antenna: F64, rng: np.random.Generator) -> None:
+    """Focus on made-up speckle of 20 dB, if dwells of the sensor along `antenna` (m, (pulses, 3)) are for speckle."""
+    if is_for_speckle(sensor, antenna):
+        shape = sensor.detector_count, len(antenna), sensor.sample_count
+        power = 100 * sensor.sample_count * max(sensor.noise_power)
+        cells = np.sqrt(power) * _normal(rng, shape)
+        focus_cells(cells.astype(np.complex64).swapaxes(1, 2), antenna, sensor)
 
 
 def with_scatterers(slc: Slc, sensor: Sensor, rng: np.random.Generator) -> Slc:

@@ -46,3 +46,8 @@ def residual_phase(estimate: Array, truth: Array) -> Array:
 def _scaled(phase: Array, rms: float) -> Array:
     level = detrended(phase)
     return np.asarray(level * (rms / np.sqrt(np.mean(level**2))))
+
+
+def lower_band(matrix: np.ndarray, lags: int) -> np.ndarray:
+    """The diagonals from the main one to that `lags` below it, as those of `Coherence.inverse_band`."""
+    return np.asfortranarray([np.pad(np.diagonal(matrix, -lag), (0, lag)) for lag in range(lags + 1)])

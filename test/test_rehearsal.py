@@ -44,6 +44,20 @@ def test_every_sensor_has_a_made_up_dwell(name: str) -> None:
     assert np.any(validity == Validity.OK) == (sensor.detector_count > 2)
 
 
+@pytest.mark.parametrize(("autofocus", "linked"), [("auto", 1), ("never", 0)])
+def test_autofocus_is_rehearsed_where_it_may_be_requested(
+    autofocus: str, linked: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Made-up odometry is exact, and needs none; the phases of made-up speckle are linked nevertheless."""
+    from sal_height.imaging.autofocus import gradient
+
+    found, focus_speckle = [], gradient.focus_speckle
+    monkeypatch.setattr(gradient, "focus_speckle", lambda *given: found.append(focus_speckle(*given)) or found[-1])
+    sensor, settings = load_preset("small").make_sensor(), ImageSettings(rows=24, cols=16, autofocus=autofocus)
+    assert rehearsed_slc(sensor, settings, Compressor(), np.random.default_rng(0)) is not None
+    assert [bool(np.isfinite(one.standard_error)) for one in found] == [True] * linked
+
+
 def test_an_adjustment_is_rehearsed_with_all_that_it_does(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two passes are compared, and the heights corrected."""
     from sal_height.adjustment import comparing

@@ -6,7 +6,7 @@ refused), `formers` (backprojection and the fast ones), `autofocus` (phase error
 (blocks that join).
 """
 
-from sal_height.imaging.autofocus.gradient import apply_phase, is_for_speckle
+from sal_height.imaging.autofocus.gradient import apply_phase, focus_cells, is_for_speckle
 from sal_height.imaging.autofocus.placement import Centroid, NavigationPrior, Placement
 from sal_height.imaging.autofocus.strip_phase import stays_in_range_cell
 from sal_height.imaging.corrections import (
@@ -43,6 +43,7 @@ __all__ = [
     "cell_response",
     "correct_dwell",
     "correct_track",
+    "focus_cells",
     "focus_dwell",
     "image_beams",
     "is_for_speckle",

@@ -107,7 +107,7 @@ def count_saturated(history: PhaseHistory, sensor: Sensor) -> PhaseHistory:
 
 def _shares(samples: C64, limit: np.float32) -> F64:
     parts = (np.ascontiguousarray(frame).view(np.float32) for frame in samples)
-    return np.array([np.mean(np.abs(part) >= limit) for part in parts])
+    return np.array([np.count_nonzero(np.abs(part) >= limit) / part.size for part in parts])
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.numeric import F32, F64, Index, compiled
+from sal_height.numeric import F32, F64, Index, compiled, inlined
 
 Numbers = npt.NDArray[Any]
 
@@ -48,7 +48,9 @@ def gain_beside_one(
         own = inner(unit, output).real
         overlap[:] = 0
         cross[:] = 0
-        for m in range(size):
+        for m in range(0, size - 3, 4):
+            _add_products(table[m : m + 4], unit[m : m + 4], output[m : m + 4], overlap, cross)
+        for m in range(size // 4 * 4, size):
             row, u, y = table[m], unit[m], output[m]
             for j in range(nodes):
                 overlap[j] += np.conj(row[j]) * u
@@ -65,6 +67,18 @@ def gain_beside_one(
         multiply(matrix, slope, output)
         norm = inner(slope, slope).real
         found[1, i] = inner(slope, output).real / norm if norm > 0 else 0.0
+
+
+@inlined
+def _add_products(rows: Numbers, unit: Numbers, output: Numbers, overlap: Numbers, cross: Numbers) -> None:
+    """Add the products of four channels' responses at all nodes, conjugate, with two vectors of the same channels."""
+    r0, r1, r2, r3 = rows[0], rows[1], rows[2], rows[3]
+    u0, u1, u2, u3 = unit[0], unit[1], unit[2], unit[3]
+    y0, y1, y2, y3 = output[0], output[1], output[2], output[3]
+    for j in range(overlap.size):
+        a, b, c, d = np.conj(r0[j]), np.conj(r1[j]), np.conj(r2[j]), np.conj(r3[j])
+        overlap[j] += a * u0 + b * u1 + c * u2 + d * u3
+        cross[j] += a * y0 + b * y1 + c * y2 + d * y3
 
 
 @compiled

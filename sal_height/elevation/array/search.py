@@ -377,9 +377,10 @@ class PeakSearches:
     def each(self, squint: F64, rows: int, work: Callable[[PeakSearch, Pixels], object]) -> None:
         """Call `work` with the search and the pixels of each block of the image, on all processors.
 
-        A block has up to PIXELS_AT_ONCE pixels, column by column. Squints (rad, shape (cols,)) are of the columns.
+        A block has up to PIXELS_AT_ONCE pixels, column by column, of neighbouring columns: samples of their looks lie
+        next to each other. Squints (rad, shape (cols,)) are of the columns.
         """
-        high = min(max(rows, 1), PIXELS_AT_ONCE)
+        high = min(max(rows, 1), max(1, PIXELS_AT_ONCE // min(max(len(squint), 1), SQUINTS_AT_ONCE)))
         columns = self.blocks(squint, np.arange(len(squint)), PIXELS_AT_ONCE // high)
         blocks = [(block, np.arange(top, min(top + high, rows))) for block in columns for top in range(0, rows, high)]
 

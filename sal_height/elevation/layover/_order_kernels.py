@@ -9,7 +9,7 @@ import numpy as np
 
 from sal_height.elevation.array._beside_kernels import Numbers
 from sal_height.elevation.layover._several_kernels import eliminate, invert_positive
-from sal_height.numeric import F64, Index, compiled
+from sal_height.numeric import F64, Index, compiled, inlined
 
 
 @compiled
@@ -37,7 +37,8 @@ def learn_from_neighbours(
             models); changed.
     """
     (rows, cols), (height, width, kinds) = here, fractions.shape
-    first, around, own_prior, lines = len(prior) - kinds, np.empty(kinds), prior.copy(), np.empty((width, kinds))
+    first, around, own_prior, lines = len(prior) - kinds, np.empty(kinds), prior.copy(), np.empty(width * kinds)
+    by_row = fractions.reshape(height, width * kinds)
     total = prior[first:].sum()
     usual = prior[first:] / total
     for _ in range(steps):
@@ -51,14 +52,20 @@ def learn_from_neighbours(
             if i == 0 or rows[i] != rows[i - 1]:
                 lines[:] = 0
                 for r in range(max(rows[i] - reach, 0), min(rows[i] + reach + 1, height)):
-                    lines += fractions[r]
+                    _add(by_row[r], lines)
             around[:] = usual - fractions[rows[i], cols[i]]
             first_col = cols[i] // dwell_cols * dwell_cols
             for c in range(max(cols[i] - reach, first_col), min(cols[i] + reach + 1, first_col + dwell_cols)):
                 for k in range(kinds):
-                    around[k] += lines[c, k]
+                    around[k] += lines[c * kinds + k]
             own_prior[first:] = around * (total / around.sum())
             weigh(evidence[i], own_prior, found[i])
+
+
+@inlined
+def _add(numbers: F64, sums: F64) -> None:
+    for n in range(sums.size):
+        sums[n] += numbers[n]
 
 
 @compiled

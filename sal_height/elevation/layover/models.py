@@ -33,7 +33,7 @@ DETECTED = np.ones(256, np.bool_)
 DETECTED[[Validity.NO_SIGNAL, Validity.LOW_CNR, Validity.MISSING_DATA]] = False
 """True for each `Validity` of a pixel with a detected signal."""
 
-PIXELS_AT_ONCE = 512  # pixels whose models are fitted at a time
+PIXELS_AT_ONCE = 256  # pixels whose models are fitted at a time: few, so that all processors have some
 
 MOST = 3  # greatest number of scatterers of a pixel
 

@@ -26,7 +26,7 @@ from sal_height.elevation.layover._order_kernels import learn_from_neighbours, w
 from sal_height.elevation.layover.extended import GREATEST_SPREAD, LEAST_SPREAD, free_looks, log_prior
 from sal_height.elevation.layover.several import CNR_RANGE, SeveralScatterers, fit_powers, power_of
 from sal_height.elevation.looks.looks import DwellColumns
-from sal_height.numeric import F64, Index
+from sal_height.numeric import F64, Index, blocks, in_threads, rows_at_once
 
 NONE, ONE, TWO, THREE, SPREAD = range(5)
 """The models: none, one, two, three scatterers, or one that is spread; as in `ElevationEstimate.order_probability`."""
@@ -116,8 +116,15 @@ def log_probabilities(log_evidence: F64, here: tuple[Index, Index], columns: Dwe
         here: rows and columns of some pixels, row by row.
         columns: columns of the dwells, which are independent of each other.
     """
-    found = log_evidence + np.log(PRIOR)
-    found -= _log_sum(found, axis=-1)
+    found = np.empty_like(log_evidence)
+
+    def weigh(rows: slice) -> None:
+        # With the models first, numbers of neighbouring pixels are next to each other.
+        logarithms = np.moveaxis(log_evidence[rows], -1, 0) + np.log(PRIOR)[:, None, None]
+        logarithms = np.ascontiguousarray(logarithms)
+        found[rows] = np.moveaxis(logarithms - _log_sum(logarithms, axis=0), 0, -1)
+
+    in_threads(weigh, blocks(len(found), rows_at_once(found[0].size)))
     some, fractions = found[here], np.zeros((*log_evidence.shape[:2], ORDERS - TWO))
     learn_from_neighbours(log_evidence[here], here, columns.cols, PRIOR, NEIGHBOURS // 2, EM_STEPS, some, fractions)
     found[here] = some

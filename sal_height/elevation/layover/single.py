@@ -20,6 +20,7 @@ from sal_height.elevation.layover.order import (
     NEIGHBOURS,
     ONE,
     SPREAD,
+    SPREADS,
     THREE,
     TWO,
     detection_threshold,
@@ -30,7 +31,7 @@ from sal_height.elevation.layover.order import (
 )
 from sal_height.elevation.layover.several import power_of
 from sal_height.elevation.looks.looks import Looks
-from sal_height.numeric import F64, Bool
+from sal_height.numeric import F64, Bool, blocks, in_threads, rows_at_once
 from sal_height.settings import setting
 
 
@@ -199,15 +200,19 @@ class SingleScatterers:
 
     def log_evidence(self, looks: Looks, beams: Beams) -> F64:
         """Log-evidence of each model against noise from the gains of one more scatterer, (rows, cols, ORDERS)."""
-        peaks, count, domain = self.peaks, looks.count, float(np.ptp(beams.span))
-        along, raised = peaks.along_slope, self.noise.along_slope
-        evidence = np.zeros((*count.shape, ORDERS))
-        single = log_evidence_of_one(peaks.explained, count, peaks.turning, domain)
-        more = log_evidence_of_one(peaks.beside, count, peaks.turning, domain)
-        spread = log_evidence_of_spread(along, peaks.explained, count, peaks.turning, raised, beams.beamwidth)
-        evidence[..., ONE] = single + log_evidence_of_level(along, count, raised)
-        evidence[..., TWO], evidence[..., THREE] = single + more, single + 2 * more
-        evidence[..., SPREAD] = single + spread
+        domain, evidence = float(np.ptp(beams.span)), np.zeros((*looks.count.shape, ORDERS))
+
+        def weigh(rows: slice) -> None:
+            peaks, count, raised = self.peaks, looks.count[rows], self.noise.along_slope[rows]
+            along, explained, turning = peaks.along_slope[rows], peaks.explained[rows], peaks.turning[rows]
+            single = log_evidence_of_one(explained, count, turning, domain)
+            more = log_evidence_of_one(peaks.beside[rows], count, turning, domain)
+            spread = log_evidence_of_spread(along, explained, count, turning, raised, beams.beamwidth)
+            evidence[rows, :, ONE] = single + log_evidence_of_level(along, count, raised)
+            evidence[rows, :, TWO], evidence[rows, :, THREE] = single + more, single + 2 * more
+            evidence[rows, :, SPREAD] = single + spread
+
+        in_threads(weigh, blocks(len(evidence), rows_at_once(len(SPREADS) * evidence.shape[1])))
         return evidence
 
     def sigma(self, probability: F64, looks: Looks) -> F64:

@@ -48,18 +48,22 @@ def sum_covariances(
     channels, rows, twice = numbers.shape
     most = row_weights.size * col_weights.size + LOOKS_AT_ONCE
     x, y = np.empty((most, channels), np.float32), np.empty((most, channels), np.float32)
+    weight = np.empty(col_weights.size, np.float32)
     for i in range(len(parts)):
         row, col = pixels[0][i], pixels[1][i]
         start, side, count = top + row * row_step, left + col * col_step, 0
+        first, last = max(side, 0), min(side + col_weights.size, twice // 2)
         if scale[row, col] > 0:
             for r in range(max(start, 0), min(start + row_weights.size, rows)):
-                for c in range(max(side, 0), min(side + col_weights.size, twice // 2)):
-                    weight = np.sqrt(scale[row, col] * row_weights[r - start] * col_weights[c - side])
-                    for m in range(channels):
-                        real, imaginary = weight * numbers[m, r, 2 * c], weight * numbers[m, r, 2 * c + 1]
-                        x[count, m] = gains[m].real * real - gains[m].imag * imaginary
-                        y[count, m] = gains[m].real * imaginary + gains[m].imag * real
-                    count += 1
+                for c in range(first, last):
+                    weight[c - first] = np.sqrt(scale[row, col] * row_weights[r - start] * col_weights[c - side])
+                for m in range(channels):
+                    line, g, h = numbers[m, r, 2 * first : 2 * last], gains[m].real, gains[m].imag
+                    for c in range(last - first):
+                        real, imaginary = weight[c] * line[2 * c], weight[c] * line[2 * c + 1]
+                        x[count + c, m] = g * real - h * imaginary
+                        y[count + c, m] = g * imaginary + h * real
+                count += last - first
         _sum_outer_products(x, y, count, parts[i])
 
 

@@ -5,16 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from typing import TypeVar
 
 import numpy as np
 import scipy.fft
-from numpy.lib.stride_tricks import as_strided
+import scipy.linalg
 
-from sal_height.numeric import C128, F32, F64, Complex
+from sal_height.imaging.autofocus._kernels import fill_information, fill_periodograms, invert_toeplitz
+from sal_height.numeric import C64, C128, F32, F64, Complex
 from sal_height.sensor import Sensor
-
-Array = TypeVar("Array", F64, C128, Complex)
 
 STEP_DIGITS = 0.01  # relative difference of the steps from pulse to pulse that have the same coherence
 
@@ -30,21 +28,26 @@ class Coherence:
 
     waves: C128
     profile: F64
-    _inverses: dict[float, C128] = field(default_factory=dict, repr=False)
     _inverse_bands: dict[float, C128] = field(default_factory=dict, repr=False)
     _informations: dict[float, F64] = field(default_factory=dict, repr=False)
+    _filters: dict[float, tuple[C64, F64]] = field(default_factory=dict, repr=False)
+
+    @cached_property
+    def column(self) -> C128:
+        """First column of the matrix, shape (pulses,): the coherence by the distance of the pulses."""
+        return (self.waves * self.profile) @ self.waves[0].conj()
 
     @cached_property
     def matrix(self) -> C128:
         """Shape (pulses, pulses)."""
-        return (self.waves * self.profile) @ self.waves.conj().T
+        return np.asarray(scipy.linalg.toeplitz(self.column))
 
     @cached_property
     def lags(self) -> int:
         """Greatest distance of compared pulses: an antenna that has moved by its length sees other speckle."""
-        alike = np.flatnonzero(np.abs(self.matrix[:, 0]) >= 0.1)[-1] + 1
+        alike = np.flatnonzero(np.abs(self.column) >= 0.1)[-1] + 1
         compared = 16  # greatest distance of compared pulses, over that of coherent ones, by the pulses between them
-        return min(compared * int(alike), len(self.matrix) - 1)
+        return min(compared * int(alike), len(self.column) - 1)
 
     @cached_property
     def spectrum(self) -> F64:
@@ -52,36 +55,49 @@ class Coherence:
         shown: F64 = np.sum(self.waves.conj() * (self.matrix @ self.waves), axis=0).real / len(self.waves)
         return shown
 
-    @cached_property
-    def _modes(self) -> tuple[F64, C128]:
-        """Eigenvalues and eigenvectors of the matrix."""
-        values, vectors = np.linalg.eigh(self.matrix)
-        return values, vectors
-
     def covariance(self, snr: float) -> C128:
         """Covariance of an echo of power `snr` with noise of power 1."""
         return snr * self.matrix + np.eye(len(self.matrix))
 
-    def inverse_covariance(self, snr: float) -> C128:
-        """The inverse of `covariance`, made once for each `snr`."""
-        if snr not in self._inverses:
-            values, vectors = self._modes
-            self._inverses[snr] = (vectors / (1 + snr * values)) @ vectors.conj().T
-        return self._inverses[snr]
-
     def inverse_band(self, snr: float) -> C128:
-        """The inverse of `covariance` between pulses that are compared (`lower_band`), made once for each `snr`."""
+        """The inverse of `covariance` between pulses that are compared, made once for each `snr`.
+
+        It has the diagonals from the main one to that `lags` below it, shape (lags + 1, pulses), as the banded routines
+        of LAPACK have them: element (d, t) is that of row t + d and column t; 0 beyond the last row.
+        """
         if snr not in self._inverse_bands:
-            self._inverse_bands[snr] = lower_band(self.inverse_covariance(snr), self.lags)
+            diagonals = np.zeros((len(self.column), self.lags + 1), np.complex128)
+            invert_toeplitz(self._noisy(snr), diagonals)
+            self._inverse_bands[snr] = diagonals.T
         return self._inverse_bands[snr]
 
     def information(self, snr: float) -> F64:
-        """Fisher information of one response on the phases (`lower_band`), made once for each `snr`."""
+        """Fisher information of one response on the phases, as `inverse_band`, made once for each `snr`."""
         if snr not in self._informations:
-            information = 2 * (lower_band(self.covariance(snr), self.lags) * self.inverse_band(snr).conj()).real
-            information[0] -= 2
-            self._informations[snr] = information
+            information = np.empty((len(self.column), self.lags + 1))
+            fill_information(self._noisy(snr), self.inverse_band(snr).T, information)
+            information[:, 0] -= 2
+            self._informations[snr] = information.T
         return self._informations[snr]
+
+    def filters(self, snr: float) -> tuple[C64, F64]:
+        """Filters of responses for the echo from each azimuth, and their gain, made once for each `snr`.
+
+        Returns:
+            The conjugate of R^-1 w for the covariance R and the waves w, shape (pulses, azimuths), and w^H R^-1 w,
+            shape (azimuths,).
+        """
+        if snr not in self._filters:
+            weights = np.linalg.solve(self.covariance(snr), self.waves)
+            gain = np.sum(self.waves.conj() * weights, axis=0).real
+            self._filters[snr] = weights.conj().astype(np.complex64), gain
+        return self._filters[snr]
+
+    def _noisy(self, snr: float) -> C128:
+        """First column of `covariance`."""
+        column = snr * self.column
+        column[0] += 1
+        return column
 
 
 def beam_coherence(sensor: Sensor, antenna: F64) -> Coherence:
@@ -106,24 +122,12 @@ def _beam_coherence(sensor: Sensor, pulses: int, step: int) -> Coherence:
     return Coherence(azimuth_waves(pulses), power / power.sum())
 
 
-def lower_band(matrix: Array, lags: int) -> Array:
-    """The diagonals of a square matrix, from the main one to that `lags` below it, shape (lags + 1, rows).
-
-    As the banded routines of LAPACK have them: element (d, t) is that of row t + d and column t; 0 beyond the last row.
-    """
-    rows = len(matrix)
-    padded = np.zeros((rows + lags, rows), matrix.dtype)
-    padded[:rows] = matrix
-    down, right = padded.strides
-    return np.asfortranarray(as_strided(padded, (lags + 1, rows), (down, down + right)))
-
-
 def periodograms(responses: Complex) -> F32:
     """Power of responses, shape (responses, pulses), from each azimuth (`half_turns`): 1 for noise of power 1."""
-    pulses = responses.shape[-1]
-    seen = scipy.fft.fft(responses, 2 * pulses)
-    power: F32 = (seen.real**2 + seen.imag**2) / pulses
-    return np.fft.fftshift(power, axes=-1)
+    seen = scipy.fft.fft(responses, 2 * responses.shape[-1])
+    power = np.empty(seen.shape, np.float32)
+    fill_periodograms(seen, power)
+    return power
 
 
 def half_turns(pulses: int) -> F64:

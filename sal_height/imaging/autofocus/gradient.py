@@ -40,7 +40,7 @@ from sal_height.imaging.autofocus.phase_linking import (
     with_fitted_profile,
 )
 from sal_height.imaging.pixels import azimuth_resolution
-from sal_height.numeric import C64, C128, F64, Bool, Complex
+from sal_height.numeric import C64, C128, F64, Bool, Complex, outer_phasors
 from sal_height.sensor import NUFFT_TOLERANCE, PhaseHistory, Sensor
 from sal_height.settings import Settings, setting
 
@@ -166,7 +166,8 @@ def _refine(responses: Complex, half_width: int, brightness: float) -> F64 | Non
 
 def _picture(responses: Complex, half_width: int) -> F64:
     """Power of the azimuth cells around points, summed over the detectors, shape (points, 2 half_width + 1)."""
-    power = np.sum(np.abs(scipy.fft.fft(responses)) ** 2, axis=0)
+    spectra = scipy.fft.fft(responses)
+    power = np.sum(spectra.real**2 + spectra.imag**2, axis=0)
     return np.roll(power, half_width, axis=-1)[:, : 2 * half_width + 1]
 
 
@@ -307,10 +308,7 @@ def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64,
     focus = Focus(np.zeros(sensor.pulse_count), np.inf)
     if on_speckle:
         cells = cell_responses(history, antenna, sensor, patches.mean(axis=(0, 1)))
-        modes, snr = signal_modes(cells, sensor.sample_count * sensor.noise_covariance)
-        coherence = beam_coherence(sensor, antenna)
-        fits = which_fit(modes, snr, coherence)
-        focus, responses = focus_speckle(modes[fits], snr[fits], coherence), modes[None, fits]
+        focus, responses = focus_cells(cells, antenna, sensor)
         uneven = hidden_trend(sensor, antenna, settings)
         focus = replace(focus, trend_error=float(np.hypot(focus.trend_error, uneven)))
     if focus.standard_error > settings.autofocus_max_error_rad:
@@ -324,6 +322,20 @@ def autofocus(history: PhaseHistory, antenna: F64, sensor: Sensor, patches: F64,
     sharper = sharpness(turned(responses, phase), half) / sharpness(responses, half)
     known = focus.standard_error <= settings.autofocus_max_error_rad
     return replace(focus, phase=phase, trusted=known and sharper >= 1 - settings.autofocus_max_blur)
+
+
+def focus_cells(cells: C64, antenna: F64, sensor: Sensor) -> tuple[Focus, Complex]:
+    """Phase error from the speckle of range cells, and the responses that it is estimated from, (1, modes, pulses).
+
+    Args:
+        cells: responses of the cells at the beam's middle (`cell_responses`), shape (detectors, cells, pulses).
+        antenna: position at each pulse, m, shape (pulses, 3).
+        sensor: wavelength, frequencies, beams and noise power.
+    """
+    modes, snr = signal_modes(cells, sensor.sample_count * sensor.noise_covariance)
+    coherence = beam_coherence(sensor, antenna)
+    fits = which_fit(modes, snr, coherence)
+    return focus_speckle(modes[fits], snr[fits], coherence), modes[None, fits]
 
 
 def is_for_speckle(sensor: Sensor, antenna: F64) -> bool:
@@ -347,7 +359,8 @@ def hidden_trend(sensor: Sensor, antenna: F64, settings: AutofocusSettings) -> f
 def apply_phase(history: PhaseHistory, phase: F64) -> PhaseHistory:
     """The history with exp(-j phase) on all samples of every pulse; phase in rad, shape (pulses,)."""
     turn = np.exp(-1j * phase).astype(np.complex64)
-    return replace(history, samples=history.samples * turn[:, None])
+    of_samples = np.repeat(turn[:, None], history.samples.shape[-1], axis=1)  # products of whole lines are faster
+    return replace(history, samples=history.samples * of_samples)
 
 
 def cell_responses(history: PhaseHistory, antenna: F64, sensor: Sensor, centre: F64) -> C64:
@@ -365,11 +378,13 @@ def cell_responses(history: PhaseHistory, antenna: F64, sensor: Sensor, centre: 
     """
     delay = np.linalg.norm(centre - antenna, axis=-1) - history.reference_range
     half = sensor.sample_count // 2
-    number = np.arange(sensor.sample_count)
-    frequency = sensor.centre_wavenumber + sensor.wavenumber_step * (number - half)
-    in_order = -2 * np.pi / sensor.sample_count * half * number  # the nearest cell first, not that of the point
-    towards = history.samples * np.exp(1j * (frequency * delay[:, None] + in_order)).astype(np.complex64)
-    return scipy.fft.ifft(towards, norm="forward", overwrite_x=True).swapaxes(1, 2)
+    number = np.arange(sensor.sample_count, dtype=np.float64)
+    frequency = np.asarray(sensor.centre_wavenumber + sensor.wavenumber_step * (number - half), np.float64)
+    in_order = np.exp(
+        -2j * np.pi / sensor.sample_count * half * number
+    )  # the nearest cell first, not that of the point
+    towards = outer_phasors(delay, frequency) * in_order.astype(np.complex64)
+    return scipy.fft.ifft(history.samples * towards, norm="forward", overwrite_x=True).swapaxes(1, 2)
 
 
 def pulse_responses(history: PhaseHistory, antenna: F64, sensor: Sensor, weights: F64, points: F64) -> C128:

@@ -44,7 +44,7 @@ class PhaseInformation:
 
     @classmethod
     def of(cls, information: F64) -> Self:
-        """The solver for the information on all phases, rad^-2, between pulses that are compared (`lower_band`)."""
+        """The solver for the information on all phases, rad^-2, in the form of `Coherence.information`."""
         lags, pulses = len(information) - 1, information.shape[-1]
         # A common phase of all pulses changes nothing; pairs that are not compared must not make it look known.
         on_all = scipy.linalg.blas.dsbmv(lags, 1.0, information, np.ones(pulses), lower=1)

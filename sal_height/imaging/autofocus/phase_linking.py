@@ -26,7 +26,8 @@ import numpy as np
 import scipy.linalg
 from numpy.lib.stride_tricks import sliding_window_view
 
-from sal_height.imaging.autofocus.coherence import Coherence, lower_band, periodograms
+from sal_height.imaging.autofocus._kernels import fill_blocks, find_eigenvectors, score_shifts, subtract_products
+from sal_height.imaging.autofocus.coherence import Coherence, periodograms
 from sal_height.imaging.autofocus.phase_error import PhaseInformation, phase_gradient
 from sal_height.numeric import C128, F32, F64, Bool, Complex
 
@@ -45,18 +46,16 @@ def uneven_trend(modes: Complex, snr: F64, coherence: Coherence) -> float:
         snr: signal-to-noise ratio of each response, shape (responses,).
         coherence: coherence of the echo of even ground.
     """
-    found, even = periodograms(modes), 1 + np.outer(snr, coherence.spectrum)
-    share = 1 - 1 / even  # of the echo in the power
-    slope = share * np.gradient(np.log(coherence.spectrum))
-    information = np.sum(slope**2)
+    found, spectrum = periodograms(modes), coherence.spectrum
+    scores, slopes = np.empty(len(snr)), np.zeros(len(spectrum))
+    information = score_shifts(found, snr, spectrum, np.gradient(np.log(spectrum)), scores, slopes)
     # Uneven in some: by the shift of the beam by each (Huber's sandwich; periodograms are independent, Whittle 1953).
-    scores = np.sum((found / even - 1) * slope, axis=-1)
     blocks = 12  # of neighbouring range cells, each of which is assumed to be uneven in its own way
     by_blocks = np.sqrt(np.sum(np.bincount(np.arange(len(snr)) * blocks // len(snr), scores, blocks) ** 2))
     # Uneven in all alike: by the shift by ground that grows brighter along the flight.
     lobe = np.flatnonzero(coherence.profile >= MAIN_LOBE * coherence.profile.max())
     u = np.interp(np.arange(len(coherence.profile)), lobe[[0, -1]], [-1.0, 1.0])
-    by_all = _brighter_by(found[:, lobe], snr, coherence.spectrum[lobe], u[lobe]) * np.sum(share * slope * u)
+    by_all = _brighter_by(found[:, lobe], snr, spectrum[lobe], u[lobe]) * (slopes @ u)
     return float(np.hypot(by_blocks, by_all) / information * 2 * np.pi / len(u))
 
 
@@ -77,14 +76,14 @@ class Speckle:
     """Responses of about the same signal-to-noise ratio.
 
     Attributes:
-        total: sum over the responses of conj(g_t) g_s, noise of power 1, shape (pulses, pulses).
+        members: the responses g, noise of power 1, shape (responses, pulses).
+        total: sum over the responses of conj(g_t) g_s, shape (pulses, pulses).
         snr: power of the echo in a pulse, as is usual in the class.
-        count: number of responses.
     """
 
-    total: C128
+    members: Complex
+    total: Complex
     snr: float
-    count: int
 
 
 def signal_modes(responses: Complex, noise_covariance: F64 | C128) -> tuple[Complex, F64]:
@@ -104,18 +103,23 @@ def signal_modes(responses: Complex, noise_covariance: F64 | C128) -> tuple[Comp
     """
     channels, cells, pulses = responses.shape
     like, samples = min(LIKE_ROWS, cells), min(LIKE_ROWS, cells) * pulses
-    blocks = responses[:, : cells // like * like].reshape(channels, -1, like, pulses).swapaxes(0, 1)
-    alike = np.ascontiguousarray(blocks).reshape(-1, channels, samples)
+    blocks = np.empty((cells // like, channels, pulses, like), responses.dtype)
+    fill_blocks(np.ascontiguousarray(responses.swapaxes(1, 2)), blocks)  # they lie so, pulse by pulse
+    alike = blocks.reshape(-1, channels, samples)
     whitening = np.linalg.inv(np.linalg.cholesky(noise_covariance)).astype(responses.dtype)
     covariance = whitening @ (alike @ alike.conj().swapaxes(1, 2) / samples) @ whitening.conj().T
-    values, vectors = np.linalg.eigh(covariance)
+    values = np.linalg.eigvalsh(covariance)
     snr = values - 1
     noise_edge = (1 + np.sqrt(channels / samples)) ** 2
     # The margin is for few samples: a few hundred of noise exceed 1.1 times the edge in 1 % of the cells.
     seen = (values > 1.1 * noise_edge) & (snr >= 0.1 * snr[:, -1:])
-    strongest = slice(channels - int(seen.sum(axis=1).max(initial=0)), None)  # values ascend
-    combined = (vectors[..., strongest].conj().swapaxes(1, 2) @ whitening @ alike)[seen[:, strongest]]
-    return combined.reshape(-1, pulses), np.repeat(snr[seen], like)
+    vectors = np.empty((np.count_nonzero(seen), channels), np.complex128)
+    find_eigenvectors(covariance, np.nonzero(seen)[0], values[seen].astype(np.float64), vectors)
+    strongest = seen[:, channels - seen.sum(axis=1).max(initial=0) :]  # values ascend
+    weights = np.zeros((*strongest.shape, channels), responses.dtype)
+    weights[strongest] = vectors.conj()
+    combined = (weights @ whitening @ alike)[strongest]
+    return combined.reshape(-1, pulses, like).swapaxes(1, 2).reshape(-1, pulses), np.repeat(snr[seen], like)
 
 
 def speckle_classes(modes: Complex, snr: F64) -> list[Speckle]:
@@ -127,7 +131,7 @@ def speckle_classes(modes: Complex, snr: F64) -> list[Speckle]:
     steps, classes = np.floor(np.log(snr) / np.log(ratio)), []
     for step in np.unique(steps):
         members = modes[steps == step]
-        classes.append(Speckle(members.conj().T @ members, float(ratio ** (step + 0.5)), len(members)))
+        classes.append(Speckle(members, members.conj().T @ members, float(ratio ** (step + 0.5))))
     return classes
 
 
@@ -136,7 +140,7 @@ class Likelihood:
     """Logarithm of the likelihood of phases: sum over t, s of turn_t weighted(t, s) conj(turn_s), turn = exp(j phase).
 
     Attributes:
-        weighted: Hermitian matrix of the sum, between pulses that are compared (`lower_band`).
+        weighted: Hermitian matrix of the sum, between pulses that are compared (`Coherence.inverse_band`).
         information: Fisher information on the phases.
     """
 
@@ -146,7 +150,7 @@ class Likelihood:
     @classmethod
     def of(cls, classes: list[Speckle], coherence: Coherence) -> Self:
         """The likelihood for responses (`speckle_classes`) whose echo has this coherence between every two pulses."""
-        information = sum(speckle.count * coherence.information(speckle.snr) for speckle in classes)
+        information = sum(len(speckle.members) * coherence.information(speckle.snr) for speckle in classes)
         return cls(_weighted(classes, coherence), PhaseInformation.of(np.asarray(information)))
 
     def slope(self, phase: F64) -> F64:
@@ -165,9 +169,9 @@ class Likelihood:
 
 def _weighted(classes: list[Speckle], coherence: Coherence) -> C128:
     """Products of responses that measure the phase differences of compared pulses, shape (lags + 1, pulses)."""
-    found = np.zeros((coherence.lags + 1, len(coherence.matrix)), np.complex128, order="F")
+    found = np.zeros((coherence.lags + 1, len(coherence.column)), np.complex128, order="F")
     for speckle in classes:
-        found -= coherence.inverse_band(speckle.snr) * lower_band(speckle.total, coherence.lags)
+        subtract_products(coherence.inverse_band(speckle.snr).T, speckle.total, found.T)
     return found
 
 
@@ -246,12 +250,11 @@ def with_fitted_profile(coherence: Coherence, classes: list[Speckle], phase: F64
     One step p <- p (w^H R^-1 S R^-1 w) / (n w^H R^-1 w) towards the maximum, its fixed point: S is the sum over n
     responses, and the classes add to numerator and denominator by their signal-to-noise ratio. More steps fit noise.
     """
-    turn = np.exp(-1j * phase)
-    found, expected = np.zeros_like(coherence.matrix), np.zeros_like(coherence.matrix)
+    turn = np.exp(-1j * phase).astype(np.complex64)
+    found, expected = np.zeros((2, len(coherence.profile)))
     for speckle in classes:
-        inverse = coherence.inverse_covariance(speckle.snr)
-        total = speckle.total.T * turn[:, None] * turn.conj()
-        found += speckle.snr * (inverse @ total @ inverse)
-        expected += speckle.snr * speckle.count * inverse
-    along = [np.sum(coherence.waves.conj() * (matrix @ coherence.waves), axis=0).real for matrix in (found, expected)]
-    return Coherence(coherence.waves, coherence.profile * along[0] / along[1])
+        filters, gain = coherence.filters(speckle.snr)
+        seen = (speckle.members * turn) @ filters
+        found += speckle.snr * np.sum(seen.real**2 + seen.imag**2, axis=0)
+        expected += speckle.snr * len(speckle.members) * gain
+    return Coherence(coherence.waves, coherence.profile * found / expected)

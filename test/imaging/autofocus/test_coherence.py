@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from helpers import make_sensor
+from phase_errors import lower_band
 
-from sal_height.imaging.autofocus.coherence import azimuth_waves, beam_coherence, half_turns, lower_band
+from sal_height.imaging.autofocus.coherence import azimuth_waves, beam_coherence, half_turns
 
 WAY = 1.295e-3
 """From pulse to pulse, m."""
@@ -44,22 +45,26 @@ def test_inverse_and_information_are_those_of_the_covariance(snr: float) -> None
     coherence = beam_coherence(make_sensor(), positions(WAY))
     covariance = snr * coherence.matrix + np.eye(48)
     inverse = np.linalg.inv(covariance)
-    np.testing.assert_allclose(coherence.inverse_covariance(snr), inverse, atol=1e-9)
+    np.testing.assert_allclose(coherence.inverse_band(snr), lower_band(inverse, 47), atol=1e-9)
     expected = 2 * ((covariance * inverse.T).real - np.eye(48))
     np.testing.assert_allclose(coherence.information(snr), lower_band(expected, 47), atol=1e-6 * snr)
 
 
-def test_a_band_holds_the_diagonals_below_the_main_one() -> None:
-    matrix = np.arange(16.0).reshape(4, 4)
-    np.testing.assert_array_equal(lower_band(matrix, 1), [[0, 5, 10, 15], [4, 9, 14, 0]])
-    np.testing.assert_array_equal(lower_band(matrix, 3)[3], [12, 0, 0, 0])
+@pytest.mark.parametrize("snr", [0.3, 20.0])
+def test_filters_are_those_of_the_inverse_covariance(snr: float) -> None:
+    """The power of what a filter passes is w^H R^-1 S R^-1 w; its gain is that of R itself, w^H R^-1 w."""
+    coherence = beam_coherence(make_sensor(), positions(WAY))
+    filters, gain = coherence.filters(snr)
+    weights = np.linalg.inv(coherence.covariance(snr)) @ coherence.waves
+    np.testing.assert_allclose(filters, weights.conj(), atol=1e-6 * np.abs(weights).max())
+    np.testing.assert_allclose(gain, np.einsum("ta,ta->a", weights.conj(), coherence.waves).real, rtol=1e-9)
 
 
 def test_pulses_are_compared_over_many_times_what_their_speckle_has_in_common() -> None:
     """An antenna of 1 cm that has moved by half of it, 4 pulses, sees other speckle: 16 times as many are compared."""
     coherence = beam_coherence(sensor := make_sensor(), positions(WAY, 256))
     assert coherence.lags == 64
-    inverse = np.abs(coherence.inverse_covariance(100.0))[128]
+    inverse = np.abs(np.linalg.inv(coherence.covariance(100.0)))[128]
     assert inverse[:64].max() < 1e-3 * inverse.max()
     assert beam_coherence(sensor, positions(WAY, 8)).lags == 7
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.linalg
-from phase_errors import ATMOSPHERE, power_law_phase, residual_phase, white_phase
+from phase_errors import ATMOSPHERE, lower_band, power_law_phase, residual_phase, white_phase
 
-from sal_height.imaging.autofocus.coherence import lower_band
 from sal_height.imaging.autofocus.phase_error import PhaseInformation, detrended, without_shift
 
 TIME = np.linspace(-1.0, 1.0, 64)

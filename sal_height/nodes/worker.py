@@ -87,6 +87,7 @@ class WorkerNode(Role, Managed):
         self._jobs = JobQueue()
         self._lost_at = self._warned_at = -math.inf
         self._pace = Pace()
+        self._measured = 0
         self._slow_numbers: dict[str, Any] = {}
         """Last values of the fields of the account that take time to find."""
         self._offered: list[Outlet] = []
@@ -390,8 +391,10 @@ class WorkerNode(Role, Managed):
         return replace(account, level=level, state=state, hardware_id=self.hardware_id)
 
     def _measure_pace(self) -> None:
-        for inlet in (*self._inlets, *self._optional):
-            inlet.look_for_strangers()  # names of nodes arrive after their publishers
+        self._measured += 1
+        if self._measured % 4 == 0:  # names of nodes arrive after their publishers; to ask for them takes a while
+            for inlet in (*self._inlets, *self._optional):
+                inlet.look_for_strangers()
         self._pace.sample(time.monotonic(), self.tally.offered, self.tally.finished)
         self._publish_account()
 

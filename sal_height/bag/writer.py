@@ -13,18 +13,15 @@ from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, NamedTuple, Self
 
-from mcap.writer import CompressionType, Writer
-
 from sal_height.bag import qos as qos_text
 from sal_height.bag.files import CHECKSUM, CUSTOM_DATA, REPEATED, REPEATED_SEQUENCE, checksum
+from sal_height.bag.mcap_file import McapFile
 from sal_height.bag.qos import TRANSIENT_LOCAL, Qos, yaml_text
 from sal_height.errors import UserError
 from sal_height.messages.definition import Definition, known_definition
 
-CHUNK_SIZE = 1 << 20  # bytes; a larger message becomes a chunk of its own
-
-COMPRESSIONS = {"none": CompressionType.NONE, "lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD}
-"""Compressions of chunks, by the names that users give. Noise and speckle hardly get smaller."""
+GIVE_BACK_EVERY, GIVE_BACK_OF_LAST = 1 << 25, 1 << 27
+"""Bytes after which memory is given back, and of how many of the last bytes; what a disk falls behind by more stays."""
 
 NO_TIME = 2**63 - 1
 """Start of a bag without messages, as rosbag2 states it."""
@@ -103,11 +100,11 @@ class FileWriter:
             OSError: it cannot be written.
         """
         self.path, self.written = path, Written(path.name)
+        self._given_back_at = 0
         self._stream = path.open("xb")
         self._schema_ids: dict[tuple[str, Definition], int] = {}
         self._channel_ids: dict[str, int] = {}
-        self._writer = Writer(self._stream, chunk_size=CHUNK_SIZE, compression=COMPRESSIONS[compression])
-        self._writer.start(profile="ros2", library="sal_height")
+        self._writer = McapFile(self._stream, compression, profile="ros2", library="sal_height")
         if custom_data:
             self._writer.add_metadata(CUSTOM_DATA, {**custom_data, CHECKSUM: checksum(custom_data)})
         if repeated:
@@ -116,7 +113,7 @@ class FileWriter:
     @property
     def size(self) -> int:
         """Bytes of the file so far, up to a chunk."""
-        return self._stream.tell()
+        return self._writer.size
 
     @property
     def is_closed(self) -> bool:
@@ -146,6 +143,8 @@ class FileWriter:
         written = self.written
         written.counts[topic] += 1
         written.first_ns, written.last_ns = min(written.first_ns, log_time_ns), max(written.last_ns, log_time_ns)
+        if self.size - self._given_back_at >= GIVE_BACK_EVERY:
+            self._give_back()
 
     def flush(self) -> None:
         """Hand everything written so far to the operating system, so that it outlives this process.
@@ -157,11 +156,20 @@ class FileWriter:
         if not os.fstat(self._stream.fileno()).st_nlink:
             raise FileNotFoundError(errno.ENOENT, "the file has been removed", str(self.path))
 
+    def _give_back(self) -> None:
+        """Have the disk write what is new, and free the memory of what it has written.
+
+        Once a bag fills the memory of the machine, Linux searches it for a page for every page that is written.
+        """
+        self._given_back_at = self.size
+        first = max(0, self.size - GIVE_BACK_OF_LAST)
+        os.posix_fadvise(self._stream.fileno(), first, self.size - first, os.POSIX_FADV_DONTNEED)
+
     def finish(self, records: Mapping[str, Mapping[str, str]]) -> None:
         """Write metadata records by name, and the index, and close the file."""
         self._writer.flush()
         for name, values in records.items():
-            self._writer.add_metadata(name, dict(values))
+            self._writer.add_metadata(name, values)
         self._writer.finish()
         self._stream.close()
 

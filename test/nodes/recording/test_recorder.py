@@ -52,6 +52,7 @@ from sal_height.nodes.recording.recorder import Recorder, _replaces
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
 from sal_height.nodes.transport.qos import LATCHED_QOS
+from sal_height.runs.live.record import messages_left_out
 
 TIMEOUT_S = 120.0
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -443,6 +444,7 @@ def test_the_bag_says_what_became_of_all_messages(
         "/note": {"received": 1003, "written": 1001, "left_out": left_out},
         "/other": {"received": 1, "written": 1, "left_out": {}},
     }
+    assert messages_left_out(bag) == 502
 
 
 def parameters_in(file: Path) -> dict[str, dict[str, Any]]:

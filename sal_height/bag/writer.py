@@ -20,9 +20,6 @@ from sal_height.bag.qos import TRANSIENT_LOCAL, Qos, yaml_text
 from sal_height.errors import UserError
 from sal_height.messages.definition import Definition, known_definition
 
-GIVE_BACK_EVERY, GIVE_BACK_OF_LAST = 1 << 25, 1 << 27
-"""Bytes after which memory is given back, and of how many of the last bytes; what a disk falls behind by more stays."""
-
 NO_TIME = 2**63 - 1
 """Start of a bag without messages, as rosbag2 states it."""
 
@@ -100,7 +97,6 @@ class FileWriter:
             OSError: it cannot be written.
         """
         self.path, self.written = path, Written(path.name)
-        self._given_back_at = 0
         self._stream = path.open("xb")
         self._schema_ids: dict[tuple[str, Definition], int] = {}
         self._channel_ids: dict[str, int] = {}
@@ -143,8 +139,6 @@ class FileWriter:
         written = self.written
         written.counts[topic] += 1
         written.first_ns, written.last_ns = min(written.first_ns, log_time_ns), max(written.last_ns, log_time_ns)
-        if self.size - self._given_back_at >= GIVE_BACK_EVERY:
-            self._give_back()
 
     def flush(self) -> None:
         """Hand everything written so far to the operating system, so that it outlives this process.
@@ -156,14 +150,11 @@ class FileWriter:
         if not os.fstat(self._stream.fileno()).st_nlink:
             raise FileNotFoundError(errno.ENOENT, "the file has been removed", str(self.path))
 
-    def _give_back(self) -> None:
-        """Have the disk write what is new, and free the memory of what it has written.
-
-        Once a bag fills the memory of the machine, Linux searches it for a page for every page that is written.
-        """
-        self._given_back_at = self.size
-        first = max(0, self.size - GIVE_BACK_OF_LAST)
-        os.posix_fadvise(self._stream.fileno(), first, self.size - first, os.POSIX_FADV_DONTNEED)
+    def give_back(self) -> None:
+        """Have the disk write what is new, and free the memory of the last bytes that it has written."""
+        last = 1 << 27  # bytes; of a disk that falls behind by more, the rest stays in memory
+        with contextlib.suppress(ValueError):  # it has been closed
+            os.posix_fadvise(self._stream.fileno(), max(0, self.size - last), 0, os.POSIX_FADV_DONTNEED)
 
     def finish(self, records: Mapping[str, Mapping[str, str]]) -> None:
         """Write metadata records by name, and the index, and close the file."""
@@ -301,6 +292,13 @@ class BagWriter:
         """Hand everything written so far to the operating system, so that it outlives this process."""
         with self._breaking():
             self._file.flush()
+
+    def give_back(self) -> None:
+        """Free the memory of what the disk has. To be called several times a second, by any thread.
+
+        Once a bag fills the memory of the machine, Linux searches it for a page for every page that is written.
+        """
+        self._file.give_back()
 
     def close(self, records: Mapping[str, Mapping[str, str]] = MappingProxyType({})) -> None:
         """Write metadata and index and close the file; may be called twice.

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from mcap.writer import CompressionType, Writer
 
-from sal_height.bag import writer as bag_writer
 from sal_height.bag.mcap_file import CHUNK_SIZE, McapFile
 from sal_height.bag.writer import BagWriter
 
@@ -53,19 +52,17 @@ def test_its_bytes_are_those_of_the_mcap_package(compression: str, write: Callab
 
 
 def test_memory_of_what_the_disk_has_is_given_back(tmp_path: Path) -> None:
-    """The file stays out of the memory of the machine, however long it gets."""
     with BagWriter(tmp_path / "run") as bag, bag.file.open("rb") as stream:
         bag.add_topic("/bytes", STRING)
-        for number in range(2 * bag_writer.GIVE_BACK_EVERY // CHUNK_SIZE + 4):
-            bag.write("/bytes", bytes(CHUNK_SIZE), number, number)
-            if number == 0:
-                assert is_in_memory(stream.fileno())
-            os.fdatasync(stream.fileno())
-        if not is_in_memory(stream.fileno()):
-            return
-        os.posix_fadvise(stream.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
-        assert is_in_memory(stream.fileno()), "the writer has not given it back"
-        pytest.skip("files of this folder are always in memory")
+        bag.write("/bytes", bytes(2 * CHUNK_SIZE), 0, 0)
+        assert is_in_memory(stream.fileno())
+        os.fdatasync(stream.fileno())
+        bag.give_back()
+        if is_in_memory(stream.fileno()):
+            os.posix_fadvise(stream.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
+            assert is_in_memory(stream.fileno()), "the writer has not given it back"
+            pytest.skip("files of this folder are always in memory")
+    bag.give_back()  # nothing more
 
 
 def is_in_memory(file: int) -> bool:

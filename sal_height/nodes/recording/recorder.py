@@ -52,6 +52,7 @@ ACCOUNTS = {DIAGNOSTICS, PROGRESS}  # accounts of these would be recorded in tur
 FAILED = "internal error"  # kind of the errors that no message should cause
 QUEUE_DEPTH = 1000  # messages per topic that may wait in the middleware until the node reads them
 DIAGNOSTICS_PERIOD_S = 0.5
+GIVE_BACK_PERIOD_S = 0.1
 
 OF_DWELLS = {FRAME_TYPE, IMAGE_TYPE, HEIGHT_TYPE, ODOMETRY_TYPE}
 """Types of which every message matters, however it is published."""
@@ -130,6 +131,7 @@ class Recorder(Role, Node):
         if self._reader:
             self._every(ASK_PERIOD_S, partial(self._look_for_parameters, self._reader))
         self._accounting = Repeated(DIAGNOSTICS_PERIOD_S, guarded(self._publish_account, self._fail), "account")
+        self._giving_back = Repeated(GIVE_BACK_PERIOD_S, guarded(self._bag.give_back, self._fail), "give back")
         self._discover()
 
     @property
@@ -184,6 +186,7 @@ class Recorder(Role, Node):
         self._ending.set()
         self._arrival.set()
         self._worker.join()
+        self._giving_back.end()
         with self._lock:
             if self._closed:
                 return

@@ -50,6 +50,7 @@ setup(
         "cyclopts",
         "cycler",
         "finufft",
+        "lz4",
         "matplotlib",
         "mcap",
         "numba",
@@ -63,6 +64,7 @@ setup(
         "scipy>=1.16",
         "threadpoolctl>=3.8",
         "tqdm",
+        "zstandard",
     ],
     extras_require={
         "batch": ["dask", "distributed", "pyarrow"],

@@ -86,16 +86,20 @@ def check_types(reader: BagReader) -> Iterator[Finding]:
             yield from _check_type(topic)
 
 
+def left_out(reader: BagReader) -> dict[str, dict[str, int]]:
+    """Messages that are not in a bag, as its recorder says: their number by reason, by topic."""
+    accounts = [account for index in reader.indexes for account in index.records.get(ACCOUNT, {}).items()]
+    return {topic: lost for topic, text in accounts if (lost := _left_out(text))}
+
+
 def check_accounts(reader: BagReader) -> Iterator[Finding]:
     """Check for messages that the recorder reports as left out, and for recorded parameters."""
-    for index in reader.indexes:
-        for topic, text in index.records.get(ACCOUNT, {}).items():
-            if lost := _left_out(text):
-                reasons = ", ".join(f"{count} {reason}" for reason, count in lost.items())
-                yield warning(
-                    f"Messages of topic {topic} are not in the bag, as its recorder says: {reasons}.",
-                    "Record to a faster disk, or with more memory (max_memory_mb of node recorder).",
-                )
+    for topic, lost in left_out(reader).items():
+        reasons = ", ".join(f"{count} {reason}" for reason, count in lost.items())
+        yield warning(
+            f"Messages of topic {topic} are not in the bag, as its recorder says: {reasons}.",
+            "Record to a faster disk, or with more memory (max_memory_mb of node recorder).",
+        )
     in_products = any(topic.type_name in WITH_PROVENANCE and topic.count for topic in reader.topics.values())
     events = reader.topics.get(PARAMETER_EVENTS)
     stated = PARAMETERS in reader.custom_data or parameters_file(reader.path).is_file()

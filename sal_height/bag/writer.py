@@ -13,18 +13,12 @@ from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, NamedTuple, Self
 
-from mcap.writer import CompressionType, Writer
-
 from sal_height.bag import qos as qos_text
 from sal_height.bag.files import CHECKSUM, CUSTOM_DATA, REPEATED, REPEATED_SEQUENCE, checksum
+from sal_height.bag.mcap_file import McapFile
 from sal_height.bag.qos import TRANSIENT_LOCAL, Qos, yaml_text
 from sal_height.errors import UserError
 from sal_height.messages.definition import Definition, known_definition
-
-CHUNK_SIZE = 1 << 20  # bytes; a larger message becomes a chunk of its own
-
-COMPRESSIONS = {"none": CompressionType.NONE, "lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD}
-"""Compressions of chunks, by the names that users give. Noise and speckle hardly get smaller."""
 
 NO_TIME = 2**63 - 1
 """Start of a bag without messages, as rosbag2 states it."""
@@ -106,8 +100,7 @@ class FileWriter:
         self._stream = path.open("xb")
         self._schema_ids: dict[tuple[str, Definition], int] = {}
         self._channel_ids: dict[str, int] = {}
-        self._writer = Writer(self._stream, chunk_size=CHUNK_SIZE, compression=COMPRESSIONS[compression])
-        self._writer.start(profile="ros2", library="sal_height")
+        self._writer = McapFile(self._stream, compression, profile="ros2", library="sal_height")
         if custom_data:
             self._writer.add_metadata(CUSTOM_DATA, {**custom_data, CHECKSUM: checksum(custom_data)})
         if repeated:
@@ -116,7 +109,7 @@ class FileWriter:
     @property
     def size(self) -> int:
         """Bytes of the file so far, up to a chunk."""
-        return self._stream.tell()
+        return self._writer.size
 
     @property
     def is_closed(self) -> bool:
@@ -157,11 +150,17 @@ class FileWriter:
         if not os.fstat(self._stream.fileno()).st_nlink:
             raise FileNotFoundError(errno.ENOENT, "the file has been removed", str(self.path))
 
+    def give_back(self) -> None:
+        """Have the disk write what is new, and free the memory of the last bytes that it has written."""
+        last = 1 << 27  # bytes; of a disk that falls behind by more, the rest stays in memory
+        with contextlib.suppress(ValueError):  # it has been closed
+            os.posix_fadvise(self._stream.fileno(), max(0, self.size - last), 0, os.POSIX_FADV_DONTNEED)
+
     def finish(self, records: Mapping[str, Mapping[str, str]]) -> None:
         """Write metadata records by name, and the index, and close the file."""
         self._writer.flush()
         for name, values in records.items():
-            self._writer.add_metadata(name, dict(values))
+            self._writer.add_metadata(name, values)
         self._writer.finish()
         self._stream.close()
 
@@ -293,6 +292,13 @@ class BagWriter:
         """Hand everything written so far to the operating system, so that it outlives this process."""
         with self._breaking():
             self._file.flush()
+
+    def give_back(self) -> None:
+        """Free the memory of what the disk has. To be called several times a second, by any thread.
+
+        Once a bag fills the memory of the machine, Linux searches it for a page for every page that is written.
+        """
+        self._file.give_back()
 
     def close(self, records: Mapping[str, Mapping[str, str]] = MappingProxyType({})) -> None:
         """Write metadata and index and close the file; may be called twice.

@@ -41,7 +41,7 @@ EXAMPLES = """
   sal-height live flight.yaml --supervise    nodes for a sensor of your own
 """
 
-app = command("live", PROCESSING, EXAMPLES, "no height was estimated")
+app = command("live", PROCESSING, EXAMPLES, "no height was estimated, or the recorder has lost messages")
 
 
 @app.default
@@ -118,6 +118,7 @@ def live(
     with importing():
         from sal_height.runs.live.live import Live, live
         from sal_height.runs.live.live_table import live_table, showing
+        from sal_height.runs.live.record import messages_left_out
 
     feed, folder = _feed(preset or "sal_spotlight", bag, dwells, 1 if seed is None else seed, out, estimators)
     how = Live(rate or 1.0, end_s, budget or 0.0, supervise)
@@ -132,6 +133,9 @@ def live(
     print(f"see {drawn}{folder}/run/report.json and {folder}/run/bag")
     if not seen.heights:
         complain(["No height was estimated; the table says where dwells were left out."])
+        return FAILED
+    if lost := messages_left_out(folder / "run" / "bag"):
+        complain([f"{lost} messages are not in the bag; 'sal-height bag check {folder}/run/bag' says why."])
         return FAILED
     return DONE
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
@@ -19,6 +19,9 @@ from sal_height.nodes.transport.domain import LOOK_S, LOST, DomainChoice, Ports,
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
 from sal_height.workers.processes import Interruption
+
+SILENT_S = 3.0
+"""Time after its last account, s, from which a node is silent: it publishes two a second."""
 
 MOST_NODES = 1000
 """Greatest number of nodes that are kept: a publisher of endless names uses no more memory."""
@@ -41,6 +44,7 @@ class NodeAccount:
         message: message of its diagnostics.
         received_at: time of its last message, s of the monotonic clock.
         lives: number of processes that it has had.
+        is_there: True if the ROS graph has a node of that name that publishes accounts.
     """
 
     account: Account = field(default_factory=Account)
@@ -48,6 +52,7 @@ class NodeAccount:
     message: str = ""
     received_at: float = 0.0
     lives: int = 0
+    is_there: bool = False
     _before: Account = field(default_factory=Account)
     _pid: int = 0
     _cpu: Pace = field(default_factory=Pace)
@@ -58,8 +63,18 @@ class NodeAccount:
         return sum(self._cpu.rates())
 
     def is_gone(self, now: float) -> bool:
-        """True if it has published nothing for 3 s."""
-        return now - self.received_at > 3.0
+        """True if it is silent and has left the ROS graph, or is no node, as the parts of foreign drivers."""
+        return not self.is_there and self._silent_for_s(now) > SILENT_S
+
+    def note_presence(self, is_there: bool, now: float) -> None:
+        """Enter whether the ROS graph has the node; one that is silent all the same is stale."""
+        self.is_there = is_there
+        if is_there and (silent_s := self._silent_for_s(now)) > SILENT_S:
+            self.level = LEVELS[DiagnosticStatus.STALE]
+            self.message = f"no account for {silent_s:.0f} s; the node is there, and too busy, or stands still"
+
+    def _silent_for_s(self, now: float) -> float:
+        return now - self.received_at
 
     def take(self, status: DiagnosticStatus, now: float) -> None:
         """Enter a status of the node."""
@@ -90,6 +105,11 @@ class AccountBook:
                 continue
             self.entries.setdefault(status.name, NodeAccount()).take(status, now)
 
+    def note_nodes(self, names: Collection[str], now: float) -> None:
+        """Enter which nodes the ROS graph has at the time `now`: names with their namespaces, without leading slash."""
+        for name, entry in self.entries.items():
+            entry.note_presence(name in names, now)
+
 
 class Watcher(Node):
     """Reads the accounts of all nodes on /diagnostics.
@@ -112,6 +132,9 @@ class Watcher(Node):
         self.book.take(message, time.monotonic())
 
     def _look(self) -> None:
+        publishers = self.get_publishers_info_by_topic(DIAGNOSTICS)
+        names = {f"{one.node_namespace.rstrip('/')}/{one.node_name}".lstrip("/") for one in publishers}
+        self.book.note_nodes(names, time.monotonic())
         if not self.is_deaf and (lost := self._ports.lost()):
             self.is_deaf = True
             how = "The nodes go on, unseen; end this program with Ctrl-C, and start it again."

@@ -34,7 +34,7 @@ from sal_height.nodes.accounts.tally import Pace, Tally, process_numbers
 from sal_height.nodes.jobs import JobQueue, QueuedJob
 from sal_height.nodes.managed import INACTIVE, Managed, Role, Topics
 from sal_height.nodes.parameters import LiveParameters
-from sal_height.nodes.transport.callbacks import guarded
+from sal_height.nodes.transport.callbacks import Repeated, guarded
 from sal_height.nodes.transport.endpoints import QOS_OVERRIDES, RECENT_S, Inlet, Outlet
 from sal_height.nodes.transport.message_types import class_of
 from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
@@ -98,7 +98,7 @@ class WorkerNode(Role, Managed):
         self._matched = PublisherEventCallbacks(matched=self._on_match)
         self._account_publisher = AccountPublisher(self, self._on_match)
         self._losses = self.offer(DwellLoss, LOSSES)
-        self.every(DIAGNOSTICS_PERIOD_S, self._measure_pace)
+        self._accounting = Repeated(DIAGNOSTICS_PERIOD_S, guarded(self._measure_pace, self._fail), f"{name} account")
         self._worker: threading.Thread | None = None
         self.begin_work()
         self.serve("~/reset", self._reset)
@@ -454,6 +454,7 @@ class WorkerNode(Role, Managed):
 
     def destroy_node(self) -> None:
         """Finish the job at hand, drop what still waits, publish the last account, and end the node."""
+        self._accounting.end()
         for job in self._jobs.clear():
             if job.messages:
                 self.reject(job.messages, ENDED, _dwell_of(job.item))

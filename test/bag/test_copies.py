@@ -16,9 +16,10 @@ from std_msgs.msg import String
 from sal_height.bag.check import check_bag
 from sal_height.bag.copies import MARGIN_NS, Range, cut, time_of, upgrade
 from sal_height.bag.files import ACCOUNT
+from sal_height.bag.mcap_file import COMPRESSIONS
 from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.bag.topics import stamp_ns_of
-from sal_height.bag.writer import COMPRESSIONS, BagWriter, Packing
+from sal_height.bag.writer import BagWriter, Packing
 from sal_height.commands import main
 from sal_height.errors import UserError
 from sal_height.messages import serialize

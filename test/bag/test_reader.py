@@ -17,9 +17,10 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
 from sal_height.bag import qos
+from sal_height.bag.mcap_file import CHUNK_SIZE
 from sal_height.bag.qos import RELIABLE, TRANSIENT_LOCAL, VOLATILE, Qos
 from sal_height.bag.reader import BagReader
-from sal_height.bag.writer import CHUNK_SIZE, BagWriter, Packing
+from sal_height.bag.writer import BagWriter, Packing
 from sal_height.errors import UserError
 from sal_height.messages import serialize
 from sal_height.messages.definition import Definition, known_definition

@@ -20,10 +20,11 @@ from rosbags.rosbag2 import Reader
 from std_msgs.msg import String
 
 from sal_height.bag.files import read_index
+from sal_height.bag.mcap_file import CHUNK_SIZE
 from sal_height.bag.qos import TRANSIENT_LOCAL, Qos
 from sal_height.bag.reader import BagReader
 from sal_height.bag.salvage import UNKNOWN, recover
-from sal_height.bag.writer import CHUNK_SIZE, BagWriter, Packing
+from sal_height.bag.writer import BagWriter, Packing
 from sal_height.commands import main
 from sal_height.errors import UserError
 

@@ -18,10 +18,11 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from std_msgs.msg import String
 
+from sal_height.bag.mcap_file import CHUNK_SIZE, COMPRESSIONS
 from sal_height.bag.qos import TRANSIENT_LOCAL, Qos
 from sal_height.bag.reader import BagReader
 from sal_height.bag.salvage import recover
-from sal_height.bag.writer import CHUNK_SIZE, COMPRESSIONS, BagWriter, Packing
+from sal_height.bag.writer import BagWriter, Packing
 
 STRING = "std_msgs/msg/String"
 LATCHED = Qos(depth=1, durability=TRANSIENT_LOCAL)

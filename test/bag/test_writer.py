@@ -17,10 +17,11 @@ from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import Reader
 from std_msgs.msg import String
 
+from sal_height.bag.mcap_file import CHUNK_SIZE
 from sal_height.bag.qos import TRANSIENT_LOCAL, Qos
 from sal_height.bag.reader import BagReader
 from sal_height.bag.salvage import recover
-from sal_height.bag.writer import CHUNK_SIZE, BagWriter
+from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.messages import serialize
 from sal_height.messages.definition import known_definition

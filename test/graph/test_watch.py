@@ -5,16 +5,20 @@ from __future__ import annotations
 import io
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 
 import pytest
+from rclpy.node import Node
 from rich.console import Console
 
 from sal_height.commands import main
-from sal_height.graph.watch import MOST_NODES, AccountBook
+from sal_height.graph.watch import MOST_NODES, AccountBook, Watcher
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, KeyValue
+from sal_height.nodes.accounts.account import DIAGNOSTICS
 from sal_height.nodes.processing import PROCESSING
 from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.message_types import class_of, publish
 from sal_height.runs.live.live_table import node_table
 
 DEADLINE_S = 60.0
@@ -78,6 +82,36 @@ def test_the_table_fits_a_terminal_and_says_what_is_wrong() -> None:
     assert "ml_height has left out in the last minute (in all): overload 4 (12)." in " ".join(text.split())
     assert "ml_height says: 12 dropped" in text
     assert "gone_long_ago publishes nothing any more." in text
+
+
+def test_a_silent_node_is_gone_once_the_graph_no_longer_has_it() -> None:
+    book = AccountBook()
+    book.take(told("lidar/sar_compression"), 0.0)
+    book.take(told("driver: temperature"), 0.0)
+    book.note_nodes({"lidar/sar_compression", "driver"}, 10.0)
+    text = " ".join(drawn(book, 10.0).split())
+    assert "sar_compression stale" in text
+    assert "sar_compression says: no account for 10 s; the node is there, and too busy, or stands still" in text
+    assert "driver: temperature gone" in text
+    book.note_nodes({"driver"}, 11.0)
+    assert "sar_compression gone" in " ".join(drawn(book, 11.0).split())
+    book.take(told("lidar/sar_compression"), 12.0)
+    book.note_nodes({"lidar/sar_compression"}, 13.0)
+    assert "sar_compression ok" in " ".join(drawn(book, 13.0).split())
+
+
+def test_the_watcher_sees_which_nodes_the_graph_has(graph: Graph) -> None:
+    """A node that publishes no second account is there until it is destroyed."""
+    book = AccountBook()
+    graph.add(Watcher(book, context=graph.context))
+    node = Node("busy", namespace="/lidar", context=graph.context)
+    publisher = node.create_publisher(class_of(DiagnosticArray), DIAGNOSTICS, 10)
+    assert spun_until(graph, lambda: publisher.get_subscription_count() > 0)
+    publish(publisher, told("lidar/busy"))
+    assert spun_until(graph, lambda: "lidar/busy" in book.entries and book.entries["lidar/busy"].is_there)
+    assert not book.entries["lidar/busy"].is_gone(time.monotonic() + 100.0)
+    node.destroy_node()
+    assert spun_until(graph, lambda: book.entries["lidar/busy"].is_gone(time.monotonic() + 100.0))
 
 
 def test_names_without_end_take_no_memory_without_end() -> None:

@@ -224,6 +224,7 @@ class TopicCounts:
     written: int = 0
     left_out: Counter[str] = field(default_factory=Counter)
     _number: int = 0
+    _publishers: int = 1
 
     def receive(self, number: int | None, publishers: Callable[[], int]) -> None:
         """Count a message, and those before it that were lost.
@@ -236,9 +237,14 @@ class TopicCounts:
         if number is None:
             return
         missed = number - self._number - 1 if self._number else 0  # what was published before the first one is no loss
-        if missed > 0 and not self.latched and publishers() == 1:
+        if missed > 0 and not self.latched and self._is_of_one(publishers()):
             self.left_out[ON_THE_WAY] += missed
         self._number = number
+
+    def _is_of_one(self, publishers: int) -> bool:
+        """True if the messages are those of one publisher; none left: of as many as there were at the gap before."""
+        self._publishers = publishers or self._publishers
+        return self._publishers == 1
 
     @property
     def missed(self) -> int:

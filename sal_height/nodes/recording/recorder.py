@@ -44,7 +44,7 @@ from sal_height.nodes.parameters import LiveParameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.recording.parameter_reader import ASK_PERIOD_S, ParameterReader
 from sal_height.nodes.recording.recorder_parameters import RecorderParameters, Selection
-from sal_height.nodes.transport.callbacks import guarded, with_times
+from sal_height.nodes.transport.callbacks import Repeated, guarded, with_times
 from sal_height.nodes.transport.message_types import message_class
 from sal_height.nodes.transport.qos import from_profile
 
@@ -52,6 +52,7 @@ ACCOUNTS = {DIAGNOSTICS, PROGRESS}  # accounts of these would be recorded in tur
 FAILED = "internal error"  # kind of the errors that no message should cause
 QUEUE_DEPTH = 1000  # messages per topic that may wait in the middleware until the node reads them
 DIAGNOSTICS_PERIOD_S = 0.5
+GIVE_BACK_PERIOD_S = 0.1
 
 OF_DWELLS = {FRAME_TYPE, IMAGE_TYPE, HEIGHT_TYPE, ODOMETRY_TYPE}
 """Types of which every message matters, however it is published."""
@@ -129,13 +130,14 @@ class Recorder(Role, Node):
         self._every(0.1, self._discover)
         if self._reader:
             self._every(ASK_PERIOD_S, partial(self._look_for_parameters, self._reader))
-        self._every(DIAGNOSTICS_PERIOD_S, self._publish_account)
+        self._accounting = Repeated(DIAGNOSTICS_PERIOD_S, guarded(self._publish_account, self._fail), "account")
+        self._giving_back = Repeated(GIVE_BACK_PERIOD_S, guarded(self._bag.give_back, self._fail), "give back")
         self._discover()
 
     @property
     def recorded(self) -> dict[str, int]:
         """Number of messages in the bag, by topic; 0 for a topic that has just been subscribed to."""
-        return {topic: counts.written for topic, counts in self._topic_counts.items()}
+        return {topic: counts.written for topic, counts in self.topic_counts.items()}
 
     def missed(self, topic: str) -> int:
         """Messages of a topic that its publisher has sent and that have not arrived."""
@@ -177,13 +179,14 @@ class Recorder(Role, Node):
     @property
     def _left_out(self) -> Counter[str]:
         """Messages of all topics that are not in the bag, by reason."""
-        return sum((counts.left_out for counts in self._topic_counts.values()), Counter[str]())
+        return sum((counts.left_out.copy() for counts in self.topic_counts.values()), Counter[str]())
 
     def close_bag(self) -> None:
         """Write what has arrived so far and complete the bag; later messages are ignored. May be called twice."""
         self._ending.set()
         self._arrival.set()
         self._worker.join()
+        self._giving_back.end()
         with self._lock:
             if self._closed:
                 return
@@ -201,6 +204,7 @@ class Recorder(Role, Node):
 
     def destroy_node(self) -> None:
         """Complete the bag and destroy the node."""
+        self._accounting.end()
         self.close_bag()
         super().destroy_node()
 
@@ -379,7 +383,7 @@ class Recorder(Role, Node):
             ignored={name: count for name, count in ignored.items() if count},
             missed={
                 topic.lstrip("/"): counts.missed
-                for topic, counts in self._topic_counts.items()
+                for topic, counts in self.topic_counts.items()
                 if counts.missed and not counts.latched
             },
             recorded={topic.lstrip("/"): count for topic, count in self.recorded.items()},

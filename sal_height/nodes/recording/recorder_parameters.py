@@ -7,7 +7,8 @@ import re
 from collections.abc import Collection, Iterable, Sequence
 
 from sal_height.bag.described import PARAMETER_EVENTS
-from sal_height.bag.writer import COMPRESSIONS, Packing
+from sal_height.bag.mcap_file import COMPRESSIONS
+from sal_height.bag.writer import Packing
 from sal_height.errors import UserError
 from sal_height.nodes.accounts.account import PROGRESS
 from sal_height.settings import Settings, setting

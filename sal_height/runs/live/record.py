@@ -12,7 +12,9 @@ from rclpy.parameter import Parameter
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from sal_height.bag.check import left_out
 from sal_height.bag.described import PARAMETER_EVENTS
+from sal_height.bag.reader import BagReader
 from sal_height.graph.watch import looks
 from sal_height.io import check_new_folder, free_folder
 from sal_height.nodes.accounts.account import TopicCounts
@@ -87,6 +89,15 @@ def record(
         done.topic_counts = recorder.topic_counts
     show(done)
     return done
+
+
+def messages_left_out(bag: Path) -> int:
+    """Number of messages that are not in a complete bag, as its recorder says.
+
+    Raises:
+        UserError: the bag is incomplete, since its recorder was killed or its disk was full.
+    """
+    return sum(sum(lost.values()) for lost in left_out(BagReader(bag)).values())
 
 
 def recorded_table(done: RecordingProgress) -> Table:

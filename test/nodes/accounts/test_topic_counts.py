@@ -36,6 +36,14 @@ def test_the_numbers_of_several_publishers_tell_nothing() -> None:
     assert of(1, 1, 5, 2, 6, publishers=2).left_out == {}
 
 
+def test_what_a_publisher_leaves_that_has_ended_is_counted_as_before() -> None:
+    """A recorder that falls behind reads the last messages when their publisher is no longer there."""
+    assert of(1, 2, 5, publishers=0).left_out == {ON_THE_WAY: 2}
+    counts = of(1, 1, 5, 2, 6, publishers=2)
+    counts.receive(9, lambda: 0)
+    assert counts.left_out == {}
+
+
 def test_the_bag_gets_all_counts() -> None:
     counts = of(1, 2, 4)
     counts.written = 3

@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -32,6 +33,7 @@ from std_msgs.msg import String
 
 from sal_height.bag.reader import BagReader
 from sal_height.bag.salvage import recover
+from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.messages import deserialize, serialize
 from sal_height.messages.parameters import parameter_of
@@ -52,6 +54,7 @@ from sal_height.nodes.recording.recorder import Recorder, _replaces
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
 from sal_height.nodes.transport.qos import LATCHED_QOS
+from sal_height.runs.live.record import messages_left_out
 
 TIMEOUT_S = 120.0
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -315,6 +318,17 @@ def test_messages_that_wait_for_the_disk_are_bounded_by_memory(graph: Graph, sou
     assert written == ["0", "1", "2", "3", "a"]
 
 
+def test_memory_is_given_back_until_the_end(graph: Graph, bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By a thread of its own: the disk may make it wait, but not the one that writes, nor timers."""
+    given: list[str] = []
+    monkeypatch.setattr(BagWriter, "give_back", lambda _: given.append(threading.current_thread().name))
+    recorder = start(graph, bag)
+    assert graph.spin_until(lambda: len(given) > 3, TIMEOUT_S)
+    recorder.close_bag()
+    assert set(given) == {"give back"}
+    assert "give back" not in {thread.name for thread in threading.enumerate()}
+
+
 @pytest.mark.parametrize(
     ("owner", "part"),
     [
@@ -443,6 +457,7 @@ def test_the_bag_says_what_became_of_all_messages(
         "/note": {"received": 1003, "written": 1001, "left_out": left_out},
         "/other": {"received": 1, "written": 1, "left_out": {}},
     }
+    assert messages_left_out(bag) == 502
 
 
 def parameters_in(file: Path) -> dict[str, dict[str, Any]]:

@@ -19,11 +19,12 @@ from sal_height.bag.tolerance import ROUNDING, Tolerances
 from sal_height.bag.topics import FRAME_TYPE, HEIGHT_TYPE, IMAGE_TYPE, ODOMETRY_TYPE, SENSOR_TYPE
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import HEIGHTS, TRACKER, NodeParameters, consumers, recorded_topics
-from sal_height.graph.plan import DEFAULT, Execution, Outcome, Plan
+from sal_height.graph.plan import DEFAULT, AsFlown, Execution, Outcome, Plan
 from sal_height.graph.reporting import PARAMETERS, RELIEF_MAP, conclude, merged, reporting
 from sal_height.io import new_folder, or_null, writing
 from sal_height.messages import AIR, AIR_TYPES
 from sal_height.response import measure_brightest
+from sal_height.runs.chain.as_flown import NOT_MADE
 from sal_height.runs.chain.entry import FROM_HEIGHTS, MAPPER, WHOLE, Part, chain_of
 from sal_height.runs.chain.recorded_images import recorded_slc
 from sal_height.runs.chain.replay_parameters import ReplayPlan, processing_of
@@ -310,6 +311,7 @@ def replay(
     chain = chain_of(reader, part.entry, estimators)
     processing = processing_of(reader, chain, part, consumers(chain.makers), parameters)
     playing.check(processing)
+    _warn_of_unknown_reasons(reader.path, processing.as_flown)
     jobs = jobs_without_ros(jobs)
     if jobs is not None and playing != IN_LOCKSTEP:
         raise UserError(
@@ -347,6 +349,7 @@ def replay(
             processing.mountings,
             announces=playing.clock == LOCKSTEP and part.entry == FRAMES,
             frames=processing.frames,
+            as_flown=processing.as_flown,
         )
         outcome = _perform(plan, execution, processing, jobs)
         conclude(outcome, values, report)
@@ -357,8 +360,9 @@ def replay(
         judged = [topic for topic in judged if topic in golden.topics]
         if judged and not outcome.interrupted:
             new = NamespacedReader(made, "", {f"/{name}": f"/{topic}" for topic, name in remapping.of_nodes.items()})
-            first_pass = processing.is_of_first_pass if playing.loops > 1 else None
-            compared = compare_bags(golden, new, against.tolerances, judged, processing.plays, first_pass)
+            compared = compare_bags(
+                golden, new, against.tolerances, judged, processing.plays, processing.is_judged, by_stamp=True
+            )
             draw_worst_dwell(golden, new, compared, folder)
             report["comparison"] = as_json(golden, new, compared, against.tolerances) | {"passes": 1}
         flight = recorded_flight(reader)
@@ -367,6 +371,18 @@ def replay(
         report["estimators"] = accuracy
         report["images"] = images
     return Replay(outcome, compared, accuracy, images)
+
+
+def _warn_of_unknown_reasons(bag: Path, as_flown: AsFlown) -> None:
+    """Log that dwells are left out for the only reason that the bag has no heights of them, if there are such."""
+    unknown = [f"{len(one['dwells'])} by {one['node']}" for one in as_flown.report() if one["reason"] == NOT_MADE]
+    if unknown:
+        _LOG.warning(
+            "Bag %s: dwells without recorded heights are left out, as in flight (%s); no message on topic losses says "
+            "why. `sal-height batch` processes them.",
+            bag,
+            ", ".join(unknown),
+        )
 
 
 def _perform(plan: Plan, execution: Execution, processing: ReplayPlan, jobs: int | None) -> Outcome:

@@ -27,8 +27,10 @@ from sal_height.messages import to_ns
 from sal_height.nodes.accounts.account import DIAGNOSTICS
 from sal_height.topics import LOSSES
 
+INCOMPLETE = "incomplete dwell"
+
 OF_LOAD = frozenset(
-    {"overload", "queue full", "buffer full", "incomplete dwell", "inactive", "reset", "ended", "no sensor info"}
+    {"overload", "queue full", "buffer full", INCOMPLETE, "inactive", "reset", "ended", "no sensor info"}
 )
 """Reasons that depend on the machine and the time of the flight, not on the data."""
 
@@ -63,14 +65,14 @@ class FlownDwells:
         losses: dwells and messages that nodes left out.
         started: times at which nodes that had been started again were first noticed, ns, by node.
         unwritten: messages that the recorder has missed or left out, by topic.
-        strips: sensors (config_hash) in stripmap, of whose dwells some complete no image.
+        has_strips: True if a sensor of the bag is in stripmap, so that the compression keeps something between dwells.
     """
 
     made: Mapping[str, Mapping[DwellKey, int]] = field(default_factory=dict)
     losses: Sequence[FlownLoss] = ()
     started: Mapping[str, Sequence[int]] = field(default_factory=dict)
     unwritten: Mapping[str, int] = field(default_factory=dict)
-    strips: frozenset[str] = frozenset()
+    has_strips: bool = False
 
 
 NOTHING_FLOWN = FlownDwells()
@@ -84,8 +86,8 @@ def flown_in(reader: BagReader, made: Mapping[str, Mapping[DwellKey, int]]) -> F
         made: times when the heights of each dwell were recorded, ns, by topic.
     """
     sensors = sensors_of(reader)[0] if "/sensor_info" in reader.topics else {}
-    strips = frozenset(name for name, sensor in sensors.items() if sensor.mode == "stripmap")
-    return FlownDwells(made, list(_losses_in(reader)), _restarts_in(reader), _unwritten_in(reader), strips)
+    has_strips = any(sensor.mode == "stripmap" for sensor in sensors.values())
+    return FlownDwells(made, list(_losses_in(reader)), _restarts_in(reader), _unwritten_in(reader), has_strips)
 
 
 def as_flown(
@@ -143,6 +145,8 @@ class _Plan:
             losses[one.node].add(one.reason)
         for name, dwells in self._left_out.items():
             losses[name].update(reason.reason for reason in dwells.values())
+        if self._flown.made and set(self._dwells) - self._shown_by_heights(COMPRESSION) - self._lost_at(COMPRESSION):
+            losses[COMPRESSION].add(INCOMPLETE)  # at the begin and the end of a recording
         return AsFlown(
             {name: dwells for name, dwells in self._left_out.items() if dwells},
             {name: list(self._restarts(name)) for name in self._stages if name in self._flown.started},
@@ -161,7 +165,7 @@ class _Plan:
             if dwell in processed or dwell in self._lost_before[name]:
                 continue
             if loss is None:
-                if made and self._has_image(dwell):
+                if made:
                     unexplained.append(dwell)
             elif loss.reason in OF_LOAD or (loss.reason in OF_ARRIVAL and name not in self._given):
                 self._left_out[name][dwell] = Rejected(loss.reason, loss.sentence)
@@ -199,13 +203,9 @@ class _Plan:
         lost = {dwell for node, dwell in self._lost if node == name}
         return lost.union(self._left_out.get(name, ())) - self._processed.get(name, frozenset())
 
-    def _has_image(self, dwell: DwellKey) -> bool:
-        """True if a dwell that nobody lost has an image: of blocks of strips only heights show it."""
-        return dwell.sensor not in self._flown.strips or any(dwell in made for made in self._flown.made.values())
-
     def _restarts(self, name: str) -> Iterator[DwellKey]:
         """First dwells that a stage has processed after each of its further starts, if it keeps something of dwells."""
-        if STAGES[name].is_parallel and not (name == COMPRESSION and self._flown.strips):
+        if STAGES[name].is_parallel and not (name == COMPRESSION and self._flown.has_strips):
             return
         times: Mapping[DwellKey, int] = self._made(_topic_of(name)) or self._made(self._source.get(name, ""))
         if not times:

@@ -19,7 +19,7 @@ from sal_height.bag.tolerance import ROUNDING, Tolerances
 from sal_height.bag.topics import FRAME_TYPE, HEIGHT_TYPE, IMAGE_TYPE, ODOMETRY_TYPE, SENSOR_TYPE
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import HEIGHTS, TRACKER, NodeParameters, consumers, recorded_topics
-from sal_height.graph.plan import DEFAULT, AsFlown, Execution, Outcome, Plan
+from sal_height.graph.plan import DEFAULT, Execution, Outcome, Plan
 from sal_height.graph.reporting import PARAMETERS, RELIEF_MAP, conclude, merged, reporting
 from sal_height.io import new_folder, or_null, writing
 from sal_height.messages import AIR, AIR_TYPES
@@ -311,7 +311,6 @@ def replay(
     chain = chain_of(reader, part.entry, estimators)
     processing = processing_of(reader, chain, part, consumers(chain.makers), parameters)
     playing.check(processing)
-    _warn_of_unknown_reasons(reader.path, processing.as_flown)
     jobs = jobs_without_ros(jobs)
     if jobs is not None and playing != IN_LOCKSTEP:
         raise UserError(
@@ -352,6 +351,7 @@ def replay(
             as_flown=processing.as_flown,
         )
         outcome = _perform(plan, execution, processing, jobs)
+        _warn_of_unknown_reasons(bag, outcome)
         conclude(outcome, values, report)
         compared = {}
         all_made = not estimators and part.entry != FROM_HEIGHTS
@@ -373,15 +373,15 @@ def replay(
     return Replay(outcome, compared, accuracy, images)
 
 
-def _warn_of_unknown_reasons(bag: Path, as_flown: AsFlown) -> None:
-    """Log that dwells are left out for the only reason that the bag has no heights of them, if there are such."""
-    unknown = [f"{len(one['dwells'])} by {one['node']}" for one in as_flown.report() if one["reason"] == NOT_MADE]
-    if unknown:
+def _warn_of_unknown_reasons(bag: Path, outcome: Outcome) -> None:
+    """Log that nodes left out dwells for the only reason that the bag has no heights of them, if they did."""
+    nodes = [name for name, account in outcome.stages.items() if NOT_MADE in account.dropped]
+    if nodes:
         _LOG.warning(
-            "Bag %s: dwells without recorded heights are left out, as in flight (%s); no message on topic losses says "
-            "why. `sal-height batch` processes them.",
+            "Bag %s: dwells of which it has no heights of %s were left out, as in flight; no message on topic losses "
+            "says why. `sal-height batch` processes all dwells.",
             bag,
-            ", ".join(unknown),
+            ", ".join(nodes),
         )
 
 

@@ -95,6 +95,12 @@ def test_without_losses_the_heights_say_which_dwells_were_made() -> None:
     }
 
 
+def test_frames_that_the_recording_lacks_of_dwells_without_heights_lacked_in_flight() -> None:
+    assert "incomplete dwell" in plan({"ml": but(5), "tracked": but(5)}).losses["sar_compression"]
+    assert not plan({"ml": ALL, "tracked": ALL}).losses["sar_compression"]
+    assert plan({"ml": but(5)}, [("sar_compression", 5, "autofocus")]).losses["sar_compression"] == {"autofocus"}
+
+
 def test_an_estimator_without_recorded_heights_leaves_nothing_out() -> None:
     assert left_out(plan({"ml": but(1), "tracked": but(1)})) == {("ml_height", NOT_MADE): [1]}
 
@@ -111,11 +117,6 @@ def test_the_count_of_the_recorder_says_whether_it_has_missed_heights(missed: in
     assert found.unrecorded == ({} if is_left_out else {"tracked": {key(1), key(2)}})
 
 
-def test_blocks_of_a_strip_that_complete_no_image_are_not_taken_for_lost() -> None:
-    made = {"monopulse": but(0, 1), "ml": but(0, 1, 3), "tracked": but(0, 1, 3)}
-    assert left_out(plan(made, strips=frozenset({""}))) == {("ml_height", NOT_MADE): [3]}
-
-
 def test_a_tracker_that_was_started_again_begins_with_the_first_dwell_recorded_after_that() -> None:
     """Estimators keep nothing of the dwells before."""
     started = {"relief_tracker": [3 * 10**9], "ml_height": [3 * 10**9]}
@@ -123,6 +124,13 @@ def test_a_tracker_that_was_started_again_begins_with_the_first_dwell_recorded_a
     scheduled = list(found.scheduled("relief_tracker"))
     assert [(dwell, type(item)) for dwell, item in scheduled if isinstance(item, Reset)] == [(key(4), Reset)]
     assert not list(found.scheduled("ml_height"))
+
+
+@pytest.mark.parametrize("has_strips", [False, True])
+def test_a_compression_that_was_started_again_begins_a_strip_with_frames_recorded_after_that(has_strips: bool) -> None:
+    made, started = {"ml": but(2), "tracked": but(2)}, {"sar_compression": [2 * 10**9]}
+    found = plan(made, [("sar_compression", 2, "incomplete dwell")], started=started, has_strips=has_strips)
+    assert found.restarted == {"sar_compression": [key(3)] if has_strips else []}
 
 
 def test_dwells_of_one_number_are_told_apart_by_their_stamps() -> None:

@@ -71,10 +71,10 @@ def changed(node: str, **values: Any) -> ParameterEvent:
     return ParameterEvent(node=f"/{node}", changed_parameters=told(node, **values).new_parameters)
 
 
-def lost(node: str, dwell: int, reason: str) -> DwellLoss:
+def lost(node: str, dwell: int, reason: str, count: int = 0) -> DwellLoss:
     """A node left out a dwell."""
     stamp = messages.to_stamp(key(dwell).stamp_ns)
-    return DwellLoss(node=node, of_dwell=True, dwell=dwell, dwell_stamp=stamp, reason=reason)
+    return DwellLoss(node=node, of_dwell=True, dwell=dwell, dwell_stamp=stamp, messages=count, reason=reason)
 
 
 def process(node: str, number: int) -> DiagnosticArray:

@@ -253,7 +253,7 @@ def perform(plan: Plan, execution: Execution = DEFAULT) -> Outcome:
                     failure = error
                 elapsed_s = time.monotonic() - began
             accounts, played = run.final_accounts(), run.played
-    return Outcome(accounts, played, interrupted, failure, elapsed_s, plan.as_flown)
+    return Outcome(accounts, played, interrupted, failure, elapsed_s)
 
 
 def refuse_company(node: Any, topics: Iterable[str], own: int) -> None:

@@ -44,14 +44,14 @@ class AsFlown:
     Attributes:
         left_out: reasons for which dwells are left out, by node.
         restarted: dwells before which nodes were started again, by node.
-        losses: reasons for which nodes left out messages in flight, by node, whether or not they are imposed.
+        unmade: dwells that nodes did not process in flight for whatever reason, by node.
         unrecorded: dwells whose heights were made and are not in the bag, by prefix of the topic.
         lost_before: dwells that did not get as far as a node, by node.
     """
 
     left_out: Mapping[str, Mapping[DwellKey, Rejected]] = field(default_factory=dict)
     restarted: Mapping[str, Sequence[DwellKey]] = field(default_factory=dict)
-    losses: Mapping[str, frozenset[str]] = field(default_factory=dict)
+    unmade: Mapping[str, frozenset[DwellKey]] = field(default_factory=dict)
     unrecorded: Mapping[str, frozenset[DwellKey]] = field(default_factory=dict)
     lost_before: Mapping[str, frozenset[DwellKey]] = field(default_factory=dict)
 
@@ -147,7 +147,8 @@ class Outcome:
         interrupted: True if the user stopped the run.
         failure: error that ended the run early, unless the user stopped it.
         elapsed_s: time from the first step until the last dwell was settled, or until the run ended, s.
-        as_flown: dwells that nodes left out in flight.
+        as_flown: messages that were dropped of dwells that the node did not process in flight either, by node and
+            reason.
     """
 
     stages: dict[str, Account]
@@ -155,24 +156,22 @@ class Outcome:
     interrupted: bool
     failure: UserError | None = None
     elapsed_s: float = 0.0
-    as_flown: AsFlown = ALL_PROCESSED
+    as_flown: Mapping[tuple[str, str], int] = field(default_factory=dict)
 
     @property
     def losses(self) -> list[str]:
-        """Warnings, one for each node and reason for which it dropped messages, but for those of the flight."""
-        return [f"Node {name} dropped {count} messages ({reason})." for name, reason, count in self._dropped(False)]
+        """Warnings, one for each node and reason for which it dropped messages, but for those `as_flown`."""
+        return [
+            f"Node {name} dropped {count - self.as_flown.get((name, reason), 0)} messages ({reason})."
+            for name, account in self.stages.items()
+            for reason, count in account.dropped.items()
+            if count > self.as_flown.get((name, reason), 0)
+        ]
 
     @property
     def losses_as_flown(self) -> list[str]:
         """Sentences, one for each node and reason for which it left out messages as it had in flight."""
         return [
             f"Node {name} left out {count} messages as in flight ({reason})."
-            for name, reason, count in self._dropped(True)
+            for (name, reason), count in self.as_flown.items()
         ]
-
-    def _dropped(self, as_flown: bool) -> Iterator[tuple[str, str, int]]:
-        """Node, reason and number of messages of all losses that the flight had, or had not."""
-        for name, account in self.stages.items():
-            for reason, count in account.dropped.items():
-                if (reason in self.as_flown.losses.get(name, ())) == as_flown:
-                    yield name, reason, count

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -27,10 +27,8 @@ from sal_height.messages import to_ns
 from sal_height.nodes.accounts.account import DIAGNOSTICS
 from sal_height.topics import LOSSES
 
-INCOMPLETE = "incomplete dwell"
-
 OF_LOAD = frozenset(
-    {"overload", "queue full", "buffer full", INCOMPLETE, "inactive", "reset", "ended", "no sensor info"}
+    {"overload", "queue full", "buffer full", "incomplete dwell", "inactive", "reset", "ended", "no sensor info"}
 )
 """Reasons that depend on the machine and the time of the flight, not on the data."""
 
@@ -48,12 +46,13 @@ COMPRESSION = "sar_compression"
 
 
 class FlownLoss(NamedTuple):
-    """A dwell, or a message of it, that a node left out in flight."""
+    """A dwell, or messages of it, that a node left out."""
 
     node: str
     dwell: DwellKey
     reason: str
     sentence: str
+    messages: int = 0
 
 
 @dataclass(frozen=True)
@@ -87,7 +86,7 @@ def flown_in(reader: BagReader, made: Mapping[str, Mapping[DwellKey, int]]) -> F
     """
     sensors = sensors_of(reader)[0] if "/sensor_info" in reader.topics else {}
     has_strips = any(sensor.mode == "stripmap" for sensor in sensors.values())
-    return FlownDwells(made, list(_losses_in(reader)), _restarts_in(reader), _unwritten_in(reader), has_strips)
+    return FlownDwells(made, list(losses_in(reader)), _restarts_in(reader), _unwritten_in(reader), has_strips)
 
 
 def as_flown(
@@ -109,6 +108,20 @@ def as_flown(
         given: names of the nodes of which the user sets parameters.
     """
     return _Plan(flown, dwells, stages, values, frozenset(given)).found()
+
+
+def repeated_losses(unmade: Mapping[str, Collection[DwellKey]], replayed: BagReader) -> Counter[tuple[str, str]]:
+    """Messages that a replay dropped of dwells that the node did not process in flight either, by node and reason.
+
+    Args:
+        unmade: dwells that nodes did not process in flight, by node.
+        replayed: bag of the replay.
+    """
+    counts: Counter[tuple[str, str]] = Counter()
+    for one in losses_in(replayed):
+        if one.dwell in unmade.get(one.node, ()):
+            counts[one.node, one.reason] += one.messages
+    return counts
 
 
 class _Plan:
@@ -140,17 +153,10 @@ class _Plan:
         for name in self._stages:
             self._lost_before[name] = self._lost_upstream(name)
             self._judge(name)
-        losses: dict[str, set[str]] = defaultdict(set)
-        for one in self._flown.losses:
-            losses[one.node].add(one.reason)
-        for name, dwells in self._left_out.items():
-            losses[name].update(reason.reason for reason in dwells.values())
-        if self._flown.made and set(self._dwells) - self._shown_by_heights(COMPRESSION) - self._lost_at(COMPRESSION):
-            losses[COMPRESSION].add(INCOMPLETE)  # at the begin and the end of a recording
         return AsFlown(
             {name: dwells for name, dwells in self._left_out.items() if dwells},
             {name: list(self._restarts(name)) for name in self._stages if name in self._flown.started},
-            {name: frozenset(reasons) for name, reasons in losses.items()},
+            {name: frozenset(self._unmade(name)) for name in self._stages},
             {prefix: frozenset(dwells) for prefix, dwells in self._unrecorded.items() if dwells},
             {name: frozenset(dwells) for name, dwells in self._lost_before.items()},
         )
@@ -203,6 +209,11 @@ class _Plan:
         lost = {dwell for node, dwell in self._lost if node == name}
         return lost.union(self._left_out.get(name, ())) - self._processed.get(name, frozenset())
 
+    def _unmade(self, name: str) -> set[DwellKey]:
+        """Dwells that a stage did not process, as far as losses or recorded heights show it."""
+        made = self._flown.made if name == COMPRESSION else self._made(_topic_of(name))
+        return self._lost_at(name).union(set(self._dwells) - self._processed[name] if made else ())
+
     def _restarts(self, name: str) -> Iterator[DwellKey]:
         """First dwells that a stage has processed after each of its further starts, if it keeps something of dwells."""
         if STAGES[name].is_parallel and not (name == COMPRESSION and self._flown.has_strips):
@@ -228,13 +239,13 @@ def _not_made(dwell: DwellKey, topic: str) -> Rejected:
     )
 
 
-def _losses_in(reader: BagReader) -> Iterator[FlownLoss]:
+def losses_in(reader: BagReader) -> Iterator[FlownLoss]:
     """The dwells and messages on topic losses."""
     with suppress(UserError):  # damage is reported when the bag is played
         for message in _decoded(reader, f"/{LOSSES}"):
             if message.of_dwell and (node := _node_of(reader, message.node)):
                 dwell = DwellKey(message.config_hash, message.dwell, to_ns(message.dwell_stamp))
-                yield FlownLoss(node, dwell, message.reason, message.sentence)
+                yield FlownLoss(node, dwell, message.reason, message.sentence, message.messages)
 
 
 def _restarts_in(reader: BagReader) -> dict[str, list[int]]:

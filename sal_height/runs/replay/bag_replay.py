@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from sal_height.graph.reporting import PARAMETERS, RELIEF_MAP, conclude, merged,
 from sal_height.io import new_folder, or_null, writing
 from sal_height.messages import AIR, AIR_TYPES
 from sal_height.response import measure_brightest
-from sal_height.runs.chain.as_flown import NOT_MADE
+from sal_height.runs.chain.as_flown import NOT_MADE, repeated_losses
 from sal_height.runs.chain.entry import FROM_HEIGHTS, MAPPER, WHOLE, Part, chain_of
 from sal_height.runs.chain.recorded_images import recorded_slc
 from sal_height.runs.chain.replay_parameters import ReplayPlan, processing_of
@@ -351,6 +351,9 @@ def replay(
             as_flown=processing.as_flown,
         )
         outcome = _perform(plan, execution, processing, jobs)
+        if outcome.failure is None:
+            new = NamespacedReader(made, "", {f"/{name}": f"/{topic}" for topic, name in remapping.of_nodes.items()})
+            outcome = replace(outcome, as_flown=repeated_losses(processing.as_flown.unmade, new))
         _warn_of_unknown_reasons(bag, outcome)
         conclude(outcome, values, report)
         compared = {}
@@ -359,7 +362,6 @@ def replay(
         judged = [f"/{p}/height" for p in prefixes if p != HEIGHTS[TRACKER] or processing.begins_with_bag]
         judged = [topic for topic in judged if topic in golden.topics]
         if judged and not outcome.interrupted:
-            new = NamespacedReader(made, "", {f"/{name}": f"/{topic}" for topic, name in remapping.of_nodes.items()})
             compared = compare_bags(
                 golden, new, against.tolerances, judged, processing.plays, processing.is_judged, by_stamp=True
             )

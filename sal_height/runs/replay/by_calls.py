@@ -65,8 +65,7 @@ def perform_by_calls(plan: Plan, processing: ReplayPlan, execution: Execution, j
         except OSError as error:
             failure = UserError(f"Bag {plan.bag} cannot be written: {error.strerror}; make room on its disk.")
     accounts = recording.accounts()
-    elapsed_s = time.monotonic() - began
-    return Outcome(accounts, accounts[plan.source].dwells, interrupted, failure, elapsed_s, plan.as_flown)
+    return Outcome(accounts, accounts[plan.source].dwells, interrupted, failure, time.monotonic() - began)
 
 
 @dataclass
@@ -159,7 +158,7 @@ class _Recording:
         elif isinstance(result, Loss):
             counts.dropped[result.reason] += result.messages
             counts.last_drop = result.sentence
-            if result.reason not in self._plan.as_flown.losses.get(made.stage.name, ()):
+            if result.dwell not in self._plan.as_flown.unmade.get(made.stage.name, ()):
                 _LOG.warning(
                     "%s: dropped %d (%s): %s", made.stage.name, result.messages, result.reason, result.sentence
                 )

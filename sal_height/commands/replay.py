@@ -53,8 +53,8 @@ app = command(
     "replay",
     PROCESSING,
     EXAMPLES,
-    "messages were dropped that were not in flight, no image was made, or heights are missing or extra; with --against, "
-    "or without --param, also: heights differ by more than the tolerance",
+    "messages were dropped that were not in flight, no image was made, or heights are missing or extra; with "
+    "--against, or without --param, also: heights differ by more than the tolerance",
 )
 
 

@@ -17,7 +17,11 @@ from sal_height.messages.types import (
     Calibration,
     ChannelFrame,
     ComplexImage,
+    DiagnosticArray,
+    DiagnosticStatus,
+    DwellLoss,
     HeightImage,
+    KeyValue,
     NavSatFix,
     ParameterEvent,
     Provenance,
@@ -31,6 +35,8 @@ TOPICS = {
     Calibration: "/calibration",
     SensorInfo: "/sensor_info",
     NavSatFix: "/map_origin",
+    DwellLoss: "/losses",
+    DiagnosticArray: "/diagnostics",
 }
 
 
@@ -63,6 +69,17 @@ def told(node: str, **values: Any) -> ParameterEvent:
 def changed(node: str, **values: Any) -> ParameterEvent:
     """What a node says when its parameters are set."""
     return ParameterEvent(node=f"/{node}", changed_parameters=told(node, **values).new_parameters)
+
+
+def lost(node: str, dwell: int, reason: str, count: int = 0) -> DwellLoss:
+    """A node left out a dwell."""
+    stamp = messages.to_stamp(key(dwell).stamp_ns)
+    return DwellLoss(node=node, of_dwell=True, dwell=dwell, dwell_stamp=stamp, messages=count, reason=reason)
+
+
+def process(node: str, number: int) -> DiagnosticArray:
+    """The account of a node in the process of that number."""
+    return DiagnosticArray(status=[DiagnosticStatus(name=node, values=[KeyValue(key="pid", value=str(number))])])
 
 
 def calibration(name: str, sensor: str = "sensor") -> Calibration:

@@ -17,6 +17,7 @@ from sal_height.bag.tolerance import EXACT, Tolerances
 from sal_height.bag.topics import HEIGHT_TYPE
 from sal_height.elevation import Validity
 from sal_height.io import or_null
+from sal_height.messages import to_ns
 from sal_height.messages.plain import fields_of_message
 from sal_height.numeric import F64, I64
 
@@ -228,12 +229,14 @@ class Key(NamedTuple):
         topic: name of the topic.
         dwell: number of its dwell; without one, number of earlier messages on the topic.
         channel: number of its channel; 0 without one.
+        stamp_ns: its stamp, ns; 0 where messages are matched by numbers alone.
         repetition: number of earlier messages with the same key: a simulator may have been restarted.
     """
 
     topic: str
     dwell: int
     channel: int = 0
+    stamp_ns: int = 0
     repetition: int = 0
 
 
@@ -310,6 +313,8 @@ def compare_bags(
     topics: Collection[str] | None = None,
     counts: Callable[[Any], bool] | None = None,
     counts_too: Callable[[Any], bool] | None = None,
+    *,
+    by_stamp: bool = False,
 ) -> dict[str, TopicComparison]:
     """Match the messages of two bags by topic and dwell, and compare their fields.
 
@@ -322,6 +327,8 @@ def compare_bags(
         topics: topics to compare; None: all with height images.
         counts: predicate of golden messages that count; None: all do.
         counts_too: predicate of messages of the other bag that count; None: all do.
+        by_stamp: True if messages of dwells are matched by their stamps, too: dwells of a sensor that counts again from
+            0 have the same numbers. False: the bags may be of flights at different times.
 
     Returns:
         Comparisons by topic, of all that either bag has messages on.
@@ -337,7 +344,7 @@ def compare_bags(
         found[topic].missing, found[topic].extra = (side.get(topic, 0) for side in numbers)
     waiting: tuple[dict[Key, Any], dict[Key, Any]] = ({}, {})
     # Both sides advance together, so that only messages without a counterpart yet are kept in memory.
-    sides = _messages(bags[0], read, counts), _messages(bags[1], read, counts_too)
+    sides = (_messages(bag, read, one, by_stamp) for bag, one in zip(bags, (counts, counts_too), strict=True))
     for pair in itertools.zip_longest(*sides):
         for side, entry in enumerate(pair):
             if entry is not None:
@@ -366,7 +373,7 @@ def _numbers(bag: BagReader, topics: Collection[str] | None) -> dict[str, int]:
 
 
 def _messages(
-    bag: BagReader, topics: Collection[str], counts: Callable[[Any], bool] | None = None
+    bag: BagReader, topics: Collection[str], counts: Callable[[Any], bool] | None, by_stamp: bool
 ) -> Iterator[tuple[Key, Any]]:
     seen: Counter[Key] = Counter()
     for recorded in bag.messages(topics) if topics else ():
@@ -374,7 +381,10 @@ def _messages(
         if counts and not counts(message):
             continue
         numbered = hasattr(message, "dwell")
-        key = Key(recorded.topic, message.dwell if numbered else 0, getattr(message, "channel", 0) if numbered else 0)
+        key = Key(recorded.topic, 0)
+        if numbered:
+            stamp_ns = to_ns(message.header.stamp) if by_stamp else 0
+            key = Key(recorded.topic, message.dwell, getattr(message, "channel", 0), stamp_ns)
         seen[key] += 1
         number = seen[key] - 1
         yield key._replace(repetition=number) if numbered else key._replace(dwell=number), message

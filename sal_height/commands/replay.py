@@ -53,8 +53,8 @@ app = command(
     "replay",
     PROCESSING,
     EXAMPLES,
-    "messages were dropped, no image was made, or heights are missing or extra; with --against, or without --param, "
-    "also: heights differ by more than the tolerance",
+    "messages were dropped that were not in flight, no image was made, or heights are missing or extra; with "
+    "--against, or without --param, also: heights differ by more than the tolerance",
 )
 
 
@@ -156,6 +156,7 @@ def replay(
     print(images_table(result.images) if result.images else results_table(result.outcome, result.accuracy))
     if result.compared:
         print(f"\n{comparison_table(result.compared)}")
+    print("".join(f"{sentence}\n" for sentence in result.outcome.losses_as_flown), end="")
     print(f"{'interrupted; ' if result.outcome.interrupted else ''}see {folder}/report.json and {folder}/bag")
     if result.outcome.interrupted:
         return INTERRUPTED

@@ -248,11 +248,6 @@ class DwellStage(Stage):
         else:
             self._add_rehearsal(sensor)
 
-    @property
-    def own_series(self) -> str:
-        """Series of the jobs that change what the heavy side keeps."""
-        return self.name
-
     def work(self, job: Job) -> Iterator[Result]:
         """Process a dwell, a rehearsal or a reset."""
         if isinstance(job.inputs, WholeDwell):

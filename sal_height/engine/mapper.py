@@ -248,7 +248,7 @@ class Mapper(Stage):
 
     def forget(self) -> None:
         """Start an empty map."""
-        self.add_own_job(Reset(), self.name)
+        self.add_own_job(Reset(), self.own_series)
 
     def command(self, name: str) -> Sequence[Any]:
         """Write the map as it stands."""

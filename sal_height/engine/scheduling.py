@@ -1,4 +1,7 @@
-"""Changes of settings, calibrations and the like that belong to a dwell: each takes effect right before its job."""
+"""Changes of settings, calibrations and the like that belong to a dwell: each takes effect right before its job.
+
+A dwell can be scheduled to be left out, too.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,8 @@ from collections.abc import Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy
 from typing import Any, ClassVar
+
+from sal_height.errors import Rejected
 
 
 class Scheduling:
@@ -21,33 +26,36 @@ class Scheduling:
     def __init__(self) -> None:
         """Start without changes."""
         self._scheduled: dict[Hashable, Sequence[tuple[str, Any]]] = {}
+        self._left_out: dict[Hashable, Rejected] = {}
+        """Reasons for which dwells make no job."""
         self._is_applying = False
 
     @abstractmethod
     def accept_scheduled(self, port: str, item: Any) -> None:
-        """Accept an item that was scheduled; one that cannot be used is a notice."""
+        """Accept an item that was scheduled; one that cannot be used is a notice. Port "": it is no item of a port."""
 
     def schedule(self, before: Hashable, port: str, item: Any) -> None:
-        """Have an item accepted right before the job of a dwell is made; port "": it is other settings.
+        """Have an item accepted right before the job of a dwell is made.
 
         If the dwell is lost, the item is accepted then: changes before it apply to the dwells after it.
 
         Args:
             before: key of the dwell.
-            port: name of the port of the item.
-            item: item of the kind of the port.
+            port: name of the port of the item; empty: it is none of a port.
+            item: item of the kind of the port; without a port other settings, a Reset after which the dwell is
+                processed as the first one, or the reason for which the dwell is left out once it has all it needs.
         """
-        self._scheduled[before] = (*self._scheduled.get(before, ()), (port, item))
+        if isinstance(item, Rejected):
+            self._left_out[before] = item
+        else:
+            self._scheduled[before] = (*self._scheduled.get(before, ()), (port, item))
 
     def apply_scheduled(self, dwell: Hashable) -> None:
         """Accept what was scheduled right before a dwell."""
         self._is_applying = True
         try:
             for port, item in self._scheduled.pop(dwell, ()):
-                if port:
-                    self.accept_scheduled(port, item)
-                else:
-                    self._settings = item
+                self.accept_scheduled(port, item)
         finally:
             self._is_applying = False
 

@@ -407,6 +407,11 @@ class Stage(Scheduling):
         return ()
 
     @property
+    def own_series(self) -> str:
+        """Series of the jobs that change what the heavy side keeps of the dwells before."""
+        return self.name
+
+    @property
     def unpublished(self) -> int:
         """Dwells that have been processed and whose products follow once later ones have arrived."""
         return 0
@@ -484,8 +489,11 @@ class Stage(Scheduling):
     def add_job(
         self, dwell: DwellKey, inputs: Any, *, messages: int = 1, size: int = 0, series: str | None = None
     ) -> None:
-        """Make a job of a dwell, which gets the next place in the order."""
+        """Make a job of a dwell, which gets the next place in the order, unless the dwell is to be left out."""
         order, self._jobs_of_dwells = self._jobs_of_dwells, self._jobs_of_dwells + 1
+        if (reason := self._left_out.get(dwell)) is not None:
+            self.drop(reason, messages, dwell)
+            return
         self.add(Job(dwell, inputs, self._settings, messages, size, series, self._now_s, order))
 
     def add_own_job(self, inputs: Any, series: str | None = None) -> None:
@@ -510,7 +518,13 @@ class Stage(Scheduling):
         self.add(Event(event))
 
     def accept_scheduled(self, port: str, item: Any) -> None:
-        """Accept an item that was scheduled; one that cannot be used is a notice."""
+        """Accept an item that was scheduled; one that cannot be used is a notice. Port "": it is no item of a port."""
+        if isinstance(item, Reset):
+            self.add_own_job(item, self.own_series)
+            return
+        if not port:
+            self._settings = item
+            return
         try:
             self.receive(port, item)
         except Exception as error:  # noqa: BLE001 (no input may end a host)

@@ -84,7 +84,7 @@ class Tracker(Stage):
 
     def forget(self) -> None:
         """Track the next dwell as the first one."""
-        self.add_own_job(Reset(), self.name)
+        self.add_own_job(Reset(), self.own_series)
 
     def follow(self, job: Job, results: Sequence[Result]) -> None:  # noqa: ARG002
         """Be ready once it has rehearsed."""

@@ -106,7 +106,7 @@ class Lockstep:
         self.announce()
 
     def _schedule_changes(self) -> None:
-        """Notify the stages and the player of the changes before dwells."""
+        """Notify the stages and the player of the changes before dwells, and of dwells that are left out."""
         for stage in self._stages.values():
             for sensor, mounting in self._plan.mountings.items():
                 stage.state_mounting(sensor, mounting)
@@ -117,8 +117,10 @@ class Lockstep:
             for name, values in change.parameters.items():
                 if name in self._stages:
                     self._stages[name].set_before(change.dwell, values)
-        for stage in self._stages.values():
+        for name, stage in self._stages.items():
             stage.state_calibrations(applied_from)
+            for dwell, item in self._plan.as_flown.scheduled(name):
+                stage.stage.schedule(dwell, "", item)
         if isinstance(self._source, Player):
             self._source.schedule({one.dwell: one.calibrations for one in self._plan.changes}, self._plan.frames)
 

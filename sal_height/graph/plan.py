@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 from sal_height.bag.reader import LogTimes
 from sal_height.engine.compression import SENSOR
-from sal_height.engine.stage import DwellKey
-from sal_height.errors import UserError
+from sal_height.engine.stage import DwellKey, Reset
+from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Mounting
 from sal_height.graph.catalogue import NodeParameters
 from sal_height.nodes.accounts.account import Account
@@ -38,6 +38,42 @@ class DwellChanges:
 
 
 @dataclass(frozen=True)
+class AsFlown:
+    """Dwells that nodes did not process in flight, which a replay leaves out at the same nodes.
+
+    Attributes:
+        left_out: reasons for which dwells are left out, by node.
+        restarted: dwells before which nodes were started again, by node.
+        unmade: dwells that nodes did not process in flight for whatever reason, by node.
+        unrecorded: dwells whose heights were made and are not in the bag, by prefix of the topic.
+        lost_before: dwells that did not get as far as a node, by node.
+    """
+
+    left_out: Mapping[str, Mapping[DwellKey, Rejected]] = field(default_factory=dict)
+    restarted: Mapping[str, Sequence[DwellKey]] = field(default_factory=dict)
+    unmade: Mapping[str, frozenset[DwellKey]] = field(default_factory=dict)
+    unrecorded: Mapping[str, frozenset[DwellKey]] = field(default_factory=dict)
+    lost_before: Mapping[str, frozenset[DwellKey]] = field(default_factory=dict)
+
+    def scheduled(self, node: str) -> Iterator[tuple[DwellKey, Reset | Rejected]]:
+        """Dwells and items for `Stage.schedule`, with which a node processes the same dwells as in flight."""
+        for dwell in self.restarted.get(node, ()):
+            yield dwell, Reset()
+        yield from self.left_out.get(node, {}).items()
+
+    def report(self) -> list[dict[str, Any]]:
+        """Entries of a report: node, reason and the numbers of the dwells that are left out for it."""
+        numbers: dict[tuple[str, str], list[int]] = {}
+        for node, dwells in self.left_out.items():
+            for dwell, reason in dwells.items():
+                numbers.setdefault((node, reason.reason), []).append(dwell.number)
+        return [{"node": node, "reason": reason, "dwells": dwells} for (node, reason), dwells in numbers.items()]
+
+
+ALL_PROCESSED = AsFlown()
+
+
+@dataclass(frozen=True)
 class Plan:
     """Nodes, settings and changes of a run of the graph.
 
@@ -56,6 +92,7 @@ class Plan:
         mountings: mountings of sensors (config_hash) on the platform, where the flight had others than described.
         announces: True if the source knows what no longer arrives, so that nothing waits for a time-out.
         frames: times when the frames of each dwell of a bag were recorded.
+        as_flown: dwells that nodes left out in flight.
     """
 
     source: str
@@ -72,6 +109,7 @@ class Plan:
     mountings: Mapping[str, Mounting] = field(default_factory=dict)
     announces: bool = True
     frames: Mapping[DwellKey, LogTimes] = field(default_factory=dict)
+    as_flown: AsFlown = ALL_PROCESSED
 
     def on_wire(self, topics: Iterable[str]) -> list[str]:
         """The names under which topics of the nodes are published."""
@@ -114,6 +152,8 @@ class Outcome:
         interrupted: True if the user stopped the run.
         failure: error that ended the run early, unless the user stopped it.
         elapsed_s: time from the first step until the last dwell was settled, or until the run ended, s.
+        as_flown: messages that were dropped of dwells that the node did not process in flight either, by node and
+            reason.
     """
 
     stages: dict[str, Account]
@@ -121,12 +161,22 @@ class Outcome:
     interrupted: bool
     failure: UserError | None = None
     elapsed_s: float = 0.0
+    as_flown: Mapping[tuple[str, str], int] = field(default_factory=dict)
 
     @property
     def losses(self) -> list[str]:
-        """Warnings, one for each node that dropped messages."""
+        """Warnings, one for each node and reason for which it dropped messages, but for those `as_flown`."""
         return [
-            f"Node {name} dropped {count} messages ({reason})."
+            f"Node {name} dropped {count - self.as_flown.get((name, reason), 0)} messages ({reason})."
             for name, account in self.stages.items()
             for reason, count in account.dropped.items()
+            if count > self.as_flown.get((name, reason), 0)
+        ]
+
+    @property
+    def losses_as_flown(self) -> list[str]:
+        """Sentences, one for each node and reason for which it left out messages as it had in flight."""
+        return [
+            f"Node {name} left out {count} messages as in flight ({reason})."
+            for (name, reason), count in self.as_flown.items()
         ]

@@ -63,6 +63,7 @@ def conclude(outcome: Outcome, values: NodeParameters, report: dict[str, Any]) -
     report["elapsed_s"] = outcome.elapsed_s
     report["stages"] = {name: _stage(account) for name, account in outcome.stages.items()}
     report["losses"] = outcome.losses
+    report["losses_as_flown"] = outcome.losses_as_flown
     report["parameters"] = values
     if outcome.failure:
         raise outcome.failure

@@ -27,7 +27,7 @@ class PooledJobs:
     def __init__(self, node: WorkerNode, kind: str, jobs: JobQueue, conclude: Conclude) -> None:
         """Give the pool jobs from the queue of a node, whose stage is of a kind, and publish their results."""
         self._node, self._jobs, self._conclude = node, jobs, conclude
-        self.kind, self.name = kind, node.get_name()
+        self.kind, self.name = kind, node.get_fully_qualified_name()
 
     @property
     def waiting_jobs(self) -> int:

@@ -21,6 +21,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
@@ -52,8 +53,8 @@ class Batch(NamedTuple):
 
     Attributes:
         kind: usual name of the stage.
-        name: name of the node.
-        jobs: jobs of one series, or without any.
+        name: name of the node, with its namespace.
+        jobs: jobs of the node.
         room: block for the arrays of the products; None: there is none.
     """
 
@@ -85,7 +86,7 @@ class Client(Protocol):
 
     @property
     def name(self) -> str:
-        """Its name, unlike that of any other client."""
+        """Its name with its namespace, unlike that of any other client."""
 
     @property
     def waiting_jobs(self) -> int:
@@ -129,7 +130,10 @@ class _Worker:
 WORKER_ENDED = "worker ended"
 """Reason for which dwells are lost with their worker."""
 
-LOST = "The worker process that had the dwell ended, for example for lack of memory; those that follow go to another."
+LOST = (
+    "The worker process that had the dwell, or its strip, ended, for example for lack of memory; those that follow go to "
+    "another."
+)
 
 
 class Pool:
@@ -160,8 +164,10 @@ class Pool:
         theirs.close()
         self._workers: dict[int, _Worker] = {}
         self._clients: list[list[Client]] = [[], []]
-        self._owners: dict[str, int] = {}
-        """Worker of each series."""
+        self._owners: dict[tuple[str, str], int] = {}
+        """Worker of each series of a client."""
+        self._broken: set[tuple[str, str]] = set()
+        """Series whose worker has ended while it had none of their jobs."""
         self._expected: dict[str, int] = {}
         """Bytes of the arrays of the products of a job, by client."""
         self._rehearsals: dict[int, int] = {}
@@ -269,7 +275,10 @@ class Pool:
         self._selector.unregister(worker.pipe)
         worker.pipe.close()
         del self._workers[worker.number]
-        self._owners = {series: number for series, number in self._owners.items() if number != worker.number}
+        gone = {series for series, number in self._owners.items() if number == worker.number}
+        self._owners = {series: number for series, number in self._owners.items() if series not in gone}
+        lost = {(sent.client.name, entry.item.series) for sent in worker.sent for entry in sent.entries}
+        self._broken |= gone - lost  # what the worker kept is lost with it: the next job says so
         for sent in worker.sent:
             for block in (*sent.blocks, *([sent.room] if sent.room else [])):
                 self._arena.release(block)
@@ -289,23 +298,23 @@ class Pool:
         """Give a worker the next jobs: of the series that it has; else of later stages; else of the first ones."""
         first, later = self._clients
 
-        def has_series(job: Job | None) -> bool:
-            return job is not None and bool(job.series) and self._owner(job, worker) == worker.number
+        def has_series(client: Client, job: Job | None) -> bool:
+            return job is not None and bool(job.series) and self._owner(client, job, worker) == worker.number
 
-        def suits(job: Job | None) -> bool:
-            return job is None or not job.series or self._owner(job, worker) == worker.number
+        def suits(client: Client, job: Job | None) -> bool:
+            return job is None or not job.series or self._owner(client, job, worker) == worker.number
 
         steps = [(first, has_series)] if worker.number in self._owners.values() else []
         for clients, wanted in (*steps, (later, suits), (first, suits)):
-            taken = [(client, self._take_jobs(client, wanted)) for client in clients]
+            taken = [(client, self._take_jobs(client, partial(wanted, client))) for client in clients]
             if batches := [(client, entries) for client, entries in taken if entries]:
                 self._send(worker, batches)
             if worker.sent:
                 return
 
-    def _owner(self, job: Job, worker: _Worker) -> int:
+    def _owner(self, client: Client, job: Job, worker: _Worker) -> int:
         """Number of the worker that has the series of a job: the one that is given its first job."""
-        return self._owners.setdefault(str(job.series), worker.number)
+        return self._owners.setdefault((client.name, str(job.series)), worker.number)
 
     def _take_jobs(self, client: Client, suits: Suits) -> Sequence[Entry]:
         """Take jobs of a client: the part of a worker of those that wait, if several have none."""
@@ -315,6 +324,9 @@ class Pool:
         for entry in client.take_jobs(most, BYTES_TOGETHER, suits) if most else ():
             if entry.item is None:
                 client.run_here(entry)
+            elif (client.name, entry.item.series) in self._broken:
+                self._broken.discard((client.name, entry.item.series))
+                client.lose(entry, Rejected(WORKER_ENDED, LOST))
             elif isinstance(entry.item.inputs, Rehearsal):
                 self._rehearsals[id(entry)] = len(self._workers)
                 for worker in list(self._workers.values()):
@@ -409,7 +421,8 @@ def _serve(pipe: Connection, arena: Arena) -> None:
         batches: list[Batch] = Unpickler(io.BytesIO(sent), known, array_at).load()
         for batch in batches:
             if batch.name not in stages:
-                stages[batch.name] = STAGES[batch.kind](batch.jobs[0].settings, {}, batch.name)
+                name = batch.name.rpartition("/")[2]  # as provenance states it
+                stages[batch.name] = STAGES[batch.kind](batch.jobs[0].settings, {}, name)
             results = [[_to_send(one) for one in made] for made in stages[batch.name].process(batch.jobs)]
             region = Region(arena.memory, batch.room)
             file = io.BytesIO(bytes(HEAD.size))

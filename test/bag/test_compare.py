@@ -233,6 +233,22 @@ def test_a_dwell_number_that_comes_twice_is_matched_twice(bags: Bags) -> None:
     assert result.fields["surfaces[0].height"].different == 1
 
 
+def test_by_stamp_dwells_of_one_number_are_not_confused(bags: Bags) -> None:
+    """The first one was dropped on one side, and the last one on the other."""
+    flown = [stamped(second, changed=second) for second in range(4)]
+    golden, made = bags.write({"/h": flown[1:]}), bags.write({"/h": flown[:-1]})
+    result = compare_bags(golden, made, by_stamp=True)["/h"]
+    assert (result.matched, result.missing, result.extra, result.outside) == (2, 1, 1, {})
+    assert compare_bags(golden, made)["/h"].outside
+
+
+def stamped(second: int, changed: float) -> HeightImage:
+    message = image(0)
+    message.header.stamp.sec = second
+    message.surfaces[0].height[0] += np.float32(changed)
+    return message
+
+
 def test_nothing_is_not_equal_to_nothing(bags: Bags) -> None:
     assert compare_bags(bags.write({}), bags.write({})) == {}
     assert TopicComparison().verdict == CHANGED

@@ -146,6 +146,7 @@ def series() -> dict[str, Any]:
     client.jobs.wait_until_done(TIMEOUT_S)
     first = [client.results[number][0] for number in range(12)]
     os.kill(first[0], signal.SIGKILL)
+    until(lambda: first[0] not in pool.worker_pids)
     for number in range(12, 16):
         client.put(number, 0.01, "strip")
     pool.wake()
@@ -160,6 +161,7 @@ def series() -> dict[str, Any]:
         "moved": first[0] not in after,
         "in_order": order == sorted(order),
         "of_others": len(others),
+        "lost": client.lost,
         "accounted": len(client.results) + len(client.lost),
     }
 

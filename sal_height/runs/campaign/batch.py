@@ -106,7 +106,7 @@ def _judged(scheme: ReplayPlan, made: Path) -> dict[str, Any]:
     """Columns on the heights: fraction, sigma, and comparison with those in the bag and with the truth."""
     reader = scheme.reader
     recorded = [topic.name for topic in reader.topics.values() if topic.type_name == HEIGHT_TYPE and topic.count]
-    compared = compare_bags(reader, BagReader(made), ROUNDING, recorded)
+    compared = compare_bags(reader, BagReader(made), ROUNDING, recorded, by_stamp=True)
     columns: dict[str, Any] = {"against_recorded": verdict_of(compared) if compared else ""}
     for prefix, images in read_images(made).items():
         sigma = np.concatenate([image.surfaces[0].sigma for image in images if image.surfaces])

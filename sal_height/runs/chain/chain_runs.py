@@ -28,6 +28,7 @@ from sal_height.engine.registry import STAGES
 from sal_height.engine.stage import FOREVER_NS, DwellKey, FileProduct, Loss, Notice, Stage, reason_of
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import ADJUSTER, DETECTOR, NodeParameters, consumers, parameters_of
+from sal_height.graph.plan import ALL_PROCESSED, AsFlown
 from sal_height.messages.kinds import kind_of_topic
 from sal_height.runs.chain.entry import Part, chain_of
 from sal_height.runs.chain.replay_parameters import ReplayPlan, processing_of
@@ -101,6 +102,7 @@ class BagRun:
         jobs: int = 1,
         wanted: Collection[str] = (),
         settings: Mapping[str, Any] | None = None,
+        as_flown: AsFlown = ALL_PROCESSED,
     ) -> None:
         """Make the stages.
 
@@ -111,6 +113,7 @@ class BagRun:
             jobs: dwells that are processed side by side.
             wanted: ports whose products are needed, if several jobs work.
             settings: settings of stages that replace those of the scheme.
+            as_flown: dwells that stages leave out as in flight.
 
         Raises:
             UserError: a value is not allowed, or a file cannot be read.
@@ -133,7 +136,7 @@ class BagRun:
         for name, values in self.settings.items():
             kind = STAGES[name]
             self.stages[name] = kind(values, read_inputs(kind, values), name)
-        self._jobs, self._wanted = jobs, wanted
+        self._jobs, self._wanted, self._as_flown = jobs, wanted, as_flown
         self._chain: Chain | None = None
         dwells = sorted(scheme.frames.items(), key=lambda item: item[1].last_ns)
         self._ends_ns = [times.last_ns for _, times in dwells]
@@ -186,7 +189,7 @@ class BagRun:
         return chain
 
     def _schedule_changes(self, chain: Chain) -> None:
-        """Schedule settings and calibrations of the flight, each from its dwell on."""
+        """Schedule settings and calibrations of the flight, each from its dwell on, and dwells to be left out."""
         now = dict(self.settings)
         calibrations = self.calibrations()
         for change in self.scheme.changes:
@@ -198,6 +201,9 @@ class BagRun:
                 for name, stage in self.stages.items():
                     if CALIBRATION in {port.name for port in stage.inputs(now[name])}:
                         self._give_calibration(chain, stage, change.dwell, StatedCalibration(one))
+        for name, stage in self.stages.items():
+            for dwell, item in self._as_flown.scheduled(name):
+                chain.schedule(stage, dwell, "", item)
 
     def _give_calibration(self, chain: Chain, stage: Stage, before: DwellKey, item: StatedCalibration) -> None:
         """Have the compression apply a calibration from a dwell on; others look it up by its identity."""

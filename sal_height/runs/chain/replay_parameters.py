@@ -17,10 +17,11 @@ from sal_height.engine.stage import DwellKey
 from sal_height.geometry import Mounting
 from sal_height.graph.air import check_air
 from sal_height.graph.catalogue import NodeParameters, parameters_of
-from sal_height.graph.plan import DwellChanges
+from sal_height.graph.plan import ALL_PROCESSED, AsFlown, DwellChanges
 from sal_height.graph.reporting import merged
 from sal_height.messages import to_ns
 from sal_height.renamed import with_new_names
+from sal_height.runs.chain.as_flown import as_flown
 from sal_height.runs.chain.entry import Part, ReplayNodes, check_given
 from sal_height.runs.chain.recorded_parameters import RecordedParameters, parameters_in, recorded_at_start
 from sal_height.runs.chain.timeline import (
@@ -61,6 +62,7 @@ class ReplayPlan:
         begins_with_bag: True if the first dwell of the bag is among them: tracked heights follow from those before.
         frames: times when the frames of each of them were recorded.
         mountings: mountings of sensors (config_hash) on the platform, where the flight had others than described.
+        as_flown: dwells that nodes left out in flight.
     """
 
     reader: BagReader
@@ -75,6 +77,7 @@ class ReplayPlan:
     begins_with_bag: bool
     frames: Mapping[DwellKey, LogTimes] = field(default_factory=dict)
     mountings: Mapping[str, Mounting] = field(default_factory=dict)
+    as_flown: AsFlown = ALL_PROCESSED
 
     @property
     def first(self) -> DwellKey | None:
@@ -100,12 +103,13 @@ class ReplayPlan:
 
     def plays(self, image: Any) -> bool:
         """True if the dwell of a height image is played."""
-        key = DwellKey(image.provenance.config_hash, image.dwell, to_ns(image.header.stamp))
-        return key in self.dwells
+        return _dwell_of(image) in self.dwells
 
-    def is_of_first_pass(self, image: Any) -> bool:
-        """True if a height image was made of a dwell with the stamp that is in the bag, not of a repetition."""
-        return not self.frames or to_ns(image.header.stamp) <= self._last_stamp_ns
+    def is_judged(self, image: Any) -> bool:
+        """True if a new height image has a recorded one: it is of no repetition, and the recorder had not lost it."""
+        dwell = _dwell_of(image)
+        is_of_first_pass = not self.frames or dwell.stamp_ns <= self._last_stamp_ns
+        return is_of_first_pass and dwell not in self.as_flown.unrecorded.get(image.estimator, ())
 
     @cached_property
     def _last_stamp_ns(self) -> int:
@@ -113,7 +117,16 @@ class ReplayPlan:
 
     def report(self) -> dict[str, Any]:
         """Entries of the report on the replay."""
-        return {"parameter_sources": self.sources, "changes_in_flight": self.listed, "warnings": self.warnings}
+        return {
+            "parameter_sources": self.sources,
+            "changes_in_flight": self.listed,
+            "left_out_in_flight": self.as_flown.report(),
+            "warnings": self.warnings,
+        }
+
+
+def _dwell_of(image: Any) -> DwellKey:
+    return DwellKey(image.provenance.config_hash, image.dwell, to_ns(image.header.stamp))
 
 
 def processing_of(
@@ -164,6 +177,7 @@ def processing_of(
     calibrations = timeline.calibrations if _applies_calibrations(chain, values) else []
     if not calibrations and given.get(APPLIED.node, {}).get(APPLIED.name) == HEARD:
         calibrations = timeline.received  # which were not applied in flight
+    flown = as_flown(timeline.flown, played, chain.stages, own, given)
     warnings = [
         *_forgotten(timeline, chain),
         *_unopened(timeline, chain, sources),
@@ -178,7 +192,7 @@ def processing_of(
         chain,
         values,
         _of_stages(sources, chain.stages),
-        _scheduled_changes(timeline.dwells, dwells, changes, calibrations),
+        _scheduled_changes(timeline.dwells, dwells, changes, calibrations, flown),
         _listed(timeline.dwells, changes, calibrations),
         warnings,
         dwells,
@@ -186,6 +200,7 @@ def processing_of(
         not in_bag or next(iter(in_bag)) in dwells,
         played,
         timeline.mountings if chain.entry == FRAMES else {},
+        flown,
     )
 
 
@@ -237,9 +252,16 @@ def _described(one: Change | Applied) -> dict[str, Any]:
 
 
 def _scheduled_changes(
-    recorded: Iterable[DwellKey], dwells: DwellRange, changes: Sequence[Change], calibrations: Sequence[Applied]
+    recorded: Iterable[DwellKey],
+    dwells: DwellRange,
+    changes: Sequence[Change],
+    calibrations: Sequence[Applied],
+    flown: AsFlown = ALL_PROCESSED,
 ) -> list[DwellChanges]:
-    """Changes before each dwell that is played; a change before a dwell that is left out applies to the next one."""
+    """Changes before each dwell that is played; a change before a dwell that is left out applies to the next one.
+
+    So does a change of a node that the dwell does not get as far as.
+    """
     scheduled: list[DwellChanges] = []
     happened: dict[DwellKey, list[Change | Applied]] = {}
     for change in changes:
@@ -256,7 +278,9 @@ def _scheduled_changes(
                 values.setdefault(one.parameter.node, {})[one.parameter.name] = one.value
         if dwell in dwells and (values or applied):
             scheduled.append(DwellChanges(dwell, values, tuple(applied)))
-            values, applied = {}, []
+            lost_before = flown.lost_before
+            values = {node: dict(of_node) for node, of_node in values.items() if dwell in lost_before.get(node, ())}
+            applied = []
     return scheduled
 
 

@@ -29,6 +29,7 @@ from sal_height.graph.catalogue import HEIGHTS, SETTABLE
 from sal_height.messages.parameters import value_of
 from sal_height.messages.products import provenance_of
 from sal_height.renamed import with_new_names
+from sal_height.runs.chain.as_flown import NOTHING_FLOWN, FlownDwells, flown_in
 from sal_height.settings import settings_of
 
 
@@ -71,6 +72,7 @@ class FlightRecord:
         sensors: the config_hash of the sensor of each calibration in the bag, by identity.
         said: parameters that nodes published, in the order of the bag.
         received: calibrations that were received, in the order of the bag.
+        made: times when the products of each dwell were recorded, ns, by topic.
     """
 
     def __init__(self, reader: BagReader, dwell_topics: Sequence[str] = ("/phase_history",)) -> None:
@@ -81,6 +83,7 @@ class FlightRecord:
         self.sensors: dict[str, str] = {}
         self.said: list[Said] = []
         self.received: list[ReceivedCalibration] = []
+        self.made: dict[str, dict[DwellKey, int]] = {}
         self._reader = reader
         self._own: set[str] = set()
         self._dwell_topics = dwell_topics
@@ -114,6 +117,7 @@ class FlightRecord:
         if recorded.topic in self._dwell_topics:
             self._read_dwell(part, recorded.log_time_ns)
         if part.provenance is not None:
+            self.made.setdefault(recorded.topic, {})[part.dwell] = recorded.log_time_ns
             stages = provenance_of(part.provenance).stages
             renamed = {node: with_new_names(values) for node, values in stages.items()}
             self.stages.setdefault(part.dwell, {}).update(renamed)
@@ -200,6 +204,7 @@ class Timeline:
         received: all calibrations in the bag, each with the dwell before which it was received.
         forgotten: parameters of that time that the nodes do not have today, and how they are known.
         mountings: mountings of sensors (config_hash) on the platform, where the flight had others than described.
+        flown: what the bag says of which dwells were processed.
     """
 
     dwells: Mapping[DwellKey, LogTimes] = field(default_factory=dict)
@@ -211,6 +216,7 @@ class Timeline:
     received: list[Applied] = field(default_factory=list)
     forgotten: dict[Parameter, str] = field(default_factory=dict)
     mountings: dict[str, Mounting] = field(default_factory=dict)
+    flown: FlownDwells = NOTHING_FLOWN
 
 
 def timeline_of(reader: BagReader, dwell_topics: Sequence[str] = ("/phase_history",)) -> Timeline:
@@ -226,7 +232,7 @@ def timeline_of(reader: BagReader, dwell_topics: Sequence[str] = ("/phase_histor
     if not (products_of(reader) or {"/calibration", PARAMETER_EVENTS} & reader.topics.keys()):
         return Timeline()
     record = FlightRecord(reader, dwell_topics)
-    timeline = Timeline(record.dwells)
+    timeline = Timeline(record.dwells, flown=flown_in(reader, record.made))
     parameters, calibrations = _Parameters(timeline), _Calibrations(timeline, record.sensors)
     said, received = deque(record.said), deque(record.received)
     for dwell, frames in record.dwells.items():

@@ -46,7 +46,7 @@ from sal_height.relief import PriorEstimate, track
 from sal_height.runs.chain.entry import MAPPER
 from sal_height.runs.live.sensor_bag import Feed
 from sal_height.sensor import Sensor
-from sal_height.topics import ODOMETRY, SENSOR_INFO
+from sal_height.topics import LOSSES, ODOMETRY, SENSOR_INFO
 from sal_height.workers.processes import Interruption, process_age_s, run_in_copy
 
 _LOG = logging.getLogger(__name__)
@@ -230,7 +230,15 @@ def live(
     folder = new_folder(out)
     topics = [f"{HEIGHTS[name]}/height" for name in stages if name in HEIGHTS]
     topics += [MOVERS] if DETECTOR in stages else []
-    recorded = [SENSOR_INFO, ODOMETRY, *air, "diagnostics", *topics, *(t.removeprefix("/") for t in execution.record)]
+    recorded = [
+        SENSOR_INFO,
+        ODOMETRY,
+        *air,
+        "diagnostics",
+        LOSSES,
+        *topics,
+        *(t.removeprefix("/") for t in execution.record),
+    ]
     custom_data = {**feed.custom_data, PARAMETERS: json.dumps(values)}
     nodes = {**values, SOURCE: source, RECORDER: {"node_parameters": True}}  # which may be changed in flight
     plan = Plan(SOURCE, stages, list(dict.fromkeys(recorded)), folder / "bag", nodes, 0, custom_data)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from sal_height.graph.reporting import PARAMETERS, RELIEF_MAP, conclude, merged,
 from sal_height.io import new_folder, or_null, writing
 from sal_height.messages import AIR, AIR_TYPES
 from sal_height.response import measure_brightest
+from sal_height.runs.chain.as_flown import NOT_MADE, repeated_losses
 from sal_height.runs.chain.entry import FROM_HEIGHTS, MAPPER, WHOLE, Part, chain_of
 from sal_height.runs.chain.recorded_images import recorded_slc
 from sal_height.runs.chain.replay_parameters import ReplayPlan, processing_of
@@ -347,8 +348,13 @@ def replay(
             processing.mountings,
             announces=playing.clock == LOCKSTEP and part.entry == FRAMES,
             frames=processing.frames,
+            as_flown=processing.as_flown,
         )
         outcome = _perform(plan, execution, processing, jobs)
+        if outcome.failure is None:
+            new = NamespacedReader(made, "", {f"/{name}": f"/{topic}" for topic, name in remapping.of_nodes.items()})
+            outcome = replace(outcome, as_flown=repeated_losses(processing.as_flown.unmade, new))
+        _warn_of_unknown_reasons(bag, outcome)
         conclude(outcome, values, report)
         compared = {}
         all_made = not estimators and part.entry != FROM_HEIGHTS
@@ -356,9 +362,9 @@ def replay(
         judged = [f"/{p}/height" for p in prefixes if p != HEIGHTS[TRACKER] or processing.begins_with_bag]
         judged = [topic for topic in judged if topic in golden.topics]
         if judged and not outcome.interrupted:
-            new = NamespacedReader(made, "", {f"/{name}": f"/{topic}" for topic, name in remapping.of_nodes.items()})
-            first_pass = processing.is_of_first_pass if playing.loops > 1 else None
-            compared = compare_bags(golden, new, against.tolerances, judged, processing.plays, first_pass)
+            compared = compare_bags(
+                golden, new, against.tolerances, judged, processing.plays, processing.is_judged, by_stamp=True
+            )
             draw_worst_dwell(golden, new, compared, folder)
             report["comparison"] = as_json(golden, new, compared, against.tolerances) | {"passes": 1}
         flight = recorded_flight(reader)
@@ -367,6 +373,18 @@ def replay(
         report["estimators"] = accuracy
         report["images"] = images
     return Replay(outcome, compared, accuracy, images)
+
+
+def _warn_of_unknown_reasons(bag: Path, outcome: Outcome) -> None:
+    """Log that nodes left out dwells for the only reason that the bag has no heights of them, if they did."""
+    nodes = [name for name, account in outcome.stages.items() if NOT_MADE in account.dropped]
+    if nodes:
+        _LOG.warning(
+            "Bag %s: dwells of which it has no heights of %s were left out, as in flight; no message on topic losses "
+            "says why. `sal-height batch` processes all dwells.",
+            bag,
+            ", ".join(nodes),
+        )
 
 
 def _perform(plan: Plan, execution: Execution, processing: ReplayPlan, jobs: int | None) -> Outcome:

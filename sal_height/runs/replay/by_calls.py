@@ -48,7 +48,7 @@ def perform_by_calls(plan: Plan, processing: ReplayPlan, execution: Execution, j
     with ExitStack() as stack:
         scheme = replace(processing, values=plan.parameters)
         topics = [topic for topic in plan.played if topic != SENSOR_INFO]
-        run = BagRun(scheme, plan.stages, topics=topics, jobs=jobs, wanted=wanted)
+        run = BagRun(scheme, plan.stages, topics=topics, jobs=jobs, wanted=wanted, as_flown=plan.as_flown)
         interruption = stack.enter_context(Interruption())
         recording = _Recording(run, plan, wanted)
         stack.callback(recording.bag.close)
@@ -158,7 +158,10 @@ class _Recording:
         elif isinstance(result, Loss):
             counts.dropped[result.reason] += result.messages
             counts.last_drop = result.sentence
-            _LOG.warning("%s: dropped %d (%s): %s", made.stage.name, result.messages, result.reason, result.sentence)
+            if result.dwell not in self._plan.as_flown.unmade.get(made.stage.name, ()):
+                _LOG.warning(
+                    "%s: dropped %d (%s): %s", made.stage.name, result.messages, result.reason, result.sentence
+                )
             loss = loss_to_message(f"/{made.stage.name}", result, self._now_ns)
             self._write(LOSSES, [SHIPPED.serialize(loss)])
         elif isinstance(result, Notice):

@@ -13,6 +13,7 @@ from sal_height.bag.compare import TopicComparison
 from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import HEIGHT_TYPE
 from sal_height.graph.picture import ERRORS, FAULT, HEIGHTS, colour_bar, page
+from sal_height.messages import to_ns
 from sal_height.numeric import F64
 
 
@@ -39,7 +40,7 @@ def draw_difference(golden: BagReader, made: BagReader, topic: str, dwell: int, 
 
     Pixels that have a height on one side only are marked in the difference.
     """
-    sides = [_heights(bag, topic, dwell) for bag in (golden, made)]
+    sides = worst_pair(*(_heights(bag, topic, dwell) for bag in (golden, made)))
     same_shape = sides[0].shape == sides[1].shape
     known = np.concatenate([side[np.isfinite(side)] for side in sides])
     limits = Normalize(*np.percentile(known, [0.5, 99.5])) if known.size else Normalize(0, 1)
@@ -61,10 +62,37 @@ def draw_difference(golden: BagReader, made: BagReader, topic: str, dwell: int, 
         figure.suptitle(f"{topic}, dwell {dwell}")
 
 
-def _heights(bag: BagReader, topic: str, dwell: int) -> F64:
-    """Heights of the first surface of a dwell, m, shape (rows, cols); NaN where the pixel has no surface."""
-    decoded = (bag.decode(one.type_name, one.cdr) for one in bag.messages([topic]))
-    message: Any = next(image for image in decoded if image.dwell == dwell)
+def worst_pair(golden: dict[int, F64], made: dict[int, F64]) -> list[F64]:
+    """The two images of one stamp that have most different heights; the first ones if the bags have no stamp in common.
+
+    Args:
+        golden: heights of the images of a dwell number, m, by stamp.
+        made: the same of the other bag.
+    """
+
+    def differences(stamp_ns: int) -> int:
+        one, other = golden[stamp_ns], made[stamp_ns]
+        if one.shape != other.shape:
+            return max(one.size, other.size)
+        return int(np.count_nonzero(~np.isclose(one, other, rtol=0.0, atol=0.0, equal_nan=True)))
+
+    common = [stamp_ns for stamp_ns in golden if stamp_ns in made]
+    if not common:
+        return [next(iter(side.values())) for side in (golden, made)]
+    worst = max(common, key=differences)
+    return [golden[worst], made[worst]]
+
+
+def _heights(bag: BagReader, topic: str, dwell: int) -> dict[int, F64]:
+    """Heights of the first surface of the dwells with a number, m, shape (rows, cols), by stamp, ns.
+
+    They are NaN where the pixel has no surface.
+    """
+    decoded: Any = (bag.decode(one.type_name, one.cdr) for one in bag.messages([topic]))
+    return {to_ns(image.header.stamp): _first_surface(image) for image in decoded if image.dwell == dwell}
+
+
+def _first_surface(message: Any) -> F64:
     shape = message.grid.rows, message.grid.cols
     heights = np.asarray(message.surfaces[0].height, np.float64) if message.surfaces else np.zeros(0)
     return heights.reshape(shape) if heights.size == shape[0] * shape[1] else np.full(shape, np.nan)

@@ -16,6 +16,7 @@ from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.messages import serialize
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, HeightImage, KeyValue, Surface
+from sal_height.runs.replay.difference_picture import worst_pair
 from sal_height.runs.replay.judge import PICTURE, as_json, draw_worst_dwell, topics_to_compare, verdict_of
 
 ROWS, COLS = 8, 6
@@ -60,6 +61,14 @@ def test_the_worst_dwell_is_drawn(tmp_path: Path) -> None:
     with Image.open(tmp_path / PICTURE) as picture:
         magenta = (np.asarray(picture.convert("RGB")) == (255, 0, 255)).all(axis=2)
     assert np.count_nonzero(magenta) > 500  # the lost pixel
+
+
+def test_of_dwells_of_one_number_the_pair_of_one_stamp_is_drawn_that_differs() -> None:
+    flat, high = np.zeros((ROWS, COLS)), np.ones((ROWS, COLS))
+    golden, made = worst_pair({5: flat, 6: high, 7: flat}, {7: high, 6: high, 8: flat})
+    assert (golden.max(), made.max()) == (0.0, 1.0)
+    golden, made = worst_pair({1: high}, {2: flat, 3: high})
+    assert (golden.max(), made.max()) == (1.0, 0.0)
 
 
 def test_images_of_another_shape_are_drawn_side_by_side(tmp_path: Path) -> None:

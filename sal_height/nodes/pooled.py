@@ -34,9 +34,12 @@ class PooledJobs:
         """Number of jobs that wait."""
         return self._jobs.waiting
 
-    def take_jobs(self, most: int, most_bytes: int, suits: Suits) -> Sequence[QueuedJob]:
-        """The next jobs that suit a worker; those that have waited too long are left out."""
-        return [job for job in self._jobs.take(most, most_bytes, suits) if self._is_in_time(job)]
+    def take_jobs(self, most: int, most_bytes: int, suits: Suits, ahead_s: float) -> Sequence[QueuedJob]:
+        """The next jobs that suit a worker; those that cannot be in time are left out, as long as others wait."""
+        taken: list[QueuedJob] = []
+        while len(taken) < most and (found := self._jobs.take(most - len(taken), most_bytes, suits)):
+            taken += [job for job in found if self._is_in_time(job, ahead_s)]
+        return taken
 
     def conclude(self, entry: QueuedJob, results: Sequence[Result], cpu_s: float) -> None:
         """Publish and count the results of a job."""
@@ -53,9 +56,9 @@ class PooledJobs:
         self._node.settle(entry, entry.run)
         self._jobs.note_done()
 
-    def _is_in_time(self, entry: QueuedJob) -> bool:
+    def _is_in_time(self, entry: QueuedJob, ahead_s: float) -> bool:
         try:
-            self._node.check_budget(entry)
+            self._node.check_budget(entry, ahead_s)
         except Rejected as late:
             self.lose(entry, late)
             return False

@@ -269,19 +269,23 @@ class WorkerNode(Role, Managed):
         """The items of the jobs that wait, in their order."""
         return self._jobs.items()
 
-    def check_budget(self, job: QueuedJob) -> None:
+    def check_budget(self, job: QueuedJob, ahead_s: float = 0.0) -> None:
         """Leave a dwell out that has waited too long: later ones are worth more to those who watch.
+
+        Args:
+            job: job of the dwell.
+            ahead_s: time that passes from now until it is published, s, where that counts.
 
         Raises:
             Rejected: it has.
         """
         budget_s, waited_s = self.current_parameters().latency_budget_s, time.monotonic() - job.complete_s
-        if job.messages and 0 < budget_s < waited_s:
+        if job.messages and 0 < budget_s < waited_s + ahead_s:
+            ahead = f", and would take {ahead_s:.3g} s" if ahead_s else ""
             raise Rejected(
                 "overload",
-                f"Dwells arrive faster than they are processed: one that had waited {waited_s:.3g} s was left "
-                f"out, more "
-                f"than {budget_s:g} s (latency_budget_s).",
+                f"Dwells arrive faster than they are processed: one that had waited {waited_s:.3g} s{ahead} was left "
+                f"out, more than {budget_s:g} s (latency_budget_s).",
             )
 
     def takes(self, messages: int = 1) -> bool:

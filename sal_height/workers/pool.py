@@ -18,6 +18,7 @@ import socket
 import struct
 import threading
 import time
+from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -29,7 +30,7 @@ import numpy as np
 
 from sal_height.engine.image_items import Images
 from sal_height.engine.registry import STAGES
-from sal_height.engine.stage import Job, Product, Rehearsal, Result, Stage
+from sal_height.engine.stage import DwellKey, Job, Product, Rehearsal, Result, Stage
 from sal_height.errors import Rejected
 from sal_height.workers.arena import Arena, MemoryBlock, Region
 from sal_height.workers.processes import Forked, end_with_parent, name_process
@@ -92,8 +93,15 @@ class Client(Protocol):
     def waiting_jobs(self) -> int:
         """Number of jobs that wait."""
 
-    def take_jobs(self, most: int, most_bytes: int, suits: Suits) -> Sequence[Entry]:
-        """Take up to so many jobs and bytes of those that wait and suit a worker, in their order; one at least."""
+    def take_jobs(self, most: int, most_bytes: int, suits: Suits, ahead_s: float) -> Sequence[Entry]:
+        """Take jobs of those that wait, in their order, and leave out those that cannot be in time.
+
+        Args:
+            most: greatest number of jobs.
+            most_bytes: greatest sum of their sizes, bytes; one job in any case.
+            suits: function that says which jobs the worker may have.
+            ahead_s: time that passes until heights of these jobs are published, s.
+        """
 
     def conclude(self, entry: Entry, results: Sequence[Result], cpu_s: float) -> None:
         """Publish and count the results of a job, and the processor time that it took, s."""
@@ -131,9 +139,35 @@ WORKER_ENDED = "worker ended"
 """Reason for which dwells are lost with their worker."""
 
 LOST = (
-    "The worker process that had the dwell, or its strip, ended, for example for lack of memory; those that follow go to "
-    "another."
+    "The worker process that had the dwell, or its strip, ended, for example for lack of memory; those that follow go "
+    "to another."
 )
+
+
+class Ahead:
+    """Time from the start of the work on a dwell until its heights are published, as it was lately."""
+
+    def __init__(self) -> None:
+        self.expected_s = 0.0
+        """Time to expect, s: most dwells take less."""
+        self._begun: OrderedDict[DwellKey, float] = OrderedDict()
+
+    def begin(self, jobs: Sequence[Job], now_s: float) -> None:
+        """The work on dwells begins."""
+        dwells_kept = 256
+        for job in jobs:
+            if job.dwell:
+                self._begun[job.dwell] = now_s
+        while len(self._begun) > dwells_kept:
+            self._begun.popitem(last=False)
+
+    def end(self, jobs: Sequence[Job], now_s: float) -> None:
+        """Heights of dwells have been published. Longer times count at once, shorter ones by and by."""
+        weight = 0.05
+        for job in jobs:
+            if job.dwell and job.dwell in self._begun:
+                taken_s = now_s - self._begun[job.dwell]
+                self.expected_s = max(taken_s, (1 - weight) * self.expected_s + weight * taken_s)
 
 
 class Pool:
@@ -166,6 +200,7 @@ class Pool:
         self._clients: list[list[Client]] = [[], []]
         self._owners: dict[tuple[str, str], int] = {}
         """Worker of each series of a client."""
+        self._ahead = Ahead()
         self._broken: set[tuple[str, str]] = set()
         """Series whose worker has ended while it had none of their jobs."""
         self._expected: dict[str, int] = {}
@@ -257,6 +292,8 @@ class Pool:
         name, count = sent.client.name, len(sent.entries)
         self._expected[name] = max(self._expected.get(name, 0), asked // count)
         self._conclude(sent, lambda entry, place: sent.client.conclude(entry, results[place], cpu_s / count))
+        if sent.client in self._clients[1]:
+            self._ahead.end([entry.item for entry in sent.entries], time.monotonic())
 
     def _arrays_of(self, room: MemoryBlock, used: int) -> ArrayAt:
         """Function that returns arrays in a room, which is given back once nobody uses any of them."""
@@ -321,7 +358,10 @@ class Pool:
         idle = sum(not one.sent for one in self._workers.values())
         most = min(TOGETHER, math.ceil(client.waiting_jobs / max(1, idle)))
         taken: list[Entry] = []
-        for entry in client.take_jobs(most, BYTES_TOGETHER, suits) if most else ():
+        # While no dwell is in work, one begins that may be late: how long it takes now must be seen.
+        in_work = any(sent.client in self._clients[0] for worker in self._workers.values() for sent in worker.sent)
+        ahead_s = self._ahead.expected_s if in_work and client in self._clients[0] else 0.0
+        for entry in client.take_jobs(most, BYTES_TOGETHER, suits, ahead_s) if most else ():
             if entry.item is None:
                 client.run_here(entry)
             elif (client.name, entry.item.series) in self._broken:
@@ -350,6 +390,8 @@ class Pool:
         message = []
         for client, entries in batches:
             jobs = [entry.item for entry in entries]
+            if client in self._clients[0]:
+                self._ahead.begin(jobs, time.monotonic())
             expected = self._expected.get(client.name)
             size = sum(job.size for job in jobs) if expected is None else expected * len(jobs)
             room = self._arena.allocate(size)

@@ -65,8 +65,9 @@ class Client:
         """Jobs that wait."""
         return self.jobs.waiting
 
-    def take_jobs(self, most: int, most_bytes: int, suits: Suits) -> Sequence[QueuedJob]:
+    def take_jobs(self, most: int, most_bytes: int, suits: Suits, ahead_s: float) -> Sequence[QueuedJob]:
         """Jobs for a worker."""
+        assert ahead_s >= 0
         return self.jobs.take(most, most_bytes, suits)
 
     def conclude(self, entry: QueuedJob, results: Sequence[Any], cpu_s: float) -> None:

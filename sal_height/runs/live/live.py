@@ -271,14 +271,14 @@ def live(
 
 
 def _budgets(stages: list[str], budget_s: float, execution: Execution) -> dict[str, float]:
-    """Longest time that a dwell may wait at each stage, s.
+    """Latency budget of each stage, s.
 
-    In the live host all count from the complete dwell: whoever cannot be in time is left out before it is compressed,
-    so that no work on it is lost. Else each stage counts from its own input, and a dwell passes three of them.
+    In the live host it counts from the complete dwell at each of them, and the compression leaves out what cannot be in
+    time: what comes after it finishes what was begun, unless that is twice as late. Else each counts from its own input,
+    and a dwell passes three.
     """
-    if execution.processes != "host":
-        return {name: budget_s / 3 for name in stages if name != MAPPER}
-    return {name: budget_s / 2 if name == "sar_compression" else budget_s for name in stages if name != MAPPER}
+    first_s, later_s = (budget_s, 2 * budget_s) if execution.processes == "host" else (budget_s / 3, budget_s / 3)
+    return {name: first_s if name == "sar_compression" else later_s for name in stages if name != MAPPER}
 
 
 def warn_of_overload(core_hz: float, sensor_hz: float, processors: int) -> None:

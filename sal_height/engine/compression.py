@@ -26,7 +26,7 @@ from sal_height.engine.air import (
 )
 from sal_height.engine.calibrations import CALIBRATION_PORT, CALIBRATIONS_ARRIVED, CALIBRATIONS_KEPT, StatedCalibration
 from sal_height.engine.dwells import SENSOR_PORT, SENSORS_KEPT, DwellStage, WholeDwell
-from sal_height.engine.frame_items import Frame, check_frame, history_of
+from sal_height.engine.frame_items import Frame, check_frame, history_of, samples_in_line, stacked_samples
 from sal_height.engine.frames import StaticFrames, StaticTransform
 from sal_height.engine.gathering import Dwell
 from sal_height.engine.image_items import AIR_LEFT, AIR_REMOVED, Images, Source
@@ -374,7 +374,7 @@ class Compression(DwellStage):
             used = settings.changed(air="measured", **supplies.air)
             stated[USED_AIR] = supplies.air
         slc = compressor.add(history, track, sensor, used, calibration)
-        if sensor.mode != "stripmap":  # a strip keeps its samples
+        if sensor.mode != "stripmap" and history.samples.flags.owndata:  # a strip keeps its samples
             self._spare.append(history.samples)
         if slc is None:
             return None
@@ -387,12 +387,16 @@ class Compression(DwellStage):
         )
 
     def _history_of(self, whole: WholeDwell) -> PhaseHistory:
-        """The phase history of a dwell, in memory that is spare if there is enough."""
-        first, spare = whole.messages[0], None
+        """The phase history of a dwell, without a copy of its samples or in memory that is spare, if there is any."""
+        frames, spare = whole.messages, None
+        if whole.sensor.mode != "stripmap" and (in_line := samples_in_line(frames)) is not None:
+            return history_of(frames, in_line)
         with suppress(IndexError):
             spare = self._spare.pop()
-        fits = spare is not None and spare.shape == (len(whole.messages), first.pulse_count, first.sample_count)
-        return history_of(whole.messages, spare if fits else None)
+        shape = len(frames), frames[0].pulse_count, frames[0].sample_count
+        return history_of(
+            frames, stacked_samples(frames, spare if spare is not None and spare.shape == shape else None)
+        )
 
     def _calibration_for(self, sensor: Sensor) -> Calibration | None:
         """The calibration to apply to a sensor's frames: that of the file, or its own if one has arrived."""

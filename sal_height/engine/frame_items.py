@@ -166,7 +166,7 @@ def history_of(frames: Sequence[Frame], samples: C64 | None = None) -> PhaseHist
 
     Args:
         frames: frames of all channels.
-        samples: array to be filled and used as the samples, shape (channels, pulses, samples); None: a new one.
+        samples: samples of all channels, shape (channels, pulses, samples); None: they are copied from the frames.
 
     Raises:
         Rejected: the channels differ in pulse times or reference ranges.
@@ -185,8 +185,40 @@ def history_of(frames: Sequence[Frame], samples: C64 | None = None) -> PhaseHist
         stamp_ns=first.key.stamp_ns,
         pulse_times=np.array(first.pulse_time),
         reference_range=np.array(first.reference_range),
-        samples=np.stack([samples_of(frame) for frame in frames], out=samples),
+        samples=stacked_samples(frames) if samples is None else samples,
     )
+
+
+def stacked_samples(frames: Sequence[Frame], into: C64 | None = None) -> C64:
+    """The samples of all channels, complex64, shape (channels, pulses, samples).
+
+    Args:
+        frames: frames of all channels, in order.
+        into: array to be filled; None: a new one.
+    """
+    return np.stack([samples_of(frame) for frame in frames], out=into)
+
+
+def samples_in_line(frames: Sequence[Frame]) -> C64 | None:
+    """The samples of all channels, where they lie one after the other in memory, as the host of workers puts them.
+
+    Returns:
+        A view, complex64, shape (channels, pulses, samples), that is as the frames only as long as their memory is not
+        used again; None: they lie elsewhere, or are encoded as integers.
+    """
+    first = frames[0]
+    start, size = address_of(first.samples), first.samples.nbytes
+    for place, frame in enumerate(frames):
+        in_line = address_of(frame.samples) == start + place * size and frame.samples.nbytes == size
+        if not in_line or frame.encoding != COMPLEX_FLOAT32:
+            return None
+    whole = np.lib.stride_tricks.as_strided(first.samples, (len(frames) * size,), writeable=False)
+    return whole.view("<c8").reshape(len(frames), first.pulse_count, first.sample_count)
+
+
+def address_of(array: np.ndarray[Any, Any]) -> int:
+    """Address of the first byte of an array."""
+    return int(array.__array_interface__["data"][0])
 
 
 def _are_same(one: F64, other: F64) -> bool:

@@ -273,8 +273,17 @@ def check_images(images: Images, sensor: Sensor) -> None:
             f"Images of dwell {images.key.number}: there are {images.count} channels; SensorInfo has "
             f"{sensor.detector_count}.",
         )
-    for image in images.channels():
-        check_image(image, sensor)
+    slc, place = images.slc, images.place
+    is_possible = (
+        place.is_checked
+        and slc.images.size > 0
+        and slc.images.shape[1:] == place.grid.shape
+        and bool(np.isfinite(slc.noise_power).all())
+        and not np.isinf(slc.saturated_share).any()
+    )
+    if not is_possible:  # one by one, to say which and why
+        for image in images.channels():
+            check_image(image, sensor)
 
 
 def applied_calibration(provenance: Provenance, sensor: Sensor) -> str:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sal_height.engine.frame_items import address_of
 from sal_height.workers.transfer import Array, copy_into, room_for
 
 
@@ -31,7 +32,7 @@ class Arena:
         self.memory = mmap.mmap(-1, size)
         self._free = [MemoryBlock(0, size)]
         self._released: deque[MemoryBlock] = deque()
-        self._begin = np.frombuffer(self.memory, np.uint8, 1).__array_interface__["data"][0]
+        self._begin = address_of(np.frombuffer(self.memory, np.uint8, 1))
         self._size = size
 
     def allocate(self, size: int) -> MemoryBlock | None:
@@ -66,7 +67,7 @@ class Arena:
 
     def offset_of(self, array: Array) -> int | None:
         """Offset of an array that is in the memory; None: it is elsewhere."""
-        at = array.__array_interface__["data"][0] - self._begin
+        at = address_of(array) - self._begin
         return at if 0 <= at < self._size else None
 
     def bytes_of(self, block: MemoryBlock) -> Array:

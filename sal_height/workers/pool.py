@@ -144,6 +144,32 @@ LOST = (
 )
 
 
+class _Placing:
+    """Puts the arrays of a message into shared memory, those of a dwell one after the other; others are there already.
+
+    Attributes:
+        blocks: blocks that are in use until the message is answered.
+    """
+
+    def __init__(self, arena: Arena, size: int) -> None:
+        """Place arrays of `size` bytes in all together, as far as there is room, and others wherever there is."""
+        self._arena = arena
+        block = arena.allocate(size) if size else None
+        self._region = Region(arena.memory, block)
+        self.blocks = [block] if block else []
+
+    def put(self, array: Array) -> int | None:
+        """Offset of an array, which is copied unless it is in the memory; None: there is no room for it."""
+        at = self._arena.offset_of(array)
+        if at is None:
+            at = self._region.put(array)
+        if at is None and (block := self._arena.allocate(array.nbytes)):
+            self.blocks.append(block)
+            at = block.start
+            copy_into(self._arena.memory, at, array)
+        return at
+
+
 class Ahead:
     """Time from the start of the work on a dwell until its heights are published, as it was lately."""
 
@@ -377,16 +403,6 @@ class Pool:
 
     def _send(self, worker: _Worker, batches: Sequence[tuple[Client, Sequence[Entry]]]) -> None:
         """Send a worker jobs of clients; one that has ended is noted once its end is read."""
-        blocks: list[MemoryBlock] = []
-
-        def put(array: Array) -> int | None:
-            at = self._arena.offset_of(array)
-            if at is None and (block := self._arena.allocate(array.nbytes)):
-                blocks.append(block)
-                at = block.start
-                copy_into(self._arena.memory, at, array)
-            return at
-
         message = []
         for client, entries in batches:
             jobs = [entry.item for entry in entries]
@@ -397,9 +413,11 @@ class Pool:
             room = self._arena.allocate(size)
             message.append(Batch(client.kind, client.name, jobs, room))
             worker.sent.append(_Sent(client, entries, [], room))
-        worker.sent[-1].blocks = blocks  # what the batches share is released after the last of them
+        is_first = any(client in self._clients[0] for client, _ in batches)
+        placing = _Placing(self._arena, sum(job.size for batch in message for job in batch.jobs) if is_first else 0)
         file = io.BytesIO()
-        Pickler(file, worker.known, put).dump(message)
+        Pickler(file, worker.known, placing.put).dump(message)
+        worker.sent[-1].blocks = placing.blocks  # what the batches share is released after the last of them
         with suppress(OSError):
             worker.pipe.send_bytes(file.getbuffer())
 

@@ -26,7 +26,7 @@ from same_items import are_same, difference
 from stage_cases import air_items
 
 from sal_height.engine.compression import Compression
-from sal_height.engine.frame_items import history_of
+from sal_height.engine.frame_items import Frame, history_of, samples_in_line
 from sal_height.engine.image_items import Images
 from sal_height.engine.stage import FOREVER_NS, Event, Stage
 from sal_height.engine.track import Arrival
@@ -240,15 +240,41 @@ def strip_images(driven: Driven) -> list[Images]:
 
 
 def test_samples_lie_where_those_of_the_dwell_before_lay_and_no_image_changes() -> None:
+    """As messages have them, those of each channel lie somewhere else."""
     stage = Compression(Compression.settings(**SMALL))
-    driven = drive(stage, [accept(*item) for item in flight_items(small_flight(), dwells=[0, 1])])
+    driven = drive(stage, [accept(*item) for item in scattered(flight_items(small_flight(), dwells=[0, 1]))])
     (before,) = stage._spare
-    driven.deliver(flight_items(small_flight(), dwells=[2])[1:])
+    driven.deliver(scattered(flight_items(small_flight(), dwells=[2])[1:]))
     (after,) = stage._spare
     assert after is before
     assert np.array_equal(after, history_of([frame for _, frame in frames([2])]).samples)
     assert not any(np.shares_memory(after, one.item.slc.images) for one in driven.made)
     assert not difference(flown(), [one.item for one in driven.made])
+
+
+def scattered(items: Sequence[Any]) -> list[Any]:
+    """Items of a flight whose frames lie somewhere else each."""
+    return [
+        (port, replace(item, samples=item.samples.copy()) if isinstance(item, Frame) else item) for port, item in items
+    ]
+
+
+def test_samples_that_lie_in_line_are_not_copied_and_give_the_same_images() -> None:
+    stage = Compression(Compression.settings(**SMALL))
+    driven = drive(stage, [accept(*item) for item in flight_items(small_flight(), dwells=[0, 1, 2])])
+    assert not stage._spare
+    assert not difference(flown()[:3], [one.item for one in driven.made])
+
+
+def test_samples_are_in_line_only_if_each_begins_where_the_one_before_ends() -> None:
+    lying = [frame for _, frame in frames([0])]
+    found = samples_in_line(lying)
+    assert found is not None
+    assert np.array_equal(found, history_of(lying).samples)
+    assert not found.flags.writeable
+    assert samples_in_line(lying[::-1]) is None
+    assert samples_in_line([*lying[:-1], replace(lying[-1], samples=lying[-1].samples.copy())]) is None
+    assert samples_in_line([replace(frame, encoding="complex_int16") for frame in lying]) is None
 
 
 def test_blocks_of_a_strip_are_in_one_series_and_spotlight_dwells_in_none() -> None:

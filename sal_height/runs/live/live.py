@@ -274,8 +274,8 @@ def _budgets(stages: list[str], budget_s: float, execution: Execution) -> dict[s
     """Latency budget of each stage, s.
 
     In the live host it counts from the complete dwell at each of them, and the compression leaves out what cannot be in
-    time: what comes after it finishes what was begun, unless that is twice as late. Else each counts from its own input,
-    and a dwell passes three.
+    time: what comes after it finishes what was begun, unless that is twice as late. Else each counts from its own
+    input, and a dwell passes three.
     """
     first_s, later_s = (budget_s, 2 * budget_s) if execution.processes == "host" else (budget_s / 3, budget_s / 3)
     return {name: first_s if name == "sar_compression" else later_s for name in stages if name != MAPPER}

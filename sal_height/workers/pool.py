@@ -18,7 +18,7 @@ import socket
 import struct
 import threading
 import time
-from collections import OrderedDict
+from collections import OrderedDict, defaultdict, deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -231,6 +231,10 @@ class Pool:
         """Series whose worker has ended while it had none of their jobs."""
         self._expected: dict[str, int] = {}
         """Bytes of the arrays of the products of a job, by client."""
+        self._given: defaultdict[str, deque[Entry]] = defaultdict(deque)
+        """Jobs that workers were given and that are not finished, in their order, by client."""
+        self._outcomes: dict[int, Callable[[], None]] = {}
+        """What finishes jobs that wait for those before, by the identity of their entries."""
         self._rehearsals: dict[int, int] = {}
         """Workers that have not returned a rehearsal yet, by the identity of its entry."""
         self._awake = self._closed = False
@@ -317,7 +321,7 @@ class Pool:
             self._arena.release(block)
         name, count = sent.client.name, len(sent.entries)
         self._expected[name] = max(self._expected.get(name, 0), asked // count)
-        self._conclude(sent, lambda entry, place: sent.client.conclude(entry, results[place], cpu_s / count))
+        self._note(sent, lambda entry, place: sent.client.conclude(entry, results[place], cpu_s / count))
         if sent.client in self._clients[1]:
             self._ahead.end([entry.item for entry in sent.entries], time.monotonic())
 
@@ -346,7 +350,7 @@ class Pool:
             for block in (*sent.blocks, *([sent.room] if sent.room else [])):
                 self._arena.release(block)
             lose = sent.client.lose
-            self._conclude(sent, lambda entry, _, lose=lose: lose(entry, Rejected(WORKER_ENDED, LOST)))  # type: ignore[misc]
+            self._note(sent, lambda entry, _, lose=lose: lose(entry, Rejected(WORKER_ENDED, LOST)))  # type: ignore[misc]
 
     def _give(self) -> None:
         """Give jobs to workers that have none, as long as there are any."""
@@ -395,10 +399,12 @@ class Pool:
                 client.lose(entry, Rejected(WORKER_ENDED, LOST))
             elif isinstance(entry.item.inputs, Rehearsal):
                 self._rehearsals[id(entry)] = len(self._workers)
+                self._given[client.name].append(entry)
                 for worker in list(self._workers.values()):
                     self._send(worker, [(client, [entry])])
             else:
                 taken.append(entry)
+        self._given[client.name].extend(taken)
         return taken
 
     def _send(self, worker: _Worker, batches: Sequence[tuple[Client, Sequence[Entry]]]) -> None:
@@ -421,14 +427,20 @@ class Pool:
         with suppress(OSError):
             worker.pipe.send_bytes(file.getbuffer())
 
-    def _conclude(self, sent: _Sent, finish: Callable[[Entry, int], None]) -> None:
-        """Have a client finish each of the jobs of a batch; a rehearsal once all workers have returned it."""
+    def _note(self, sent: _Sent, finish: Callable[[Entry, int], None]) -> None:
+        """Have a client finish the jobs of a batch, once it has finished those that it was given before.
+
+        A rehearsal is finished once all workers have returned it.
+        """
         for place, entry in enumerate(sent.entries):
             left = self._rehearsals.pop(id(entry), 1) - 1
             if left:
                 self._rehearsals[id(entry)] = left
             else:
-                finish(entry, place)
+                self._outcomes[id(entry)] = partial(finish, entry, place)
+        given = self._given[sent.client.name]
+        while given and id(given[0]) in self._outcomes:
+            self._outcomes.pop(id(given.popleft()))()
 
 
 def _keep_workers(keeper_of: socket.socket, workers: int, arena: Arena) -> int:

@@ -201,6 +201,27 @@ def order() -> dict[str, Any]:
     return {"log": log}
 
 
+def one_after_the_other() -> dict[str, Any]:
+    """Jobs of two workers, of which one is slow at first, and in the end killed."""
+    pool, client = Pool(2), Client("only", [])
+    pool.serve(client, later=False)
+    pool.start()
+    until(lambda: len(pool.worker_pids) == 2)
+    for number, seconds in enumerate((0.4, 0.0, 0.0, 0.0, 0.0)):
+        client.put(number, seconds)
+        pool.wake()
+        until(lambda: not client.waiting_jobs)
+    client.jobs.wait_until_done(TIMEOUT_S)
+    order, processes = list(client.results), {results[0] for results in client.results.values()}
+    for number, inputs in ((5, "end"), (6, 0.0), (7, 0.0)):
+        client.put(number, inputs)
+        pool.wake()
+        until(lambda: not client.waiting_jobs)
+    client.jobs.wait_until_done(TIMEOUT_S)
+    pool.close()
+    return {"order": order, "processes": len(processes), "after": list(client.results)[5:], "lost": client.lost}
+
+
 def main() -> None:
     """Run what the arguments name."""
     STAGES["doubling"] = Doubling  # type: ignore[index]
@@ -211,6 +232,7 @@ def main() -> None:
         "series": series,
         "rehearsal": rehearsal,
         "order": order,
+        "one_after_the_other": one_after_the_other,
     }
     sys.stdout.write(json.dumps({name: outcomes[name]() for name in sys.argv[1:]}))
 

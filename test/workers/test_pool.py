@@ -12,7 +12,7 @@ import pytest
 
 PROGRAM = Path(__file__).with_name("pooled_jobs.py")
 
-SCENARIOS = ("plenty", "scarce", "lost_worker", "series", "rehearsal", "order")
+SCENARIOS = ("plenty", "scarce", "lost_worker", "series", "rehearsal", "order", "one_after_the_other")
 
 
 @pytest.fixture(scope="module")
@@ -54,3 +54,9 @@ def test_every_worker_rehearses_and_one_rehearsal_is_concluded(outcomes: dict[st
 
 def test_dwells_that_were_begun_are_finished_first(outcomes: dict[str, Any]) -> None:
     assert outcomes["order"]["log"] == ["first", *["later"] * 3, *["first"] * 3]
+
+
+def test_jobs_are_finished_in_the_order_in_which_they_were_given(outcomes: dict[str, Any]) -> None:
+    """As the tracker needs it: what another worker has made sooner waits, also for what is lost."""
+    seen = outcomes["one_after_the_other"]
+    assert seen == {"order": [0, 1, 2, 3, 4], "processes": 2, "after": [6, 7], "lost": {"5": "worker ended"}}

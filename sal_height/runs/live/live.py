@@ -223,7 +223,7 @@ def live(
     interval_s = 1 / (playlist.dwell_rate_hz * how.rate)
     of_preset = json.loads(feed.custom_data.get(PRESET, "{}")).get("latency_budget_s")
     budget_s = how.budget_s or of_preset or max(3 * interval_s, 0.2)
-    shares = {name: {"latency_budget_s": share} for name, share in _budgets(stages, budget_s, execution).items()}
+    shares = _limits(stages, budget_s, execution)
     # The map has no latency budget: a dwell is as good for it a second later, and a large map is published that long.
     values = merged({**shares, MAPPER: {"max_queued_dwells": 256}}, values)
     source = {"bag": str(feed.bag), "rate": how.rate, "max_memory_mb": 1 + int(playlist.size / 1e6) * 2}
@@ -270,15 +270,18 @@ def live(
     return watched
 
 
-def _budgets(stages: list[str], budget_s: float, execution: Execution) -> dict[str, float]:
-    """Latency budget of each stage, s.
+def _limits(stages: list[str], budget_s: float, execution: Execution) -> dict[str, dict[str, Any]]:
+    """Latency budget of each stage, s, and dwells that may wait for it.
 
-    In the live host it counts from the complete dwell at each of them, and the compression leaves out what cannot be in
-    time: what comes after it finishes what was begun, unless that is twice as late. Else each counts from its own
-    input, and a dwell passes three.
+    In the live host the budget counts from the complete dwell at each of them, and the compression leaves out what
+    cannot be in time: what comes after it finishes what was begun, several dwells at once, unless that is twice as late.
+    Else each counts from its own input, and a dwell passes three.
     """
-    first_s, later_s = (budget_s, 2 * budget_s) if execution.processes == "host" else (budget_s / 3, budget_s / 3)
-    return {name: first_s if name == "sar_compression" else later_s for name in stages if name != MAPPER}
+    timed = [name for name in stages if name != MAPPER]
+    if execution.processes != "host":
+        return {name: {"latency_budget_s": budget_s / 3} for name in timed}
+    later = {"latency_budget_s": 2 * budget_s, "max_queued_dwells": 32}
+    return {name: {"latency_budget_s": budget_s} if name == "sar_compression" else later for name in timed}
 
 
 def warn_of_overload(core_hz: float, sensor_hz: float, processors: int) -> None:

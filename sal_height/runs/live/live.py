@@ -274,8 +274,8 @@ def _limits(stages: list[str], budget_s: float, execution: Execution) -> dict[st
     """Latency budget of each stage, s, and dwells that may wait for it.
 
     In the live host the budget counts from the complete dwell at each of them, and the compression leaves out what
-    cannot be in time: what comes after it finishes what was begun, several dwells at once, unless that is twice as late.
-    Else each counts from its own input, and a dwell passes three.
+    cannot be in time: what comes after it finishes what was begun, several dwells at once, unless that is twice as
+    late. Else each counts from its own input, and a dwell passes three.
     """
     timed = [name for name in stages if name != MAPPER]
     if execution.processes != "host":

@@ -14,11 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from helpers import thorough
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node
 
+from sal_height.bag.compare import EQUAL
 from sal_height.bag.reader import BagReader
 from sal_height.messages.codec import deserialize
 from sal_height.messages.parameters import stages_of
@@ -28,6 +30,7 @@ from sal_height.nodes.transport.domain import free_domain
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
 from sal_height.nodes.transport.qos import FRAMES_QOS
+from sal_height.runs.replay.bag_replay import replay
 
 DEADLINE_S = 300.0
 
@@ -187,3 +190,14 @@ def test_the_recorded_heights_are_those_of_the_dwells_and_the_accounts_balance(f
     heights = [deserialize(m.cdr, HeightImage) for m in bag.messages(["/ml/height"])]
     assert len(heights) > 10
     assert {stages_of(image.provenance.parameters)["ml_height"]["min_channels"] for image in heights} == {2, 3}
+
+
+@pytest.mark.parametrize("jobs", [1, *thorough(None)])
+def test_the_flight_is_replayed_as_it_was(flight: Flight, jobs: int | None, tmp_path: Path) -> None:
+    """With the parameter that was set, the node that was inactive, and the worker that was killed."""
+    result = replay(flight.out / "run" / "bag", tmp_path / "out", {}, jobs=jobs)
+    assert {topic: one.verdict for topic, one in result.compared.items()} == dict.fromkeys(
+        ("/ml/height", "/monopulse/height", "/tracked/height"), EQUAL
+    )
+    assert result.compared["/tracked/height"].matched > 10
+    assert result.shortfalls(changed=False) == []

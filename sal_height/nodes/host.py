@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any, ClassVar
@@ -54,6 +55,11 @@ from sal_height.nodes.viewing import VIEWERS
 from sal_height.nodes.worker import ENDED, WorkerNode
 from sal_height.stage_files import check_written, read_inputs, write_product
 from sal_height.workers.pool import Pool
+
+OVERFLOWED = Rejected(
+    "overload",
+    "Messages arrive faster than they are received: those that waited were left out, to go on with whole dwells.",
+)
 
 OF_KIND: Mapping[type, QoSProfile] = {
     PlatformState: ODOMETRY_QOS,
@@ -177,6 +183,8 @@ class StageNode(WorkerNode):
                 return ()
 
         def receive(items: Sequence[Any]) -> None:
+            if port.per_channel and inlet.overflowed:
+                self._catch_up(inlet, read)
             for item in items:
                 accept(item)
 
@@ -191,6 +199,21 @@ class StageNode(WorkerNode):
         if not port.latched:
             self.joinable_inlets.append((port, inlet, accept))
         return inlet
+
+    def _catch_up(self, inlet: Inlet, read: Callable[[bytes], Sequence[Any]]) -> None:
+        """Leave out the messages of dwells that wait, of which some were lost, and receive the others that wait.
+
+        Else each message that is received pushes another one out, and no dwell ever becomes whole; and odometry, which
+        the executor comes to after all frames before it, would be ever later.
+        """
+        left_out = Counter(item.key for cdr in inlet.take_waiting() for item in read(cdr))
+        inlet.overflowed = False
+        for dwell, count in left_out.items():
+            if self.takes(count):
+                self.reject(count, OVERFLOWED, dwell)
+        for other in self.inlets:
+            if other is not inlet:
+                other.receive_waiting()
 
     def _count_unread(self, port: Port, error: UserError) -> None:
         """Count a message on a port that cannot be read."""

@@ -124,6 +124,37 @@ def test_of_a_flood_whole_dwells_go_the_oldest_first_and_each_is_counted(
     assert node.tally.summary()["dropped.queue full"] == lost["dropped.queue full"]
 
 
+def test_after_more_messages_than_wait_in_the_middleware_the_next_dwell_is_whole(
+    graph: Graph, flight: SimulatedFlight
+) -> None:
+    """Those that waited are left out: what is left of their dwells is torn, and would push out what follows."""
+    node = graph.add(PROCESSING["monopulse"](context=graph.context))
+    source, heights = graph.add(Node("source", context=graph.context)), list[HeightImage]()
+    subscribe(source, HeightImage, "monopulse/height", heights.append, FRAMES_QOS)
+    publisher = publisher_of(source, ComplexImage, "slc", FRAMES_QOS)
+    publisher_of(source, SensorInfo, "sensor_info", LATCHED_QOS).publish(
+        messages.sensor_to_message(flight.sensor, messages.to_stamp(0))
+    )
+    images = images_of(flight)
+    assert graph.spin_until(lambda: publisher.get_subscription_count() == 1 and node.is_ready, TIMEOUT_S)
+    for image in images:
+        publisher.publish(image)
+    assert graph.spin_until(lambda: len(heights) == 1, TIMEOUT_S)
+    dwells = 2 * FRAMES_QOS.depth // len(images)
+    for dwell in range(1, dwells):
+        for image in images:
+            publisher.publish(restamped(image, dwell * INTERVAL_NS))
+    assert graph.spin_until(lambda: bool(node.tally.summary().get("dropped.overload")), TIMEOUT_S)
+    for image in images:
+        publisher.publish(restamped(image, dwells * INTERVAL_NS))
+    assert graph.spin_until(lambda: len(heights) == 2, TIMEOUT_S), node.tally.summary()
+    assert messages.to_ns(heights[-1].header.stamp) == START_NS + dwells * INTERVAL_NS
+    assert graph.spin_until(lambda: node.tally.summary()["waiting"] in (0, 1), TIMEOUT_S)
+    counts = node.tally.summary()
+    assert counts["in"] == 2 * len(images) + counts["dropped.overload"] + counts["waiting"]
+    assert counts["in"] <= FRAMES_QOS.depth + 2 * len(images)
+
+
 def test_dwells_that_wait_are_processed_at_once_and_one_that_cannot_be_fails_alone(
     graph: Graph, flight: SimulatedFlight, monkeypatch: pytest.MonkeyPatch
 ) -> None:

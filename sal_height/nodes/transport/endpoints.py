@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
@@ -134,16 +134,25 @@ class Inlet:
 
         self.received = 0
 
+        self.overflowed = False
+        """True if messages were lost, since this was last set to False, for lack of room for those that wait."""
+        self._message_class = class_of(message_type)
+
         def take(cdr: bytes, info: dict[str, Any]) -> None:
             self.heard_at = time.monotonic()
+            missed = max(0, info.get("publication_sequence_number", 0) - self.received - 1)
+            if missed > self.missed and self.received and qos.reliability == ReliabilityPolicy.RELIABLE:
+                self.overflowed = True
             receive(cdr)
             self.received += 1
-            self.missed = max(0, info.get("publication_sequence_number", 0) - self.received)
+            self.missed = missed
+
+        self._take = guarded(take, fail)
 
         def subscribe(overrides: QoSOverridingOptions | None) -> Subscription:
             events = SubscriptionEventCallbacks(incompatible_qos=guarded(self._ask_for_less, fail), matched=matched)
             return node.create_subscription(
-                class_of(message_type),
+                self._message_class,
                 topic,
                 guarded(with_times(take), fail),
                 self._profile,
@@ -174,6 +183,23 @@ class Inlet:
         self.subscription = None
         outlet.joined.append(take)
         self._leave.append(lambda: outlet.joined.remove(take))
+
+    def take_waiting(self) -> Iterator[bytes]:
+        """Messages that wait, which are not received then; no more than the subscription has room for."""
+        for _ in range(self._profile.depth):
+            taken = self.subscription and self.subscription.handle.take_message(self._message_class, True)
+            if not taken:
+                return
+            self.received += 1
+            yield taken[0]
+
+    def receive_waiting(self) -> None:
+        """Receive the messages that wait before the executor, which has others to hand over, comes to them."""
+        for _ in range(self._profile.depth):
+            taken = self.subscription and self.subscription.handle.take_message(self._message_class, True)
+            if not taken:
+                return
+            self._take(*taken)
 
     def leave(self) -> None:
         """Receive no items any more."""

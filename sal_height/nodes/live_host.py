@@ -8,7 +8,7 @@ import sys
 
 from sal_height.workers.processes import ONE_THREAD, use_one_thread
 
-USAGE = """usage: live_host NODE[:=KIND] ... [--ros-args -r NODE:TOPIC:=OTHER -p NODE:PARAMETER:=VALUE ...]
+USAGE = """usage: live_host NODE[=KIND] ... [--ros-args -r NODE:TOPIC:=OTHER -p NODE:PARAMETER:=VALUE ...]
 
 Runs the named nodes in one process, which receives every frame once and has worker processes
 compress dwells and estimate heights. Each is a node of its own, with the topics, parameters and
@@ -16,7 +16,7 @@ services that its own program has: see KIND --help. KIND is the name of the prog
 another name.
 
   live_host sar_compression ml_height relief_tracker relief_mapper
-  live_host sar_compression ml_height coarse:=ml_height --ros-args -r coarse:ml/height:=coarse/height
+  live_host sar_compression ml_height coarse=ml_height --ros-args -r coarse:ml/height:=coarse/height
 
 KIND is one of {kinds}.
 """
@@ -42,9 +42,9 @@ def main() -> int:
         return 0
     members = []
     for word in asked:
-        name, _, kind = word.partition(":=")
+        name, _, kind = word.partition("=")
         if (kind or name) not in PROCESSING or not re.fullmatch(r"[A-Za-z_]\w*", name):
-            sys.stderr.write(f"{word!r} is not NODE or NODE:=KIND; KIND is one of {', '.join(PROCESSING)}.\n")
+            sys.stderr.write(f"{word!r} is not NODE or NODE=KIND; KIND is one of {', '.join(PROCESSING)}.\n")
             return 2
         members.append((kind or name, name))
     if len({name for _, name in members}) < max(1, len(members)):

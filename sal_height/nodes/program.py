@@ -53,7 +53,7 @@ def run_host(
     Args:
         members: class of each node, and its own arguments of ROS, in the order of the data: that in which they end.
         arguments: arguments of ROS for all nodes, after the name of the program.
-        begin: function that is called with each node once it is made.
+        begin: function that is called with each node once all are made.
 
     Returns:
         The exit status, as of `run_nodes`.
@@ -83,7 +83,7 @@ def _run_nodes(
 
     Args:
         makes: functions that make the nodes, in the order in which these end.
-        begin: function that is called with each node once it is made.
+        begin: function that is called with each node once all are made.
         arguments: arguments of ROS for all nodes, after the name of the program.
         prepare: function that is called with all nodes before they receive anything.
 
@@ -104,8 +104,9 @@ def _run_nodes(
         for make in makes:
             nodes.append(make())
             check_overrides(nodes[-1])
-            begin(nodes[-1])
         prepare(nodes)
+        for node in nodes:
+            begin(node)
         executor = events_executor(nodes[0].context)
         for node in nodes:
             executor.add_node(node)

@@ -78,7 +78,7 @@ def hosted(node: ET.Element) -> dict[str, str]:
     """Names and kinds of the nodes of a process."""
     if node.attrib["exec"] != "live_host":
         return {node.attrib["name"]: node.attrib["exec"]}
-    words = [word.partition(":=") for word in node.attrib["args"].split()]
+    words = [word.partition("=") for word in node.attrib["args"].split()]
     return {name: kind or name for name, _, kind in words}
 
 

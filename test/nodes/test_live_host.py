@@ -1,0 +1,80 @@
+"""The program `live_host`: nodes in one process that are named, remapped and set as the arguments say."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+from rcl_interfaces.srv import GetParameters
+from rclpy.node import Node
+
+from sal_height.nodes.transport.graph import Graph
+
+TIMEOUT_S = 120.0
+
+
+def live_host(*words: str, **environment: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(  # noqa: S603 (our own program)
+        [sys.executable, "-m", "sal_height.nodes.live_host", *words],
+        env=os.environ | environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ([], "Name the nodes to run, each once"),
+        (["ml_height", "ml_height"], "Name the nodes to run, each once"),
+        (["recorder"], "'recorder' is not NODE or NODE=KIND; KIND is one of navigation, sar_compression"),
+        (["two words=ml_height"], "'two words=ml_height' is not NODE or NODE=KIND"),
+        (["ml_height", "--ros-args", "-p", "wors:=3"], "Node ml_height has no parameter 'wors'"),
+    ],
+)
+def test_what_cannot_be_run_is_refused_with_one_message(words: list[str], said: str, domain_id: int) -> None:
+    program = live_host(*words, ROS_DOMAIN_ID=str(domain_id))
+    _, errors = program.communicate(timeout=TIMEOUT_S)
+    assert program.returncode == 2
+    assert said in errors
+    assert "Traceback" not in errors
+
+
+def test_help_says_how_nodes_are_named() -> None:
+    program = live_host("--help")
+    text, _ = program.communicate(timeout=TIMEOUT_S)
+    assert program.returncode == 0
+    assert "coarse=ml_height" in text
+    assert "KIND is one of navigation, sar_compression" in text
+
+
+def test_two_nodes_of_a_kind_have_names_topics_and_parameters_of_their_own(graph: Graph, domain_id: int) -> None:
+    names = ["sar_compression", "ml_height", "coarse=ml_height", "relief_tracker"]
+    rules = ["-r", "__ns:=/lidar", "-r", "coarse:ml/height:=coarse/height", "-p", "coarse:range_looks:=5"]
+    program = live_host(*names, "--ros-args", *rules, ROS_DOMAIN_ID=str(domain_id))
+    client = graph.add(Node("client", context=graph.context))
+
+    def looks_of(node: str) -> Any:
+        service = client.create_client(GetParameters, f"/lidar/{node}/get_parameters")
+        assert graph.spin_until(service.service_is_ready, TIMEOUT_S)
+        answer = service.call_async(GetParameters.Request(names=["range_looks"]))
+        assert graph.spin_until(answer.done, TIMEOUT_S)
+        return answer.result().values[0].integer_value
+
+    try:
+        topics = ("/lidar/ml/height", "/lidar/coarse/height", "/lidar/slc", "/lidar/tracked/height")
+        assert graph.spin_until(lambda: all(client.count_publishers(one) == 1 for one in topics), TIMEOUT_S)
+        assert graph.spin_until(lambda: client.count_subscribers("/lidar/phase_history") == 1, TIMEOUT_S)
+        # What a node of the same process publishes is handed over as it is.
+        assert graph.spin_until(lambda: not any(client.count_subscribers(one) for one in topics), TIMEOUT_S)
+        assert (looks_of("coarse"), looks_of("ml_height") != 5) == (5, True)
+    finally:
+        program.send_signal(signal.SIGINT)
+        _, errors = program.communicate(timeout=TIMEOUT_S)
+    assert program.returncode == 0, errors
+    assert "Traceback" not in errors

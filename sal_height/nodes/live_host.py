@@ -12,8 +12,9 @@ USAGE = """usage: live_host NODE[=KIND] ... [--ros-args -r NODE:TOPIC:=OTHER -p 
 
 Runs the named nodes in one process, which receives every frame once and has worker processes
 compress dwells and estimate heights. Each is a node of its own, with the topics, parameters and
-services that its own program has: see KIND --help. KIND is the name of the program, if NODE is
-another name.
+services that its own program has: see KIND --help. In a namespace, parameters of one node are
+set by a file of --params-file with a section /**/NODE. KIND is the name of the program, if NODE
+is another name.
 
   live_host sar_compression ml_height relief_tracker relief_mapper
   live_host sar_compression ml_height coarse=ml_height --ros-args -r coarse:ml/height:=coarse/height

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -55,23 +56,27 @@ def test_help_says_how_nodes_are_named() -> None:
 
 def test_two_nodes_of_a_kind_have_names_topics_and_parameters_of_their_own(graph: Graph, domain_id: int) -> None:
     names = ["sar_compression", "ml_height", "coarse=ml_height", "relief_tracker"]
-    rules = ["-r", "__ns:=/lidar", "-r", "coarse:ml/height:=coarse/height", "-p", "coarse:range_looks:=5"]
+    rules = ["-r", "coarse:ml/height:=coarse/height", "-p", "coarse:range_looks:=5"]
     program = live_host(*names, "--ros-args", *rules, ROS_DOMAIN_ID=str(domain_id))
     client = graph.add(Node("client", context=graph.context))
 
     def looks_of(node: str) -> Any:
-        service = client.create_client(GetParameters, f"/lidar/{node}/get_parameters")
+        service = client.create_client(GetParameters, f"/{node}/get_parameters")
         assert graph.spin_until(service.service_is_ready, TIMEOUT_S)
         answer = service.call_async(GetParameters.Request(names=["range_looks"]))
         assert graph.spin_until(answer.done, TIMEOUT_S)
         return answer.result().values[0].integer_value
 
+    def until(condition: Callable[[], bool]) -> None:
+        assert graph.spin_until(lambda: condition() or program.poll() is not None, TIMEOUT_S)
+        assert condition()
+
     try:
-        topics = ("/lidar/ml/height", "/lidar/coarse/height", "/lidar/slc", "/lidar/tracked/height")
-        assert graph.spin_until(lambda: all(client.count_publishers(one) == 1 for one in topics), TIMEOUT_S)
-        assert graph.spin_until(lambda: client.count_subscribers("/lidar/phase_history") == 1, TIMEOUT_S)
+        topics = ("/ml/height", "/coarse/height", "/slc", "/tracked/height")
+        until(lambda: all(client.count_publishers(one) == 1 for one in topics))
+        until(lambda: client.count_subscribers("/phase_history") == 1)
         # What a node of the same process publishes is handed over as it is.
-        assert graph.spin_until(lambda: not any(client.count_subscribers(one) for one in topics), TIMEOUT_S)
+        until(lambda: not any(client.count_subscribers(one) for one in topics))
         assert (looks_of("coarse"), looks_of("ml_height") != 5) == (5, True)
     finally:
         program.send_signal(signal.SIGINT)

@@ -22,8 +22,9 @@ def ground_spacings(grid: Grid) -> tuple[float, float]:
 
 def look_side_of(grid: Grid, aperture: ApertureState) -> int:
     """Look side of the middle of the image: +1 right of the track, -1 left."""
-    sight = grid.middle - aperture.position
-    return 1 if np.cross(aperture.direction, [0.0, 0.0, 1.0]) @ sight > 0 else -1
+    east, north, _ = (grid.middle - aperture.position).tolist()
+    ahead_east, ahead_north, _ = aperture.direction.tolist()
+    return 1 if ahead_north * east > ahead_east * north else -1
 
 
 def own_sigma(surface: Surface) -> F64:

@@ -17,8 +17,8 @@ from sal_height.engine.provenance import Provenance
 from sal_height.engine.stage import DwellKey, Notice, Port
 from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Grid, above_place
-from sal_height.numeric import F32, F64, U8, Bool, by_fields
-from sal_height.relief import HeightField, Surface, covariances_from_sigma, folded, is_covariance, unfolded
+from sal_height.numeric import F32, F64, U8, by_fields
+from sal_height.relief import HeightField, Surface, covariances_from_sigma, folded, unfolded
 
 LAYERS = ("height", "sigma", "cnr_db", "east", "north")
 """Layers that have a number per pixel, always."""
@@ -161,7 +161,7 @@ class Heights:
         held = np.where(validity == Validity.INTERPOLATED, 1, scatterer_count(validity))
         surfaces = _joined(self.surfaces, grid, self.aperture.state)
         number = np.arange(len(self.surfaces))[:, None, None]
-        sound = (held <= len(self.surfaces)) & (_is_sound(surfaces) | (held <= number)).all(axis=0)
+        sound = (held <= len(self.surfaces)) & (surfaces.is_possible(FARTHEST) | (held <= number)).all(axis=0)
         validity[~sound] = Validity.MISSING_DATA
         held[~sound] = 0
         probability = self.order_probability.reshape(*grid.shape, ORDERS) if self.order_probability.size else None
@@ -270,19 +270,6 @@ def _joined(layers: Sequence[PackedSurface], grid: Grid, aperture: ApertureState
                 common = np.zeros_like(own) if common is None else common
                 common[number] = by_pose
     return Surface(height, sigma, cnr_db, positions, spread, own, common)
-
-
-def _is_sound(surface: Surface) -> Bool:
-    """True where surfaces can be used: position, height, sigma and covariances are possible values, same shape."""
-    sound = surface.is_determined & (surface.spread >= 0) & (surface.spread <= FARTHEST)
-    sound &= np.abs(surface.height) <= FARTHEST
-    for covariance in (surface.own_covariance, surface.common_covariance):
-        if covariance is not None:
-            sound &= is_covariance(covariance)
-            beyond = np.abs(covariance) > FARTHEST**2
-            if beyond.any():  # matrix by matrix takes five times as long
-                sound &= ~beyond.any(axis=(-2, -1))
-    return sound
 
 
 def _covariances(triangles: Sequence[F32], grid: Grid) -> F64:

@@ -1,0 +1,78 @@
+"""Compiled loops over the scatterers of a surface: which of them can be used, and copies of some."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sal_height.numeric import F64, Bool, compiled_with_nan
+from sal_height.relief._kernels import find_semidefinite
+
+
+@compiled_with_nan
+def copy_some(
+    there: Bool,
+    height: F64,
+    sigma: F64,
+    spread: F64,
+    positions: F64,
+    own: F64,
+    common: F64,
+    new_height: F64,
+    new_sigma: F64,
+    new_spread: F64,
+    new_positions: F64,
+    new_own: F64,
+    new_common: F64,
+) -> None:
+    """Copy the numbers of a surface `there`, shape (n,); arrays as of `mark_possible`, the new ones to be filled."""
+    for i in range(len(there)):
+        if there[i]:
+            new_height[i], new_sigma[i], new_spread[i] = height[i], sigma[i], spread[i]
+            for row in range(3):
+                new_positions[i, row] = positions[i, row]
+                for col in range(3):
+                    new_own[i, row, col] = own[i, row, col]
+            if len(common) and len(new_common):
+                for row in range(3):
+                    for col in range(3):
+                        new_common[i, row, col] = common[i, row, col]
+
+
+@compiled_with_nan
+def mark_possible(
+    height: F64,
+    sigma: F64,
+    spread: F64,
+    positions: F64,
+    own: F64,
+    common: F64,
+    farthest: float,
+    rounding: float,
+    possible: Bool,
+) -> None:
+    """Mark the scatterers of `Surface.is_possible`.
+
+    Args:
+        height: m, shape (n,).
+        sigma: m, shape (n,).
+        spread: m, shape (n,).
+        positions: m, shape (n, 3).
+        own: own covariance, m^2, shape (n, 3, 3).
+        common: common covariance, m^2, the same shape, or (0, 3, 3): not known.
+        farthest: greatest distance, m.
+        rounding: as of `find_semidefinite`.
+        possible: to be filled, shape (n,).
+    """
+    shared = np.ones(len(height), np.bool_)
+    find_semidefinite(own, rounding, possible)
+    find_semidefinite(common, rounding, shared[: len(common)])
+    for i in range(len(height)):
+        placed = abs(positions[i, 0] + positions[i, 1] + positions[i, 2]) < np.inf and abs(height[i]) <= farthest
+        certain = 0 < np.float32(sigma[i]) < np.inf and 0 <= spread[i] <= farthest
+        possible[i] = possible[i] and shared[i] and placed and certain
+        for row in range(3):
+            for col in range(3):
+                if abs(own[i, row, col]) > farthest * farthest:
+                    possible[i] = False
+                if len(common) and abs(common[i, row, col]) > farthest * farthest:
+                    possible[i] = False

@@ -29,6 +29,10 @@ OPTIONAL = {"spread": 1, "covariance": 6, "common_covariance": 6}
 _USABLE = np.zeros(256, np.bool_)
 _USABLE[list(USABLE)] = True
 
+_HELD = scatterer_count(np.arange(256, dtype=np.uint8))
+_HELD[Validity.INTERPOLATED] = 1
+"""Number of scatterers that have a height, by validity."""
+
 
 def empty() -> F32:
     """The value of a layer that is not stated."""
@@ -158,17 +162,18 @@ class Heights:
         _check_sizes(self)
         check_geometry(grid, self.aperture, self.where)
         validity = np.array(self.validity, dtype=np.uint8).reshape(grid.shape)
-        held = np.where(validity == Validity.INTERPOLATED, 1, scatterer_count(validity))
+        held = _HELD[validity]
         surfaces = _joined(self.surfaces, grid, self.aperture.state)
-        number = np.arange(len(self.surfaces))[:, None, None]
-        sound = (held <= len(self.surfaces)) & (surfaces.is_possible(FARTHEST) | (held <= number)).all(axis=0)
-        validity[~sound] = Validity.MISSING_DATA
-        held[~sound] = 0
+        absent = held <= np.arange(len(self.surfaces))[:, None, None]
+        sound = (surfaces.is_possible(FARTHEST) | absent).all(axis=0) & (held <= len(self.surfaces))
+        if not sound.all():
+            validity[~sound] = Validity.MISSING_DATA
+            absent |= ~sound
         probability = self.order_probability.reshape(*grid.shape, ORDERS) if self.order_probability.size else None
         return HeightField(
             grid,
             validity,
-            surfaces.where(held > number).each(),
+            surfaces.where(~absent).each(),
             None if probability is None else probability.astype(np.float64),
         )
 
@@ -252,13 +257,11 @@ def _joined(layers: Sequence[PackedSurface], grid: Grid, aperture: ApertureState
 
     Spread that is not stated is 0, covariance that is not stated follows from sigma.
     """
-    shape = len(layers), *grid.shape
-    height, sigma, cnr_db, east, north, spread = np.zeros((6, *shape))
+    none, names = np.zeros(grid.rows * grid.cols, np.float32), (*LAYERS, "spread")
+    stacked = np.concatenate([_or(getattr(one, name), none) for name in names for one in layers])
     with np.errstate(invalid="ignore"):  # a signalling NaN becomes a quiet one
-        for number, one in enumerate(layers):
-            for name, layer in zip((*LAYERS, "spread"), (height, sigma, cnr_db, east, north, spread), strict=True):
-                if (numbers := getattr(one, name)).size:
-                    layer[number] = numbers.reshape(grid.shape)
+        numbers = stacked.astype(np.float64)
+    height, sigma, cnr_db, east, north, spread = numbers.reshape(len(names), len(layers), *grid.shape)
     positions = above_place(grid.origin[0] + east, grid.origin[1] + north, height)
     own = _covariances([one.covariance for one in layers], grid)
     stated = [one.common_covariance for one in layers]
@@ -274,8 +277,12 @@ def _joined(layers: Sequence[PackedSurface], grid: Grid, aperture: ApertureState
 
 def _covariances(triangles: Sequence[F32], grid: Grid) -> F64:
     """Symmetric matrices, shape (surfaces, rows, cols, 3, 3), from their upper triangles; 0 where none is stated."""
-    numbers = np.zeros((len(triangles), *grid.shape, OPTIONAL["covariance"]), np.float32)
-    for surface, triangle in zip(numbers, triangles, strict=True):
-        if triangle.size:
-            surface[...] = triangle.reshape(surface.shape)
-    return unfolded(numbers)
+    each = OPTIONAL["covariance"]
+    none = np.zeros(grid.rows * grid.cols * each, np.float32)
+    numbers = np.concatenate([_or(triangle, none) for triangle in triangles])
+    return unfolded(numbers.reshape(len(triangles), *grid.shape, each))
+
+
+def _or(layer: F32, none: F32) -> F32:
+    """A layer, or `none` if it is not stated."""
+    return layer if layer.size else none

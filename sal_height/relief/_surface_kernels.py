@@ -40,28 +40,28 @@ def copy_some(
 
 @compiled_with_nan
 def mark_possible(
+    possible: Bool,
+    farthest: float,
+    rounding: float,
     height: F64,
     sigma: F64,
     spread: F64,
     positions: F64,
     own: F64,
     common: F64,
-    farthest: float,
-    rounding: float,
-    possible: Bool,
 ) -> None:
     """Mark the scatterers of `Surface.is_possible`.
 
     Args:
+        possible: to be filled, shape (n,).
+        farthest: greatest distance, m.
+        rounding: as of `find_semidefinite`.
         height: m, shape (n,).
         sigma: m, shape (n,).
         spread: m, shape (n,).
         positions: m, shape (n, 3).
         own: own covariance, m^2, shape (n, 3, 3).
         common: common covariance, m^2, the same shape, or (0, 3, 3): not known.
-        farthest: greatest distance, m.
-        rounding: as of `find_semidefinite`.
-        possible: to be filled, shape (n,).
     """
     shared = np.ones(len(height), np.bool_)
     find_semidefinite(own, rounding, possible)

@@ -365,3 +365,30 @@ def judge_pixels(
                 judged[i, j] = OUTSIDE_ARRAY
             elif outlier[i, j] and whole[i, j] and not step[i, j]:
                 judged[i, j] = LOW_CNR
+
+
+@compiled_with_nan
+def fill_sights(
+    antenna: F64, positions: F64, measured: Bool, origin: F64, steps: F64, sights: F64, ranges: F64
+) -> None:
+    """Fill the lines of sight to the pixels of an image, and their lengths.
+
+    Args:
+        antenna: its position, m, shape (3,).
+        positions: of what was measured, m, shape (rows, cols, 3).
+        measured: which pixels are measured, shape (rows, cols); the others are seen at their centres.
+        origin: of the grid, m, shape (3,).
+        steps: from row to row and from column to column, m, shape (2, 3).
+        sights: to be filled, m, shape (rows, cols, 3).
+        ranges: to be filled, m, shape (rows, cols).
+    """
+    rows, cols = measured.shape
+    for i in range(rows):
+        for j in range(cols):
+            square = 0.0
+            for axis in range(3):
+                centre = origin[axis] + i * steps[0, axis] + j * steps[1, axis]
+                place = positions[i, j, axis] if measured[i, j] else centre
+                sights[i, j, axis] = place - antenna[axis]
+                square += squared(sights[i, j, axis])
+            ranges[i, j] = np.sqrt(square)

@@ -101,7 +101,7 @@ class Surface:
         numbers, found = self.numbers(), possible.reshape(-1)
 
         def mark(part: slice) -> None:
-            kernels.mark_possible(*(array[part] for array in numbers), farthest, rounding, found[part])
+            kernels.mark_possible(found[part], farthest, rounding, *(array[part] for array in numbers))
 
         in_parallel(mark, len(found), LEAST_POINTS)
         return possible
@@ -122,15 +122,17 @@ class Surface:
             for number in range(len(self.height))
         )
 
-    def where(self, there: Bool, other: Surface | None = None) -> Surface:
-        """The surface `there`, and the other one, or NaN, elsewhere; the CNR stays."""
+    def where(self, there: Bool) -> Surface:
+        """The surface only `there`, and NaN elsewhere; the CNR stays."""
         if there.all():
             return self
         chosen = self._nowhere()
-        kernels.copy_some(there.reshape(-1), *self.numbers(), *chosen.numbers())
-        if other is not None:
-            kernels.copy_some(~there.reshape(-1), *other.numbers(), *chosen.numbers())
+        chosen.take(self, there)
         return chosen
+
+    def take(self, other: Surface, there: Bool) -> None:
+        """Replace the numbers `there`, but the CNR, by those of another surface; the arrays must be contiguous."""
+        kernels.copy_some(there.reshape(-1), *other.numbers(), *self.numbers())
 
     def _nowhere(self) -> Surface:
         """A surface of this shape and CNR, with common errors if this one has some; all other numbers are NaN."""

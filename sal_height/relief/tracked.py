@@ -7,7 +7,7 @@ import numpy as np
 from sal_height.elevation import Validity
 from sal_height.geometry import ApertureState, Grid, locate_at_height
 from sal_height.numeric import F64, Bool
-from sal_height.relief._tracking_kernels import judge_pixels, mark_company
+from sal_height.relief._tracking_kernels import fill_sights, judge_pixels, mark_company
 from sal_height.relief.heights import HeightField, Surface
 from sal_height.relief.position_error import circle_covariance, height_variance
 from sal_height.relief.prior import PriorEstimate
@@ -83,17 +83,25 @@ def tracked_field(
     """
     measured = np.isfinite(field.first.height)
     # The circle about the track is the same from every position of a sliding aperture.
-    sight = np.where(measured[..., None], field.first.positions, field.grid.pixels()) - aperture.position
-    slant_range, along = np.linalg.norm(sight, axis=-1), sight @ aperture.direction
+    slant_range, along = _seen_from(aperture.position, field, measured, aperture.direction)
     positions = locate_at_height(relief.height, slant_range, along, aperture, look_side_of(field.grid, aperture))
     step = in_company(field.first, relief.outlier)
     unknown = _UNKNOWN[field.validity] & (relief.sigma <= greatest_sigma)
     validity, (kept, shown) = np.empty_like(field.validity), np.empty((2, *measured.shape), np.bool_)
     judge_pixels(field.validity, measured, positions, relief.outlier, step, unknown, validity, kept, shown)
     own = circle_covariance(relief.sigma.astype(np.float64), positions, aperture)
-    surface = Surface.seen_from(aperture, positions, own, field.first.cnr_db)
-    first = surface.where(shown, field.first.where(kept))
+    first = Surface.seen_from(aperture, positions, own, field.first.cnr_db).where(shown)
+    first.take(field.first, kept)
     return HeightField(field.grid, validity, (first, *field.surfaces[1:]))
+
+
+def _seen_from(antenna: F64, field: HeightField, measured: Bool, direction: F64) -> tuple[F64, F64]:
+    """Slant range, and its part along a direction (m), of measured heights and of the centres of the other pixels."""
+    grid = field.grid
+    steps = np.array([grid.row_spacing * grid.row_direction, grid.col_spacing * grid.col_direction])
+    sight, slant_range = np.empty((*measured.shape, 3)), np.empty(measured.shape)
+    fill_sights(antenna, np.ascontiguousarray(field.first.positions), measured, grid.origin, steps, sight, slant_range)
+    return slant_range, sight @ direction
 
 
 UNKNOWN = (Validity.LOW_CNR, Validity.AMBIGUOUS, Validity.MISSING_DATA, Validity.SATURATED, Validity.IMPRECISE)

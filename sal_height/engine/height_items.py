@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import accumulate
 from typing import Any
@@ -89,7 +89,7 @@ class PackedSurface:
     @property
     def size(self) -> int:
         """Bytes of the arrays."""
-        return sum(getattr(self, one.name).nbytes for one in fields(self))
+        return sum(layer.nbytes for layer in by_fields(self)[1])
 
 
 def _surface_of(numbers: F32, sizes: Sequence[int]) -> PackedSurface:

@@ -18,7 +18,7 @@ from sal_height.engine.stage import DwellKey, Notice, Port
 from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Grid, above_place
 from sal_height.numeric import F32, F64, U8, by_fields
-from sal_height.relief import HeightField, Surface, covariances_from_sigma, folded, unfolded
+from sal_height.relief import HeightField, Surface, covariances_from_sigma, unfolded
 
 LAYERS = ("height", "sigma", "cnr_db", "east", "north")
 """Layers that have a number per pixel, always."""
@@ -66,20 +66,8 @@ class PackedSurface:
     @classmethod
     def of(cls, surface: Surface, grid: Grid) -> PackedSurface:
         """The layers of a surface."""
-        offset = surface.positions - grid.origin
-        has_own = np.isfinite(surface.own_covariance[..., 0, 0]).any()
-        return cls(
-            height=_single(surface.height),
-            sigma=_single(surface.sigma),
-            cnr_db=_single(surface.cnr_db),
-            east=_single(offset[..., 0]),
-            north=_single(offset[..., 1]),
-            spread=_single(surface.spread),
-            covariance=_single(folded(surface.own_covariance)) if has_own else empty(),
-            common_covariance=(
-                empty() if surface.common_covariance is None else _single(folded(surface.common_covariance))
-            ),
-        )
+        (height, sigma, cnr_db, east, north, spread), own, common = surface.singles(grid.origin)
+        return cls(height, sigma, cnr_db, east, north, spread, own.reshape(-1), common.reshape(-1))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """To be sent to another process, with all layers as one array."""

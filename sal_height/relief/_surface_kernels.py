@@ -1,10 +1,11 @@
-"""Compiled loops over the scatterers of a surface: which of them can be used, and copies of some."""
+"""Compiled loops over the scatterers of a surface: which can be used, copies of some, and single precision."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from sal_height.numeric import F64, Bool, compiled_with_nan
+from sal_height.numeric import F32, F64, Bool, compiled_with_nan
+from sal_height.relief._error_kernels import fold_covariances
 from sal_height.relief._kernels import find_semidefinite
 
 
@@ -76,3 +77,43 @@ def mark_possible(
                     possible[i] = False
                 if len(common) and abs(common[i, row, col]) > farthest * farthest:
                     possible[i] = False
+
+
+@compiled_with_nan
+def fill_singles(
+    height: F64,
+    sigma: F64,
+    spread: F64,
+    positions: F64,
+    own: F64,
+    common: F64,
+    cnr_db: F64,
+    origin: F64,
+    layers: F32,
+    triangles: F32,
+    shared: F32,
+) -> bool:
+    """Fill the numbers of `Surface.singles`; true if an own covariance is known.
+
+    Args:
+        height: as of `mark_possible`, like the next five.
+        sigma: of the height.
+        spread: of the surface.
+        positions: of the scatterers.
+        own: covariance.
+        common: covariance.
+        cnr_db: dB, shape (n,).
+        origin: place from which positions count, m, shape (3,).
+        layers: to be filled, shape (6, n).
+        triangles: of own covariances, to be filled, shape (n, 6).
+        shared: the same of common ones, of the length of `common`.
+    """
+    is_known = False
+    fold_covariances(own, triangles)
+    fold_covariances(common, shared)
+    for i in range(len(height)):
+        layers[0, i], layers[1, i], layers[2, i] = height[i], sigma[i], cnr_db[i]
+        layers[3, i], layers[4, i] = positions[i, 0] - origin[0], positions[i, 1] - origin[1]
+        layers[5, i] = spread[i]
+        is_known |= np.isfinite(own[i, 0, 0])
+    return is_known

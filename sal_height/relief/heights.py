@@ -16,7 +16,7 @@ from sal_height.elevation import (
     scatterer_count,
 )
 from sal_height.geometry import ApertureState, Grid, aperture_at, height_of, locate_at_elevation
-from sal_height.numeric import F64, U8, Bool, in_parallel
+from sal_height.numeric import F32, F64, U8, Bool, in_parallel
 from sal_height.relief import _surface_kernels as kernels
 from sal_height.relief.position_error import (
     LEAST_POINTS,
@@ -121,6 +121,22 @@ class Surface:
             )
             for number in range(len(self.height))
         )
+
+    def singles(self, origin: F64) -> tuple[F32, F32, F32]:
+        """The numbers in single precision, as messages have them.
+
+        Args:
+            origin: place from which positions count, m, shape (3,).
+
+        Returns:
+            Height, sigma, CNR, eastward and northward position and spread of each pixel, shape (6, pixels); and the
+            upper triangles of own and of common covariances, row by row, shape (pixels, 6), or (0, 6) if not known.
+        """
+        numbers, count = self.numbers(), self.height.size
+        layers, own, common = (np.empty(shape, np.float32) for shape in ((6, count), (count, 6), (len(numbers[-1]), 6)))
+        cnr_db = np.ascontiguousarray(self.cnr_db).reshape(-1)
+        has_own = kernels.fill_singles(*numbers, cnr_db, origin, layers, own, common)
+        return layers, own if has_own else own[:0], common
 
     def where(self, there: Bool) -> Surface:
         """The surface only `there`, and NaN elsewhere; the CNR stays."""

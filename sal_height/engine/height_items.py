@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import accumulate
 from typing import Any
@@ -17,8 +17,8 @@ from sal_height.engine.provenance import Provenance
 from sal_height.engine.stage import DwellKey, Notice, Port
 from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Grid, above_place
-from sal_height.numeric import F32, F64, U8, Bool, by_fields
-from sal_height.relief import HeightField, Surface, covariances_from_sigma, folded, is_covariance, unfolded
+from sal_height.numeric import F32, F64, U8, by_fields
+from sal_height.relief import HeightField, Surface, covariances_from_sigma, unfolded
 
 LAYERS = ("height", "sigma", "cnr_db", "east", "north")
 """Layers that have a number per pixel, always."""
@@ -28,6 +28,10 @@ OPTIONAL = {"spread": 1, "covariance": 6, "common_covariance": 6}
 
 _USABLE = np.zeros(256, np.bool_)
 _USABLE[list(USABLE)] = True
+
+_HELD = scatterer_count(np.arange(256, dtype=np.uint8))
+_HELD[Validity.INTERPOLATED] = 1
+"""Number of scatterers that have a height, by validity."""
 
 
 def empty() -> F32:
@@ -62,20 +66,8 @@ class PackedSurface:
     @classmethod
     def of(cls, surface: Surface, grid: Grid) -> PackedSurface:
         """The layers of a surface."""
-        offset = surface.positions - grid.origin
-        has_own = np.isfinite(surface.own_covariance[..., 0, 0]).any()
-        return cls(
-            height=_single(surface.height),
-            sigma=_single(surface.sigma),
-            cnr_db=_single(surface.cnr_db),
-            east=_single(offset[..., 0]),
-            north=_single(offset[..., 1]),
-            spread=_single(surface.spread),
-            covariance=_single(folded(surface.own_covariance)) if has_own else empty(),
-            common_covariance=(
-                empty() if surface.common_covariance is None else _single(folded(surface.common_covariance))
-            ),
-        )
+        (height, sigma, cnr_db, east, north, spread), own, common = surface.singles(grid.origin)
+        return cls(height, sigma, cnr_db, east, north, spread, own.reshape(-1), common.reshape(-1))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """To be sent to another process, with all layers as one array."""
@@ -85,7 +77,7 @@ class PackedSurface:
     @property
     def size(self) -> int:
         """Bytes of the arrays."""
-        return sum(getattr(self, one.name).nbytes for one in fields(self))
+        return sum(layer.nbytes for layer in by_fields(self)[1])
 
 
 def _surface_of(numbers: F32, sizes: Sequence[int]) -> PackedSurface:
@@ -158,17 +150,18 @@ class Heights:
         _check_sizes(self)
         check_geometry(grid, self.aperture, self.where)
         validity = np.array(self.validity, dtype=np.uint8).reshape(grid.shape)
-        held = np.where(validity == Validity.INTERPOLATED, 1, scatterer_count(validity))
+        held = _HELD[validity]
         surfaces = _joined(self.surfaces, grid, self.aperture.state)
-        number = np.arange(len(self.surfaces))[:, None, None]
-        sound = (held <= len(self.surfaces)) & (_is_sound(surfaces) | (held <= number)).all(axis=0)
-        validity[~sound] = Validity.MISSING_DATA
-        held[~sound] = 0
+        absent = held <= np.arange(len(self.surfaces))[:, None, None]
+        sound = (surfaces.is_possible(FARTHEST) | absent).all(axis=0) & (held <= len(self.surfaces))
+        if not sound.all():
+            validity[~sound] = Validity.MISSING_DATA
+            absent |= ~sound
         probability = self.order_probability.reshape(*grid.shape, ORDERS) if self.order_probability.size else None
         return HeightField(
             grid,
             validity,
-            surfaces.where(held > number).each(),
+            surfaces.where(~absent).each(),
             None if probability is None else probability.astype(np.float64),
         )
 
@@ -252,13 +245,11 @@ def _joined(layers: Sequence[PackedSurface], grid: Grid, aperture: ApertureState
 
     Spread that is not stated is 0, covariance that is not stated follows from sigma.
     """
-    shape = len(layers), *grid.shape
-    height, sigma, cnr_db, east, north, spread = np.zeros((6, *shape))
+    none, names = np.zeros(grid.rows * grid.cols, np.float32), (*LAYERS, "spread")
+    stacked = np.concatenate([_or(getattr(one, name), none) for name in names for one in layers])
     with np.errstate(invalid="ignore"):  # a signalling NaN becomes a quiet one
-        for number, one in enumerate(layers):
-            for name, layer in zip((*LAYERS, "spread"), (height, sigma, cnr_db, east, north, spread), strict=True):
-                if (numbers := getattr(one, name)).size:
-                    layer[number] = numbers.reshape(grid.shape)
+        numbers = stacked.astype(np.float64)
+    height, sigma, cnr_db, east, north, spread = numbers.reshape(len(names), len(layers), *grid.shape)
     positions = above_place(grid.origin[0] + east, grid.origin[1] + north, height)
     own = _covariances([one.covariance for one in layers], grid)
     stated = [one.common_covariance for one in layers]
@@ -272,23 +263,14 @@ def _joined(layers: Sequence[PackedSurface], grid: Grid, aperture: ApertureState
     return Surface(height, sigma, cnr_db, positions, spread, own, common)
 
 
-def _is_sound(surface: Surface) -> Bool:
-    """True where surfaces can be used: position, height, sigma and covariances are possible values, same shape."""
-    sound = surface.is_determined & (surface.spread >= 0) & (surface.spread <= FARTHEST)
-    sound &= np.abs(surface.height) <= FARTHEST
-    for covariance in (surface.own_covariance, surface.common_covariance):
-        if covariance is not None:
-            sound &= is_covariance(covariance)
-            beyond = np.abs(covariance) > FARTHEST**2
-            if beyond.any():  # matrix by matrix takes five times as long
-                sound &= ~beyond.any(axis=(-2, -1))
-    return sound
-
-
 def _covariances(triangles: Sequence[F32], grid: Grid) -> F64:
     """Symmetric matrices, shape (surfaces, rows, cols, 3, 3), from their upper triangles; 0 where none is stated."""
-    numbers = np.zeros((len(triangles), *grid.shape, OPTIONAL["covariance"]), np.float32)
-    for surface, triangle in zip(numbers, triangles, strict=True):
-        if triangle.size:
-            surface[...] = triangle.reshape(surface.shape)
-    return unfolded(numbers)
+    each = OPTIONAL["covariance"]
+    none = np.zeros(grid.rows * grid.cols * each, np.float32)
+    numbers = np.concatenate([_or(triangle, none) for triangle in triangles])
+    return unfolded(numbers.reshape(len(triangles), *grid.shape, each))
+
+
+def _or(layer: F32, none: F32) -> F32:
+    """A layer, or `none` if it is not stated."""
+    return layer if layer.size else none

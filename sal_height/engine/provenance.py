@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import pickle
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Any, Generic, TypeVar
 
@@ -150,6 +150,10 @@ class Provenance:
         if isinstance(values, Settings):
             return _derived(Same(self), stage, Same(values))
         return _newly_derived(self, stage, values)
+
+    def stating(self, prefix: str, values: Mapping[str, Any]) -> Provenance:
+        """The provenance with further values, by names that begin with the prefix; none of them is stated yet."""
+        return replace(self, parameters={**self.parameters, **flat_values(values, prefix)})
 
     def _number(self, name: str) -> float:
         value = self.compression.get(name, 0.0)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Hashable, Iterator, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from sal_height.elevation import ESTIMATORS
 from sal_height.engine.geometry_items import Aperture
 from sal_height.engine.height_items import Heights, heights_port, packed
 from sal_height.engine.heights import HEIGHTS_ABOUT
-from sal_height.engine.provenance import LEFT_OUT, Provenance
+from sal_height.engine.provenance import CACHED, LEFT_OUT, Provenance, Same
 from sal_height.engine.settings import MapFrameSettings
 from sal_height.engine.stage import DwellKey, Job, Port, Product, Rehearsal, Reset, Result, Stage, StageSettings
 from sal_height.rehearsal import made_up_heights
@@ -112,12 +113,12 @@ class Tracker(Stage):
         before = self._priors.pop(series, PriorEstimate())  # to be the last that is forgotten
         tracked, prior, after = track(field, heights.aperture.state, before, settings)
         self._priors = dict([*self._priors.items(), (series, after)][-SERIES_KEPT:])
-        stated = {**dict(settings), "prior": dataclasses.asdict(prior)}
+        provenance = heights.provenance.derived(self.name, settings)
         product = dataclasses.replace(
             heights,
             estimator=PREFIX,
             aperture=Aperture.of(heights.aperture.state),
-            provenance=heights.provenance.derived(self.name, stated),
+            provenance=provenance.stating(f"{self.name}.prior.", vars(prior)),
             **packed(tracked),
         )
         yield Product(f"{PREFIX}/height", product)
@@ -144,13 +145,19 @@ def _series_of(heights: Heights, settings: TrackerSettings) -> tuple[Hashable, .
     dwell, and does not end a series.
     """
     provenance = heights.provenance
-    made = repr(
+    made = _parameters_of(Same(provenance))
+    return provenance.config_hash, provenance.calibration_id, heights.estimator, made, settings
+
+
+@lru_cache(CACHED)
+def _parameters_of(same: Same[Provenance]) -> str:
+    """The values in a provenance that are parameters of stages, as a text."""
+    return repr(
         {
             stage: {name: value for name, value in values.items() if _is_set(name)}
-            for stage, values in provenance.stages.items()
+            for stage, values in same.one.stages.items()
         }
     )
-    return provenance.config_hash, provenance.calibration_id, heights.estimator, made, settings
 
 
 def _is_set(name: str) -> bool:

@@ -75,7 +75,7 @@ def shared_parameter(name: str, value: Any) -> Parameter:
         TypeError: no parameter can have that value.
     """
     longest = 256  # elements of a value that is kept
-    if isinstance(value, str | tuple) and len(value) > longest:
+    if type(value) in (str, tuple) and len(value) > longest:
         return parameter_of(name, value)
     # Equal values of other types are other parameters, and so are 0.0 and -0.0.
     is_clear = value and type(value) in SINGLE_TYPES

@@ -122,11 +122,10 @@ def in_parallel(work: Callable[[slice], object], count: int, least: int = 1) -> 
         least: smallest number of items for which another thread pays.
     """
     size = max(least, -(-count // WORKERS))
-    pieces = [slice(first, min(first + size, count)) for first in range(0, count, size)]
-    if len(pieces) == 1:
-        work(pieces[0])
-    elif pieces:
-        in_threads(work, pieces)
+    if count > size:
+        in_threads(work, [slice(first, min(first + size, count)) for first in range(0, count, size)])
+    elif count:
+        work(slice(0, count))
 
 
 class _Limit:

@@ -12,9 +12,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sal_height.numeric import F64, Bool, compiled, compiled_with_nan, inlined, squared
+from sal_height.elevation import Validity
+from sal_height.numeric import F64, U8, Bool, compiled, compiled_with_nan, inlined, squared
 
 Heights = npt.NDArray[np.floating[Any]]
+
+OK, INTERPOLATED = int(Validity.OK), int(Validity.INTERPOLATED)
+OUTSIDE_ARRAY, LOW_CNR = int(Validity.OUTSIDE_ARRAY), int(Validity.LOW_CNR)
 
 LEAST_SIGMA = 1e-100  # m; the precision 1 / sigma^2 of anything greater is finite
 
@@ -310,3 +314,81 @@ def mark_between(tracked: Bool, measured: Bool, between: Bool) -> None:
             if measured[i, c]:
                 last = tracked[i, c]
             between[i, c] &= last
+
+
+@compiled_with_nan
+def judge_pixels(
+    validity: U8,
+    measured: Bool,
+    positions: F64,
+    outlier: Bool,
+    step: Bool,
+    unknown: Bool,
+    judged: U8,
+    kept: Bool,
+    shown: Bool,
+) -> None:
+    """Decide for each pixel of `tracked.tracked_field` what it shows, and its validity.
+
+    Args:
+        validity: of the measured heights, shape (rows, cols), like all arrays without another shape.
+        measured: which pixels have a measured height.
+        positions: tracked ones, m, shape (rows, cols, 3).
+        outlier: which measurements the gate has rejected.
+        step: which of them are ground beyond a step.
+        unknown: which pixels may be interpolated.
+        judged: validity, to be filled.
+        kept: which pixels stay as measured, to be filled.
+        shown: which pixels show the tracked height, to be filled.
+    """
+    rows, cols = validity.shape
+    whole, tracked, between = np.empty((3, rows, cols), np.bool_)
+    located = np.isfinite(positions[..., 0] + positions[..., 1] + positions[..., 2])
+    for i in range(rows):
+        for j in range(cols):
+            whole[i, j] = validity[i, j] == OK or validity[i, j] == INTERPOLATED
+            kept[i, j] = measured[i, j] and (not whole[i, j] or step[i, j])
+            tracked[i, j] = located[i, j] and measured[i, j] and not outlier[i, j] and not kept[i, j]
+    mark_between(tracked, measured, between)
+    for i in range(rows):
+        for j in range(cols):
+            filled = located[i, j] and unknown[i, j] and between[i, j]
+            shown[i, j] = tracked[i, j] or filled
+            judged[i, j] = validity[i, j]
+            if kept[i, j]:
+                continue
+            if tracked[i, j]:
+                judged[i, j] = OK
+            elif filled:
+                judged[i, j] = INTERPOLATED
+            elif measured[i, j] and not outlier[i, j]:
+                judged[i, j] = OUTSIDE_ARRAY
+            elif outlier[i, j] and whole[i, j] and not step[i, j]:
+                judged[i, j] = LOW_CNR
+
+
+@compiled_with_nan
+def fill_sights(
+    antenna: F64, positions: F64, measured: Bool, origin: F64, steps: F64, sights: F64, ranges: F64
+) -> None:
+    """Fill the lines of sight to the pixels of an image, and their lengths.
+
+    Args:
+        antenna: its position, m, shape (3,).
+        positions: of what was measured, m, shape (rows, cols, 3).
+        measured: which pixels are measured, shape (rows, cols); the others are seen at their centres.
+        origin: of the grid, m, shape (3,).
+        steps: from row to row and from column to column, m, shape (2, 3).
+        sights: to be filled, m, shape (rows, cols, 3).
+        ranges: to be filled, m, shape (rows, cols).
+    """
+    rows, cols = measured.shape
+    for i in range(rows):
+        for j in range(cols):
+            square = 0.0
+            for axis in range(3):
+                centre = origin[axis] + i * steps[0, axis] + j * steps[1, axis]
+                place = positions[i, j, axis] if measured[i, j] else centre
+                sights[i, j, axis] = place - antenna[axis]
+                square += squared(sights[i, j, axis])
+            ranges[i, j] = np.sqrt(square)

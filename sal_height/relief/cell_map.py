@@ -112,9 +112,13 @@ def hull(one: I64, other: I64) -> I64:
 def tiles_of(cells: I64) -> Iterator[tuple[tuple[int, int], Index]]:
     """Row and column of each tile that has some of the cells, shape (n, 2), and the numbers of these in `cells`."""
     rows, cols = (cells // TILE).T
-    most_tiles = 2**30  # more than lie between the map's origin and any cell, along either axis
-    number = rows * (2 * most_tiles) + cols
-    order = np.argsort(number, kind="stable")
-    for there in np.split(order, np.flatnonzero(np.diff(number[order])) + 1):
+    if (rows == rows[:1]).all() and (cols == cols[:1]).all():  # a dwell is often smaller than a tile
+        groups = [np.arange(len(rows))]
+    else:
+        most_tiles = 2**30  # more than lie between the map's origin and any cell, along either axis
+        number = rows * (2 * most_tiles) + cols
+        order = np.argsort(number, kind="stable")
+        groups = np.split(order, np.flatnonzero(np.diff(number[order])) + 1)
+    for there in groups:
         if there.size:
             yield (int(rows[there[0]]), int(cols[there[0]])), there

@@ -16,8 +16,10 @@ from sal_height.elevation import (
     scatterer_count,
 )
 from sal_height.geometry import ApertureState, Grid, aperture_at, height_of, locate_at_elevation
-from sal_height.numeric import F64, U8, Bool
+from sal_height.numeric import F32, F64, U8, Bool, in_parallel
+from sal_height.relief import _surface_kernels as kernels
 from sal_height.relief.position_error import (
+    LEAST_POINTS,
     height_variance,
     measured_covariance,
     pose_covariance,
@@ -87,6 +89,23 @@ class Surface:
         east, north, up = np.moveaxis(self.positions, -1, 0)
         return np.isfinite(east + north + up) & np.isfinite(sigma) & (sigma > 0)
 
+    def is_possible(self, farthest: float) -> Bool:
+        """Scatterers with possible numbers: `is_determined`, and no height, spread or deviation beyond `farthest` (m).
+
+        Covariances must be positive semidefinite but for rounding in float32: all principal minors are 0 or greater
+        (Sylvester).
+        """
+        possible = np.empty(self.height.shape, np.bool_)
+        # How far a determinant may be below 0, over that of the variances: float32 rounds each number by up to 1e-7.
+        rounding = 1e-5
+        numbers, found = self.numbers(), possible.reshape(-1)
+
+        def mark(part: slice) -> None:
+            kernels.mark_possible(found[part], farthest, rounding, *(array[part] for array in numbers))
+
+        in_parallel(mark, len(found), LEAST_POINTS)
+        return possible
+
     def each(self) -> tuple[Surface, ...]:
         """The surfaces of which all arrays of this one have one more axis, the first."""
         common = self.common_covariance
@@ -103,19 +122,53 @@ class Surface:
             for number in range(len(self.height))
         )
 
+    def singles(self, origin: F64) -> tuple[F32, F32, F32]:
+        """The numbers in single precision, as messages have them.
+
+        Args:
+            origin: place from which positions count, m, shape (3,).
+
+        Returns:
+            Height, sigma, CNR, eastward and northward position and spread of each pixel, shape (6, pixels); and the
+            upper triangles of own and of common covariances, row by row, shape (pixels, 6), or (0, 6) if not known.
+        """
+        numbers, count = self.numbers(), self.height.size
+        layers, own, common = (np.empty(shape, np.float32) for shape in ((6, count), (count, 6), (len(numbers[-1]), 6)))
+        cnr_db = np.ascontiguousarray(self.cnr_db).reshape(-1)
+        has_own = kernels.fill_singles(*numbers, cnr_db, origin, layers, own, common)
+        return layers, own if has_own else own[:0], common
+
     def where(self, there: Bool) -> Surface:
         """The surface only `there`, and NaN elsewhere; the CNR stays."""
         if there.all():
             return self
-        common, matrices = self.common_covariance, there[..., None, None]
-        return Surface(
-            height=np.where(there, self.height, np.nan),
-            sigma=np.where(there, self.sigma, np.nan),
-            cnr_db=self.cnr_db,
-            positions=np.where(there[..., None], self.positions, np.nan),
-            spread=np.where(there, self.spread, np.nan),
-            own_covariance=np.where(matrices, self.own_covariance, np.nan),
-            common_covariance=None if common is None else np.where(matrices, common, np.nan),
+        chosen = self._nowhere()
+        chosen.take(self, there)
+        return chosen
+
+    def take(self, other: Surface, there: Bool) -> None:
+        """Replace the numbers `there`, but the CNR, by those of another surface; the arrays must be contiguous."""
+        kernels.copy_some(there.reshape(-1), *other.numbers(), *self.numbers())
+
+    def _nowhere(self) -> Surface:
+        """A surface of this shape and CNR, with common errors if this one has some; all other numbers are NaN."""
+        shape, count = self.height.shape, self.height.size
+        numbers = np.full((15 if self.common_covariance is None else 24) * count, np.nan)
+        height, sigma, spread = numbers[: 3 * count].reshape(3, *shape)
+        positions = numbers[3 * count : 6 * count].reshape(*shape, 3)
+        own, *common = numbers[6 * count :].reshape(-1, *shape, 3, 3)
+        return Surface(height, sigma, self.cnr_db, positions, spread, own, *common)
+
+    def numbers(self) -> tuple[F64, F64, F64, F64, F64, F64]:
+        """The arrays but the CNR for compiled loops, as of `_surface_kernels.mark_possible`."""
+        common = np.empty((0, 3, 3)) if self.common_covariance is None else self.common_covariance
+        return (
+            np.ascontiguousarray(self.height).reshape(-1),
+            np.ascontiguousarray(self.sigma).reshape(-1),
+            np.ascontiguousarray(self.spread).reshape(-1),
+            np.ascontiguousarray(self.positions).reshape(-1, 3),
+            np.ascontiguousarray(self.own_covariance).reshape(-1, 3, 3),
+            np.ascontiguousarray(common).reshape(-1, 3, 3),
         )
 
 

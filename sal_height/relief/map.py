@@ -55,8 +55,9 @@ class ReliefMap(CellMap):
         if not pixels.height.size:
             return
         cells = np.floor(pixels.place[::-1] / self.cell_size).astype(np.int64)
-        corners = self._grown(np.stack([cells.min(axis=1), cells.max(axis=1)]))
-        self._enter(_averaged(pixels, cells, self.cell_size))
+        seen = np.array([cells.min(axis=1), cells.max(axis=1)])
+        corners = self._grown(seen)
+        self._enter(_averaged(pixels, cells, seen, self.cell_size))
         self._corners = corners
 
     def _enter(self, seen: _Cells) -> None:
@@ -186,7 +187,7 @@ def _gather(surface: Surface, there: Bool, spacing: float, table: F64, start: in
     return int(gather_pixels(points, own, shared, there, slope, error, STEEPEST, table, start))
 
 
-def _averaged(pixels: _Pixels, cells: I64, cell_size: float) -> _Cells:
+def _averaged(pixels: _Pixels, cells: I64, corners: I64, cell_size: float) -> _Cells:
     """Height at the centre of each cell that was seen: the mean of its pixels, moved along their mean slope.
 
     The weights are w = 1 / variance; own parts add up to sum w^2 own / (sum w)^2, and of the common part, which is one
@@ -197,9 +198,10 @@ def _averaged(pixels: _Pixels, cells: I64, cell_size: float) -> _Cells:
     Args:
         pixels: heights of a dwell.
         cells: row and column of each pixel's cell, shape (2, pixels).
+        corners: the rectangle around these cells.
         cell_size: side of a cell, m.
     """
-    first, last = cells.min(axis=1), cells.max(axis=1)
+    first, last = corners
     rows, cols = (last - first + 1).tolist()
     index = (cells[0] - first[0]) * cols + (cells[1] - first[1])
     occupied = np.zeros(rows * cols, np.bool_)

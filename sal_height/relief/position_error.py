@@ -24,9 +24,9 @@ from functools import partial
 import numpy as np
 
 from sal_height.geometry import EARTH_RADIUS, ApertureState, Grid, antennas_of, aperture_at, locate_at_elevation
-from sal_height.numeric import F32, F64, Bool, in_parallel
+from sal_height.numeric import F32, F64, in_parallel
 from sal_height.relief import _error_kernels as kernels
-from sal_height.relief._kernels import find_semidefinite, variances_across
+from sal_height.relief._kernels import variances_across
 
 STEEPEST = 1.0
 """Steepest slope (height over distance) of ground whose slope is not known: 45 degrees, about the repose of rubble."""
@@ -183,19 +183,6 @@ def height_variance(covariance: F64, positions: F64) -> F64:
         lambda part: kernels.fill_height_variances(*(array[part] for array in flat)), len(flat[2]), LEAST_POINTS
     )
     return variance
-
-
-def is_covariance(matrices: F64) -> Bool:
-    """True for symmetric matrices, shape (..., 3, 3), finite and positive semidefinite but for rounding in float32.
-
-    All principal minors must be 0 or greater (Sylvester).
-    """
-    found = np.empty(matrices.shape[:-2], np.bool_)
-    flat = matrices.reshape(-1, 3, 3), found.reshape(-1)
-    # How far a determinant may be below 0, over that of the variances: float32 rounds each number by up to 1e-7.
-    rounding = 1e-5
-    in_parallel(lambda part: find_semidefinite(flat[0][part], rounding, flat[1][part]), len(flat[1]), LEAST_POINTS)
-    return found
 
 
 def folded(covariances: F64) -> F32:

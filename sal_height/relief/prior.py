@@ -32,6 +32,7 @@ from sal_height.errors import UserError
 from sal_height.numeric import F64, Bool
 from sal_height.relief import _tracking_kernels as kernels
 from sal_height.relief.settings import DEFAULT_TRACKING, TrackingSettings
+from sal_height.relief.slope import median
 from sal_height.relief.smoothing import MeasuredHeights, ReliefPrior
 
 LEAST_STEPS = 20
@@ -115,22 +116,22 @@ class _Heights:
         """Heights of a dwell with `least_steps` pairs or more of consecutive measured cells of a column."""
         deviation, precision = measured.deviations(0.0)
         seen = precision > 0
-        steps = int(np.maximum(np.count_nonzero(seen, axis=0) - 1, 0).sum())
+        steps = int(np.count_nonzero(seen) - np.count_nonzero(seen.any(axis=0)))
         if steps < least_steps:
             raise UserError(
                 f"The heights have {steps} pairs of consecutive measured cells of a column; a prior of the relief can "
                 f"be estimated from {LEAST_STEPS} or more, and brought up to date with 1 or more."
             )
-        error = float(np.median(precision[seen])) ** -0.5
-        least, low, middle, high, greatest = np.percentile(deviation[seen], [0, 16, 50, 84, 100]).tolist()
+        error = median(precision[seen]) ** -0.5
+        least, low, middle, high, greatest = _quantiles(deviation[seen], (0.0, 0.16, 0.5, 0.84, 1.0))
         spread = max((high - low) / 2, error)
-        windows = _windows(seen, settings)
+        windows, centred = _windows(seen, settings), np.where(seen, deviation - middle, 0.0)
         # Least standard deviation of an estimated relief over that of the mean of all measurements. A smaller
         # one cannot be distinguished from level ground.
         flattest = 2.0
         return cls(
-            deviation=np.stack([np.where(seen, deviation - middle, 0.0)[window] for window in windows]),
-            precision=np.stack([precision[window] for window in windows]),
+            deviation=np.array([centred[window] for window in windows]),
+            precision=np.array([precision[window] for window in windows]),
             spacings=measured.spacings,
             swath=measured.spacings[0] * len(seen),
             mean=middle,
@@ -170,8 +171,8 @@ class _Heights:
         """
         length, sigma = np.exp(logs).T
         steps = np.exp(-np.array(self.spacings) / length[:, None])
-        variances = np.stack([sigma**2, np.full(len(sigma), self.mean_sigma**2)], axis=-1)
-        found = np.empty((len(logs), *self.deviation.shape))
+        variances, found = np.empty((len(logs), 2)), np.empty((len(logs), *self.deviation.shape))
+        variances[:, 0], variances[:, 1] = sigma**2, self.mean_sigma**2
         kernels.likelihoods(self.deviation, self.precision, variances, steps, self.outliers, found)
         return found.reshape(len(logs), -1)
 
@@ -187,6 +188,20 @@ class _Heights:
         rise, information = np.zeros(2), np.zeros((2, 2))
         kernels.add_slopes(self.likelihoods(logs + AROUND), DIFFERENCE, rise, information)
         return rise, information
+
+
+def _quantiles(values: F64, shares: tuple[float, ...]) -> list[float]:
+    """Quantiles of some numbers, one at least and none NaN, as `np.quantile` finds them; of few at less cost."""
+    last = len(values) - 1
+    places = [share * last for share in shares]
+    neighbours = [(int(place), min(int(place) + 1, last)) for place in places]
+    ordered = np.partition(values, sorted({number for pair in neighbours for number in pair}))
+    found = []
+    for place, (below, above) in zip(places, neighbours, strict=True):
+        least, greatest, part = float(ordered[below]), float(ordered[above]), place - below
+        step = greatest - least
+        found.append(least + step * part if part < 0.5 else greatest - step * (1 - part))
+    return found
 
 
 def _windows(seen: Bool, settings: TrackingSettings) -> list[tuple[slice, slice]]:
@@ -220,7 +235,7 @@ def _most_likely(heights: _Heights, expected: F64, known: F64, settings: Trackin
         away = logs - expected
         return float(away @ known @ away) / 2
 
-    starts = np.clip(np.stack([expected, *heights.starts()]), lowest, highest)
+    starts = _within(np.array([expected, *heights.starts()]), lowest, highest)
     likelihoods = np.log(heights.likelihoods(starts)).sum(axis=1).tolist()
     merits = [likelihood - doubt(start) for likelihood, start in zip(likelihoods, starts, strict=True)]
     logs, merit = starts[int(np.argmax(merits))], max(merits)
@@ -237,16 +252,21 @@ def _most_likely(heights: _Heights, expected: F64, known: F64, settings: Trackin
         step = _solved(total, rise * free)
         step *= longest_step / max(longest_step, float(np.abs(step).max()))
         while (length := math.sqrt(step @ total @ step)) > tolerance:
-            there = np.clip(logs + step, lowest, highest)
+            there = _within(logs + step, lowest, highest)
             found = heights.log_likelihood(there) - doubt(there)
             if found > merit:
                 break
             step /= 2
-        logs = np.clip(logs + step, lowest, highest)
+        logs = _within(logs + step, lowest, highest)
         if length <= tolerance:
             break
         merit = found
     return logs, gained, max(likelihoods) - heights.log_likelihood(logs)
+
+
+def _within(logs: F64, lowest: F64, highest: F64) -> F64:
+    """Logarithms no less and no greater than these."""
+    return np.minimum(np.maximum(logs, lowest), highest)
 
 
 def _solved(matrix: F64, vector: F64) -> F64:

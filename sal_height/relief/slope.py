@@ -51,11 +51,11 @@ def ground_slope(points: F64, covariance: F64, spacing: float) -> tuple[F64, F64
     seen = centred[3] > 0
     if not seen.any():
         return np.full((*seen.shape, 2), np.nan), np.full(seen.shape, np.nan)
-    half = _half_width(float(np.sqrt(_median(covariance[..., 2, 2][seen]))), spacing)
+    half = _half_width(float(np.sqrt(median(covariance[..., 2, 2][seen]))), spacing)
     slope, error = _planes(centred, covariance, half)
-    median = _median(error[seen])
-    if SLOPE_ERROR < median < np.inf and half < WIDEST:  # errors fall as the square of the width
-        half = min(int(np.ceil(half * np.sqrt(median / SLOPE_ERROR))), WIDEST)
+    middle = median(error[seen])
+    if SLOPE_ERROR < middle < np.inf and half < WIDEST:  # errors fall as the square of the width
+        half = min(int(np.ceil(half * np.sqrt(middle / SLOPE_ERROR))), WIDEST)
         slope, error = _planes(centred, covariance, half)
     known = error <= KNOWN
     return np.where(known[..., None], slope, np.nan), np.where(known, error, np.nan)
@@ -92,7 +92,7 @@ def _planes(centred: F64, covariance: F64, half: int) -> tuple[F64, F64]:
     return slope, error
 
 
-def _median(values: F64) -> float:
+def median(values: F64) -> float:
     """Median of some numbers, one at least."""
     middle = len(values) // 2
     ordered = np.partition(values, (max(middle - 1, 0), middle))

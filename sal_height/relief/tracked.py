@@ -7,7 +7,7 @@ import numpy as np
 from sal_height.elevation import Validity
 from sal_height.geometry import ApertureState, Grid, locate_at_height
 from sal_height.numeric import F64, Bool
-from sal_height.relief._tracking_kernels import mark_between, mark_company
+from sal_height.relief._tracking_kernels import fill_sights, judge_pixels, mark_company
 from sal_height.relief.heights import HeightField, Surface
 from sal_height.relief.position_error import circle_covariance, height_variance
 from sal_height.relief.prior import PriorEstimate
@@ -22,8 +22,9 @@ def ground_spacings(grid: Grid) -> tuple[float, float]:
 
 def look_side_of(grid: Grid, aperture: ApertureState) -> int:
     """Look side of the middle of the image: +1 right of the track, -1 left."""
-    sight = grid.middle - aperture.position
-    return 1 if np.cross(aperture.direction, [0.0, 0.0, 1.0]) @ sight > 0 else -1
+    east, north, _ = (grid.middle - aperture.position).tolist()
+    ahead_east, ahead_north, _ = aperture.direction.tolist()
+    return 1 if ahead_north * east > ahead_east * north else -1
 
 
 def own_sigma(surface: Surface) -> F64:
@@ -82,26 +83,25 @@ def tracked_field(
     """
     measured = np.isfinite(field.first.height)
     # The circle about the track is the same from every position of a sliding aperture.
-    sight = np.where(measured[..., None], field.first.positions, field.grid.pixels()) - aperture.position
-    slant_range, along = np.linalg.norm(sight, axis=-1), sight @ aperture.direction
+    slant_range, along = _seen_from(aperture.position, field, measured, aperture.direction)
     positions = locate_at_height(relief.height, slant_range, along, aperture, look_side_of(field.grid, aperture))
-    located = np.isfinite(positions).all(axis=-1)
-    whole = (field.validity == Validity.OK) | (field.validity == Validity.INTERPOLATED)
     step = in_company(field.first, relief.outlier)
-    kept, outlier = measured & (~whole | step), relief.outlier & whole & ~step
-    used = measured & ~relief.outlier
-    tracked = located & used & ~kept
     unknown = _UNKNOWN[field.validity] & (relief.sigma <= greatest_sigma)
-    filled = located & unknown & _between(tracked, measured)
-    validity = np.select(
-        [kept, tracked, filled, used, outlier],
-        [field.validity, Validity.OK, Validity.INTERPOLATED, Validity.OUTSIDE_ARRAY, Validity.LOW_CNR],
-        field.validity,
-    ).astype(np.uint8)
+    validity, (kept, shown) = np.empty_like(field.validity), np.empty((2, *measured.shape), np.bool_)
+    judge_pixels(field.validity, measured, positions, relief.outlier, step, unknown, validity, kept, shown)
     own = circle_covariance(relief.sigma.astype(np.float64), positions, aperture)
-    surface = Surface.seen_from(aperture, positions, own, field.first.cnr_db).where(tracked | filled)
-    others = (other.where(kept) for other in field.surfaces[1:])
-    return HeightField(field.grid, validity, (_joined(surface, field.first, kept), *others))
+    first = Surface.seen_from(aperture, positions, own, field.first.cnr_db).where(shown)
+    first.take(field.first, kept)
+    return HeightField(field.grid, validity, (first, *field.surfaces[1:]))
+
+
+def _seen_from(antenna: F64, field: HeightField, measured: Bool, direction: F64) -> tuple[F64, F64]:
+    """Slant range, and its part along a direction (m), of measured heights and of the centres of the other pixels."""
+    grid = field.grid
+    steps = np.array([grid.row_spacing * grid.row_direction, grid.col_spacing * grid.col_direction])
+    sight, slant_range = np.empty((*measured.shape, 3)), np.empty(measured.shape)
+    fill_sights(antenna, np.ascontiguousarray(field.first.positions), measured, grid.origin, steps, sight, slant_range)
+    return slant_range, sight @ direction
 
 
 UNKNOWN = (Validity.LOW_CNR, Validity.AMBIGUOUS, Validity.MISSING_DATA, Validity.SATURATED, Validity.IMPRECISE)
@@ -112,13 +112,6 @@ _UNKNOWN = np.zeros(256, np.bool_)
 _UNKNOWN[list(UNKNOWN)] = True
 
 
-def _between(tracked: Bool, measured: Bool) -> Bool:
-    """Pixels of which the next measured ones before and after them in their column exist and were tracked."""
-    between = np.empty(tracked.shape, np.bool_)
-    mark_between(tracked, measured, between)
-    return between
-
-
 def in_company(surface: Surface, outlier: Bool) -> Bool:
     """Outliers that have three or more of the same height among the eight pixels around them, shape (rows, cols)."""
     company = np.empty(outlier.shape, np.bool_)
@@ -126,19 +119,3 @@ def in_company(surface: Surface, outlier: Bool) -> Bool:
     same = 3.0  # standard deviations of their difference up to which two heights count as the same
     mark_company(height, variance, outlier, same, 3, company)
     return company
-
-
-def _joined(surface: Surface, other: Surface, there: Bool) -> Surface:
-    """A surface with the values of another one `there`."""
-    if not there.any():
-        return surface
-
-    def chosen(first: F64, second: F64) -> F64:
-        return np.where(there.reshape(there.shape + (1,) * (first.ndim - 2)), second, first)
-
-    common = surface.common_covariance
-    if common is not None and other.common_covariance is not None:
-        common = chosen(common, other.common_covariance)
-    names = ("height", "sigma", "cnr_db", "positions", "spread", "own_covariance")
-    values = {name: chosen(getattr(surface, name), getattr(other, name)) for name in names}
-    return Surface(**values, common_covariance=common)

@@ -52,3 +52,10 @@ def test_few_are_kept() -> None:
     for number in range(3 * CACHED):
         sent(stated(number=number))
     assert _first_alike.cache_info().currsize == CACHED
+
+
+def test_further_values_follow_those_that_are_stated() -> None:
+    one = Provenance("1.0", "f00", "ca1", {"tracker.gate": 3.0}, np.ones(2, np.float32))
+    more = one.stating("tracker.prior.", {"length": 2.0, "mean": None})
+    assert list(more.parameters.items()) == [("tracker.gate", 3.0), ("tracker.prior.length", 2.0)]
+    assert replace(more, parameters=one.parameters) == one

@@ -5,12 +5,13 @@ The Writer copies every message three times into buffers that it asks the system
 
 from __future__ import annotations
 
+import os
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import IO
+from io import FileIO
 
 import lz4.frame
 import zstandard
@@ -23,7 +24,6 @@ from mcap.records import (
     Footer,
     Header,
     McapRecord,
-    MessageIndex,
     Metadata,
     MetadataIndex,
     Schema,
@@ -34,9 +34,12 @@ from mcap.writer import MCAP0_MAGIC
 
 CHUNK_SIZE = 1 << 20  # bytes; a larger message becomes a chunk of its own
 
-LARGEST_WRITE = 1 << 18
+LARGEST_WRITE = 1 << 19
 """Bytes that are handed to the operating system at once: Linux puts more into pages of 2 MB, which it lacks and clears;
-4 MB at once cost five times the processor time."""
+4 MB at once cost up to five times the processor time."""
+
+MOST_PARTS = 1000
+"""Parts that are handed to the operating system at once; POSIX systems accept 1024."""
 
 COMPRESSIONS: dict[str, Callable[[bytes], bytes] | None] = {
     "none": None,
@@ -55,6 +58,9 @@ compression; that name and the size of the compressed records follow."""
 NO_CHECKSUM = bytes(4)
 """End of a footer without a checksum."""
 
+INDEX_HEAD = struct.Struct("<BQHI")
+"""Kind and length of the record of a message index, its channel, and size of the entries that follow."""
+
 OF_RECORD = 9
 """Size of kind and length of a record, bytes."""
 
@@ -67,6 +73,48 @@ def _packed(records: Iterable[McapRecord]) -> bytes:
     return bytes(builder.end())
 
 
+def _index_record(channel: int, entries: Sequence[int]) -> bytes:
+    """The record of a message index; the entries are log time, ns, and place of one message after the other."""
+    size = 8 * len(entries)
+    head = INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, INDEX_HEAD.size - OF_RECORD + size, channel, size)
+    return head + struct.pack(f"<{len(entries)}Q", *entries)
+
+
+def _pieces(parts: Iterable[bytes]) -> Iterator[bytes | memoryview]:
+    """The parts, and pieces of those that are too large to be written at once."""
+    for part in parts:
+        if len(part) <= LARGEST_WRITE:
+            yield part
+        else:
+            for start in range(0, len(part), LARGEST_WRITE):
+                yield memoryview(part)[start : start + LARGEST_WRITE]
+
+
+def _groups_to_write(parts: Iterable[bytes]) -> Iterator[list[bytes | memoryview]]:
+    """Pieces of the parts, as many together as are written at once."""
+    group, size = list[bytes | memoryview](), 0
+    for piece in _pieces(parts):
+        size += len(piece)
+        if size > LARGEST_WRITE or len(group) == MOST_PARTS:
+            yield group
+            group, size = [], len(piece)
+        group.append(piece)
+    yield group
+
+
+def _write_together(stream: FileIO, group: list[bytes | memoryview]) -> None:
+    """Write pieces, also if the operating system accepts only some of their bytes at first.
+
+    Raises:
+        OSError: they cannot be written.
+    """
+    written = os.writev(stream.fileno(), group)
+    if written < sum(map(len, group)):
+        rest = memoryview(b"".join(group))[written:]
+        while rest:
+            rest = rest[os.write(stream.fileno(), rest) :]
+
+
 @dataclass
 class _Chunk:
     """Records that are gathered for a chunk.
@@ -74,29 +122,31 @@ class _Chunk:
     Attributes:
         parts: the records; a message is two of them, so that its bytes are not copied.
         size: size of the records, bytes.
-        times: log times of the messages, ns, and their places, by channel.
+        entries: log time, ns, and place of one message after the other, by channel.
     """
 
     parts: list[bytes] = field(default_factory=list)
     size: int = 0
-    times: dict[int, list[tuple[int, int]]] = field(default_factory=dict)
+    entries: dict[int, list[int]] = field(default_factory=dict)
 
-    def add(self, *parts: bytes) -> None:
-        """Append parts of a record."""
-        self.parts += parts
-        self.size += sum(map(len, parts))
+    def add(self, record: bytes) -> None:
+        """Append a record that is no message."""
+        self.parts.append(record)
+        self.size += len(record)
 
     def add_message(self, channel: int, sequence: int, log_time_ns: int, publish_time_ns: int, cdr: bytes) -> None:
         """Append a message."""
-        self.times.setdefault(channel, []).append((log_time_ns, self.size))
         length = MESSAGE_HEAD.size - OF_RECORD + len(cdr)
-        self.add(MESSAGE_HEAD.pack(Opcode.MESSAGE, length, channel, sequence, log_time_ns, publish_time_ns), cdr)
+        head = MESSAGE_HEAD.pack(Opcode.MESSAGE, length, channel, sequence, log_time_ns, publish_time_ns)
+        self.entries.setdefault(channel, []).extend((log_time_ns, self.size))
+        self.parts.extend((head, cdr))
+        self.size += OF_RECORD + length
 
     @property
     def span_ns(self) -> tuple[int, int]:
         """First and last log time, ns."""
-        times = [time for entries in self.times.values() for time, _ in entries]
-        return min(times), max(times)
+        times = [entries[::2] for entries in self.entries.values()]
+        return min(map(min, times)), max(map(max, times))
 
     @property
     def checksum(self) -> int:
@@ -114,11 +164,11 @@ class McapFile:
         size: bytes of the file so far, without the chunk that is being gathered.
     """
 
-    def __init__(self, stream: IO[bytes], compression: str, profile: str, library: str) -> None:
+    def __init__(self, stream: FileIO, compression: str, profile: str, library: str) -> None:
         """Start the file.
 
         Args:
-            stream: file that is open for writing, at its start.
+            stream: file that is open for writing without a buffer, at its start.
             compression: compression of chunks, one of COMPRESSIONS.
             profile: name of the conventions that its channels follow.
             library: name of the program that writes it.
@@ -151,8 +201,8 @@ class McapFile:
 
     def add_message(self, channel: int, log_time_ns: int, cdr: bytes, publish_time_ns: int, sequence: int = 0) -> None:
         """Append a message of a channel; its bytes must not change any more."""
-        self._counts[channel] += 1
         self._chunk.add_message(channel, sequence, log_time_ns, publish_time_ns, cdr)
+        self._counts[channel] += 1
         self._end_full_chunk()
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
@@ -162,9 +212,8 @@ class McapFile:
         self._append(record)
 
     def flush(self) -> None:
-        """End the chunk that is being gathered, if it has a message, and hand all to the operating system."""
+        """End the chunk that is being gathered, if it has a message: all is handed to the operating system."""
         self._end_chunk()
-        self._stream.flush()
 
     def finish(self) -> None:
         """Write the indexes and the end of the file; the stream stays open."""
@@ -215,7 +264,7 @@ class McapFile:
     def _end_chunk(self) -> None:
         """Write the chunk that is being gathered, with its index, if it has a message."""
         chunk = self._chunk
-        if not chunk.times:
+        if not chunk.entries:
             return
         first_ns, last_ns = chunk.span_ns
         parts = [self._compress(b"".join(chunk.parts))] if self._compress else chunk.parts
@@ -223,21 +272,21 @@ class McapFile:
         name = self._compression.encode()
         length = CHUNK_HEAD.size - OF_RECORD + len(name) + 8 + packed_size
         head = CHUNK_HEAD.pack(Opcode.CHUNK, length, first_ns, last_ns, chunk.size, chunk.checksum, len(name))
-        start = self.size
-        self._append(head, name, struct.pack("<Q", packed_size), *parts)
-        chunk_length, offsets = self.size - start, {}
-        indexes = [_packed([MessageIndex(channel, entries)]) for channel, entries in chunk.times.items()]
-        for channel, index in zip(chunk.times, indexes, strict=True):
-            offsets[channel] = self.size
-            self._append(index)
+        start, after = self.size, self.size + OF_RECORD + length
+        indexes, offsets, index_size = [], {}, 0
+        for channel, entries in chunk.entries.items():
+            offsets[channel] = after + index_size
+            indexes.append(_index_record(channel, entries))
+            index_size += len(indexes[-1])
+        self._append(head, name, struct.pack("<Q", packed_size), *parts, *indexes)
         self._chunks.append(
             ChunkIndex(
                 message_start_time=first_ns,
                 message_end_time=last_ns,
                 chunk_start_offset=start,
-                chunk_length=chunk_length,
+                chunk_length=after - start,
                 message_index_offsets=offsets,
-                message_index_length=self.size - start - chunk_length,
+                message_index_length=index_size,
                 compression=self._compression,
                 compressed_size=packed_size,
                 uncompressed_size=chunk.size,
@@ -246,9 +295,7 @@ class McapFile:
         self._chunk = _Chunk()
 
     def _append(self, *parts: bytes) -> None:
-        """Write parts, large ones piece by piece."""
-        for part in parts:
-            pieces = memoryview(part)
-            for start in range(0, len(part), LARGEST_WRITE):
-                self._stream.write(pieces[start : start + LARGEST_WRITE])
-            self.size += len(part)
+        """Write parts."""
+        for group in _groups_to_write(parts):
+            _write_together(self._stream, group)
+        self.size += sum(map(len, parts))

@@ -7,8 +7,9 @@ import errno
 import math
 import os
 from collections import Counter, deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from io import FileIO
 from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, NamedTuple, Self
@@ -73,6 +74,14 @@ class Written:
     first_ns: int = NO_TIME
     last_ns: int = 0
 
+    def add(self, topic: str, log_time_ns: int) -> None:
+        """Count a message."""
+        self.counts[topic] += 1
+        if log_time_ns < self.first_ns:
+            self.first_ns = log_time_ns
+        if log_time_ns > self.last_ns:
+            self.last_ns = log_time_ns
+
 
 class FileWriter:
     """An MCAP file that is being written.
@@ -97,7 +106,7 @@ class FileWriter:
             OSError: it cannot be written.
         """
         self.path, self.written = path, Written(path.name)
-        self._stream = path.open("xb")
+        self._stream = FileIO(path, "x")
         self._schema_ids: dict[tuple[str, Definition], int] = {}
         self._channel_ids: dict[str, int] = {}
         self._writer = McapFile(self._stream, compression, profile="ros2", library="sal_height")
@@ -136,9 +145,7 @@ class FileWriter:
         """Append a serialized message; `repeated`: True if it is in the file before, too."""
         sequence = REPEATED_SEQUENCE if repeated else 0
         self._writer.add_message(self._channel_ids[topic], log_time_ns, cdr, publish_time_ns, sequence)
-        written = self.written
-        written.counts[topic] += 1
-        written.first_ns, written.last_ns = min(written.first_ns, log_time_ns), max(written.last_ns, log_time_ns)
+        self.written.add(topic, log_time_ns)
 
     def flush(self) -> None:
         """Hand everything written so far to the operating system, so that it outlives this process.
@@ -165,8 +172,31 @@ class FileWriter:
         self._stream.close()
 
     def cut(self) -> None:
-        """Close the file as it is: a broken stream still keeps bytes that it tries, and fails, to write again."""
+        """Close the file as it is."""
         self._stream.close()
+
+
+class _Breaking:
+    """After an OSError in a block of this kind no other may begin: the file ends in half a record.
+
+    Attributes:
+        has_broken: True after an OSError.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        """Watch over the bag in a folder."""
+        self._directory = directory
+        self.has_broken = False
+
+    def __enter__(self) -> None:
+        if self.has_broken:
+            raise OSError(f"an earlier write error has cut bag {self._directory}")
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if isinstance(error, OSError):
+            self.has_broken = True
 
 
 ROS_DISTRO = "jazzy"
@@ -223,7 +253,7 @@ class BagWriter:
         self._custom_data, self._packing = dict(custom_data), packing
         self._topics: dict[str, _Topic] = {}
         self._finished: list[Written] = []
-        self._broken = False
+        self._breaking = _Breaking(directory)
         try:
             directory.mkdir(parents=True, exist_ok=True)
             if any(directory.iterdir()):
@@ -266,7 +296,7 @@ class BagWriter:
             return
         latched = deque[_Kept](maxlen=kept_by_publishers(qos))
         topic = _Topic(name, type_name, definition or known_definition(type_name), list(qos), latched)
-        with self._breaking():
+        with self._breaking:
             self._file.add_topic(topic)
         self._topics[name] = topic
 
@@ -277,7 +307,7 @@ class BagWriter:
             OSError: the file cannot be written (disk full): the bag is cut there, and every later `write` fails too.
         """
         entry = self._topics[topic]
-        with self._breaking():
+        with self._breaking:
             if self._packing.cuts and self._is_full(log_time_ns):
                 self._split(log_time_ns)
             self._file.write(topic, cdr, log_time_ns, publish_time_ns)
@@ -290,7 +320,7 @@ class BagWriter:
 
     def flush(self) -> None:
         """Hand everything written so far to the operating system, so that it outlives this process."""
-        with self._breaking():
+        with self._breaking:
             self._file.flush()
 
     def give_back(self) -> None:
@@ -311,8 +341,8 @@ class BagWriter:
         if self._file.is_closed:
             return
         try:
-            if not self._broken:
-                with self._breaking():
+            if not self._breaking.has_broken:
+                with self._breaking:
                     self._finish_file(records)
                     self._write_metadata()
         finally:
@@ -326,17 +356,6 @@ class BagWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-    @contextlib.contextmanager
-    def _breaking(self) -> Iterator[None]:
-        """After an OSError the file ends in half a record: nothing may be appended to it."""
-        if self._broken:
-            raise OSError(f"an earlier write error has cut bag {self.directory}")
-        try:
-            yield
-        except OSError:
-            self._broken = True
-            raise
 
     def _is_full(self, log_time_ns: int) -> bool:
         """True if a message belongs to the next file; a file has at least one."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import pytest
 from mcap.writer import CompressionType, Writer
 
 from sal_height.bag.mcap_file import CHUNK_SIZE, McapFile
+from sal_height.bag.reader import BagReader
 from sal_height.bag.writer import BagWriter
 
 STRING = "std_msgs/msg/String"
@@ -40,15 +41,43 @@ def write_all(file: Any) -> None:
 
 @pytest.mark.parametrize("write", [write_all, lambda file: file.finish()], ids=["messages", "empty"])
 @pytest.mark.parametrize("compression", TYPES)
-def test_its_bytes_are_those_of_the_mcap_package(compression: str, write: Callable[[Any], None]) -> None:
-    theirs, ours = io.BytesIO(), io.BytesIO()
+def test_its_bytes_are_those_of_the_mcap_package(
+    tmp_path: Path, compression: str, write: Callable[[Any], None]
+) -> None:
+    theirs, path = io.BytesIO(), tmp_path / "ours.mcap"
     writer = Writer(theirs, chunk_size=CHUNK_SIZE, compression=TYPES[compression])
     writer.start("ros2", "test")
     write(writer)
-    file = McapFile(ours, compression, "ros2", "test")
-    write(file)
-    assert file.size == len(ours.getvalue())
-    assert ours.getvalue() == theirs.getvalue()
+    with io.FileIO(path, "x") as stream:
+        file = McapFile(stream, compression, "ros2", "test")
+        write(file)
+    assert file.size == path.stat().st_size
+    assert path.read_bytes() == theirs.getvalue()
+
+
+def test_all_is_written_where_the_system_accepts_a_part_of_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As Linux does when a disk has room for no more, or after 2 GB."""
+    accepted = iter(range(1, 1_000_000, 777))
+    write, whole, cut = os.writev, tmp_path / "whole.mcap", tmp_path / "cut.mcap"
+
+    def write_some(file: int, parts: Sequence[bytes]) -> int:
+        return os.write(file, b"".join(parts)[: next(accepted)])
+
+    for path, accept in ((whole, write), (cut, write_some)):
+        monkeypatch.setattr(os, "writev", accept)
+        with io.FileIO(path, "x") as stream:
+            write_all(McapFile(stream, "none", "ros2", "test"))
+    assert cut.read_bytes() == whole.read_bytes()
+
+
+def test_many_small_messages_are_written_together(tmp_path: Path) -> None:
+    """A chunk of them has more parts than a system accepts at once."""
+    with BagWriter(tmp_path / "run") as bag:
+        bag.add_topic("/bytes", STRING)
+        for number in range(3000):
+            bag.write("/bytes", bytes([number % 256]), number, number)
+    found = BagReader(tmp_path / "run").recorded_messages()
+    assert [message.cdr[0] for message in found] == [number % 256 for number in range(3000)]
 
 
 def test_memory_of_what_the_disk_has_is_given_back(tmp_path: Path) -> None:

@@ -54,6 +54,10 @@ QUEUE_DEPTH = 1000  # messages per topic that may wait in the middleware until t
 DIAGNOSTICS_PERIOD_S = 0.5
 GIVE_BACK_PERIOD_S = 0.1
 
+FEW_ARRIVE_S, MORE_ARRIVE_S = 0.003, 0.01
+"""Time in which messages gather, so that the thread that writes wakes once for all of them, s; the latter if some have
+arrived already while it wrote those before."""
+
 OF_DWELLS = {FRAME_TYPE, IMAGE_TYPE, HEIGHT_TYPE, ODOMETRY_TYPE}
 """Types of which every message matters, however it is published."""
 
@@ -314,8 +318,9 @@ class Recorder(Role, Node):
         flush, publish = guarded(self._flush, self._fail), guarded(self._account_publisher.publish_progress, self._fail)
         flush_due: float | None = None
         while not self._ending.is_set():
+            pause_s = MORE_ARRIVE_S if self._arrival.is_set() else FEW_ARRIVE_S
             self._arrival.wait(None if flush_due is None else max(0.0, flush_due - time.monotonic()))
-            self._ending.wait(0.003)  # the thread wakes once for all messages that arrive meanwhile
+            time.sleep(pause_s)
             self._arrival.clear()
             topics, now = self._write_waiting(), time.monotonic()
             if topics - ACCOUNTS:

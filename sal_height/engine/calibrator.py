@@ -121,7 +121,7 @@ class PsfCalibration(DwellStage):
 
     def command(self, name: str) -> Sequence[Any]:
         """Make a calibration of the dwells so far."""
-        return self._collected(lambda: self.add_own_job(name, self.name))
+        return self._collected(self.add_own_job, name, self.name)
 
     def conclude_work(self) -> None:
         """If no calibration was made yet, make one from the dwells so far."""

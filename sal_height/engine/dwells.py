@@ -413,8 +413,9 @@ class DwellStage(Stage):
                 dwell = self._assembler.add_whole(message.key, sensor, message, now, message.size)
             else:
                 self.check(message, sensor)
-                absences.pop(self.channel_of(message), None)
-                dwell = self._insert(message, sensor, now)
+                channel = self.channel_of(message)
+                absences.pop(channel, None)
+                dwell = self._insert(channel, message, sensor, now)
             self._latest_ns = message.key.stamp_ns
         except Exception as error:  # noqa: BLE001 (no message may end the host)
             if self._is_whole(message):
@@ -426,14 +427,14 @@ class DwellStage(Stage):
         crowded = self._assembler.is_crowded(settings.max_unfinished_dwells, settings.max_memory_bytes)
         return dwell.is_whole or crowded or bool(absences)
 
-    def _insert(self, message: Any, sensor: Sensor, now: float) -> Dwell[Any]:
-        """Add a message to its dwell.
+    def _insert(self, channel: int, message: Any, sensor: Sensor, now: float) -> Dwell[Any]:
+        """Add the message of a channel to its dwell.
 
         Raises:
             Rejected: the same has arrived before; if several nodes publish, they may all do so.
         """
         try:
-            return self._assembler.add(message.key, sensor, self.channel_of(message), message, now, message.size)
+            return self._assembler.add(message.key, sensor, channel, message, now, message.size)
         except Rejected as error:
             publishers = self.publishers_of(self._port)
             if publishers < 2:

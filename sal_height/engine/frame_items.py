@@ -5,15 +5,14 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from sal_height.engine.provenance import Same
 from sal_height.engine.stage import DwellKey
 from sal_height.errors import Rejected
-from sal_height.numeric import C64, F32, F64, U8, by_fields
+from sal_height.numeric import C64, F32, F64, U8
 from sal_height.sensor import PhaseHistory, Sensor
 
 LONGEST_DWELL = 3600.0
@@ -30,9 +29,13 @@ COMPLEX_FLOAT32, COMPLEX_INT16 = "complex_float32", "complex_int16"
 SAMPLE_BYTES = {COMPLEX_FLOAT32: 8, COMPLEX_INT16: 4}
 """Bytes per complex sample by encoding."""
 
+_FLOAT32 = np.dtype("<f4")
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Frame:
+Fault: TypeAlias = tuple[str, str]
+"""Reason for which an item is rejected, and the message without the item that it is about."""
+
+
+class Frame(NamedTuple):
     """Samples of one channel in one dwell.
 
     Attributes:
@@ -61,10 +64,6 @@ class Frame:
     samples: U8
     size: int = 0
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        """To be sent to another process: frames that share times and ranges do so there, too."""
-        return by_fields(self)
-
     @property
     def end_ns(self) -> int:
         """Time of the last pulse, ns."""
@@ -72,7 +71,7 @@ class Frame:
 
     def blank(self, channel: int) -> Frame:
         """A frame of zeros for a channel that is missing: estimators leave such a channel out as dead."""
-        return replace(self, channel=channel, samples=np.zeros_like(self.samples))
+        return self._replace(channel=channel, samples=np.zeros_like(self.samples))
 
 
 def frames_of(history: PhaseHistory, sensor: Sensor, dwell: int, stamp_ns: int | None = None) -> list[Frame]:
@@ -109,44 +108,49 @@ def check_frame(frame: Frame, sensor: Sensor) -> None:
     Raises:
         Rejected: it has not; the message names the field, its value and what is allowed.
     """
-    where = f"ChannelFrame of dwell {frame.key.number}, channel {frame.channel}"
-    check_channel(frame.channel, sensor, where)
-    expected = (sensor.pulse_count, sensor.sample_count)
-    if (frame.pulse_count, frame.sample_count) != expected:
-        raise Rejected(
-            "contradicts sensor info",
-            f"{where}: the frame has {frame.pulse_count} pulses of {frame.sample_count} samples; SensorInfo states "
-            f"{expected[0]} of {expected[1]}.",
-        )
+    if fault := _fault_of_frame(frame, sensor):
+        raise Rejected(fault[0], f"ChannelFrame of dwell {frame.key.number}, channel {frame.channel}: {fault[1]}")
+
+
+def _fault_of_frame(frame: Frame, sensor: Sensor) -> Fault | None:
+    """Fault of a frame of a sensor, if it has one."""
+    pulses, samples = sensor.pulse_count, sensor.sample_count
+    if fault := fault_of_channel(frame.channel, sensor):
+        return fault
+    if (frame.pulse_count, frame.sample_count) != (pulses, samples):
+        sizes = f"{frame.pulse_count} pulses of {frame.sample_count} samples; SensorInfo states {pulses} of {samples}"
+        return "contradicts sensor info", f"the frame has {sizes}."
     if frame.encoding not in SAMPLE_BYTES:
-        raise Rejected(
-            "unknown encoding", f"{where}: encoding is {frame.encoding!r}; allowed are {', '.join(SAMPLE_BYTES)}."
-        )
-    size = SAMPLE_BYTES[frame.encoding] * expected[0] * expected[1]
-    for field, count in (("samples", size), ("pulse_time", expected[0]), ("reference_range", expected[0])):
-        if len(getattr(frame, field)) != count:
-            raise Rejected(
-                "wrong size", f"{where}: {field} has {len(getattr(frame, field))} entries; it must have {count}."
-            )
+        return "unknown encoding", f"encoding is {frame.encoding!r}; allowed are {', '.join(SAMPLE_BYTES)}."
+    size = SAMPLE_BYTES[frame.encoding] * pulses * samples
+    if fault := (
+        _fault_of_size("samples", frame.samples, size)
+        or _fault_of_size("pulse_time", frame.pulse_time, pulses)
+        or _fault_of_size("reference_range", frame.reference_range, pulses)
+    ):
+        return fault
+    return _fault_of_samples(frame) or _fault_of_pulses(Same(frame.pulse_time), Same(frame.reference_range))
+
+
+def _fault_of_samples(frame: Frame) -> Fault | None:
+    """Fault of the values of a frame's samples, if they have one."""
     if frame.encoding == COMPLEX_INT16 and not 0 < frame.scale <= GREATEST_SCALE:
-        raise Rejected(
-            "wrong scale",
-            f"{where}: scale is {frame.scale}; it must be greater than 0 and at most {GREATEST_SCALE:g}.",
-        )
-    if frame.encoding == COMPLEX_FLOAT32 and not _are_finite(samples_of(frame).view(np.float32).ravel()):
-        raise Rejected("not finite", f"{where}: samples has NaN or infinite entries; all must be finite.")
-    if fault := _fault_of_pulses(Same(frame.pulse_time), Same(frame.reference_range)):
-        raise Rejected(fault[0], f"{where}: {fault[1]}")
+        return "wrong scale", f"scale is {frame.scale}; it must be greater than 0 and at most {GREATEST_SCALE:g}."
+    if frame.encoding == COMPLEX_FLOAT32 and not _are_finite(frame.samples.view(_FLOAT32)):
+        return "not finite", "samples has NaN or infinite entries; all must be finite."
+    return None
 
 
-def check_channel(channel: int, sensor: Sensor, where: str) -> None:
-    """Check that the sensor has a channel of that number.
+def _fault_of_size(field: str, values: F64 | U8, count: int) -> Fault | None:
+    """Fault of the values of a field that must be so many, if they are not."""
+    return None if len(values) == count else ("wrong size", f"{field} has {len(values)} entries; it must have {count}.")
 
-    Raises:
-        Rejected: it has not; the message begins with `where`.
-    """
-    if not 0 <= channel < sensor.detector_count:
-        raise Rejected("unknown channel", f"{where}: SensorInfo has channels 0 to {sensor.detector_count - 1}.")
+
+def fault_of_channel(channel: int, sensor: Sensor) -> Fault | None:
+    """Fault of the number of a channel that the sensor does not have."""
+    if 0 <= channel < sensor.detector_count:
+        return None
+    return "unknown channel", f"SensorInfo has channels 0 to {sensor.detector_count - 1}."
 
 
 def samples_of(frame: Frame) -> C64:
@@ -232,8 +236,8 @@ def _are_finite(numbers: F32) -> bool:
 
 
 @functools.lru_cache(maxsize=2)
-def _fault_of_pulses(pulse_time: Same[F64], reference_range: Same[F64]) -> tuple[str, str] | None:
-    """Fault of the times and ranges of a dwell's pulses, which all its frames share: reason and message; or None."""
+def _fault_of_pulses(pulse_time: Same[F64], reference_range: Same[F64]) -> Fault | None:
+    """Fault of the times and ranges of a dwell's pulses, which all its frames share, if they have one."""
     times, ranges = pulse_time.one, reference_range.one
     for field, numbers in (("pulse_time", times), ("reference_range", ranges)):
         if not np.isfinite(numbers).all():

@@ -89,10 +89,9 @@ class DwellAssembler(Generic[Item]):
         Raises:
             Rejected: "duplicate" (this channel has arrived already) or "late" (the dwell has been finished or dropped).
         """
-        where = f"Dwell {key.number}, channel {channel}"
-        dwell = self._dwells.get(key) or self._started(key, sensor, now, where)
+        dwell = self._dwells.get(key) or self._started(key, sensor, now, f"Dwell {key.number}, channel {channel}")
         if dwell.whole is not None or channel in dwell.items:
-            raise Rejected("duplicate", f"{where}: the same message was received twice.")
+            raise Rejected("duplicate", f"Dwell {key.number}, channel {channel}: the same message was received twice.")
         dwell.items[channel] = item
         self._note(dwell, size)
         return dwell
@@ -103,10 +102,9 @@ class DwellAssembler(Generic[Item]):
         Raises:
             Rejected: the reasons of `add`.
         """
-        where = f"Dwell {key.number}"
         if key in self._dwells:
-            raise Rejected("duplicate", f"{where}: messages of it were received before.")
-        dwell = self._started(key, sensor, now, where)
+            raise Rejected("duplicate", f"Dwell {key.number}: messages of it were received before.")
+        dwell = self._started(key, sensor, now, f"Dwell {key.number}")
         dwell.whole = item
         self._note(dwell, size)
         return dwell

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sal_height.calibration import Calibration
-from sal_height.engine.frame_items import Frame, check_channel
+from sal_height.engine.frame_items import Frame, fault_of_channel
 from sal_height.engine.geometry_items import Aperture, are_equal, check_geometry
 from sal_height.engine.losses import Doubt, FitTest
 from sal_height.engine.provenance import Provenance
@@ -241,7 +241,8 @@ def check_image(image: ChannelImage, sensor: Sensor) -> None:
         Rejected: it has not; the message names the field, its value and what is allowed.
     """
     where = f"ComplexImage of dwell {image.key.number}, channel {image.channel}"
-    check_channel(image.channel, sensor, where)
+    if fault := fault_of_channel(image.channel, sensor):
+        raise Rejected(fault[0], f"{where}: {fault[1]}")
     grid = image.place.grid
     count = 2 * grid.rows * grid.cols
     if len(image.samples) != count or count == 0:

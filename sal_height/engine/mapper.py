@@ -252,7 +252,7 @@ class Mapper(Stage):
 
     def command(self, name: str) -> Sequence[Any]:
         """Write the map as it stands."""
-        return self._collected(lambda: self.add_own_job(name, self.name))
+        return self._collected(self.add_own_job, name, self.name)
 
     def conclude(self) -> None:
         """Make the map final, publish it and write the file."""

@@ -340,7 +340,7 @@ class Stage(Scheduling):
 
     def start(self, stamp_ns: int) -> Sequence[Decision]:
         """Decisions before anything arrives; `stamp_ns` (ns of the host's clock) is for the stamps of products."""
-        return self._collected(lambda: self.begin(stamp_ns))
+        return self._collected(self.begin, stamp_ns)
 
     def accept(self, port: str, item: Any, now_s: float = 0.0) -> Sequence[Decision]:
         """Accept an item from a port.
@@ -353,7 +353,7 @@ class Stage(Scheduling):
             now_s: time of the host's clock, s.
         """
         self._now_s = now_s
-        return self._collected(lambda: self.receive(port, item))
+        return self._collected(self.receive, port, item)
 
     def advance(self, now_s: float, *, busy: bool) -> Sequence[Decision]:
         """Time has passed: give up what has waited too long. Has no effect where the source announces its end.
@@ -399,7 +399,7 @@ class Stage(Scheduling):
 
     def note_done(self, job: Job, results: Sequence[Result]) -> Sequence[Decision]:
         """A job has been processed, by this stage or a copy of it; every host states this after each job."""
-        return self._collected(lambda: self.follow(job, results))
+        return self._collected(self.follow, job, results)
 
     @property
     def needed_ports(self) -> Sequence[str]:
@@ -530,10 +530,11 @@ class Stage(Scheduling):
         except Exception as error:  # noqa: BLE001 (no input may end a host)
             self.warn(reason_of(error), error)
 
-    def _collected(self, decide: Any) -> Sequence[Decision]:
+    def _collected(self, decide: Callable[..., None], *arguments: Any) -> Sequence[Decision]:
+        """The decisions of a method that is called with arguments."""
         before, self._decisions = self._decisions, []
         try:
-            decide()
+            decide(*arguments)
         except Exception as error:  # noqa: BLE001 (no input may end a host)
             self.warn(reason_of(error), error)
         finally:

@@ -134,7 +134,7 @@ class OdometryHistory:
     def _put(self, place: int, state: PlatformState) -> None:
         """Insert a sample before the one at `place`."""
         covariances = state.covariance, state.velocity_covariance
-        if place and all(map(np.array_equal, covariances, self._covariances[place - 1])):
+        if place and all(map(_have_same_bytes, covariances, self._covariances[place - 1])):
             covariances = self._covariances[place - 1]
         self._stamps.insert(place, state.stamp_ns)
         numbers = array("d", (*state.position, *state.orientation, *state.velocity))
@@ -143,6 +143,10 @@ class OdometryHistory:
 
     def _drop(self, first: int, end: int) -> None:
         del self._stamps[first:end], self._covariances[first:end], self._numbers[NUMBERS * first : NUMBERS * end]
+
+
+def _have_same_bytes(one: F64, other: F64) -> bool:
+    return one.tobytes() == other.tobytes()
 
 
 def longest_gap_s(states: Sequence[PlatformState]) -> float:

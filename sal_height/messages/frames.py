@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import lru_cache
+from struct import Struct
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,9 +17,10 @@ from sal_height.engine.stage import DwellKey
 from sal_height.errors import Rejected
 from sal_height.geometry import PlatformState, rotation_matrix
 from sal_height.messages.basics import check_finite, check_rotation, numbers_of, to_ns, to_stamp, xyz
-from sal_height.messages.codec import deserialize
+from sal_height.messages.cdr_parts import COUNT, ENCAPSULATION
+from sal_height.messages.codec import LITTLE_ENDIAN, deserialize
 from sal_height.messages.types import ChannelFrame, Header, Odometry, Point, Quaternion, Time, Vector3
-from sal_height.numeric import F64
+from sal_height.numeric import F64, U8
 from sal_height.sensor import PhaseHistory, Sensor
 
 
@@ -78,13 +81,88 @@ def state_from_message(message: Odometry, frames: Frames = USUAL) -> PlatformSta
     return frames.axes.state(state)
 
 
-def received_frame(cdr: bytes) -> Frame:
-    """Read the bytes of a ChannelFrame; samples are a view of them.
+_SCALE_AND_COUNT = Struct("<dI")
+"""Scale of a serialized frame, and the number of bytes of its samples, which follow."""
 
-    Raises:
-        BrokenMessage: the bytes are not a ChannelFrame.
+
+_NO_SAMPLES = np.zeros(0, np.uint8)
+
+
+class _Shared(NamedTuple):
+    """Bytes that the serialized frames of a dwell share: all but those of channel, scale and samples.
+
+    Attributes:
+        before: bytes before the channel.
+        after: bytes from the channel to the scale.
+        frame: the frame that they are of, without samples.
     """
-    return frame_of(deserialize(cdr, ChannelFrame), len(cdr))
+
+    before: bytes
+    after: bytes
+    frame: Frame
+
+    def read(self, cdr: bytes) -> Frame | None:
+        """The frame that bytes are of; None: they are not of a frame of this dwell."""
+        place = len(self.before)
+        end = place + COUNT.size + len(self.after)
+        begin = end + _SCALE_AND_COUNT.size
+        if begin > len(cdr) or not (cdr.startswith(self.before) and cdr.startswith(self.after, place + COUNT.size)):
+            return None
+        (channel,), (scale, count) = COUNT.unpack_from(cdr, place), _SCALE_AND_COUNT.unpack_from(cdr, end)
+        if not 0 < count <= len(cdr) - begin:
+            return None
+        like = self.frame
+        return Frame(
+            like.key,
+            like.frame_id,
+            channel,
+            like.pulse_count,
+            like.sample_count,
+            like.pulse_time,
+            like.reference_range,
+            like.encoding,
+            scale,
+            np.frombuffer(cdr, np.uint8, count, begin),
+            len(cdr),
+        )
+
+
+def _shared_by(cdr: bytes, frame: Frame) -> _Shared | None:
+    """The bytes that the other frames of its dwell share with a frame; None: it has no samples or is big-endian."""
+    if not (len(frame.samples) and cdr.startswith(LITTLE_ENDIAN)):
+        return None
+    frame_id_at = ENCAPSULATION + 8  # after the stamp; it is followed by the number of the dwell
+    (length,) = COUNT.unpack_from(cdr, frame_id_at)
+    place = frame_id_at + 4 + length + (-length & 3) + 4
+    end = _address(frame.samples) - _address(np.frombuffer(cdr, np.uint8)) - _SCALE_AND_COUNT.size
+    return _Shared(cdr[:place], cdr[place + COUNT.size : end], frame._replace(samples=_NO_SAMPLES))
+
+
+def _address(numbers: U8) -> int:
+    """Address of an array in memory."""
+    return int(numbers.__array_interface__["data"][0])
+
+
+class _FrameReader:
+    """Reads serialized frames; what those of a dwell share is read once."""
+
+    def __init__(self) -> None:
+        self._shared: _Shared | None = None
+
+    def read(self, cdr: bytes) -> Frame:
+        """Read the bytes of a ChannelFrame; samples are a view of them.
+
+        Raises:
+            BrokenMessage: the bytes are not a ChannelFrame.
+        """
+        frame = self._shared.read(cdr) if self._shared else None
+        if frame is None:
+            frame = frame_of(deserialize(cdr, ChannelFrame), len(cdr))
+            self._shared = _shared_by(cdr, frame)
+        return frame
+
+
+received_frame = _FrameReader().read
 
 
 @lru_cache(4)  # the frames of a dwell share theirs

@@ -325,6 +325,8 @@ class StageNode(WorkerNode):
                 self.stage.change(now)
             decisions = ask()
             self.hardware_id = self.stage.sensor_name
+            if not decisions:  # as after most messages
+                return
             for job in self._own_jobs(decisions):
                 self._enqueue(job, self.now_s() if complete_s is None else complete_s)
 

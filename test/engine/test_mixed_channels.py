@@ -52,7 +52,7 @@ def with_gains(gains: np.ndarray, flight: SimulatedFlight) -> Chained:
     frames: list[Item] = []
     for port, frame in frame_items(flight, 0):
         samples = (samples_of(frame) * np.complex64(gains[frame.channel])).astype(np.complex64)
-        frames.append((port, replace(frame, samples=samples.reshape(-1).view(np.uint8))))
+        frames.append((port, frame._replace(samples=samples.reshape(-1).view(np.uint8))))
     return Chained().feed([(SENSOR_INFO, flight.sensor), *odometry_items(flight, 0), *frames])
 
 

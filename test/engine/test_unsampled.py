@@ -51,7 +51,7 @@ def test_a_dwell_that_does_not_sample_the_scene(spoil: Callable[[Sensor], Sensor
     flight = small_flight()
     flown = replace(flight, sensor=spoil(flight.sensor))
     frames = [
-        (port, replace(frame, key=frame.key._replace(sensor=flown.sensor.config_hash)))
+        (port, frame._replace(key=frame.key._replace(sensor=flown.sensor.config_hash)))
         for port, frame in frame_items(flight, 0)
     ]
     chained = Chained().feed([(SENSOR_INFO, flown.sensor), *odometry_items(flight, 0), *frames])

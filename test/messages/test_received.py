@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from itertools import product
 
 import numpy as np
 import pytest
@@ -13,11 +14,11 @@ from sal_height import messages
 from sal_height.errors import Rejected
 from sal_height.geometry import Grid
 from sal_height.imaging import Slc
-from sal_height.messages import BrokenMessage, deserialize, received_frame, received_image, serialize
+from sal_height.messages import BrokenMessage, deserialize, frames, received_frame, received_image, serialize
 from sal_height.messages.codec import SHIPPED
-from sal_height.messages.frames import _key_of, _pulses_of
+from sal_height.messages.frames import _key_of, _pulses_of, frame_of
 from sal_height.messages.products import _place_of
-from sal_height.messages.types import ChannelFrame, ComplexImage, Provenance
+from sal_height.messages.types import ChannelFrame, ComplexImage, Header, Provenance
 
 
 @pytest.fixture
@@ -59,17 +60,62 @@ def test_samples_are_not_copied() -> None:
 
 
 def test_frames_of_a_dwell_share_times_ranges_and_key_also_when_they_are_sent() -> None:
-    frames = [
+    dwell = [
         received_frame(serialize(ChannelFrame(channel=n, pulse_time=np.arange(3.0), reference_range=np.full(3, 5e3))))
         for n in range(4)
     ]
-    for some in (frames, pickle.loads(pickle.dumps(frames))):  # noqa: S301 (our own bytes)
+    for some in (dwell, pickle.loads(pickle.dumps(dwell))):  # noqa: S301 (our own bytes)
         assert [one.channel for one in some] == [0, 1, 2, 3]
         for name in ("key", "pulse_time", "reference_range"):
             assert all(getattr(one, name) is getattr(some[0], name) for one in some)
     for number in range(100):
         received_frame(serialize(ChannelFrame(dwell=number, pulse_time=np.arange(float(number)))))
     assert max(cache.cache_info().currsize for cache in (_pulses_of, _key_of)) < 10
+
+
+def test_a_frame_is_read_as_without_those_of_its_dwell_before_it(rng: np.random.Generator) -> None:
+    def frame(**fields: object) -> ChannelFrame:
+        common = {"config_hash": "abc", "encoding": "complex_int16", "pulse_time": np.arange(3.0), "scale": 0.5}
+        return ChannelFrame(**{**common, "samples": rng.integers(0, 256, 12, np.uint8), **fields})
+
+    named, none = Header(frame_id="radar"), np.zeros(0, np.uint8)
+    ordinary = serialize(frame(channel=1))
+    others = [
+        serialize(frame(channel=2, **fields))
+        for fields in (
+            {},
+            {"scale": np.nan},
+            {"dwell": 1},
+            {"header": named},
+            {"samples": none},
+            {"samples": none, "pulse_time": np.arange(4.0)},
+            {"encoding": "complex_int32"},
+        )
+    ]
+    others += [spoiled(np.frombuffer(ordinary, np.uint8), number, rng) for number in range(300)]
+    others += [ordinary + bytes(3), ordinary[:-1], ordinary[:-14], ordinary[:40], b""]
+    read = refused = 0
+    for one, before in product(others, (ordinary, ordinary + b"tail", others[3])):
+        received_frame(before)
+        try:
+            expected = frame_of(deserialize(one, ChannelFrame), len(one))
+        except BrokenMessage:
+            refused += 1
+            with pytest.raises(BrokenMessage):
+                received_frame(one)
+        else:
+            read += 1
+            assert repr(received_frame(one)) == repr(expected)
+    assert min(read, refused) > 50
+
+
+def test_frames_of_a_dwell_are_deserialized_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    cdrs = [serialize(ChannelFrame(channel=n, scale=n / 2, samples=np.full(8, n, np.uint8))) for n in range(4)]
+    received_frame(cdrs[0])
+    monkeypatch.setattr(frames, "deserialize", None)
+    for number, cdr in enumerate(cdrs):
+        found = received_frame(cdr)
+        assert (found.channel, found.scale, found.samples.tolist()) == (number, number / 2, [number] * 8)
 
 
 def test_images_share_geometry_and_provenance_and_few_are_held() -> None:

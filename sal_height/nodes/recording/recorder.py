@@ -44,7 +44,7 @@ from sal_height.nodes.parameters import LiveParameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.recording.parameter_reader import ASK_PERIOD_S, ParameterReader
 from sal_height.nodes.recording.recorder_parameters import RecorderParameters, Selection
-from sal_height.nodes.transport.callbacks import Repeated, guarded, with_times
+from sal_height.nodes.transport.callbacks import Repeated, guarded, guarded_with_times
 from sal_height.nodes.transport.message_types import message_class
 from sal_height.nodes.transport.qos import from_profile
 
@@ -263,7 +263,7 @@ class Recorder(Role, Node):
             profile = _matching(offered)
             self._topic_counts[name] = TopicCounts(latched=_replaces(offered) and types[0] not in OF_DWELLS)
             self._subscribed[name] = self.create_subscription(
-                message_type, name, guarded(with_times(self._taker_of(name)), self._fail), profile, raw=True
+                message_type, name, guarded_with_times(self._taker_of(name), self._fail), profile, raw=True
             )
 
     def _look_for_parameters(self, reader: ParameterReader) -> None:

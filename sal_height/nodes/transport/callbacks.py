@@ -22,15 +22,20 @@ def guarded(callback: Callable[..., Any], handle: Callable[[Exception], None]) -
     return call
 
 
-def with_times(callback: Callable[[Any, dict[str, Any]], Any]) -> Callable[..., Any]:
-    """A callback of a subscription that takes a message and the times of its transport, as executors call it.
+def guarded_with_times(
+    callback: Callable[[Any, dict[str, Any]], None], handle: Callable[[Exception], None]
+) -> Callable[..., None]:
+    """A callback of a subscription that takes a message and the times of its transport; errors go to `handle`.
 
     EventsExecutor hands both over as one tuple, the other executors of rclpy one after the other.
     """
 
     @functools.wraps(callback)  # rclpy looks at the parameters of a callback
-    def call(*arguments: Any) -> Any:
-        return callback(*(arguments[0] if len(arguments) == 1 else arguments))
+    def call(*arguments: Any) -> None:
+        try:
+            callback(*(arguments[0] if len(arguments) == 1 else arguments))
+        except Exception as error:  # noqa: BLE001 (no message may end the node)
+            handle(error)
 
     return call
 

@@ -16,7 +16,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from sal_height.nodes.transport.callbacks import guarded, with_times
+from sal_height.nodes.transport.callbacks import guarded, guarded_with_times
 from sal_height.nodes.transport.message_types import class_of, publish
 
 RECENT_S = 10.0
@@ -154,7 +154,7 @@ class Inlet:
             return node.create_subscription(
                 self._message_class,
                 topic,
-                guarded(with_times(take), fail),
+                guarded_with_times(take, fail),
                 self._profile,
                 event_callbacks=events,
                 qos_overriding_options=overrides,
@@ -242,8 +242,9 @@ class Inlet:
     @property
     def warning(self) -> str:
         """Warnings, each after a space, about publishers that are not right; else nothing."""
-        crowd = f" {self.publishers} nodes publish {self.topic}: stop all but one."
-        return (crowd if self.has_one_source and self.publishers > 1 else "") + "".join(
+        publishers = self.publishers if self.has_one_source else 1
+        crowd = f" {publishers} nodes publish {self.topic}: stop all but one."
+        return (crowd if publishers > 1 else "") + "".join(
             f" {name} publishes {self.topic} with another definition of {self._type_name}: build it with the "
             f"{self._type_name.split('/')[0]} of this version."
             for name in self.strangers

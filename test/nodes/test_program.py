@@ -10,7 +10,6 @@ from std_msgs.msg import Empty
 from sal_height.nodes.program import _spin
 from sal_height.nodes.transport.graph import Graph
 
-
 FAR_TOO_MANY = 200_000
 
 

@@ -255,7 +255,7 @@ def test_samples_lie_where_those_of_the_dwell_before_lay_and_no_image_changes() 
 def scattered(items: Sequence[Any]) -> list[Any]:
     """Items of a flight whose frames lie somewhere else each."""
     return [
-        (port, replace(item, samples=item.samples.copy()) if isinstance(item, Frame) else item) for port, item in items
+        (port, item._replace(samples=item.samples.copy()) if isinstance(item, Frame) else item) for port, item in items
     ]
 
 
@@ -273,8 +273,8 @@ def test_samples_are_in_line_only_if_each_begins_where_the_one_before_ends() -> 
     assert np.array_equal(found, history_of(lying).samples)
     assert not found.flags.writeable
     assert samples_in_line(lying[::-1]) is None
-    assert samples_in_line([*lying[:-1], replace(lying[-1], samples=lying[-1].samples.copy())]) is None
-    assert samples_in_line([replace(frame, encoding="complex_int16") for frame in lying]) is None
+    assert samples_in_line([*lying[:-1], lying[-1]._replace(samples=lying[-1].samples.copy())]) is None
+    assert samples_in_line([frame._replace(encoding="complex_int16") for frame in lying]) is None
 
 
 def test_blocks_of_a_strip_are_in_one_series_and_spotlight_dwells_in_none() -> None:

@@ -5,19 +5,17 @@ from __future__ import annotations
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from rclpy.task import Future
 
 from sal_height.errors import UserError
 from sal_height.nodes.accounts.usage import announce, check_arguments, check_overrides, program_name, usage
@@ -126,21 +124,15 @@ def _run_nodes(
 
 
 def _spin(executor: Executor, node: Node, stop: threading.Event) -> bool:
-    """Run callbacks until `stop` is set or the process has lost a port; returns whether it has.
-
-    The executor returns when nothing waits, but not after each message: that would take an eighth more time.
-    """
-    ports, lost, over = Ports(), list[str](), Future()
-
-    def look() -> None:
-        lost.extend(ports.lost())
-        if lost or stop.is_set():
-            over.set_result(None)  # the executor returns also where messages always wait
-
-    node.create_timer(LOOK_S, look, clock=Clock(clock_type=ClockType.STEADY_TIME))
-    while not (stop.is_set() or over.done()):
-        executor.spin_until_future_complete(over, 0.1)
-    if lost:
-        how = "The node ends; start it again, as `sal-height live --supervise` does."
-        node.get_logger().error(f"{LOST.format(lost[0])} {how}")
-    return bool(lost)
+    """Run callbacks until `stop` is set or the process has lost a port; returns whether it has."""
+    ports, due = Ports(), 0.0
+    while not stop.is_set():
+        executor.spin_once(timeout_sec=0.1)
+        if time.monotonic() < due:
+            continue
+        due = time.monotonic() + LOOK_S
+        if lost := ports.lost():
+            how = "The node ends; start it again, as `sal-height live --supervise` does."
+            node.get_logger().error(f"{LOST.format(lost[0])} {how}")
+            return True
+    return False

@@ -77,10 +77,8 @@ class Written:
     def add(self, topic: str, log_time_ns: int) -> None:
         """Count a message."""
         self.counts[topic] += 1
-        if log_time_ns < self.first_ns:
-            self.first_ns = log_time_ns
-        if log_time_ns > self.last_ns:
-            self.last_ns = log_time_ns
+        self.first_ns = min(self.first_ns, log_time_ns)
+        self.last_ns = max(self.last_ns, log_time_ns)
 
 
 class FileWriter:

@@ -33,7 +33,7 @@ _AVOIDED: list[int] = []
 
 
 def remove_orphans() -> None:
-    """Remove the segments of processes that were killed: 16 MB of each would stay until the machine restarts."""
+    """Remove the segments of processes that were killed: 64 MB of each would stay until the machine restarts."""
     for lock in SHARED_MEMORY.glob(f"{SEGMENT}*{LOCK}"):
         name = lock.name.removesuffix(LOCK)
         with suppress(OSError), _locked(lock):

@@ -20,8 +20,9 @@ from sal_height.nodes.transport.leftovers import SHARED_MEMORY, avoid_dead_ports
 PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 """Environment variable that names the file with settings of Fast DDS; it is read when the first node starts."""
 
-ENOUGH = 16_000_000
-"""Shared memory of a process, bytes, unless its dwells are larger: more does not make smaller dwells any faster."""
+ENOUGH = 64_000_000
+"""Shared memory of a process, bytes, unless its dwells are larger. Messages travel in pieces of a 2000th: in those of
+32 kB a dwell of 2 MB wakes its receivers a quarter as often as in those of 8 kB, and is 6 % cheaper as a whole."""
 
 LEAST = 4_000_000
 """Shared memory of a process, bytes, below which the default settings of Fast DDS do as well."""

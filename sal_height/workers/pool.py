@@ -15,59 +15,30 @@ import os
 import selectors
 import signal
 import socket
-import struct
 import threading
 import time
 from collections import OrderedDict, defaultdict, deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from multiprocessing.connection import Connection
-from typing import Any, NamedTuple, Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
-from sal_height.engine.image_items import Images
-from sal_height.engine.registry import STAGES
-from sal_height.engine.stage import DwellKey, Job, Product, Rehearsal, Result, Stage
+from sal_height.engine.stage import DwellKey, Job, Rehearsal, Result
 from sal_height.errors import Rejected
 from sal_height.workers.arena import Arena, MemoryBlock, Region
-from sal_height.workers.processes import Forked, end_with_parent, name_process
-from sal_height.workers.transfer import Array, ArrayAt, Known, Pickler, Unpickler, array_in, copy_into
+from sal_height.workers.processes import Forked, end_with_parent
+from sal_height.workers.serving import HEAD, Batch, keep_workers
+from sal_height.workers.transfer import Array, ArrayAt, Known, Pickler, Unpickler, copy_into
 
 MEMORY_BYTES = 1_000_000_000
 """Shared memory for what workers work on, bytes, as long as the machine has it; what is not used takes none."""
 
 TOGETHER, BYTES_TOGETHER = 4, 32_000_000
 """Dwells that a worker is given at a time, and bytes of their messages, at most: more would save little and wait."""
-
-NICENESS = 4
-"""Degree to which workers give way to the threads that receive and publish messages, as in nice(1)."""
-
-RESTART_S = 0.1
-"""Time from the end of a worker to the start of the next one, s."""
-
-
-class Batch(NamedTuple):
-    """Jobs of a node that a worker is given together.
-
-    Attributes:
-        kind: usual name of the stage.
-        name: name of the node, with its namespace.
-        jobs: jobs of the node.
-        room: block for the arrays of the products; None: there is none.
-    """
-
-    kind: str
-    name: str
-    jobs: Sequence[Job]
-    room: MemoryBlock | None
-
-
-HEAD = struct.Struct("<QQd")
-"""Start of the answer of a worker: bytes of the arrays of its products, bytes of them that are in the room of the
-batch, and processor time of the work, s. The results follow."""
 
 
 Suits = Callable[[Job | None], bool]
@@ -218,7 +189,7 @@ class Pool:
 
         def keep() -> int:
             self._control.close()
-            return _keep_workers(theirs, workers, self._arena) if end_with_parent(parent, signal.SIGKILL) else 1
+            return keep_workers(theirs, workers, self._arena) if end_with_parent(parent, signal.SIGKILL) else 1
 
         self._keeper = Forked(keep, "workers")
         theirs.close()
@@ -441,73 +412,3 @@ class Pool:
         given = self._given[sent.client.name]
         while given and id(given[0]) in self._outcomes:
             self._outcomes.pop(id(given.popleft()))()
-
-
-def _keep_workers(keeper_of: socket.socket, workers: int, arena: Arena) -> int:
-    """Start workers, and another one whenever one has ended, until this process is killed.
-
-    Args:
-        keeper_of: connection to the pool, which gets that of each worker.
-        workers: number of workers.
-        arena: memory that they share.
-    """
-    keeper = os.getpid()
-    numbers: dict[int, int] = {}
-
-    def start(number: int) -> None:
-        ours, theirs = socket.socketpair()
-        pid = os.fork()
-        if pid == 0:
-            keeper_of.close()
-            ours.close()
-            if end_with_parent(keeper, signal.SIGKILL):
-                name_process(f"worker {number}")
-                _serve(Connection(theirs.detach()), arena)
-            os._exit(0)
-        numbers[pid] = number
-        theirs.close()
-        socket.send_fds(keeper_of, [json.dumps({"number": number, "pid": pid}).encode()], [ours.fileno()])
-        ours.close()
-
-    for number in range(workers):
-        start(number)
-    while True:
-        ended, _ = os.wait()
-        time.sleep(RESTART_S)
-        start(numbers.pop(ended))
-
-
-def _serve(pipe: Connection, arena: Arena) -> None:
-    """Process the batches that the pool sends until it closes its end."""
-    known: dict[int, Any] = {}
-    returned = Known()
-    stages: dict[str, Stage] = {}
-    array_at = array_in(arena.memory)
-    os.nice(NICENESS)
-    while True:
-        try:
-            sent = pipe.recv_bytes()
-        except (EOFError, OSError):
-            return
-        began = time.process_time()
-        batches: list[Batch] = Unpickler(io.BytesIO(sent), known, array_at).load()
-        for batch in batches:
-            if batch.name not in stages:
-                name = batch.name.rpartition("/")[2]  # as provenance states it
-                stages[batch.name] = STAGES[batch.kind](batch.jobs[0].settings, {}, name)
-            results = [[_to_send(one) for one in made] for made in stages[batch.name].process(batch.jobs)]
-            region = Region(arena.memory, batch.room)
-            file = io.BytesIO(bytes(HEAD.size))
-            file.seek(HEAD.size)
-            Pickler(file, returned, region.put).dump(results)
-            ended = time.process_time()
-            HEAD.pack_into(file.getbuffer(), 0, region.asked, region.used, ended - began)
-            began = ended
-            pipe.send_bytes(file.getbuffer())
-
-
-def _to_send(result: Result) -> Result:
-    """A result as it is sent: images without the data that they were compressed from, which no message has either."""
-    if isinstance(result, Product) and isinstance(result.item, Images):
-        return Product(result.port, replace(result.item, source=None))
-    return result

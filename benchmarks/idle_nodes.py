@@ -46,17 +46,17 @@ class Repeating:
         self.__dict__.setdefault("_keeping", []).append(outlet)
         return outlet
 
-    def _process_job(self, job: Job) -> int:
+    def _process_job(self, job: Job, complete_s: float = 0.0) -> int:
         """Publish products once more, or those of the first dwell; returns how many messages that are."""
         repeated = sum(outlet.repeat(job.dwell.stamp_ns) for outlet in self.__dict__["_keeping"]) if job.dwell else 0
-        return without_work(self, job, repeated) if repeated else super()._process_job(job)  # type: ignore[misc]
+        return without_work(self, job, repeated) if repeated else super()._process_job(job, complete_s)  # type: ignore[misc]
 
 
 class Entering:
     """First base of a mapper that takes heights, and enters none."""
 
-    def _process_job(self, job: Job) -> int:
-        return without_work(self, job, 0) if job.dwell else super()._process_job(job)  # type: ignore[misc]
+    def _process_job(self, job: Job, complete_s: float = 0.0) -> int:
+        return without_work(self, job, 0) if job.dwell else super()._process_job(job, complete_s)  # type: ignore[misc]
 
 
 def without_work(node: Any, job: Job, published: int) -> int:

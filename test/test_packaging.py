@@ -118,6 +118,7 @@ def test_every_program_can_be_started() -> None:
         "ground_mapper",
         "psf_calibration",
         "recorder",
+        "live_host",
         "paced_player",
         "player",
     } == set(programs)

@@ -79,8 +79,8 @@ def test_what_a_burst_overruns_is_dropped_and_counted(
         assert jobs[0].dwell is None or all_came.wait(600.0)
         return process(self, jobs)
 
-    def noted(self: StageNode) -> bool:
-        taken = takes(self)
+    def noted(self: StageNode, messages: int = 1) -> bool:
+        taken = takes(self, messages)
         if isinstance(self.stage, Compression) and self.account().received == FRAMES:
             all_came.set()
         return taken

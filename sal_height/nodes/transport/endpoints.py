@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
@@ -139,13 +139,8 @@ class Inlet:
         self._message_class = class_of(message_type)
 
         def take(cdr: bytes, info: dict[str, Any]) -> None:
-            self.heard_at = time.monotonic()
-            missed = max(0, info.get("publication_sequence_number", 0) - self.received - 1)
-            if missed > self.missed and self.received and qos.reliability == ReliabilityPolicy.RELIABLE:
-                self.overflowed = True
+            self._note(info)
             receive(cdr)
-            self.received += 1
-            self.missed = missed
 
         self._take = guarded(take, fail)
 
@@ -184,13 +179,22 @@ class Inlet:
         outlet.joined.append(take)
         self._leave.append(lambda: outlet.joined.remove(take))
 
+    def _note(self, info: Mapping[str, Any]) -> None:
+        """Count a message that arrives, and those before it that have not."""
+        self.heard_at = time.monotonic()
+        self.received += 1
+        missed = max(0, info.get("publication_sequence_number", 0) - self.received)
+        if missed > self.missed and self.received > 1 and self._profile.reliability == ReliabilityPolicy.RELIABLE:
+            self.overflowed = True
+        self.missed = missed
+
     def take_waiting(self) -> Iterator[bytes]:
         """Messages that wait, which are not received then; no more than the subscription has room for."""
         for _ in range(self._profile.depth):
             taken = self.subscription and self.subscription.handle.take_message(self._message_class, True)
             if not taken:
                 return
-            self.received += 1
+            self._note(taken[1])
             yield taken[0]
 
     def receive_waiting(self) -> None:

@@ -232,11 +232,11 @@ class Ensemble:
 
     def _end_processes(self) -> None:
         """Send SIGTERM, and allow time to finish what is in work."""
-        for process in self._processes.values():
+        for name, process in self._processes.items():
             if process.poll() is None:
                 process.terminate()
             try:
-                process.wait(30.0)
+                process.wait(30.0 * len(self.processes[name]))
             except subprocess.TimeoutExpired:
                 process.kill()
 

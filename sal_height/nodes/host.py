@@ -42,7 +42,7 @@ from sal_height.engine.stage import (
 )
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Mounting, PlatformState
-from sal_height.messages.codec import SHIPPED
+from sal_height.messages.codec import SHIPPED, BrokenMessage
 from sal_height.messages.kinds import kind_of
 from sal_height.nodes.accounts.tally import cpu_of_thread
 from sal_height.nodes.managed import Topics
@@ -132,7 +132,9 @@ class StageNode(WorkerNode):
         numbers = super().usage()
         if self._pool is None:
             return numbers
-        cpu_s = cpu_of_thread(self._worker) if self._worker else self._work_s
+        if self._worker:
+            self._work_s = max(self._work_s, cpu_of_thread(self._worker))  # which is 0 once the thread has ended
+        cpu_s = self._work_s
         if not (self._worker or self.takes_images):
             cpu_s += self._pool.cpu_s + cpu_of_thread(threading.main_thread())
         return {**numbers, "cpu_s": round(cpu_s, 3)}
@@ -206,7 +208,12 @@ class StageNode(WorkerNode):
         Else each message that is received pushes another one out, and no dwell ever becomes whole; and odometry, which
         the executor comes to after all frames before it, would be ever later.
         """
-        left_out = Counter(item.key for cdr in inlet.take_waiting() for item in read(cdr))
+        left_out: Counter[DwellKey] = Counter()
+        for cdr in inlet.take_waiting():
+            try:
+                left_out.update(item.key for item in read(cdr))
+            except BrokenMessage as error:
+                self.ignore("broken message", UserError(f"A message on {inlet.topic} cannot be decoded: {error}."))
         inlet.overflowed = False
         for dwell, count in left_out.items():
             if self.takes(count):

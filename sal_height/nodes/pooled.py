@@ -43,18 +43,21 @@ class PooledJobs:
 
     def conclude(self, entry: QueuedJob, results: Sequence[Result], cpu_s: float) -> None:
         """Publish and count the results of a job."""
-        self._node.settle(entry, lambda: self._conclude(entry.item, results, entry.complete_s, cpu_s))
-        self._jobs.note_done()
+        self._settle(entry, lambda: self._conclude(entry.item, results, entry.complete_s, cpu_s))
 
     def lose(self, entry: QueuedJob, reason: Rejected) -> None:
         """Count a job that was lost."""
-        self._node.settle(entry, lambda: _fail(reason))
-        self._jobs.note_done()
+        self._settle(entry, lambda: _fail(reason))
 
     def run_here(self, entry: QueuedJob) -> None:
         """Do work that no worker can do."""
-        self._node.settle(entry, entry.run)
-        self._jobs.note_done()
+        self._settle(entry, entry.run)
+
+    def _settle(self, entry: QueuedJob, work: Callable[[], int]) -> None:
+        try:
+            self._node.settle(entry, work)
+        finally:
+            self._jobs.note_done()
 
     def _is_in_time(self, entry: QueuedJob, ahead_s: float) -> bool:
         try:

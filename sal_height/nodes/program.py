@@ -66,7 +66,7 @@ def run_host(
             join(nodes)
             pool.start()
 
-        return _run_nodes(makes, begin, arguments, prepare)
+        return _run_nodes(makes, begin, arguments, prepare, lambda: pool.failure)
     finally:
         pool.close()
 
@@ -76,6 +76,7 @@ def _run_nodes(
     begin: Callable[[Node], None],
     arguments: list[str],
     prepare: Callable[[Sequence[Any]], None] = lambda _: None,
+    failure: Callable[[], str] = str,
 ) -> int:
     """Run nodes until SIGINT or SIGTERM.
 
@@ -86,6 +87,7 @@ def _run_nodes(
         begin: function that is called with each node once all are made.
         arguments: arguments of ROS for all nodes, after the name of the program.
         prepare: function that is called with all nodes before they receive anything.
+        failure: function that says what has failed, so that the nodes end; empty: nothing has.
 
     Returns:
         The exit status: 0, 1 if a node ended with a `failure` or the process lost a port of shared memory, or 2 with a
@@ -110,7 +112,7 @@ def _run_nodes(
         executor = events_executor(nodes[0].context)
         for node in nodes:
             executor.add_node(node)
-        lost = _spin(executor, nodes[0], stop)
+        lost = _spin(executor, nodes[0], stop, failure)
         for node in nodes:
             executor.remove_node(node)
             node.destroy_node()
@@ -123,8 +125,8 @@ def _run_nodes(
     return int(lost or any(getattr(node, "failure", "") for node in nodes))
 
 
-def _spin(executor: Executor, node: Node, stop: threading.Event) -> bool:
-    """Run callbacks until `stop` is set or the process has lost a port; returns whether it has."""
+def _spin(executor: Executor, node: Node, stop: threading.Event, failure: Callable[[], str]) -> bool:
+    """Run callbacks until `stop` is set, or the process has lost a port or failed; returns whether it has."""
     ports, due = Ports(), 0.0
     while not stop.is_set():
         executor.spin_once(timeout_sec=0.1)
@@ -134,5 +136,8 @@ def _spin(executor: Executor, node: Node, stop: threading.Event) -> bool:
         if lost := ports.lost():
             how = "The node ends; start it again, as `sal-height live --supervise` does."
             node.get_logger().error(f"{LOST.format(lost[0])} {how}")
+            return True
+        if said := failure():
+            node.get_logger().error(f"Unexpected failure, please report it; the nodes end: {said}")
             return True
     return False

@@ -17,6 +17,7 @@ import signal
 import socket
 import threading
 import time
+import traceback
 from collections import OrderedDict, defaultdict, deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -147,7 +148,8 @@ class Ahead:
     def __init__(self) -> None:
         self.expected_s = 0.0
         """Time to expect, s: most dwells take less."""
-        self._begun: OrderedDict[DwellKey, float] = OrderedDict()
+        self._begun: OrderedDict[DwellKey | None, float] = OrderedDict()
+        self._taken_s: deque[float] = deque(maxlen=40)
 
     def begin(self, jobs: Sequence[Job], now_s: float) -> None:
         """The work on dwells begins."""
@@ -159,12 +161,10 @@ class Ahead:
             self._begun.popitem(last=False)
 
     def end(self, jobs: Sequence[Job], now_s: float) -> None:
-        """Heights of dwells have been published. Longer times count at once, shorter ones by and by."""
-        weight = 0.05
-        for job in jobs:
-            if job.dwell and job.dwell in self._begun:
-                taken_s = now_s - self._begun[job.dwell]
-                self.expected_s = max(taken_s, (1 - weight) * self.expected_s + weight * taken_s)
+        """Heights of dwells have been published. A single dwell that took long does not count."""
+        self._taken_s.extend(now_s - self._begun[job.dwell] for job in jobs if job.dwell in self._begun)
+        if self._taken_s:
+            self.expected_s = sorted(self._taken_s)[int(0.9 * (len(self._taken_s) - 1))]
 
 
 class Pool:
@@ -209,6 +209,8 @@ class Pool:
         self._rehearsals: dict[int, int] = {}
         """Workers that have not returned a rehearsal yet, by the identity of its entry."""
         self._awake = self._closed = False
+        self.failure = ""
+        """Trace of an error after which no job is processed any more; empty: there was none."""
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._wakes, selectors.EVENT_READ)
         self._selector.register(self._control, selectors.EVENT_READ)
@@ -254,6 +256,12 @@ class Pool:
             one.close()
 
     def _run(self) -> None:
+        try:
+            self._process_jobs()
+        except Exception:  # noqa: BLE001 (whoever has the pool ends, and is started again)
+            self.failure = traceback.format_exc()
+
+    def _process_jobs(self) -> None:
         while not self._closed:
             for key, _ in self._selector.select():
                 if isinstance(key.data, _Worker):
@@ -268,9 +276,8 @@ class Pool:
     def _welcome(self) -> None:
         """Take a worker in that has started; what the one before it has returned is taken first."""
         said, handles, _, _ = socket.recv_fds(self._control, 4096, 1)
-        if not handles:  # the keeper of the workers has ended
-            self._selector.unregister(self._control)
-            return
+        if not handles:
+            raise RuntimeError("the process that starts workers has ended")
         worker = _Worker(**json.loads(said), pipe=Connection(handles[0]))
         while before := self._workers.get(worker.number):
             self._receive(before)
@@ -320,8 +327,7 @@ class Pool:
         for sent in worker.sent:
             for block in (*sent.blocks, *([sent.room] if sent.room else [])):
                 self._arena.release(block)
-            lose = sent.client.lose
-            self._note(sent, lambda entry, _, lose=lose: lose(entry, Rejected(WORKER_ENDED, LOST)))  # type: ignore[misc]
+            self._note(sent, partial(_lose, sent.client))
 
     def _give(self) -> None:
         """Give jobs to workers that have none, as long as there are any."""
@@ -365,9 +371,9 @@ class Pool:
         for entry in client.take_jobs(most, BYTES_TOGETHER, suits, ahead_s) if most else ():
             if entry.item is None:
                 client.run_here(entry)
-            elif (client.name, entry.item.series) in self._broken:
+            elif entry.item.messages and (client.name, entry.item.series) in self._broken:
                 self._broken.discard((client.name, entry.item.series))
-                client.lose(entry, Rejected(WORKER_ENDED, LOST))
+                _lose(client, entry)
             elif isinstance(entry.item.inputs, Rehearsal):
                 self._rehearsals[id(entry)] = len(self._workers)
                 self._given[client.name].append(entry)
@@ -412,3 +418,11 @@ class Pool:
         given = self._given[sent.client.name]
         while given and id(given[0]) in self._outcomes:
             self._outcomes.pop(id(given.popleft()))()
+
+
+def _lose(client: Client, entry: Entry, _place: int = 0) -> None:
+    """Have a client count a job that was lost with its worker; its own work, which no message waits for, is done."""
+    if entry.item.messages:
+        client.lose(entry, Rejected(WORKER_ENDED, LOST))
+    else:
+        client.conclude(entry, (), 0.0)

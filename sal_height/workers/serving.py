@@ -75,12 +75,18 @@ def keep_workers(keeper_of: socket.socket, workers: int, arena: Arena) -> int:
         socket.send_fds(keeper_of, [json.dumps({"number": number, "pid": pid}).encode()], [ours.fileno()])
         ours.close()
 
-    for number in range(workers):
-        start(number)
+    waiting = list(range(workers))
     while True:
+        while waiting:
+            try:
+                start(waiting[0])
+            except OSError:  # there is no memory for it yet, as often where a worker has ended for lack of it
+                time.sleep(RESTART_S)
+            else:
+                waiting.pop(0)
         ended, _ = os.wait()
         time.sleep(RESTART_S)
-        start(numbers.pop(ended))
+        waiting.append(numbers.pop(ended))
 
 
 def serve(pipe: Connection, arena: Arena) -> None:

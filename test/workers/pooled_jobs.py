@@ -21,7 +21,7 @@ from sal_height.engine.registry import STAGES
 from sal_height.engine.stage import DwellKey, Job, Product, Rehearsal, Result, Stage, StageSettings
 from sal_height.errors import Rejected
 from sal_height.nodes.jobs import JobQueue, QueuedJob
-from sal_height.workers.pool import Pool, Suits
+from sal_height.workers.pool import Ahead, Pool, Suits
 
 SETTINGS = StageSettings()
 TIMEOUT_S = 60.0
@@ -222,6 +222,30 @@ def one_after_the_other() -> dict[str, Any]:
     return {"order": order, "processes": len(processes), "after": list(client.results)[5:], "lost": client.lost}
 
 
+def without_keeper() -> dict[str, Any]:
+    """What a pool says when the process that starts workers is killed."""
+    pool, client = Pool(2), Client("only", [])
+    pool.serve(client, later=False)
+    pool.start()
+    until(lambda: len(pool.worker_pids) == 2)
+    before = pool.failure
+    pool._keeper.kill()
+    until(lambda: bool(pool.failure))
+    said = pool.failure
+    pool.close()
+    return {"before": before, "said": "the process that starts workers has ended" in said}
+
+
+def hiccup() -> dict[str, Any]:
+    """Time that is expected of dwells, of which one in thirty took long."""
+    ahead = Ahead()
+    for number in range(30):
+        job = Job(DwellKey("", number, 0), None, SETTINGS)
+        ahead.begin([job], float(number))
+        ahead.end([job], number + (5.0 if number == 20 else 0.1))
+    return {"expected_s": round(ahead.expected_s, 6)}
+
+
 def main() -> None:
     """Run what the arguments name."""
     STAGES["doubling"] = Doubling  # type: ignore[index]
@@ -233,6 +257,8 @@ def main() -> None:
         "rehearsal": rehearsal,
         "order": order,
         "one_after_the_other": one_after_the_other,
+        "without_keeper": without_keeper,
+        "hiccup": hiccup,
     }
     sys.stdout.write(json.dumps({name: outcomes[name]() for name in sys.argv[1:]}))
 

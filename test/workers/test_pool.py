@@ -12,7 +12,17 @@ import pytest
 
 PROGRAM = Path(__file__).with_name("pooled_jobs.py")
 
-SCENARIOS = ("plenty", "scarce", "lost_worker", "series", "rehearsal", "order", "one_after_the_other")
+SCENARIOS = (
+    "plenty",
+    "scarce",
+    "lost_worker",
+    "series",
+    "rehearsal",
+    "order",
+    "one_after_the_other",
+    "without_keeper",
+    "hiccup",
+)
 
 
 @pytest.fixture(scope="module")
@@ -60,3 +70,11 @@ def test_jobs_are_finished_in_the_order_in_which_they_were_given(outcomes: dict[
     """As the tracker needs it: what another worker has made sooner waits, also for what is lost."""
     seen = outcomes["one_after_the_other"]
     assert seen == {"order": [0, 1, 2, 3, 4], "processes": 2, "after": [6, 7], "lost": {"5": "worker ended"}}
+
+
+def test_a_pool_that_gets_no_more_workers_says_so(outcomes: dict[str, Any]) -> None:
+    assert outcomes["without_keeper"] == {"before": "", "said": True}
+
+
+def test_a_single_dwell_that_took_long_does_not_make_others_late(outcomes: dict[str, Any]) -> None:
+    assert outcomes["hiccup"] == {"expected_s": 0.1}

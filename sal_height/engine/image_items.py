@@ -291,3 +291,8 @@ def applied_calibration(provenance: Provenance, sensor: Sensor) -> str:
     """Identity of the calibration that images were made with; empty: none but that in the sensor's description."""
     applied = provenance.calibration_id
     return "" if applied == sensor.calibration_id else applied
+
+
+def count_messages(item: object) -> int:
+    """Number of messages that an item is."""
+    return item.count if isinstance(item, Images) else 1

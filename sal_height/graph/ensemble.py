@@ -27,7 +27,7 @@ from sal_height.graph.catalogue import stage_inputs
 from sal_height.graph.node_classes import NODES
 from sal_height.graph.plan import RECORDER, UNCOUNTED, Plan, Processes
 from sal_height.nodes.accounts.account import DIAGNOSTICS, OTHER, Account
-from sal_height.nodes.processing import PROCESSING
+from sal_height.nodes.processing import PROCESSING, rank
 from sal_height.nodes.program import run_host, run_node
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import class_of
@@ -254,9 +254,8 @@ def grouped(members: Iterable[Member], processes: Processes) -> dict[str, list[M
     for member in members:
         is_hosted = processes == "host" and (member.kind or member.name) in PROCESSING
         groups.setdefault(HOST if is_hosted else member.name, []).append(member)
-    if HOST in groups:  # what makes something ends before what uses it
-        order = list(PROCESSING)
-        groups[HOST].sort(key=lambda one: (one.node.completes_file, order.index(one.kind or one.name)))
+    if HOST in groups:
+        groups[HOST].sort(key=lambda member: rank(member.kind or member.name))
     return groups
 
 

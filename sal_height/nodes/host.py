@@ -22,7 +22,7 @@ from sal_height.engine.calibrations import CALIBRATIONS_ARRIVED
 from sal_height.engine.compression import Compression
 from sal_height.engine.frames import StaticTransform
 from sal_height.engine.height_items import Heights
-from sal_height.engine.image_items import Images
+from sal_height.engine.image_items import count_messages
 from sal_height.engine.navigation import Attitude, Fix, Pose, Twist
 from sal_height.engine.registry import STAGES
 from sal_height.engine.stage import (
@@ -44,7 +44,6 @@ from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Mounting, PlatformState
 from sal_height.messages.codec import SHIPPED, BrokenMessage
 from sal_height.messages.kinds import kind_of
-from sal_height.nodes.accounts.tally import cpu_of_thread
 from sal_height.nodes.managed import Topics
 from sal_height.nodes.parameters import parameter_of
 from sal_height.nodes.pooled import PooledJobs
@@ -55,6 +54,7 @@ from sal_height.nodes.viewing import VIEWERS
 from sal_height.nodes.worker import ENDED, WorkerNode
 from sal_height.stage_files import check_written, read_inputs, write_product
 from sal_height.workers.pool import Pool
+from sal_height.workers.processes import cpu_of_thread
 
 OVERFLOWED = Rejected(
     "overload",
@@ -174,7 +174,7 @@ class StageNode(WorkerNode):
             )
 
         def accept(item: Any, complete_s: float | None = None) -> None:
-            if not port.counted or self.takes(_messages_of(item)):
+            if not port.counted or self.takes(count_messages(item)):
                 self._decide(lambda: self.stage.accept(port.name, item, time.monotonic()), complete_s)
 
         def read(cdr: bytes) -> Sequence[Any]:
@@ -417,7 +417,7 @@ class StageNode(WorkerNode):
             if viewer := self._viewers.get(product.port):
                 viewer.publish(product.item)
             if outlet.joined and not outlet.remote_subscribers:
-                return _messages_of(product.item)
+                return count_messages(product.item)
             serialized = kind.write(product.item, self.current_parameters())
             for cdr in serialized:
                 outlet.publish(cdr)
@@ -456,11 +456,6 @@ class StageNode(WorkerNode):
             return False, late
         answer = answers[0] if answers else Answer(success=False, sentence="no answer")
         return answer.success and not self.failure, self.failure or answer.sentence
-
-
-def _messages_of(item: Any) -> int:
-    """Number of messages that an item is."""
-    return item.count if isinstance(item, Images) else 1
 
 
 def node_of(stage: type[Stage], *, settable: bool = True) -> type[StageNode]:

@@ -34,7 +34,7 @@ def main() -> int:
         use_one_thread()  # which has an effect before NumPy is imported only, so that what follows is imported later
     from rclpy.utilities import remove_ros_args  # noqa: PLC0415
 
-    from sal_height.nodes.processing import PROCESSING  # noqa: PLC0415
+    from sal_height.nodes.processing import PROCESSING, rank  # noqa: PLC0415
     from sal_height.nodes.program import run_host  # noqa: PLC0415
 
     asked = remove_ros_args(sys.argv)[1:]
@@ -51,8 +51,7 @@ def main() -> int:
     if len({name for _, name in members}) < max(1, len(members)):
         sys.stderr.write("Name the nodes to run, each once, such as: live_host sar_compression ml_height.\n")
         return 2
-    order = list(PROCESSING)
-    members.sort(key=lambda member: (PROCESSING[member[0]].completes_file, order.index(member[0])))
+    members.sort(key=lambda member: rank(member[0]))
     nodes = [(PROCESSING[kind], ["--ros-args", "-r", f"__node:={name}"]) for kind, name in members]
     return run_host(nodes, [sys.argv[0], *sys.argv[1 + len(asked) :]])
 

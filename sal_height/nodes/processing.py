@@ -16,6 +16,11 @@ PROCESSING: Mapping[str, type[StageNode]] = {
 """Classes of the processing nodes by the usual name of the node."""
 
 
+def rank(kind: str) -> tuple[bool, int]:
+    """Place of a node of a kind among those that end together: what makes something before what uses it."""
+    return PROCESSING[kind].completes_file, list(PROCESSING).index(kind)
+
+
 def main() -> int:
     """Console script of all processing nodes; the name of the script is that of the node."""
     return run_node(PROCESSING[Path(sys.argv[0]).stem])

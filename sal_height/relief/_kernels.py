@@ -184,7 +184,7 @@ def variances_across(covariance: F64, slope: F64, steepest: float, variance: F64
 
 @compiled_with_nan
 def find_semidefinite(matrices: F64, rounding: float, found: Bool) -> None:
-    """Mark the covariances of `position_error.is_covariance`.
+    """Mark the covariances of `Surface.is_possible`.
 
     Args:
         matrices: symmetric, shape (n, 3, 3).

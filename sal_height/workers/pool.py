@@ -31,7 +31,7 @@ import numpy as np
 from sal_height.engine.stage import DwellKey, Job, Rehearsal, Result
 from sal_height.errors import Rejected
 from sal_height.workers.arena import Arena, MemoryBlock, Region
-from sal_height.workers.processes import Forked, end_with_parent
+from sal_height.workers.processes import Forked, cpu_of_thread, end_with_parent
 from sal_height.workers.serving import HEAD, Batch, keep_workers
 from sal_height.workers.transfer import Array, ArrayAt, Known, Pickler, Unpickler, copy_into
 
@@ -235,9 +235,7 @@ class Pool:
     @property
     def cpu_s(self) -> float:
         """Processor time of the thread that gives jobs and publishes results, s."""
-        if self._thread.ident is None or not self._thread.is_alive():
-            return 0.0
-        return time.clock_gettime(time.pthread_getcpuclockid(self._thread.ident))
+        return cpu_of_thread(self._thread)
 
     @property
     def worker_pids(self) -> list[int]:

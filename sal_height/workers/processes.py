@@ -85,6 +85,13 @@ def process_age_s() -> float:
     return time.clock_gettime(time.CLOCK_BOOTTIME) - began_s
 
 
+def cpu_of_thread(thread: threading.Thread) -> float:
+    """Processor time of a thread, s; 0: it does not run."""
+    if thread.ident is None or not thread.is_alive():
+        return 0.0
+    return time.clock_gettime(time.pthread_getcpuclockid(thread.ident))
+
+
 class Forked:
     """A copy of this process that runs a function; used as a `subprocess.Popen` is.
 

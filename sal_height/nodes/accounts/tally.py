@@ -22,13 +22,6 @@ OF_NODE = {"jobs", "ready"}
 """Numbers of an account that do not follow from counts."""
 
 
-def cpu_of_thread(thread: threading.Thread) -> float:
-    """Processor time of a thread, s; 0: it does not run."""
-    if thread.ident is None or not thread.is_alive():
-        return 0.0
-    return time.clock_gettime(time.pthread_getcpuclockid(thread.ident))
-
-
 def process_numbers() -> dict[str, Any]:
     """Processor time, s, number, and memory, MB (Linux), of this process, as fields of an account.
 

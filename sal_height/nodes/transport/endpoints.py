@@ -189,21 +189,23 @@ class Inlet:
         self.missed = missed
 
     def take_waiting(self) -> Iterator[bytes]:
-        """Messages that wait, which are not received then; no more than the subscription has room for."""
-        for _ in range(self._profile.depth):
-            taken = self.subscription and self.subscription.handle.take_message(self._message_class, True)
-            if not taken:
-                return
-            self._note(taken[1])
-            yield taken[0]
+        """Messages that wait, which are not received then."""
+        for cdr, info in self._waiting():
+            self._note(info)
+            yield cdr
 
     def receive_waiting(self) -> None:
         """Receive the messages that wait before the executor, which has others to hand over, comes to them."""
+        for cdr, info in self._waiting():
+            self._take(cdr, info)
+
+    def _waiting(self) -> Iterator[tuple[bytes, Mapping[str, Any]]]:
+        """Messages that wait and the times of their transport, no more than there is room for."""
         for _ in range(self._profile.depth):
             taken = self.subscription and self.subscription.handle.take_message(self._message_class, True)
             if not taken:
                 return
-            self._take(*taken)
+            yield taken
 
     def leave(self) -> None:
         """Receive no items any more."""

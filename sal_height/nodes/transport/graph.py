@@ -36,13 +36,6 @@ def events_executor(context: Context) -> Executor:
         return EventsExecutor(context=context)
 
 
-def executor_for(node: Node) -> Executor:
-    """An executor of its own for a node, which has been added."""
-    executor = events_executor(node.context)
-    executor.add_node(node)
-    return executor
-
-
 class Graph:
     """Context, executor and nodes that start and end together.
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple, TypeAlias
 
-from sal_height.engine.image_items import Images
+from sal_height.engine.image_items import count_messages
 from sal_height.engine.stage import DwellKey, Job, Product, Rehearsal, Result, Stage
 from sal_height.workers.transfer import Known, Pickler, Ring, Unpickler, array_in
 
@@ -36,13 +36,6 @@ class Unsent:
     """Stands for an item of a product that is not needed outside the worker, and the messages it would be."""
 
     messages: int
-
-
-def count_messages(item: Any) -> int:
-    """Number of messages that an item is."""
-    if isinstance(item, Unsent):
-        return item.messages
-    return item.count if isinstance(item, Images) else 1
 
 
 class Control(NamedTuple):

@@ -16,6 +16,7 @@ from sal_height.bag.reader import BagMessage
 from sal_height.bag.writer import BagWriter
 from sal_height.engine.air import AIR_PARAMETERS
 from sal_height.engine.chain import Made
+from sal_height.engine.image_items import count_messages
 from sal_height.engine.stage import DwellKey, Event, Loss, Notice, Port, Product
 from sal_height.errors import UserError
 from sal_height.graph.plan import UNCOUNTED, Execution, Outcome, Plan
@@ -25,7 +26,7 @@ from sal_height.messages.kinds import kind_of, kind_of_topic
 from sal_height.nodes.accounts.account import Account
 from sal_height.runs.chain.chain_runs import BagRun
 from sal_height.runs.chain.replay_parameters import ReplayPlan
-from sal_height.runs.chain.worker import count_messages
+from sal_height.runs.chain.worker import Unsent
 from sal_height.topics import CALIBRATION, LOSSES, ODOMETRY, SENSOR_INFO
 from sal_height.workers.processes import Interruption
 
@@ -149,7 +150,7 @@ class _Recording:
         """Write a product, or count what a stage left out or reports."""
         counts, result = self._counts[made.stage.name], made.result
         if isinstance(result, Product):
-            count = count_messages(result.item)
+            count = result.item.messages if isinstance(result.item, Unsent) else count_messages(result.item)
             counts.published[result.port] += count
             self._count_received(result.port, count)
             if result.port in self._names:

@@ -36,7 +36,7 @@ def remove_orphans() -> None:
     """Remove the segments of processes that were killed: 64 MB of each would stay until the machine restarts."""
     for lock in SHARED_MEMORY.glob(f"{SEGMENT}*{LOCK}"):
         name = lock.name.removesuffix(LOCK)
-        with suppress(OSError), _locked(lock):
+        with suppress(OSError), _locked(lock, fcntl.LOCK_EX):
             if not _PORT.fullmatch(name) and time.time() - lock.stat().st_mtime >= YOUNG_S:
                 _remove(name)
 
@@ -46,13 +46,14 @@ def avoid_dead_ports() -> None:
 
     For seconds, others do not know that they are dead, and send through them to nobody; who takes such a port makes its
     files again and receives nothing meanwhile. Fast DDS leaves out locked ports: each dead one is locked as long as
-    this process lives. One that was found dead long enough ago is removed: its lock's file is not empty since then.
+    this process lives, and together with the others that avoid it, which may end earlier. One that was found dead long
+    enough ago is removed: its lock's file is not empty since then.
     """
-    while _AVOIDED:
-        os.close(_AVOIDED.pop())
+    before = _AVOIDED.copy()
+    _AVOIDED.clear()
     for lock in SHARED_MEMORY.glob(f"{SEGMENT}port*{LOCK}"):
         name = lock.name.removesuffix(LOCK)
-        with suppress(OSError), _locked(lock) as descriptor:
+        with suppress(OSError), _locked(lock, fcntl.LOCK_SH) as descriptor:
             known = os.fstat(descriptor)
             if known.st_size and time.time() - known.st_mtime > FORGOTTEN_S:
                 _remove(name)
@@ -60,6 +61,8 @@ def avoid_dead_ports() -> None:
             if not known.st_size:
                 os.write(descriptor, b"dead")
             _AVOIDED.append(os.dup(descriptor))
+    for descriptor in before:
+        os.close(descriptor)
 
 
 def is_avoided(descriptor: Path) -> bool:
@@ -71,15 +74,19 @@ def is_avoided(descriptor: Path) -> bool:
 
 
 @contextmanager
-def _locked(file: Path) -> Iterator[int]:
+def _locked(file: Path, kind: int) -> Iterator[int]:
     """A descriptor of a file that is locked until it is closed, which is the caller's to copy.
+
+    Args:
+        file: The file.
+        kind: LOCK_EX of fcntl, or LOCK_SH to share the lock with others that do.
 
     Raises:
         OSError: another process has locked it, or it is gone.
     """
     descriptor = os.open(file, os.O_RDWR)
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
         if not os.path.samestat(os.fstat(descriptor), file.stat()):
             raise FileNotFoundError(file)  # it has been made again meanwhile
         yield descriptor

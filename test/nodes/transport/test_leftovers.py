@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import subprocess
 import sys
@@ -103,6 +104,18 @@ def test_who_starts_takes_no_port_of_a_killed_process(start: Start, domain_id: i
     assert len(after) >= 2
     assert not before & after
     assert exist(before)
+
+
+def test_a_dead_port_stays_locked_when_another_process_that_avoids_it_ends(start: Start, domain_id: int) -> None:
+    program = start(domain_id)
+    dead = SHARED_MEMORY / (max(ports_read(folder_of(program))) + LOCK)
+    killed(program)
+    with dead.open() as other, dead.open() as middleware:
+        fcntl.flock(other, fcntl.LOCK_SH)
+        avoid_dead_ports()
+        other.close()
+        with pytest.raises(BlockingIOError):
+            fcntl.flock(middleware, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def test_ports_that_are_avoided_are_not_lost_ones_and_are_removed_in_time(

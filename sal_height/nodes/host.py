@@ -10,6 +10,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from contextlib import suppress
 from typing import Any, ClassVar
 
@@ -50,6 +51,7 @@ from sal_height.nodes.pooled import PooledJobs
 from sal_height.nodes.transport.endpoints import Inlet, Outlet
 from sal_height.nodes.transport.message_types import has_transforms
 from sal_height.nodes.transport.qos import FRAMES_QOS, INSTRUMENT_QOS, LATCHED_QOS, ODOMETRY_QOS, TF_STATIC_QOS
+from sal_height.nodes.transport.services import Said
 from sal_height.nodes.viewing import VIEWERS
 from sal_height.nodes.worker import ENDED, WorkerNode
 from sal_height.stage_files import check_written, read_inputs, write_product
@@ -111,7 +113,7 @@ class StageNode(WorkerNode):
         for name in self.stage_class.commands:
             self.serve(f"~/{name}", lambda name=name: self._command(name))  # type: ignore[misc]
         self._decide(lambda: self.stage.start(self.get_clock().now().nanoseconds))
-        self.every(0.1, self._tick)
+        self.every(0.1, lambda: self._decide(lambda: self.stage.advance(time.monotonic(), busy=self.jobs > 0)))
         if self.stage_class.concludes:
             self.context.on_shutdown(self.conclude)
 
@@ -315,9 +317,6 @@ class StageNode(WorkerNode):
             self.reject(loss.messages, Rejected(loss.reason, loss.sentence), loss.dwell)
         return jobs
 
-    def _tick(self) -> None:
-        self._decide(lambda: self.stage.advance(time.monotonic(), busy=self.jobs > 0))
-
     def _decide(self, ask: Callable[[], Sequence[Decision]], complete_s: float | None = None) -> None:
         """Ask the stage, and do what it decides.
 
@@ -326,28 +325,33 @@ class StageNode(WorkerNode):
             complete_s: time at which the dwell that it decides on was complete, s of the monotonic clock; None: now.
         """
         with self._deciding:
-            now = self.current_parameters()
-            if now is not self._settings_known:
-                self._settings_known = now
-                self.stage.change(now)
-            decisions = ask()
-            self.hardware_id = self.stage.sensor_name
+            decisions = self._asked(ask)
             if not decisions:  # as after most messages
                 return
             for job in self._own_jobs(decisions):
                 self._enqueue(job, self.now_s() if complete_s is None else complete_s)
 
+    def _asked(self, ask: Callable[[], Sequence[Decision]]) -> Sequence[Decision]:
+        """The decisions of the stage, with the parameters as they are now."""
+        now = self.current_parameters()
+        if now is not self._settings_known:
+            self._settings_known = now
+            self.stage.change(now)
+        decisions = ask()
+        self.hardware_id = self.stage.sensor_name
+        return decisions
+
     def _enqueue(self, job: Job, complete_s: float) -> None:
         if self._ended and job.messages:
             self.reject(job.messages, ENDED, job.dwell)
             return
-        self.submit(job.messages, lambda: self._process_job(job, complete_s), job.size, job, complete_s)
+
+        def work() -> int:
+            return self._publish_results(self._results_of(job), complete_s)
+
+        self.submit(job.messages, work, job.size, job, complete_s)
         if self._pool and not self._worker:
             self._pool.wake()
-
-    def _process_job(self, job: Job, complete_s: float = 0.0) -> int:
-        """Process a job (on the node's own thread), and publish its results; the number of messages published."""
-        return self._publish_results(self._results_of(job), complete_s)
 
     def _conclude_job(self, job: Job, results: Sequence[Result], complete_s: float, cpu_s: float) -> int:
         """Notify the stage of the results of a job that a worker has processed, and publish them."""
@@ -394,18 +398,13 @@ class StageNode(WorkerNode):
                 self._log_trace(one.trace)
                 self.ignore(one.kind, UserError(one.sentence))
             elif isinstance(one, Event):
-                self._count(one)
+                count = self.tell if one.name == CALIBRATIONS_ARRIVED else self.tally.note
+                count(one.name)
             elif isinstance(one, FileProduct):
                 self._write(one)
             elif isinstance(one, Remark):
                 self.get_logger().warning(one.sentence)
         return published, losses
-
-    def _count(self, event: Event) -> None:
-        if event.name == CALIBRATIONS_ARRIVED:
-            self.tell(event.name)
-        else:
-            self.tally.note(event.name)
 
     def _publish(self, product: Product, complete_s: float) -> int:
         """Publish a product, and what viewers show of it while somebody subscribes; the number of its messages."""
@@ -439,21 +438,21 @@ class StageNode(WorkerNode):
         if trace:
             self.get_logger().error(f"Unexpected failure, please report it: {trace}")
 
-    def _command(self, name: str) -> tuple[bool, str]:
-        """Have the stage do something that was asked for by hand, and wait for its answer."""
-        if self._ended:
-            return False, "the node is ending"
+    def _command(self, name: str) -> Said | Future[Said]:
+        """Have the stage do something that was asked for by hand, after the jobs that wait."""
+        with self._deciding:
+            if self._ended:
+                return False, "the node is ending"
+            jobs = self._own_jobs(self._asked(lambda: self.stage.command(name)))
+            return self.promise(lambda: self._answer_of(jobs))
+
+    def _answer_of(self, jobs: Sequence[Job]) -> Said:
+        """Process the jobs of a command; its answer."""
+        self.failure = ""
         answers: list[Answer] = []
-
-        def work() -> str:
-            self.failure = ""
-            for _, results in self._processed(self._own_jobs(self.stage.command(name))):
-                self._report(results)
-                answers.extend(one for one in results if isinstance(one, Answer))
-            return ""
-
-        if late := self.wait_for(work):
-            return False, late
+        for _, results in self._processed(jobs):
+            self._report(results)
+            answers.extend(one for one in results if isinstance(one, Answer))
         answer = answers[0] if answers else Answer(success=False, sentence="no answer")
         return answer.success and not self.failure, self.failure or answer.sentence
 

@@ -20,7 +20,6 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.qos import QoSProfile
-from std_srvs.srv import Trigger
 
 from sal_height import topics
 from sal_height.engine.stage import DwellKey, Loss, StageSettings
@@ -38,6 +37,7 @@ from sal_height.nodes.transport.callbacks import Repeated, guarded
 from sal_height.nodes.transport.endpoints import QOS_OVERRIDES, RECENT_S, Inlet, Outlet
 from sal_height.nodes.transport.message_types import class_of
 from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
+from sal_height.nodes.transport.services import Said, offer_trigger
 from sal_height.topics import LOSSES
 
 SENSOR_TOPICS = {
@@ -51,6 +51,9 @@ RESET = {"~/reset": "forget what was gathered of the dwells so far"}
 """The service that every stage offers."""
 
 ENDED = Rejected("ended", "The node is ending; waiting and new messages are left out.")
+
+FAILED: Said = False, "internal error; the log of the node says more"
+"""Answer of a service that has failed for a reason that no caller should cause."""
 
 DIAGNOSTICS_PERIOD_S = 0.5
 
@@ -184,15 +187,15 @@ class WorkerNode(Role, Managed):
         """Call `callback` again and again, by a clock that never stands still unless another one is given."""
         self.create_timer(period_s, guarded(callback, self._fail), clock=clock or self.steady_clock)
 
-    def serve(self, name: str, callback: Callable[[], tuple[bool, str]]) -> None:
-        """Offer a service of type Trigger; `callback` returns whether it succeeded, and a message."""
+    def serve(self, name: str, callback: Callable[[], Said | Future[Said]]) -> None:
+        """Offer a service of type Trigger.
 
-        def respond(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-            failure = False, "internal error; the log of the node says more"
-            response.success, response.message = guarded(callback, self._fail)() or failure
-            return response
-
-        self.create_service(Trigger, name, respond)
+        Args:
+            name: name of the service.
+            callback: function that returns whether it succeeded, and a message; or, for work that may take long, a
+                future of both: the node goes on to receive messages, and the answer is sent once the work is done.
+        """
+        offer_trigger(self, name, lambda: guarded(callback, self._fail)() or FAILED)
 
     def submit(
         self,
@@ -244,26 +247,20 @@ class WorkerNode(Role, Managed):
         else:
             self._publish_account()  # the node may be ready now
 
-    def wait_for(self, work: Callable[[], str]) -> str:
-        """Have `work` done on the worker thread, after what waits, and wait for what it returns.
-
-        It is for services that are called by hand: the node receives no messages meanwhile.
-        """
-        done: Future[str] = Future()
+    def promise(self, work: Callable[[], Said]) -> Future[Said]:
+        """Have `work` done on the worker thread, after what waits; the future gets what it returns."""
+        done: Future[Said] = Future()
 
         def run() -> int:
             try:
                 done.set_result(work())
             except BaseException:
-                done.set_result("internal error; the log of the node says more")
+                done.set_result(FAILED)
                 raise
             return 0
 
         self.submit(0, run)
-        try:
-            return done.result(30.0)
-        except TimeoutError:
-            return "the node has not reached it within 30 s, and goes on"
+        return done
 
     def waiting(self) -> list[Any]:
         """The items of the jobs that wait, in their order."""

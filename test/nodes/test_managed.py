@@ -16,7 +16,9 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
+from sal_height.engine.stage import FileProduct
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, HeightImage
+from sal_height.nodes import host
 from sal_height.nodes.accounts.account import DIAGNOSTICS, Account
 from sal_height.nodes.processing import PROCESSING
 from sal_height.nodes.simulator import Simulator
@@ -25,6 +27,7 @@ from sal_height.nodes.transport.message_types import subscribe
 from sal_height.nodes.transport.qos import FRAMES_QOS
 from sal_height.nodes.worker import WorkerNode
 from sal_height.simulation import SimulatedFlight
+from sal_height.stage_files import write_product
 
 TIMEOUT_S = 120.0
 
@@ -208,6 +211,40 @@ def test_a_map_that_cannot_be_written_says_so(
     assert "map.tif" in said
     folder.mkdir()
     assert manager.trigger("relief_mapper/save")[0]
+
+
+def test_while_a_map_is_saved_its_process_receives_frames_and_publishes_heights(
+    graph: Graph, chain: Chain, manager: Manager, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The map is that of the heights before; those of the next dwell wait for it."""
+    begun, going = Event(), Event()
+
+    def write_late(product: FileProduct) -> None:
+        begun.set()
+        assert going.wait(TIMEOUT_S)
+        write_product(product)
+
+    monkeypatch.setattr(host, "write_product", write_late)
+    file = tmp_path / "map.tif"
+    mapper = graph.add(
+        PROCESSING["relief_mapper"](context=graph.context, parameter_overrides=[Parameter("file", value=str(file))])
+    )
+    client = manager.node.create_client(Trigger, "relief_mapper/save")
+    chain.wait(lambda: mapper.is_ready and client.service_is_ready(), "the mapper")
+    chain.fly(0)
+    chain.wait(lambda: counts(mapper)["processed"] == 1, "the map")
+    answer = client.call_async(Trigger.Request())
+    try:
+        chain.wait(begun.is_set, "the file")
+        chain.fly(1)
+        chain.wait(lambda: counts(mapper)["in"] == 2, "the heights")
+        assert (answer.done(), counts(mapper)["waiting"]) == (False, 1)
+    finally:
+        going.set()
+    chain.wait(answer.done, "the answer")
+    assert (answer.result().success, answer.result().message) == (True, str(file))
+    assert images_in(file) == 1
+    chain.wait(lambda: counts(mapper)["processed"] == 2, "the map")
 
 
 def test_at_its_end_a_node_accounts_for_all_that_came(graph: Graph, flight: SimulatedFlight, manager: Manager) -> None:

@@ -78,8 +78,11 @@ def test_an_error_in_a_subscription_does_not_end_the_node(graph: Graph, listenin
         assert graph.spin_until(lambda n=number: ignored(listening) == n, TIMEOUT_S)
 
 
-def test_an_error_in_a_service_is_answered_and_does_not_end_the_node(graph: Graph, listening: Listening) -> None:
-    listening.serve("~/do", listening.fail)
+@pytest.mark.parametrize("is_long", [False, True])
+def test_an_error_in_a_service_is_answered_and_does_not_end_the_node(
+    is_long: bool, graph: Graph, listening: Listening
+) -> None:
+    listening.serve("~/do", (lambda: listening.promise(listening.fail)) if is_long else listening.fail)
     client = graph.add(Node("asking", context=graph.context)).create_client(Trigger, "/listening/do")
     assert graph.spin_until(client.service_is_ready, TIMEOUT_S)
     answers = []
@@ -88,7 +91,8 @@ def test_an_error_in_a_service_is_answered_and_does_not_end_the_node(graph: Grap
         assert graph.spin_until(answer.done, TIMEOUT_S)
         answers.append((answer.result().success, answer.result().message))
     assert answers == [(False, "internal error; the log of the node says more"), (True, "done")]
-    assert ignored(listening) == 1
+    counted = listening.tally.summary()
+    assert counted.get("dropped.internal error" if is_long else "ignored.internal error") == (0 if is_long else 1)
 
 
 def test_an_error_in_a_job_costs_its_messages_only(graph: Graph, listening: Listening) -> None:

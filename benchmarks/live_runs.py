@@ -83,7 +83,7 @@ class Seen:
     elapsed_s: float
     left_out: int
     in_parts: int
-    latencies_s: dict[str, list[float]]
+    latencies_s: Mapping[str, Sequence[float]]
     usage: Usage
     beside_s: float
     recorded_bytes: int

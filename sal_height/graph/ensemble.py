@@ -57,7 +57,7 @@ class Conductor(Node):
         taken = [topic for name in plan.stages for topic in (ODOMETRY, *AIR_PARAMETERS) if topic in NODES[name].inputs]
         self._samples = plan.on_wire(taken)
         self._begin = self.create_client(Trigger, f"{plan.source}/{NODES[plan.source].begin_service}")
-        self.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 100)
+        self._diagnostics = self.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 100)
 
     def connected(self) -> bool:
         """True if every topic has its subscribers, as its publisher counts them: nothing will be lost.
@@ -79,6 +79,10 @@ class Conductor(Node):
     def ready(self) -> bool:
         """True if all nodes are connected, and have done what they do before the first dwell."""
         return self.connected() and all(self.accounts[name].ready for name in self._inputs)
+
+    def stop_reading(self) -> None:
+        """Read no more accounts: all nodes are ready."""
+        self.destroy_subscription(self._diagnostics)
 
     def subscribe_raw(self, message_type: type, topic: str, receive: Callable[[bytes], None]) -> None:
         """Have the serialized messages of a topic received by `receive`."""

@@ -150,7 +150,7 @@ def looks(graph: Graph, interruption: Interruption, seconds: float) -> Iterator[
     period_s = 1.0
     began, elapsed_s, due_s = time.monotonic(), 0.0, period_s
     while elapsed_s < seconds:
-        graph.spin_for(min(0.05, seconds - elapsed_s))
+        graph.spin_for(min(0.1, seconds - elapsed_s))
         interruption.check()
         elapsed_s = time.monotonic() - began
         is_due = elapsed_s >= min(due_s, seconds)

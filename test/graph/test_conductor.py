@@ -35,3 +35,11 @@ def test_diagnostics_of_others_are_ignored(graph: Graph) -> None:
         "simulator": {"in": 1, "processed": 0, "out": 8, "waiting": 0, "jobs": 0, "ready": 0},
         "monopulse": {"in": 8, "processed": 0, "out": 1, "waiting": 0, "jobs": 0, "ready": 0},
     }
+
+
+def test_once_all_nodes_are_ready_no_account_is_read(graph: Graph) -> None:
+    watching = graph.add(Conductor(Plan("simulator", [], [], Path("bag"), {}, 1), context=graph.context))
+    publisher = publisher_of(graph.add(Node("stages", context=graph.context)), DiagnosticArray, "/diagnostics", 10)
+    assert graph.spin_until(lambda: publisher.get_subscription_count() == 1, 10)
+    watching.stop_reading()
+    assert graph.spin_until(lambda: publisher.get_subscription_count() == 0, 10)

@@ -7,6 +7,7 @@ import json
 import logging
 import math
 import time
+from array import array
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -151,7 +152,7 @@ class Watched:
     elapsed_s: float
     offered_hz: float
     book: AccountBook = field(default_factory=AccountBook)
-    latencies_s: dict[str, list[float]] = field(default_factory=dict)
+    latencies_s: dict[str, array[float]] = field(default_factory=dict)
     cpu_at_start_s: dict[str, float] = field(default_factory=dict)
     began_at_s: float = 0.0
     start_s: dict[str, float] = field(default_factory=dict)
@@ -261,7 +262,7 @@ def live(
             tested.poll()  # a process stays in lists until it is asked how it ended
         show(watched)
 
-    watched = Watched(0.0, 1 / interval_s, latencies_s={topic: [] for topic in topics}, start_s=start_s)
+    watched = Watched(0.0, 1 / interval_s, latencies_s={topic: array("d") for topic in topics}, start_s=start_s)
     with reporting(folder, known) as report, ros_domain(execution.domain):
         provide_shared_memory(sum(len(frame.samples) for frame in next(playlist.frames())))
         _perform(plan, execution, how, playlist, watched, let_go_and_show)
@@ -327,6 +328,7 @@ def _perform(
 
         wait(conductor.ready, "all nodes to be ready")
         watched.start_s["ready"] = process_age_s()
+        conductor.stop_reading()
         supervisor = Supervisor(ensemble, time.monotonic()) if how.supervised else None
         for topic in watched.latencies_s:
             conductor.subscribe_raw(HeightImage, topic, _keeper(topic, clock, watched))

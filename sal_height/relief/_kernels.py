@@ -393,7 +393,7 @@ def average_cells(
     steepest: float,
     sums: F64,
 ) -> None:
-    """Fill the means of the pixels in each cell with the weights w = 1 / (own + common), see `map._averaged`.
+    """Fill the means of the pixels in each cell with the weights w = 1 / own, see `map._averaged`.
 
     Args:
         cell: number of each pixel's cell, shape (pixels,).
@@ -411,7 +411,7 @@ def average_cells(
             w over the sum of w; of the root of common; and of the squared distance from the mean height.
     """
     for i in range(len(cell)):
-        total, weight = sums[cell[i]], 1 / (own[i] + common[i])
+        total, weight = sums[cell[i]], 1 / own[i]
         total[0] += weight
         total[1] += weight * slope[0, i]
         total[2] += weight * slope[1, i]
@@ -419,7 +419,7 @@ def average_cells(
         sums[number, 1] /= sums[number, 0]
         sums[number, 2] /= sums[number, 0]
     for i in range(len(cell)):
-        total, weight = sums[cell[i]], 1 / (own[i] + common[i])
+        total, weight = sums[cell[i]], 1 / own[i]
         east, north = centre[cell[i], 0] - place[0, i], centre[cell[i], 1] - place[1, i]
         total[3] += weight * (height[i] + total[1] * east + total[2] * north)
         if np.isnan(slope_error[i]):
@@ -436,41 +436,44 @@ def average_cells(
             sums[number, k] /= sums[number, 0]
         sums[number, 9] /= sums[number, 0]
     for i in range(len(cell)):
-        total, weight = sums[cell[i]], 1 / (own[i] + common[i])
+        total, weight = sums[cell[i]], 1 / own[i]
         east, north = centre[cell[i], 0] - place[0, i], centre[cell[i], 1] - place[1, i]
         total[11] += weight * squared(height[i] + total[1] * east + total[2] * north - total[3]) / total[0]
 
 
-COLUMNS = 6
+COLUMNS = 7
 """Numbers of each cell of a map: those of `update_cells`."""
 
 
 @compiled_with_nan
 def update_cells(index: Index, height: F64, own: F64, common: F64, cells: F64) -> None:
-    """Update the numbers of cells with measurements of the weight w = 1 / (own + common^2), see `map.ReliefMap`.
+    """Update the numbers of cells with measurements of the weight w = 1 / own, see `map.ReliefMap`.
 
-    Chi-square grows by the squared difference from the mean so far, over the variance of that difference. That gives
-    the sum of w (h - mean)^2 over all measurements without the cancellation of large squares.
+    Chi-square is that of the measurements about their mean of the weight v = 1 / (own + common^2), as if common errors
+    were independent; it grows by the squared difference from that mean so far, over the variance of the difference.
+    That gives the sum of v (h - mean)^2 without the cancellation of large squares.
 
     Args:
         index: cell of each measurement, shape (measurements,).
         height: measured, m, shape (measurements,).
         own: variance of its independent errors, m^2, shape (measurements,).
         common: standard deviation of the error that all measurements share, m, shape (measurements,).
-        cells: of each cell mean height, sum of the weights (1/m^2), own and common of the mean, chi-square, and count,
-            to be updated, shape (cells, COLUMNS).
+        cells: of each cell mean height, sum of the weights w (1/m^2), which is one over the variance of the mean's
+            independent error, mean of common (m), mean and sum of the weights v, chi-square, and count, to be updated,
+            shape (cells, COLUMNS).
     """
     for i in range(len(index)):
         cell = cells[index[i]]
-        weight = 1 / (own[i] + squared(common[i]))
-        gain = weight / (cell[1] + weight)
-        step = gain * (height[i] - cell[0])
-        cell[4] += squared(step) * cell[1] / gain
-        cell[0] += step
+        weight = 1 / own[i]
         cell[1] += weight
-        cell[2] = squared(1 - gain) * cell[2] + squared(gain) * own[i]
-        cell[3] += gain * (common[i] - cell[3])
-        cell[5] += 1
+        cell[0] += weight / cell[1] * (height[i] - cell[0])
+        cell[2] += weight / cell[1] * (common[i] - cell[2])
+        weight = 1 / (own[i] + squared(common[i]))
+        step = weight / (cell[4] + weight) * (height[i] - cell[3])
+        cell[5] += squared(step) * cell[4] * (cell[4] + weight) / weight
+        cell[3] += step
+        cell[4] += weight
+        cell[6] += 1
 
 
 @compiled_with_nan
@@ -487,10 +490,10 @@ def read_cells(cells: F64, height: F32, sigma: F32, disagreement: F32, count: np
     rows, cols, _ = cells.shape
     for i in range(rows):
         for j in range(cols):
-            mean, own, common = cells[i, j, 0], cells[i, j, 2], cells[i, j, 3]
-            chi_square, dwells = cells[i, j, 4], cells[i, j, 5]
+            chi_square, dwells = cells[i, j, 5], cells[i, j, 6]
             if dwells > 0:
-                height[i, j], sigma[i, j] = mean, np.sqrt(own + squared(common))
+                height[i, j] = cells[i, j, 0]
+                sigma[i, j] = np.sqrt(1 / cells[i, j, 1] + squared(cells[i, j, 2]))
                 count[i, j] = np.uint32(dwells)
             if dwells > 1:
                 disagreement[i, j] = np.sqrt(chi_square / (dwells - 1))

@@ -34,9 +34,10 @@ class Relief:
         cell_size: side of a cell, m.
         height: height of the ground at the centre of the cell, above the sphere, m; NaN where nothing was seen.
         sigma: standard deviation of that height, m; NaN where nothing was seen.
-        disagreement: spread of the dwells' heights over that expected from their sigmas: the square root of chi-square
-            per degree of freedom (Birge ratio, Phys. Rev. 40, 1932, p. 207). Near 1 if the sigmas are right, smaller if
-            dwells err alike; greater where something moved. NaN where fewer than two dwells saw the cell.
+        disagreement: spread of the dwells' heights over that expected from their sigmas, if errors of different dwells
+            are independent: the square root of chi-square per degree of freedom (Birge ratio, Phys. Rev. 40, 1932,
+            p. 207). Near 1 if the sigmas are right, smaller if dwells err alike; greater where something moved. NaN
+            where fewer than two dwells saw the cell.
         count: number of dwells that saw the cell.
         kind: basis of each height (`GroundKind`), uint8; None: measurements, wherever the height is not NaN.
     """

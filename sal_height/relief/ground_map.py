@@ -16,7 +16,7 @@ from sal_height.numeric import I64, Bool
 from sal_height.relief.cell_map import TILE, CellMap, Relief, hull, tiles_of
 from sal_height.relief.ground import GroundEstimate, GroundGrid, estimated_ground, unseen
 from sal_height.relief.heights import HeightField
-from sal_height.relief.layers import Layers, layers_of, merged
+from sal_height.relief.layers import Layers, height_offset, joined_dwells, layers_of, merged_dwell
 from sal_height.relief.settings import DEFAULT_GROUND, GroundSettings
 from sal_height.relief.tracked import ground_spacings
 from sal_height.relief.visibility import silent_cells
@@ -83,25 +83,27 @@ class GroundMap(CellMap):
         Raises:
             Rejected: the map would have more than `max_cells` cells; it does not change.
         """
-        layers = merged(layers_of(field, aperture), self.cell_size, self.settings.gate, same_dwell=True)
+        layers = merged_dwell(layers_of(field, aperture), self.cell_size, self.settings.gate)
         if not len(layers):
             return None
         cells = layers.cells(self.cell_size)
         seen = np.stack([cells.min(axis=0), cells.max(axis=0)])
         self._grow(seen)
-        for place, there in tiles_of(cells):
-            new = layers.where(there)
-            self._tiles[place] = self._joined(self._tiles[place], new, seen) if place in self._tiles else new
+        tiles = [(place, layers.where(there)) for place, there in tiles_of(cells)]
+        known = [self._tiles[place] for place, _ in tiles if place in self._tiles]
+        offset = height_offset(reduce(Layers.and_those, known), layers, self.cell_size) if known else 0.0
+        for place, new in tiles:
+            self._tiles[place] = self._joined(self._tiles[place], new, offset, seen) if place in self._tiles else new
         silent = silent_cells(field, aperture, self.settings.gate, self.cell_size)
         for place, there in tiles_of(silent):
             self._silent.setdefault(place, np.zeros((TILE, TILE), bool))[tuple((silent[there] % TILE).T)] = True
         return seen
 
-    def _joined(self, old: Layers, new: Layers, seen: I64) -> Layers:
+    def _joined(self, old: Layers, new: Layers, offset: float, seen: I64) -> Layers:
         """Layers of a tile, with new ones in the cells from seen[0] to seen[1]; only these are merged."""
         cells = old.cells(self.cell_size)
         there = ((cells >= seen[0]) & (cells <= seen[1])).all(axis=1)
-        both = merged(old.where(there).and_those(new), self.cell_size, self.settings.gate, same_dwell=False)
+        both = joined_dwells(old.where(there), new, offset, self.cell_size, self.settings.gate)
         return old.where(~there).and_those(both)
 
     def settle(self) -> None:

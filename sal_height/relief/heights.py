@@ -82,6 +82,16 @@ class Surface:
         return self.own_covariance if self.common_covariance is None else self.own_covariance + self.common_covariance
 
     @property
+    def own_sigma(self) -> F64:
+        """Standard deviation of height without the errors that pixels share, m; sigma where no covariance is known.
+
+        What all pixels of a dwell share is not in the difference of two, and averaging over neighbours does not reduce
+        it.
+        """
+        own = np.sqrt(height_variance(self.own_covariance, self.positions))
+        return np.where(np.isnan(own), self.sigma, own)
+
+    @property
     def is_determined(self) -> Bool:
         """Pixels with finite position, height and, in the single precision of messages, sigma, shape (rows, cols)."""
         with np.errstate(over="ignore"):

@@ -21,6 +21,7 @@ from sal_height.elevation import Validity
 from sal_height.geometry import ApertureState, aperture_at, sphere_coordinates
 from sal_height.numeric import F64, I64, Bool, Index
 from sal_height.relief.heights import HeightField, Surface
+from sal_height.relief.slope import median
 
 
 def joined_rows(parts: Sequence[tuple[Bool, HeightField]]) -> HeightField:
@@ -131,25 +132,62 @@ def _layers_of_surface(surface: Surface, aperture: ApertureState) -> Layers:
     return layers.where(np.asarray(rises))
 
 
-def merged(layers: Layers, cell_size: float, gate: float, *, same_dwell: bool) -> Layers:
+def merged_dwell(layers: Layers, cell_size: float, gate: float) -> Layers:
+    """Merge layers of one dwell; arguments and result as `_merged` has them."""
+    return _merged(layers, layers.place[:, 2], cell_size, gate, np.maximum)
+
+
+def joined_dwells(known: Layers, new: Layers, offset: float, cell_size: float, gate: float) -> Layers:
+    """Merge layers of a new dwell with those that are known; arguments and result as `_merged` has them.
+
+    They are compared without the height `offset` (m) of the new dwell (`height_offset`), which remains in the heights:
+    either may be right.
+    """
+    compared = np.concatenate([known.place[:, 2], new.place[:, 2] - offset])
+    return _merged(known.and_those(new), compared, cell_size, gate, np.add)
+
+
+def height_offset(known: Layers, new: Layers, cell_size: float) -> float:
+    """Height of a new dwell above the layers that are known, m, which is the difference of their common errors.
+
+    It is the median over all cells in which there is one layer of either; 0 if there is none. No stated error enters.
+    """
+    heights = [_single_heights(layers, cell_size) for layers in (known, new)]
+    (known_cells, known_heights), (new_cells, new_heights) = heights
+    _, ours, theirs = np.intersect1d(known_cells, new_cells, assume_unique=True, return_indices=True)
+    return median(new_heights[theirs] - known_heights[ours]) if len(ours) else 0.0
+
+
+def _single_heights(layers: Layers, cell_size: float) -> tuple[I64, F64]:
+    """Number of each cell that has one layer, and the layer's height, m."""
+    row, col = layers.cells(cell_size).T
+    most_cells = 2**31  # more than lie between the map's origin and any cell, along either axis
+    number, first, count = np.unique(row * most_cells + col, return_index=True, return_counts=True)
+    single = count == 1
+    return number[single], layers.place[first[single], 2]
+
+
+def _merged(layers: Layers, compared: F64, cell_size: float, gate: float, count: np.ufunc) -> Layers:
     """Merge layers of the same cell that do not differ by more than `gate` standard deviations and one cell in height.
 
-    With the weights w = 1 / variance of height, own errors average, sum w^2 C / (sum w)^2. Common errors remain,
-    sum w C / sum w, those of different dwells, too: no message says how alike they are, and a mean cannot err more.
+    What all pixels of a dwell share cancels where they are compared, so that the own errors alone decide and weigh:
+    with w = 1 / own variance of height, they average, sum w^2 C / (sum w)^2. Common errors remain, sum w C / sum w,
+    those of different dwells, too: no message says how alike they are, and a mean cannot err more.
 
     Args:
         layers: layers in any order.
+        compared: height by which each is compared, m, shape (n,).
         cell_size: side of a cell, m.
         gate: greatest difference of layers that are merged, standard deviations.
-        same_dwell: True if all layers are of one dwell, False if of several.
+        count: function of the numbers of dwells of two layers, for their number together.
     """
     if not len(layers):
         return layers
     cells = layers.cells(cell_size)
-    order = np.lexsort((layers.place[:, 2], cells[:, 1], cells[:, 0]))
-    layers, cells = layers.where(order), cells[order]
-    variance = (layers.own + layers.common)[:, 2, 2]
-    apart = np.diff(layers.place[:, 2]) ** 2 > gate**2 * (variance[1:] + variance[:-1]) + cell_size**2
+    order = np.lexsort((compared, cells[:, 1], cells[:, 0]))
+    layers, cells, compared = layers.where(order), cells[order], compared[order]
+    variance = layers.own[:, 2, 2]
+    apart = np.diff(compared) ** 2 > gate**2 * (variance[1:] + variance[:-1]) + cell_size**2
     begins = np.flatnonzero(np.r_[True, apart | (np.diff(cells, axis=0) != 0).any(axis=1)])
     if len(begins) == len(layers):
         return layers
@@ -165,7 +203,7 @@ def merged(layers: Layers, cell_size: float, gate: float, *, same_dwell: bool) -
         own=mean(layers.own, weight**2, total**2),
         common=mean(layers.common, weight, total),
         towards=mean(layers.towards, weight, total),
-        dwells=(np.maximum if same_dwell else np.add).reduceat(layers.dwells, begins),
+        dwells=count.reduceat(layers.dwells, begins),
     )
 
 

@@ -13,8 +13,9 @@ slope up to STEEPEST, and that slope times the distance to the centre is added.
 The errors of pixels are independent, except for the part caused by the platform's pose and by uncertain beams, which
 all pixels of a dwell share. No message says how alike these are in different dwells: a pose that drifts, a boresight
 and beams err in the same way for many. Averaging therefore does not reduce the common part: its sigma is the mean of
-those of the dwells, which is right if they all err alike, and too large otherwise. Sigma is too small if a spatial
-prior couples neighbouring pixels.
+those of the dwells, which is right if they all err alike, and too large otherwise. Nor does it enter a weight: an error
+that all share cancels wherever heights are compared, so that a greater one makes sigma greater and moves no height.
+Sigma is too small if a spatial prior couples neighbouring pixels.
 """
 
 from __future__ import annotations
@@ -190,10 +191,10 @@ def _gather(surface: Surface, there: Bool, spacing: float, table: F64, start: in
 def _averaged(pixels: _Pixels, cells: I64, corners: I64, cell_size: float) -> _Cells:
     """Height at the centre of each cell that was seen: the mean of its pixels, moved along their mean slope.
 
-    The weights are w = 1 / variance; own parts add up to sum w^2 own / (sum w)^2, and of the common part, which is one
-    error, the mean sigma is taken. Added are the slope's error times the distance of the pixels' mean position from the
-    centre; where slopes are not known, STEEPEST times the pixels' distances; and where the heights in the cell spread
-    by more than 2.5 times their errors, that spread: the cell contains a step.
+    The weights are w = 1 / own; own parts add up to sum w^2 own / (sum w)^2, and of the common part, which is one
+    error, the mean sigma is taken. Added are the slope's error times the distance of the pixels' mean position from
+    the centre; where slopes are not known, STEEPEST times the pixels' distances; and where the heights in the cell
+    spread by more than 2.5 times their errors, that spread: the cell contains a step.
 
     Args:
         pixels: heights of a dwell.

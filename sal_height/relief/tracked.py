@@ -9,7 +9,7 @@ from sal_height.geometry import ApertureState, Grid, locate_at_height
 from sal_height.numeric import F64, Bool
 from sal_height.relief._tracking_kernels import fill_sights, judge_pixels, mark_company
 from sal_height.relief.heights import HeightField, Surface
-from sal_height.relief.position_error import circle_covariance, height_variance
+from sal_height.relief.position_error import circle_covariance
 from sal_height.relief.prior import PriorEstimate
 from sal_height.relief.settings import DEFAULT_TRACKING, TrackingSettings
 from sal_height.relief.smoothing import MeasuredHeights, ReliefPrior, TrackedRelief, smoothed
@@ -25,14 +25,6 @@ def look_side_of(grid: Grid, aperture: ApertureState) -> int:
     east, north, _ = (grid.middle - aperture.position).tolist()
     ahead_east, ahead_north, _ = aperture.direction.tolist()
     return 1 if ahead_north * east > ahead_east * north else -1
-
-
-def own_sigma(surface: Surface) -> F64:
-    """Standard deviation of height without the error of the platform's pose, m, shape (rows, cols).
-
-    All pixels of a dwell share the error of the pose, so that averaging over neighbours does not reduce it.
-    """
-    return np.sqrt(height_variance(surface.own_covariance, surface.positions))
 
 
 def track(
@@ -55,7 +47,7 @@ def track(
     Raises:
         UserError: the prior cannot be estimated (`PriorEstimate.after`).
     """
-    measured = MeasuredHeights(field.first.height, own_sigma(field.first), ground_spacings(field.grid))
+    measured = MeasuredHeights(field.first.height, field.first.own_sigma, ground_spacings(field.grid))
     prior, after = before.after(measured, settings)
     relief = smoothed(measured, prior, settings)
     return tracked_field(field, relief, aperture, settings.interpolation_limit * prior.sigma), prior, after
@@ -77,7 +69,7 @@ def tracked_field(
 
     Args:
         field: measured heights.
-        relief: heights tracked from them with `own_sigma`, shape of the image.
+        relief: heights tracked from them with their `own_sigma`, shape of the image.
         aperture: state of the platform.
         greatest_sigma: greatest standard deviation of an interpolated height, m.
     """
@@ -115,7 +107,7 @@ _UNKNOWN[list(UNKNOWN)] = True
 def in_company(surface: Surface, outlier: Bool) -> Bool:
     """Outliers that have three or more of the same height among the eight pixels around them, shape (rows, cols)."""
     company = np.empty(outlier.shape, np.bool_)
-    height, variance = np.ascontiguousarray(surface.height), np.ascontiguousarray(surface.sigma**2)
+    height, variance = np.ascontiguousarray(surface.height), surface.own_sigma**2
     same = 3.0  # standard deviations of their difference up to which two heights count as the same
     mark_company(height, variance, outlier, same, 3, company)
     return company

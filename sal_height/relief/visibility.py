@@ -96,7 +96,7 @@ def silent_cells(field: HeightField, aperture: ApertureState, gate: float, cell_
 
     edge, foot = (np.stack(sphere_coordinates(at(pixels, "positions")), axis=-1) for pixels in (near, far))
     drop = edge[:, 2] - foot[:, 2]
-    chosen = drop > gate * np.hypot(at(near, "sigma"), at(far, "sigma"))
+    chosen = drop > gate * np.hypot(at(near, "own_sigma"), at(far, "own_sigma"))
     points = at(far, "positions")[chosen]
     sight = points - aperture_at(points, aperture).position
     away = -sight[:, :2] / sight[:, 2:]  # how far the line of sight goes per metre that it falls

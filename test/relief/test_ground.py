@@ -10,7 +10,7 @@ import pytest
 from sal_height.numeric import F64, Bool
 from sal_height.relief import GroundEstimate, GroundKind, GroundSettings
 from sal_height.relief.ground import GroundGrid, estimated_ground
-from sal_height.relief.layers import Layers, merged
+from sal_height.relief.layers import Layers, merged_dwell
 
 CELL, SPACING, SIGMA, SIDE = 0.05, 0.09, 0.01, 80
 SETTINGS = GroundSettings()
@@ -42,7 +42,7 @@ def is_inside(places: F64) -> Bool:
 
 
 def ground_of(places: F64, silent: Bool | None = None) -> GroundEstimate:
-    layers = merged(layers_at(places[is_inside(places)]), CELL, SETTINGS.gate, same_dwell=True)
+    layers = merged_dwell(layers_at(places[is_inside(places)]), CELL, SETTINGS.gate)
     return estimated_ground(layers, NOWHERE if silent is None else silent, GRID, SETTINGS)
 
 

@@ -48,6 +48,58 @@ def truth_of(found: GroundEstimate) -> F64:
     return np.where(north < SPACING * ROWS / 2, 0.4, 0.0)[:, None]
 
 
+@pytest.mark.parametrize("sigma", [0.01, 0.5, 10.0])
+def test_an_error_that_all_share_makes_sigma_greater_and_changes_nothing_else(sigma: float) -> None:
+    """Three dwells of the same ground with a gap, higher by 0, 0.3 and 0.6 m, and ghosts 3 m above it."""
+    rng = np.random.default_rng(13)
+    dwells = [with_gap(with_ghosts(dwell(0, rng, lift=lift), rng)) for lift in (0.0, 0.3, 0.6)]
+    exact, shared = (mapped([with_shared_error(one, size) for one in dwells]) for size in (0.0, sigma))
+    before, after = estimate_of(exact), estimate_of(shared)
+    for name in ("height", "kind", "count"):
+        assert np.array_equal(getattr(after, name), getattr(before, name), equal_nan=True)
+    np.testing.assert_allclose(after.sigma, np.hypot(before.sigma, sigma), rtol=1e-9)
+    assert len({*before.kind.ravel().tolist()}) >= 3
+
+
+def test_dwells_that_err_by_metres_are_the_same_ground() -> None:
+    """The second is 5 m higher, as with a boresight off by a milliradian: most cells are of both."""
+    rng = np.random.default_rng(14)
+    found = estimate_of(mapped([dwell(0, rng), dwell(0, rng, lift=5.0)]))
+    measured = found.kind == GroundKind.MEASURED
+    assert np.mean(np.abs(found.height - truth_of(found) - 2.5)[measured] < 0.1) > 0.9
+
+
+def with_ghosts(field: HeightField, rng: np.random.Generator) -> HeightField:
+    """A dwell with a second surface, of some pixels only."""
+    first = field.surfaces[0]
+    there = rng.uniform(size=field.grid.shape) < 0.05
+    height = np.where(there, first.height + 3.0, np.nan)
+    positions = first.positions + np.where(there, 3.0, np.nan)[..., None] * [0.0, -1.0, 1.0]
+    validity = np.where(there, Validity.TWO_SCATTERERS, field.validity).astype(np.uint8)
+    second = Surface.at(positions, height, np.where(there, SIGMA, np.nan), first.cnr_db)
+    return replace(field, validity=validity, surfaces=(first, second))
+
+
+def with_gap(field: HeightField) -> HeightField:
+    """A dwell in which some rows have no signal."""
+    there = np.ones(field.grid.shape, np.bool_)
+    there[ROWS // 4 : ROWS // 4 + 6] = False
+    validity = np.where(there, field.validity, Validity.NO_SIGNAL).astype(np.uint8)
+    return replace(field, validity=validity, surfaces=tuple(one.where(there) for one in field.surfaces))
+
+
+def with_shared_error(field: HeightField, sigma: float) -> HeightField:
+    """A dwell whose heights err by SIGMA each along their circles, and all alike by `sigma`, m."""
+    circle, common = np.array([0.0, -1.0, 1.0]), np.zeros((*field.grid.shape, 3, 3))
+    common[..., 2, 2] = sigma**2
+    surfaces = []
+    for one in field.surfaces:
+        own = one.sigma[..., None, None] ** 2 * np.outer(circle, circle)
+        total = np.hypot(one.sigma, sigma)
+        surfaces.append(replace(one, sigma=total, own_covariance=own, common_covariance=common))
+    return replace(field, surfaces=tuple(surfaces))
+
+
 @pytest.mark.parametrize("numbers", [range(5), (0, 20)], ids=["beside each other", "far apart"])
 def test_the_live_estimate_is_that_of_all_dwells_at_once(numbers: Sequence[int]) -> None:
     """Five dwells are estimated together; two with 31 000 cells around them one by one."""

@@ -235,7 +235,7 @@ def test_means_of_cells() -> None:
     error[rng.uniform(size=200) < 0.3] = np.nan
     sums = np.zeros((count, 12))
     kernels.average_cells(cell, place, height, slope, error, own, common, centre, steepest, sums)
-    weight = 1 / (own + common)
+    weight = 1 / own
     total = np.bincount(cell, weight)
 
     def mean(values: Array) -> Array:
@@ -255,16 +255,16 @@ def test_cells_of_a_map() -> None:
     """Mean, its errors, chi-square and count of measurements that came one after the other."""
     rng = np.random.default_rng(7)
     height, own, common = rng.standard_normal((9, 5)), *rng.uniform(0.1, 2, (2, 9, 5))
-    cells, weight = np.zeros((8, kernels.COLUMNS)), 1 / (own + common**2)
+    cells, weight = np.zeros((8, kernels.COLUMNS)), 1 / own
     index = np.array([6, 0, 3, 2, 7])
     for measured in zip(height, own, common, strict=True):
         kernels.update_cells(index, *measured, cells)
-    total = weight.sum(axis=0)
-    mean = np.sum(weight * height, axis=0) / total
-    own_of_mean = np.sum(weight**2 * own, axis=0) / total**2
+    total, of_all = weight.sum(axis=0), 1 / (own + common**2)
+    mean, mean_of_all = (np.average(height, axis=0, weights=weights) for weights in (weight, of_all))
+    chi_square = np.sum(of_all * (height - mean_of_all) ** 2, axis=0)
     common_of_mean = np.sum(weight * common, axis=0) / total
-    chi_square = np.sum(weight * (height - mean) ** 2, axis=0)
-    expected = np.stack([mean, total, own_of_mean, common_of_mean, chi_square, np.full(5, 9)], axis=-1)
+    numbers = mean, total, common_of_mean, mean_of_all, of_all.sum(axis=0), chi_square, np.full(5, 9)
+    expected = np.stack(numbers, axis=-1)
     np.testing.assert_allclose(cells[index], expected)
     assert not cells[[1, 4, 5]].any()
 

@@ -118,6 +118,25 @@ def test_the_common_part_is_not_averaged_away_within_a_dwell_nor_among_dwells() 
     assert common > 20 * own**2 / pixels
 
 
+@pytest.mark.parametrize("sigma", [0.01, 0.5, 10.0])
+def test_an_error_that_all_share_makes_sigma_greater_and_moves_no_height(sigma: float) -> None:
+    rng = np.random.default_rng(12)
+    dwells = [
+        field_at(*rng.uniform(0, 12, (2, 500)), rng.normal(0, 0.3, 500), rng.uniform(0.01, 0.3, 500)) for _ in range(3)
+    ]
+    exact, shared = relief_of(*dwells), relief_of(*(with_shared_error(dwell, sigma) for dwell in dwells))
+    for layer in ("height", "count"):
+        assert np.array_equal(getattr(shared, layer), getattr(exact, layer), equal_nan=True)
+    np.testing.assert_allclose(shared.sigma, np.hypot(exact.sigma, sigma), rtol=1e-6)
+
+
+def with_shared_error(field: HeightField, sigma: float) -> HeightField:
+    """A dwell all of whose heights err alike by `sigma`, m."""
+    common = np.zeros((*field.grid.shape, 3, 3))
+    common[..., 2, 2] = sigma**2
+    return replace(field, surfaces=tuple(replace(one, common_covariance=common) for one in field.surfaces))
+
+
 def plane_field(
     slope: tuple[float, float], sigma: float, rng: np.random.Generator, spacing: float = 0.23
 ) -> HeightField:
@@ -224,7 +243,8 @@ def astray(aperture: ApertureState, rng: np.random.Generator) -> ApertureState:
 def test_overlapping_dwells_agree_within_their_sigmas(alike: bool) -> None:
     """Errors of two dwells over their sigma have the mean square 1; so have differences, if poses err independently.
 
-    If poses err alike, that of the map of both dwells is 1, and else less, as no map can tell.
+    If poses err alike, that of the map of both dwells is 1. Else it is less, as no map can tell: g^2 + (1 - g)^2 with
+    the weight g of one dwell, which is at most 0.83 where the cell has one pixel of one and five of the other.
 
     One cell of each of 300 pairs counts, for the others share its pose: the mean of 300 squares has a standard error of
     8 %, 4 of them are allowed.
@@ -247,7 +267,7 @@ def test_overlapping_dwells_agree_within_their_sigmas(alike: bool) -> None:
     for values in (each, errors) if alike else (each, differences, spreads):
         assert abs(np.mean(np.square(values)) - 1) < limit
     for values in (differences, spreads) if alike else (errors,):
-        assert np.mean(np.square(values)) < 1 - limit
+        assert np.mean(np.square(values)) < (1 - limit if alike else 0.83)
 
 
 def middle_cell(relief: Relief) -> tuple[float, float, float]:

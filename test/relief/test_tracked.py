@@ -20,7 +20,6 @@ from sal_height.relief.smoothing import TrackedRelief
 from sal_height.relief.tracked import (
     ground_spacings,
     look_side_of,
-    own_sigma,
     tracked_field,
 )
 
@@ -161,6 +160,16 @@ def test_a_run_of_consistent_heights_is_a_step_and_not_overwritten() -> None:
     assert result.validity[1, 2] == Validity.LOW_CNR
 
 
+def test_an_error_that_all_pixels_share_makes_no_company() -> None:
+    """The far half of the image has heights metres apart, to 0.1 m each and to 10 m all together."""
+    aperture = replace(make_aperture(), covariance=np.diag([10.0, 10.0, 10.0, 0.0, 0.0, 0.0]) ** 2)
+    grid = make_grid(aperture, 1)
+    height = np.where(np.arange(6) < 3, 0.0, 2.0 * np.arange(6))[:, None] + np.arange(grid.cols) % 3
+    field = field_of(grid, aperture, 1, np.where(np.arange(6)[:, None] < 3, 0.0, height), 0.1)
+    relief = TrackedRelief(np.zeros(grid.shape), np.full(grid.shape, 0.05), np.abs(field.first.height) > 0.5)
+    assert np.all(tracked_field(field, relief, aperture, 1.4).validity[3:] == Validity.LOW_CNR)
+
+
 @pytest.mark.parametrize("validity", [Validity.TWO_SCATTERERS, Validity.THREE_SCATTERERS, Validity.EXTENDED])
 def test_what_is_not_one_surface_stays_what_it_is(validity: Validity) -> None:
     aperture = make_aperture()
@@ -186,7 +195,7 @@ def test_what_the_pose_leaves_open_is_not_averaged() -> None:
     shared = height_variance(common, field.first.positions)
     assert np.all(shared > 0.03)
     np.testing.assert_allclose(field.first.sigma, np.sqrt(0.7**2 + shared), rtol=1e-9)
-    np.testing.assert_allclose(own_sigma(field.first), 0.7, rtol=1e-9)
+    np.testing.assert_allclose(field.first.own_sigma, 0.7, rtol=1e-9)
     relief = TrackedRelief(field.first.height, np.full(grid.shape, 0.2), np.zeros(grid.shape, np.bool_))
     tracked = tracked_field(field, relief, aperture, 1.4)
     np.testing.assert_allclose(tracked.first.sigma, np.sqrt(0.2**2 + shared), rtol=1e-6)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -44,6 +46,16 @@ def test_silent_pixels_show_the_cells_behind_a_drop(drop: float, silent: int) ->
     assert len(row) == cells  # no cell is left out
     assert len(np.unique(row)) >= round(drop / CELL) - 1
     assert len(np.unique(col)) >= 11  # 0.58 m
+
+
+def test_shadows_do_not_depend_on_an_error_that_all_pixels_share() -> None:
+    field = behind_a_drop(0.12, 2)
+    common = np.zeros((*field.grid.shape, 3, 3))
+    common[..., 2, 2] = 10.0**2
+    shared = replace(field.first, sigma=np.hypot(field.first.sigma, 10.0), common_covariance=common)
+    found = silent_cells(replace(field, surfaces=(shared,)), APERTURE, 3.0, CELL)
+    assert np.array_equal(found, silent_cells(field, APERTURE, 3.0, CELL))
+    assert len(found)
 
 
 def test_nothing_is_shown_where_the_ground_rises_or_where_pixels_are_unknown() -> None:

@@ -51,6 +51,16 @@ class Relief:
     count: npt.NDArray[np.uint32]
     kind: U8 | None = None
 
+    def __post_init__(self) -> None:
+        """Refuse a height without a finite sigma, which nobody could use.
+
+        Raises:
+            ValueError: a height has a sigma that is not finite.
+        """
+        unknown = np.isfinite(self.height) & ~np.isfinite(self.sigma)
+        if unknown.any():
+            raise ValueError(f"{np.count_nonzero(unknown)} heights of a map have no finite sigma.")
+
 
 class CellMap(ABC):
     """A map that grows with the ground that is seen, in tiles of TILE × TILE cells.

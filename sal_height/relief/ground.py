@@ -236,10 +236,13 @@ def _slopes(membrane: Membrane) -> F64:
 
 
 def _jumps_beside(membrane: Membrane) -> F64:
-    """Greatest step between each cell and its four neighbours where the membrane is torn, m; 0 where it is whole."""
+    """Greatest step between each cell and its four neighbours where the membrane is torn, m; 0 where it is whole.
+
+    There is no step to a neighbour without a height.
+    """
     jump = np.zeros(membrane.height.shape)
     for axis, joint in enumerate(membrane.joined):
-        step = np.where(joint, 0.0, np.abs(np.diff(membrane.height, axis=axis)))
+        step = np.where(joint, 0.0, np.nan_to_num(np.abs(np.diff(membrane.height, axis=axis))))
         before, after = [(0, 0), (0, 0)], [(0, 0), (0, 0)]
         before[axis], after[axis] = (1, 0), (0, 1)
         jump = np.maximum(jump, np.maximum(np.pad(step, before), np.pad(step, after)))

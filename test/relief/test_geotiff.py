@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -37,6 +38,14 @@ def written(tmp_path: Path, relief: Relief, projection: Projection | None) -> Pa
     path = tmp_path / "map.tif"
     write_geotiff(path, relief, projection, STAMP_NS, {"estimator": "ml"})
     return path
+
+
+def test_no_map_has_a_height_without_a_finite_sigma() -> None:
+    relief = relief_at(0.0, 0.0)
+    for sigma in (np.nan, np.inf):
+        unknown = np.where(relief.count == 3, np.float32(sigma), relief.sigma)
+        with pytest.raises(ValueError, match="1 heights of a map have no finite sigma"):
+            replace(relief, sigma=unknown)
 
 
 @pytest.mark.parametrize("projection", [ZONE_32, None], ids=["utm", "local"])

@@ -9,8 +9,9 @@ import pytest
 
 from sal_height.numeric import F64, Bool
 from sal_height.relief import GroundEstimate, GroundKind, GroundSettings
-from sal_height.relief.ground import GroundGrid, estimated_ground
+from sal_height.relief.ground import GroundGrid, _jumps_beside, estimated_ground
 from sal_height.relief.layers import Layers, merged_dwell
+from sal_height.relief.membrane import fitted_membrane
 
 CELL, SPACING, SIGMA, SIDE = 0.05, 0.09, 0.01, 80
 SETTINGS = GroundSettings()
@@ -184,3 +185,16 @@ def test_nothing_measured_gives_no_heights() -> None:
     ground = ground_of(np.empty((0, 3)))
     assert (ground.kind == GroundKind.UNSEEN).all()
     assert np.isnan(ground.height).all()
+
+
+def test_there_is_no_step_to_a_cell_without_a_height() -> None:
+    """Between trees a cell may be torn from all others; those beside it kept a height whose sigma was NaN."""
+    measured = np.where(np.arange(5) < 3, 0.0, 1.0) + np.zeros((4, 5))
+    membrane = fitted_membrane(measured, np.full(measured.shape, SIGMA), 1.0, SETTINGS.gate)
+    membrane.height[1, 1] = np.nan
+    for joint in membrane.joined:
+        joint[:] = False
+    jump = _jumps_beside(membrane)
+    assert np.isfinite(jump).all()
+    np.testing.assert_allclose(jump[:, 2:4], 1.0, atol=0.01)
+    np.testing.assert_allclose(jump[:, :2], 0.0, atol=0.01)

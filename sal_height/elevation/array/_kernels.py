@@ -89,7 +89,7 @@ def climb_highest(
         matrices: matrices of the quadratic forms, shape (pixels, detectors, detectors).
         squints: number of the squint of each pixel, shape (pixels,).
         values: objective on the grid, shape (pixels, grid nodes).
-        margins: greatest height of the first peak above the second, at each squint.
+        margins: greatest height of the first peak above the second, (pixels,).
         pieces: as in `SearchTables`.
         found: arrays to fill with position (steps of the table) and height of the peak, and height of the second,
             (pixels,).
@@ -97,7 +97,7 @@ def climb_highest(
     work, last = np.empty((3, pieces.shape[3]), np.float32), values.shape[1] - 1
     position, height, second = found
     for i in range(len(values)):
-        table, margin = pieces[squints[i]], margins[squints[i]]
+        table, margin = pieces[squints[i]], margins[i]
         line, top, bottom = values[i], values[i, 0], values[i, 0]
         for g in range(line.size):
             top = max(top, line[g])

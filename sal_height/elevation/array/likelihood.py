@@ -18,9 +18,10 @@ from typing import Self
 import numpy as np
 
 from sal_height.beams import Beams
+from sal_height.elevation.array._kernels import NEAR_HIGHEST
 from sal_height.elevation.array.beam_error import beam_deviation
 from sal_height.elevation.array.bounds import stochastic_deviation, unit_vectors
-from sal_height.elevation.array.estimate import ElevationEstimate, Validity, array_fit, decide_validity
+from sal_height.elevation.array.estimate import ElevationEstimate, Validity, array_fit, decide_validity, detection_limit
 from sal_height.elevation.array.height_settings import HeightSettings
 from sal_height.elevation.array.search import Find, Objective, Peaks, PeakSearch, PeakSearches, Pixels
 from sal_height.elevation.looks.looks import Covariance, Looks
@@ -146,13 +147,17 @@ class SinglePeaks:
 def highest_peaks(looks: Looks, beams: Beams, settings: ArraySettings) -> SinglePeaks:
     """The highest peak of the likelihood over the array and the guard beyond.
 
+    Where no signal can be detected no second peak is searched for: in shadow there are many, all of noise.
+
     Raises:
         UserError: a real covariance of complex beams.
     """
+    margin, limit = settings.margin * looks.receiver_noise, detection_limit(looks, beams.count, settings)
+    least = NEAR_HIGHEST * looks.receiver_noise * limit  # value on the grid below which the peak is not detected
 
-    def find(search: PeakSearch, pixels: Covariance, _here: Pixels) -> F64:
+    def find(search: PeakSearch, pixels: Covariance, here: Pixels) -> F64:
         values = search.on_grid(pixels)
-        peaks = search.peaks_of(pixels, values, settings.margin * looks.receiver_noise)
+        peaks = search.peaks_of(pixels, values, np.where(values.max(axis=1) < least[here], 0.0, margin))
         return np.vstack([_with_lead(search, pixels, peaks), search.gain_beside(pixels, values, peaks.elevation)])
 
     return SinglePeaks.found_by(find, OBJECTIVES["normalised"], looks, beams)

@@ -200,11 +200,11 @@ class PeakSearch:
             parts.append(np.array(search.peaks_of(block, search.on_grid(block), margin)))
         return Peaks(*np.concatenate(parts, axis=1))
 
-    def peaks_of(self, covariance: Covariance, values: F32, margin: float) -> Peaks:
-        """The same as `peaks`, from the objective `on_grid`."""
+    def peaks_of(self, covariance: Covariance, values: F32, margin: F64 | float) -> Peaks:
+        """The same as `peaks`, from the objective `on_grid`; `margin` may be that of every pixel, (pixels,)."""
         squints, tables = self.every(len(covariance)), self.tables
         position, height, second = np.empty((3, len(covariance)))
-        margins = np.float32(margin) * tables.greatest
+        margins = np.asarray(margin, np.float32) * tables.greatest[squints]
         climb_highest(self._real(covariance), squints, values, margins, tables.pieces, (position, height, second))
         return Peaks(self.elevation(position), height, second)
 

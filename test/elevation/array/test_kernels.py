@@ -91,7 +91,7 @@ def test_highest_and_second_peak_are_those_of_a_dense_search(channels: int, look
     place, height, second = (np.concatenate(part) for part in zip(*parts, strict=True))
     values = kernels.evaluate_on_grid(matrices, squints, tables.entries, tables.grid)
     found = tuple(np.empty((3, len(matrices))))
-    margins = np.full(3, np.max(height), np.float32)
+    margins = np.full(len(matrices), np.max(height), np.float32)
     kernels.climb_highest(matrices, squints, values, margins, tables.pieces, found)
     np.testing.assert_allclose(found[1], height, rtol=1e-4)
     clear = height - second > 1e-3 * height

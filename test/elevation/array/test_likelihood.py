@@ -29,8 +29,8 @@ from sal_height.beams.array import Beams
 from sal_height.beams.pattern import PATTERNS
 from sal_height.elevation.array import search as peak_search
 from sal_height.elevation.array.bounds import stochastic_crb
-from sal_height.elevation.array.estimate import ElevationEstimate, Validity
-from sal_height.elevation.array.likelihood import OBJECTIVES, peak_elevation
+from sal_height.elevation.array.estimate import ElevationEstimate, Validity, detection_limit
+from sal_height.elevation.array.likelihood import OBJECTIVES, highest_peaks, highest_peaks_of, peak_elevation
 from sal_height.elevation.estimators.maximum_likelihood import MlSettings, ml_elevation
 from sal_height.elevation.looks.looks import Looks, live_detectors
 from sal_height.elevation.monopulse.pairs import MonopulseSettings, monopulse_elevation
@@ -63,6 +63,22 @@ def test_every_column_has_its_own_squint() -> None:
     covariance = np.concatenate([noise_free_looks(beams, offsets, s).covariance for s in squints], axis=1)
     result = estimate(Looks.of(covariance, 1, squints), beams)
     np.testing.assert_allclose(offset_of(result.elevation), np.repeat(offsets[:, None], 3, axis=1), atol=1e-5)
+
+
+def test_second_peaks_are_found_where_a_signal_can_be_detected() -> None:
+    """In noise alone the highest peak is the same without a search for others."""
+    beams, settings, shape = make_beams("jinc"), MlSettings(), (200, 10, 4)
+    rng, power = np.random.default_rng(7), np.linspace(0, 30, 10)[:, None]
+    noise, signal = (rng.standard_normal((2, *shape, n)).T.dot([1, 1j]).T for n in (beams.count, 1))
+    samples = noise + np.sqrt(power)[..., None] * signal * beams.response(elevation_at(0.6), 0.0)
+    looks = Looks.of(np.einsum("rckm,rckn->rcmn", samples, samples.conj()).real.astype(np.float32), 4, 0.0, 2.0)
+    one = highest_peaks(looks, beams, settings)
+    every = highest_peaks_of(OBJECTIVES["normalised"], looks, beams, settings)
+    detected = every.explained >= detection_limit(looks, beams.count, settings)
+    np.testing.assert_array_equal(one.elevation, every.elevation)
+    np.testing.assert_array_equal(one.lead[detected], every.lead[detected])
+    assert np.any(one.lead[~detected] > every.lead[~detected])
+    assert np.any(one.lead[detected] < one.explained[detected])
 
 
 @pytest.mark.parametrize(

@@ -134,6 +134,7 @@ def test_stages_rehearse_once_for_a_sensor_and_their_settings(
     for sensor in sensors:
         for one in stages:
             one.rehearse_for(sensor, settings)
+    stages[0].rehearse_for(sensors[0], settings.changed(latency_budget_s=7.0))  # processing stays as it is
     assert len(done) == len(sensors)
     stages[0].rehearse_for(sensors[0], settings.changed(**{changed: 7.0}))
     assert len(done) == len(sensors) + 1

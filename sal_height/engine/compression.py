@@ -32,7 +32,7 @@ from sal_height.engine.gathering import Dwell
 from sal_height.engine.image_items import AIR_LEFT, AIR_REMOVED, Images, Source
 from sal_height.engine.kept import Kept, RecentValues
 from sal_height.engine.provenance import of_compression
-from sal_height.engine.settings import ChannelSettings, FrameSettings
+from sal_height.engine.settings import ChannelSettings, FrameSettings, processing_of
 from sal_height.engine.stage import FOREVER_NS, DwellKey, FileInput, Job, Notice, Port, Product, Result
 from sal_height.engine.track import Arrival, OdometryHistory, longest_gap_s
 from sal_height.errors import Rejected, UserError
@@ -321,7 +321,7 @@ class Compression(DwellStage):
     def rehearse_for(self, sensor: Sensor, settings: Any) -> None:
         """Compress made-up dwells."""
         once(
-            (sensor.digest, settings),
+            (sensor.digest, processing_of(settings)),
             lambda: rehearsed_slc(sensor, settings, Compressor(), np.random.default_rng(0)),
         )
 

@@ -19,7 +19,7 @@ from sal_height.engine.geometry_items import Aperture
 from sal_height.engine.height_items import Heights, packed
 from sal_height.engine.image_items import ChannelImage, Images, check_image, check_images
 from sal_height.engine.provenance import LEFT_OUT
-from sal_height.engine.settings import ChannelSettings
+from sal_height.engine.settings import ChannelSettings, processing_of
 from sal_height.engine.stage import FOREVER_NS, DwellKey, Job, Notice, Port, Product, Result, loss_of
 from sal_height.errors import Rejected
 from sal_height.imaging import ImageSettings
@@ -106,7 +106,7 @@ class HeightStage(ImageStage):
         """Estimate the heights of made-up images."""
         estimators = [(self.estimator, settings)]
         once(
-            (sensor.digest, *estimators),
+            (sensor.digest, self.estimator, processing_of(settings)),
             lambda: rehearse_heights(sensor, ImageSettings(), estimators, np.random.default_rng(0)),
         )
 

@@ -41,6 +41,11 @@ class ChannelSettings(DwellSettings):
     )
 
 
+def processing_of(settings: Settings) -> tuple[tuple[str, object], ...]:
+    """Names and values of the settings that a dwell is processed with: without those of waiting (`ChannelSettings`)."""
+    return tuple((name, value) for name, value in settings if name not in ChannelSettings.model_fields)
+
+
 class MapFrameSettings(Settings):
     """The setting of stages that read or make what is located in the map."""
 

@@ -155,7 +155,9 @@ def inverse_table(beams: Beams, page: int) -> InverseTable:
     first = page * CELLS - CELLS // 2
     squint = step * np.arange(first + NEAREST[0], first + CELLS + NEAREST[-1])
     pairs = [beams.pair(lower) for lower in range(beams.count - 1)]
-    domains = np.array([discriminant_domain(pair, squint) for pair in pairs])  # (p, 2, k)
+    middle = squint[-NEAREST[0] : -NEAREST[-1]] + step / 2
+    both = np.array([discriminant_domain(pair, np.append(squint, middle)) for pair in pairs])
+    domains, exact = both[:, :, : len(squint)], both[:, :, len(squint) :]  # (p, 2, k)
     widest = np.nanmax(np.append(domains[:, 1] - domains[:, 0], 0.0)) / beams.beamwidth
     # Nodes are 0.05 beamwidths apart in the middle of a domain, and denser towards its ends.
     count = 2 + int(np.ceil(np.pi / 2 * min(widest, 2 * FARTHEST) / 0.05))
@@ -165,7 +167,7 @@ def inverse_table(beams: Beams, page: int) -> InverseTable:
     mu, values, ends = (np.stack(parts) for parts in zip(*tables, strict=True))
     table = InverseTable(mu, values, ends, np.full((len(pairs), CELLS), INSIDE, np.uint8))
     for number, pair in enumerate(pairs):
-        table.kind[number] = _kinds(table, number, pair, squint[-NEAREST[0] : -NEAREST[-1]] + step / 2)
+        table.kind[number] = _kinds(table, number, pair, middle, exact[number])
     return table
 
 
@@ -183,8 +185,11 @@ def _tabulated(pair: Beams, elevation: F64, squint: F64) -> tuple[F64, F64, F64]
     return mu, np.stack(parts, axis=-1), ends
 
 
-def _kinds(table: InverseTable, number: int, pair: Beams, squint: F64) -> U8:
-    """Kind of each cell of a pair, by the beams in its middle and between nodes: where interpolation errs most."""
+def _kinds(table: InverseTable, number: int, pair: Beams, squint: F64, domain: F64) -> U8:
+    """Kind of each cell of a pair, by the beams in its middle and between nodes: where interpolation errs most.
+
+    `squint` is that of the middle of each cell, and `domain` its `discriminant_domain`, shape (2, cells).
+    """
     cell, weights = np.arange(CELLS), np.tile(_lagrange(np.array([0.5])), (CELLS, 1))
     around = cell[:, None] + np.arange(len(NEAREST))
     known = np.isfinite(table.ends[number, :, 0])
@@ -194,9 +199,8 @@ def _kinds(table: InverseTable, number: int, pair: Beams, squint: F64) -> U8:
     fraction = ((nodes[1:] + nodes[:-1]) / 2 - nodes[0]) / (nodes[-1] - nodes[0])
     wanted = np.nan_to_num(least + (most - least) * fraction)
     found, reason = table.look_up(wanted, np.full(wanted.shape, number), cell, weights)
-    exact_low, exact_high = discriminant_domain(pair, squint)
-    back = discriminant(pair, np.vstack([found[0], exact_low, exact_high]), squint)
+    back = discriminant(pair, np.vstack([found[0], domain]), squint)
     error = np.abs(back - np.vstack([wanted, least, most]))
     allowed = np.all(error <= ALLOWED_ERROR, axis=0) & np.all(reason == INSIDE, axis=0)
-    empty = ~known[around].any(axis=1) & np.isnan(exact_low)
+    empty = ~known[around].any(axis=1) & np.isnan(domain[0])
     return np.select([allowed, empty], [INSIDE, NO_DOMAIN], UNKNOWN).astype(np.uint8)

@@ -20,6 +20,7 @@ from rclpy.task import Future
 from sal_height import messages
 from sal_height.bag.topics import stamp_ns_of
 from sal_height.elevation import ElevationEstimator
+from sal_height.engine.dwells import DwellStage
 from sal_height.engine.heights import HeightStage
 from sal_height.engine.movers import MOVERS
 from sal_height.engine.registry import STAGES
@@ -42,7 +43,7 @@ from sal_height.nodes.transport.domain import ros_domain
 from sal_height.nodes.transport.middleware import provide_shared_memory
 from sal_height.numeric import available_processors
 from sal_height.pipeline import Compressor, heights
-from sal_height.rehearsal import made_up_heights, rehearse_heights
+from sal_height.rehearsal import made_up_heights
 from sal_height.relief import PriorEstimate, track
 from sal_height.runs.chain.entry import MAPPER
 from sal_height.runs.live.sensor_bag import Feed
@@ -56,14 +57,15 @@ SOURCE = "paced_player"
 
 
 def make_tables(sensor: Sensor, stages: list[str], values: Mapping[str, Mapping[str, Any]]) -> None:
-    """Process a made-up dwell, so that nodes that are forked later find all tables made and all code loaded."""
+    """Rehearse for a sensor, so that nodes that are forked later find all tables made and all code loaded."""
     parameters = {name: NODES[name].parameters(**values.get(name, {})) for name in stages}
-    rng = np.random.default_rng(0)
-    with suppress(UserError):  # its node will say why
-        estimators = [(estimator, parameters[name]) for name, estimator in _estimators(stages).items()]
-        rehearse_heights(sensor, parameters["sar_compression"], estimators, rng)
-        if TRACKER in stages:
-            track(*made_up_heights(rng), PriorEstimate(), parameters[TRACKER])
+    for name in stages:
+        stage = STAGES[name](parameters[name])
+        if isinstance(stage, DwellStage):
+            with suppress(UserError):  # its node will say why
+                stage.rehearse_for(sensor, parameters[name])
+    if TRACKER in stages:
+        track(*made_up_heights(np.random.default_rng(0)), PriorEstimate(), parameters[TRACKER])
 
 
 def core_rate_hz(

@@ -14,9 +14,21 @@ from types import SimpleNamespace
 import pytest
 
 from sal_height.bag.reader import BagReader
+from sal_height.engine.dwells import DwellStage
+from sal_height.engine.registry import STAGES
 from sal_height.errors import UserError
+from sal_height.graph.node_classes import NODES
 from sal_height.graph.plan import Execution
-from sal_height.runs.live.live import Beginning, DwellClock, Live, Watched, core_rate_hz, live, warn_of_overload
+from sal_height.runs.live.live import (
+    Beginning,
+    DwellClock,
+    Live,
+    Watched,
+    core_rate_hz,
+    live,
+    make_tables,
+    warn_of_overload,
+)
 from sal_height.runs.live.sensor_bag import Feed, record_sensor
 from sal_height.runs.replay.bag_replay import replay
 from sal_height.simulation import load_preset
@@ -63,6 +75,21 @@ def test_heights_of_a_live_sensor_are_those_of_the_lockstep_run(sensor_bag: Path
     assert list(report["start_s"]) == ["tables", "dwells", "ready", "first height"]
     assert 0 < report["start_s"]["tables"] < report["start_s"]["dwells"] < report["start_s"]["ready"]
     assert 0.05 < report["start_s"]["first height"] - report["start_s"]["ready"] < 3.0  # a dwell lasts .2 s
+
+
+def test_nodes_of_a_live_run_have_nothing_left_to_rehearse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their settings differ from those that tables are made for by latency budgets alone."""
+    sensor, stages = load_preset("small").make_sensor(), ["sar_compression", "ml_height", "relief_tracker"]
+    make_tables(sensor, stages, {})
+    again: list[object] = []
+    for work in ("compression.rehearsed_slc", "heights.rehearse_heights"):
+        monkeypatch.setattr(f"sal_height.engine.{work}", lambda *given: again.append(given))
+    for name in stages[:2]:
+        settings = NODES[name].parameters(latency_budget_s=7.0)
+        stage = STAGES[name](settings)
+        assert isinstance(stage, DwellStage)
+        stage.rehearse_for(sensor, settings)
+    assert not again
 
 
 def test_adjusted_heights_of_a_preset_are_made_if_asked_for(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from sal_height.beams import Beams
 from sal_height.elevation.array.bounds import Numbers
 from sal_height.elevation.array.estimate import ORDERS, ElevationEstimate, Fit, Scatterer, Validity, is_explained
 from sal_height.elevation.array.likelihood import OBJECTIVES, SinglePeaks, search_guard
-from sal_height.elevation.array.search import PeakSearch, PeakSearches
+from sal_height.elevation.array.search import Block, PeakSearch, PeakSearches
 from sal_height.elevation.layover._layover_kernels import choose_scatterers
 from sal_height.elevation.layover.extended import LEAST_SPREAD, ExtendedSurfaces, explained_by, surfaces_over
 from sal_height.elevation.layover.order import (
@@ -27,7 +27,7 @@ from sal_height.elevation.layover.order import (
 from sal_height.elevation.layover.several import SeveralScatterers, search_several
 from sal_height.elevation.layover.single import LayoverSettings, SingleScatterers
 from sal_height.elevation.looks.looks import Looks
-from sal_height.numeric import F32, F64, Index, in_parallel
+from sal_height.numeric import F32, F64, Index, in_threads
 
 DETECTED = np.ones(256, np.bool_)
 DETECTED[[Validity.NO_SIGNAL, Validity.LOW_CNR, Validity.MISSING_DATA]] = False
@@ -279,15 +279,15 @@ def fit_models(
     searches = PeakSearches.over(beams, OBJECTIVES["normalised"], search_guard(beams))
     blocks = searches.blocks(looks.squint, here[1], PIXELS_AT_ONCE)
 
-    def work(some: slice) -> None:
-        for block in blocks[some]:
-            part = block.items
-            pixels = here[0][part], here[1][part]
-            suspects = Suspects.at(pixels, single.noise.raised[pixels], looks, beams, searches.of(block))
-            _fit_several(models, part, pixels, suspects, single, beams)
-            _fit_extended(models, part, pixels, suspects, single, beams)
+    def work(block: Block) -> None:
+        part = block.items
+        pixels = here[0][part], here[1][part]
+        suspects = Suspects.at(pixels, single.noise.raised[pixels], looks, beams, searches.of(block))
+        _fit_several(models, part, pixels, suspects, single, beams)
+        _fit_extended(models, part, pixels, suspects, single, beams)
 
-    in_parallel(work, len(blocks))
+    # A thread that is done takes the next block: blocks differ in the number of pixels, and pixels in their models.
+    in_threads(work, blocks)
     return models
 
 

@@ -97,29 +97,37 @@ class Chain:
         for one in decisions:
             if isinstance(one, Job):
                 if not isinstance(one.inputs, Rehearsal):
-                    self._pending[stage].append(one)
+                    self._keep(stage, one)
                 continue
             self._made.append(Made(stage, dwell, one))
             if isinstance(one, Product):
                 self._deliver(one.port, one.item)
 
+    def _keep(self, stage: Stage, job: Job) -> None:
+        """Keep a job for later."""
+        self._pending[stage].append(job)
+
     def _results(self, *, drain: bool) -> Iterator[Made]:
         """Process the jobs that are due, and yield what was made."""
         while due := self._due(drain=drain):
-            for stage, jobs in due:
-                for job, results in zip(jobs, stage.process(jobs), strict=True):
-                    self._take(stage, results, job.dwell)
-                    self._take(stage, stage.note_done(job, results))
-                yield from self._given()
+            stage, jobs = due
+            for job, results in zip(jobs, stage.process(jobs), strict=True):
+                self._conclude(stage, job, results)
+            yield from self._given()
         yield from self._given()
 
-    def _due(self, *, drain: bool) -> list[tuple[Stage, list[Job]]]:
+    def _conclude(self, stage: Stage, job: Job, results: Sequence[Result]) -> None:
+        """Hand on the results of a job, and notify its stage of them."""
+        self._take(stage, results, job.dwell)
+        self._take(stage, stage.note_done(job, results))
+
+    def _due(self, *, drain: bool) -> tuple[Stage, list[Job]] | None:
         """The first stage that has enough jobs to be worth it, or any if all are to be done, and these jobs."""
         for stage in self.stages:
             pending, most = self._pending[stage], self._at_once[stage]
             if len(pending) >= most or (drain and pending):
-                return [(stage, [pending.popleft() for _ in range(min(most, len(pending)))])]
-        return []
+                return stage, [pending.popleft() for _ in range(min(most, len(pending)))]
+        return None
 
     def _given(self) -> Iterator[Made]:
         while self._made:

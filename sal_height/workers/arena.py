@@ -95,22 +95,23 @@ class Region:
     """A block that a worker writes arrays into, one after the other.
 
     Attributes:
+        block: block; one of no bytes if there is none.
         used: bytes that are written.
         asked: bytes of all arrays that were to be written, also of those that found no room.
     """
 
     def __init__(self, memory: mmap.mmap, block: MemoryBlock | None) -> None:
         """Write into a block; None: there is none."""
-        self._memory, self._block = memory, block or MemoryBlock(0, 0)
+        self._memory, self.block = memory, block or MemoryBlock(0, 0)
         self.used = self.asked = 0
 
     def put(self, array: Array) -> int | None:
         """Copy an array into the block and return its offset; None: there is no room for it."""
         room = room_for(array.nbytes)
         self.asked += room
-        if self.used + room > self._block.size:
+        if self.used + room > self.block.size:
             return None
-        at = self._block.start + self.used
+        at = self.block.start + self.used
         copy_into(self._memory, at, array)
         self.used += room
         return at

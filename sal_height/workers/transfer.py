@@ -8,12 +8,13 @@ import pickle
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from sal_height.calibration import Calibration
+from sal_height.engine.image_items import Source
 from sal_height.engine.provenance import Provenance
 from sal_height.sensor import Sensor
 from sal_height.settings import Settings
@@ -38,41 +39,6 @@ ALIGNMENT = 64
 def room_for(size: int) -> int:
     """Bytes that an array of `size` bytes takes in shared memory."""
     return -(-size // ALIGNMENT) * ALIGNMENT
-
-
-@dataclass
-class Ring:
-    """Memory shared by two processes; it is released in the order in which it was written."""
-
-    memory: mmap.mmap
-    size: int
-    at: int = 0
-    used: int = 0
-    taken: int = 0
-    """Bytes used by the current message."""
-
-    @classmethod
-    def of(cls, size: int) -> Ring:
-        """A ring of `size` bytes, shared by processes that are forked."""
-        return cls(mmap.mmap(-1, size), size)
-
-    def put(self, array: Array) -> int | None:
-        """Copy an array into the ring and return its offset; None: there is no room for it."""
-        room = room_for(array.nbytes)
-        if not self.used:
-            self.at = 0
-        wraps = self.at + room > self.size
-        skipped = self.size - self.at if wraps else 0
-        if self.used + skipped + room > self.size:
-            return None
-        at = 0 if wraps else self.at
-        copy_into(self.memory, at, array)
-        self.at, self.used, self.taken = at + room, self.used + skipped + room, self.taken + skipped + room
-        return at
-
-    def release(self, taken: int) -> None:
-        """Release the bytes of the oldest message."""
-        self.used -= taken
 
 
 def copy_into(memory: mmap.mmap, at: int, array: Array) -> None:
@@ -122,6 +88,8 @@ class Pickler(pickle.Pickler):
                 at = self._put(obj)
                 if at is not None:
                     return _array_sent, (at, obj.dtype.str, obj.shape)
+        elif isinstance(obj, Source):  # who made the job has frames and odometry
+            return replace(obj, frames=(), states=[]).__reduce_ex__(5)
         elif isinstance(obj, SHARED):
             place, is_kept = self._known.place_of(obj)
             return (_kept_object, (place,)) if is_kept else (_new_object, (place, pickle.dumps(obj, protocol=5)))

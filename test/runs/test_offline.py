@@ -15,6 +15,7 @@ import made_offline
 import pytest
 from helpers import assert_one_sentence
 from rewritten_bag import copied, rewritten
+from same_items import difference
 
 from sal_height.bag.compare import CHANGED, EQUAL, WITHIN, compare_bags
 from sal_height.bag.reader import BagMessage, BagReader
@@ -54,6 +55,17 @@ def test_many_dwells_by_several_jobs_are_those_of_one_byte_for_byte(tmp_path: Pa
     assert made[1] == made[3]
 
 
+def test_images_of_several_jobs_have_the_data_that_they_were_compressed_from(tmp_path: Path) -> None:
+    """As the products need them which look at phase histories again."""
+    scheme = plan(record_sensor(replace(load_preset("small"), dwells=4), 3, tmp_path / "flight"), {})
+    one, two = ([made.result.item for made in BagRun(scheme, ["sar_compression"], jobs=n).results()] for n in (1, 2))
+    assert len(one) == 4
+    for alone, together in zip(one, two, strict=True):
+        assert not difference(together.source.frames, alone.source.frames)
+        assert not difference(together.source.states, alone.source.states)
+        assert not difference(together.source.slc, alone.source.slc)
+
+
 def test_workers_are_spawned_where_there_is_no_fork(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bag = record_sensor(replace(load_preset("small"), dwells=5), 3, tmp_path / "flight")
     made = {}
@@ -70,7 +82,7 @@ def test_jobs_and_results_that_are_larger_than_pipes_do_not_wait_for_each_other(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Samples go through pipes here, and all images come back."""
-    monkeypatch.setattr(side_by_side, "MOST_RING_BYTES", mmap.PAGESIZE)
+    monkeypatch.setattr(side_by_side, "MEMORY_BYTES", mmap.PAGESIZE)
     bag = record_sensor(replace(load_preset("sal_spotlight"), dwells=24), 3, tmp_path / "flight")
     scheme = plan(bag, {})
 
@@ -80,7 +92,7 @@ def test_jobs_and_results_that_are_larger_than_pipes_do_not_wait_for_each_other(
     before = signal.signal(signal.SIGALRM, give_up)
     signal.alarm(120)
     try:
-        run = BagRun(scheme, scheme.chain.stages, jobs=2, wanted=["slc", "ml/height"])
+        run = BagRun(scheme, scheme.chain.stages, jobs=2)
         ports = [made.result.port for made in run.results() if isinstance(made.result, Product)]
     finally:
         signal.alarm(0)

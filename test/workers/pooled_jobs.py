@@ -229,7 +229,7 @@ def without_keeper() -> dict[str, Any]:
     pool.start()
     until(lambda: len(pool.worker_pids) == 2)
     before = pool.failure
-    pool._keeper.kill()
+    pool._keeper._process.kill()
     until(lambda: bool(pool.failure))
     said = pool.failure
     pool.close()

@@ -74,7 +74,7 @@ def process_case(case: Case, jobs: int) -> dict[str, Any]:
         scheme = plan(case.bag, case.given, case.estimators)
         topics = [f"{HEIGHTS[node]}/height" for node in scheme.chain.stages if node in HEIGHTS]
         begun, images = time.monotonic(), 0
-        run = BagRun(scheme, scheme.chain.stages, jobs=jobs, wanted=topics)
+        run = BagRun(scheme, scheme.chain.stages, jobs=jobs)
         custom_data = {**scheme.reader.custom_data, PARAMETERS: json.dumps(scheme.values)}
         with BagWriter(new / "bag", custom_data) as bag:
             for topic in topics:

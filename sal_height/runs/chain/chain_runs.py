@@ -100,7 +100,6 @@ class BagRun:
         *,
         topics: Sequence[str] = TAKEN,
         jobs: int = 1,
-        wanted: Collection[str] = (),
         settings: Mapping[str, Any] | None = None,
         as_flown: AsFlown = ALL_PROCESSED,
     ) -> None:
@@ -111,7 +110,6 @@ class BagRun:
             names: names of the stages, in the order of the data.
             topics: topics that are fed in the order of the bag.
             jobs: dwells that are processed side by side.
-            wanted: ports whose products are needed, if several jobs work.
             settings: settings of stages that replace those of the scheme.
             as_flown: dwells that stages leave out as in flight.
 
@@ -136,7 +134,7 @@ class BagRun:
         for name, values in self.settings.items():
             kind = STAGES[name]
             self.stages[name] = kind(values, read_inputs(kind, values), name)
-        self._jobs, self._wanted, self._as_flown = jobs, wanted, as_flown
+        self._jobs, self._as_flown = jobs, as_flown
         self._chain: Chain | None = None
         dwells = sorted(scheme.frames.items(), key=lambda item: item[1].last_ns)
         self._ends_ns = [times.last_ns for _, times in dwells]
@@ -177,7 +175,7 @@ class BagRun:
         """The chain of the stages, with what happens before dwells."""
         stages, values = list(self.stages.values()), list(self.settings.values())
         if self._jobs > 1:
-            chain: Chain = stack.enter_context(SideBySide(stages, values, self._jobs, self._wanted))
+            chain: Chain = stack.enter_context(SideBySide(stages, values, self._jobs))
         else:
             chain = Chain(stages, values)
         for stage in stages:

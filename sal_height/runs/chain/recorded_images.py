@@ -76,7 +76,7 @@ def _serialized_images(reader: BagReader, bag: Path, jobs: int) -> Iterator[tupl
         yield from ((recorded.topic, recorded.cdr) for recorded in reader.messages(images))
         return
     scheme = plan(bag, {}, for_heights=False)
-    run = BagRun(scheme, [COMPRESSION], jobs=jobs, wanted=[SLC])
+    run = BagRun(scheme, [COMPRESSION], jobs=jobs)
     write = kind_of(SLC_PORT).write
     for made in run.results("images"):
         if isinstance(made.result, Product) and made.result.port == SLC:

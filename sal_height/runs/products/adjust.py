@@ -34,7 +34,7 @@ from sal_height.runs.chain.chain_runs import COMPRESSION, BagRun, only_sensor, p
 from sal_height.runs.chain.entry import Part
 from sal_height.runs.chain.replay_parameters import ReplayPlan
 from sal_height.runs.products.adjustment_report import draw_adjustment, summary_of
-from sal_height.topics import ODOMETRY, SLC
+from sal_height.topics import ODOMETRY
 
 ADJUSTED_FROM = "adjusted_from"
 """Name of the bag that was adjusted in the custom data of a new one."""
@@ -86,7 +86,7 @@ def adjust_bag(
     folder = new_folder(out)
     with reporting(folder, {"bag": bag.name, "settings": settings.model_dump()}) as report:
         reader = scheme.reader
-        run = BagRun(scheme, [COMPRESSION, ESTIMATORS[estimator].node], jobs=jobs, wanted=[SLC, f"{estimator}/height"])
+        run = BagRun(scheme, [COMPRESSION, ESTIMATORS[estimator].node], jobs=jobs)
         mounting = only_sensor(run).mounting
         dwells = sorted(_observe(run, estimator), key=lambda dwell: dwell.seconds)
         left_out = run.losses.described(len(scheme.frames))

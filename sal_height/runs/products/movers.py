@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from sal_height.bag.described import sensors_of
-from sal_height.engine.movers import MOVERS, ImageMovers, MoverDetection
+from sal_height.engine.movers import ImageMovers, MoverDetection
 from sal_height.engine.stage import DwellKey, Product
 from sal_height.errors import UserError
 from sal_height.geometry import sphere_coordinates
@@ -111,7 +111,7 @@ def find_in_bag(
             check_sensor(sensor)
         first, scheme = _with_columns(scheme, sensors, given or {})
         own = MoverDetection.settings(**dict(settings))
-        run = BagRun(scheme, STAGES_OF_MOVERS, jobs=jobs, wanted=[MOVERS], settings={COMPRESSION: first, DETECTOR: own})
+        run = BagRun(scheme, STAGES_OF_MOVERS, jobs=jobs, settings={COMPRESSION: first, DETECTOR: own})
         items = (made.result.item for made in run.results("images") if isinstance(made.result, Product))
         found = [item for item in items if isinstance(item, ImageMovers)]
         looked = [one.looked for one in found]

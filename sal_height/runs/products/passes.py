@@ -41,7 +41,6 @@ from sal_height.relief import HeightField, Surface
 from sal_height.runs.chain.chain_runs import COMPRESSION, BagRun, plan
 from sal_height.runs.products.passes_report import compared, draw_passes, summary_of, warnings_of
 from sal_height.settings import Settings
-from sal_height.topics import SLC
 
 
 def heights_of_bags(
@@ -124,7 +123,7 @@ def _gathered(
     for bag in bags:
         scheme = plan(bag, given or {}, for_heights=False)
         readers.append(scheme.reader)
-        run = BagRun(scheme, [COMPRESSION], jobs=jobs, wanted=[SLC])
+        run = BagRun(scheme, [COMPRESSION], jobs=jobs)
         passes += _passes_of(run, f"images of {bag.name}")
         warnings += [f"Bag {bag}: {sentence}" for sentence in (*scheme.warnings, *run.losses.sentences.values())]
     return passes, warnings, readers[0]

@@ -26,7 +26,6 @@ from sal_height.messages.kinds import kind_of, kind_of_topic
 from sal_height.nodes.accounts.account import Account
 from sal_height.runs.chain.chain_runs import BagRun
 from sal_height.runs.chain.replay_parameters import ReplayPlan
-from sal_height.runs.chain.worker import Unsent
 from sal_height.topics import CALIBRATION, LOSSES, ODOMETRY, SENSOR_INFO
 from sal_height.workers.processes import Interruption
 
@@ -49,7 +48,7 @@ def perform_by_calls(plan: Plan, processing: ReplayPlan, execution: Execution, j
     with ExitStack() as stack:
         scheme = replace(processing, values=plan.parameters)
         topics = [topic for topic in plan.played if topic != SENSOR_INFO]
-        run = BagRun(scheme, plan.stages, topics=topics, jobs=jobs, wanted=wanted, as_flown=plan.as_flown)
+        run = BagRun(scheme, plan.stages, topics=topics, jobs=jobs, as_flown=plan.as_flown)
         interruption = stack.enter_context(Interruption())
         recording = _Recording(run, plan, wanted)
         stack.callback(recording.bag.close)
@@ -150,7 +149,7 @@ class _Recording:
         """Write a product, or count what a stage left out or reports."""
         counts, result = self._counts[made.stage.name], made.result
         if isinstance(result, Product):
-            count = result.item.messages if isinstance(result.item, Unsent) else count_messages(result.item)
+            count = count_messages(result.item)
             counts.published[result.port] += count
             self._count_received(result.port, count)
             if result.port in self._names:

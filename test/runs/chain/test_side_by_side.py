@@ -1,43 +1,127 @@
-"""Memory that a process and its worker share."""
+"""Jobs of a chain on worker processes: their order, their series, and workers that end."""
 
 from __future__ import annotations
 
+import os
+import signal
+from collections.abc import Iterator, Sequence
+from typing import Any
+
 import numpy as np
+import pytest
+from helpers import refused
 
-from sal_height.engine.stage import Job
-from sal_height.runs.chain.side_by_side import BYTES_TOGETHER, TOGETHER, _together
-from sal_height.workers.transfer import Ring
+from sal_height.engine.stage import DwellKey, Job, Port, Product, Result, Stage, StageSettings
+from sal_height.errors import UserError
+from sal_height.runs.chain.side_by_side import TOGETHER, SideBySide, _together
+from sal_height.workers.sending import BYTES_TOGETHER
 
-
-def test_arrays_that_fill_the_ring_exactly_begin_anew_at_its_start() -> None:
-    ring = Ring.of(256)
-    whole = np.arange(16.0)
-    assert [ring.put(whole), ring.put(whole), ring.put(whole)] == [0, 128, None]
-    ring.release(128)
-    assert ring.put(whole + 1) == 0
-    assert np.array_equal(np.frombuffer(ring.memory, float, 16), whole + 1)
-    assert ring.used == 256
+SETTINGS = StageSettings()
+IN, SQUARE, SUM = (Port(name, float, name) for name in ("in", "square", "sum"))
 
 
-def test_arrays_that_do_not_fit_before_the_end_begin_anew_at_the_start() -> None:
-    ring = Ring.of(320)
-    whole = np.arange(16.0)
-    assert [ring.put(whole), ring.put(whole)] == [0, 128]
-    assert ring.put(whole) is None
-    ring.release(128)
-    ring.taken = 0
-    assert ring.put(whole) == 0
-    assert ring.taken == 64 + 128
-    ring.release(128)
-    assert ring.put(np.zeros(40)) is None
+class Squares(Stage):
+    """Squares numbers, and numbers its jobs of each series; the input -1 has it end its process."""
+
+    usual_name = "squares"
+    is_parallel = True
+
+    def __init__(self) -> None:
+        super().__init__(SETTINGS)
+        self._before: dict[str, int] = {}
+
+    @classmethod
+    def inputs(cls, settings: Any) -> Sequence[Port]:  # noqa: ARG003
+        return [IN]
+
+    @classmethod
+    def outputs(cls, settings: Any) -> Sequence[Port]:  # noqa: ARG003
+        return [SQUARE]
+
+    def receive(self, port: str, item: tuple[float, str | None]) -> None:  # noqa: ARG002
+        value, series = item
+        self.add_job(DwellKey("", int(value), 0), value, series=series)
+
+    def work(self, job: Job) -> Iterator[Result]:
+        if job.inputs < 0:
+            os.kill(os.getpid(), signal.SIGKILL)
+        if job.series is not None:
+            self._before[job.series] = self._before.get(job.series, -1) + 1
+        size = 100_000 if job.inputs % 3 else 10  # those of the others are made sooner
+        yield Product("square", (np.full(size, job.inputs) ** 2, self._before.get(job.series or ""), os.getpid()))
 
 
-def test_an_array_as_large_as_the_ring_fits_once_all_is_released() -> None:
-    ring = Ring.of(256)
-    assert ring.put(np.zeros(8)) == 0
-    assert ring.put(np.zeros(32)) is None
-    ring.release(64)
-    assert ring.put(np.zeros(32)) == 0
+class Sums(Stage):
+    """Sums of all squares so far."""
+
+    usual_name = "sums"
+    total = 0.0
+
+    @classmethod
+    def inputs(cls, settings: Any) -> Sequence[Port]:  # noqa: ARG003
+        return [SQUARE]
+
+    @classmethod
+    def outputs(cls, settings: Any) -> Sequence[Port]:  # noqa: ARG003
+        return [SUM]
+
+    def receive(self, port: str, item: Any) -> None:  # noqa: ARG002
+        self.add_job(DwellKey("", int(item[0][0]), 0), item, series="sums")
+
+    def work(self, job: Job) -> Iterator[Result]:
+        self.total += job.inputs[0][-1]
+        yield Product("sum", (self.total, os.getpid()))
+
+
+def products(inputs: Sequence[tuple[float, str | None]], jobs: int = 2) -> dict[str, list[Any]]:
+    """Products of both stages, by their ports."""
+    made: dict[str, list[Any]] = {"square": [], "sum": []}
+    with SideBySide([Squares(), Sums(SETTINGS)], [SETTINGS, SETTINGS], jobs) as chain:
+        steps = [chain.start(), *(chain.feed("in", item) for item in inputs), chain.finish()]
+        for one in (one for step in steps for one in step):
+            made[one.result.port].append(one.result.item)
+    return made
+
+
+def test_results_are_handed_on_in_the_order_of_the_jobs() -> None:
+    made = products([(float(number), None) for number in range(100)])
+    assert [square[0][0] for square in made["square"]] == [number**2 for number in range(100)]
+    assert [total for total, _ in made["sum"]] == list(np.cumsum(np.arange(100.0) ** 2))
+    assert len({process for _, _, process in made["square"]}) == 3  # this one, and the workers from the second job on
+    assert {process for _, process in made["sum"]} == {os.getpid()}
+
+
+def test_jobs_of_a_series_go_to_one_worker_in_their_order_with_what_was_kept_before_it_started() -> None:
+    names = ("first", "second")
+    made = products([(float(number), names[number % 2]) for number in range(60)])["square"]
+    assert [place for _, place, _ in made] == [number // 2 for number in range(60)]
+    processes = [{process for _, _, process in made[first::2]} - {os.getpid()} for first in (0, 1)]
+    assert [len(one) for one in processes] == [1, 1]
+    assert processes[0] != processes[1]
+
+
+def test_a_worker_that_ends_ends_the_run() -> None:
+    with refused(UserError, "A worker process has ended", "use fewer --jobs"):
+        products([(1.0, None), (2.0, None), (-1.0, None), (3.0, None)])
+
+
+@pytest.mark.parametrize("possible", [0, 1, 2])
+def test_workers_that_cannot_be_started_end_the_run(
+    monkeypatch: pytest.MonkeyPatch, possible: int, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The process that starts them, the first one, or the second one."""
+    left, fork = [None] * possible, os.fork
+
+    def fork_if_possible() -> int:
+        if not left:
+            raise BlockingIOError
+        left.pop()
+        return fork()
+
+    monkeypatch.setattr(os, "fork", fork_if_possible)
+    with refused(UserError, "cannot be started", "use fewer --jobs"):
+        products([(1.0, None), (2.0, None)])
+    assert not capfd.readouterr().err
 
 
 def test_large_jobs_are_sent_one_by_one() -> None:

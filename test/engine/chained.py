@@ -17,7 +17,7 @@ from sal_height.engine.chain import Chain, Made
 from sal_height.engine.compression import Compression
 from sal_height.engine.height_items import Heights
 from sal_height.engine.heights import height_stage
-from sal_height.engine.stage import Decision, Event, Job, Loss, Notice, Product, Stage
+from sal_height.engine.stage import Decision, Event, Job, Loss, Notice, Product, Result, Stage
 from sal_height.simulation import SimulatedFlight
 
 IMAGE = {"rows": 46, "cols": 12}
@@ -117,11 +117,9 @@ class Clocked(Chain):
             self.hosts[stage].receive(port, item)
             self._take(stage, stage.accept(port, item, self.now_s))
 
-    def _due(self, *, drain: bool) -> list[tuple[Stage, list[Job]]]:
-        due = super()._due(drain=drain)
-        for stage, jobs in due:
-            self.hosts[stage].counts["processed"] += sum(job.messages for job in jobs)
-        return due
+    def _conclude(self, stage: Stage, job: Job, results: Sequence[Result]) -> None:
+        self.hosts[stage].counts["processed"] += job.messages
+        super()._conclude(stage, job, results)
 
 
 class Joined:

@@ -36,7 +36,7 @@ Objective = Callable[[F64, F64], tuple[F64, F64]]
 PIXELS_OF_THREAD = 2048  # number of pixels from which another thread pays
 PIXELS_AT_ONCE = 2048  # pixels whose covariance and objective are computed at a time: they fit into a processor's cache
 SQUINTS_AT_ONCE = 16  # squints whose tables are made together, of 0.2 MB each with 16 detectors
-SEARCHES_KEPT = 64  # squints whose tables are cached: several blocks of pixels have the same ones
+SEARCHES_KEPT = 256  # squints whose tables are cached, those of a wide image: it has one a column, and dwells the same
 
 SQUINT_STEP = 1 / 16
 """Beamwidths between the squints at which responses are computed from the beams' patterns.

@@ -50,6 +50,7 @@ setup(
         "cyclopts",
         "cycler",
         "finufft",
+        "isal",
         "lz4",
         "matplotlib",
         "mcap",

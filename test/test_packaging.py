@@ -37,6 +37,7 @@ BY_PIP = {
     "annotated-types",
     "cyclopts",
     "finufft",
+    "isal",
     "lz4",
     "mcap",
     "numba",

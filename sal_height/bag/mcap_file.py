@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import struct
-import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,6 +14,7 @@ from io import FileIO
 
 import lz4.frame
 import zstandard
+from isal.isal_zlib import crc32
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
@@ -153,7 +153,7 @@ class _Chunk:
         """CRC-32 of the records."""
         found = 0
         for part in self.parts:
-            found = zlib.crc32(part, found)
+            found = crc32(part, found)
         return found
 
 
@@ -226,7 +226,7 @@ class McapFile:
             summary += group
         footer = _packed([Footer(start, start + len(summary), 0)]).removesuffix(NO_CHECKSUM)
         summary += _packed(offsets)
-        checksum = zlib.crc32(footer, zlib.crc32(summary))
+        checksum = crc32(footer, crc32(summary))
         self._append(summary, footer, struct.pack("<I", checksum), MCAP0_MAGIC)
 
     def _groups(self) -> Sequence[tuple[Opcode, Sequence[McapRecord]]]:

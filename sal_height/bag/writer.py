@@ -248,7 +248,7 @@ class BagWriter:
             UserError: the folder cannot be made or is not empty.
         """
         self.directory = directory
-        self._custom_data, self._packing = dict(custom_data), packing
+        self._custom_data, self._packing, self._cuts = dict(custom_data), packing, packing.cuts
         self._topics: dict[str, _Topic] = {}
         self._finished: list[Written] = []
         self._breaking = _Breaking(directory)
@@ -306,7 +306,7 @@ class BagWriter:
         """
         entry = self._topics[topic]
         with self._breaking:
-            if self._packing.cuts and self._is_full(log_time_ns):
+            if self._cuts and self._is_full(log_time_ns):
                 self._split(log_time_ns)
             self._file.write(topic, cdr, log_time_ns, publish_time_ns)
         if entry.latched.maxlen:

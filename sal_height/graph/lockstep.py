@@ -134,6 +134,7 @@ class Lockstep:
             return False
         if not all(ends.is_received for ends in self._ends.values()):
             return False
+        self._recorder.write_received()
         return all(self._is_recorded(topic) for topic in self._recorded)
 
     def announce(self) -> None:

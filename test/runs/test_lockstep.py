@@ -73,6 +73,9 @@ class Counted:
     def missed(self, topic: str) -> int:
         return self.missed_of.get(topic.lstrip("/"), 0)
 
+    def write_received(self) -> None:
+        """All that was received is written."""
+
     def announced(self) -> Mapping[str, int]:
         return {}
 

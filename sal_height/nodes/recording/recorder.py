@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 from rclpy._rclpy_pybind11 import RCLError
-from rclpy.clock import Clock, ROSClock
+from rclpy.clock import Clock, JumpThreshold, ROSClock, TimeJump
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -54,9 +54,14 @@ QUEUE_DEPTH = 1000  # messages per topic that may wait in the middleware until t
 DIAGNOSTICS_PERIOD_S = 0.5
 GIVE_BACK_PERIOD_S = 0.1
 
-FEW_ARRIVE_S, MORE_ARRIVE_S = 0.003, 0.01
-"""Time in which messages gather, so that the thread that writes wakes once for all of them, s; the latter if some have
-arrived already while it wrote those before."""
+GATHER_S = 0.02
+"""Time in which messages gather, so that the thread that writes wakes once for all of them, s."""
+
+CLOCK_CHANGES = JumpThreshold(min_forward=None, min_backward=None, on_clock_change=True)
+"""The node's clock follows /clock from now on, or no longer."""
+
+OF_OBJECTS = 1000
+"""Memory that the objects around a message need, bytes."""
 
 OF_DWELLS = {FRAME_TYPE, IMAGE_TYPE, HEIGHT_TYPE, ODOMETRY_TYPE}
 """Types of which every message matters, however it is published."""
@@ -74,11 +79,6 @@ class _Item(NamedTuple):
     topic: str
     cdr: bytes
     times: tuple[int, int]
-
-    @property
-    def size(self) -> int:
-        """Memory that it needs, bytes."""
-        return len(self.cdr) + 1000  # bytes of the objects around it
 
 
 class Recorder(Role, Node):
@@ -115,6 +115,8 @@ class Recorder(Role, Node):
         if not directory and self._bag.directory != Path(parameters.directory):
             self.get_logger().info(f"{parameters.directory} contains a bag already; this one is {self._bag.directory}.")
         self._subscribed: dict[str, Subscription] = {}
+        self._publisher_counts: dict[str, Callable[[], int]] = {}
+        """Functions that count the publishers of a topic."""
         self._refused: set[str] = set()
         self._topic_counts: dict[str, TopicCounts] = {}
         self._failures = 0
@@ -122,12 +124,16 @@ class Recorder(Role, Node):
         self._reported = False
         self._closed = False
         self._lock = threading.RLock()  # of the bag, which several threads write to
+        self._turn = threading.Lock()  # of the thread that writes what waits
         self._waiting: deque[_Item] = deque()
+        self._guarded_write = guarded(self._write, self._fail)
         self._put_bytes, self._taken_bytes = 0, 0  # each counted by one thread; their difference waits
         self._arrival, self._ending = threading.Event(), threading.Event()
         self._process_numbers: dict[str, Any] = {}
         """Last values of the fields of the account on processor time and memory."""
         self._account_publisher = AccountPublisher(self, guarded(lambda _: self._publish_account(), self._fail))
+        self._clock_changes = self.get_clock().create_jump_callback(CLOCK_CHANGES, post_callback=self._look_at_clock)
+        self._look_at_clock()
         self._worker = threading.Thread(target=self._work, name="recorder", daemon=True)
         self._worker.start()
         self.context.on_shutdown(self.close_bag)
@@ -190,6 +196,7 @@ class Recorder(Role, Node):
         self._ending.set()
         self._arrival.set()
         self._worker.join()
+        self._clock_changes.unregister()
         self._giving_back.end()
         with self._lock:
             if self._closed:
@@ -262,9 +269,10 @@ class Recorder(Role, Node):
                 self._report(error)
             profile = _matching(offered)
             self._topic_counts[name] = TopicCounts(latched=_replaces(offered) and types[0] not in OF_DWELLS)
-            self._subscribed[name] = self.create_subscription(
+            self._subscribed[name] = subscription = self.create_subscription(
                 message_type, name, guarded_with_times(self._taker_of(name), self._fail), profile, raw=True
             )
+            self._publisher_counts[name] = subscription.get_publisher_count
 
     def _look_for_parameters(self, reader: ParameterReader) -> None:
         """Ask nodes for their parameters, once the bag has the topic of their answers."""
@@ -276,7 +284,7 @@ class Recorder(Role, Node):
     def _tell_parameters(self, cdr: bytes) -> None:
         """Record the parameters of a node that was asked for them."""
         self._topic_counts[PARAMETER_EVENTS].receive(None, lambda: 0)
-        self._put(_Item(PARAMETER_EVENTS, cdr, (self._now_ns, self._now_ns)))
+        self._put(PARAMETER_EVENTS, cdr, (self._now_ns, self._now_ns))
 
     def _taker_of(self, topic: str) -> Callable[[bytes, dict[str, Any]], None]:
         """A callback that receives the messages of a topic."""
@@ -284,25 +292,25 @@ class Recorder(Role, Node):
         def take(cdr: bytes, info: dict[str, Any]) -> None:
             if not self._ending.is_set():
                 self._receive(topic, info)
-                self._put(_Item(topic, cdr, self._times(info)))
+                self._put(topic, cdr, self._times(info))
 
         return take
 
-    def _put(self, item: _Item) -> None:
+    def _put(self, topic: str, cdr: bytes, times: tuple[int, int]) -> None:
         """Hand a message to the thread that writes, unless too much waits for it."""
-        waiting, most_mb = self._put_bytes - self._taken_bytes, self._parameters_now.current.max_memory_mb
-        if waiting and waiting + item.size > most_mb * 1_000_000:
-            self._leave_out(item.topic, most_mb)
+        size, waiting = len(cdr) + OF_OBJECTS, self._put_bytes - self._taken_bytes
+        most_mb = self._parameters_now.current.max_memory_mb
+        if waiting and waiting + size > most_mb * 1_000_000:
+            self._leave_out(topic, most_mb)
             return
-        self._put_bytes += item.size
-        self._waiting.append(item)
+        self._put_bytes += size
+        self._waiting.append(_Item(topic, cdr, times))
         if not self._arrival.is_set():
             self._arrival.set()
 
     def _receive(self, topic: str, info: dict[str, Any]) -> None:
         """Count a message that has arrived."""
-        publishers = self._subscribed[topic].get_publisher_count
-        self._topic_counts[topic].receive(info.get("publication_sequence_number"), publishers)
+        self._topic_counts[topic].receive(info.get("publication_sequence_number"), self._publisher_counts[topic])
 
     def _leave_out(self, topic: str, most_mb: int) -> None:
         """Count a message for which there is no memory."""
@@ -318,9 +326,8 @@ class Recorder(Role, Node):
         flush, publish = guarded(self._flush, self._fail), guarded(self._account_publisher.publish_progress, self._fail)
         flush_due: float | None = None
         while not self._ending.is_set():
-            pause_s = MORE_ARRIVE_S if self._arrival.is_set() else FEW_ARRIVE_S
             self._arrival.wait(None if flush_due is None else max(0.0, flush_due - time.monotonic()))
-            time.sleep(pause_s)
+            self._ending.wait(GATHER_S)
             self._arrival.clear()
             topics, now = self._write_waiting(), time.monotonic()
             if topics - ACCOUNTS:
@@ -331,20 +338,28 @@ class Recorder(Role, Node):
                 flush_due = None
                 flush()
 
+    def write_received(self) -> None:
+        """Write the messages that have been received; somebody waits for them."""
+        self._write_waiting()
+
     def _write_waiting(self) -> set[str]:
         """Write the messages that wait, and return their topics.
 
         Messages that arrive before a clock other than the machine's has started wait for it: a bag must have times.
         """
-        write, topics = guarded(self._write, self._fail), set[str]()
-        if not (self._now_ns or self._ending.is_set()):
-            return topics
-        while self._waiting:
-            item = self._waiting.popleft()
-            self._taken_bytes += item.size
-            write(item.topic, item.cdr, item.times if item.times[0] else (self._now_ns, self._now_ns))
-            topics.add(item.topic)
+        write, topics = self._guarded_write, set[str]()
+        with self._turn:
+            while self._waiting and (self._waiting[0].times[0] or self._now_ns or self._ending.is_set()):
+                topic, cdr, times = self._waiting.popleft()
+                self._taken_bytes += len(cdr) + OF_OBJECTS
+                write(topic, cdr, times if times[0] else (self._now_ns, self._now_ns))
+                topics.add(topic)
         return topics
+
+    def _look_at_clock(self, _: TimeJump | None = None) -> None:
+        """Note whether the node's clock is another one than that of the times of the middleware."""
+        clock = self.get_clock()
+        self._has_other_clock = isinstance(clock, ROSClock) and clock.ros_time_is_active
 
     @property
     def _now_ns(self) -> int:
@@ -353,14 +368,12 @@ class Recorder(Role, Node):
 
     def _times(self, info: dict[str, Any]) -> tuple[int, int]:
         """Reception and publication of a message, ns; a bag cannot have times before 1970."""
-        clock = self.get_clock()
-        other = isinstance(clock, ROSClock) and clock.ros_time_is_active  # than that of the middleware's times
-        received_ns = 0 if other else info["received_timestamp"]
+        if self._has_other_clock:
+            return (now_ns := self._now_ns), now_ns
+        received_ns, published_ns = info["received_timestamp"], info["source_timestamp"]
         if received_ns <= 0:
             received_ns = self._now_ns
-        if other:
-            return received_ns, received_ns
-        return received_ns, max(0, info["source_timestamp"]) or received_ns
+        return received_ns, published_ns if published_ns > 0 else received_ns
 
     def _write(self, topic: str, cdr: bytes, times: tuple[int, int]) -> None:
         try:

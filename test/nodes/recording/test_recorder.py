@@ -427,6 +427,26 @@ def test_messages_that_wait_in_the_queue_are_written_before_the_bag_is_closed(
     assert BagReader(bag).topics["/note"].count == 100
 
 
+def test_what_was_received_is_written_at_once_on_demand(
+    graph: Graph, source: Node, bag: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Runs in lockstep wait for it; the thread that writes waits for more messages."""
+    monkeypatch.setattr(module, "GATHER_S", 3600.0)
+    publisher = source.create_publisher(String, "/note", 10)
+    recorder = start(graph, bag, topics=["/note"])
+    wait_until_matched(graph, publisher)
+    for number in range(5):
+        publisher.publish(String(data=f"{number}"))
+    assert graph.spin_until(lambda: recorder.topic_counts["/note"].received == 5, TIMEOUT_S)
+    assert recorder.recorded["/note"] == 0
+    recorder.write_received()
+    assert recorder.recorded["/note"] == 5
+    graph.close()
+    assert [BagReader(bag).decode(one.type_name, one.cdr).data for one in BagReader(bag).messages(["/note"])] == [
+        f"{number}" for number in range(5)
+    ]
+
+
 def test_the_bag_says_what_became_of_all_messages(
     graph: Graph, source: Node, bag: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

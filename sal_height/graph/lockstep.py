@@ -12,7 +12,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+from rclpy.clock_type import ClockType
 from rclpy.node import Node
+from rclpy.time import Time
 from tqdm import tqdm
 
 from sal_height.engine.stage import DwellKey
@@ -70,6 +72,7 @@ class Lockstep:
         self._workers: list[WorkerNode] = [self._source, *self._stages.values()]
         self._recorded = [f"/{topic}" for topic in plan.on_wire(plan.recorded) if topic not in UNCOUNTED]
         self._ends: dict[str, Ends] = {}
+        self._set_clocks()
         offered = {outlet.topic for node in self._workers for outlet in node.outlets}
         if unknown := sorted(set(self._recorded) - offered):
             names = ", ".join(sorted(topic.lstrip("/") for topic in offered))
@@ -125,8 +128,18 @@ class Lockstep:
             self._source.schedule({one.dwell: one.calibrations for one in self._plan.changes}, self._plan.frames)
 
     def step(self) -> bool:
-        """Have the source publish the next step; False at the end."""
-        return self._source.step()[0]
+        """Have the source publish the next step, at its time; False at the end."""
+        is_begun = self._source.step()[0]
+        self._set_clocks()  # no node has received a message of the step, for none is spun
+        return is_begun
+
+    def _set_clocks(self) -> None:
+        """Set the clocks of all nodes to the time of the step, if the source goes by steps."""
+        if self._plan.simulated_time and self._source.step_ns:
+            now = Time(nanoseconds=self._source.step_ns, clock_type=ClockType.ROS_TIME)
+            nodes: list[Any] = [self._recorder, *self._workers]
+            for node in nodes:
+                node.get_clock().set_ros_time_override(now)
 
     def is_settled(self) -> bool:
         """True if all that was published has been received, processed and recorded."""

@@ -43,7 +43,7 @@ class AsFlown:
 
     Attributes:
         left_out: reasons for which dwells are left out, by node.
-        restarted: dwells before which nodes were started again, by node.
+        restarted: dwells before which nodes were reset or started again, by node.
         unmade: dwells that nodes did not process in flight for whatever reason, by node.
         unrecorded: dwells whose heights were made and are not in the bag, by prefix of the topic.
         lost_before: dwells that did not get as far as a node, by node.
@@ -87,7 +87,7 @@ class Plan:
         custom_data: texts by name to store in the bag.
         played: topics of the source.
         remapped: other names of topics of all nodes, by their own; all without leading slash.
-        simulated_time: True if all nodes read the time from /clock, which the source publishes.
+        simulated_time: True if all nodes have the time of the source: by steps, or from /clock, which it publishes.
         changes: changes before dwells.
         mountings: mountings of sensors (config_hash) on the platform, where the flight had others than described.
         announces: True if the source knows what no longer arrives, so that nothing waits for a time-out.

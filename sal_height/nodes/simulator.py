@@ -30,12 +30,15 @@ class SimulatorSettings(StageSettings):
         maximum=3600.0,
         read_only=True,
     )
+    start_ns: int = setting(
+        0, "stamp of the start of the flight; 0: the time when the node starts", unit="ns", minimum=0, read_only=True
+    )
 
 
 class Simulator(WorkerNode):
     """Publishes one dwell after the other, on a timer or at each call of ~/step, until the flight ends.
 
-    Stamps begin at the time of start; everything else follows from preset and seed alone.
+    Stamps begin at the time of the start; everything else follows from preset and seed alone.
     """
 
     parameters = SimulatorSettings
@@ -57,7 +60,8 @@ class Simulator(WorkerNode):
         self.flight = flight_of(load_preset(parameters.preset), parameters.seed)
         self._next_dwell = 0
         self._published_ns = 0
-        self._start_ns = self.get_clock().now().nanoseconds
+        self._start_ns = parameters.start_ns or self.get_clock().now().nanoseconds
+        self.step_ns = self._start_ns
         self._info = self.offer(SensorInfo, SENSOR_INFO, LATCHED_QOS)
         self._odometry = self.offer(Odometry, ODOMETRY, ODOMETRY_QOS)
         self._frames = self.offer(ChannelFrame, PHASE_HISTORY)
@@ -91,6 +95,7 @@ class Simulator(WorkerNode):
         if dwell >= self.flight.dwells:
             return None
         self._next_dwell += 1
+        self.step_ns = self._start_ns + self.flight.dwell_end_ns(dwell)
         self.tally.receive()
         self.submit(1, lambda: self._publish_dwell(dwell))
         return dwell

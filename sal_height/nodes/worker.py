@@ -65,6 +65,9 @@ class WorkerNode(Role, Managed):
     parameters: type[StageSettings] = StageSettings
     """The node's ROS parameters."""
 
+    step_ns = 0
+    """Time at which the messages of the last step are recorded, ns; 0: the node's clock says it."""
+
     niceness: ClassVar[int] = 0
     """Degree to which the node's work gives way to other threads, as in nice(1). Under overload, early stages that do
     leave out what later ones could not process, before any work on it; and messages are received during a dwell's work.
@@ -333,7 +336,7 @@ class WorkerNode(Role, Managed):
         self.last_drop = str(error)  # before it is counted, so that no account has a drop without a reason
         self._lost_at = time.monotonic()
         self.tally.drop(messages, error.reason)
-        self._publish_loss(messages, error, dwell)
+        self._publish_loss(Loss(dwell, messages, error.reason, str(error)))
         self._warn(f"Dropped {messages} ({error.reason}): {error}")
 
     def _warn(self, sentence: str) -> None:
@@ -342,14 +345,10 @@ class WorkerNode(Role, Managed):
             self._warned_at = time.monotonic()
             self.get_logger().warning(sentence)
 
-    def _publish_loss(self, messages: int, error: Rejected, dwell: DwellKey | None) -> None:
-        loss = loss_to_message(
-            _plain(self.get_fully_qualified_name()),
-            Loss(dwell, messages, error.reason, str(error)),
-            self.get_clock().now().nanoseconds,
-        )
+    def _publish_loss(self, loss: Loss) -> None:
+        name, now_ns = _plain(self.get_fully_qualified_name()), self.get_clock().now().nanoseconds
         with suppress(RCLError):  # the context may have ended: nobody is left to publish to
-            self._losses.publish(loss)
+            self._losses.publish(loss_to_message(name, loss, now_ns))
 
     def ignore(self, what: str, error: UserError) -> None:
         """Count a message of no dwell (sensor info, odometry, ...) that cannot be used, and log why."""

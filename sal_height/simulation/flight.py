@@ -214,7 +214,8 @@ class SimulatedFlight:
         seconds = dwell * self.preset.dwell_spacing_m / self.preset.flight.speed_mps
         return round((number * self.preset.flight.passes.interval_s + seconds) * 1e9)
 
-    def _dwell_end_ns(self, dwell: int) -> int:
+    def dwell_end_ns(self, dwell: int) -> int:
+        """Last pulse of a dwell after the start of the first dwell, ns."""
         return self.dwell_start_ns(dwell) + round(float(self.pulse_times[-1]) * 1e9)
 
     def platform_states(self, dwell: int) -> list[PlatformState]:
@@ -224,7 +225,7 @@ class SimulatedFlight:
         """
         period_ns = round(1e9 / self.preset.flight.odometry_rate_hz)
         early_ns, late_ns = self._odometry_off_ns
-        before, last = ((self._dwell_end_ns(number) + late_ns) // period_ns + 2 for number in (dwell - 1, dwell))
+        before, last = ((self.dwell_end_ns(number) + late_ns) // period_ns + 2 for number in (dwell - 1, dwell))
         starts_pass = dwell % self._dwells_per_pass == 0
         first = (self.dwell_start_ns(dwell) + early_ns) // period_ns - 2 if starts_pass else before + 1
         return [self._state(number * period_ns) for number in range(first, last + 1)]
@@ -233,7 +234,7 @@ class SimulatedFlight:
         """Odometry of a dwell: from the last sample before its first pulse to the first after its last."""
         period_ns = round(1e9 / self.preset.flight.odometry_rate_hz)
         early_ns, late_ns = self._odometry_off_ns
-        start_ns, end_ns = self.dwell_start_ns(dwell) + early_ns, self._dwell_end_ns(dwell) + late_ns
+        start_ns, end_ns = self.dwell_start_ns(dwell) + early_ns, self.dwell_end_ns(dwell) + late_ns
         numbers = range(start_ns // period_ns, -(-end_ns // period_ns) + 1)
         return Trajectory([self._state(number * period_ns) for number in numbers])
 

@@ -198,6 +198,7 @@ class Player(BagSource):
             return False, INACTIVE
         if self._next is None:
             return False, "the bag has ended"
+        self._note_step(self._next)
         self.tally.receive()
         self.submit(1, self._publish_step)
         return True, "next dwell" if self._by_dwell else "all dwells up to the next calibration"
@@ -233,9 +234,16 @@ class Player(BagSource):
         self._next = next(self._items, None)
         if parameters.clock == PACED and self._next:
             self._time = SimulatedClock(self, self._next.recorded.log_time_ns, parameters.rate)
+        if self._next:
+            self._note_step(self._next)
         for announced in info:
             if self._is_usable(Played(announced, Content())):
                 self._publish(announced)
+
+    def _note_step(self, first: Played) -> None:
+        """Note the time of a step, which is that of its first message."""
+        if self._by_dwell:
+            self.step_ns = max(1, first.recorded.log_time_ns)  # 0 says nothing
 
     def _first_of(self, names: Sequence[str]) -> list[BagMessage]:
         """The first message on each of these topics.

@@ -94,6 +94,11 @@ class Playing:
         return self.clock == PACED
 
     @property
+    def has_times(self) -> bool:
+        """True if the nodes have the time of the bag."""
+        return self.clock in (LOCKSTEP, PACED)
+
+    @property
     def for_player(self) -> dict[str, Any]:
         """Parameters of the player."""
         rate = {} if self.rate is None else {"rate": float(self.rate)}
@@ -343,7 +348,7 @@ def replay(
             custom_data,
             played,
             remapping.of_nodes,
-            playing.is_paced,
+            playing.has_times,
             processing.changes,
             processing.mountings,
             announces=playing.clock == LOCKSTEP and part.entry == FRAMES,

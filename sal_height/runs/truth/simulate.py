@@ -34,6 +34,9 @@ from sal_height.runs.truth.report import Accuracy, read_accuracy, read_images
 from sal_height.simulation import Preset, SimulatedFlight, flight_of
 from sal_height.topics import MAP_ORIGIN
 
+START_NS = 1_735_689_600_000_000_000
+"""Stamp of the start of every flight, ns: 1 January 2025, so that the bags of two runs with one seed are equal."""
+
 
 @dataclass(frozen=True)
 class Flown:
@@ -87,7 +90,7 @@ def fly(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
     folder = new_folder(out)
     settings = folder / "preset.yaml"
     values = merged(parameters_of_flight(flight, estimators), parameters)
-    simulator = {"preset": str(settings), "seed": seed, "period_s": 0.0}
+    simulator = {"preset": str(settings), "seed": seed, "period_s": 0.0, "start_ns": START_NS}
     relief = {"file": str(folder / RELIEF_MAP)} if find_spec("rasterio") else {}
     stages = ["sar_compression", *estimators, TRACKER, "relief_mapper"]
     bag = folder / "bag"
@@ -99,7 +102,7 @@ def fly(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
         nodes = merged({"simulator": simulator, "relief_mapper": relief}, values)
         topics = recorded_topics(stages, values)
         topics += [*air, *([MAP_ORIGIN] if flight.scene.origin else [])]
-        plan = Plan("simulator", stages, topics, bag, nodes, preset.dwells, custom_data)
+        plan = Plan("simulator", stages, topics, bag, nodes, preset.dwells, custom_data, simulated_time=True)
         outcome = perform(plan, execution)
         conclude(outcome, values, report)
         report["relief_map"] = RELIEF_MAP if (folder / RELIEF_MAP).is_file() else None

@@ -1,16 +1,19 @@
-"""Two replays of a bag give the same messages, byte for byte, through nodes and by calls."""
+"""Two runs, or two replays of a bag, give the same messages at the same times, byte for byte; by calls, too."""
 
 from __future__ import annotations
 
 from collections import defaultdict
 from pathlib import Path
+from typing import Any
 
 import pytest
 from helpers import few
 
-from sal_height.bag.reader import BagReader
+from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.graph.plan import Execution
 from sal_height.runs.replay.bag_replay import replay
+from sal_height.runs.truth.simulate import START_NS, fly
+from sal_height.simulation import Preset, flight_of
 from sal_height.topics import SLC
 
 BAGS = Path(__file__).parents[3] / "bags"
@@ -19,12 +22,22 @@ ACCOUNTS = ("/diagnostics", "/progress", "/rosout", "/parameter_events")
 """Topics whose messages have the times of a run, and numbers of its processes."""
 
 
-def raw(bag: Path) -> dict[str, list[bytes]]:
-    """The bytes of all messages by topic, in their order."""
+def raw(bag: Path) -> dict[str, list[BagMessage]]:
+    """All messages by topic, in their order."""
     reader, found = BagReader(bag), defaultdict(list)
     for message in reader.messages([topic for topic in reader.topics if topic not in ACCOUNTS]):
-        found[message.topic].append(bytes(message.cdr))
+        found[message.topic].append(message)
     return dict(found)
+
+
+def bytes_of(found: dict[str, list[BagMessage]]) -> dict[str, list[bytes]]:
+    """The bytes of messages by topic."""
+    return {topic: [bytes(message.cdr) for message in messages] for topic, messages in found.items()}
+
+
+def differing(one: dict[str, list[Any]], other: dict[str, list[Any]]) -> list[str]:
+    """Topics whose messages differ, or that only one of two bags has."""
+    return sorted(topic for topic in one.keys() | other.keys() if one.get(topic) != other.get(topic))
 
 
 @pytest.mark.parametrize("name", few(1, ["version_3", "sal_spotlight", "xband_relief", "sal_stripmap"]))
@@ -35,10 +48,20 @@ def test_replays_are_equal_byte_for_byte(name: str, tmp_path: Path) -> None:
         out = tmp_path / f"{number}"
         replay(BAGS / name, out, {}, Execution(record=[SLC]), jobs=jobs)
         made.append(raw(out / "bag"))
-    first, *others = made
-    assert {"/slc", "/phase_history", "/platform/odometry", "/tracked/height"} <= first.keys()
-    for other in others:
-        assert {topic: len(messages) for topic, messages in other.items()} == {
-            topic: len(messages) for topic, messages in first.items()
-        }
-        assert [topic for topic in first if other[topic] != first[topic]] == []
+    nodes, nodes_again, calls, calls_again = made
+    assert {"/slc", "/phase_history", "/platform/odometry", "/tracked/height"} <= nodes.keys()
+    assert differing(nodes, nodes_again) == differing(calls, calls_again) == []
+    assert differing(bytes_of(nodes), bytes_of(calls)) == []
+
+
+def test_runs_are_equal_byte_for_byte(two_dwells: Preset, tmp_path: Path) -> None:
+    """The stamps are those of the flight, and each message is recorded when its dwell has ended."""
+    for name in "ab":
+        fly(two_dwells, 1, tmp_path / name, {}, Execution(record=[SLC]))
+    one, other = (raw(tmp_path / name / "bag") for name in "ab")
+    assert {"/slc", "/phase_history", "/platform/odometry", "/tracked/height"} <= one.keys()
+    assert differing(one, other) == []
+    ends = [START_NS + flight_of(two_dwells, 1).dwell_end_ns(dwell) for dwell in range(2)]
+    assert [message.log_time_ns for message in one["/tracked/height"]] == ends
+    assert {message.log_time_ns for message in one["/phase_history"]} == {*ends}
+    assert {message.log_time_ns for message in one["/sensor_info"]} == {START_NS}

@@ -121,9 +121,22 @@ class Notice:
 
 @dataclass(frozen=True)
 class Event:
-    """Something worth counting that costs no message."""
+    """Something worth counting that costs no message.
+
+    Attributes:
+        name: name under which it is counted.
+        dwell: dwell before which the stage was reset; None: another event.
+    """
 
     name: str
+    dwell: DwellKey | None = None
+
+    @property
+    def loss(self) -> Loss | None:
+        """A loss of no message, by which a bag states a reset."""
+        if self.dwell is None:
+            return None
+        return Loss(self.dwell, 0, self.name, f"The node was reset before dwell {self.dwell.number}.")
 
 
 @dataclass(frozen=True)
@@ -237,6 +250,9 @@ class FileInput(NamedTuple):
     path: str
 
 
+RESETS = "resets"
+"""Event of a dwell before which a stage was reset."""
+
 RESET = Rejected("reset", "The node was reset before the dwell was complete.")
 ENDED = Rejected("ended", "The node is ending; what waits and what arrives now is left out.")
 
@@ -298,6 +314,8 @@ class Stage(Scheduling):
         self._jobs_of_dwells = 0
         self.publishers_of: Callable[[str], int] = _one_publisher
         """Number of publishers of a port, for messages; the host knows it."""
+        self._is_reset = False
+        """True if the next dwell is the first one after a reset."""
         self.describe_sources: Callable[[], str] = str
         """Sentences, each after a space, on publishers of the inputs that are not right; else nothing."""
 
@@ -383,6 +401,7 @@ class Stage(Scheduling):
 
     def reset(self) -> Sequence[Decision]:
         """Forget what was gathered of the dwells so far, once the jobs before have been processed."""
+        self._is_reset = True
         return self._collected(self.forget)
 
     def command(self, name: str) -> Sequence[Decision]:
@@ -494,6 +513,9 @@ class Stage(Scheduling):
         if (reason := self._left_out.get(dwell)) is not None:
             self.drop(reason, messages, dwell)
             return
+        if self._is_reset:
+            self._is_reset = False
+            self.add(Event(RESETS, dwell))
         self.add(Job(dwell, inputs, self._settings, messages, size, series, self._now_s, order))
 
     def add_own_job(self, inputs: Any, series: str | None = None) -> None:
@@ -520,6 +542,7 @@ class Stage(Scheduling):
     def accept_scheduled(self, port: str, item: Any) -> None:
         """Accept an item that was scheduled; one that cannot be used is a notice. Port "": it is no item of a port."""
         if isinstance(item, Reset):
+            self._is_reset = True
             self.add_own_job(item, self.own_series)
             return
         if not port:

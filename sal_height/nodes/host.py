@@ -400,6 +400,8 @@ class StageNode(WorkerNode):
             elif isinstance(one, Event):
                 count = self.tell if one.name == CALIBRATIONS_ARRIVED else self.tally.note
                 count(one.name)
+                if one.loss:
+                    self._publish_loss(one.loss)
             elif isinstance(one, FileProduct):
                 self._write(one)
             elif isinstance(one, Remark):

@@ -8,7 +8,7 @@ from flown_items import heights_in, small_flight
 from gate import Gated
 from same_items import are_same
 
-from sal_height.engine.stage import DwellKey, Reset
+from sal_height.engine.stage import RESETS, DwellKey, Event, Reset
 from sal_height.engine.tracker import Tracker
 from sal_height.errors import Rejected
 
@@ -46,6 +46,17 @@ def test_settings_before_a_dwell_that_is_left_out_apply_to_the_next(gated: Gated
     for dwell in range(3):
         gated.feed(dwell, 0, 1, 2)
     assert [settings.timeout_s for _, settings in (made.item for made in gated.made)] == [5.0, 7.0]
+
+
+def test_a_reset_is_stated_with_the_next_dwell_and_repeated_before_it() -> None:
+    heights = heights_in(small_flight())
+    script = [accept("ml/height", one) for one in heights]
+    flown = drive(Tracker(Tracker.settings()), [*script[:2], lambda stage: stage.reset(), *script[2:]])
+    resets = [one for one in flown.decided if isinstance(one, Event) and one.name == RESETS]
+    assert resets == [Event(RESETS, heights[2].key)]
+    repeated = drive(Tracker(Tracker.settings()), [reset_before(resets[0].dwell), *script])
+    assert are_same(repeated.made, flown.made)
+    assert [one for one in repeated.decided if isinstance(one, Event) and one.name == RESETS] == resets
 
 
 def test_the_tracker_gives_the_heights_that_it_gives_without_the_dwell() -> None:

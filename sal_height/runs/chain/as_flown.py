@@ -19,7 +19,7 @@ from sal_height.bag.files import ACCOUNT
 from sal_height.bag.namespace import NamespacedReader
 from sal_height.bag.reader import BagReader, LogTimes
 from sal_height.engine.registry import STAGES, takes_heights
-from sal_height.engine.stage import DwellKey
+from sal_height.engine.stage import RESETS, DwellKey
 from sal_height.errors import Rejected, UserError
 from sal_height.graph.catalogue import HEIGHTS, NodeParameters, parameters_of
 from sal_height.graph.plan import AsFlown
@@ -38,8 +38,8 @@ OF_ARRIVAL = frozenset({"odometry gap", "no air", "no mounting", "no calibration
 """Reasons that are of the data or of their arrival. A dwell that lacks nothing in the bag is left out for them, unless
 the user sets parameters of the node, which may be meant to process it."""
 
-OF_MESSAGES = frozenset({"late", "duplicate"})
-"""Reasons that concern single messages of dwells which are processed or left out for another reason."""
+OF_MESSAGES = frozenset({"late", "duplicate", RESETS})
+"""Reasons that concern single messages of dwells which are processed or left out for another reason, or none."""
 
 NOT_MADE = "not made in flight"
 """Reason for which a dwell is left out whose heights are not in the bag, where nothing says why."""
@@ -121,7 +121,7 @@ def repeated_losses(unmade: Mapping[str, Collection[DwellKey]], replayed: BagRea
     """
     counts: Counter[tuple[str, str]] = Counter()
     for one in losses_in(replayed):
-        if one.dwell in unmade.get(one.node, ()):
+        if one.messages and one.dwell in unmade.get(one.node, ()):
             counts[one.node, one.reason] += one.messages
     return counts
 
@@ -217,9 +217,10 @@ class _Plan:
         return self._lost_at(name).union(set(self._dwells) - self._processed[name] if made else ())
 
     def _restarts(self, name: str) -> Iterator[DwellKey]:
-        """First dwells that a stage has processed after each of its further starts, if it keeps something of dwells."""
+        """First dwells of a stage after each of its resets and further starts, if it keeps something of dwells."""
         if STAGES[name].is_parallel and not (name == COMPRESSION and self._flown.has_strips):
             return
+        yield from (one.dwell for one in self._flown.losses if (one.node, one.reason) == (name, RESETS))
         with_worker = [
             self._dwells[dwell].first_ns
             for (node, dwell), one in self._lost.items()

@@ -162,12 +162,13 @@ class _Recording:
                 _LOG.warning(
                     "%s: dropped %d (%s): %s", made.stage.name, result.messages, result.reason, result.sentence
                 )
-            loss = loss_to_message(f"/{made.stage.name}", result, self._now_ns)
-            self._write(LOSSES, [SHIPPED.serialize(loss)])
+            self._write_loss(made.stage.name, result)
         elif isinstance(result, Notice):
             counts.ignored[result.kind] += 1
         elif isinstance(result, Event):
             counts.events[result.name] += 1
+            if result.loss:
+                self._write_loss(made.stage.name, result.loss)
 
     def accounts(self) -> dict[str, Account]:
         """The account of the source and of every stage."""
@@ -178,6 +179,9 @@ class _Recording:
     def _count_received(self, port: str, messages: int) -> None:
         for name in self._consumers.get(port, ()):
             self._counts[name].received += messages
+
+    def _write_loss(self, stage: str, loss: Loss) -> None:
+        self._write(LOSSES, [SHIPPED.serialize(loss_to_message(f"/{stage}", loss, self._now_ns))])
 
     def _write(self, port: str, serialized: Sequence[bytes]) -> None:
         if port in self._names:

@@ -10,7 +10,7 @@ import pytest
 from written_bag import frame, heights, key, lost, process, told, written
 
 from sal_height.bag.reader import LogTimes
-from sal_height.engine.stage import DwellKey, Reset
+from sal_height.engine.stage import RESETS, DwellKey, Reset
 from sal_height.graph.plan import AsFlown
 from sal_height.runs.chain.as_flown import NOT_MADE, OF_LOAD, FlownDwells, FlownLoss, as_flown, repeated_losses
 from sal_height.runs.chain.timeline import timeline_of
@@ -133,6 +133,12 @@ def test_a_tracker_that_was_started_again_begins_with_the_first_dwell_recorded_a
     scheduled = list(found.scheduled("relief_tracker"))
     assert [(dwell, type(item)) for dwell, item in scheduled if isinstance(item, Reset)] == [(key(4), Reset)]
     assert not list(found.scheduled("ml_height"))
+
+
+def test_a_node_that_was_reset_begins_with_the_dwell_that_the_bag_names() -> None:
+    resets = [(name, 3, RESETS) for name in ("relief_tracker", "ml_height")]
+    found = plan({"ml": ALL, "tracked": ALL}, resets)
+    assert (left_out(found), found.restarted) == ({}, {"relief_tracker": [key(3)]})
 
 
 @pytest.mark.parametrize("has_strips", [False, True])

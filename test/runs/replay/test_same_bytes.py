@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import pytest
 from helpers import few
 
 from sal_height.bag.reader import BagMessage, BagReader
+from sal_height.graph.lockstep import Lockstep
 from sal_height.graph.plan import Execution
 from sal_height.runs.replay.bag_replay import replay
 from sal_height.runs.truth.simulate import START_NS, fly
@@ -52,6 +54,28 @@ def test_replays_are_equal_byte_for_byte(name: str, tmp_path: Path) -> None:
     assert {"/slc", "/phase_history", "/platform/odometry", "/tracked/height"} <= nodes.keys()
     assert differing(nodes, nodes_again) == differing(calls, calls_again) == []
     assert differing(bytes_of(nodes), bytes_of(calls)) == []
+
+
+def test_a_reset_in_flight_is_repeated(two_dwells: Preset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Through nodes and by calls; the replay of a replay repeats it, too."""
+    four_dwells = dataclasses.replace(two_dwells, dwells=4)
+    fly(four_dwells, 1, tmp_path / "whole", {})
+    announce = Lockstep.announce
+
+    def reset_after_two(run: Lockstep) -> None:
+        announce(run)
+        if run.played == 2:
+            run._stages["relief_tracker"]._reset()
+
+    monkeypatch.setattr(Lockstep, "announce", reset_after_two)
+    fly(four_dwells, 1, tmp_path / "flown", {})
+    monkeypatch.undo()
+    whole, flown = (bytes_of(raw(tmp_path / name / "bag"))["/tracked/height"] for name in ("whole", "flown"))
+    assert (flown[:2], flown[2] == whole[2]) == (whole[:2], False)
+    for source, name, jobs in (("flown", "nodes", None), ("flown", "calls", 1), ("nodes", "again", 1)):
+        outcome = replay(tmp_path / source / "bag", tmp_path / name, {}, jobs=jobs).outcome
+        assert bytes_of(raw(tmp_path / name / "bag"))["/tracked/height"] == flown
+        assert outcome.losses == outcome.losses_as_flown == []
 
 
 def test_runs_are_equal_byte_for_byte(two_dwells: Preset, tmp_path: Path) -> None:

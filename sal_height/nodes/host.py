@@ -345,13 +345,13 @@ class StageNode(WorkerNode):
         if self._ended and job.messages:
             self.reject(job.messages, ENDED, job.dwell)
             return
-
-        def work() -> int:
-            return self._publish_results(self._results_of(job), complete_s)
-
-        self.submit(job.messages, work, job.size, job, complete_s)
+        self.submit(job.messages, lambda: self._process_job(job, complete_s), job.size, job, complete_s)
         if self._pool and not self._worker:
             self._pool.wake()
+
+    def _process_job(self, job: Job, complete_s: float = 0.0) -> int:
+        """Process a job (on the node's own thread), and publish its results; the number of messages published."""
+        return self._publish_results(self._results_of(job), complete_s)
 
     def _conclude_job(self, job: Job, results: Sequence[Result], complete_s: float, cpu_s: float) -> int:
         """Notify the stage of the results of a job that a worker has processed, and publish them."""

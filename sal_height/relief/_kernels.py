@@ -492,8 +492,8 @@ def read_cells(cells: F64, height: F32, sigma: F32, disagreement: F32, count: np
         for j in range(cols):
             chi_square, dwells = cells[i, j, 5], cells[i, j, 6]
             if dwells > 0:
-                height[i, j] = cells[i, j, 0]
                 sigma[i, j] = np.sqrt(1 / cells[i, j, 1] + squared(cells[i, j, 2]))
+                height[i, j] = cells[i, j, 0] if np.isfinite(sigma[i, j]) else np.nan
                 count[i, j] = np.uint32(dwells)
             if dwells > 1:
                 disagreement[i, j] = np.sqrt(chi_square / (dwells - 1))

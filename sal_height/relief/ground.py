@@ -126,11 +126,12 @@ def estimated_ground(layers: Layers, silent: Bool, grid: GroundGrid, settings: G
         [GroundKind.SHADOW, GroundKind.MEASURED, GroundKind.SHADOW, GroundKind.INTERPOLATED],
         GroundKind.UNSEEN,
     ).astype(np.uint8)
-    known = np.isin(kind, (GroundKind.MEASURED, GroundKind.INTERPOLATED))
     common, count = np.zeros(grid.shape), np.zeros(grid.shape, np.int64)
     common.ravel()[number], count.ravel()[number] = variance, tops.dwells
     sigma = deviation(membrane, grid.spacing / grid.cell_size)
     total = sigma**2 + common[nearest] + np.where(covered, jump**2 / 4, half**2)
+    known = np.isin(kind, (GroundKind.MEASURED, GroundKind.INTERPOLATED)) & np.isfinite(total.astype(np.float32))
+    kind[~known & (kind != GroundKind.SHADOW)] = GroundKind.UNSEEN
     return GroundEstimate(
         east,
         north,

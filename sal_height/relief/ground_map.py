@@ -7,6 +7,7 @@ side by side are estimated together, for an estimate of few cells takes as long 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import reduce
 
 import numpy as np
@@ -89,22 +90,27 @@ class GroundMap(CellMap):
         cells = layers.cells(self.cell_size)
         seen = np.stack([cells.min(axis=0), cells.max(axis=0)])
         self._grow(seen)
-        tiles = [(place, layers.where(there)) for place, there in tiles_of(cells)]
-        known = [self._tiles[place] for place, _ in tiles if place in self._tiles]
-        offset = height_offset(reduce(Layers.and_those, known), layers, self.cell_size) if known else 0.0
-        for place, new in tiles:
-            self._tiles[place] = self._joined(self._tiles[place], new, offset, seen) if place in self._tiles else new
+        self._join({place: layers.where(there) for place, there in tiles_of(cells)}, layers, seen)
         silent = silent_cells(field, aperture, self.settings.gate, self.cell_size)
         for place, there in tiles_of(silent):
             self._silent.setdefault(place, np.zeros((TILE, TILE), bool))[tuple((silent[there] % TILE).T)] = True
         return seen
 
-    def _joined(self, old: Layers, new: Layers, offset: float, seen: I64) -> Layers:
-        """Layers of a tile, with new ones in the cells from seen[0] to seen[1]; only these are merged."""
-        cells = old.cells(self.cell_size)
-        there = ((cells >= seen[0]) & (cells <= seen[1])).all(axis=1)
-        both = joined_dwells(old.where(there), new, offset, self.cell_size, self.settings.gate)
-        return old.where(~there).and_those(both)
+    def _join(self, tiles: Mapping[tuple[int, int], Layers], new: Layers, seen: I64) -> None:
+        """Enter new layers, by tiles and all together, in the cells from seen[0] to seen[1]; only these are merged."""
+        size, gate = self.cell_size, self.settings.gate
+        others, known = {}, {}
+        for place in tiles.keys() & self._tiles.keys():
+            cells = self._tiles[place].cells(size)
+            there = ((cells >= seen[0]) & (cells <= seen[1])).all(axis=1)
+            others[place], known[place] = self._tiles[place].where(~there), self._tiles[place].where(there)
+        offset = height_offset(list(known.values()), new, size, gate)
+        for place, layers in tiles.items():
+            self._tiles[place] = (
+                others[place].and_those(joined_dwells(known[place], layers, offset, size, gate))
+                if place in known
+                else layers
+            )
 
     def settle(self) -> None:
         """Estimate all ground at once."""

@@ -1,7 +1,7 @@
 """Layers: the pieces of surface that dwells have measured, each in one cell of a grid on the ground.
 
-A cell has several layers where surfaces are above each other, as at a wall. Measurements of the same piece are
-merged with the weights of their errors, so that the memory of a map grows with the ground that was seen, not with the
+A cell has several layers where surfaces are above each other, as at a wall. Measurements of the same piece are merged
+with the weights of their own errors, so that the memory of a map grows with the ground that was seen, not with the
 dwells. Heights of rows that were estimated apart are joined here, too.
 """
 
@@ -120,6 +120,8 @@ def _layers_of_surface(surface: Surface, aperture: ApertureState) -> Layers:
     known = np.asarray(np.isfinite(own).all(axis=(1, 2)))
     variance = np.where(known, 0.0, surface.sigma[seen] ** 2) + surface.spread[seen] ** 2
     own = np.where(known[:, None, None], own, 0.0) + variance[:, None, None] * along_circle
+    least_variance = 1e-12  # m^2; a message may state that all of its error is common
+    own[:, 2, 2] = np.maximum(own[:, 2, 2], least_variance)
     common = np.zeros_like(own) if surface.common_covariance is None else surface.common_covariance[seen]
     layers = Layers(
         place=np.stack(sphere_coordinates(points), axis=-1),
@@ -147,24 +149,41 @@ def joined_dwells(known: Layers, new: Layers, offset: float, cell_size: float, g
     return _merged(known.and_those(new), compared, cell_size, gate, np.add)
 
 
-def height_offset(known: Layers, new: Layers, cell_size: float) -> float:
+def height_offset(known: Sequence[Layers], new: Layers, cell_size: float, gate: float) -> float:
     """Height of a new dwell above the layers that are known, m, which is the difference of their common errors.
 
-    It is the median over all cells in which there is one layer of either; 0 if there is none. No stated error enters.
+    It is the median over the cells in which there is one layer of either, if there are LEAST_SHARED such cells or more,
+    which are a quarter of those of the new dwell, and if the heights of three quarters of them are alike (`_merged`)
+    once it is subtracted, and of less than half as many before. Otherwise it is 0: the difference may be that of a roof
+    and the ground beside it. No common error that is stated enters.
     """
-    heights = [_single_heights(layers, cell_size) for layers in (known, new)]
-    (known_cells, known_heights), (new_cells, new_heights) = heights
-    _, ours, theirs = np.intersect1d(known_cells, new_cells, assume_unique=True, return_indices=True)
-    return median(new_heights[theirs] - known_heights[ours]) if len(ours) else 0.0
+    if not known:
+        return 0.0
+    old_cells, old_heights, old_variances = (
+        np.concatenate(parts) for parts in zip(*(_singles(layers, cell_size) for layers in known), strict=True)
+    )
+    new_cells, new_heights, new_variances = _singles(new, cell_size)
+    _, ours, theirs = np.intersect1d(old_cells, new_cells, assume_unique=True, return_indices=True)
+    if len(ours) < max(LEAST_SHARED, len(new_cells) / 4):
+        return 0.0
+    difference = new_heights[theirs] - old_heights[ours]
+    limit = gate**2 * (new_variances[theirs] + old_variances[ours]) + cell_size**2
+    offset = median(difference)
+    before, after = (np.count_nonzero(apart**2 <= limit) for apart in (difference, difference - offset))
+    return offset if after >= 0.75 * len(ours) and before < after / 2 else 0.0
 
 
-def _single_heights(layers: Layers, cell_size: float) -> tuple[I64, F64]:
-    """Number of each cell that has one layer, and the layer's height, m."""
+LEAST_SHARED = 30
+"""Least number of cells that two dwells share from which the difference of their common errors is found."""
+
+
+def _singles(layers: Layers, cell_size: float) -> tuple[I64, F64, F64]:
+    """Number of each cell that has one layer, and the layer's height (m) and own variance (m^2)."""
     row, col = layers.cells(cell_size).T
     most_cells = 2**31  # more than lie between the map's origin and any cell, along either axis
     number, first, count = np.unique(row * most_cells + col, return_index=True, return_counts=True)
-    single = count == 1
-    return number[single], layers.place[first[single], 2]
+    single = first[count == 1]
+    return number[count == 1], layers.place[single, 2], layers.own[single, 2, 2]
 
 
 def _merged(layers: Layers, compared: F64, cell_size: float, gate: float, count: np.ufunc) -> Layers:

@@ -7,6 +7,8 @@ Pixels without a signal show a shadow that is too short for that.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from sal_height.elevation import Validity
@@ -90,14 +92,16 @@ def silent_cells(field: HeightField, aperture: ApertureState, gate: float, cell_
     row, col = row[silent], col[silent]
     far, near = (row + 1, col), (last[row, col], col)
 
-    def at(pixels: tuple[I64, I64], name: str) -> F64:
-        values = np.stack([getattr(surface, name)[pixels] for surface in field.surfaces])
-        return np.asarray(values[highest[pixels], np.arange(len(col))])
+    def at(pixels: tuple[I64, I64], values: Sequence[F64]) -> F64:
+        of_surfaces = np.stack([one[pixels] for one in values])
+        return np.asarray(of_surfaces[highest[pixels], np.arange(len(col))])
 
-    edge, foot = (np.stack(sphere_coordinates(at(pixels, "positions")), axis=-1) for pixels in (near, far))
+    positions = [surface.positions for surface in field.surfaces]
+    sigmas = [surface.own_sigma for surface in field.surfaces]
+    edge, foot = (np.stack(sphere_coordinates(at(pixels, positions)), axis=-1) for pixels in (near, far))
     drop = edge[:, 2] - foot[:, 2]
-    chosen = drop > gate * np.hypot(at(near, "own_sigma"), at(far, "own_sigma"))
-    points = at(far, "positions")[chosen]
+    chosen = drop > gate * np.hypot(at(near, sigmas), at(far, sigmas))
+    points = at(far, positions)[chosen]
     sight = points - aperture_at(points, aperture).position
     away = -sight[:, :2] / sight[:, 2:]  # how far the line of sight goes per metre that it falls
     level = np.hypot(away[:, 0], away[:, 1])

@@ -69,6 +69,29 @@ def test_dwells_that_err_by_metres_are_the_same_ground() -> None:
     assert np.mean(np.abs(found.height - truth_of(found) - 2.5)[measured] < 0.1) > 0.9
 
 
+@pytest.mark.parametrize("shared", [1, 2])
+def test_a_roof_and_the_ground_beside_it_stay_apart_where_few_cells_are_seen_twice(shared: int) -> None:
+    """One dwell saw a roof; another one saw the ground of its last columns, where the roof had hidden it, and more."""
+    rng = np.random.default_rng(15)
+    roof, ground = dwell(0, rng, lift=20.0), dwell(0, rng)
+    beside = ground.surfaces[0].positions + np.array([(COLS - shared) * SPACING, 0.0, 0.0])
+    ground = replace(ground, surfaces=(replace(ground.surfaces[0], positions=beside),))
+    found = estimate_of(mapped([roof, ground]))
+    off = np.abs(found.height - truth_of(found))
+    assert not np.any((off > 5) & (off < 15))
+    assert np.isfinite(found.height).sum() > 500
+
+
+def test_a_dwell_that_states_that_all_of_its_error_is_shared_spoils_no_map() -> None:
+    rng = np.random.default_rng(16)
+    own, none = dwell(0, rng), with_shared_error(dwell(0, rng), 0.1)
+    certain = replace(none.surfaces[0], own_covariance=np.zeros((*none.grid.shape, 3, 3)))
+    found = estimate_of(mapped([own, replace(none, surfaces=(certain,))]))
+    alone = estimate_of(mapped([own]))
+    assert np.isfinite(found.height).sum() >= np.isfinite(alone.height).sum()
+    assert np.nanmax(np.abs(found.height - truth_of(found))) < 0.5
+
+
 def with_ghosts(field: HeightField, rng: np.random.Generator) -> HeightField:
     """A dwell with a second surface, of some pixels only."""
     first = field.surfaces[0]

@@ -9,7 +9,8 @@ import os
 import signal
 import socket
 import time
-from collections.abc import Mapping
+import traceback
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from multiprocessing.connection import Connection
 
@@ -97,20 +98,13 @@ def _keep_workers(starts: socket.socket, workers: int, arena: Arena, stages: Map
     keeper = os.getpid()
     numbers: dict[int, int] = {}
 
+    def serve_alone(number: int, pipe: socket.socket) -> None:
+        if end_with_parent(keeper, signal.SIGKILL):
+            name_process(f"worker {number}")
+            serve(Connection(pipe.detach()), arena, stages)
+
     def start(number: int) -> None:
-        ours, theirs = socket.socketpair()
-        pid = os.fork()
-        if pid == 0:
-            starts.close()
-            ours.close()
-            if end_with_parent(keeper, signal.SIGKILL):
-                name_process(f"worker {number}")
-                serve(Connection(theirs.detach()), arena, stages)
-            os._exit(0)
-        numbers[pid] = number
-        theirs.close()
-        socket.send_fds(starts, [json.dumps({"number": number, "pid": pid}).encode()], [ours.fileno()])
-        ours.close()
+        numbers[_started(starts, number, serve_alone)] = number
 
     for number in range(workers):
         start(number)
@@ -121,6 +115,43 @@ def _keep_workers(starts: socket.socket, workers: int, arena: Arena, stages: Map
             time.sleep(RESTART_S)
             with suppress(OSError):  # there is no memory for it yet, as often where a worker has ended for lack of it
                 start(number)
+
+
+def _started(starts: socket.socket, number: int, work: Callable[[int, socket.socket], None]) -> int:
+    """Start a worker.
+
+    Args:
+        starts: socket that its number, and the connection to it, are written to.
+        number: number of the worker.
+        work: function of the number and of the other end of the connection, which the worker runs.
+
+    Returns:
+        The number of its process.
+
+    Raises:
+        OSError: it cannot be started, or nobody can be notified of it.
+    """
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        pid = os.fork()
+        if pid == 0:
+            try:
+                starts.close()
+                ours.close()
+                work(number, theirs)
+            except ConnectionError:
+                pass  # whoever reads the results has ended
+            except BaseException:  # noqa: BLE001 (the copy must not go on as the original does)
+                traceback.print_exc()
+            finally:
+                os._exit(0)
+        try:
+            socket.send_fds(starts, [json.dumps({"number": number, "pid": pid}).encode()], [ours.fileno()])
+        except OSError:
+            os.kill(pid, signal.SIGKILL)
+            os.waitpid(pid, 0)
+            raise
+    return pid
 
 
 class Spawned:

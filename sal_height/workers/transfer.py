@@ -75,7 +75,7 @@ class Known:
 class Pickler(pickle.Pickler):
     """Sends shared objects once, and large arrays through shared memory."""
 
-    def __init__(self, file: io.BytesIO, known: Known, put: Put | None) -> None:
+    def __init__(self, file: io.BytesIO, known: Known, put: Put) -> None:
         super().__init__(file, protocol=5)
         self._known, self._put = known, put
 
@@ -84,7 +84,7 @@ class Pickler(pickle.Pickler):
         kind = type(obj)
         if kind is np.ndarray:
             least_shared_bytes = 16_384  # smaller arrays do not go through shared memory
-            if self._put and obj.nbytes >= least_shared_bytes and obj.flags.c_contiguous:
+            if obj.nbytes >= least_shared_bytes and obj.flags.c_contiguous:
                 at = self._put(obj)
                 if at is not None:
                     return _array_sent, (at, obj.dtype.str, obj.shape)

@@ -83,6 +83,8 @@ class ChannelImage:
 class Source:
     """Data that images were compressed from, where they have not gone through a message.
 
+    Workers of the live host do not return frames and odometry: both are empty there.
+
     Attributes:
         frames: frames of all channels.
         sensor: sensor that recorded them, with its mounting in the flight.
@@ -101,7 +103,7 @@ class Source:
 
     @property
     def pulses(self) -> PhaseHistory:
-        """Times of the pulses, without samples."""
+        """Times of the pulses, without samples; there must be frames."""
         first = self.frames[0]
         nothing = np.zeros((0, 0, 0), np.complex64)
         return PhaseHistory(first.key.stamp_ns, first.pulse_time, first.reference_range, nothing)
